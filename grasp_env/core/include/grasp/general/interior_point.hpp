@@ -101,7 +101,7 @@ private:
     static constexpr double AWAY = 1e10;  // multipliers at which an infeasible program shows
     static constexpr double MIDDLE = 0.3;  // of the gap that is asked for: where a step that settles aims
     static constexpr int REFINEMENTS = 2, SETTLINGS = 3;
-    static constexpr double ENOUGH = 1e-14;  // of the largest force: what a direction may miss of its equations
+    static constexpr double ENOUGH = 1e-12;  // of the largest force: what a direction may miss of its equations
     R largest_ = 0.0;
     RowSystem<R, D, T> system_;
     Space<R, D, T> f_, d_, left_, more_, residual_;  // d_.z is the scaled direction W^-1 dz
@@ -117,27 +117,31 @@ private:
 
     // Residuals of the equations into `residual_`; the gap and how large all that is.
     Measured measure() {
+        return sized(rows.joint, [&](auto joint) { return measure(joint); });
+    }
+    template <class J> Measured measure(const J joint) {
         Measured m{0.0, abs(objective()), 0.0, 0.0, false};
         R largest_z = 1e-12, largest_c = 1e-12, largest_y = 0.0;
         const auto keep = [](R& most, const R& value) { keep_largest(most, abs(value)); };
-        for (int r = 0; r < rows.joint; ++r) {
+        for (int r = 0; r < joint; ++r) {
             residual_.joint[r] = inner(rows.coupling[r], at.t) - rows.right[r];
             if (r >= rows.equal) residual_.joint[r] += at.joint_slack[r], m.gap += at.joint_slack[r] * at.joint[r];
             keep(largest_y, at.joint[r]), keep(largest_z, rows.right[r]);
         }
         residual_.t = shared_cost;
-        for (int r = 0; r < rows.joint; ++r) add(residual_.t, at.joint[r], rows.coupling[r]);
+        for (int r = 0; r < joint; ++r) add(residual_.t, at.joint[r], rows.coupling[r]);
         for (int i = 0; i < rows.count; ++i) {
             const Tuple<R, D>&z = at.z[i], &s = at.s[i];
             Tuple<R, D> left = cost[i];
-            for (int r = 0; r < rows.joint; ++r) {
-                const Tuple<R, D>& row = rows.columns[rows.joint * i + r];
+            for (int r = 0; r < joint; ++r) {
+                const Tuple<R, D>& row = rows.columns[joint * i + r];
                 residual_.joint[r] += inner(row, z), add(left, at.joint[r], row);
             }
-            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) {
+            rows.each_own(i, [&](int k, bool paired) {
                 residual_.own[k] = inner(rows.own[k].row, z);
-                add(left, at.own[k], rows.own[k].row);
-            }
+                if (paired) residual_.own[k + 1] = -residual_.own[k];
+                add(left, pulled(at.own, k, paired), rows.own[k].row);
+            });
             add(left, R(-1.0), s);
             if (D == 4 && !soft[i]) left[D - 1] = 0.0;
             residual_.z[i] = left;
@@ -162,6 +166,9 @@ private:
         m.runs_away = m.primal > FEASIBLE && largest_y > AWAY * largest_c;
         return m;
     }
+
+    // What the multiplier of a row, or of two that mirror each other, pulls along it.
+    static R pulled(const Kept<R>& own, int k, bool paired) { return paired ? own[k] - own[k + 1] : own[k]; }
 
     double degree() const {
         double total = 2.0 * rows.count + double(rows.own.size()) + (rows.joint - rows.equal);
@@ -258,8 +265,10 @@ private:
         for (int i = 0; i < rows.count; ++i) {
             dz_[i] = scaled(i, d_.z[i]);
             ds_[i] = residual_.z[i];  // ds from its own equation: what was feasible stays so to the last digit
-            for (int r = 0; r < rows.joint; ++r) add(ds_[i], d_.joint[r], rows.columns[rows.joint * i + r]);
-            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) add(ds_[i], d_.own[k], rows.own[k].row);
+            sized(rows.joint, [&](auto joint) {
+                for (int r = 0; r < joint; ++r) add(ds_[i], d_.joint[r], rows.columns[joint * i + r]);
+            });
+            rows.each_own(i, [&](int k, bool paired) { add(ds_[i], pulled(d_.own, k, paired), rows.own[k].row); });
             if (D == 4 && !soft[i]) dz_[i][D - 1] = ds_[i][D - 1] = 0.0;
         }
         for (int k = 0; k < int(rows.own.size()); ++k) dslack_own_[k] = (kappa_own_[k] - at.own_slack[k] * d_.own[k]) / at.own[k];

@@ -35,6 +35,11 @@ template <class R> inline void keep_largest(R& most, const R& value) {
     if (!(value <= most)) most = value;
 }
 
+// f(joint) with the number of joint rows: a constant where they are the six of balance alone, so that loops over them are unrolled.
+template <class F> [[gnu::always_inline]] inline auto sized(int joint, F&& f) {
+    return joint == 6 ? f(std::integral_constant<int, 6>()) : f(joint);
+}
+
 // A contact's variables (u, o, t) or, D = 4, (u, o, t, w): w = u - |torsion| in units of its limit.
 template <class R, std::size_t D> inline Vec3<R> cone(const std::array<R, D>& z) { return {z[0], z[1], z[2]}; }
 
@@ -65,6 +70,7 @@ template <class R, int D, int T> struct Rows {
         Tuple<R, T> shared;
         R right;
         int label;
+        bool mirrored = false;  // the row before it with the other sign: the other limit of a torque
     };
     int count, joint, equal;
     int doubtful = -1;  // an equation that the contacts alone may not keep apart from the others, only with t
@@ -74,12 +80,14 @@ template <class R, int D, int T> struct Rows {
     Kept<Own> own;  // contact by contact; those of no contact (only t) last
     Kept<int> first;  // (N + 2,) own[first[i]] is the first of contact i
     Kept<int> label;  // (joint,) what a joint row is called, -1: an equation
+    Kept<int> lead;  // the joint rows that are not `mirrored`
+    Kept<char> mirrored;  // (joint + 1,) whether it is the row before it with the other sign: the other limit of a torque
 
     // how many rows will be added
     Rows(int contacts, int equations, int joints, int owns)
         : count(contacts), joint(joints), equal(equations), columns(contacts * joints), coupling(joints), right(joints),
-          first(contacts + 2), label(joints) {
-        own.reserve(owns);
+          first(contacts + 2), label(joints), mirrored(joints + 1) {
+        own.reserve(owns), lead.reserve(joints);
     }
     // Joint rows one after the other, the equations first.
     template <class Row> void add_joint(const Row& row, const Tuple<R, T>& shared, int name) {
@@ -95,14 +103,44 @@ template <class R, int D, int T> struct Rows {
         std::fill(first.begin(), first.end(), int(own.size()));
         for (int k = int(own.size()) - 1; k >= 0; --k) first[own[k].contact] = k;
         for (int i = count; i >= 0; --i) first[i] = std::min(first[i], first[i + 1]);
+        if constexpr (T == 0) {
+            for (std::size_t k = 1; k < own.size(); ++k) {
+                const Own &row = own[k], &before = own[k - 1];
+                own[k].mirrored =
+                    row.contact == before.contact && row.contact < count && !before.mirrored && mirror(row.row, before.row);
+            }
+            for (int r = equal + 1; r < joint; ++r) {
+                bool all = !mirrored[r - 1];
+                for (int i = 0; i < count; ++i) all = all && mirror(columns[joint * i + r], columns[joint * i + r - 1]);
+                mirrored[r] = all;
+            }
+        }
+        lead.clear();
+        for (int r = 0; r < joint; ++r)
+            if (!mirrored[r]) lead.push_back(r);
+    }
+    // f(k, paired) for the rows of contact i, two that mirror each other at once.
+    template <class F> void each_own(int i, F&& f) const {
+        for (int k = first[i]; k < first[i + 1]; ++k) {
+            const bool paired = T == 0 && k + 1 < first[i + 1] && own[k + 1].mirrored;
+            f(k, paired);
+            k += paired;
+        }
     }
     static std::size_t room(int count, int joints, int owns) {
         return Arena::room<Tuple<R, D>>(count * joints) + Arena::room<Tuple<R, T>>(joints) + Arena::room<R>(joints) +
-               Arena::room<Own>(owns) + Arena::room<int>(count + 2) + Arena::room<int>(joints);
+               Arena::room<Own>(owns) + Arena::room<int>(count + 2) + 2 * Arena::room<int>(joints) +
+               Arena::room<char>(joints + 1);
     }
 
 private:
     int added_ = 0;
+
+    static bool mirror(const Tuple<R, D>& a, const Tuple<R, D>& b) {
+        bool all = true;
+        for (int k = 0; k < D; ++k) all = all && double(a[k]) == -double(b[k]);
+        return all;
+    }
 };
 
 // A point of the program's space, a direction or a right side.
@@ -132,30 +170,49 @@ public:
     explicit RowSystem(const Rows<R, D, T>& rows)
         : shapes(rows.count), own_diagonal(rows.own.size()), joint_diagonal(rows.joint), own_(rows.own.size()),
           blocks_(rows.count), turned_(rows.count * rows.joint), reduced_(rows.count * rows.joint),
-          schur_(rows.joint * (rows.joint + 1) / 2), coupled_(rows.joint), solved_(rows.joint) {}
+          schur_(rows.joint * (rows.joint + 1) / 2), y_(rows.joint), coupled_(rows.joint), solved_(rows.joint) {}
     static std::size_t room(int count, int joints, int owns) {
         return Arena::room<Shape<R, D>>(count) + Arena::room<R>(owns) + Arena::room<R>(joints) + Arena::room<Own>(owns) +
                Arena::room<Block>(count) + 2 * Arena::room<Tuple<R, D>>(count * joints) +
-               Arena::room<R>(std::size_t(joints) * (joints + 1) / 2) + 2 * Arena::room<Tuple<R, T>>(joints);
+               Arena::room<R>(std::size_t(joints) * (joints + 1) / 2) + Arena::room<R>(joints) +
+               2 * Arena::room<Tuple<R, T>>(joints);
     }
 
     // False where the system is not positive definite in floating point.
     bool factor(const Rows<R, D, T>& rows) {
+        return sized(int(rows.lead.size()), [&](auto leads) { return factor(rows, leads); });
+    }
+    void solve(const Rows<R, D, T>& rows, const Space<R, D, T>& f, Space<R, D, T>& out) {
+        sized(int(rows.lead.size()), [&](auto leads) { solve(rows, leads, f, out); });
+    }
+    // left = f - (what the equations make of x); returns the largest part of rows and t.
+    R missed(const Rows<R, D, T>& rows, const Space<R, D, T>& f, const Space<R, D, T>& x, Space<R, D, T>& left) const {
+        return sized(rows.joint, [&](auto joint) { return missed(rows, joint, f, x, left); });
+    }
+
+private:
+    template <class J> bool factor(const Rows<R, D, T>& rows, const J leads) {
         std::fill(schur_.begin(), schur_.end(), 0.0);
-        for (int r = 0; r < rows.joint; ++r) schur_[at(r, r)] = joint_diagonal[r], coupled_[r] = rows.coupling[r];
+        for (int q = 0; q < leads; ++q) {
+            const int r = rows.lead[q];
+            schur_[at(q, q)] =
+                paired(rows, r) ? 1.0 / (1.0 / joint_diagonal[r] + 1.0 / joint_diagonal[r + 1]) : joint_diagonal[r];
+            coupled_[q] = rows.coupling[r];
+        }
         for (auto& row : corner_) row = {};
         for (int i = 0; i < rows.count; ++i) {
             Block& block = blocks_[i];
             block = Block();
-            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) {
-                own_[k] = block.update(shapes[i].transposed(rows.own[k].row), rows.own[k].shared, 1.0 / own_diagonal[k]);
+            rows.each_own(i, [&](int k, bool paired) {
+                const R weight = paired ? 1.0 / own_diagonal[k] + 1.0 / own_diagonal[k + 1] : 1.0 / own_diagonal[k];
+                own_[k] = block.update(shapes[i].transposed(rows.own[k].row), rows.own[k].shared, weight);
                 add_corner(own_[k].weight, own_[k].shared);
-            }
+            });
             for (int j = 0; j < D; ++j) block.inverse[j] = 1.0 / block.d[j];
-            Tuple<R, D>* reduced = reduced_.data() + rows.joint * i;
-            for (int r = 0; r < rows.joint; ++r) {
-                const int at_row = rows.joint * i + r;
-                const Tuple<R, D> a = reduced[r] = block.forward(turned_[at_row] = shapes[i].transposed(rows.columns[at_row]));
+            Tuple<R, D>*reduced = reduced_.data() + leads * i, *turned = turned_.data() + leads * i;
+            const Tuple<R, D>* columns = rows.columns.data() + rows.joint * i;
+            for (int r = 0; r < leads; ++r) {
+                const Tuple<R, D> a = reduced[r] = block.forward(turned[r] = shapes[i].transposed(columns[rows.lead[r]]));
                 Tuple<R, D> scaled;
                 for (int j = 0; j < D; ++j) scaled[j] = a[j] * block.inverse[j];
                 for (int q = 0; q <= r; ++q) schur_[at(r, q)] += inner(scaled, reduced[q]);
@@ -165,13 +222,13 @@ public:
         }
         for (int k = rows.first[rows.count]; k < int(rows.own.size()); ++k) add_corner(1.0 / own_diagonal[k], rows.own[k].shared);
         if (rows.doubtful >= 0) schur_[at(rows.doubtful, rows.doubtful)] *= 1.0 + DOUBT;
-        if (!factor_schur(rows.joint)) return false;
+        if (!factor_schur(leads)) return false;
         solved_ = coupled_;
         if constexpr (T > 0) {
-            for (int k = 0; k < T; ++k) schur_solve(solved_, k);
+            for (int k = 0; k < T; ++k) schur_solve(leads, solved_, k);
             for (int a = 0; a < T; ++a)
                 for (int b = 0; b < T; ++b)
-                    for (int r = 0; r < rows.joint; ++r) corner_[a][b] += coupled_[r][a] * solved_[r][b];
+                    for (int r = 0; r < leads; ++r) corner_[a][b] += coupled_[r][a] * solved_[r][b];
             if (!(corner_[0][0] > 0.0)) return false;
             if constexpr (T == 2) {
                 corner_[1][0] /= corner_[0][0];
@@ -182,60 +239,81 @@ public:
         return true;
     }
 
-    void solve(const Rows<R, D, T>& rows, const Space<R, D, T>& f, Space<R, D, T>& out) {
+    template <class J> void solve(const Rows<R, D, T>& rows, const J leads, const Space<R, D, T>& f, Space<R, D, T>& out) {
         Tuple<R, T> shared = f.t;
-        auto& y = out.joint;
-        y = f.joint;
+        auto& y = y_;
+        for (int q = 0; q < leads; ++q) {
+            const int r = rows.lead[q];
+            y[q] = paired(rows, r) ? both(joint_diagonal[r], joint_diagonal[r + 1], f.joint[r], f.joint[r + 1]) : f.joint[r];
+        }
         for (int i = 0; i < rows.count; ++i) {
             Tuple<R, D> b = f.z[i];
-            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
-                add(shared, own_[k].weight * own_[k].forward(b, f.own[k]), own_[k].shared);
-            for (int r = 0; r < rows.joint; ++r) y[r] -= inner(reduced_[rows.joint * i + r], b);
+            rows.each_own(i, [&](int k, bool paired) {
+                add(shared, own_[k].weight * own_[k].forward(b, right(f, k, paired)), own_[k].shared);
+            });
+            for (int r = 0; r < leads; ++r) y[r] -= inner(reduced_[leads * i + r], b);
         }
         for (int k = rows.first[rows.count]; k < int(rows.own.size()); ++k)
             add(shared, f.own[k] / own_diagonal[k], rows.own[k].shared);
-        schur_solve(y);
+        schur_solve(leads, y);
         if constexpr (T > 0) {
-            for (int r = 0; r < rows.joint; ++r) add(shared, y[r], coupled_[r]);
+            for (int r = 0; r < leads; ++r) add(shared, y[r], coupled_[r]);
             if constexpr (T == 2) shared[1] -= corner_[1][0] * shared[0], shared[1] /= corner_[1][1];
             if constexpr (T == 2) shared[0] = (shared[0] - corner_[0][1] * shared[1]) / corner_[0][0];
             else shared[0] /= corner_[0][0];
         }
         out.t = shared;
-        for (int r = 0; r < rows.joint; ++r) y[r] = inner(solved_[r], shared) - y[r];
+        for (int q = 0; q < leads; ++q) {
+            y[q] = inner(solved_[q], shared) - y[q];
+            const int r = rows.lead[q];
+            out.joint[r] = y[q];
+            if (!paired(rows, r)) continue;
+            const R up = joint_diagonal[r], down = joint_diagonal[r + 1];
+            part(up, down, f.joint[r], f.joint[r + 1], y[q] / (1.0 / up + 1.0 / down), &out.joint[r]);
+        }
         for (int i = 0; i < rows.count; ++i) {
             const Block& block = blocks_[i];
             Tuple<R, D>&e = out.z[i], rest{};
             e = f.z[i];
-            for (int r = 0; r < rows.joint; ++r) add(e, -y[r], turned_[rows.joint * i + r]);
-            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
-                out.own[k] = inner(own_[k].shared, shared) - own_[k].forward(e, f.own[k]);
+            for (int r = 0; r < leads; ++r) add(e, -y[r], turned_[leads * i + r]);
+            rows.each_own(i, [&](int k, bool paired) {
+                out.own[k] = inner(own_[k].shared, shared) - own_[k].forward(e, right(f, k, paired));
+            });
             for (int j = 0; j < D; ++j)
                 for (int k = 0; k < T; ++k) e[j] -= block.l[D + k][j] * shared[k];
             block.backward(e);
-            for (int k = rows.first[i + 1] - 1; k >= rows.first[i]; --k)
-                out.own[k] = own_[k].backward(rest, out.own[k]) / own_diagonal[k];
+            for (int k = rows.first[i + 1] - 1; k >= rows.first[i]; --k) {
+                if (T == 0 && rows.own[k].mirrored) continue;
+                const R left = own_[k].backward(rest, out.own[k]);
+                const bool paired = T == 0 && k + 1 < rows.first[i + 1] && rows.own[k + 1].mirrored;
+                if (paired) part(own_diagonal[k], own_diagonal[k + 1], f.own[k], f.own[k + 1], left, &out.own[k]);
+                else out.own[k] = left / own_diagonal[k];
+            }
         }
         for (int k = rows.first[rows.count]; k < int(rows.own.size()); ++k)
             out.own[k] = (inner(rows.own[k].shared, shared) - f.own[k]) / own_diagonal[k];
     }
 
-    // left = f - (what the equations make of x); returns the largest part of rows and t.
-    R missed(const Rows<R, D, T>& rows, const Space<R, D, T>& f, const Space<R, D, T>& x, Space<R, D, T>& left) const {
+    template <class J> R missed(const Rows<R, D, T>& rows, const J joint, const Space<R, D, T>& f, const Space<R, D, T>& x,
+                                Space<R, D, T>& left) const {
         left = f;
-        for (int r = 0; r < rows.joint; ++r) {
+        for (int r = 0; r < joint; ++r) {
             left.joint[r] += joint_diagonal[r] * x.joint[r] - inner(rows.coupling[r], x.t);
             add(left.t, -x.joint[r], rows.coupling[r]);
         }
         for (int i = 0; i < rows.count; ++i) {
             const Tuple<R, D> dz = shapes[i] * x.z[i];
             Tuple<R, D> pull{};
-            for (int r = 0; r < rows.joint; ++r) {
-                const Tuple<R, D>& row = rows.columns[rows.joint * i + r];
+            for (int r = 0; r < joint; ++r) {
+                const Tuple<R, D>& row = rows.columns[joint * i + r];
                 left.joint[r] -= inner(row, dz), add(pull, x.joint[r], row);
             }
-            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
-                left.own[k] -= inner(rows.own[k].row, dz), add(pull, x.own[k], rows.own[k].row);
+            rows.each_own(i, [&](int k, bool paired) {
+                const R along = inner(rows.own[k].row, dz);
+                left.own[k] -= along;
+                if (paired) left.own[k + 1] += along;
+                add(pull, paired ? x.own[k] - x.own[k + 1] : x.own[k], rows.own[k].row);
+            });
             add(left.z[i], R(-1.0), x.z[i]), add(left.z[i], R(-1.0), shapes[i].transposed(pull));
         }
         for (int k = 0; k < int(rows.own.size()); ++k) {
@@ -249,7 +327,6 @@ public:
         return most;
     }
 
-private:
     static constexpr int K = D + T;
     static constexpr double LOST = std::is_same_v<R, double> ? 1e-15 : 1e-30;  // part of a pivot that rounding may have made
     static constexpr double DOUBT = 1e-9;  // what keeps that equation's pivot from zero; refinement takes it back
@@ -317,17 +394,34 @@ private:
     };
     Kept<Own> own_;
     Kept<Block> blocks_;
-    Kept<Tuple<R, D>> turned_, reduced_;  // the joint rows (N, joint) in the blocks' coordinates, and L^-1 of them
-    Kept<R> schur_;  // of the joint rows, factored: L below, 1 / D on the diagonal
+    Kept<Tuple<R, D>> turned_, reduced_;  // the leading joint rows (N, leads) in the blocks' coordinates, and L^-1 of them
+    Kept<R> schur_;  // of the leading joint rows, factored: L below, 1 / D on the diagonal
+    Kept<R> y_;  // their multipliers
     Kept<Tuple<R, T>> coupled_, solved_;
     std::array<Tuple<R, T>, T> corner_;
 
+    static bool paired(const Rows<R, D, T>& rows, int r) { return T == 0 && rows.mirrored[r + 1]; }
+    // The right side of two rows that mirror each other as one row, whose weight is that of both: 1 / up + 1 / down.
+    static R both(const R& up, const R& down, const R& first, const R& second) {
+        const R per = 1.0 / (up + down);
+        return down * per * first - up * per * second;  // slacks may be large: no product of two
+    }
+    R right(const Space<R, D, T>& f, int k, bool paired) const {
+        return paired ? both(own_diagonal[k], own_diagonal[k + 1], f.own[k], f.own[k + 1]) : f.own[k];
+    }
+    // Their multipliers from what is left of that row. The smaller comes from its own row, the other from their difference: that of an
+    // active limit is what is left times a large weight, and no difference that cancels.
+    static void part(const R& up, const R& down, const R& first, const R& second, const R& left, R* y) {
+        const R along = left + both(up, down, first, second), net = left / up + left / down;
+        if (down > up) y[1] = -(along + second) / down, y[0] = net + y[1];
+        else y[0] = (along - first) / up, y[1] = y[0] - net;
+    }
     void add_corner(const R& weight, const Tuple<R, T>& shared) {
         for (int a = 0; a < T; ++a) add(corner_[a], weight * shared[a], shared);
     }
     static int at(int r, int q) { return r * (r + 1) / 2 + q; }
 
-    bool factor_schur(int size) {
+    template <class J> bool factor_schur(const J size) {
         for (int j = 0; j < size; ++j) {
             R* row = schur_.data() + at(j, 0);
             R d = row[j];
@@ -349,7 +443,7 @@ private:
         }
         return true;
     }
-    template <class Load> void eliminate(int size, Load&& b) const {
+    template <class J, class Load> void eliminate(const J size, Load&& b) const {
         for (int j = 1; j < size; ++j)
             for (int k = 0; k < j; ++k) b(j) -= schur_[at(j, k)] * b(k);
         for (int j = size - 1; j >= 0; --j) {
@@ -357,11 +451,11 @@ private:
             for (int k = j + 1; k < size; ++k) b(j) -= schur_[at(k, j)] * b(k);
         }
     }
-    void schur_solve(Kept<R>& b) const {
-        eliminate(int(b.size()), [&](int j) -> R& { return b[j]; });
+    template <class J> void schur_solve(const J size, Kept<R>& b) const {
+        eliminate(size, [&](int j) -> R& { return b[j]; });
     }
-    void schur_solve(Kept<Tuple<R, T>>& b, int k) const {
-        eliminate(int(b.size()), [&](int j) -> R& { return b[j][k]; });
+    template <class J> void schur_solve(const J size, Kept<Tuple<R, T>>& b, int k) const {
+        eliminate(size, [&](int j) -> R& { return b[j][k]; });
     }
 };
 
