@@ -3,7 +3,7 @@
 # GRASP_ARCH=x86-64-v3, GRASP_SANITIZE=ON and GRASP_ZIG=native build the core once more, in a folder of its own, and test that one.
 
 .DEFAULT_GOAL := help
-.PHONY: help install core stubs evaluate bench test slow docs sanitize check format wheel clean
+.PHONY: help install core stubs evaluate bench force test slow docs sanitize check format wheel clean
 BIN := .venv/bin
 STAMP := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
@@ -13,7 +13,8 @@ ZIG := echo "taking a C++ compiler from PyPI" && $(PIP) ziglang
 
 help:
 	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (about a minute)"
-	@echo "make bench      timings: ARGS=\"solver|scaling|batch|env|hand_loop|ros2|layer|core [OPTIONS]\", runs/<name>/rows.csv"
+	@echo "make bench      timings: ARGS=\"scaling|batch|env|hand_loop|ros2|layer|core [OPTIONS]\", runs/<name>/rows.csv"
+	@echo "make force      solvers of grasp forces side by side: python -m benchmarks.force run (ARGS=\"--quick\": within a minute)"
 	@echo "make test       the tests (about six minutes)"
 	@echo "make slow       the long trials"
 	@echo "make docs       these pages as a site: build/docs/html (about a minute)"
@@ -105,6 +106,9 @@ evaluate: core
 
 bench: core
 	$(BIN)/python -m benchmarks $(ARGS)
+
+force: core
+	$(BIN)/python -m benchmarks.force run $(ARGS)
 
 test: core
 	$(PYTEST) $(ARGS)

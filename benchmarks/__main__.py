@@ -13,7 +13,6 @@ from grasp_env._extras import need
 from grasp_env.errors import GraspError, UnknownNameError
 
 BENCHMARKS = {
-    "solver": "our solvers beside Clarabel, QOCO, QOCOGEN, Moreau, ... from the extra [bench]",
     "scaling": "cost against contacts",
     "batch": "solves per second on one core and on all",
     "env": "steps per second of the environment beside bare PyBullet, resets, memory",
@@ -26,6 +25,7 @@ BENCHMARKS = {
 USAGE = f"""usage: python -m benchmarks NAME [OPTIONS]
 
 {"".join(f"  {name:9} {text}{os.linesep}" for name, text in BENCHMARKS.items())}
+force     all solvers of grasp forces on the tracks of benchmarks/force: `python -m benchmarks.force --help`
 python -m benchmarks NAME --help lists the options.
 """
 

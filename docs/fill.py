@@ -5,7 +5,7 @@ python -m docs.fill --check         names the blocks that differ from the saved 
 python -m docs.fill --save RUN...   keeps the summaries of run folders, of `grasp` or of the benchmarks
 
 docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json says how it was made, KIND.svg is its
-picture where it has one. A table of a page is a function of `TABLES`: a query on these summaries.
+picture where it has one; of the benchmark of forces force.parquet holds all rows. A table of a page is a function of `TABLES`: a query on these summaries.
 """
 
 from __future__ import annotations
@@ -19,6 +19,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from benchmarks.force.entrants import ENTRANTS
+from benchmarks.force.report import by_contacts, by_entrant, by_track
 from grasp_env._files import replacing
 from training.report import holds, starts
 from training.report.page import cell, claims_of, module_of
@@ -27,27 +31,16 @@ from training.report.rl import AGENTS, SPEEDS, place
 from training.report.starts import pair
 from training.results.claims import Judged, judge
 from training.results.run import Run
-from training.results.table import Rows, chosen, pd, read, summary, write_csv
+from training.results.table import Rows, chosen, numbers, pd, read, summary, write, write_csv
 from training.results.words import number
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"
 BLOCK = re.compile(r"(<!-- results: (\w+) -->\n)(.*?)(<!-- /results -->)", re.DOTALL)
-PROVENANCE = ("kind", "command", "time", "machine", "versions", "commit", "settings", "quick", "given", "claims")
+PROVENANCE = (
+    "kind", "command", "time", "machine", "versions", "commit", "settings", "quick", "given", "claims", "unit", "tracks", "entrants",
+)  # fmt: skip
 
-SOLVERS = {
-    "conic": "**ours, `conic`, compiled call**",
-    "conic_python": "**ours, `conic`, `ForceOptimizer.solve`**",
-    "newton": "ours, `newton` on Phi to 1e-8, compiled",
-    "newton_python": "ours, `newton` on Phi, from Python",
-    "qocogen_fast": "C: QOCOGEN, -Ofast -flto, no refinement",
-    "qocogen": "C: QOCOGEN, -O3 -march=native",
-    "qoco": "Python: QOCO, update",
-    "clarabel": "Python: Clarabel, update",
-    "ecos": "Python: ECOS",
-    "moreau": "Python: Moreau",
-    "slsqp": "SciPy SLSQP",
-}
 LAYERS = {
     "layer": "**ours, gradients with respect to all inputs**",
     "layer_forward": "ours, forward alone",
@@ -58,6 +51,12 @@ LAYERS = {
     "qplayer": "ProxSuite, pyramids",
 }
 VERDICTS = {True: "yes", False: "**NO**", None: "not measured"}
+
+
+@cache
+def force_rows() -> tuple[Rows, dict[str, Any]]:
+    """The rows of the benchmark of forces, which are kept whole."""
+    return read(RESULTS / "force.parquet"), json.loads((RESULTS / "force.json").read_text(encoding="utf-8"))
 
 
 @cache
@@ -81,7 +80,7 @@ def markdown(kind: str, made: Rows, note: str = "") -> str:
         ["---"] * len(made.columns),
         *([cell(value) for value in row] for row in made.itertuples(index=False)),
     ]
-    about = saved(kind)[1]
+    about = json.loads((RESULTS / f"{kind}.json").read_text(encoding="utf-8"))
     machine = about["machine"]
     below = (
         f"`{about['command']}` at {about['commit']}, {about['time'][:10]}: {machine['processor']}, {machine['cores']} cores, Python "
@@ -102,24 +101,22 @@ def asked(kind: str) -> Callable[[], str]:
     ))  # fmt: skip
 
 
+def force(objective: str) -> Callable[[], str]:
+    """The benchmark of forces by track and mode, for one objective."""
+    ours = {name for name, where in ENTRANTS.items() if where.rpartition(":")[0].endswith(".ours")}
+    return lambda: markdown(
+        "force", by_track(force_rows()[0], objective, ours), "Median / 99 % in us of the problems solved to 1e-6."
+    )
+
+
+def force_entrants() -> str:
+    """The entrants of the benchmark of forces over all tracks."""
+    return markdown("force", by_entrant(force_rows()[0], force_rows()[1]["entrants"]))
+
+
 def solvers() -> str:
     """Against other solvers, by number of contacts."""
-    means = saved("solver")[0]
-    means = means[means["method"].isin(list(SOLVERS))]
-    means = means.assign(text=[_us(row) for row in means.to_dict("records")])
-    made = means.pivot(index="method", columns="contacts", values="text").fillna("–").reindex(SOLVERS).dropna(how="all")
-    made.columns = [f"N = {size}" for size in made.columns]
-    made.insert(0, "solver, median / p99 us", [SOLVERS[key] for key in made.index])
-    failed = [
-        f"{SOLVERS[row['method']].strip('*')} failed on {row['failed_sum']:.0f} of {row['n']} at N = {row['contacts']}"
-        for row in means[means["failed_sum"] > 0].to_dict("records")
-    ]
-    ours = means[means["method"].str.startswith(("conic", "newton"))]
-    note = (
-        f"Of ours {ours['failed_sum'].sum():.0f} failed, balance within {ours['balance_max'].max():.0e} of the wrench, cones violated by "
-        f"at most {number(ours['violation_max'].max())}. {'; '.join(failed) or 'None failed'}."
-    )
-    return markdown("solver", made, note)
+    return markdown("force", by_contacts(force_rows()[0]), "Median / 99 % in us, 25 random grasps each.")
 
 
 def batch() -> str:
@@ -284,9 +281,7 @@ def overview() -> str:
     def of(kind: str, query: str) -> dict[str, Any]:
         return chosen(saved(kind)[0], query).to_dict("records")[0]
 
-    mine, python, other = (
-        _us(of("solver", f"method == '{name}' and contacts == 4")) for name in ("conic", "conic_python", "qocogen_fast")
-    )
+    mine, python, other = (fixed_contacts(name) for name in ("conic", "conic_python", "qocogen_fast"))
     varied = {
         (row["start"], row["method"]): row
         for row in chosen(saved("starts")[0], "case == 'ball_frictions'").to_dict("records")
@@ -310,7 +305,7 @@ def overview() -> str:
         for size in (1000, 1)
     ]
     rows = [
-        ["exact optimum with its proof, 4 contacts: compiled; from Python", f"{mine}; {python} us", f"fastest peer (generated C): {other} us"],
+        ["exact optimum with its proof, 3 to 5 contacts: compiled; from Python", f"{mine}; {python} us", f"fastest peer (generated C): {other} us"],
         ["optimum of Phi from cold, Newton, from Python: internal force; 12-basis; network", f"{newton} us",
          f"the paper's flow, from Python: 12-basis; network: {flow} us"],
         ["steps of the paper's flow, its best step rule: 12-basis; network", steps,
@@ -325,12 +320,16 @@ def overview() -> str:
     return markdown("starts", pd.DataFrame(rows, columns=["median / p99", "measured", "asked, or for comparison"]))
 
 
-def _us(row: dict[str, Any]) -> str:
-    return f"{row['microseconds_median']:.1f} / {row['microseconds_p99']:.1f}"
+def fixed_contacts(method: str) -> str:
+    """p50 / p99 [us] of an entrant on jumps of the wrench, 3 to 5 fixed contacts."""
+    rows = chosen(
+        force_rows()[0], f"objective == 'sum' and case == 'jumps' and mode == 'persistent' and method == '{method}'"
+    )
+    return " / ".join(number(float(each)) for each in np.percentile(numbers(rows, "microseconds"), [50.0, 99.0]))
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "summary": overview, "hand_loop": hand_loop, "ros2": ros2, "solvers": solvers, "batch": batch, "starts": reported("starts", starts.hardest_sets),
+    "summary": overview, "hand_loop": hand_loop, "ros2": ros2, "solvers": solvers, "force_sum": force("sum"), "force_phi": force("phi"), "force_entrants": force_entrants, "batch": batch, "starts": reported("starts", starts.hardest_sets),
     "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps), "newton_first": reported("starts", starts.newton_first),
     "starts_claims": asked("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
     "objects": objects, "transfer": reported("transfer", holds.grid), "env_speed": asked("env_speed"),
@@ -344,14 +343,17 @@ def save(folder: Path) -> str:
     if about.get("quick"):
         raise SystemExit(f"{folder} is a quick run, whose numbers are not quoted: run it in full")
     RESULTS.mkdir(exist_ok=True)
-    write_csv(RESULTS / f"{about['kind']}.csv", summary(rows))
+    if about["kind"] == "force":
+        write(RESULTS / "force.parquet", rows)
+    else:
+        write_csv(RESULTS / f"{about['kind']}.csv", summary(rows))
     with replacing(RESULTS / f"{about['kind']}.json") as target:
         kept = json.dumps({name: about[name] for name in PROVENANCE if name in about}, indent=1)
         # a path says something about one machine only
         target.write_text(re.sub(r"(?<![\w.])/[^\s\"]*/(?=[^\s\"])", "", kept) + "\n", encoding="utf-8")
-    if (folder / "picture.svg").exists():
+    for picture in folder.glob("*.svg"):
         with replacing(RESULTS / f"{about['kind']}.svg") as target:
-            target.write_bytes((folder / "picture.svg").read_bytes())
+            target.write_bytes(picture.read_bytes())
     return about["kind"]
 
 

@@ -13,8 +13,8 @@ from typing import Any
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a sub-command; returns 0, or 2 with one line on stderr where something given is wrong."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # before numpy comes: every entrant runs on one thread
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"):
+        os.environ[name] = "1"  # before numpy comes: every entrant runs on one thread
     from benchmarks.force.entrants import ENTRANTS
     from benchmarks.force.problems import SETS
 
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     made = command(
         "validate",
         _validate,
-        "check the files of the tracks and their references; with --solver also that it answers, without timing",
+        "check the files of the tracks and their references; with --solver what that solves of them instead, without timing",
     )
     made.add_argument("--solver", action="append", default=[], metavar="FILE.py:CLASS")
     made.add_argument("--tracks", nargs="+", default=[], metavar="TRACK")
@@ -98,8 +98,8 @@ def _run(given: Any) -> int:
         "kind": "force", "quick": given.quick, "settings": asdict(effort), "unit": min(before, unit()), "load": os.getloadavg(),
         "tracks": {track.name: track.about["sha256"] for track in tracks}, "entrants": told,
     }  # fmt: skip
-    run.write_text("profiles.svg", svg(profiles(rows)))
     run.save(rows, about)
+    run.write_text("profiles.svg", svg(profiles(rows)))
     sys.stdout.write("\n".join([*lines(rows, about["unit"]), f"{run.folder}\n"]))
     return 0
 
@@ -114,8 +114,9 @@ def _validate(given: Any) -> int:
     tracks = _tracks(given)
     if given.solver:
         rows = measured(tracks, entrants(given.solver), Effort(rounds=1, seconds=0.0))[0]
-        sys.stdout.write("\n".join([*answers(table(rows)), ""]))
-        return 0
+        made = table(rows)
+        sys.stdout.write("\n".join([*answers(made), ""]))
+        return int(not made.loc[made["method"] != "empty", "solved"].any())
     faults = []
     for track in tracks:
         faults += check(track)
@@ -136,6 +137,9 @@ def _report(given: Any) -> int:
             loaded.append(Run.open(folder, "run.json").load())
     rows, about = loaded[-1]
     sys.stdout.write("\n".join([*lines(rows, about["unit"]), ""]))
+    other = [name for name, digest in about["tracks"].items() if loaded[0][1]["tracks"].get(name, digest) != digest]
+    if other:
+        raise ValueError(f"the runs are of different problems: {', '.join(other)}; compare runs of the same --sets")
     if len(loaded) > 1:
         sys.stdout.write(
             f"{given.runs[-1]} beside {given.runs[0]}, us\n{beside(rows, loaded[0][0]).to_string(index=False)}\n"

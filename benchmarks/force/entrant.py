@@ -13,7 +13,7 @@ from benchmarks.force.problems import Array, Problem
 Answer = Any
 """force (N k,) or (N, k); or (force, multipliers); or (force, multipliers, status), with status one of `STATUSES`."""
 STATUSES = ("solved", "failed", "infeasible")
-"""In the order of the C function's return values."""
+"""In the order of the C function's return values; any other value is a failure."""
 MODES = ("cold", "persistent", "warm")
 """cold: `setup` is timed with every solve. persistent: `setup` once for a session, untimed. warm: the same, and `start` is the last force."""
 
@@ -58,6 +58,11 @@ class Entrant(Protocol):
         """The forces of a problem; `start` is the force of the last answer, in mode warm."""
 
 
+def status_of(returned: int) -> str:
+    """The status that a C function's return value stands for."""
+    return STATUSES[returned] if 0 <= returned < len(STATUSES) else "failed"
+
+
 class CProblem(ctypes.Structure):
     """`force_problem` of force.h."""
 
@@ -81,7 +86,7 @@ class CProblem(ctypes.Structure):
         )  # fmt: skip
         for name in cls._pointers:
             array = getattr(problem, name)
-            setattr(made, name, None if array is None else array.ctypes.data)
+            setattr(made, name, None if array is None or not array.size else array.ctypes.data)
         return made
 
 
@@ -123,8 +128,8 @@ class Library:
         if self._context and self._close:
             ctypes.CFUNCTYPE(None, ctypes.c_void_p)(self._close)(self._context)
         call = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)(self._setup)
-        first = CProblem.of(task.first)
-        self._context = call(ctypes.addressof(first), task.objective.encode())
+        self._first = task.first, CProblem.of(task.first)  # it may keep the pointer
+        self._context = call(ctypes.addressof(self._first[1]), task.objective.encode())
         if not self._context:
             raise NotImplementedError(f"{self.name}_setup returned null")
 
@@ -134,7 +139,7 @@ class Library:
         call = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 6)(self._solve)
         given, view = None if start is None else start.ctypes.data, CProblem.of(problem)
         status = call(self._context, ctypes.addressof(view), given, force.ctypes.data, multipliers.ctypes.data, None)
-        return force, multipliers, STATUSES[status]
+        return force, multipliers, status_of(status)
 
     def compiled(self) -> Compiled:
         """See `Entrant`."""

@@ -1,5 +1,6 @@
 /* A grasp-force solver as a C function. All arrays are row-major doubles in SI units, in the object's frame; a pointer is null where a
-   problem has no such thing. See problems.py for what they mean. */
+   problem has no such thing. See problems.py for what they mean. The first problem lives until the context is closed, any other one
+   until the call returns; start may be the array in which the last force was written. */
 #ifndef FORCE_H
 #define FORCE_H
 #ifdef __cplusplus

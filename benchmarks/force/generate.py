@@ -147,7 +147,7 @@ def hands(rng: np.random.Generator) -> Made:
 
 
 def own(rng: np.random.Generator) -> Made:
-    """Loads of 0.3 to 1 of the largest that the motors carry in their direction: limits bind at many."""
+    """Loads of 0.3 to 0.95 of the largest that the motors carry in their direction: limits bind at many."""
     for name, hand in _hands():
         if not _shares(hand["jacobian"]):
             yield name, _limited(rng, hand, 20)
@@ -218,7 +218,7 @@ class Recipes:
         text: one line for people.
         modes: in which it is run.
         objectives: which it has.
-        digits: "exact": its references are computed in 50 digits.
+        digits: "exact": its references are computed in 60 digits.
     """
 
     make: Callable[[np.random.Generator], Made]
@@ -299,7 +299,7 @@ def _coupled(hand: dict[str, Any]) -> dict[str, Any]:
 
 
 def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arrays:
-    """A hand's contacts and torque limits, with loads of 0.3 to 1 of the largest in their direction."""
+    """A hand's contacts and torque limits, with loads of 0.3 to 0.95 of the largest in their direction."""
     grasp = _grasp(hand)
     limits = {name: short(hand[name])[None] for name in ("jacobian", "torque_limit", "torque_bias")}
     arrays = of(grasp) | limits | {"wrench": ball(rng, count)}

@@ -52,6 +52,7 @@ class Problem:
     Attributes:
         positions, frames, friction, wrench, touching, torsional_friction, min_normal, max_normal, jacobian, torque_limit, torque_bias:
             as in `FIELDS` without M; None where a track has none.
+        normals: (N, 3) inward unit normals, the first columns of the frames.
         matrix: G (6, N k), k numbers per contact, moments about the origin; the columns of contacts that do not touch are zero.
         limit_matrix: B (L, N k): least normal forces > 0, largest normal forces, then each limited joint's upper and lower torque; L may
             be 0. Rows are zero at contacts that do not touch.
@@ -72,6 +73,7 @@ class Problem:
     torque_limit: Array | None = None
     torque_bias: Array | None = None
     moved: bool = False
+    normals: Array = field(init=False, repr=False)
     matrix: Array = field(init=False, repr=False)
     limit_matrix: Array = field(init=False, repr=False)
     limit_bound: Array = field(init=False, repr=False)
@@ -81,10 +83,9 @@ class Problem:
         for name, array in vars(self).items():
             if isinstance(array, np.ndarray):
                 object.__setattr__(self, name, np.ascontiguousarray(array))
-        made = dict(
-            zip(("matrix", "limit_matrix", "limit_bound", "limit_size"), (self._matrix(), *self._limits()), strict=True)
-        )
-        for name, array in made.items():
+        names = ("normals", "matrix", "limit_matrix", "limit_bound", "limit_size")
+        arrays = (np.ascontiguousarray(self.frames[:, :, 0]), self._matrix(), *self._limits())
+        for name, array in zip(names, arrays, strict=True):
             object.__setattr__(self, name, array)
         for array in vars(self).values():
             if isinstance(array, np.ndarray):
@@ -99,11 +100,6 @@ class Problem:
     def width(self) -> int:
         """k: 4 with torsion, else 3."""
         return 3 if self.torsional_friction is None else 4
-
-    @cached_property
-    def normals(self) -> Array:
-        """(N, 3) inward unit normals."""
-        return np.ascontiguousarray(self.frames[:, :, 0])
 
     def _matrix(self) -> Array:
         moments = np.cross(self.positions[:, :, None], self.frames, axisa=1, axisb=1, axisc=1)
@@ -183,12 +179,16 @@ class Session:
     @cached_property
     def problems(self) -> list[Problem]:
         """The problems; those of equal contacts and limits differ in the wrench."""
+        return self.made()
+
+    def made(self) -> list[Problem]:
+        """The problems once more, in arrays of their own."""
         count = len(self.arrays["wrench"])
         each = {name: np.broadcast_to(array, (count, *array.shape[1:])) for name, array in self.arrays.items()}
         made = []
         for m in range(count):
             moved = any(name != "wrench" and not np.array_equal(array[m], array[0]) for name, array in each.items())
-            made.append(Problem(**{name: np.ascontiguousarray(array[m]) for name, array in each.items()}, moved=moved))
+            made.append(Problem(**{name: np.array(array[m]) for name, array in each.items()}, moved=moved))
         return made
 
 

@@ -17,14 +17,14 @@ COUNTS = ["solved", "solved_coarse", "proved", "wrong"]
 SHIFT = 1.0
 """[us] of the shifted geometric mean."""
 PENALTY = 1e5
-"""[us] that a failure counts in the shifted geometric mean."""
+"""[us] that a failure counts in the shifted geometric mean, or its own time where that is longer."""
 RESAMPLES = 1000
 ENDS = [2.5, 97.5]
 """[%] of the bootstrap intervals."""
 
 
 def standings(rows: Rows) -> Rows:
-    """One row for each entrant in each cell and language, the fastest first.
+    """One row for each entrant in each cell and language, the least mean first.
 
     Returns:
         n; solved_coarse, solved, proved, wrong: how many; p50, p99, max [us] of those that are solved; mean [us], the geometric one
@@ -71,6 +71,7 @@ def lines(rows: Rows, unit: float) -> Iterator[str]:
         "mean",
         "units",
         "p50_ratio",
+        "many",
         "first",
     ]
     made = standings(rows).assign(units=lambda table: table["p50"] / unit)
@@ -83,12 +84,17 @@ def lines(rows: Rows, unit: float) -> Iterator[str]:
 
 
 def answers(rows: Rows) -> Iterator[str]:
-    """How many answers of each entrant are right, without times, and what it does not enter."""
-    ran = rows[rows["status"].notna() & (rows["method"] != "empty")]
+    """How many answers of each entrant are right, without times, what failed with an error, and what is not entered."""
+    ran = _ran(rows)
     groups = ran.groupby(["method", "objective", "case", "mode"], sort=False)
-    yield groups[COUNTS].sum().assign(n=groups.size()).to_string()
-    for method, status in ran[ran["status"] == "failed"].groupby("method")["event"].unique().items():
-        yield f"{method} failed in the sessions {'; '.join(status)}"
+    yield groups[COUNTS].sum().assign(n=groups.size()).sort_index(level="method", sort_remaining=False).to_string()
+    failed = ran[ran["status"] == "failed"]
+    for method, part in failed.groupby("method", sort=False):
+        said = part["detail"].dropna().tolist() if "detail" in part else []
+        where = "; ".join(
+            f"{case}, session {event}" for case, event in part[["case", "event"]].drop_duplicates().to_numpy()[:6]
+        )
+        yield f"{method} failed {len(part)} times ({where}){f': {said[0]}' if len(said) else ''}"
     yield from _absent(rows)
 
 
@@ -108,8 +114,8 @@ def beside(rows: Rows, earlier: Rows) -> Rows:
 
 
 def by_track(rows: Rows, objective: str, ours: set[str]) -> Rows:
-    """A line for each track and mode: ours and the fastest other entrant, p50 / p99 [us], in C and from Python."""
-    made = standings(rows)
+    """A line for each track and mode: ours and the fastest other entrant of the closed division, p50 / p99 [us], in C and from Python."""
+    made = standings(rows[rows["division"].ne("learned").fillna(True)])
     out = []
     for (case, mode), cell in made[made["objective"] == objective].groupby(["case", "mode"], sort=False):
         line = {"track": case, "mode": mode}
@@ -134,20 +140,18 @@ def by_entrant(rows: Rows, told: dict[str, Any]) -> Rows:
         division = row["division"] + (f", trained {number(seconds)} s" if seconds else "")
         out.append({
             "objective": objective, "entrant": method, "division": division, "solved": f"{row['solved']} of {row['n']}",
-            "to 1e-4": row["solved_coarse"], "proved": row["proved"], "wrong": row["wrong"], "mean [us]": row["mean"],
+            "to 1e-4": row["solved_coarse"], "proved": row["proved"], "wrong": row["wrong"], "tracks": part["case"].nunique(),
             "settings": told.get(str(method), {}).get("note", ""),
         })  # fmt: skip
     return pd.DataFrame(out)
 
 
 def by_contacts(rows: Rows) -> Rows:
-    """`sum` on the track `random`: p50 / p99 [us] of each entrant by the number of contacts."""
-    ran = rows[
-        (rows["case"] == "random")
-        & (rows["objective"] == "sum")
-        & rows["microseconds"].notna()
-        & (rows["method"] != "empty")
-    ]
+    """`sum` on the track `random`: p50 / p99 [us] by the number of contacts, of each entrant that solves it."""
+    ran = _ran(rows)
+    ran = ran[(ran["case"] == "random") & (ran["objective"] == "sum")]
+    ran = ran[ran.groupby("method")["solved"].transform("mean") > 0.9]
+    ran = ran[ran["solved"].astype(bool)]
     cells = ran.groupby(["language", "method", "event"], sort=False)
     made: Rows = pd.Series({key: _pair(numbers(part, "microseconds")) for key, part in cells}).unstack()
     order = ran.groupby("method")["microseconds"].median()
@@ -160,41 +164,54 @@ def by_contacts(rows: Rows) -> Rows:
 
 def profiles(rows: Rows) -> Figure:
     """Profiles of Dolan and More (2002): the share of problems solved within a factor of the best, in time and in iterations."""
-    objectives = list(_ran(rows)["objective"].unique())
-    figure = Figure(figsize=(9.0, 3.4 * len(objectives)), layout="constrained")
-    axes = figure.subplots(len(objectives), 2, squeeze=False, sharey=True)
-    for row, objective in zip(axes, objectives, strict=True):
+    ran = _ran(rows)
+    objectives = list(ran["objective"].unique())
+    figure = Figure(figsize=(9.0, 3.6 * max(len(objectives), 1)), layout="constrained")
+    axes = figure.subplots(max(len(objectives), 1), 2, squeeze=False, sharey=True)
+    colours = {name: f"C{k}" if k < 10 else f"{0.15 * (k - 9):.2f}" for k, name in enumerate(ran["method"].unique())}
+    for row, objective in zip(axes, objectives, strict=False):
+        of = ran[ran["objective"] == objective]
         for ax, column in zip(row, ("microseconds", "iterations"), strict=True):
-            for name, (factor, share) in profile(rows[rows["objective"] == objective], column).items():
-                ax.step(factor, share, where="post", label=name)
+            for language, part in of.groupby("language", sort=False):
+                for name, (factor, share) in profile(part if column == "microseconds" else of, column).items():
+                    if name in part["method"].unique():
+                        style = "--" if language == "C" else "-"
+                        ax.step(
+                            factor,
+                            share,
+                            style,
+                            where="post",
+                            label=f"{name} (C)" if style == "--" else name,
+                            color=colours[name],
+                        )
             ax.set(
                 xscale="log",
                 xlim=(1.0, 1e4 if column == "microseconds" else 100.0),
                 ylim=(0.0, 1.02),
                 title=f"{objective}: {column}",
             )
-            ax.set_xlabel("factor of the best")
+            ax.set_xlabel(
+                "factor of the best in C or from Python" if column == "microseconds" else "factor of the best"
+            )
         row[0].set_ylabel("share of the problems solved")
-        row[0].legend(fontsize=7.5, loc="lower right")
+        row[1].legend(fontsize=7.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 
 def profile(rows: Rows, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """By entrant the factors of the best and the share of problems solved within them; entrants without the column are left out."""
+    """By entrant the factors of the best and the share of all problems solved within them; a track that is not entered is not solved."""
     ran = _ran(rows)
+    if column not in ran:
+        return {}
     keys = [*CELL, "event", "problem"]
-    cost = ran.assign(
-        cost=np.where(ran["solved"].fillna(False).astype(bool), numbers(ran, column), np.nan)
-    ).pivot_table(index=keys, columns="method", values="cost", dropna=False, observed=True)
-    cost = cost.dropna(axis=0, how="all").dropna(axis=1, how="all").clip(lower=1.0 if column == "iterations" else None)
-    factors = cost.div(cost.min(axis=1), axis=0)
-    return {
-        str(name): (
-            np.sort(factors[name].dropna().to_numpy()),
-            np.arange(1, factors[name].notna().sum() + 1) / len(factors),
-        )
-        for name in factors.columns
-    }
+    cost = np.where(ran["solved"].astype(bool), numbers(ran, column), np.nan)
+    table = ran.assign(cost=cost).pivot_table(index=keys, columns="method", values="cost", dropna=False, observed=True)
+    if column == "iterations":
+        table = table.clip(lower=1.0)
+    factors = table.div(table.min(axis=1), axis=0)
+    total = len(ran[keys].drop_duplicates())
+    each = {str(name): np.sort(factors[name].dropna().to_numpy()) for name in factors.columns}
+    return {name: (found, np.arange(1, len(found) + 1) / total) for name, found in each.items() if len(found)}
 
 
 def _ran(rows: Rows) -> Rows:
@@ -230,10 +247,12 @@ def _standing(name: Any, part: Rows) -> dict[str, Any]:
     good = part["solved"].astype(bool).to_numpy()
     times = numbers(part, "microseconds")
     solved = times[good]
-    mean = np.exp(np.log(np.where(good, times, PENALTY) + SHIFT).mean()) - SHIFT
+    mean = np.exp(np.log(np.where(good, times, np.maximum(times, PENALTY)) + SHIFT).mean()) - SHIFT
     p50, p99, most = np.percentile(solved, [50.0, 99.0, 100.0]) if len(solved) else (np.nan,) * 3
     counts = {column: int(part[column].sum()) for column in COUNTS}
+    many = numbers(part, "many_microseconds") if "many_microseconds" in part else np.array([np.nan])
     return {
+        "many": float(np.nanmedian(many)) if np.isfinite(many).any() else np.nan,
         "method": str(name),
         "division": part["division"].iloc[0],
         "n": len(part),

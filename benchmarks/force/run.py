@@ -9,9 +9,10 @@ import importlib.util
 import os
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
@@ -19,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.force.entrant import MODES, STATUSES, CProblem, Entrant, Library, Task
+from benchmarks.force.entrant import MODES, CProblem, Entrant, Library, Task, status_of
 from benchmarks.force.entrants import ENTRANTS
 from benchmarks.force.problems import OBJECTIVES, Array, Problem, Session, Track
 from benchmarks.force.score import Parted, parted, score
@@ -34,8 +35,8 @@ class Effort:
     """How much is timed.
 
     Attributes:
-        rounds: in which the entrants take turns, so that a busy second of the machine hits all alike.
-        seconds: an entrant may spend on a track in one round after its first pass; it makes one pass at least.
+        rounds: in which the entrants take turns, so that a busy second of the machine hits all alike; each makes one pass at least.
+        seconds: an entrant may spend on further passes of a round.
         passes: most passes of a round.
         sessions: of each track at most, problems: of each of them; None: all.
     """
@@ -48,6 +49,8 @@ class Effort:
 
 
 QUICK = Effort(rounds=1, seconds=0.02, passes=3, sessions=3, problems=4)
+SAME = 1e-9
+"""Answers of two passes that differ by no more, of the largest force, are scored once."""
 
 
 @dataclass(eq=False)
@@ -57,96 +60,105 @@ class Timed:
     Attributes:
         solver: it.
         task: what it was told.
-        problems: of the session.
-        answers: those of the first pass.
-        iterations: of those, nan where it does not tell.
+        problems: of the session, its own copies.
+        answers: for each problem those of all passes that differ; every one of them counts.
+        iterations: of the first pass, nan where it does not tell.
         seconds: (M,) the least of all passes.
+        calls: passes that were made.
         many: answers and seconds of one problem in a call of `solve_many`, where it has that.
     """
 
     solver: Any
     task: Task
     problems: list[Problem]
-    answers: list[Parted] = field(default_factory=list)
-    iterations: Array = field(default_factory=lambda: np.zeros(0))
-    seconds: Array = field(default_factory=lambda: np.zeros(0))
+    answers: list[list[Parted]] = field(init=False)
+    iterations: Array = field(init=False)
+    seconds: Array = field(init=False)
+    calls: int = 0
     many: tuple[list[Parted], float] | None = None
 
     def __post_init__(self) -> None:
+        self.answers = [[] for _ in self.problems]
+        self.iterations, self.seconds = np.full(len(self.problems), np.nan), np.full(len(self.problems), np.inf)
+        self._pass = self._in_c if hasattr(self.solver, "compiled") else self._in_python
+        if hasattr(self.solver, "compiled"):
+            timer()
         self.solver.setup(self.task)
-        self.seconds = np.full(len(self.problems), np.inf)
-        compiled = getattr(self.solver, "compiled", None)
-        self._pass = self._in_python if compiled is None else self._in_c
 
     def passes(self, count: int) -> float:
         """Makes passes over the problems in their order; returns the seconds that they took."""
         began = time.perf_counter()
-        self._pass(count)
+        for _ in range(count):
+            self._pass()
+            self.calls += 1
         taken = time.perf_counter() - began
         if self.task.mode == "persistent" and hasattr(self.solver, "solve_many"):
-            self._all_at_once(count)
+            self._all_at_once()
         return taken
 
-    def _all_at_once(self, count: int) -> None:
-        for _ in range(count):
-            began = time.perf_counter()
-            try:
-                answers = self.solver.solve_many(self.problems)
-            except NotImplementedError:
-                return
-            taken = (time.perf_counter() - began) / len(self.problems)
-            made = [parted(problem, answer) for problem, answer in zip(self.problems, answers, strict=True)]
-            self.many = made, min(taken, self.many[1] if self.many else np.inf)
+    def _keep(self, m: int, answer: Parted, iterations: float) -> None:
+        """Keeps an answer that differs from those before it."""
+        kept = self.answers[m]
+        if not kept:
+            self.iterations[m] = iterations
+        if not any(same(answer, other) for other in kept):
+            kept.append(answer)
 
-    def _in_python(self, count: int) -> None:
+    def _in_python(self) -> None:
         solve, setup, clock = self.solver.solve, self.solver.setup, time.perf_counter_ns
-        cold, warm = self.task.mode == "cold", self.task.mode == "warm"
-        for _ in range(count):
-            start, first = None, not self.answers
-            if first:
-                self.iterations = np.full(len(self.problems), np.nan)
-            for m, problem in enumerate(self.problems):
-                task = Task(self.task.track, self.task.objective, "cold", problem) if cold else self.task
-                answer: Any = None
-                begin = clock()
-                try:
-                    if cold:
-                        setup(task)
-                    answer = solve(problem, start)
-                except Exception as error:  # a solver's fault is no fault of the benchmark
-                    answer = (None, None, f"failed: {type(error).__name__}: {error}"[:200])
-                self.seconds[m] = min(self.seconds[m], 1e-9 * (clock() - begin))
-                if first or warm:
-                    made = parted(problem, answer)
-                    start = made.force if warm and made.status == "solved" else None
-                    if first:
-                        self.answers.append(made)
-                        self.iterations[m] = getattr(self.solver, "iterations", np.nan)
+        cold, warm, start = self.task.mode == "cold", self.task.mode == "warm", None
+        for m, problem in enumerate(self.problems):
+            task = replace(self.task, first=problem) if cold else self.task
+            answer: Any = None
+            begin = clock()
+            try:
+                if cold:
+                    setup(task)
+                answer = solve(problem, start)
+            except Exception as error:  # a solver's fault is no fault of the benchmark
+                answer = error
+            self.seconds[m] = min(self.seconds[m], 1e-9 * (clock() - begin))
+            made = parted(problem, answer)
+            start = made.force.copy() if warm and made.force is not None and made.status == "solved" else None
+            self._keep(m, made, getattr(self.solver, "iterations", np.nan))
 
-    def _in_c(self, count: int) -> None:
-        compiled, n = self.solver.compiled(), len(self.problems)
-        first = self.problems[0]
+    def _in_c(self) -> None:
+        compiled, n, first = self.solver.compiled(), len(self.problems), self.problems[0]
         views = (CProblem * n)(*map(CProblem.of, self.problems))
         forces, multipliers = (
-            np.full((n, first.matrix.shape[1]), np.nan),
-            np.full((n, 6 + len(first.limit_bound)), np.nan),
+            np.full((n, size), np.nan) for size in (first.matrix.shape[1], 6 + len(first.limit_bound))
         )
         statuses, iterations, seconds = np.zeros(n, np.int32), np.full(n, -1, np.int32), np.empty(n)
         cold = self.task.mode == "cold"
         timer().force_times(
             *(ctypes.c_void_p(at or None) for at in (compiled.solve, compiled.context, compiled.setup * cold, compiled.close * cold)),
-            self.task.objective.encode(), views, n, count, int(self.task.mode == "warm"),
+            self.task.objective.encode(), views, n, 1, int(self.task.mode == "warm"),
             *(ctypes.c_void_p(array.ctypes.data) for array in (forces, multipliers, statuses, iterations, seconds)),
         )  # fmt: skip
         self.seconds = np.minimum(self.seconds, seconds)
-        if not self.answers:
-            self.iterations = np.where(iterations < 0, np.nan, iterations)
-            for problem, force, prices, status in zip(
-                self.problems, forces, multipliers, statuses.tolist(), strict=True
-            ):
-                self.answers.append(
-                    parted(problem, (force, None if np.isnan(prices).any() else prices, STATUSES[status]))
-                )
+        for m, problem in enumerate(self.problems):
+            prices = None if np.isnan(multipliers[m]).any() else multipliers[m]
+            steps = np.nan if iterations[m] < 0 else float(iterations[m])
+            self._keep(m, parted(problem, (forces[m], prices, status_of(int(statuses[m])))), steps)
+
+    def _all_at_once(self) -> None:
+        began = time.perf_counter()
+        try:
+            answers = self.solver.solve_many(self.problems)
+            taken = (time.perf_counter() - began) / len(self.problems)
+            made = [parted(problem, answer) for problem, answer in zip(self.problems, answers, strict=True)]
+        except Exception:  # as NotImplementedError: these are not taken at once
+            return
+        self.many = made, min(taken, self.many[1] if self.many else np.inf)
+
+
+def same(one: Parted, other: Parted) -> bool:
+    """True if two answers to a problem are equal up to `SAME`."""
+    if one.status != other.status or (one.force is None) != (other.force is None):
+        return False
+    if one.force is None or other.force is None:
+        return one.status == "failed" or (one.multipliers is None) == (other.multipliers is None)
+    return bool(np.abs(one.force - other.force).max() <= SAME * np.abs(other.force).max())
 
 
 class Empty:
@@ -167,7 +179,7 @@ def entrants(chosen: Sequence[str]) -> dict[str, Callable[[], Entrant]]:
     """Entrants by name: those of `ENTRANTS`, FILE.py:CLASS, or FILE.so:FUNCTION.
 
     Raises:
-        ValueError: there is no such entrant.
+        ValueError: there is no such entrant, or two have one name.
     """
     made: dict[str, Callable[[], Any]] = {}
     for spec in chosen:
@@ -176,13 +188,21 @@ def entrants(chosen: Sequence[str]) -> dict[str, Callable[[], Entrant]]:
             raise ValueError(
                 f"no entrant {spec!r}: choose of {', '.join(ENTRANTS)}, or give FILE.py:CLASS or FILE.so:FUNCTION"
             )
+        name = spec if spec in ENTRANTS else what
         if where.endswith(".so"):
+            if not os.path.isfile(where):
+                raise ValueError(f"there is no file {where}: give FILE.so:FUNCTION")
             make: Any = partial(Library, str(Path(where).resolve()), what)
         else:
             make = getattr(_module(where), what, None)
             if make is None:
                 raise ValueError(f"{where} has no {what}: give FILE.py:CLASS")
-        made[spec if spec in ENTRANTS else what] = make
+            name = spec if spec in ENTRANTS else getattr(make, "name", what)
+        if name in (*made, Empty.name):
+            raise ValueError(
+                f"two entrants are called {name!r}: give {spec} another name, or leave the other out by --against"
+            )
+        made[name] = make
     return made
 
 
@@ -192,26 +212,32 @@ def measured(
     effort: Effort,
     tell: Callable[[str], None] = lambda text: None,
 ) -> tuple[Rows, dict[str, dict[str, Any]]]:
-    """A row for each entrant, objective, mode and problem, and one with a `reason` where an entrant does not take part; what entrants say of themselves."""
+    """Times the entrants on the tracks.
+
+    Returns:
+        A row for each entrant, objective, mode and problem, and one with a `reason` where an entrant does not take part in a track;
+        and what the entrants say of themselves.
+    """
     rows: Rows = []
     told: dict[str, dict[str, Any]] = {}
-    solvers = {"empty": Empty, **chosen}
     for track, objective, mode in cells(tracks):
         key = {"case": track.name, "objective": objective, "mode": mode}
+        sessions = track.sessions[: effort.sessions]
         ready: dict[str, list[Timed]] = {}
-        for name, make in solvers.items():
+        for name, make in {Empty.name: Empty, **chosen}.items():
             if objective not in getattr(make, "objectives", OBJECTIVES):
                 continue
             tell(f"{track.name}, {objective}, {mode}: setting up {name}")
+            task = Task(track.name, objective, mode, sessions[0].problems[0])
             try:
-                ready[name] = [
-                    _prepared(make, session, track.name, objective, mode, effort) for session in track.sessions
-                ]
-            except (ImportError, NotImplementedError, RuntimeError) as error:
+                ready[name] = [_prepared(make, session, task, effort) for session in sessions]
+            except (ImportError, NotImplementedError) as error:
                 rows.append(key | {"method": name, "reason": f"{error}"[:300]})
-        _take_turns(
-            ready, effort, lambda text, key=key: tell(f"{key['case']}, {key['objective']}, {key['mode']}: {text}")
-        )
+            except Exception as error:  # others go on
+                rows.append(
+                    key | {"method": name, "reason": f"its setup failed: {type(error).__name__}: {error}"[:300]}
+                )
+        _take_turns(ready, effort, lambda text, track=track: tell(f"{track.name}: {text}"))
         for name, each in ready.items():
             solver = each[0].solver
             told[name] = {
@@ -223,7 +249,7 @@ def measured(
             }  # fmt: skip
             rows += [
                 key | about | row
-                for session, timed in zip(track.sessions, each, strict=False)
+                for session, timed in zip(sessions, each, strict=True)
                 for row in _scored(session, timed)
             ]
     return rows, told
@@ -265,6 +291,19 @@ def timer() -> Any:
     return ctypes.CDLL(str(library("timer", [HERE / "timer.c"], ["-O2"], (HERE / "force.h",))))
 
 
+def compiler(variable: str, *names: str) -> str:
+    """The path of a compiler: that of an environment variable, or the first of these.
+
+    Raises:
+        RuntimeError: there is none.
+    """
+    each = (os.environ.get(variable), *names)
+    found = next((found for name in each if name and (found := shutil.which(name))), None)
+    if found is None:
+        raise RuntimeError(f"no compiler: install {names[0]} or {names[1]}, or set {variable}")
+    return found
+
+
 def library(
     name: str, sources: Sequence[Path], flags: Sequence[str], depends: Sequence[Path] = (), cpp: bool = False
 ) -> Path:
@@ -273,11 +312,7 @@ def library(
     Raises:
         RuntimeError: there is no compiler, or it fails.
     """
-    choices = ("CXX", "g++", "clang++", "c++") if cpp else ("CC", "gcc", "clang", "cc")
-    named = (os.environ.get(choices[0]), *choices[1:])
-    command = next((found for each in named if each and (found := shutil.which(each))), None)
-    if command is None:
-        raise RuntimeError(f"no compiler: install {choices[1]} or {choices[2]}, or set {choices[0]}")
+    command = compiler("CXX", "g++", "clang++", "c++") if cpp else compiler("CC", "gcc", "clang", "cc")
     key = sha256()
     for text in (command, *flags, *(path.read_text(encoding="utf-8") for path in (*sources, *depends))):
         key.update(text.encode() + b"\0")
@@ -293,45 +328,39 @@ def library(
     return path
 
 
-def _prepared(
-    make: Callable[[], Any], session: Session, track: str, objective: str, mode: str, effort: Effort
-) -> Timed:
-    problems = session.problems[: effort.problems]
-    return Timed(make(), Task(track, objective, mode, problems[0]), problems)
+def _prepared(make: Callable[[], Any], session: Session, task: Task, effort: Effort) -> Timed:
+    problems = session.made()[: effort.problems]
+    return Timed(make(), replace(task, first=problems[0]), problems)
 
 
 def _take_turns(ready: dict[str, list[Timed]], effort: Effort, tell: Callable[[str], None]) -> None:
     """Passes of all entrants in turn, without garbage collection."""
-    counts: dict[str, int] = {}
     gc.collect()
     gc.disable()
     try:
         for turn in range(effort.rounds):
             for name, each in ready.items():
                 tell(f"round {turn + 1} of {effort.rounds}: {name}")
-                if not turn:
-                    taken = sum(timed.passes(1) for timed in each)
-                    counts[name] = int(np.clip(effort.seconds / max(taken, 1e-9), 0, effort.passes))
-                if counts[name]:
-                    for timed in each:
-                        timed.passes(counts[name])
+                taken = sum(timed.passes(1) for timed in each)
+                more = int(np.clip(effort.seconds / max(taken, 1e-9), 0, effort.passes - 1))
+                for timed in each if more else ():
+                    timed.passes(more)
     finally:
         gc.enable()
 
 
 def _scored(session: Session, timed: Timed) -> Iterator[dict[str, Any]]:
     objective = timed.task.objective
-    best = session.references[objective].value
-    for m, (problem, answer) in enumerate(zip(timed.problems, timed.answers, strict=True)):
+    best = session.references[objective].value.tolist()
+    for m, (problem, answers) in enumerate(zip(session.problems, timed.answers, strict=False)):
+        found = [score(problem, objective, best[m], answer) for answer in answers]
         row = {
-            "event": session.name,
-            "problem": m,
-            "microseconds": 1e6 * timed.seconds[m],
-            "iterations": timed.iterations[m],
-        }
-        if timed.many is not None and score(problem, objective, float(best[m]), timed.many[0][m])["solved"]:
+            "event": session.name, "problem": m, "microseconds": 1e6 * timed.seconds[m], "iterations": timed.iterations[m],
+            "calls": timed.calls,
+        }  # fmt: skip
+        if timed.many is not None and score(problem, objective, best[m], timed.many[0][m])["solved"]:
             row["many_microseconds"] = 1e6 * timed.many[1]
-        yield row | score(problem, objective, float(best[m]), answer)
+        yield row | min(found, key=lambda each: (each["solved"], each["solved_coarse"], each["proved"]))
 
 
 def _module(where: str) -> Any:
@@ -340,9 +369,10 @@ def _module(where: str) -> Any:
     path = Path(where).resolve()
     if not path.is_file():
         raise ValueError(f"there is no file {where}: give FILE.py:CLASS")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    spec = importlib.util.spec_from_file_location(f"entrant_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look for it there
+    sys.path.append(str(path.parent))
     spec.loader.exec_module(module)
     return module

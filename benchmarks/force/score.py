@@ -15,22 +15,31 @@ LEVELS = {"solved_coarse": 1e-4, "solved": 1e-6}
 
 
 class Parted(NamedTuple):
-    """An answer: force (N k,) and multipliers (6,) or (6 + L,), where there are any, and status."""
+    """An answer: force (N k,) and multipliers (6 + L,), where there are any, status, and what an error said."""
 
     force: Array | None
     multipliers: Array | None
     status: str
+    message: str = ""
 
 
-def parted(problem: Problem, answer: Answer) -> Parted:
-    """The parts of what a solver returned, copied; what does not fit the problem is a failure."""
-    force, multipliers, status = ((*answer, None, None) if isinstance(answer, tuple) else (answer, None, None))[:3]
-    status = "solved" if status is None else str(status)
-    made = _numbers(force, problem.matrix.shape[1])
-    prices = _numbers(multipliers, 6, 6 + len(problem.limit_bound))
-    if status not in STATUSES or (status == "solved" and made is None):
-        status = "failed"
-    return Parted(made, prices, status)
+def parted(problem: Problem, answer: Answer | Exception) -> Parted:
+    """The parts of what a solver returned, copied; an error and what does not fit the problem are failures."""
+    if isinstance(answer, Exception):
+        return Parted(None, None, "failed", f"{type(answer).__name__}: {answer}"[:200])
+    force, multipliers, status = ((*answer, None, None, None) if isinstance(answer, tuple) else (answer, None, None))[
+        :3
+    ]
+    size, prices = problem.matrix.shape[1], 6 + len(problem.limit_bound)
+    status = "solved" if status is None else status
+    made, proof = _numbers(force, size), _numbers(multipliers, 6, prices)
+    if proof is not None:
+        proof = np.pad(proof, (0, prices - proof.size))
+    if not isinstance(status, str) or status not in STATUSES:
+        return Parted(made, proof, "failed", f"no status: {status!r}"[:200])
+    if status == "solved" and made is None:
+        return Parted(None, proof, "failed", f"no force of {size} finite numbers")
+    return Parted(made, proof, status)
 
 
 def score(problem: Problem, objective: str, best: float, answer: Parted) -> dict[str, Any]:
@@ -46,7 +55,7 @@ def score(problem: Problem, objective: str, best: float, answer: Parted) -> dict
         status; gap, balance, violation, limit_excess where there is a force; solved_coarse and solved; proved: the multipliers
         prove the answer, to 1e-6, or that there is none; wrong: the verdict is the opposite of the truth.
     """
-    force, multipliers, status = answer
+    force, multipliers, status, message = answer
     row: dict[str, Any] = {"status": status, "wrong": status == ("solved" if best == np.inf else "infeasible")}
     proved = False
     missed = np.inf
@@ -61,14 +70,22 @@ def score(problem: Problem, objective: str, best: float, answer: Parted) -> dict
         }  # fmt: skip
         missed = max(found.values())
         row |= found
-        if multipliers is not None:
-            proved = value - bounds.dual_bound(problem, objective, multipliers) <= LEVELS["solved"] * value
+        if (
+            multipliers is not None
+            and max(row[name] for name in ("balance", "violation", "limit_excess")) <= LEVELS["solved"]
+        ):
+            proved = bool(
+                value - bounds.dual_bound(problem, objective, multipliers) <= LEVELS["solved"] * value < np.inf
+            )
+    if message:
+        row["detail"] = message
     return row | {"proved": proved} | {name: bool(missed <= level) for name, level in LEVELS.items()}
 
 
 def _numbers(given: Any, *sizes: int) -> Array | None:
     """A copy as a flat array of one of these sizes; None where it is none, or not finite."""
-    if given is None:
+    try:
+        array = np.array(given, dtype=float).reshape(-1)
+    except (TypeError, ValueError):
         return None
-    array = np.array(given, dtype=float).reshape(-1)
     return array if array.size in sizes and np.isfinite(array).all() else None

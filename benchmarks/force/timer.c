@@ -23,7 +23,8 @@ void force_times(force_solve *solve, void *context, force_setup *setup, force_cl
             double *force = forces + m * size;
             double begin = seconds_now();
             void *used = setup ? setup(p, objective) : context;
-            const int status = used ? solve(used, p, warm ? before : 0, force, multipliers + m * prices, iterations + m) : 1;
+            const int failed = setup && !used;
+            const int status = failed ? 1 : solve(used, p, warm ? before : 0, force, multipliers + m * prices, iterations + m);
             const double taken = seconds_now() - begin;
             if (setup && close && used) close(used);
             if (pass == 0 || taken < seconds[m]) seconds[m] = taken;

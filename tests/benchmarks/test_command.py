@@ -55,7 +55,7 @@ def test_a_run_is_saved_told_and_compared(tmp_path, capsys):
 
 def test_a_missing_extra_is_named(monkeypatch, capsys):
     monkeypatch.setattr(_extras, "find_spec", lambda name: None)
-    assert main(["solver"]) == 2
+    assert main(["scaling"]) == 2
     assert 'pip install "grasp-force[report]"' in capsys.readouterr().err
 
 
@@ -84,8 +84,8 @@ def test_the_line_through_the_cost():
     ("words", "said"),
     [
         (["sovler"], "unknown benchmark 'sovler'"),
-        (["solver", "--contacts", "2"], "contacts must be at least 3, at most 1000, got 2"),
-        (["solver", "--seed", "-1"], "seed must be at least 0"),
+        (["scaling", "--contacts", "2"], "contacts must be at least 3, at most 1000, got 2"),
+        (["scaling", "--seed", "-1"], "seed must be at least 0"),
         (["batch", "--wrenches", "-5"], "wrenches must be at least 8"),
         (["batch", "--compare", "a" * 300], "holds no run: give the folder of an earlier"),
         (["batch", "--compare", "."], "is a run of kind 'scaling': give one of kind batch"),

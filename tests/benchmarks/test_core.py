@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks.core import BENCHMARK, CALL, FIRST, RATIO, Settings, joined, run
-from benchmarks.core_side import ROWS
+from benchmarks.core_side import ROWS, timed
 from grasp_env.errors import GraspError, InvalidInputError
+from grasp_env.force import Status
 from training.results.claims import judge
 from training.results.table import join, pd, summary
 
@@ -104,3 +106,16 @@ def test_what_cannot_be_compared_says_why(tmp_path):
     ):
         with pytest.raises(kind, match=said):
             run(Settings((3,), 8, 1, 1, baseline=baseline), ("newton",))
+
+
+def test_a_time_is_the_best_of_the_passes_without_warm_up(monkeypatch):
+    slow = 10**12  # nanoseconds of a call that must not be timed
+    now, took = [0], [slow, slow, slow, slow, 7000, 5000, slow, 3000, 6000, slow, slow]
+
+    def solve(wrench):
+        now[0] += took.pop(0)
+        return SimpleNamespace(force=0.0, objective=0.0, status=Status.OPTIMAL)
+
+    monkeypatch.setattr("time.perf_counter_ns", lambda: now[0])
+    np.testing.assert_allclose(timed(2, solve, [("a",), ("b",)])[0], [3e-6, 5e-6])
+    assert not took

@@ -108,6 +108,7 @@ COLUMNS: dict[str, Column] = {
     "solved": Column("flag", "the same within 1e-6", "", False, ("sum",)),
     "proved": Column("flag", "whether the answer's own multipliers prove it to 1e-6", "", False, ("sum",)),
     "wrong": Column("flag", "whether the verdict is the opposite of the truth", "", False, ("sum",)),
+    "calls": Column("whole", "calls of which the least time counts", "", False, ("min", "max")),
     "many_microseconds": Column("real", "time of a problem in one call for all of a session", "us", False, ("median",), timed=True),
     "contact_force": Column("real", "normal force of the contact", "N"),
     "jump": Column("real", "change of the contact's force since the sample before", "N", False, ("max",)),
@@ -121,7 +122,7 @@ COLUMNS: dict[str, Column] = {
     # the simulated hand
     "held": Column("flag", "whether the object was held to the end: in place, without sliding, overlap or force of links beyond the limits", "", False, ("sum", "mean", "rate_low", "rate_high")),
     "failure": Column("text", "why it was not held; empty where it was"),
-    "detail": Column("text", "message of a hand that did not take hold"),
+    "detail": Column("text", "message of a hand that did not take hold, or of a solver that failed"),
     "shape": Column("text", "shape of the object"),
     "size_x": Column("real", "size of the object", "m"),
     "size_y": Column("real", "size of the object", "m"),

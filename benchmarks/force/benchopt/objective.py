@@ -29,7 +29,10 @@ class Objective(BaseObjective):
         unsolved = 1.0 - sum(row["solved"] for row in rows) / len(rows)
         return {
             "value": unsolved,
-            **{name: max(row.get(name, 0.0) for row in rows) for name in ("gap", "balance", "violation")},
+            **{
+                name: max(row.get(name, float("inf")) for row in rows)
+                for name in ("gap", "balance", "violation", "limit_excess")
+            },
         }
 
     def get_one_result(self):  # noqa: D102

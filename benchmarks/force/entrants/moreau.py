@@ -6,7 +6,7 @@ from importlib import import_module
 
 import numpy as np
 
-from benchmarks.force.entrant import Answer
+from benchmarks.force.entrant import Answer, Task
 from benchmarks.force.entrants.forms import Conic, Numbers
 from benchmarks.force.problems import Array, Problem
 
@@ -22,6 +22,11 @@ class Moreau(Conic):
         "CompiledSolver on the CPU, dual form (phi and many limits: primal), values set up once; tolerances 1e-8, in the primal 1e-7. "
         "Its warm start halves the iterations along a path and saves nothing on random wrenches."
     )
+
+    def setup(self, task: Task) -> None:
+        """See `Entrant`."""
+        self._warm = task.mode == "warm"
+        super().setup(task)
 
     def build(self) -> None:
         """See `Conic`."""
@@ -45,7 +50,7 @@ class Moreau(Conic):
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         """See `Entrant`; only whether there is a `start` counts, as a warm start has all variables and multipliers of the last call."""
-        self._warm = start is not None
+        self._started = start is not None
         return super().solve(problem)
 
     def run(self, moved: bool) -> tuple[Array, Array, str]:
@@ -53,7 +58,7 @@ class Moreau(Conic):
         form = self.form
         if moved:
             self._solver.setup(np.zeros(0), self._numbers.refresh(form.rows.T))
-        found = self._solver.solve(form.c[None], form.sides[None], self._last if self._warm else None)
+        found = self._solver.solve(form.c[None], form.sides[None], self._last if self._started else None)
         info = self._solver.info
         if self._warm:
             self._last = found.to_warm_start()

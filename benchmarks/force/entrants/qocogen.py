@@ -6,8 +6,6 @@ import contextlib
 import ctypes
 import hashlib
 import io
-import os
-import shutil
 import subprocess
 import tempfile
 from functools import cache
@@ -18,9 +16,10 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from benchmarks.force.entrant import STATUSES, Answer, Compiled, CProblem, Task
+from benchmarks.force.entrant import Answer, Compiled, CProblem, Task, status_of
 from benchmarks.force.entrants import forms
 from benchmarks.force.problems import Array, Problem
+from benchmarks.force.run import compiler
 
 OURS = Path(__file__).with_name("qocogen.c")
 HEADERS = Path(__file__).parents[1]
@@ -82,7 +81,7 @@ class Qocogen:
         pointers = force.ctypes.data, multipliers.ctypes.data, ctypes.byref(iterations)
         status = self._library.qocogen(self._context, ctypes.byref(CProblem.of(problem)), None, *pointers)
         self.iterations = iterations.value
-        return force, multipliers, STATUSES[status]
+        return force, multipliers, status_of(status)
 
     def compiled(self) -> Compiled:
         """See `Entrant`."""
@@ -102,26 +101,13 @@ class QocogenFast(Qocogen):
     refinements = 0
 
 
-def compiler() -> str:
-    """The C compiler's path: $CC, gcc, clang or cc.
-
-    Raises:
-        RuntimeError: there is none.
-    """
-    names = (os.environ.get("CC"), "gcc", "clang", "cc")
-    found = next((found for name in names if name and (found := shutil.which(name))), None)
-    if found is None:
-        raise RuntimeError("no C compiler: install gcc or clang, or set CC")
-    return found
-
-
 def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
     """The shared library for a form's pattern in `LIBRARIES`, generated and compiled if it is not there.
 
     Raises:
         RuntimeError: there is no compiler, or it fails.
     """
-    command = compiler()
+    command = compiler("CC", "gcc", "clang", "cc")
     sizes = f"{form.pattern.shape} {form.equations} {form.nonneg} {form.cones}"
     key = "\0".join([*_versions(), command, *flags, sizes]).encode() + np.packbits(form.pattern.astype(bool)).tobytes()
     path = LIBRARIES / f"qocogen_{hashlib.sha256(key).hexdigest()[:16]}.so"
