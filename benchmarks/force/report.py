@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from training.results.table import Rows, numbers, pd
@@ -168,7 +169,7 @@ def profiles(rows: Rows) -> Figure:
     objectives = list(ran["objective"].unique())
     figure = Figure(figsize=(9.0, 3.6 * max(len(objectives), 1)), layout="constrained")
     axes = figure.subplots(max(len(objectives), 1), 2, squeeze=False, sharey=True)
-    colours = {name: f"C{k}" if k < 10 else f"{0.15 * (k - 9):.2f}" for k, name in enumerate(ran["method"].unique())}
+    colours = {name: colormaps["tab20"](k % 20) for k, name in enumerate(ran["method"].unique())}
     for row, objective in zip(axes, objectives, strict=False):
         of = ran[ran["objective"] == objective]
         for ax, column in zip(row, ("microseconds", "iterations"), strict=True):

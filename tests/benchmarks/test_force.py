@@ -279,7 +279,7 @@ class Told:
     name, division = "told", "learned"
 
     def __init__(self, now: list[int]) -> None:
-        self.now, self.took = now, [5, 7, 9, 6, 3, 8]
+        self.now, self.took = now, [1, 5, 7, 9, 2, 6, 3, 8]
 
     def setup(self, task):
         self.iterations = 0
@@ -303,7 +303,7 @@ def test_python_is_timed_by_the_least_of_its_passes(mode, monkeypatch):
     timed = run.Timed(Told(now), Task("", "sum", mode, each[0]), each)
     timed.passes(2)
     np.testing.assert_allclose(1e6 * timed.seconds, [5.0, 3.0, 8.0])
-    assert timed.iterations.tolist() == [1.0, 2.0, 3.0]
+    assert timed.iterations.tolist() == [2.0, 3.0, 4.0]
     assert [answer.status for (answer,) in timed.answers] == ["solved", "solved", "failed"]
     assert timed.answers[2][0].message == "ZeroDivisionError: none"
     assert timed.answers[1][0].force[0] == (mode == "warm")
@@ -322,7 +322,7 @@ class Sly:
 
     def solve(self, problem, start=None):
         self.asked += 1
-        return FORCE if self.asked == 1 else None
+        return FORCE if self.asked <= 2 else None  # a pass begins with a call that does not count
 
 
 def test_every_pass_counts():
