@@ -20,6 +20,8 @@ SHIFT = 1.0
 PENALTY = 1e5
 """[us] that a failure counts in the shifted geometric mean, or its own time where that is longer."""
 RESAMPLES = 1000
+POINTS = 200
+"""Of a curve that is drawn."""
 ENDS = [2.5, 97.5]
 """[%] of the bootstrap intervals."""
 
@@ -178,8 +180,8 @@ def profiles(rows: Rows) -> Figure:
                     if name in part["method"].unique():
                         style = "--" if language == "C" else "-"
                         ax.step(
-                            factor,
-                            share,
+                            _thinned(factor),
+                            _thinned(share),
                             style,
                             where="post",
                             label=f"{name} (C)" if style == "--" else name,
@@ -213,6 +215,11 @@ def profile(rows: Rows, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]
     total = len(ran[keys].drop_duplicates())
     each = {str(name): np.sort(factors[name].dropna().to_numpy()) for name in factors.columns}
     return {name: (found, np.arange(1, len(found) + 1) / total) for name, found in each.items() if len(found)}
+
+
+def _thinned(values: np.ndarray) -> np.ndarray:
+    """Some `POINTS` of the values, the last one among them."""
+    return values[:: -max(1, len(values) // POINTS)][::-1]
 
 
 def _ran(rows: Rows) -> Rows:
