@@ -84,7 +84,16 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site, its gallery's programs not run: other tests run them."""
     root = tmp_path_factory.mktemp("site")
     shutil.copytree(ROOT / "docs", root / "docs", ignore=shutil.ignore_patterns("gallery"))
-    for name in ("examples", "grasp_env", "policies", "training", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff"):
+    for name in (
+        "benchmarks",
+        "examples",
+        "grasp_env",
+        "policies",
+        "training",
+        "CONTRIBUTING.md",
+        "CHANGELOG.md",
+        "CITATION.cff",
+    ):
         (root / name).symlink_to(ROOT / name)
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-D", "plot_gallery=0", "docs", "html"]
     done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=300)

@@ -126,7 +126,8 @@ def judged(p: Named, method: str) -> dict[str, Any]:
         assert want * (1.0 - 1e-6) <= found.limit_excess <= max(1.01 * want, want + 1e-6), (name, found, want)
         return {"status": "limits_exceeded", "objective": want, "digits": 0.011}
     mine, by = found.objective, "certificate"
-    digits = abs(mine - found.lower_bound) / mine if mine > 0.0 else 0.0  # a bound above the objective shows rounding, too
+    # a bound above the objective shows rounding, too
+    digits = abs(mine - found.lower_bound) / mine if mine > 0.0 else 0.0
     if method != "newton":
         prices = found.limit_multipliers[len(found.limit_multipliers) - len(reference.bound) :]
         bound, _ = reference.dual_bound(found.multipliers, prices, p.wrench, method)
