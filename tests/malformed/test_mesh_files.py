@@ -34,7 +34,7 @@ def test_hostile_files_are_refused_soon_and_with_little_memory(
     told, seconds = outcomes[name]
     assert re.search(HOSTILE[name][2], told), told
     assert len(told) < 500
-    assert seconds < 2.0
+    assert seconds < 10.0  # minutes without the limits; one to four seconds on two shared cores
 
 
 def triangles(corners: Any, faces: Any) -> list[Any]:
