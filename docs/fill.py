@@ -19,10 +19,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks.force.entrants import ENTRANTS
-from benchmarks.force.report import by_contacts, by_entrant, by_track
+from benchmarks.force.report import by_contacts, by_entrant, by_track, pair_of
 from grasp_env._files import replacing
 from training.report import holds, starts
 from training.report.page import cell, claims_of, module_of
@@ -325,7 +323,7 @@ def fixed_contacts(method: str) -> str:
     rows = chosen(
         force_rows()[0], f"objective == 'sum' and case == 'jumps' and mode == 'persistent' and method == '{method}'"
     )
-    return " / ".join(number(float(each)) for each in np.percentile(numbers(rows, "microseconds"), [50.0, 99.0]))
+    return pair_of(numbers(rows, "microseconds"))
 
 
 TABLES: dict[str, Callable[[], str]] = {

@@ -1,4 +1,4 @@
-"""What a force, multipliers or a witness prove, computed from the problem alone.
+"""Bounds and proofs from a force, multipliers or a witness, computed from the problem alone.
 
 `Measure` holds every formula, for NumPy's floats and for object arrays of `decimal.Decimal`, which `exact.py` gives it. The functions
 below it take a `Problem`. Forces and moments are compared in N: moments are taken about the centre of the contacts that touch and
@@ -23,7 +23,7 @@ Numbers = NDArray[Any]
 REACH = 10**6
 """A witness excludes forces whose normal forces total up to this many times the wrench."""
 ROUNDING = 1e-15
-"""Of a sum of a few products, relative to their sizes."""
+"""Rounding of a sum of a few products, relative to their sizes."""
 
 
 def least(low: Numbers, high: Numbers, weight: Any) -> tuple[Numbers, Numbers, Numbers]:
@@ -186,7 +186,7 @@ def objective(problem: Problem, name: str, force: Array) -> float:
 
 
 def balance(problem: Problem, force: Array) -> float:
-    """What a force (N k,) misses of balance: the largest |component| of G f + w over that of the wrench.
+    """The relative residual of balance of a force (N k,): the largest |component| of G f + w over that of the wrench.
 
     Without a wrench it is relative to the largest |component| of the force, torsion divided by the length.
     """

@@ -20,7 +20,7 @@ MODES = ("cold", "persistent", "warm")
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What `setup` is told of a session.
+    """The description of a session that `setup` gets.
 
     Attributes:
         track: its name.
@@ -114,31 +114,47 @@ class Library:
 
     note = "a shared library, timed in C"
 
+    _context: int | None = None
+
     def __init__(self, path: str, function: str) -> None:
         self.name = function
+        self.open(path, function)
+
+    def open(self, path: str, function: str) -> None:
+        """Finds the functions in a library."""
         self._library = ctypes.CDLL(path)
         self._solve = self._address(function)
         self._setup, self._close = (self._address(f"{function}_{which}", missing=0) for which in ("setup", "close"))
-        self._context = None
 
     def setup(self, task: Task) -> None:
         """Calls FUNCTION_setup; null means that it does not enter."""
+        self.close()
         if not self._setup:
             return
-        if self._context and self._close:
-            ctypes.CFUNCTYPE(None, ctypes.c_void_p)(self._close)(self._context)
         call = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)(self._setup)
         self._first = task.first, CProblem.of(task.first)  # it may keep the pointer
         self._context = call(ctypes.addressof(self._first[1]), task.objective.encode())
         if not self._context:
             raise NotImplementedError(f"{self.name}_setup returned null")
 
+    def close(self) -> None:
+        """Frees what the last `setup` made."""
+        if self._context and self._close:
+            ctypes.CFUNCTYPE(None, ctypes.c_void_p)(self._close)(self._context)
+        self._context = None
+
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         """One call from Python."""
-        force, multipliers = np.zeros(problem.matrix.shape[1]), np.zeros(6 + len(problem.limit_bound))
+        force, multipliers, steps = (
+            np.zeros(problem.matrix.shape[1]),
+            np.zeros(6 + len(problem.limit_bound)),
+            ctypes.c_int(),
+        )
         call = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 6)(self._solve)
         given, view = None if start is None else start.ctypes.data, CProblem.of(problem)
-        status = call(self._context, ctypes.addressof(view), given, force.ctypes.data, multipliers.ctypes.data, None)
+        written = force.ctypes.data, multipliers.ctypes.data, ctypes.addressof(steps)
+        status = call(self._context, ctypes.addressof(view), given, *written)
+        self.iterations = steps.value
         return force, multipliers, status_of(status)
 
     def compiled(self) -> Compiled:

@@ -42,12 +42,12 @@ STEPS, HALVINGS = 2000, 200
 Parts = tuple[Numbers, Numbers]
 """Gradient (N, 3) and Hessian (N, 3, 3) of a barrier."""
 Barrier = Callable[[Numbers, Any], "Parts | None"]
-"""Of x (N, 3) and t; None outside."""
+"""A barrier as a function of x (N, 3) and t; None outside."""
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """What an algorithm found; the numbers are Decimals.
+    """The optimum that an algorithm found; the numbers are Decimals.
 
     Attributes:
         lower, upper: bounds of the optimum [N].

@@ -9,19 +9,22 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from benchmarks.force.problems import Array, Session, Track
+from benchmarks.force.package import grasp_of
+from benchmarks.force.problems import Array, Problem, Session, Track
 from benchmarks.force.record import FILE
+from benchmarks.force.record import short as rounded
 from grasp_env.errors import GraspError
-from grasp_env.force import ForceLimits
 from grasp_env.grasp import Grasp
 from grasp_env.quality import feasibility
 from training.data.grasps import PRESETS, Recipe
 
 DIGITS = 12
+short = partial(rounded, digits=DIGITS)
 GRASPS = Recipe(friction=(0.3, 1.0), own_friction=True, margin=0.02, basis=False)
 """Random grasps: contacts on cuboids, ellipsoids and cylinders, away from losing closure."""
 LOAD = (2.0, 0.05)
@@ -35,7 +38,10 @@ Made = Iterator[tuple[str, Arrays]]
 
 
 def contacts(positions: Array, normals: Array, friction: Array | float) -> Arrays:
-    """The arrays of contacts (..., N, 3): o is the projection of e_x on the tangent plane, of e_y where abs(n_x) > 0.9."""
+    """The arrays of contacts (..., N, 3): o is the projection of e_x on the tangent plane, of e_y where abs(n_x) > 0.9.
+
+    It is the rule of `grasp_env.grasp.contact_frames`, in sums whose order no processor changes.
+    """
     n = short(normals)
     n = n / np.sqrt(n[..., :1] * n[..., :1] + n[..., 1:2] * n[..., 1:2] + n[..., 2:] * n[..., 2:])
     axis = np.where(np.abs(n[..., :1]) > 0.9, np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]))
@@ -60,12 +66,6 @@ def fixed(arrays: Arrays) -> Arrays:
 def moving(each: list[Arrays]) -> Arrays:
     """Arrays of one problem each, one after the other."""
     return {name: np.concatenate([arrays[name] for arrays in each]) for name in each[0]}
-
-
-def short(values: Any) -> Array:
-    """Values with `DIGITS` significant digits."""
-    array = np.asarray(values, dtype=float)
-    return np.array([float(f"{value:.{DIGITS - 1}e}") for value in array.ravel().tolist()]).reshape(array.shape)
 
 
 def ball(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
@@ -322,15 +322,9 @@ def _most(arrays: Arrays) -> Array:
 
 
 def _depth(arrays: Arrays, wrench: Array) -> float:
-    """`feasibility`'s margin of one problem."""
-    gamma = arrays.get("torsional_friction")
-    grasp = Grasp.from_contacts(
-        arrays["positions"], arrays["frames"][:, :, 0], arrays["friction"], torsional_friction=gamma,
-        contact_model="hard" if gamma is None else "soft",
-    )  # fmt: skip
-    names = ("max_normal", "jacobian", "torque_limit", "torque_bias")
-    given = {name: arrays[name] for name in names if name in arrays}
-    return feasibility(grasp, wrench, ForceLimits(**given) if given else None).margin
+    """The margin of one problem, by `feasibility`."""
+    grasp, limits = grasp_of(Problem(**arrays, wrench=wrench))
+    return feasibility(grasp, wrench, limits).margin
 
 
 def _closes_without(grasp: Grasp, contact: int) -> bool:

@@ -7,12 +7,11 @@ Balance a wrench w with the forces of N contacts, f = (normal, o, t[, torsion]) 
 Objectives: `sum` is the sum of the normal forces [N]. `phi` is the paper's, sum_i 3 u + lambda (1 / u + 2 u / (u^2 - o^2 - t^2)) with
 u = friction * normal and lambda = `BARRIER_WEIGHT`; it is defined for contacts without torsion and limits.
 
-A track is a file NAME.npz with NAME.json beside it. It consists of sessions: problems of one structure in their order. This module needs numpy only.
+A track is a file NAME.npz with NAME.json beside it. It consists of sessions: problems of one structure in their order.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,6 +20,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from grasp_env._files import digest, replacing
 
 Array = NDArray[np.float64]
 
@@ -141,7 +142,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What is known of the problems of a session for one objective.
+    """Certified optima of the problems of a session, for one objective.
 
     Attributes:
         value: (M,) the optimum; inf where no force exists.
@@ -208,13 +209,12 @@ class Track:
 
     def digest(self) -> str:
         """SHA-256 of the problems: name, type, shape and bytes of every array."""
-        found = hashlib.sha256()
+        parts = []
         for session in self.sessions:
             for name in sorted(session.arrays):
                 array = np.ascontiguousarray(session.arrays[name])
-                found.update(f"{session.name}/{name} {array.dtype.str} {array.shape}\n".encode())
-                found.update(array.tobytes())
-        return found.hexdigest()
+                parts += [f"{session.name}/{name} {array.dtype.str} {array.shape}\n".encode(), array.tobytes()]
+        return digest(*parts)
 
 
 def names(folder: Path = SETS) -> list[str]:
@@ -285,9 +285,7 @@ def save(track: Track, folder: Path = SETS) -> None:
         "arrays": FIELDS,
     }
     path = folder / f"{track.name}.npz"
-    temporary = path.with_suffix(".part.npz")
-    np.savez_compressed(temporary, **arrays)
-    temporary.replace(path)
-    written = path.with_suffix(".part.json")
-    written.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
-    written.replace(path.with_suffix(".json"))
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, **arrays)
+    with replacing(path.with_suffix(".json")) as temporary:
+        temporary.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")

@@ -13,6 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.force.problems import Array
+from grasp_env._files import replacing
+
 FILE = Path(__file__).with_name("hands.json")
 OBJECTS: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("cuboid", (0.05, 0.05, 0.05)),
@@ -58,10 +61,9 @@ def record(hands: Sequence[str]) -> list[dict[str, Any]]:
 
 def write(hands: Sequence[str], file: Path = FILE) -> None:
     """Writes the records."""
-    temporary = file.with_suffix(".part")
     lines = ",\n".join(json.dumps(each) for each in record(hands))
-    temporary.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
-    temporary.replace(file)
+    with replacing(file) as temporary:
+        temporary.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
 
 
 def _seen(env: Any) -> dict[str, Any]:
@@ -77,9 +79,10 @@ def _seen(env: Any) -> dict[str, Any]:
         "positions": seen.points[touching], "normals": seen.normals[touching], "jacobian": jacobian[:, :, moves],
         "torque_limit": kinematics.torque_limits[moves], "torque_bias": seen.gravity_torques[moves], "gravity": to_object @ scene.gravity,
     }  # fmt: skip
-    return {"friction": FRICTION} | {name: _short(array) for name, array in arrays.items()}
+    return {"friction": FRICTION} | {name: short(array, DIGITS).tolist() for name, array in arrays.items()}
 
 
-def _short(array: Any) -> Any:
-    """Nested lists of numbers with so many significant digits."""
-    return [_short(each) for each in array] if np.ndim(array) else float(f"{array:.{DIGITS}g}")
+def short(values: Any, digits: int) -> Array:
+    """Values with so many significant digits."""
+    array = np.asarray(values, dtype=float)
+    return np.array([float(f"{value:.{digits - 1}e}") for value in array.ravel().tolist()]).reshape(array.shape)

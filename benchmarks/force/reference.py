@@ -11,16 +11,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 
 from benchmarks.force import bounds, exact
 from benchmarks.force.bounds import Measure
+from benchmarks.force.package import grasp_of
 from benchmarks.force.problems import Array, Problem, Reference, Session, Track
 from grasp_env.errors import GraspError, GraspWarning, InfeasibleWrenchError
-from grasp_env.force import ForceLimits, ForceOptimizer
-from grasp_env.grasp import Grasp
+from grasp_env.force import ForceOptimizer
 
 GAP = 1e-9
 """Largest (upper - lower) / upper of a source."""
@@ -29,12 +28,12 @@ AGREEMENT = 1e-8
 ROUNDING = 1e-11
 """Relative change of a bound that is computed anew: sums in another order round differently, and forces beyond the wrench amplify it."""
 TOLERANCES = (1e-13, 1e-12, 1e-11, 1e-10, 1e-9)
-"""What the solvers are asked for, until the gap is a tenth of `GAP`; the best answer counts."""
+"""Tolerances that the solvers are given one after the other, until the gap is a tenth of `GAP`; the best answer counts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a source says of a problem.
+    """The answer of a source to a problem.
 
     Attributes:
         force, multipliers: (N k,), (6 + L,); the force is nan where the multipliers are a witness.
@@ -91,7 +90,7 @@ def refer(
 
 
 def check(track: Track) -> list[str]:
-    """What is wrong with the references of a track, in words; every number is computed anew from problem, force and multipliers."""
+    """Complaints about the references of a track; objectives, bounds and witnesses are computed anew from force and multipliers."""
     return [
         f"{track.name}, session {session.name!r}, {where}"
         for session in track.sessions
@@ -105,20 +104,7 @@ def package(problem: Problem, name: str) -> Found:
     Raises:
         GraspError: it refuses the problem.
     """
-    spins = np.zeros(problem.n_contacts) if problem.torsional_friction is None else problem.torsional_friction
-    soft: dict[str, Any] = {}
-    if problem.width == 4:
-        models = ["soft" if spin > 0.0 else "hard" for spin in spins]
-        soft = {"contact_model": models, "torsional_friction": np.where(spins > 0.0, spins, 1.0)}
-    along = np.ascontiguousarray(problem.frames[:, :, 1])
-    grasp = Grasp.from_contacts(problem.positions, problem.normals, problem.friction, tangents=along, **soft)
-    limits = None
-    if len(problem.limit_bound):
-        limits = ForceLimits(
-            0.0 if problem.min_normal is None else problem.min_normal,
-            np.inf if problem.max_normal is None else problem.max_normal,
-            problem.jacobian, problem.torque_limit, problem.torque_bias,
-        )  # fmt: skip
+    grasp, limits = grasp_of(problem)
     method = "conic" if name == "sum" else "newton"
 
     def answers() -> Iterator[tuple[Array, Array, bool]]:
@@ -290,7 +276,7 @@ def _settled(task: tuple[Problem, str, str]) -> tuple[Found, float] | str:
 
 
 def _disagreement(first: Found, second: Found) -> str:
-    """What is wrong with two sources; empty: nothing."""
+    """The reason why two sources do not settle a problem; empty if they do."""
     for which, source in (("first", first), ("second", second)):
         if abs(source.gap) > GAP:
             return f"the {which} source leaves a gap of {source.gap:.1e}: {source.lower!r} to {source.upper!r}"
@@ -321,7 +307,7 @@ def _reference(answers: list[tuple[Found, float]]) -> Reference:
 
 
 def _complaints(session: Session, objectives: Sequence[str]) -> Iterator[str]:
-    """Of a session."""
+    """Complaints about a session."""
     problems = session.problems
     for name in objectives:
         reference = session.references.get(name)
@@ -336,7 +322,7 @@ def _complaints(session: Session, objectives: Sequence[str]) -> Iterator[str]:
 
 
 def _wrong(problem: Problem, name: str, reference: Reference, m: int) -> Iterator[str]:
-    """Of a reference."""
+    """Complaints about a reference."""
     value, other, force, multipliers = (
         getattr(reference, each)[m] for each in ("value", "other", "force", "multipliers")
     )

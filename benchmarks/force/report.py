@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
+from training.results.statistics import ratio_interval
 from training.results.table import Rows, numbers, pd
 from training.results.words import number
 
 CELL = ["objective", "case", "mode"]
-"""What is compared within: equal problems, asked in the same way."""
+"""Columns of a cell: entrants are compared on equal problems that are asked in the same way."""
 COUNTS = ["solved", "solved_coarse", "proved", "wrong"]
 SHIFT = 1.0
 """[us] of the shifted geometric mean."""
 PENALTY = 1e5
 """[us] that a failure counts in the shifted geometric mean, or its own time where that is longer."""
-RESAMPLES = 1000
 POINTS = 200
-"""Of a curve that is drawn."""
-ENDS = [2.5, 97.5]
-"""[%] of the bootstrap intervals."""
+"""Points of a curve that are drawn."""
 
 
 def standings(rows: Rows) -> Rows:
@@ -63,6 +62,7 @@ def standings(rows: Rows) -> Rows:
 def lines(rows: Rows, unit: float) -> Iterator[str]:
     """The standings as text, a table for each cell."""
     shown = [
+        "division",
         "n",
         "solved",
         "solved_coarse",
@@ -156,7 +156,7 @@ def by_contacts(rows: Rows) -> Rows:
     ran = ran[ran.groupby("method")["solved"].transform("mean") > 0.9]
     ran = ran[ran["solved"].astype(bool)]
     cells = ran.groupby(["language", "method", "event"], sort=False)
-    made: Rows = pd.Series({key: _pair(numbers(part, "microseconds")) for key, part in cells}).unstack()
+    made: Rows = pd.Series({key: pair_of(numbers(part, "microseconds")) for key, part in cells}).unstack()
     order = ran.groupby("method")["microseconds"].median()
     shown = [event for event in ("3", "4", "5", "6", "8", "12", "16") if event in made.columns]
     made = made[shown].rename(columns=lambda n: f"N = {n}").reset_index(names=["called from", "entrant"])
@@ -247,7 +247,8 @@ def _told(part: Rows) -> str:
     return f"{number(row['p50'])} / {number(row['p99'])} ({row['method']}{failed})"
 
 
-def _pair(times: np.ndarray) -> str:
+def pair_of(times: np.ndarray) -> str:
+    """Median / 99 % of times [us]."""
     return " / ".join(number(float(each)) for each in np.percentile(times, [50.0, 99.0]))
 
 
@@ -284,11 +285,7 @@ def _ratio(mine: dict[Any, float], other: dict[Any, float], percent: float) -> t
     if not both:
         return np.nan, np.nan, np.nan
     pair = np.array([[mine[key] for key in both], [other[key] for key in both]])
-    picks = np.random.default_rng(0).integers(0, len(both), (RESAMPLES, len(both)))
-    tops, bottoms = np.percentile(pair[:, picks], percent, axis=2)
-    low, high = np.percentile(tops / bottoms, ENDS)
-    top, bottom = np.percentile(pair, percent, axis=1)
-    return float(top / bottom), float(low), float(high)
+    return ratio_interval(*pair, of=partial(np.percentile, q=percent))
 
 
 def _places(rows: Rows) -> Any:

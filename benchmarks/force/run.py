@@ -7,26 +7,23 @@ import gc
 import importlib
 import importlib.util
 import os
-import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.force.build import library
 from benchmarks.force.entrant import MODES, CProblem, Entrant, Library, Task, status_of
 from benchmarks.force.entrants import ENTRANTS
 from benchmarks.force.problems import OBJECTIVES, Array, Problem, Session, Track
 from benchmarks.force.score import Parted, parted, score
 
 HERE = Path(__file__).parent
-BUILD = HERE.parents[1] / "build/force"
 Rows = list[dict[str, Any]]
 
 
@@ -260,7 +257,7 @@ def measured(
 
 
 def cells(tracks: Sequence[Track]) -> Iterator[tuple[Track, str, str]]:
-    """What is compared: a track, an objective and a mode."""
+    """All triples of track, objective and mode, in which entrants are compared."""
     for track in tracks:
         for objective in track.about["objectives"]:
             for mode in track.about["modes"]:
@@ -293,43 +290,6 @@ def timer() -> Any:
         RuntimeError: there is no C compiler.
     """
     return ctypes.CDLL(str(library("timer", [HERE / "timer.c"], ["-O2"], (HERE / "force.h",))))
-
-
-def compiler(variable: str, *names: str) -> str:
-    """The path of a compiler: that of an environment variable, or the first of these.
-
-    Raises:
-        RuntimeError: there is none.
-    """
-    each = (os.environ.get(variable), *names)
-    found = next((found for name in each if name and (found := shutil.which(name))), None)
-    if found is None:
-        raise RuntimeError(f"no compiler: install {names[0]} or {names[1]}, or set {variable}")
-    return found
-
-
-def library(
-    name: str, sources: Sequence[Path], flags: Sequence[str], depends: Sequence[Path] = (), cpp: bool = False
-) -> Path:
-    """A shared library of sources in `BUILD`, compiled where it is not there yet.
-
-    Raises:
-        RuntimeError: there is no compiler, or it fails.
-    """
-    command = compiler("CXX", "g++", "clang++", "c++") if cpp else compiler("CC", "gcc", "clang", "cc")
-    key = sha256()
-    for text in (command, *flags, *(path.read_text(encoding="utf-8") for path in (*sources, *depends))):
-        key.update(text.encode() + b"\0")
-    path = BUILD / f"{name}_{key.hexdigest()[:12]}.so"
-    if not path.exists():
-        BUILD.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}")
-        words = [command, *flags, "-fPIC", "-shared", *map(str, sources), "-o", str(part)]
-        answer = subprocess.run(words, capture_output=True, text=True, check=False, timeout=900)
-        if answer.returncode:
-            raise RuntimeError(f"{command} fails on {sources[0].name}: {answer.stderr.strip()[:300]}")
-        part.replace(path)
-    return path
 
 
 def _prepared(make: Callable[[], Any], session: Session, task: Task, effort: Effort) -> Timed:

@@ -1,4 +1,4 @@
-"""What an answer is worth, recomputed from its numbers and the problem alone."""
+"""Scores of answers, recomputed from their numbers and the problem alone."""
 
 from __future__ import annotations
 
@@ -27,9 +27,8 @@ def parted(problem: Problem, answer: Answer | Exception) -> Parted:
     """The parts of what a solver returned, copied; an error and what does not fit the problem are failures."""
     if isinstance(answer, Exception):
         return Parted(None, None, "failed", f"{type(answer).__name__}: {answer}"[:200])
-    force, multipliers, status = ((*answer, None, None, None) if isinstance(answer, tuple) else (answer, None, None))[
-        :3
-    ]
+    parts = answer if isinstance(answer, tuple) else (answer,)
+    force, multipliers, status = (*parts, None, None, None)[:3]
     size, prices = problem.matrix.shape[1], 6 + len(problem.limit_bound)
     status = "solved" if status is None else status
     made, proof = _numbers(force, size), _numbers(multipliers, 6, prices)

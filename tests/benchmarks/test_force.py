@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from oracles.phi import phi
 
-from benchmarks.force import bounds, generate, problems, reference, report, run
+from benchmarks.force import bounds, build, generate, problems, reference, report, run
 from benchmarks.force.__main__ import main
 from benchmarks.force.entrant import CProblem, Library, Task
 from benchmarks.force.entrants import ENTRANTS
@@ -231,7 +231,7 @@ def echo(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("echo")
     source = folder / "echo.c"
     source.write_text(ECHO)
-    return run.library("echo", [source], ["-O1", "-Wall", "-Werror", f"-I{Path(run.__file__).parent}"])
+    return build.library("echo", [source], ["-O1", "-Wall", "-Werror", f"-I{Path(run.__file__).parent}"])
 
 
 def test_c_sees_the_problem(echo):
@@ -407,7 +407,7 @@ def test_an_entrant_agrees_or_shows_its_failures(name, monkeypatch, tmp_path_fac
     """On three problems of a session of each kind; entrants with pyramids miss the optimum, and what cannot run here says so."""
     if name in ("conic", "newton", "flow"):
         pytest.skip("compiling the C++ front takes minutes: `python -m benchmarks.force validate --solver conic`")
-    monkeypatch.setattr(run, "BUILD", tmp_path_factory.getbasetemp() / "force")
+    monkeypatch.setattr(build, "BUILD", tmp_path_factory.getbasetemp() / "force")
     tracks = [load(track) for track in ("cold", "own", "soft")]
     rows, _ = run.measured(tracks, run.entrants([name]), run.Effort(rounds=1, seconds=0.0, sessions=1, problems=3))
     rows = table(rows)

@@ -169,8 +169,8 @@ def default_name(kind: str) -> str:
 def provenance() -> dict[str, Any]:
     """Machine, versions, commit and command of this process."""
     program = Path(sys.argv[0])
-    package = ".".join(program.parent.parts[len(Path(__file__).parents[2].parts) :]) or program.parent.name
-    name = f"python -m {package}" if program.name == "__main__.py" else program.name
+    spec = sys.modules["__main__"].__spec__
+    name = f"python -m {spec.parent}" if spec and program.name == "__main__.py" else program.name
     return {
         "command": " ".join([name, *sys.argv[1:]]),
         "time": time.strftime("%Y-%m-%d %H:%M:%S %Z"),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -34,9 +37,11 @@ def mean_interval(values: NDArray[np.float64], seed: int = 0) -> tuple[float, fl
 
 
 def ratio_interval(
-    numerator: NDArray[np.float64], denominator: NDArray[np.float64], seed: int = 0
+    numerator: NDArray[np.float64], denominator: NDArray[np.float64], seed: int = 0, of: Callable[..., Any] = np.median
 ) -> tuple[float, float, float]:
     """median(numerator) / median(denominator) of paired samples, with its 95 % paired bootstrap interval.
+
+    `of` takes the place of the median: a function of an array and `axis`.
 
     Example:
         >>> ratio_interval(np.full(9, 3.0), np.full(9, 2.0))
@@ -44,10 +49,10 @@ def ratio_interval(
     """
     rng = np.random.default_rng(seed)
     picks = rng.integers(0, numerator.size, (_RESAMPLES, numerator.size))
-    tops, bottoms = np.median(numerator[picks], axis=1), np.median(denominator[picks], axis=1)
+    tops, bottoms = of(numerator[picks], axis=1), of(denominator[picks], axis=1)
     ratios = np.sort(np.minimum(tops / np.maximum(bottoms, 1e-12), 1e12))  # infinite medians stay comparable
     low, high = ratios[int(0.025 * _RESAMPLES)], ratios[int(0.975 * _RESAMPLES)]
-    return float(np.median(numerator) / max(float(np.median(denominator)), 1e-12)), float(low), float(high)
+    return float(of(numerator, axis=0) / max(float(of(denominator, axis=0)), 1e-12)), float(low), float(high)
 
 
 def wilson(count: int, total: int) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from benchmarks.force.score import parted, score
 
 
 class Objective(BaseObjective):
-    """What is missed of gap, balance, cones and limits, and the share of problems that is not solved to 1e-6."""
+    """The share of problems that are not solved to 1e-6, and the largest gap, balance, violation and excess."""
 
     name = "grasp forces"
     sampling_strategy = "run_once"

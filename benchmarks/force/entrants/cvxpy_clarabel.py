@@ -42,10 +42,7 @@ class CvxpyClarabel:
         return force, np.concatenate(multipliers), "solved" if self._problem.status == "optimal" else "failed"
 
     def _data(self, problem: Problem) -> tuple[Array, ...]:
-        limits = problem.limit_matrix
-        if problem.touching is not None:
-            limits = limits * np.repeat(problem.touching, problem.width)
-        return problem.wrench, problem.matrix, problem.friction, limits, problem.limit_bound
+        return problem.wrench, problem.matrix, problem.friction, problem.limit_matrix, problem.limit_bound
 
     def _state(self, problem: Problem) -> None:
         cp = import_module("cvxpy")

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-import numpy as np
-
-from benchmarks.force.entrants.forms import Conic, Numbers
+from benchmarks.force.entrants.forms import Conic
 from benchmarks.force.problems import Array
 
 
@@ -21,10 +19,9 @@ class Ecos(Conic):
 
     def build(self) -> None:
         """See `Conic`."""
-        form, p = self.form, self.form.equations
+        form = self.form
         self._solve = import_module("ecos").solve
-        self._upper = Numbers(form.rows[:p], form.pattern[:p]) if p else None
-        self._lower = Numbers(form.rows[p:], form.pattern[p:])
+        self._upper, self._lower = form.halves()
         self._dims = {"l": form.nonneg, "q": form.cones, "e": 0}
         self._options = {"abstol": 1e-8, "reltol": 1e-8, "feastol": 1e-8, "verbose": False}
         self._infeasible = 2 if form.in_cost else 1
@@ -40,4 +37,4 @@ class Ecos(Conic):
         found = self._solve(form.c, self._lower.matrix, form.sides[p:], self._dims, *equations, **self._options)
         self.iterations = found["info"]["iter"]
         status = {0: "solved", self._infeasible: "infeasible"}.get(found["info"]["exitFlag"], "failed")
-        return found["x"], np.concatenate([found["y"], found["z"]]) if p else found["z"], status
+        return found["x"], form.joined(found["y"], found["z"]), status

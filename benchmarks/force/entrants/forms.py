@@ -65,10 +65,19 @@ class Form:
         return "numbers" if moved else "wrench"
 
     def answer(self, x: Array, z: Array, status: str) -> Answer:
-        """What a solver's variables x and multipliers z say of the problem; a certificate in their place is a witness."""
+        """The answer to the problem in a solver's variables x and multipliers z; a certificate in their place is a witness."""
         if status == "infeasible":
             return None, self._witness(x, z), status
         return *self._read(x, z), status
+
+    def halves(self) -> tuple[Numbers | None, Numbers]:
+        """The equations, where there are any, and the other rows as sparse matrices."""
+        p = self.equations
+        return Numbers(self.rows[:p], self.pattern[:p]) if p else None, Numbers(self.rows[p:], self.pattern[p:])
+
+    def joined(self, y: Array, z: Array) -> Array:
+        """The multipliers of all rows from those of the equations and of the others."""
+        return np.concatenate([y, z]) if self.equations else z
 
     def _make(self, problem: Problem) -> None:
         self.pattern = self._rows(problem, np.ones_like(problem.matrix), self._limited.astype(float)) != 0.0
@@ -77,8 +86,7 @@ class Form:
 
     def _numbers(self, problem: Problem) -> None:
         self._touching = None if problem.touching is None else np.repeat(problem.touching, problem.width)
-        limits = problem.limit_matrix if self._touching is None else problem.limit_matrix * self._touching
-        self.rows = self._rows(problem, problem.matrix, limits)
+        self.rows = self._rows(problem, problem.matrix, problem.limit_matrix)
 
     def _touched(self, force: Array) -> Array:
         return force if self._touching is None else force * self._touching

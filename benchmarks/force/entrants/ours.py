@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.force.build import library
 from benchmarks.force.entrant import Answer, Library, Task
+from benchmarks.force.package import grasp_of
 from benchmarks.force.problems import Array, Problem
-from benchmarks.force.run import library
 from grasp_env.errors import InfeasibleWrenchError
-from grasp_env.force import BarzilaiBorweinStep, ForceLimits, ForceOptimizer
+from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.grasp import Grasp
 
@@ -30,19 +31,13 @@ class _FromPython:
 
     def setup(self, task: Task) -> None:
         first = task.first
-        gamma = first.torsional_friction  # the frames of the files are those of the package's rule
-        model = "hard" if gamma is None else "soft"
-        grasp = Grasp.from_contacts(
-            first.positions, first.normals, first.friction, contact_model=model, torsional_friction=gamma
-        )
-        names = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
-        given = {name: value for name in names if (value := getattr(first, name)) is not None}
-        self._limits, self._soft = ForceLimits(**given) if given else None, gamma is not None
+        grasp, self._limits = grasp_of(first)
+        self._soft = first.torsional_friction is not None
         self._warm = task.mode == "warm" and task.objective == "phi"
         self._optimizer = self._make(grasp, "previous" if self._warm else None)
         self._solve = self._optimizer.solve
         self._moves = ["positions", "normals", "friction"] + [
-            name for name in ("jacobian", "torque_bias") if name in given
+            name for name in ("jacobian", "torque_bias") if getattr(first, name) is not None
         ]
         self._loses = first.touching is not None
 

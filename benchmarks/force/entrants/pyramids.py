@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.force.problems import Array, Problem
 
 SIDES = 8
-"""Of each pyramid; its edges lie on the cone."""
+"""Sides of each pyramid; its edges lie on the cone."""
 NO_PHI = "phi needs more than linear and quadratic programs"
 
 

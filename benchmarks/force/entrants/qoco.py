@@ -6,7 +6,7 @@ from importlib import import_module
 
 import numpy as np
 
-from benchmarks.force.entrants.forms import Conic, Numbers
+from benchmarks.force.entrants.forms import Conic
 from benchmarks.force.problems import Array
 
 
@@ -26,8 +26,7 @@ class Qoco(Conic):
     def build(self) -> None:
         """See `Conic`."""
         form, p = self.form, self.form.equations
-        self._upper = Numbers(form.rows[:p], form.pattern[:p]) if p else None
-        self._lower = Numbers(form.rows[p:], form.pattern[p:])
+        self._upper, self._lower = form.halves()
         self._solver = import_module("qoco").QOCO()
         self._solver.setup(
             n=len(form.c),
@@ -63,4 +62,4 @@ class Qoco(Conic):
         solved = found.status == "QOCO_SOLVED"
         if not solved:
             solver.update_settings(kkt_dynamic_reg=self._regularisation)
-        return found.x, np.concatenate([found.y, found.z]) if p else found.z, "solved" if solved else "failed"
+        return found.x, form.joined(found.y, found.z), "solved" if solved else "failed"

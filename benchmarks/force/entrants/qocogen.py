@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import hashlib
 import io
-import subprocess
 import tempfile
 from functools import cache
 from importlib import import_module
@@ -16,15 +14,15 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from benchmarks.force.entrant import Answer, Compiled, CProblem, Task, status_of
+from benchmarks.force.build import compiler, execute
+from benchmarks.force.entrant import Library, Task
 from benchmarks.force.entrants import forms
-from benchmarks.force.problems import Array, Problem
-from benchmarks.force.run import compiler
+from grasp_env._files import digest
 
 OURS = Path(__file__).with_name("qocogen.c")
 HEADERS = Path(__file__).parents[1]
 LIBRARIES = Path(__file__).parents[3] / "build/qocogen"
-"""Where libraries of this machine (-march=native) are kept."""
+"""Folder of the libraries, which are for this machine (-march=native)."""
 SIZE = 10.0
 """Length of the wrench that the solver is given, as `forms.SIZE`: 30 takes 0.6 iterations more, 3 gives less accurate forces."""
 
@@ -39,7 +37,7 @@ class Description(ctypes.Structure):
     )
 
 
-class Qocogen:
+class Qocogen(Library):
     """A generated solver; its code depends on the pattern of the form alone, its numbers come with the problems."""
 
     name = "qocogen"
@@ -51,45 +49,23 @@ class Qocogen:
     flags: tuple[str, ...] = ("-O3", "-march=native")
     refinements = 1
     """Steps of iterative refinement of each linear solve."""
-    _context: int | None = None
+
+    def __init__(self) -> None:
+        """Opens nothing: the library depends on the session."""
 
     def setup(self, task: Task) -> None:
         """See `Entrant`."""
-        if self._context:
-            self._library.qocogen_close(self._context)
+        self.close()
         form = forms.form(task.first, task.objective)
-        self._library = ctypes.CDLL(str(library(form, self.flags)))
-        self._library.qocogen_setup.restype = ctypes.c_void_p
-        self._library.qocogen_setup.argtypes = [ctypes.c_void_p, ctypes.c_char_p]
-        self._library.qocogen.argtypes = [ctypes.c_void_p] * 6
-        self._library.qocogen_close.argtypes = [ctypes.c_void_p]
+        self.open(str(library(form, self.flags)), "qocogen")
         parts = np.split(form.pattern, [form.equations])
-        self._places = [
-            np.array(part.T.nonzero(), dtype=np.int32) for part in parts
-        ]  # columns and rows of the numbers of A and G
+        # columns and rows of the numbers of A and G
+        self._places = [np.array(part.T.nonzero(), dtype=np.int32) for part in parts]
         kind = (forms.Dual, forms.Primal, forms.Barrier).index(type(form))
         starts = [place[axis].ctypes.data for place in self._places for axis in (0, 1)]
         counts = [place.shape[1] for place in self._places]
-        given = Description(kind, self.refinements, *counts, *starts, SIZE)
-        self._library.qocogen_describe(ctypes.byref(given))
-        self._context = self._library.qocogen_setup(ctypes.byref(CProblem.of(task.first)), task.objective.encode())
-
-    def solve(self, problem: Problem, start: Array | None = None) -> Answer:
-        """See `Entrant`; `start` is not used."""
-        force, multipliers = np.zeros(problem.matrix.shape[1]), np.zeros(6 + len(problem.limit_bound))
-        iterations = ctypes.c_int()
-        pointers = force.ctypes.data, multipliers.ctypes.data, ctypes.byref(iterations)
-        status = self._library.qocogen(self._context, ctypes.byref(CProblem.of(problem)), None, *pointers)
-        self.iterations = iterations.value
-        return force, multipliers, status_of(status)
-
-    def compiled(self) -> Compiled:
-        """See `Entrant`."""
-        solve, setup, close = (
-            ctypes.cast(getattr(self._library, name), ctypes.c_void_p).value or 0
-            for name in ("qocogen", "qocogen_setup", "qocogen_close")
-        )
-        return Compiled(solve, self._context or 0, setup, close, self)
+        self._library.qocogen_describe(ctypes.byref(Description(kind, self.refinements, *counts, *starts, SIZE)))
+        super().setup(task)
 
 
 class QocogenFast(Qocogen):
@@ -110,7 +86,7 @@ def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
     command = compiler("CC", "gcc", "clang", "cc")
     sizes = f"{form.pattern.shape} {form.equations} {form.nonneg} {form.cones}"
     key = "\0".join([*_versions(), command, *flags, sizes]).encode() + np.packbits(form.pattern.astype(bool)).tobytes()
-    path = LIBRARIES / f"qocogen_{hashlib.sha256(key).hexdigest()[:16]}.so"
+    path = LIBRARIES / f"qocogen_{digest(key)[:16]}.so"
     if path.exists():
         return path
     LIBRARIES.mkdir(parents=True, exist_ok=True)
@@ -130,9 +106,7 @@ def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
         links = [flag for flag in flags if flag != "-Ofast"]
         steps.append([*links, "-shared", "-o", str(built), *map(str, objects), "-lm"])
         for options in steps:
-            answer = subprocess.run([command, *options], capture_output=True, text=True, check=False, timeout=300)
-            if answer.returncode:
-                raise RuntimeError(f"{command} {' '.join(flags)} fails: {answer.stderr.strip()[:300]}")
+            execute([command, *options])
         built.replace(path)  # whole or not at all, for two runs that share the folder
     return path
 

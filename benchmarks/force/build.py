@@ -1,0 +1,56 @@
+"""Shared libraries of entrants and of the clock, compiled once for this machine."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+from grasp_env._files import digest, replacing
+
+BUILD = Path(__file__).parents[2] / "build/force"
+"""Folder of the libraries."""
+
+
+def compiler(variable: str, *names: str) -> str:
+    """The path of a compiler: that of an environment variable, or the first of these.
+
+    Raises:
+        RuntimeError: there is none.
+    """
+    each = (os.environ.get(variable), *names)
+    found = next((found for name in each if name and (found := shutil.which(name))), None)
+    if found is None:
+        raise RuntimeError(f"no compiler: install {names[0]} or {names[1]}, or set {variable}")
+    return found
+
+
+def library(
+    name: str, sources: Sequence[Path], flags: Sequence[str], depends: Sequence[Path] = (), cpp: bool = False
+) -> Path:
+    """A shared library of sources in `BUILD`, compiled where it is not there yet.
+
+    Raises:
+        RuntimeError: there is no compiler, or it fails.
+    """
+    command = compiler("CXX", "g++", "clang++", "c++") if cpp else compiler("CC", "gcc", "clang", "cc")
+    texts = (command, *flags, *(path.read_text(encoding="utf-8") for path in (*sources, *depends)))
+    path = BUILD / f"{name}_{digest(*(text.encode() + bytes(1) for text in texts))[:12]}.so"
+    if not path.exists():
+        BUILD.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as part:
+            execute([command, *flags, "-fPIC", "-shared", *map(str, sources), "-o", str(part)])
+    return path
+
+
+def execute(words: Sequence[str]) -> None:
+    """Runs a compiler.
+
+    Raises:
+        RuntimeError: it fails.
+    """
+    answer = subprocess.run(words, capture_output=True, text=True, check=False, timeout=900)
+    if answer.returncode:
+        raise RuntimeError(f"{' '.join(words)[:200]} fails: {answer.stderr.strip()[:300]}")
