@@ -154,6 +154,8 @@ def _generate(given: Any) -> int:
     from benchmarks.force.problems import save
     from benchmarks.force.reference import refer
 
+    if given.seed < 0:
+        raise ValueError(f"the seed must be at least 0, got {given.seed}")
     for name in given.tracks or TRACKS:
         if name not in TRACKS:
             raise ValueError(f"no track {name!r}: there are {', '.join(TRACKS)}")

@@ -90,7 +90,8 @@ def answers(rows: Rows) -> Iterator[str]:
     """How many answers of each entrant are right, without times, what failed with an error, and what is not entered."""
     ran = _ran(rows)
     groups = ran.groupby(["method", "objective", "case", "mode"], sort=False)
-    yield groups[COUNTS].sum().assign(n=groups.size()).sort_index(level="method", sort_remaining=False).to_string()
+    if len(ran):
+        yield groups[COUNTS].sum().assign(n=groups.size()).sort_index(level="method", sort_remaining=False).to_string()
     failed = ran[ran["status"] == "failed"]
     for method, part in failed.groupby("method", sort=False):
         said = part["detail"].dropna().tolist() if "detail" in part else []

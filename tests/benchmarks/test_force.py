@@ -391,6 +391,7 @@ def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
         (["run", "--solver", "nowhere.py:Mine"], "there is no file nowhere.py"),
         (["run", "--solver", "benchmarks/force/example.py:Yours"], "has no Yours"),
         (["generate", "smoth"], "no track 'smoth'"),
+        (["generate", "soft", "--seed", "-1"], "the seed must be at least 0, got -1"),
         (["report", "nowhere"], "not a finished run"),
         (["validate", "--sets", "docs"], "holds no track"),
     ],
