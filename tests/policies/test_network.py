@@ -37,8 +37,9 @@ def test_the_fixed_network_is_that_of_numpy():
         there = grasp.with_friction(float(friction))
         for w in wrench.sample_magnitudes(rng, 20):
             force = expected(rule, there, w, float(friction))
-            # float32 sums of 64 terms that cancel
-            np.testing.assert_allclose(rule.raw(there, w).ravel(), force, atol=1e-5 * np.abs(force).max())
+            # Sums of 64 float32 terms that cancel, in an order that depends on the register width: up to 1.3e-5 of the
+            # largest force in 1,000 wrenches with AVX2. One weight left out: 7e-4 (median).
+            np.testing.assert_allclose(rule.raw(there, w).ravel(), force, atol=5e-5 * np.abs(force).max())
 
 
 def test_weights_may_be_polynomials_of_the_friction():
