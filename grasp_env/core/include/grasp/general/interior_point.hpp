@@ -140,7 +140,7 @@ private:
             rows.each_own(i, [&](int k, bool paired) {
                 residual_.own[k] = inner(rows.own[k].row, z);
                 if (paired) residual_.own[k + 1] = -residual_.own[k];
-                add(left, pulled(at.own, k, paired), rows.own[k].row);
+                add(left, rows.pulled(at.own, k, paired), rows.own[k].row);
             });
             add(left, R(-1.0), s);
             if (D == 4 && !soft[i]) left[D - 1] = 0.0;
@@ -166,9 +166,6 @@ private:
         m.runs_away = m.primal > FEASIBLE && largest_y > AWAY * largest_c;
         return m;
     }
-
-    // What the multiplier of a row, or of two that mirror each other, pulls along it.
-    static R pulled(const Kept<R>& own, int k, bool paired) { return paired ? own[k] - own[k + 1] : own[k]; }
 
     double degree() const {
         double total = 2.0 * rows.count + double(rows.own.size()) + (rows.joint - rows.equal);
@@ -268,7 +265,7 @@ private:
             sized(rows.joint, [&](auto joint) {
                 for (int r = 0; r < joint; ++r) add(ds_[i], d_.joint[r], rows.columns[joint * i + r]);
             });
-            rows.each_own(i, [&](int k, bool paired) { add(ds_[i], pulled(d_.own, k, paired), rows.own[k].row); });
+            rows.each_own(i, [&](int k, bool paired) { add(ds_[i], rows.pulled(d_.own, k, paired), rows.own[k].row); });
             if (D == 4 && !soft[i]) dz_[i][D - 1] = ds_[i][D - 1] = 0.0;
         }
         for (int k = 0; k < int(rows.own.size()); ++k) dslack_own_[k] = (kappa_own_[k] - at.own_slack[k] * d_.own[k]) / at.own[k];

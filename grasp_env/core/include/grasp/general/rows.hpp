@@ -119,13 +119,21 @@ template <class R, int D, int T> struct Rows {
         for (int r = 0; r < joint; ++r)
             if (!mirrored[r]) lead.push_back(r);
     }
+    // True if row k of contact i and the row after it mirror each other.
+    bool paired(int i, int k) const { return T == 0 && k + 1 < first[i + 1] && own[k + 1].mirrored; }
+    // The same of joint row r.
+    bool paired(int r) const { return T == 0 && mirrored[r + 1]; }
     // f(k, paired) for the rows of contact i, two that mirror each other at once.
     template <class F> void each_own(int i, F&& f) const {
         for (int k = first[i]; k < first[i + 1]; ++k) {
-            const bool paired = T == 0 && k + 1 < first[i + 1] && own[k + 1].mirrored;
-            f(k, paired);
-            k += paired;
+            const bool both = paired(i, k);
+            f(k, both);
+            k += both;
         }
+    }
+    // The force that the multipliers of row k, or of it and its mirror image, exert along the row.
+    static R pulled(const Kept<R>& multipliers, int k, bool paired) {
+        return paired ? multipliers[k] - multipliers[k + 1] : multipliers[k];
     }
     static std::size_t room(int count, int joints, int owns) {
         return Arena::room<Tuple<R, D>>(count * joints) + Arena::room<Tuple<R, T>>(joints) + Arena::room<R>(joints) +
@@ -195,8 +203,7 @@ private:
         std::fill(schur_.begin(), schur_.end(), 0.0);
         for (int q = 0; q < leads; ++q) {
             const int r = rows.lead[q];
-            schur_[at(q, q)] =
-                paired(rows, r) ? 1.0 / (1.0 / joint_diagonal[r] + 1.0 / joint_diagonal[r + 1]) : joint_diagonal[r];
+            schur_[at(q, q)] = rows.paired(r) ? 1.0 / (1.0 / joint_diagonal[r] + 1.0 / joint_diagonal[r + 1]) : joint_diagonal[r];
             coupled_[q] = rows.coupling[r];
         }
         for (auto& row : corner_) row = {};
@@ -244,7 +251,7 @@ private:
         auto& y = y_;
         for (int q = 0; q < leads; ++q) {
             const int r = rows.lead[q];
-            y[q] = paired(rows, r) ? both(joint_diagonal[r], joint_diagonal[r + 1], f.joint[r], f.joint[r + 1]) : f.joint[r];
+            y[q] = rows.paired(r) ? both(joint_diagonal[r], joint_diagonal[r + 1], f.joint[r], f.joint[r + 1]) : f.joint[r];
         }
         for (int i = 0; i < rows.count; ++i) {
             Tuple<R, D> b = f.z[i];
@@ -267,7 +274,7 @@ private:
             y[q] = inner(solved_[q], shared) - y[q];
             const int r = rows.lead[q];
             out.joint[r] = y[q];
-            if (!paired(rows, r)) continue;
+            if (!rows.paired(r)) continue;
             const R up = joint_diagonal[r], down = joint_diagonal[r + 1];
             part(up, down, f.joint[r], f.joint[r + 1], y[q] / (1.0 / up + 1.0 / down), &out.joint[r]);
         }
@@ -285,8 +292,7 @@ private:
             for (int k = rows.first[i + 1] - 1; k >= rows.first[i]; --k) {
                 if (T == 0 && rows.own[k].mirrored) continue;
                 const R left = own_[k].backward(rest, out.own[k]);
-                const bool paired = T == 0 && k + 1 < rows.first[i + 1] && rows.own[k + 1].mirrored;
-                if (paired) part(own_diagonal[k], own_diagonal[k + 1], f.own[k], f.own[k + 1], left, &out.own[k]);
+                if (rows.paired(i, k)) part(own_diagonal[k], own_diagonal[k + 1], f.own[k], f.own[k + 1], left, &out.own[k]);
                 else out.own[k] = left / own_diagonal[k];
             }
         }
@@ -312,7 +318,7 @@ private:
                 const R along = inner(rows.own[k].row, dz);
                 left.own[k] -= along;
                 if (paired) left.own[k + 1] += along;
-                add(pull, paired ? x.own[k] - x.own[k + 1] : x.own[k], rows.own[k].row);
+                add(pull, rows.pulled(x.own, k, paired), rows.own[k].row);
             });
             add(left.z[i], R(-1.0), x.z[i]), add(left.z[i], R(-1.0), shapes[i].transposed(pull));
         }
@@ -400,7 +406,6 @@ private:
     Kept<Tuple<R, T>> coupled_, solved_;
     std::array<Tuple<R, T>, T> corner_;
 
-    static bool paired(const Rows<R, D, T>& rows, int r) { return T == 0 && rows.mirrored[r + 1]; }
     // The right side of two rows that mirror each other as one row, whose weight is that of both: 1 / up + 1 / down.
     static R both(const R& up, const R& down, const R& first, const R& second) {
         const R per = 1.0 / (up + down);
