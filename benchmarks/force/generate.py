@@ -6,7 +6,6 @@ gives the same bytes everywhere.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +15,7 @@ import numpy as np
 
 from benchmarks.force.package import grasp_of
 from benchmarks.force.problems import Array, Problem, Session, Track
-from benchmarks.force.record import FILE
+from benchmarks.force.record import coupled, grasp_of_hand, recorded, shares_joints, weight
 from benchmarks.force.record import short as rounded
 from grasp_env.errors import GraspError
 from grasp_env.grasp import Grasp
@@ -142,21 +141,21 @@ def random(rng: np.random.Generator) -> Made:
 
 def hands(rng: np.random.Generator) -> Made:
     """A hand's contacts with the object's weight and a random wrench."""
-    for name, hand in _hands():
-        yield name, of(_grasp(hand)) | {"wrench": short(_weight(hand) + ball(rng, 15, 0.5))}
+    for name, hand in recorded():
+        yield name, of(grasp_of_hand(hand)) | {"wrench": short(weight(hand) + ball(rng, 15, 0.5))}
 
 
 def own(rng: np.random.Generator) -> Made:
     """Loads of 0.3 to 0.95 of the largest that the motors carry in their direction: limits bind at many."""
-    for name, hand in _hands():
-        if not _shares(hand["jacobian"]):
+    for name, hand in recorded():
+        if not shares_joints(hand["jacobian"]):
             yield name, _limited(rng, hand, 20)
 
 
 def shared(rng: np.random.Generator) -> Made:
     """One motor for each pair of joints of the two last fingers, where a hand has none that fingers share."""
-    for name, hand in _hands():
-        yield name, _limited(rng, hand if _shares(hand["jacobian"]) else _coupled(hand), 15)
+    for name, hand in recorded():
+        yield name, _limited(rng, hand if shares_joints(hand["jacobian"]) else coupled(hand), 15)
 
 
 def soft(rng: np.random.Generator) -> Made:
@@ -180,7 +179,7 @@ def infeasible(rng: np.random.Generator) -> Made:
                 each.append(of(grasp))
                 loads.append(load)
         yield f"no closure, {n}", moving(each) | {"wrench": np.array(loads)}
-    for name, hand in _hands()[::4]:
+    for name, hand in recorded()[::4]:
         arrays = _limited(rng, hand, 12)
         beyond = short(arrays["wrench"] * (_most(arrays)[:, None] * rng.uniform(1.2, 3.0, (12, 1))))
         yield f"weak motors, {name}", arrays | {"wrench": beyond}
@@ -259,48 +258,9 @@ def generate(name: str, seed: int) -> Track:
     return Track(name, sessions, about)
 
 
-def _hands() -> list[tuple[str, dict[str, Any]]]:
-    records = json.loads(FILE.read_text(encoding="utf-8"))
-    return [
-        (f"{each['hand']}, {each['shape']}", {k: np.array(v) if isinstance(v, list) else v for k, v in each.items()})
-        for each in records
-    ]
-
-
-def _grasp(hand: dict[str, Any]) -> Grasp:
-    return Grasp.from_contacts(
-        hand["positions"], hand["normals"] / np.linalg.norm(hand["normals"], axis=1, keepdims=True), hand["friction"]
-    )
-
-
-def _weight(hand: dict[str, Any]) -> Array:
-    return np.concatenate([hand["mass"] * hand["gravity"], np.zeros(3)])
-
-
-def _shares(jacobian: Array) -> bool:
-    """True if a joint moves several contacts."""
-    return bool((np.abs(jacobian).max(axis=1) > 0.0).sum(axis=0).max() > 1)
-
-
-def _coupled(hand: dict[str, Any]) -> dict[str, Any]:
-    """The hand with one motor for each pair of joints of its two last fingers."""
-    jacobian = hand["jacobian"]
-    first, second = (np.flatnonzero(np.abs(jacobian[k]).max(axis=0)) for k in (-2, -1))
-    pairs = list(zip(first.tolist(), second.tolist(), strict=False))
-    joined = np.eye(jacobian.shape[2])
-    for a, b in pairs:
-        joined[b, a] = 1.0
-    joined = np.delete(joined, [b for _, b in pairs], axis=1)
-    return hand | {
-        "jacobian": jacobian @ joined,
-        "torque_bias": hand["torque_bias"] @ joined,
-        "torque_limit": hand["torque_limit"] @ joined,
-    }
-
-
 def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arrays:
     """A hand's contacts and torque limits, with loads of 0.3 to 0.95 of the largest in their direction."""
-    grasp = _grasp(hand)
+    grasp = grasp_of_hand(hand)
     limits = {name: short(hand[name])[None] for name in ("jacobian", "torque_limit", "torque_bias")}
     arrays = of(grasp) | limits | {"wrench": ball(rng, count)}
     return arrays | {"wrench": short(arrays["wrench"] * (_most(arrays) * rng.uniform(0.3, 0.95, count))[:, None])}

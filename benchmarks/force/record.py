@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks.force.problems import Array
 from grasp_env._files import replacing
+from grasp_env.grasp import Grasp
 
 FILE = Path(__file__).with_name("hands.json")
 OBJECTS: tuple[tuple[str, tuple[float, ...]], ...] = (
@@ -64,6 +65,48 @@ def write(hands: Sequence[str], file: Path = FILE) -> None:
     lines = ",\n".join(json.dumps(each) for each in record(hands))
     with replacing(file) as temporary:
         temporary.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+
+
+def recorded() -> list[tuple[str, dict[str, Any]]]:
+    """Names and fields of all records."""
+    records = json.loads(FILE.read_text(encoding="utf-8"))
+    return [
+        (f"{each['hand']}, {each['shape']}", {k: np.array(v) if isinstance(v, list) else v for k, v in each.items()})
+        for each in records
+    ]
+
+
+def grasp_of_hand(hand: dict[str, Any]) -> Grasp:
+    """The contacts of a record."""
+    return Grasp.from_contacts(
+        hand["positions"], hand["normals"] / np.linalg.norm(hand["normals"], axis=1, keepdims=True), hand["friction"]
+    )
+
+
+def weight(hand: dict[str, Any]) -> Array:
+    """(6,) the wrench of the object's weight."""
+    return np.concatenate([hand["mass"] * hand["gravity"], np.zeros(3)])
+
+
+def shares_joints(jacobian: Array) -> bool:
+    """True if a joint moves several contacts."""
+    return bool((np.abs(jacobian).max(axis=1) > 0.0).sum(axis=0).max() > 1)
+
+
+def coupled(hand: dict[str, Any]) -> dict[str, Any]:
+    """The hand with one motor for each pair of joints of its two last fingers."""
+    jacobian = hand["jacobian"]
+    first, second = (np.flatnonzero(np.abs(jacobian[k]).max(axis=0)) for k in (-2, -1))
+    pairs = list(zip(first.tolist(), second.tolist(), strict=False))
+    joined = np.eye(jacobian.shape[2])
+    for a, b in pairs:
+        joined[b, a] = 1.0
+    joined = np.delete(joined, [b for _, b in pairs], axis=1)
+    return hand | {
+        "jacobian": jacobian @ joined,
+        "torque_bias": hand["torque_bias"] @ joined,
+        "torque_limit": hand["torque_limit"] @ joined,
+    }
 
 
 def _seen(env: Any) -> dict[str, Any]:
