@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.force.entrants import ENTRANTS
+from benchmarks.force.problems import load, names
 from benchmarks.force.report import by_contacts, by_entrant, by_track, pair_of
 from grasp_env._files import replacing
 from training.report import holds, starts
@@ -71,20 +72,22 @@ def judged(kind: str) -> list[Judged]:
     return judge(claims_of(about), means)
 
 
-def markdown(kind: str, made: Rows, note: str = "") -> str:
-    """A table with what measured it below."""
+def markdown(kind: str | None, made: Rows, note: str = "") -> str:
+    """A table with what measured it below; None: nothing did."""
     lines = [
         list(made.columns),
         ["---"] * len(made.columns),
         *([cell(value) for value in row] for row in made.itertuples(index=False)),
     ]
-    about = json.loads((RESULTS / f"{kind}.json").read_text(encoding="utf-8"))
-    machine = about["machine"]
-    below = (
-        f"`{about['command']}` at {about['commit']}, {about['time'][:10]}: {machine['processor']}, {machine['cores']} cores, Python "
-        f"{machine['python']}."
-    )
-    return "\n\n".join(["\n".join("| " + " | ".join(line) + " |" for line in lines), *([note] if note else []), below])
+    parts = ["\n".join("| " + " | ".join(line) + " |" for line in lines), note]
+    if kind:
+        about = json.loads((RESULTS / f"{kind}.json").read_text(encoding="utf-8"))
+        machine = about["machine"]
+        parts.append(
+            f"`{about['command']}` at {about['commit']}, {about['time'][:10]}: {machine['processor']}, {machine['cores']} cores, Python "
+            f"{machine['python']}."
+        )
+    return "\n\n".join(part for part in parts if part)
 
 
 def reported(kind: str, make: Callable[[Rows, Rows], Rows]) -> Callable[[], str]:
@@ -97,6 +100,15 @@ def asked(kind: str) -> Callable[[], str]:
     return lambda: markdown(kind, pd.DataFrame(
         [{"": row.claim.name, "asked": row.asked, "measured": row.found, "met": VERDICTS[row.met]} for row in judged(kind)]
     ))  # fmt: skip
+
+
+def force_tracks() -> str:
+    """The tracks of the benchmark of forces, from their files."""
+    return markdown(None, pd.DataFrame([
+        {"track": f"`{track.name}`", "what happens in it": track.about["about"],
+         "problems": sum(len(session.problems) for session in track.sessions), "modes": ", ".join(track.about["modes"])}
+        for track in map(load, names())
+    ]))  # fmt: skip
 
 
 def force(objective: str) -> Callable[[], str]:
@@ -327,7 +339,7 @@ def fixed_contacts(method: str) -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "summary": overview, "hand_loop": hand_loop, "ros2": ros2, "solvers": solvers, "force_sum": force("sum"), "force_phi": force("phi"), "force_entrants": force_entrants, "batch": batch, "starts": reported("starts", starts.hardest_sets),
+    "summary": overview, "hand_loop": hand_loop, "ros2": ros2, "solvers": solvers, "force_tracks": force_tracks, "force_sum": force("sum"), "force_phi": force("phi"), "force_entrants": force_entrants, "batch": batch, "starts": reported("starts", starts.hardest_sets),
     "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps), "newton_first": reported("starts", starts.newton_first),
     "starts_claims": asked("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
     "objects": objects, "transfer": reported("transfer", holds.grid), "env_speed": asked("env_speed"),

@@ -229,18 +229,24 @@ class Recipes:
 
 PATH = ("persistent", "warm")
 TRACKS = {
-    "cold": Recipes(cold, "a solver is set up for every problem; 3 to 5 contacts", ("cold",)),
-    "smooth": Recipes(smooth, "the wrench follows a smooth path at 500 Hz; fixed contacts", PATH),
-    "jumps": Recipes(jumps, "the wrench jumps by 10, 50 or 100 %; fixed contacts", PATH),
-    "roll": Recipes(roll, "contacts roll by up to 5 mm along a smooth path of the wrench", PATH),
-    "lost": Recipes(lost, "a contact is lost for ten problems and regained", PATH),
+    "cold": Recipes(cold, "the solver is set up for every problem; 3 to 5 contacts", ("cold",)),
+    "smooth": Recipes(smooth, "the wrench follows a smooth path at 500 Hz; the contacts are fixed", PATH),
+    "jumps": Recipes(jumps, "the wrench jumps by 10, 50 or 100 % of the way to another one", PATH),
+    "roll": Recipes(roll, "contacts roll by up to 5 mm while the wrench follows a path", PATH),
+    "lost": Recipes(lost, "a contact is lost for ten problems, and regained", PATH),
     "random": Recipes(random, "other contacts in every problem, 3 to 16 of them"),
-    "hands": Recipes(hands, "contacts of real hands holding an object"),
+    "hands": Recipes(hands, "contacts of seven real hands that hold an object"),
     "own": Recipes(own, "real hands within their torque limits; each joint moves one finger", objectives=("sum",)),
-    "shared": Recipes(shared, "the same; some joints move two fingers", objectives=("sum",)),
-    "soft": Recipes(soft, "two or three soft fingertips with torsion", objectives=("sum",)),
-    "infeasible": Recipes(infeasible, "no force exists: the answer is a proof", objectives=("sum",)),
-    "hard": Recipes(hard, "clustered, nearly no closure, slippery, tiny and huge", digits="exact"),
+    "shared": Recipes(
+        shared, "real hands within their torque limits; some joints move two fingers", objectives=("sum",)
+    ),
+    "soft": Recipes(soft, "pinches by two or three soft fingertips", objectives=("sum",)),
+    "infeasible": Recipes(infeasible, "no force exists, and the answer is a proof", objectives=("sum",)),
+    "hard": Recipes(
+        hard,
+        "contacts 1e-4 to 1e-6 m apart, closure lost by 1e-2 to 1e-4 less friction, friction from 0.05, all sizes",
+        digits="exact",
+    ),
 }
 """In the order of the reports; a track's place is a part of its seed, so new ones go to the end."""
 
