@@ -14,8 +14,6 @@ Answer = Any
 """force (N k,) or (N, k); or (force, multipliers); or (force, multipliers, status), with status one of `STATUSES`."""
 STATUSES = ("solved", "failed", "infeasible")
 """In the order of the C function's return values; any other value is a failure."""
-MODES = ("cold", "persistent", "warm")
-"""cold: `setup` is timed with every solve. persistent: `setup` once for a session, untimed. warm: the same, and `start` is the last force."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +23,7 @@ class Task:
     Attributes:
         track: its name.
         objective: "sum" or "phi".
-        mode: one of `MODES`.
+        mode: one of `problems.MODES`.
         first: the first problem: its contacts, friction and limits are those of every problem that has not `moved`.
     """
 

@@ -325,17 +325,11 @@ def _null_space(matrix: Numbers) -> Numbers:
     return np.stack(spanned[len(matrix) :], axis=1)
 
 
-def _minus(vector: Numbers, spanned: list[Numbers]) -> Numbers:
-    """A vector without its components along orthonormal ones."""
-    for each in spanned:
-        vector = vector - (each @ vector) * each
-    return vector
-
-
 def _across(vector: Numbers, spanned: list[Numbers]) -> Numbers:
-    """The unit vector of what is left, twice: once loses the digits that it was shorter by."""
+    """The unit vector across orthonormal ones. It is made twice: once loses the digits by which the rest is shorter."""
     for _ in range(2):
-        vector = _minus(vector, spanned)
+        for each in spanned:
+            vector = vector - (each @ vector) * each
         vector = vector / np.sqrt(vector @ vector)
     return vector
 

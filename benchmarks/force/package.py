@@ -1,10 +1,11 @@
-"""A problem as this package's contacts and limits."""
+"""A problem as this package's contacts and limits, and the other way round."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from benchmarks.force.problems import Problem
 from grasp_env.force import ForceLimits
@@ -27,3 +28,9 @@ def grasp_of(problem: Problem) -> tuple[Grasp, ForceLimits | None]:
     grasp = Grasp.from_contacts(problem.positions, problem.normals, problem.friction, **soft)
     given: dict[str, np.ndarray] = {name: value for name in LIMITS if (value := getattr(problem, name)) is not None}
     return grasp, ForceLimits(**given) if given else None
+
+
+def problem_of(grasp: Grasp, wrench: ArrayLike, **others: Any) -> Problem:
+    """A problem with the hard contacts of a grasp; `others` are further fields."""
+    arrays = {name: np.array(getattr(grasp, name)) for name in ("positions", "frames", "friction")}
+    return Problem(**{**arrays, "wrench": np.array(wrench, dtype=float), **others})

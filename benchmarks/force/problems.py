@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env._files import digest, replacing
+from grasp_env._files import digest, parsed, read_json, replacing, unpacked
+from grasp_env.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,8 @@ SCHEMA = 1
 BARRIER_WEIGHT = 0.01
 """lambda of `phi` [N^2]."""
 OBJECTIVES = ("sum", "phi")
+MODES = ("cold", "persistent", "warm")
+"""cold: `setup` is timed with every solve. persistent: `setup` once for a session, untimed. warm: the same, and `start` is the last force."""
 SETS = Path(__file__).with_name("sets")
 FIELDS = {
     "positions": "(M, N, 3) m, contact points",
@@ -91,6 +94,10 @@ class Problem:
         for array in vars(self).values():
             if isinstance(array, np.ndarray):
                 array.setflags(write=False)
+
+    def differs(self, earlier: Problem) -> bool:
+        """True if something besides the wrench may differ from an earlier problem of the session."""
+        return self is not earlier and (self.moved or earlier.moved)
 
     @property
     def n_contacts(self) -> int:
@@ -219,11 +226,7 @@ class Track:
 
 def names(folder: Path = SETS) -> list[str]:
     """The tracks of a folder, in their order."""
-    found = {
-        path.stem: json.loads(path.read_text(encoding="utf-8"))
-        for path in folder.glob("*.json")
-        if path.with_suffix(".npz").exists()
-    }
+    found = {path.stem: _description(path) for path in folder.glob("*.json") if path.with_suffix(".npz").exists()}
     if not found:
         raise ValueError(
             f"{folder} holds no track: NAME.npz with NAME.json beside it; make them with `python -m benchmarks.force generate`"
@@ -235,34 +238,44 @@ def load(name: str, folder: Path = SETS) -> Track:
     """A track from its files.
 
     Raises:
-        ValueError: there is none of that name, or the problems are not those whose hash the JSON holds.
+        ValueError: there is none of that name, its files are no track of this version, or the problems are not those whose hash the
+            JSON holds.
     """
     path = folder / f"{name}.npz"
     if not path.is_file():
         raise ValueError(f"no track {name!r} in {folder}: it holds {', '.join(names(folder))}")
-    about = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-    if about.get("schema") != SCHEMA:
-        raise ValueError(f"{path} has schema {about.get('schema')!r}, this version reads {SCHEMA}")
-    sessions: dict[str, tuple[dict[str, Any], dict[str, dict[str, Array]]]] = {
-        name: ({}, {}) for name in about["sessions"]
-    }
-    with np.load(path, allow_pickle=False) as file:
-        for key in file.files:
+    about = _description(path.with_suffix(".json"))
+
+    def read(blob: bytes) -> Track:
+        if lacking := {"schema", "modes", "objectives", "sessions", "sha256"} - set(about):
+            raise ValueError(f"{name}.json lacks {', '.join(sorted(lacking))}")
+        if about["schema"] != SCHEMA:
+            raise ValueError(f"it has schema {about['schema']!r}, this version reads {SCHEMA}")
+        for what, known in (("modes", MODES), ("objectives", OBJECTIVES)):
+            if not set(about[what]) <= set(known):
+                raise ValueError(f"its {what} are {about[what]}, known are {', '.join(known)}")
+        sessions: dict[str, tuple[dict[str, Any], dict[str, dict[str, Array]]]] = {
+            label: ({}, {}) for label in about["sessions"]
+        }
+        for key, array in unpacked(blob).items():
             session, *where = key.split("/")
             arrays, references = sessions[session]
             if len(where) == 1:
-                arrays[where[0]] = file[key]
+                arrays[where[0]] = array
             else:
-                references.setdefault(where[0], {})[where[1]] = file[key]
-    track = Track(name, [
-        Session(name, arrays, {objective: Reference(**each) for objective, each in references.items()})
-        for name, (arrays, references) in sessions.items()
-    ], about)  # fmt: skip
-    if track.digest() != about["sha256"]:
-        raise ValueError(
-            f"{path} does not hold the problems of {path.stem}.json: their SHA-256 is {track.digest()}, expected {about['sha256']}"
-        )
-    return track
+                references.setdefault(where[0], {})[where[1]] = array
+        track = Track(name, [
+            Session(label, arrays, {objective: Reference(**each) for objective, each in references.items()})
+            for label, (arrays, references) in sessions.items()
+        ], about)  # fmt: skip
+        if track.digest() != about["sha256"]:
+            raise ValueError(
+                f"it does not hold the problems of {name}.json: their SHA-256 is {track.digest()}, expected {about['sha256']}"
+            )
+        return track
+
+    again = "; make it again with `python -m benchmarks.force generate`"
+    return parsed(path, read, InvalidInputError, str(path), "a track of this version", again)
 
 
 def save(track: Track, folder: Path = SETS) -> None:
@@ -289,3 +302,8 @@ def save(track: Track, folder: Path = SETS) -> None:
         np.savez_compressed(temporary, **arrays)
     with replacing(path.with_suffix(".json")) as temporary:
         temporary.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
+def _description(path: Path) -> dict[str, Any]:
+    """The JSON of a track."""
+    return read_json(path, InvalidInputError, "the description of a track")

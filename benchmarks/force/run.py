@@ -18,10 +18,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.force.build import library
-from benchmarks.force.entrant import MODES, CProblem, Entrant, Library, Task, status_of
+from benchmarks.force.entrant import CProblem, Entrant, Library, Task, status_of
 from benchmarks.force.entrants import ENTRANTS
+from benchmarks.force.package import problem_of
 from benchmarks.force.problems import OBJECTIVES, Array, Problem, Session, Track
 from benchmarks.force.score import Parted, parted, score
+from grasp_env.grasp import presets
 
 HERE = Path(__file__).parent
 Rows = list[dict[str, Any]]
@@ -77,9 +79,10 @@ class Timed:
     def __post_init__(self) -> None:
         self.answers = [[] for _ in self.problems]
         self.iterations, self.seconds = np.full(len(self.problems), np.nan), np.full(len(self.problems), np.inf)
-        self._pass = self._in_c if hasattr(self.solver, "compiled") else self._in_python
-        if hasattr(self.solver, "compiled"):
-            timer()
+        compiled = hasattr(self.solver, "compiled")
+        self._pass = self._in_c if compiled else self._in_python
+        if compiled:
+            timer()  # it may have to be compiled, or there is no compiler
         self.solver.setup(self.task)
 
     def passes(self, count: int) -> float:
@@ -261,18 +264,13 @@ def cells(tracks: Sequence[Track]) -> Iterator[tuple[Track, str, str]]:
     for track in tracks:
         for objective in track.about["objectives"]:
             for mode in track.about["modes"]:
-                assert mode in MODES
                 yield track, objective, mode
 
 
 def unit() -> float:
-    """[us] of a cold solve of the paper's cuboid under its wrench by SciPy's SLSQP: what machines compare by. Median of 30."""
+    """[us] of a cold solve of the README's first problem by SciPy's SLSQP: what machines compare by. Median of 30."""
     slsqp = entrants(["slsqp"])["slsqp"]()
-    frames = np.zeros((4, 3, 3))
-    for k, sign in enumerate((1.0, -1.0, -1.0, -1.0)):
-        frames[k] = np.column_stack([[0, 0, sign], [1, 0, 0], [0, sign, 0]])
-    positions = np.array([[0, 0, -0.05], [0, 0.03, 0.05], [-0.03, -0.02, 0.05], [0.03, -0.02, 0.05]])
-    problem = Problem(positions, frames, np.full(4, 0.4), np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0]))
+    problem = problem_of(presets.paper_cuboid(), [1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
     times = []
     for _ in range(30):
         begin = time.perf_counter()

@@ -15,6 +15,7 @@ from benchmarks.force import bounds, build, generate, problems, reference, repor
 from benchmarks.force.__main__ import main
 from benchmarks.force.entrant import CProblem, Library, Task
 from benchmarks.force.entrants import ENTRANTS
+from benchmarks.force.package import problem_of
 from benchmarks.force.problems import Problem, load, names
 from benchmarks.force.score import parted, score
 from grasp_env.force import ForceLimits, ForceOptimizer
@@ -26,13 +27,7 @@ WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 
 
 def made(wrench=WRENCH, **other) -> Problem:
-    grasp = presets.paper_cuboid()
-    given = {
-        "positions": np.array(grasp.positions),
-        "frames": np.array(grasp.frames),
-        "friction": np.array(grasp.friction),
-    }
-    return Problem(**{**given, "wrench": np.array(wrench, dtype=float), **other})
+    return problem_of(presets.paper_cuboid(), wrench, **other)
 
 
 PROBLEM = made()
@@ -78,6 +73,19 @@ def test_a_changed_file_is_refused(tmp_path):
         load("soft", tmp_path)
     (tmp_path / "soft.json").write_text(json.dumps(about | {"schema": 9}))
     with pytest.raises(ValueError, match="has schema 9, this version reads 1"):
+        load("soft", tmp_path)
+    (tmp_path / "soft.json").write_text(json.dumps(about | {"modes": ["hot"]}))
+    with pytest.raises(ValueError, match=r"its modes are \['hot'\], known are cold, persistent, warm"):
+        load("soft", tmp_path)
+    (tmp_path / "soft.json").write_text(json.dumps({"schema": 1}))
+    with pytest.raises(ValueError, match=r"soft\.json lacks modes, objectives, sessions, sha256"):
+        load("soft", tmp_path)
+    (tmp_path / "soft.npz").write_bytes((tmp_path / "soft.npz").read_bytes()[:999])
+    (tmp_path / "soft.json").write_text(json.dumps(about))
+    with pytest.raises(ValueError, match="is not a track of this version: File is not a zip file; make it again"):
+        load("soft", tmp_path)
+    (tmp_path / "soft.json").write_text("{")
+    with pytest.raises(ValueError, match=r"the description of a track .*soft\.json is not a JSON object"):
         load("soft", tmp_path)
 
 
@@ -131,11 +139,11 @@ def test_scores_by_hand():
     held = made(max_normal=np.full(4, 2.0))
     assert score(held, "sum", BEST, parted(held, FORCE))["limit_excess"] == pytest.approx(FORCE[::3].max() / 2.0 - 1.0)
     still = score(PROBLEM, "sum", BEST, parted(PROBLEM, (np.zeros(12), OPTIMUM.multipliers)))
-    assert not (still["proved"])
-    assert not (still["solved_coarse"])
+    assert not still["proved"]
+    assert not still["solved_coarse"]
     outside = score(PROBLEM, "phi", 10.0, parted(PROBLEM, (np.zeros(12), np.ones(6))))
-    assert not (outside["proved"])
-    assert not (outside["solved_coarse"])
+    assert not outside["proved"]
+    assert not outside["solved_coarse"]
     short = score(held, "sum", BEST, parted(held, (FORCE, OPTIMUM.multipliers)))  # without prices: they are zero
     assert not short["proved"]
     lost = made(touching=np.array([False, True, True, True]))
@@ -151,16 +159,12 @@ def test_scores_by_hand():
         (FORCE, None, "failed"),
         (FORCE, None, "nonsense"),
         (None, None, "solved"),
+        (None, None, "text"),
         "text",
     ],
 )
 def test_what_is_no_answer_has_failed(answer):
-    row = score(
-        PROBLEM,
-        "sum",
-        BEST,
-        parted(PROBLEM, answer) if not isinstance(answer, str) else parted(PROBLEM, (None, None, answer)),
-    )
+    row = score(PROBLEM, "sum", BEST, parted(PROBLEM, answer))
     assert row["status"] == "failed"
     assert not any(row[name] for name in ("solved", "solved_coarse", "proved", "wrong"))
 
@@ -405,7 +409,7 @@ def test_mistakes_are_told_in_one_line(words, said, capsys):
 
 @pytest.mark.parametrize("name", ENTRANTS)
 def test_an_entrant_agrees_or_shows_its_failures(name, monkeypatch, tmp_path_factory):
-    """On three problems of a session of each kind; entrants with pyramids miss the optimum, and what cannot run here says so."""
+    """On three problems of a session of each kind; entrants with pyramids miss the optimum, and what cannot run here is skipped with its reason."""
     if name in ("conic", "newton", "flow"):
         pytest.skip("compiling the C++ front takes minutes: `python -m benchmarks.force validate --solver conic`")
     monkeypatch.setattr(build, "BUILD", tmp_path_factory.getbasetemp() / "force")

@@ -52,8 +52,7 @@ class Form:
         Returns:
             "wrench" alone; "numbers" of any kind; or "pattern", after which a solver must be set up again.
         """
-        moved = (problem.moved or self._of.moved) and problem is not self._of
-        self._of = problem
+        moved, self._of = problem.differs(self._of), problem
         if moved:
             limited = problem.limit_matrix != 0.0
             if (limited & ~self._limited).any():

@@ -7,14 +7,14 @@ from importlib import import_module
 import numpy as np
 
 from benchmarks.force.entrant import Answer, Task
-from benchmarks.force.entrants.pyramids import NO_PHI, Pyramids
+from benchmarks.force.entrants.pyramids import Pyramids
 from benchmarks.force.problems import Array, Problem
 
 
 class Piqp:
     """PIQP's proximal interior-point method on the dual: 6 + L variables, the multipliers of the edges are their weights."""
 
-    name = "piqp"
+    name, objectives = "piqp", ("sum",)
     note = (
         "Dual form over pyramids of 8 sides, DenseSolver, updated in place, its default tolerances (1e-8); the release has no warm start. "
         "The pyramids miss the optimum by 2-3 %, up to 10 %, so that even 1e-4 is out of reach."
@@ -22,8 +22,6 @@ class Piqp:
 
     def setup(self, task: Task) -> None:
         """See `Entrant`."""
-        if task.objective != "sum":
-            raise NotImplementedError(NO_PHI)
         piqp, first = import_module("piqp"), task.first
         self._solver, self._solved = piqp.DenseSolver(), piqp.PIQP_SOLVED
         self._pyramids, self._of = Pyramids(first), first
@@ -36,7 +34,7 @@ class Piqp:
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         """See `Entrant`; `start` is not used."""
         self._cost[:6] = problem.wrench
-        moved, self._of = (problem.moved or self._of.moved) and problem is not self._of, problem
+        moved, self._of = problem.differs(self._of), problem
         if moved:
             self._pyramids = Pyramids(problem)
             self._cost[6:] = problem.limit_bound

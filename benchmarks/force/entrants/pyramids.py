@@ -11,7 +11,6 @@ from benchmarks.force.problems import Array, Problem
 
 SIDES = 8
 """Sides of each pyramid; its edges lie on the cone."""
-NO_PHI = "phi needs more than linear and quadratic programs"
 
 
 class Pyramids:

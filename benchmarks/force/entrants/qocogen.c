@@ -26,11 +26,7 @@ void qocogen_describe(const Description* given) { described = *given; }
 
 static int touches(const force_problem* p, int i) { return p->contacts > 64 || p->touching >> i & 1; }
 
-/* Entry (column of A, row) of the limits, zero for contacts that do not touch. */
-static double limit(const force_problem* p, int row, int column) {
-    return touches(p, column / p->width) ? p->limit_matrix[row * p->contacts * p->width + column] : 0.0;
-}
-
+static double limit(const force_problem* p, int row, int column) { return p->limit_matrix[row * p->contacts * p->width + column]; }
 static double balance(const force_problem* p, int row, int column) { return p->matrix[row * p->contacts * p->width + column]; }
 
 /* Dual._rows */

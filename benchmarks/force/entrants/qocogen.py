@@ -17,7 +17,7 @@ from scipy import sparse
 from benchmarks.force.build import compiler, execute
 from benchmarks.force.entrant import Library, Task
 from benchmarks.force.entrants import forms
-from grasp_env._files import digest
+from grasp_env._files import digest, replacing
 
 OURS = Path(__file__).with_name("qocogen.c")
 HEADERS = Path(__file__).parents[1]
@@ -90,12 +90,11 @@ def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
     if path.exists():
         return path
     LIBRARIES.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=LIBRARIES) as scratch:
+    with tempfile.TemporaryDirectory(dir=LIBRARIES) as scratch, replacing(path) as built:
         _generate(form, scratch)
         sources = [Path(scratch, "code", f"{name}.c") for name in ("qoco_custom", "cone", "utils", "ldl", "kkt")] + [
             OURS
         ]
-        built = Path(scratch, "built.so")
         # GCC links -Ofast with code that makes the whole process flush small numbers to zero: compiled with it, linked without
         objects = [Path(scratch, f"{source.stem}.o") for source in sources]
         include = [f"-I{scratch}/code", f"-I{HEADERS}"]
@@ -107,7 +106,6 @@ def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
         steps.append([*links, "-shared", "-o", str(built), *map(str, objects), "-lm"])
         for options in steps:
             execute([command, *options])
-        built.replace(path)  # whole or not at all, for two runs that share the folder
     return path
 
 
