@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -33,7 +33,6 @@ class Task:
     first: Problem
 
 
-@runtime_checkable
 class Entrant(Protocol):
     """A solver.
 

@@ -201,6 +201,10 @@ def entrants(chosen: Sequence[str]) -> dict[str, Callable[[], Entrant]]:
             make = getattr(_module(where), what, None)
             if make is None:
                 raise ValueError(f"{where} has no {what}: give FILE.py:CLASS")
+            if lacking := [each for each in ("setup", "solve") if not callable(getattr(make, each, None))]:
+                raise ValueError(
+                    f"{spec} has no {' and no '.join(lacking)}: see Entrant in benchmarks/force/entrant.py"
+                )
             name = spec if spec in ENTRANTS else getattr(make, "name", what)
         if name in (*made, Empty.name):
             raise ValueError(

@@ -394,6 +394,7 @@ def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
         (["run", "--against", "mosek"], "no entrant 'mosek'"),
         (["run", "--solver", "nowhere.py:Mine"], "there is no file nowhere.py"),
         (["run", "--solver", "benchmarks/force/example.py:Yours"], "has no Yours"),
+        (["run", "--solver", "benchmarks/force/example.py:np"], "has no setup and no solve: see Entrant in"),
         (["generate", "smoth"], "no track 'smoth'"),
         (["generate", "soft", "--seed", "-1"], "the seed must be at least 0, got -1"),
         (["report", "nowhere"], "not a finished run"),
