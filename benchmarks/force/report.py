@@ -22,7 +22,7 @@ SHIFT = 1.0
 PENALTY = 1e5
 """[us] that a failure counts in the shifted geometric mean, or its own time where that is longer."""
 POINTS = 200
-"""Points of a curve that are drawn."""
+"""Points of a curve."""
 
 
 def standings(rows: Rows) -> Rows:
@@ -175,25 +175,16 @@ def profiles(rows: Rows) -> Figure:
     colours = {name: colormaps["tab20"](k % 20) for k, name in enumerate(ran["method"].unique())}
     for row, objective in zip(axes, objectives, strict=False):
         of = ran[ran["objective"] == objective]
-        for ax, column in zip(row, ("microseconds", "iterations"), strict=True):
+        for ax, column, decades in zip(row, ("microseconds", "iterations"), (4, 2), strict=True):
+            within = np.geomspace(1.0, 10.0**decades, POINTS)
             for language, part in of.groupby("language", sort=False):
+                style, called = ("--", " (C)") if language == "C" else ("-", "")
                 for name, (factor, share) in profile(part if column == "microseconds" else of, column).items():
                     if name in part["method"].unique():
-                        style = "--" if language == "C" else "-"
-                        ax.step(
-                            _thinned(factor),
-                            _thinned(share),
-                            style,
-                            where="post",
-                            label=f"{name} (C)" if style == "--" else name,
-                            color=colours[name],
-                        )
-            ax.set(
-                xscale="log",
-                xlim=(1.0, 1e4 if column == "microseconds" else 100.0),
-                ylim=(0.0, 1.02),
-                title=f"{objective}: {column}",
-            )
+                        reached = np.append(0.0, share)[np.searchsorted(factor, within * (1.0 + 1e-12), side="right")]
+                        ax.plot(within, reached, style, label=f"{name}{called}", color=colours[name])
+            ax.set(xscale="log", xlim=(1.0, within[-1]), ylim=(0.0, 1.02), title=f"{objective}: {column}")
+            ax.set_xticks(10.0 ** np.arange(decades + 1), [f"{10**k}" for k in range(decades + 1)])
             ax.set_xlabel(
                 "factor of the best in C or from Python" if column == "microseconds" else "factor of the best"
             )
@@ -216,11 +207,6 @@ def profile(rows: Rows, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]
     total = len(ran[keys].drop_duplicates())
     each = {str(name): np.sort(factors[name].dropna().to_numpy()) for name in factors.columns}
     return {name: (found, np.arange(1, len(found) + 1) / total) for name, found in each.items() if len(found)}
-
-
-def _thinned(values: np.ndarray) -> np.ndarray:
-    """Some `POINTS` of the values, the last one among them."""
-    return values[:: -max(1, len(values) // POINTS)][::-1]
 
 
 def _ran(rows: Rows) -> Rows:

@@ -20,6 +20,7 @@ from benchmarks.force.problems import Problem, load, names
 from benchmarks.force.score import parted, score
 from grasp_env.force import ForceLimits, ForceOptimizer
 from grasp_env.grasp import Grasp, presets
+from training.report.page import svg
 from training.results.table import pd, table
 
 TRACKS = names()
@@ -463,6 +464,7 @@ def test_tables_of_known_rows():
     factors, share = report.profile(made, "iterations")["slow"]
     assert factors.tolist() == [10.0] * 99
     assert share[-1] == pytest.approx(0.99)
+    assert "mathdefault" not in svg(report.profiles(made))  # pictures hold plain text
     again = made.assign(microseconds=2.0 * made["microseconds"])
     both = report.beside(again, made).set_index("method")
     assert both.loc["fast", ["ratio", "tie"]].tolist() == [2.0, False]
