@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
+from training.report.page import decades
 from training.results.statistics import ratio_interval
 from training.results.table import Rows, numbers, pd
 from training.results.words import number
@@ -175,8 +176,8 @@ def profiles(rows: Rows) -> Figure:
     colours = {name: colormaps["tab20"](k % 20) for k, name in enumerate(ran["method"].unique())}
     for row, objective in zip(axes, objectives, strict=False):
         of = ran[ran["objective"] == objective]
-        for ax, column, decades in zip(row, ("microseconds", "iterations"), (4, 2), strict=True):
-            within = np.geomspace(1.0, 10.0**decades, POINTS)
+        for ax, column, most in zip(row, ("microseconds", "iterations"), (4, 2), strict=True):
+            within = np.geomspace(1.0, 10.0**most, POINTS)
             for language, part in of.groupby("language", sort=False):
                 style, called = ("--", " (C)") if language == "C" else ("-", "")
                 for name, (factor, share) in profile(part if column == "microseconds" else of, column).items():
@@ -184,7 +185,7 @@ def profiles(rows: Rows) -> Figure:
                         reached = np.append(0.0, share)[np.searchsorted(factor, within * (1.0 + 1e-12), side="right")]
                         ax.plot(within, reached, style, label=f"{name}{called}", color=colours[name])
             ax.set(xscale="log", xlim=(1.0, within[-1]), ylim=(0.0, 1.02), title=f"{objective}: {column}")
-            ax.set_xticks(10.0 ** np.arange(decades + 1), [f"{10**k}" for k in range(decades + 1)])
+            decades(ax.xaxis, 0, most)
             ax.set_xlabel(
                 "factor of the best in C or from Python" if column == "microseconds" else "factor of the best"
             )

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from training.results.claims import VERDICTS, Claim, Judged, judge
 from training.results.run import Run, understood
 from training.results.table import Rows, described, pd, summary, write_csv
-from training.results.words import number
+from training.results.words import number, small
 
 KINDS = {
     "starts": "starts", "env": "holds", "hands": "holds", "objects": "holds", "transfer": "holds", "rl": "rl", "reproduce": "reproduce",
@@ -187,6 +187,13 @@ def axes(height: float, width: float = WIDTH, rows: int = 1) -> tuple[Figure, An
         panel.grid(color=LINE, linewidth=0.6)
         panel.set_axisbelow(True)
     return figure, made
+
+
+def decades(axis: Any, first: int, last: int, every: int = 1) -> None:
+    """Labels the decades of a logarithmic axis, from 10^first to 10^last, in plain text: `svg` does not parse the usual labels."""
+    ticks = [10.0**k for k in range(first, last + 1, every)]
+    axis.set_ticks(ticks, [small(tick) for tick in ticks])
+    axis.minorticks_off()
 
 
 def svg(figure: Figure) -> str:

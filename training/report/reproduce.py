@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from training.report.page import WIDTH, axes
+from training.report.page import WIDTH, axes, decades
 from training.results.claims import Claim
 from training.results.table import chosen, pd
-from training.results.words import number, small
+from training.results.words import number
 
 RULES = {
     "fixed": "fixed, tuned",
@@ -52,13 +52,6 @@ def _some(rows: pd.DataFrame, query: str) -> Any:
     return chosen(rows, query).dropna(axis=1, how="all")
 
 
-def _decades(axis: Any, first: int, last: int, every: int = 1) -> None:
-    """Labels the decades of a logarithmic axis, from 10^first to 10^last."""
-    ticks = [10.0**k for k in range(first, last + 1, every)]
-    axis.set_ticks(ticks, [small(tick) for tick in ticks])
-    axis.minorticks_off()
-
-
 def weights_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     """Iterations per rule against lambda, omega = 1."""
     figure, panel = axes(3.6)
@@ -66,8 +59,8 @@ def weights_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
         mine = _some(summary, f"case == 'weights' and force_weight == 1 and rule == '{rule}'")
         panel.loglog(mine["barrier_weight"], mine["iterations_median"], "o-", color=colour, markersize=3, label=label)
     panel.set(xlabel="lambda [N^2], omega = 1", ylabel="iterations, median")
-    _decades(panel.xaxis, -3, 0)
-    _decades(panel.yaxis, 0, 3)
+    decades(panel.xaxis, -3, 0)
+    decades(panel.yaxis, 0, 3)
     panel.legend(fontsize=8, frameon=False)
     return figure
 
@@ -80,8 +73,8 @@ def excess_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
         line = 100.0 * excess[f"force_excess_{name}"]
         panel.loglog(excess["barrier_weight"], line, style, color=COLOURS[2], label=name)
     panel.set(xlabel="lambda [N^2], omega = 1", ylabel="normal force above the least [%]")
-    _decades(panel.xaxis, -3, 0)
-    _decades(panel.yaxis, 1, 3)
+    decades(panel.xaxis, -3, 0)
+    decades(panel.yaxis, 1, 3)
     panel.legend(fontsize=8.5, frameon=False)
     return figure
 
@@ -99,7 +92,7 @@ def rates_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     label = f"((κ - 1) / (κ + 1))^2k, κ = {number(kappa)}"
     panel.semilogy(steps, 0.3 * exact["rate_predicted"] ** steps, "k:", label=label)
     panel.set(xlim=(0, 1.3 * len(steps)), ylim=(1e-11, 2.0), xlabel="iteration k", ylabel="(Phi - min Phi) / min Phi")
-    _decades(panel.yaxis, -10, 0, 2)
+    decades(panel.yaxis, -10, 0, 2)
     figure.legend(fontsize=8, frameon=False, loc="outside lower center", ncols=2)
     return figure
 
