@@ -205,6 +205,14 @@ def combine(basis: object, wrench: object, printed: bool, to: object) -> None:
     The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest (Eqs. 33, 34).
     """
 
+def advise(contacts: Contacts, wrench: object = None, jacobian: object = None, torque_limit: object = None) -> list[tuple[bool, str]]:
+    """
+    Likely mistakes: whether each is near certain, and its text. float64 arrays: (6,), (N, 3 or 6, J), (J,).
+    """
+
+def looks_wrong(contacts: Contacts, wrench: object | None = None, jacobian: object | None = None, torque_limit: object | None = None) -> bool:
+    """True if some of that advice is near certain."""
+
 class ForceOptimizer:
     """`grasp::ForceOptimizer`; `grasp_env.force.ForceOptimizer` is its door."""
 

@@ -18,7 +18,6 @@ from grasp_env._check import (
     as_wrench,
     flag,
     instance,
-    is_a,
     positive,
     together,
 )
@@ -122,9 +121,9 @@ class ForceOptimizer:
             raise InvalidInputError("elastic=True says what to do with limits that no force keeps: give limits")
         if initial is not None and self.options.method == "conic":
             raise InvalidInputError(f"method 'conic' starts from its own centre, got initial={shown(initial)}")
-        warn_of(grasp)
         self._make()
-        if is_a(self._initial, ForceSolution):
+        warn_of(grasp, None, self.limits)
+        if isinstance(self._initial, ForceSolution):
             self.previous, self._initial = self._fitting(self._initial), "previous"
 
     def _make(self) -> None:
@@ -134,9 +133,9 @@ class ForceOptimizer:
         self.names = names, asked = names_of(initial, options)
         if initial is None:
             pass
-        elif is_a(initial, ForceSolution):
+        elif isinstance(initial, ForceSolution):
             start, remembers = PREVIOUS, True
-        elif is_a(initial, str):
+        elif isinstance(initial, str):
             start, remembers = STARTS.index(initial), initial == "previous"
         elif is_rule(initial, LearnedRule):
             start, remembers = LEARNED, bool(initial.remembers)
@@ -165,7 +164,7 @@ class ForceOptimizer:
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
         self._solve, self._count = self.core.solve, grasp.n_contacts
-        if is_a(initial, str) and initial in FROM_BASIS:
+        if isinstance(initial, str) and initial in FROM_BASIS:
             OfflineBasis.of(grasp, options.objective)  # says what is wrong where there is none
 
     def __repr__(self) -> str:
@@ -451,9 +450,9 @@ class ForceOptimizer:
         asked: Any = self._initial if initial is None else checked_initial(initial)
         if asked is None or self.method == "conic":
             return StartFrom(0)
-        if is_a(asked, ForceSolution):
+        if isinstance(asked, ForceSolution):
             return StartFrom(PREVIOUS, before=self._fitting(asked))
-        if is_a(asked, str):
+        if isinstance(asked, str):
             if initial is not None and asked in FROM_BASIS:
                 self.core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
             return StartFrom(STARTS.index(asked), before=self.previous if asked == "previous" else None)
@@ -534,9 +533,9 @@ def names_of(initial: Any, options: Options) -> tuple[tuple[str, ...], str]:
         return STARTS, "central"
     if initial is None:
         return STARTS, "linear_combination" if options.flows else "internal_force"
-    if is_a(initial, ForceSolution):
+    if isinstance(initial, ForceSolution):
         return STARTS, "previous"
-    asked = "given" if is_a(initial, np.ndarray | list | tuple) else rule_name(initial)
+    asked = "given" if isinstance(initial, np.ndarray | list | tuple) else rule_name(initial)
     place = LEARNED if is_rule(initial, LearnedRule) else GIVEN
     return (STARTS if asked in STARTS else (*STARTS[:place], asked, *STARTS[place + 1 :])), asked
 
@@ -616,7 +615,14 @@ def optimize_force(
         >>> solution.status.name, round(solution.limit_excess, 1)
         ('LIMITS_EXCEEDED', 1.3)
     """
-    return ForceOptimizer(grasp, **options).solve(wrench, optimum=optimum, trace=trace)
+    optimizer = ForceOptimizer(grasp, **options)
+    try:
+        solution = optimizer.solve(wrench, optimum=optimum, trace=trace)
+    except InfeasibleWrenchError as error:
+        warn_of(grasp, error.solution.wrench, optimizer.limits)
+        raise
+    warn_of(grasp, solution.wrench, optimizer.limits)
+    return solution
 
 
 __all__ = ["ForceOptimizer", "optimize_force"]

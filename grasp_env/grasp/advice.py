@@ -1,104 +1,87 @@
-"""Contacts that are valid but look like a mistake, said in words."""
+"""Advice on contacts, limits and wrenches that are valid but look like a mistake."""
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any, Protocol
 
-from grasp_env._check import Array, warn
-from grasp_env.core import ForceOptimizer, codes
+import numpy as np
+from numpy.typing import ArrayLike
+
+from grasp_env import core
+from grasp_env._check import Array, Wrench, as_wrench, warn
+from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
-LARGEST_LENGTH = 5.0
-"""[m] a grasp's length beyond which its positions are probably millimetres."""
-LARGEST_FRICTION = 2.0
-"""Coulomb coefficients beyond it are rare even for rubber."""
-LARGEST_TORSIONAL_FRICTION = 0.1
-"""[m] gamma beyond it would need a contact patch as large as a hand."""
 LARGEST_CONDITION = 1e3
 """Condition number of G, moments over the grasp's length, beyond which some wrenches need huge forces."""
 SMALLEST_DISTANCE = 0.01
-"""Contacts closer together than this part of the grasp's length hardly help each other."""
+"""Distance of two contacts, as a part of the grasp's length, below which they hardly help each other."""
 
 
-def advise(grasp: Grasp) -> list[str]:
-    """What looks wrong about a grasp, one text each; empty when nothing does. Nothing is printed or raised.
+class TorqueLimits(Protocol):
+    """The part of `grasp_env.force.ForceLimits` that advice looks at."""
 
-    Looks for normals that point out of the object, millimetres, friction beyond 2, contacts that nearly coincide and a
-    nearly singular G. Every text says what was seen, when it may be right, and what to change.
+    jacobian: Any
+    torque_limit: Any
+
+
+def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: TorqueLimits | None = None) -> list[str]:
+    """Describe what looks wrong with a grasp, a wrench and limits, one text each; empty if nothing does. Prints and raises nothing.
+
+    Finds normals that point out of the object, millimetres (positions, torsional friction, Jacobian), friction beyond 2 or in
+    degrees, contacts that nearly coincide and a nearly singular G; with a wrench, a moment about another point than the origin of the
+    positions, and force and moment in the wrong order; with limits as well, torque limits hundreds of times too large or too
+    small. Each text tells what was seen, when it may be right, and what to change. `optimize_force` warns of those that are near certain.
 
     Args:
         grasp: a valid grasp.
+        wrench: (6,) external wrench [N, N m], as for `optimize_force`.
+        limits: the `ForceLimits` of the solve.
+
+    Raises:
+        InvalidInputError: no grasp, a wrench of another shape, or limits of another number of contacts.
 
     Example:
         >>> from grasp_env.grasp import presets
         >>> good = presets.tripod()
-        >>> advise(good)
+        >>> advise(good, wrench=[0, 0, -5, 0, 0, 0])
         []
         >>> print(*advise(Grasp.from_contacts(good.positions, -good.normals, 0.5)))
         all 3 normals point away from the centre of the contacts: normals must point INTO the object; ...
+        >>> print(*advise(good, wrench=[0.1, 0, 0, 0, 0, -5]))
+        the wrench's moment of 5 N m is that of its force of 0.1 N at 50 m from contacts that span 0.04 m: ...
     """
-    as_grasp(grasp)
-    return [*_normals(grasp), *_sizes(grasp), *_coincident(grasp), *_condition(grasp)]
+    given = as_grasp(grasp).contacts, None if wrench is None else as_wrench(wrench), *_torque_limits(grasp, limits)
+    return [*(text for _, text in core.advise(*given)), *_coincident(grasp), *_condition(grasp)]
 
 
-def warn_of(grasp: Grasp) -> None:
-    """Warns of the two commonest mistakes, normals that all point outwards and millimetres, in a fraction of a microsecond.
+def warn_of(grasp: Grasp, wrench: Wrench | None = None, limits: TorqueLimits | None = None) -> None:
+    """Issue a `GraspWarning` about mistakes that are near certain, at the line outside of this package. Takes under a microsecond.
 
-    For where a grasp is first met, not for every call: the warning is a `GraspWarning` at the line outside of this package.
+    Args:
+        grasp: the contacts.
+        wrench: (6,) float64; the warning is then about it alone, as contacts and limits had theirs when the solver was made.
+        limits: checked limits.
     """
-    contacts = grasp.contacts
-    if contacts.length > LARGEST_LENGTH or contacts.outwards:
-        warn("; ".join([*_normals(grasp), *_sizes(grasp)]))
+    rows = _torque_limits(grasp, limits)
+    if core.looks_wrong(grasp.contacts, wrench, *rows):
+        known = [] if wrench is None else core.advise(grasp.contacts, None, *rows)
+        if found := [
+            text
+            for certain, text in core.advise(grasp.contacts, wrench, *rows)
+            if certain and (certain, text) not in known
+        ]:
+            warn("; ".join(found))
 
 
-def _squeezes(grasp: Grasp) -> bool:
-    """True if the contacts have force closure, as `quality.force_closure` finds it, in a few microseconds."""
-    count = grasp.n_contacts
-    solver = ForceOptimizer.make(grasp.contacts)
-    code, _, _ = solver.deepest(np.zeros(6), np.empty((count, 3)), np.empty(count), np.empty(6))
-    return code == codes()["converged"]
-
-
-def _normals(grasp: Grasp) -> list[str]:
-    towards = np.einsum("ij,ij->i", grasp.normals, grasp.positions.mean(axis=0) - grasp.positions)
-    away = towards < -1e-9 * grasp.length
-    if away.all():
-        return [
-            f"all {len(away)} normals point away from the centre of the contacts: normals must point INTO the object; "
-            "change their sign, unless the fingers press outwards from inside a hole"
-        ]
-    # turning ALL normals round never changes force closure, turning some does
-    turned = np.where(away[:, None], -grasp.normals, grasp.normals)
-    if away.any() and not _squeezes(grasp) and _squeezes(Grasp.unchecked(grasp.positions, turned, grasp.models)):
-        return [
-            f"the normals of contacts {np.flatnonzero(away).tolist()} point away from the centre of the contacts, and the "
-            "fingers cannot squeeze the object; with these normals turned round they could: normals must point INTO the object"
-        ]
-    return []
-
-
-def _sizes(grasp: Grasp) -> list[str]:
-    said = []
-    if grasp.length > LARGEST_LENGTH:
-        said.append(
-            f"the contacts lie {grasp.length:.3g} m from their centre (root mean square): positions are in metres; "
-            "divide millimetres by 1000"
-        )
-    high = (grasp.models.friction > LARGEST_FRICTION).any(axis=1)
-    if high.any():
-        worst = int(grasp.models.friction.max(axis=1).argmax())
-        said.append(
-            f"friction is {grasp.models.friction[worst].max():.3g} at contact {worst}: rubber reaches 1 to 2; give the "
-            "coefficient, tan(friction angle), not an angle in degrees"
-        )
-    gamma = grasp.models.torsional_friction
-    if (gamma > LARGEST_TORSIONAL_FRICTION).any():
-        worst = int(gamma.argmax())
-        said.append(
-            f"torsional_friction is {gamma[worst]:.3g} m at contact {worst}: a fingertip has about 0.005 m; divide "
-            "millimetres by 1000"
-        )
-    return said
+def _torque_limits(grasp: Grasp, limits: TorqueLimits | None) -> tuple[Array | None, Array | None]:
+    """Jacobian (N, 3 or 6, J) and torque limits (J,), or None for both."""
+    if limits is None:
+        return None, None
+    rows = getattr(limits, "jacobian", None)
+    if not hasattr(limits, "torque_limit") or (rows is not None and len(rows) != grasp.n_contacts):
+        raise InvalidInputError(f"limits must be a ForceLimits for {grasp.n_contacts} contacts, got {limits!r:.200}")
+    return rows, limits.torque_limit
 
 
 def _coincident(grasp: Grasp) -> list[str]:
@@ -128,6 +111,7 @@ def _condition(grasp: Grasp) -> list[str]:
 
 
 def _condition_number(grasp: Grasp, about: Array) -> float:
+    """Condition number of G with moments about a point (3,) [m], divided by the grasp's length."""
     matrix = grasp.matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
     whole = np.concatenate([matrix, grasp.torsion_matrix * grasp.length], axis=1)
     whole[3:] -= np.cross(about, whole[:3].T).T
