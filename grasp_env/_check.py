@@ -1,7 +1,7 @@
-"""The checks of the public boundaries, where numbers, names and objects enter, and the array aliases.
+"""Checks of the arguments of public calls, and the array aliases.
 
-What passes them is float64, finite, of the right shape and within `ranges`; what does not is told in one `InvalidInputError`.
-Text, booleans, complex numbers, dates and masked entries are no numbers, though numpy would make some of them.
+Numbers that pass are float64, finite, of the right shape and within `ranges`. Each fault is an `InvalidInputError` that names the argument,
+what was given and what is allowed; `AllFaults` collects several.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from numbers import Real
-from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, TypeVar, overload
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,9 +21,6 @@ from grasp_env.core import LARGEST, all_finite
 from grasp_env.errors import GraspError, GraspWarning, InvalidInputError, UnknownNameError, shown
 from grasp_env.ranges import Range
 
-if TYPE_CHECKING:
-    from typing_extensions import TypeIs
-
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 """Numbers of fingers, contacts, links."""
@@ -33,11 +29,11 @@ Wrench: TypeAlias = Array
 ContactForces: TypeAlias = Array
 """(N, 3): force of each finger on the object [N] as (normal, o, t) in that contact's frame."""
 Shape: TypeAlias = tuple[int | None, ...]
-"""None: any length."""
+"""Shape of an array; None: any length."""
 T = TypeVar("T")
 
 _FLOAT = np.dtype(np.float64)
-_KINDS = {"U": "text", "S": "bytes", "b": "true or false", "c": "complex", "M": "dates", "m": "times", "V": "records"}
+_KINDS = {"U": "text is", "S": "bytes are", "b": "true or false are", "c": "complex are", "M": "dates are", "m": "times are", "V": "records are"}  # fmt: skip
 
 
 def as_array(
@@ -49,15 +45,15 @@ def as_array(
     finite: bool = True,
     copy: bool = True,
 ) -> Array:
-    """Returns `value` as a new finite float64 array of `shape`, contiguous.
+    """Return `value` as a new finite float64 array of `shape`, contiguous.
 
     Args:
         value: numbers.
         shape: of the array, None in it: any length; None: any shape.
-        name: for messages.
-        within: where every number must lie.
-        finite: whether infinite ones and nan are refused.
-        copy: False: an array that is such already is not copied.
+        name: of the argument, for messages.
+        within: range of every number.
+        finite: False accepts infinities and nan.
+        copy: False returns an array that needs no conversion as it is.
 
     Raises:
         InvalidInputError: not numbers, another shape, not finite, or out of range.
@@ -86,23 +82,19 @@ def as_array(
 
 
 def as_wrench(value: ArrayLike, name: str = "wrench") -> Wrench:
-    """(6,) finite wrench [N, N m] with components up to 1e12; see `as_array`."""
+    """Return a finite wrench (6,) [N, N m] with components up to 1e12; see `as_array`."""
     return checked_size(as_array(value, (6,), name), name)
 
 
 def checked_size(wrench: Array, name: str = "wrench") -> Array:
-    """Finite wrenches (..., 6) with components up to 1e12 N and N m.
-
-    Raises:
-        InvalidInputError: a larger one.
-    """
+    """Return finite wrenches (..., 6); raise an `InvalidInputError` for components beyond 1e12 N and N m."""
     if wrench.size and np.abs(wrench).max() > LARGEST:
         raise InvalidInputError(f"{name} must have components up to {LARGEST:g} N and N m, got {shown(wrench)}")
     return wrench
 
 
 def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
-    """A float > 0 within a range, or `InvalidInputError`.
+    """Return a float > 0 within a range, or raise an `InvalidInputError`.
 
     Example:
         >>> positive(1e300, "friction", ranges.FRICTION)
@@ -114,7 +106,7 @@ def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
     number = as_number(value)
     if number is None:
         raise InvalidInputError(f"{name} must be a number > 0, got {shown(value)}")
-    if not math.isfinite(number) or number <= 0.0:
+    if not 0.0 < number < math.inf:
         raise InvalidInputError(f"{name} must be finite and > 0, got {number}")
     if not within.low <= number <= within.high:
         raise InvalidInputError(f"{name} must lie within {within}, got {shown(value)}")
@@ -122,7 +114,7 @@ def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
 
 
 def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
-    """A finite float within a range, or `InvalidInputError`."""
+    """Return a finite float within a range, or raise an `InvalidInputError`."""
     found = as_number(value)
     if found is None or not within.low <= found <= within.high:
         raise InvalidInputError(f"{name} must be a number within {within}, got {shown(value)}")
@@ -130,114 +122,109 @@ def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
 
 
 def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
-    """An integer from `least` to `most`, or `InvalidInputError`; 2.0 is none.
+    """Return an integer from `least` to `most`, or raise an `InvalidInputError`; 2.0 is not an integer.
 
     Example:
         >>> whole(-1, "seed", 0)
         Traceback (most recent call last):
         grasp_env.errors.InvalidInputError: seed must be an integer >= 0, got -1
     """
-    found = None
-    if is_a(value, int) and not is_a(value, bool):
-        found = int.__index__(value)
-    elif is_a(value, np.integer) and not is_a(value, np.timedelta64):
-        found = np.integer.__int__(value)
-    if found is None or found < least:
+    is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool | np.timedelta64)
+    if not is_integer or value < least:
         raise InvalidInputError(f"{name} must be an integer >= {least}, got {shown(value)}")
-    if found > most:
+    if value > most:
         raise InvalidInputError(f"{name} must be an integer from {least} to {most}, got {shown(value)}")
-    return found
+    return int(value)
 
 
 def generator(seed: Any, name: str = "seed") -> np.random.Generator:
-    """Random numbers of an integer seed >= 0, or `InvalidInputError`."""
+    """Return the random generator of an integer seed >= 0, or raise an `InvalidInputError`."""
     return np.random.default_rng(whole(seed, name, 0))
 
 
 def choice(value: Any, kind: str, allowed: Iterable[str], hint: str = "") -> str:
-    """One of some names, or `UnknownNameError`: of any object, also of one that has no hash or is equal to everything."""
-    names, given = tuple(allowed), as_text(value)
-    if given is None or given not in names:
+    """Return one of some names, or raise an `UnknownNameError`."""
+    names = tuple(allowed)
+    if not isinstance(value, str) or value not in names:
         raise UnknownNameError(kind, value, names, hint)
-    return given
+    return str(value)
 
 
 def flag(value: Any, name: str) -> bool:
-    """True or False, or `InvalidInputError`."""
-    if not is_a(value, bool | np.bool_):
+    """Return True or False, or raise an `InvalidInputError`."""
+    if not isinstance(value, bool | np.bool_):
         raise InvalidInputError(f"{name} must be True or False, got {shown(value)}")
     return bool(value)
 
 
 def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> Any:
-    """`value` where it is a `kind` (or None, where that is allowed), or `InvalidInputError`."""
-    if not is_a(value, kind) and not (or_none and value is None):
+    """Return an object of a class (or None, if that is allowed), or raise an `InvalidInputError`."""
+    if not isinstance(value, kind) and not (or_none and value is None):
         what = f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}{' or None' if or_none else ''}"
         raise InvalidInputError(f"{name} must be {what}, got {shown(value)}")
     return value
 
 
-@overload
-def is_a(value: object, kind: type[T]) -> TypeIs[T]: ...
-@overload
-def is_a(value: object, kind: Any) -> bool: ...
-def is_a(value: object, kind: Any) -> bool:
-    """Whether an object is of a class, by its own class alone: `isinstance` also asks the object, which may fail or lie.
-
-    Example:
-        >>> from unittest.mock import Mock
-        >>> isinstance(Mock(spec=float), float), is_a(Mock(spec=float), float)
-        (True, False)
-    """
-    return issubclass(type(value), kind)
-
-
 def as_text(value: object) -> str | None:
-    """Text as plain text, whatever a class of somebody else's makes of it; None: no text."""
-    return value if type(value) is str else str.__str__(value) if is_a(value, str) else None
+    """Return text as a plain `str`; None if it is not text."""
+    return str(value) if isinstance(value, str) else None
 
 
 def as_list(value: Any) -> list[Any] | None:
-    """What a list or tuple holds, whatever a class of somebody else's makes of it; None: neither."""
-    kind: Any = type(value)
-    base: Any = list if issubclass(kind, list) else tuple if issubclass(kind, tuple) else None
-    return None if base is None else list(base.__iter__(value))
+    """Return the entries of a list or tuple; None if it is neither."""
+    return list(value) if isinstance(value, list | tuple) else None
 
 
-def together(*checks: Callable[[], Any]) -> list[Any]:
-    """What the checks return; where several fail, one error tells of all.
+class AllFaults:
+    """Collects the faults of several checks and raises them as one error at the end of the `with` block.
 
     Raises:
-        GraspError: the one failure as it is, or an `InvalidInputError` of them all.
+        GraspError: the single fault as it is, or an `InvalidInputError` with the texts of all.
 
     Example:
-        >>> together(lambda: positive(0.0, "mass"), lambda: positive(-1.0, "size"))
+        >>> with AllFaults() as check:
+        ...     mass = check(positive, 0.0, "mass")
+        ...     size = check(positive, -1.0, "size")
         Traceback (most recent call last):
         grasp_env.errors.InvalidInputError: mass must be finite and > 0, got 0.0; size must be finite and > 0, got -1.0
     """
-    found: list[Any] = []
-    faults: list[GraspError] = []
-    for check in checks:
+
+    MOST_TEXTS = 40
+
+    def __init__(self) -> None:
+        """Start without faults."""
+        self.faults: list[GraspError] = []
+
+    def __enter__(self) -> AllFaults:
+        return self
+
+    def __call__(self, check: Callable[..., T], *given: Any, **options: Any) -> T:
+        """Return `check(*given, **options)`; if it fails, keep its fault and return None, which is not used as the block then raises."""
         try:
-            found.append(check())
-        except GraspError as error:
-            faults.append(error)
-    if len(faults) == 1:
-        raise faults[0]
-    if faults:
-        told = list(dict.fromkeys(map(str, faults)))
-        more = f"; and {len(told) - _MOST_TOLD} more" if len(told) > _MOST_TOLD else ""
-        raise InvalidInputError("; ".join(told[:_MOST_TOLD]) + more)
-    return found
+            return check(*given, **options)
+        except GraspError as fault:
+            self.faults.append(fault)
+            return None  # type: ignore[return-value]
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if len(self.faults) == 1 and error is None:
+            raise self.faults[0]
+        if self.faults:
+            texts = list(dict.fromkeys(map(str, self.faults)))
+            more = f"; and {len(texts) - self.MOST_TEXTS} more" if len(texts) > self.MOST_TEXTS else ""
+            raise InvalidInputError("; ".join(texts[: self.MOST_TEXTS]) + more) from None
 
 
-_MOST_TOLD = 40
+def together(*checks: Callable[[], T]) -> list[T]:
+    """Return the results of checks without arguments, with all faults in one error; see `AllFaults`."""
+    with AllFaults() as check:
+        return [check(each) for each in checks]
 
 
-def called(
+def call_user(
     function: Callable[..., Any], *given: Any, what: str, takes: str, fault: type[GraspError] = InvalidInputError
 ) -> Any:
-    """Calls a user's function and returns its result; any failure becomes a `fault` that names `what` failed and what it `takes`."""
+    """Call a user's function; any failure becomes a `fault` that names `what` failed and what it `takes`."""
     try:
         return function(*given)
     except GraspError:
@@ -247,91 +234,56 @@ def called(
 
 
 def as_number(value: Any) -> float | None:
-    """A real number of any type, or an array of one without axes, as a float, infinite where it is too large; None: no number."""
-    try:
-        if is_a(value, np.ndarray) and value.ndim == 0:
-            value = value.item()
-        if not issubclass(type(value), Real) or is_a(value, bool | np.timedelta64):
-            return None
-        try:
-            with np.errstate(all="ignore"):
-                return float(value)
-        except OverflowError:
-            return math.inf if value > 0 else -math.inf
-    except Exception:  # a number of somebody else's
+    """Return a real number, or an array of one without axes, as a float (infinite if it is too large); None if it is neither."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if not isinstance(value, Real) or isinstance(value, bool | np.timedelta64):
         return None
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def warn(message: str) -> None:
+    """Issue a `GraspWarning` at the line that called this package, also through Gymnasium."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(
+        ("grasp_env.", "gymnasium.", "functools")
+    ):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, GraspWarning, stacklevel=level)
 
 
 def _converted(value: Any, shape: Shape | None, name: str) -> Array:
-    """A new float64 array of anything that holds numbers."""
-
-    def refuse(why: object) -> NoReturn:
-        raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {why}, got {shown(value)}")
-
+    """Return a new float64 array of anything that numpy reads as real numbers."""
     try:
-        if is_a(value, np.ndarray) and not is_a(value, np.ma.MaskedArray):
-            value = np.ndarray.view(value, np.ndarray)
-        kinds = _kinds(value)
-        given = None if kinds is None else np.asarray(value)
-    except Exception as error:  # numpy's, or of somebody else's __array__
-        refuse(str(error).partition("\n")[0].rstrip(".")[:200])
-    if given is None or kinds is None:
-        refuse("nested too deep or too long")
-    if is_a(value, np.ma.MaskedArray) and np.ma.is_masked(value):
-        refuse("masked entries are no numbers")
-    kind = given.dtype.kind
-    if kind in _KINDS:
-        refuse(f"{_KINDS[kind]} {'is' if kind == 'U' else 'are'} no {'number' if kind == 'U' else 'numbers'}")
-    _check_shape(given.shape, shape, name)
-    if bool in kinds or np.bool_ in kinds:
-        refuse("true and false are no numbers")  # numpy would take them for 1 and 0
-    if kind == "O":  # integers of any size, fractions
-        each = [as_number(number) for number in given.flat]
-        if None in each:
-            refuse("not all of it is numbers")
-        return np.array(each, dtype=np.float64).reshape(given.shape)
-    with np.errstate(all="ignore"):
-        return np.array(given, dtype=np.float64, order="C")
-
-
-def _kinds(value: Any) -> set[type] | None:
-    """The classes of what nested lists hold; None where numpy is not to be asked: too deep, too long, or endless things inside."""
-    kinds: set[type] = set()
-    total, left = 0, [(value, 0)]
-    while left:
-        rows, depth = left.pop()
-        each = as_list(rows)
-        if each is not None:
-            found = set(map(type, each))
-            kinds |= found
-            total += len(each)
-            if not found <= _SINGLE:
-                left.extend((entry, depth + 1) for entry in each if type(entry) not in _SINGLE)
-        elif is_a(rows, np.ndarray):
-            total += rows.size if depth else 0  # an array by itself is looked at, not read
-        elif not is_a(rows, str | bytes) and hasattr(type(rows), "__len__"):
-            with suppress(TypeError):  # a sparse matrix has no length, nor has a tensor without axes
-                total += len(rows)
-        if total > ranges.LISTED or depth > _DEEPEST:
-            return None
-    return kinds
-
-
-_SINGLE = frozenset({float, int, bool, complex, str, bytes, type(None), np.float64, np.float32, np.int64, np.bool_})
-_DEEPEST = 8
-"""Lists in lists."""
+        with np.errstate(all="ignore"):
+            given = np.asarray(value)
+            kind = given.dtype.kind
+            why = f"{_KINDS[kind]} no number{'' if kind == 'U' else 's'}" if kind in _KINDS else ""
+            if np.ma.is_masked(value):
+                why = "masked entries are no numbers"
+            if not why:
+                _check_shape(given.shape, shape, name)
+                if kind != "O":
+                    return np.array(given, dtype=np.float64, order="C")
+                each = [as_number(entry) for entry in given.flat]  # integers of any size, fractions
+                if None not in each:
+                    return np.array(each, dtype=np.float64).reshape(given.shape)
+                why = "not all of it is numbers"
+    except GraspError:
+        raise
+    except Exception as error:  # numpy's own
+        why = str(error).partition("\n")[0].rstrip(".")[:200]
+    raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {why}, got {shown(value)}")
 
 
 def _check_shape(got: tuple[int, ...], shape: Shape | None, name: str) -> None:
-    if (
-        shape is not None
-        and got != shape
-        and (
-            len(got) != len(shape)
-            or any(want is not None and want != have for want, have in zip(shape, got, strict=False))
-        )
-    ):
-        raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {got}")
+    if shape is not None and got != shape:
+        fits = len(got) == len(shape) and all(want in (None, have) for want, have in zip(shape, got, strict=True))
+        if not fits:
+            raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {got}")
     if (shape is None or None in shape) and math.prod(got) > ranges.NUMBERS:
         raise InvalidInputError(f"{name} must hold at most {ranges.NUMBERS} numbers, got shape {got}")
 
@@ -341,13 +293,3 @@ def _text(shape: Shape | None) -> str:
         return "(...)"
     parts = ["N" if want is None else str(want) for want in shape]
     return f"({', '.join(parts)}{',' if len(parts) == 1 else ''})"
-
-
-def warn(message: str) -> None:
-    """Issues a `GraspWarning` at the line that called this package, be it through Gymnasium."""
-    level, frame = 2, sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(
-        ("grasp_env.", "gymnasium.", "functools")
-    ):
-        level, frame = level + 1, frame.f_back
-    warnings.warn(message, GraspWarning, stacklevel=level)

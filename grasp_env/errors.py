@@ -1,19 +1,18 @@
-"""The project's one error tree.
+"""All errors of the project.
 
-Every class is also the builtin that fits, so `except ValueError` and `except KeyError` keep working. A message
-says what was given, what is allowed and how to mend it.
+Every class also derives from the matching builtin, so `except ValueError` and `except KeyError` work. A message
+tells what was given, what is allowed and how to mend it.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable
 from reprlib import Repr
 from typing import Any
 
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
-_NAME = type.__dict__["__name__"]
-"""Of any class, whatever its own class says."""
 _SHORT = Repr()
 _SHORT.maxlevel = 4
 _SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = _SHORT.maxarray = 12
@@ -21,7 +20,7 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 200
 
 
 def shown(value: object) -> str:
-    """What was given, for a message: its repr, shortened, without addresses, and never an error itself.
+    """Return a short repr without addresses, for messages.
 
     Example:
         >>> shown([1.0, "a"]), shown(10**10_000), shown([0.0] * 1000)[-10:]
@@ -29,41 +28,36 @@ def shown(value: object) -> str:
         >>> shown(object())
         '<object object>'
     """
+    shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
+    if isinstance(shape, tuple) and dtype is not None:  # an array: its numbers if they are few
+        if not math.prod(shape) <= 36:
+            return f"{type(value).__name__} of shape {tuple(shape)} and type {dtype}"
+        value = value.tolist() if hasattr(value, "tolist") else value
     try:
-        shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
-        if isinstance(shape, tuple) and dtype is not None:  # an array: its numbers where they are few
-            size = 1
-            for length in shape:
-                size *= length
-            if not size <= 36:
-                return f"{type(value).__name__} of shape {tuple(shape)} and type {dtype}"
-            return _SHORT.repr(value.tolist())  # type: ignore[attr-defined]
         text = _SHORT.repr(value)
-        return text if type(value) is str else _ADDRESS.sub("", text)
-    except Exception:  # a repr of somebody else's
-        if issubclass(type(value), int):
-            return "an int too long to show"
-        return f"an object of type {_NAME.__get__(type(value))}"
+    except ValueError:  # more digits than Python writes
+        return "an int too long to show"
+    return text if type(value) is str else _ADDRESS.sub("", text)
 
 
 def alike(given: object, allowed: Iterable[str]) -> str:
-    """A question, whether the allowed name that is most like the given one was meant; empty where none is like it.
+    """Return the question whether the allowed name most like the given one was meant; empty if none is like it.
 
     Example:
         >>> alike("Newtn", ["conic", "newton"]), alike("simplex", ["conic", "newton"])
         (" did you mean 'newton'?", '')
     """
-    from difflib import get_close_matches  # where something went wrong only
+    from difflib import get_close_matches  # only if something went wrong
 
-    if type(given) is not str or len(given) > 100:
+    if not isinstance(given, str) or len(given) > 100:
         return ""
-    names = {name.lower(): name for name in allowed if type(name) is str}
+    names = {name.lower(): name for name in allowed}
     found = get_close_matches(given.lower(), names, 1)
     return f" did you mean {names[found[0]]!r}?" if found else ""
 
 
 class GraspError(ValueError):
-    """Base of every error this project raises on purpose."""
+    """Base class of all errors of this project."""
 
 
 class InvalidInputError(GraspError):
@@ -71,13 +65,13 @@ class InvalidInputError(GraspError):
 
 
 class UnknownNameError(GraspError, KeyError):
-    """A method, rule, preset or option name that does not exist.
+    """A method, rule, preset or option name does not exist.
 
     Args:
-        kind: of name, for the message.
-        given: the name.
-        allowed: those that exist.
-        hint: the end of the message.
+        kind: kind of name, for the message.
+        given: the wrong name.
+        allowed: the existing names.
+        hint: end of the message.
     """
 
     def __init__(self, kind: str, given: object, allowed: Iterable[str], hint: str = "") -> None:
@@ -89,21 +83,24 @@ class UnknownNameError(GraspError, KeyError):
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # process pools send errors as pickles: what was given may have none, what is told of it has
-        given = self.given if type(self.given) is str else shown(self.given)
-        return _told, (type(self), *self.args, {"given": given, "allowed": self.allowed})
+        # process pools pickle errors, and the given object may not be picklable
+        given = self.given if isinstance(self.given, str) else shown(self.given)
+        return _restored, (type(self), *self.args, {"given": given, "allowed": self.allowed})
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return str(self.args[0])
 
 
 class UnknownSettingError(UnknownNameError, TypeError):
-    """A keyword that is no setting; told as Python tells it of functions, which others' code looks for."""
+    """A keyword is not a setting. The message is that of Python's own TypeError, which other code looks for."""
 
     def __init__(self, given: str, allowed: Iterable[str] = (), likely: Iterable[str] = ()) -> None:
-        """`given`: the keyword; without `allowed` the message itself, as `gymnasium.make` raises a TypeError again.
+        """Make the message.
 
-        `likely`: settings elsewhere that may be meant.
+        Args:
+            given: the keyword; without `allowed` the whole message, as `gymnasium.make` raises a TypeError again.
+            allowed: the existing settings.
+            likely: settings of other records that may be meant.
         """
         self.given, self.allowed = given, tuple(allowed)
         meant = (
@@ -115,15 +112,15 @@ class UnknownSettingError(UnknownNameError, TypeError):
         GraspError.__init__(self, named if self.allowed else given)
 
 
-def _told(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> GraspError:
-    """An error of that kind as it was."""
+def _restored(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> GraspError:
+    """Return an unpickled error."""
     error = kind.__new__(kind, message)
     error.__dict__.update(attributes)
     return error
 
 
 class GraspWarning(UserWarning):
-    """Input that is valid but looks like a mistake; `grasp_env.grasp.advise` says more of contacts."""
+    """Input is valid but looks like a mistake; `grasp_env.grasp.advise` gives more advice."""
 
 
 class RankDeficientGraspError(GraspError):
@@ -138,7 +135,7 @@ class InfeasibleWrenchError(GraspError):
     """
 
     def __init__(self, message: str, solution: Any = None, tell: Callable[[], str] | None = None) -> None:
-        """`message`: "" for what `tell` says when it is asked: a control loop that goes on without it does not pay for it."""
+        """Make the error; with an empty `message` the text is `tell()`, which costs a control loop nothing until it is read."""
         super().__init__(message)
         self.solution, self._tell = solution, tell
 
@@ -151,7 +148,7 @@ class InfeasibleWrenchError(GraspError):
 
 
 class UnsupportedProblemError(GraspError):
-    """A method that does not know this kind of contact, limit or option; the message names one that does."""
+    """The method does not support this kind of contact, limit or option; the message names one that does."""
 
 
 class InfeasibleStartError(GraspError):
@@ -159,32 +156,32 @@ class InfeasibleStartError(GraspError):
 
 
 class NotConvergedError(GraspError, RuntimeError):
-    """`ForceSolution.raise_for_status` on a solution that did not reach its tolerance.
+    """A solution did not reach its tolerance.
 
     Args:
-        message: what is told.
-        solution: the one meant.
+        message: the text.
+        solution: the `ForceSolution`.
 
     Attributes:
-        solution: that `ForceSolution`.
+        solution: the `ForceSolution`.
     """
 
     def __init__(self, message: str, solution: Any = None) -> None:
-        """`message`: what happened."""
+        """Make the error."""
         super().__init__(message)
         self.solution = solution
 
 
 class ModelFileError(GraspError, OSError):
-    """A saved model that is missing, damaged, or of another schema."""
+    """A saved model is missing, damaged, or of another schema."""
 
 
 class GraspFileError(GraspError, OSError):
-    """A grasp's file that cannot be read or written, is not of this format, or describes no valid grasp."""
+    """A grasp file cannot be read or written, has another format, or describes no valid grasp."""
 
 
 class MissingExtraError(GraspError, ImportError):
-    """Packages that the solver does without, and this needs, are not installed; the message has the command."""
+    """Optional packages are not installed; the message has the command that installs them."""
 
 
 class SimulationError(GraspError, RuntimeError):

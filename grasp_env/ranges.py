@@ -1,7 +1,7 @@
-"""How large and how small the numbers of a problem may be: the one table. Beyond it calls raise `InvalidInputError`.
+"""Smallest and largest numbers of a problem, in one table. Calls raise `InvalidInputError` beyond it.
 
-Measured on hard, soft and elliptic grasps with all methods: a decade or more inside of where answers lose their digits, and far
-outside of what hands, objects and their units need. Wrenches go up to `core.LARGEST`, which the compiled calls check themselves.
+The ranges were measured on hard, soft and elliptic grasps with all methods. They end a decade or more before answers lose their digits, and
+include far more than hands, objects and their units need. Wrenches go up to `core.LARGEST`, which the compiled calls check themselves.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 
 class Range(NamedTuple):
-    """From `low` to `high`, both allowed, in `unit`."""
+    """Closed interval from `low` to `high`, in `unit`."""
 
     low: float
     high: float
@@ -21,47 +21,47 @@ class Range(NamedTuple):
 
 
 POSITIVE = Range(1e-300, 1e300)
-"""Where only the sign matters."""
+"""Positive numbers of any size."""
 FINITE = Range(-1e300, 1e300)
 NOT_NEGATIVE = Range(0.0, 1e300)
 
 FRICTION = Range(1e-4, 1e4)
 """Coulomb coefficients. Below 1e-6, where normal forces are a million times the load, and above 1e5 balance loses its digits."""
 TORSIONAL_FRICTION = Range(1e-15, 1e6, "m")
-"""gamma."""
+"""Torsional friction gamma."""
 TORSIONAL_LEVER = 1e4
-"""gamma in lengths of the grasp: beyond 1e6 the torsion of a millionth of a normal force outweighs every other moment."""
+"""Largest gamma in lengths of the grasp: beyond 1e6 the torsion of a millionth of a normal force outweighs every other moment."""
 LENGTH = Range(1e-9, 1e6, "m")
 """Root mean square distance of the contacts from their centre, and lengths that turn moments into forces."""
 DISTANCE = 1e5
-"""Of the contacts' centre from the origin, in lengths of the grasp: moments about the origin lose as many digits."""
+"""Largest distance of the contacts' centre from the origin, in lengths of the grasp: moments about the origin lose as many digits."""
 SIZE = Range(-1e50, 1e50)
-"""Of numbers that are only multiplied: products of six of them are no overflow."""
+"""Numbers that are only multiplied: products of six of them do not overflow."""
 SIDE_BY_SIDE = 100_000_000
-"""Most contacts that `Objective` takes at once: those of many grasps."""
+"""Most contacts that `Objective` takes at once, which are those of many grasps."""
 MASS = Range(1e-9, 1e9, "kg")
 CONTACTS = 1000
 """Most contacts of a grasp."""
 
 FORCE_WEIGHT = Range(1e-4, 1e4)
-"""omega. Phi knows forces in units of sqrt(lambda / omega) only: 100 kN at the most."""
+"""Weight omega. Phi knows forces in units of sqrt(lambda / omega) only: 100 kN at the most."""
 BARRIER_WEIGHT = Range(1e-16, 1e6, "N^2")
-"""lambda: 0.01 for newtons is 1e-14 for micronewtons."""
+"""Weight lambda: 0.01 for newtons is 1e-14 for micronewtons."""
 TOLERANCE = Range(1e-300, 1.0)
-"""A relative gap; what no double reaches ends as STALLED."""
+"""Relative gaps. A solve with a gap that no double reaches ends as STALLED."""
 ITERATIONS = 10_000_000
-"""Most steps of a solve; a trace keeps a number for each."""
+"""Most steps of a solve; a trace keeps one number for each."""
 
 STEP = Range(1e-15, 1e12, "N")
 """First trial steps of the flows."""
 SHRINK = Range(1e-3, 0.999)
-"""A search for a smaller Phi ends after log(1e16) / -log(shrink) trials: 37,000 at 0.999."""
+"""Factors of a line search, which ends after log(1e16) / -log(shrink) trials: 37,000 at 0.999."""
 
 NORMAL_FORCE = Range(1e-12, 1e12, "N")
-"""Limits on normal forces, where they are neither 0 nor infinite."""
+"""Limits on normal forces that are neither 0 nor infinite."""
 LEAST_NORMAL_FORCE = Range(0.0, 1e6, "N")
 TORQUE = Range(1e-12, 1e12, "N m")
-"""Limits on torques, where they are not infinite."""
+"""Finite limits on torques."""
 BIAS = Range(-1e12, 1e12, "N m")
 LEVER = Range(-1e6, 1e6, "m")
 """Entries of a Jacobian."""
@@ -71,11 +71,9 @@ BALL = Range(1e-9, 1e9, "N or N m")
 """Radii of a `WrenchBall`."""
 STARTS = 10_000
 POINTS = 5000
-"""Of the polytope of `worst_case`: in six dimensions its facets grow far faster than its points."""
+"""Most points of the polytope of `worst_case`: in six dimensions its facets grow far faster than its points."""
 
 NUMBERS = 100_000_000
-"""Most numbers of any array that is given: 0.8 GB."""
-LISTED = 10_000_000
-"""Most numbers of nested lists: numpy takes seconds to read them."""
+"""Most numbers of an argument: 0.8 GB."""
 SEED = 2**63 - 1
 WORKERS = 1024

@@ -25,7 +25,7 @@ from functools import partial
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from grasp_env import ranges
-from grasp_env._check import as_array, as_number, as_text, choice, is_a, together, whole
+from grasp_env._check import as_array, as_number, as_text, choice, together, whole
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.ranges import Range
 
@@ -192,9 +192,9 @@ def record(kind: type[Settings]) -> Kind:
     """A record of this class, or a dict of its settings."""
 
     def take(value: Any, name: str) -> Any:
-        if is_a(value, dict):
+        if isinstance(value, dict):
             return kind().replaced(value, name)
-        if not is_a(value, kind):
+        if not isinstance(value, kind):
             raise InvalidInputError(f"{name} must be a {kind.__name__}, or a dict of its settings, got {shown(value)}")
         return value
 
@@ -212,10 +212,10 @@ def any_of(table: Mapping[str, type[Settings]], base: type[Settings], hint: str,
     """
 
     def take(value: Any, name: str) -> Any:
-        if is_a(value, base) or (calls and as_text(value) is None and callable(value)):
+        if isinstance(value, base) or (calls and as_text(value) is None and callable(value)):
             return value
         named, settings = value, {}
-        if is_a(value, dict):
+        if isinstance(value, dict):
             if "name" not in value:
                 raise InvalidInputError(
                     f"{name} needs a name, one of {', '.join(map(repr, table))}, got {shown(value)}"
@@ -242,12 +242,12 @@ def to_json(value: Any, path: str = "") -> Any:
     Raises:
         InvalidInputError: a function, which has no JSON.
     """
-    if is_a(value, Settings):
+    if isinstance(value, Settings):
         named, start = {"name": value.name} if value.name else {}, path and f"{path}."
         return named | {item.name: to_json(getattr(value, item.name), start + item.name) for item in fields(value)}
-    if is_a(value, tuple):
+    if isinstance(value, tuple):
         return [to_json(each, path) for each in value]
-    if value is None or is_a(value, str | int | float | bool):
+    if value is None or isinstance(value, str | int | float | bool):
         return value
     raise InvalidInputError(
         f"{path} is {shown(value)}, which has no JSON: settings in a file name what is built in; give your own when the environment is made"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, as_text, is_a, together, warn
+from grasp_env._check import as_array, as_text, together, warn
 from grasp_env.config.randomize import RANDOMIZE, draw
 from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
@@ -64,7 +64,7 @@ class EnvConfig(Settings):
     """
 
     hand: str | HandDescription = setting(
-        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_file('my_hand.urdf')", lambda value: is_a(value, HandDescription)),
+        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_file('my_hand.urdf')", lambda value: isinstance(value, HandDescription)),
         "The hand; one that is not `placed` is put around the object by `place_hand`.",
     )  # fmt: skip
     object: ObjectDescription = setting(
@@ -132,7 +132,7 @@ class EnvConfig(Settings):
             raise InvalidInputError(
                 f"approach={shown(self.approach)} is for a hand that is put around the object, and {given}: leave one of them out"
             )
-        if self.task.pushes and not is_a(self.disturbance, NoDisturbance | None):
+        if self.task.pushes and not isinstance(self.disturbance, NoDisturbance | None):
             raise InvalidInputError(
                 f"task {self.task.name!r} pushes by itself, got disturbance={shown(self.disturbance)}: leave it out, or use task 'hold'"
             )
@@ -157,7 +157,7 @@ class EnvConfig(Settings):
                 raise UnknownSettingError(name, (*kinds, *KEYWORDS), _likely(name))
             if inner:
                 parts.setdefault(place, {})[inner] = value
-            elif is_a(value, dict) and "name" not in value and is_a(getattr(self, place), Settings):
+            elif isinstance(value, dict) and "name" not in value and isinstance(getattr(self, place), Settings):
                 parts.setdefault(place, {}).update(value)
             else:
                 whole[place] = value
@@ -165,7 +165,7 @@ class EnvConfig(Settings):
         def changed(place: str) -> Settings:
             given = whole.get(place, getattr(self, place))
             base = None if given is None else kinds[place].take(given, place)
-            if not is_a(base, Settings):
+            if not isinstance(base, Settings):
                 raise InvalidInputError(
                     f"{place} is {shown(given)}, which has no {', '.join(parts[place])}: give {place} a name, too, {{'name': ..., ...}}"
                 )
@@ -247,7 +247,7 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
         >>> as_config({"schema": 1, "sensors": {"delay": 0.004}}).sensors.delay
         0.004
     """
-    if config is None or is_a(config, EnvConfig):
+    if config is None or isinstance(config, EnvConfig):
         return EnvConfig() if config is None else config
     given: Any = config
     if as_text(given) is not None:
@@ -255,7 +255,7 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
             given = json.loads(given)
         except (ValueError, RecursionError) as error:
             raise InvalidInputError(f"config must be JSON: {error}, got {shown(given)}") from None
-    schema = given.get("schema") if is_a(given, dict) else None
+    schema = given.get("schema") if isinstance(given, dict) else None
     if type(schema) is not int:
         raise InvalidInputError(
             f'config must be an EnvConfig, or a dict or JSON with "schema": {SCHEMA}, got {shown(given)}; single settings are keywords'

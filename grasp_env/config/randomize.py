@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, as_list, called, choice, is_a
+from grasp_env._check import as_array, as_list, call_user, choice
 from grasp_env.config.records import Controller, Sensors
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.settings import Kind, described
@@ -30,14 +30,14 @@ ALLOWED = (*SHORT, *RANDOM, "gravity")
 
 
 def _rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
-    given = list(value.items()) if is_a(value, dict) else as_list([value] if is_a(value, str) else value)
+    given = list(value.items()) if isinstance(value, dict) else as_list([value] if isinstance(value, str) else value)
     if given is None:
         raise InvalidInputError(
             f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"
         )
     found: dict[str, Any] = {}
     for each in given:
-        path, rule = each if is_a(each, tuple) and len(each) == 2 else (each, True)
+        path, rule = each if isinstance(each, tuple) and len(each) == 2 else (each, True)
         path = choice(path, name, ALLOWED)
         path = SHORT.get(path, path)
         found[path] = _rule(path, rule)
@@ -105,4 +105,4 @@ def _drawn(path: str, rule: Any, rng: np.random.Generator) -> Any:
         return SHAPES_WITHOUT_MESH[int(rng.integers(len(SHAPES_WITHOUT_MESH)))]
     if not callable(rule):
         return rng.uniform(*rule)
-    return called(rule, rng, what=f"randomize[{path!r}]", takes="it takes a numpy generator and returns the setting")
+    return call_user(rule, rng, what=f"randomize[{path!r}]", takes="it takes a numpy generator and returns the setting")

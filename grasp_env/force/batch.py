@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core
-from grasp_env._check import Array, as_list, as_text, choice, is_a
+from grasp_env._check import Array, as_list, as_text, choice
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.many import ForceSolutions, checked_batch, over_parts, solve_many, solve_one
 from grasp_env.force.objective import Objective
@@ -52,9 +52,9 @@ def optimize_forces(
     for name in options:
         choice(name, "option", known)
     initial = options.get("initial")
-    if as_text(initial) == "previous" or is_a(initial, ForceSolution):
+    if as_text(initial) == "previous" or isinstance(initial, ForceSolution):
         raise InvalidInputError("a batch has no previous solution: leave initial out, or give a rule")
-    if is_a(grasps, Grasp):
+    if isinstance(grasps, Grasp):
         return solve_many(ForceOptimizer(grasps, **options), loads, threads)
     each = as_list(grasps)
     if each is None:
@@ -69,7 +69,7 @@ def _checked_grasps(grasps: list[Any], loads: Array) -> list[Grasp]:
         raise InvalidInputError("at least one grasp is needed to know the number of contacts")
     if set(map(type, grasps)) != {Grasp}:
         for k, grasp in enumerate(grasps):
-            if not is_a(grasp, Grasp):
+            if not isinstance(grasp, Grasp):
                 raise InvalidInputError(f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}")
     sizes = {grasp.contacts.count for grasp in grasps}
     if len(sizes) > 1:

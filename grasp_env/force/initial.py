@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import ContactForces, Wrench, as_array, as_text, as_wrench, called, choice, is_a
+from grasp_env._check import ContactForces, Wrench, as_array, as_text, as_wrench, call_user, choice
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, shown
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.objective import Objective
@@ -102,7 +102,7 @@ def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
     """
     takes = "a rule takes (grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
     what = f"initial-force rule {rule_name(rule)!r}"
-    return called(function, *given, what=what, takes=takes, fault=InfeasibleStartError)
+    return call_user(function, *given, what=what, takes=takes, fault=InfeasibleStartError)
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ def checked_initial(initial: Any) -> Any:
     if named is not None:
         hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in named else ""
         return choice(named, "initial-force rule", NAMES, hint)
-    given = initial is None or is_a(initial, ForceSolution | np.ndarray | list | tuple)
-    if not given and (is_a(initial, type) or not callable(initial)):
+    given = initial is None or isinstance(initial, ForceSolution | np.ndarray | list | tuple)
+    if not given and (isinstance(initial, type) or not callable(initial)):
         raise InvalidInputError(
             f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {shown(initial)}"
         )
@@ -161,14 +161,14 @@ def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective)
     Raises:
         InfeasibleStartError: the rule fails, or what it returns is no force.
     """
-    if is_a(initial, np.ndarray | list | tuple):
+    if isinstance(initial, np.ndarray | list | tuple):
         return StartFrom(GIVEN, "given", force=_force("given", initial, grasp))
     name, force = rule_name(initial), call_rule(initial, initial, grasp, wrench.copy())
     if call_rule(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
         # made for another Phi, in which its guarantees hold: give them in this one
         force = Repair(objective)(grasp, wrench, force)
     made = _force(name, force, grasp)
-    replaced = not is_a(initial, LinearCombination) and start_replaced(grasp, wrench, made)
+    replaced = not isinstance(initial, LinearCombination) and start_replaced(grasp, wrench, made)
     return StartFrom(GIVEN, name, replaced, made)
 
 

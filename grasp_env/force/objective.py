@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_env import core, ranges
-from grasp_env._check import Array, as_array, as_list, instance, is_a, positive, together, whole
+from grasp_env._check import Array, as_array, as_list, instance, positive, together, whole
 from grasp_env.errors import InvalidInputError, shown
 
 Weight = float | Sequence[float]
@@ -120,7 +120,11 @@ def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
 
 def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:
     """A weight, or one per contact as a tuple, within its range."""
-    if as_list(value) is None and not (is_a(value, np.ndarray) and np.asarray(value).ndim) and not is_a(value, range):
+    if (
+        as_list(value) is None
+        and not (isinstance(value, np.ndarray) and np.asarray(value).ndim)
+        and not isinstance(value, range)
+    ):
         return positive(value, name, within)
     each = as_array(value, (None,), name).tolist()
     return tuple(together(*(lambda k=k, v=v: positive(v, f"{name}[{k}]", within) for k, v in enumerate(each))))

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import Array, as_number, choice, is_a, positive
+from grasp_env._check import Array, as_number, choice, positive
 from grasp_env.errors import InvalidInputError, shown
 
 FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT = range(5)
@@ -200,7 +200,7 @@ def checked_rule(rule: Any) -> StepRule:
     """
     if rule is None:
         return AdaptiveStep()
-    if not is_a(rule, STEP_RULES):
+    if not isinstance(rule, STEP_RULES):
         names = [each.__name__ for each in STEP_RULES]
         raise InvalidInputError(
             f"step_rule must be None or a {', '.join(names[:-1])} or {names[-1]}, got {shown(rule)}"

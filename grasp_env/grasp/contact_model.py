@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core, ranges
-from grasp_env._check import Array, as_array, as_list, as_text, choice, is_a
+from grasp_env._check import Array, as_array, as_list, as_text, choice
 from grasp_env.errors import InvalidInputError, shown
 
 CONTACT_MODELS = ("hard", "soft", "frictionless")
@@ -60,7 +60,7 @@ class ContactModels:
             mu[:, 0] = mu[:, 1] = coefficient
             core.cone_scale(mu, scale)
             return cls(("hard",) * count, mu, np.zeros(count), scale, scale.copy())._frozen()
-        if is_a(models, np.ndarray) and models.ndim == 1 and len(models) == count:
+        if isinstance(models, np.ndarray) and models.ndim == 1 and len(models) == count:
             models = models.tolist()
         each = [named] * count if named is not None else as_list(models)
         if each is None or len(each) != count:
@@ -124,7 +124,7 @@ def _dimensions(value: ArrayLike) -> int:
     depth = 0
     while depth < 3 and (each := as_list(value)):
         value, depth = each[0], depth + 1
-    return depth + (np.asarray(value).ndim if is_a(value, np.ndarray) else 0)
+    return depth + (np.asarray(value).ndim if isinstance(value, np.ndarray) else 0)
 
 
 def _torsional(value: ArrayLike | None, count: int, soft: np.ndarray) -> Array:

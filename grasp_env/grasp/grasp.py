@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import Array, ContactForces, Wrench, as_array, is_a, together
+from grasp_env._check import Array, ContactForces, Wrench, as_array, together
 from grasp_env.core import ContactReader, Contacts, along_normal, normalise
 from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, shown
 from grasp_env.grasp.contact_model import ContactModels
@@ -357,7 +357,7 @@ def as_grasp(value: object) -> Grasp:
     Raises:
         InvalidInputError: it is something else.
     """
-    if not is_a(value, Grasp):
+    if not isinstance(value, Grasp):
         raise InvalidInputError(f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {shown(value)}")
     return value
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from grasp_env import ranges
-from grasp_env._check import Array, Wrench, as_array, checked_size, choice, generator, is_a, positive, together, whole
+from grasp_env._check import Array, Wrench, as_array, checked_size, choice, generator, positive, together, whole
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.optimizer import ForceOptimizer
@@ -171,7 +171,7 @@ def worst_case(
         lambda: choice(criterion, "criterion", CRITERIA),
     )
     optimizer = ForceOptimizer(grasp, method="conic", criterion=criterion, limits=limits)
-    if not is_a(wrenches, WrenchBall):
+    if not isinstance(wrenches, WrenchBall):
         listed = checked_size(as_array(wrenches, (None, 6), "wrenches"), "wrenches")
         if not len(listed):
             raise InvalidInputError("wrenches must hold at least one wrench")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import Array, as_array, called
+from grasp_env._check import Array, as_array, call_user
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.grasp.wrench import paper_path
 from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Settings, any_of, numbers, real, setting
@@ -68,7 +68,7 @@ def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings:
     """
     what, rows = f"the disturbance {name_of(rule) or shown(rule)}", len(times)
     takes = "a disturbance takes (times, rng, settings) and returns (T, 6) wrenches [N, N m], a row per tick"
-    made = called(rule, times.copy(), rng, settings, what=what, takes=takes)
+    made = call_user(rule, times.copy(), rng, settings, what=what, takes=takes)
     if made is None:
         raise InvalidInputError(
             f"what {what} returns must be (T, 6) wrenches [N, N m] or a Disturbed, got None: does it end in a return?"

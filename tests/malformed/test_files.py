@@ -1,26 +1,20 @@
-"""Files that nobody means to give: devices, pipes, folders, endless or broken ones. Each reader says so, soon, in one of the project's errors."""
+"""Wrong files: missing, empty, folders, devices, pipes, broken or of another kind. Each reader refuses them soon, in words."""
 
 from __future__ import annotations
 
-import io
-import json
 import os
 import subprocess
 import sys
 import threading
 import time
-import zipfile
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pyarrow.parquet
 import pytest
 
 from grasp_env import _files
-from grasp_env._files import read_bytes, unpacked
+from grasp_env._files import read_bytes
 from grasp_env.errors import GraspError
 from grasp_env.grasp import load_grasp, presets, save_grasp
 from grasp_env.sim import HandDescription
@@ -64,84 +58,25 @@ def sparse(path: Path) -> None:
         file.truncate(2**40)
 
 
-@cache
-def bomb() -> bytes:
-    """A megabyte that would be a gigabyte of zeros."""
-    blob = io.BytesIO()
-    with (
-        zipfile.ZipFile(blob, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as packed,
-        packed.open("a.npy", "w") as entry,
-    ):
-        np.lib.format.write_array_header_1_0(entry, {"descr": "<f8", "fortran_order": False, "shape": (1000, 1 << 17)})
-        for _ in range(1000):
-            entry.write(bytes(1 << 20))
-    return blob.getvalue()
-
-
-def boaster(path: Path) -> None:
-    """An array whose header claims more numbers than there are atoms."""
-    with zipfile.ZipFile(path, "w") as packed, packed.open("a.npy", "w") as entry:
-        np.lib.format.write_array_header_1_0(entry, {"descr": "<f8", "fortran_order": False, "shape": (10**15, 10**3)})
-
-
-@cache
-def equal() -> bytes:
-    """A table of 150 million equal numbers in half a megabyte."""
-    blob = io.BytesIO()
-    rows = pyarrow.table({"iterations": np.zeros(5_000_000, np.int64)})
-    with pyarrow.parquet.ParquetWriter(blob, rows.schema, compression="zstd") as writer:
-        for _ in range(30):
-            writer.write_table(rows)
-    return blob.getvalue()
-
-
 FILES: dict[str, Callable[[Path], Any]] = {
     "missing": lambda path: None,
     "empty": lambda path: path.write_bytes(b""),
     "folder": lambda path: path.mkdir(),
     "pipe without a writer": os.mkfifo,
     "endless device": lambda path: path.symlink_to("/dev/zero"),
-    "random device": lambda path: path.symlink_to("/dev/urandom"),
-    "null device": lambda path: path.symlink_to("/dev/null"),
-    "link to itself": lambda path: path.symlink_to(path),
     "a terabyte": sparse,
     "binary": lambda path: path.write_bytes(bytes(range(256)) * 100),
     "half a letter": lambda path: path.write_bytes(b'{"a": "\xc3'),
-    "surrogate": lambda path: path.write_bytes(b'{"positions": "\\ud800", "normals": 1, "friction": 1}'),
     "nested lists": lambda path: path.write_text("[" * 100_000 + "]" * 100_000),
-    "nested within the parser's depth": lambda path: path.write_text(
-        json.dumps({"normals": [], "friction": 1}).replace("[]", "[" * 900 + "]" * 900)[:-1] + ', "positions": 1}'
-    ),
-    "nested objects": lambda path: path.write_text('{"a":' * 100_000 + "1" + "}" * 100_000),
-    "nested elements": lambda path: path.write_text("<robot>" + "<a>" * 100_000 + "</a>" * 100_000 + "</robot>"),
     "entities": lambda path: path.write_text(
         "<!DOCTYPE robot ["
         + "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10 if k else "a" * 10}">' for k in range(12))
         + ']><robot name="&e11;"/>'
     ),
     "not a number": lambda path: path.write_text('{"positions": [[NaN, 0, 0]], "normals": [[1, 0, 0]], "friction": Infinity}'),
-    "a long number": lambda path: path.write_text('{"friction": ' + "9" * 100_000 + ', "positions": 1, "normals": 1}'),
-    "a million contacts": lambda path: path.write_text(
-        json.dumps({"positions": [[0, 0, 1]] * 1_000_000, "normals": [[0, 0, 1]] * 1_000_000, "friction": 1})
-    ),
     "wrong kinds": lambda path: path.write_text('{"rows": 3, "kind": "solver", "schema": [], "positions": {}, "normals": null}'),
     "a list": lambda path: path.write_text("[1, 2]"),
-    "arrays that unpack to gigabytes": lambda path: path.write_bytes(bomb()),
-    "arrays that claim to be large": boaster,
-    "a key twice among a hundred thousand": lambda path: path.write_text("{" + "".join(f'"{k}":1,' for k in range(100_000)) + '"0":1}'),
-    "equal values without end": lambda path: path.write_bytes(equal()),
 }  # fmt: skip
-
-
-def test_arrays_have_the_bytes_that_they_claim() -> None:
-    blob = io.BytesIO()
-    np.savez(blob, a=np.arange(6.0).reshape(2, 3), b=np.array("text"), c=np.zeros(0))
-    assert {name: array.shape for name, array in unpacked(blob.getvalue()).items()} == {"a": (2, 3), "b": (), "c": (0,)}
-    with zipfile.ZipFile(blob, "w") as packed, packed.open("a.npy", "w") as entry:
-        np.lib.format.write_array_header_1_0(entry, {"descr": "<f8", "fortran_order": False, "shape": (10**9,)})
-        entry.write(bytes(80))
-    with pytest.raises(ValueError, match=r"'a.npy' claims 8000000000 bytes of 208"):
-        unpacked(blob.getvalue())
 
 
 @pytest.mark.parametrize("kind", FILES)
@@ -150,8 +85,7 @@ def test_every_reader_refuses_in_words_and_soon(reader: str, kind: str, tmp_path
     path = tmp_path / "given"
     FILES[kind](path)
     begin = time.process_time()
-    # JSON is what it is: a run's file may be any
-    if reader == "run" and kind in ("not a number", "wrong kinds", "a list", "surrogate", "nested within the parser's depth", "a key twice among a hundred thousand"):  # fmt: skip
+    if reader == "run" and kind in ("not a number", "wrong kinds", "a list"):  # any JSON is a run's file
         READERS[reader](path)
         return
     with pytest.raises(GraspError) as caught:

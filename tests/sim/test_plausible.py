@@ -11,9 +11,9 @@ import pytest
 from urdf_text import finger, hand, joint, link, read
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import inertia_matrix
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.files.plausible import TIP_FORCE
+from grasp_env.sim.hand.inertia import inertia_matrix
 
 BOX = link("palm", 0.06, 0.2)
 SOLID = 1000.0 * 0.04 * 0.02 * 0.02  # [kg] of a finger's link at 1 g/cm^3

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import inertia_matrix, inertia_of
 from grasp_env.sim.hand.description import HANDS, Fingertip, HandDescription, Mimic
 from grasp_env.sim.hand.frames import Frame, roll_pitch_yaw, rotation_matrix
+from grasp_env.sim.hand.inertia import inertia_matrix, inertia_of
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.urdf import hand_urdf
 

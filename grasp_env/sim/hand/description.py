@@ -16,9 +16,10 @@ import numpy as np
 from grasp_env._check import as_list, flag, instance
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand import presets
-from grasp_env.sim.hand.check import Vector3, inertia_matrix, numbers, parts, positive, with_rotor, word
+from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand.fingers import FingerDescription
 from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.inertia import inertia_matrix, with_rotor
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 
 __all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescription", "Link", "Mimic", "Palm", "Vector3"]

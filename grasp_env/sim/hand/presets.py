@@ -19,7 +19,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from grasp_env.sim.hand.check import Inertia, Vector3, inertia_numbers
+from grasp_env.sim.hand.check import Vector3
+from grasp_env.sim.hand.inertia import Inertia, inertia_numbers
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
 
 Boxes: TypeAlias = tuple[tuple[float, float, float, float, float, float], ...]

@@ -7,18 +7,8 @@ from typing import Any
 
 from grasp_env._check import as_text, choice, instance
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import (
-    Inertia,
-    Vector3,
-    hull_corners,
-    inertia_of,
-    limits,
-    numbers,
-    parts,
-    positive,
-    unit,
-    word,
-)
+from grasp_env.sim.hand.check import Vector3, hull_corners, limits, numbers, parts, positive, unit, word
+from grasp_env.sim.hand.inertia import Inertia, inertia_of
 
 SIZES = {
     "sphere": ("radius",),

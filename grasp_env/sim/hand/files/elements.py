@@ -10,8 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from grasp_env.errors import shown
-from grasp_env.sim.hand.check import Inertia, Vector3
+from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.inertia import Inertia
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
 NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -20,7 +20,7 @@ from grasp_env._check import Array, together
 from grasp_env._extras import need
 from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, inertia_numbers, with_rotor
+from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import FileJoint, FileLink, HandFile, names_of
 from grasp_env.sim.hand.files.linkages import find_rods, free_ranges
 from grasp_env.sim.hand.files.options import HandOptions, Inertial
@@ -29,6 +29,7 @@ from grasp_env.sim.hand.files.pieces import hull_of_file
 from grasp_env.sim.hand.files.plausible import Body, Judge, judge_ranges
 from grasp_env.sim.hand.files.urdf import UrdfReader
 from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, inertia_numbers, with_rotor
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm

@@ -12,12 +12,13 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import Vector3, inertia_numbers
+from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.couplings import Motor, find_motors
 from grasp_env.sim.hand.files.elements import FileJoint, FileLink, names_of
 from grasp_env.sim.hand.files.mjcf_model import frame_of, load_model, model_name, name_of
 from grasp_env.sim.hand.files.mjcf_shapes import MjcfShapes
 from grasp_env.sim.hand.frames import Frame, axis_rotation
+from grasp_env.sim.hand.inertia import inertia_numbers
 from grasp_env.sim.hand.tips import SMALLEST
 from grasp_env.sim.hand.tree import Geometry, Mimic
 from grasp_env.sim.mujoco_api import mujoco

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from grasp_env._check import as_list, as_text, is_a, together
+from grasp_env._check import as_list, as_text, together
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.check import Inertia, Vector3, inertia_of, limits, numbers, positive, word
+from grasp_env.sim.hand.check import Vector3, limits, numbers, positive, word
 from grasp_env.sim.hand.files.elements import names_of
+from grasp_env.sim.hand.inertia import Inertia, inertia_of
 from grasp_env.sim.hand.tips import Ball
 
 T = TypeVar("T")
@@ -58,7 +59,7 @@ class HandOptions:
         wrong = InvalidInputError(
             f"fingertips={shown(given)} must be a list of one link name or more, or {{link: (point, radius)}} [m]"
         )
-        if is_a(given, dict):
+        if isinstance(given, dict):
             tips: dict[str, Ball | None] = {}
             for key, value in dict.items(given):
                 name, pair = as_text(key), as_list(value)
@@ -86,13 +87,13 @@ class HandOptions:
             drivers: Of the coupled ones, the joint whose motor moves each.
         """
         given: Any = self.torque_limit
-        if given is None or is_a(given, dict):
+        if given is None or isinstance(given, dict):
             if idle := [name for name in dict(given or {}) if name in drivers]:
                 raise InvalidInputError(
                     f"torque_limit: {names_of(idle)} have no motor of their own; give that of {names_of([drivers[name] for name in idle])}"
                 )
             return _by_name(given, joints, "torque_limit", "joint", lambda value, of: positive(value, f"{of} [N m]"))
-        if as_list(given) is None and not is_a(given, np.ndarray):
+        if as_list(given) is None and not isinstance(given, np.ndarray):
             return dict.fromkeys(joints, positive(given, "torque_limit [N m]"))
         each = numbers(given, len(joints), f"torque_limit [N m], one per joint ({names_of(joints)})")
         pairs = zip(joints, each, strict=True)
@@ -134,7 +135,7 @@ def _by_name(given: Any, names: Sequence[str], what: str, kind: str, check: Call
     """Values by name, each checked by `check`, which gets the value and what to call it."""
     if given is None:
         return {}
-    if not is_a(given, dict):
+    if not isinstance(given, dict):
         raise InvalidInputError(f"{what}={shown(given)} must be a dict with names of {kind}s as keys")
     known: dict[Any, Any] = dict(dict.items(given))
     unknown = [name for name in known if as_text(name) not in names]

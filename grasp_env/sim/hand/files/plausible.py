@@ -13,10 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
-from grasp_env._check import Array, is_a
-from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, nearest_inertia
+from grasp_env._check import Array
+from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import FileJoint, names_of
 from grasp_env.sim.hand.files.options import Inertial
+from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, nearest_inertia
 from grasp_env.sim.hand.solids import hull_of, outline
 from grasp_env.sim.hand.tree import Geometry
 
@@ -168,7 +169,7 @@ class Judge:
         found = list[Inertial]()
         for number, (body, value) in enumerate(zip(self._bodies, told, strict=True)):
             own = Inertial(body.mass, body.center, body.inertia)
-            if is_a(value, Inertial):
+            if isinstance(value, Inertial):
                 own = value
             elif body.mass <= 0.0:
                 own = self._box(number, value)

@@ -1,0 +1,57 @@
+"""Each extra brings what the pages promise of it, in an empty environment: `make slow ARGS=tests/test_installs.py`, some minutes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TORCH = "torch==2.13.0"
+"""Installed first: resolved together with other packages, a newer build with gigabytes of CUDA may come."""
+SOLVE = "grasp solve --wrench 1 0.5 -0.6 -0.1 0.2 0"
+HAND = "import gymnasium as gym; env = gym.make('grasp_env:FourFingerGrasp-v0'{}); env.reset(seed=0); env.step(env.action_space.sample()); env.close()"
+LAYER = (
+    "import torch; from policies import grasp_force; from grasp_env.grasp import presets; g = presets.paper_cuboid();"
+    "t = torch.tensor([1, 0.5, -0.6, -0.1, 0.2, 0], dtype=torch.float64, requires_grad=True);"
+    "grasp_force(torch.tensor(g.positions), torch.tensor(g.normals), 0.4, t).force.sum().backward(); assert t.grad.isfinite().all()"
+)
+EXTRAS: dict[str, list[str]] = {
+    "": ["python -c 'from grasp_env.force import optimize_force'"],
+    "cli": [SOLVE],
+    "sim": [f'python -c "{HAND.format("")}"'],
+    "sim,mujoco": [f"""python -c "{HAND.format(", engine='mujoco'")}" """],
+    "sim,xacro": ["python -c 'import xacrodoc, grasp_env.sim'"],
+    "live": ["grasp live --help", SOLVE],
+    "layer": [f'python -c "{LAYER}"'],
+    "train": ["grasp fit --help", "grasp rl --quick --out runs"],
+    "report": ["grasp evaluate starts --quick --out runs"],
+    "cli,sim,video": ["grasp demo --video hand.mp4 --seconds 0.2"],
+    "ray,sim,report": ["python -c 'import ray'", "grasp evaluate starts --quick --out runs"],
+    "all": [SOLVE, "grasp evaluate --quick --out runs"],
+}
+"""Commands that must succeed with each extra."""
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", folder, ROOT], check=True)
+    (found,) = folder.glob("*.whl")
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_an_extra_brings_what_it_promises(extra: str, wheel: Path, tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    home = {"PATH": f"{tmp_path / 'venv' / 'bin'}:{os.environ['PATH']}", "HOME": str(tmp_path)}
+    install = f"pip install --quiet -c {ROOT / 'constraints.txt'} '{wheel}{f'[{extra}]' if extra else ''}'"
+    if extra in ("layer", "train", "all"):
+        install = f"pip install --quiet {TORCH} && {install}"
+    for command in (install, *EXTRAS[extra]):
+        done = subprocess.run(command, shell=True, cwd=tmp_path, env=home, capture_output=True, text=True, timeout=1800)
+        assert done.returncode == 0, (command, done.stdout[-2000:], done.stderr[-3000:])
