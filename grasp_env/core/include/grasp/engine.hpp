@@ -1,4 +1,4 @@
-// What is behind `ForceOptimizer`: which algorithm serves which problem, what goes on where it gives up, and where each begins.
+// The solver behind `ForceOptimizer`: chooses the algorithm for a problem and its start, and falls back on the general program.
 #pragma once
 #include <grasp/current.hpp>
 #include <grasp/phi/basis.hpp>
@@ -9,17 +9,17 @@
 
 namespace grasp::detail {
 
-// The problems that algorithms tell apart.
+// Classes of problems with an algorithm of their own.
 enum class Kind {
-    hard,     // hard, elliptic and frictionless contacts
-    limited,  // the same within limits of one contact each: normal forces, joints of one finger
-    soft,     // soft ones among them, which have force closure without torsion too
-    other,    // everything else: joints that fingers share, soft contacts within limits, a closure by torsion alone
+    hard,  // hard, elliptic and frictionless contacts
+    limited,  // the same, with limits on one contact each: normal forces, joints of one finger
+    soft,  // some contacts are soft, and the normal and tangential forces alone give force closure
+    other,  // everything else: joints that several fingers share, soft contacts within limits, force closure by torsion only
 };
 enum class Algorithm { newton, limited, soft, flow, conic, general };
 
-// Which algorithm serves which problem. The general program goes on where Newton, its relatives and `conic` give up; a flow ends where
-// it ends.
+// The algorithm for each method and kind of problem. If Newton, its variants or `conic` give up, the general program takes over. A
+// flow has no fallback.
 struct Plan {
     Method method;
     Kind kind;
@@ -45,16 +45,16 @@ public:
     virtual ~Engine() = default;
     virtual std::unique_ptr<Engine> clone() const = 0;
     virtual Code solve(const Ask& ask, double* row) = 0;
-    // The start alone, into a record: LIMIT, as a descent has to go on from it.
+    // Write the start alone into a record. Return LIMIT, since a descent would continue from it.
     virtual Code start(const Ask& ask, double* row) = 0;
     virtual void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) = 0;
     virtual bool update(const Now& now) = 0;
     virtual Deepest deepest(const double* wrench, double* force, double* torsion) = 0;
-    // (13, 3N) the offline optima of the problem's contacts in cone coordinates, for starts that combine them.
+    // Set the offline optima of the problem's contacts, (13, 3N) in cone coordinates.
     virtual void set_basis(const double* basis) = 0;
     virtual double make_basis(double* basis, bool warm) = 0;
     virtual const Contacts& home() const = 0;
-    virtual int size() const = 0;  // numbers of a row
+    virtual int size() const = 0;  // numbers in a row
 };
 
 template <class V, int B> class EngineOn final : public Engine {
@@ -93,14 +93,14 @@ public:
     }
     std::unique_ptr<Engine> clone() const override {
         auto made = std::make_unique<EngineOn>(*this);
-        made->settle();  // with room for all contacts, whichever touched last, and nothing of the numbers of this one or its call
+        made->settle();  // space for all contacts, and no numbers of this object's last call
         return made;
     }
     const Contacts& home() const override { return at_.home; }
     int size() const override { return record_size(at_.home.count, at_.joints, at_.limits.rows); }
 
     void set_basis(const double* basis) override {
-        place({});  // the last call may have had fewer contacts
+        place({});  // the last call may have used fewer contacts
         newton_.starter.set_basis(newton_.cones, basis, at_.home.frames.data());
     }
     double make_basis(double* basis, bool warm) override {
@@ -163,7 +163,7 @@ public:
     }
 
     bool update(const Now& now) override {
-        if (now.contacts != Now{}.contacts) return false;  // which contacts touch belongs to a call
+        if (now.contacts != Now{}.contacts) return false;  // a call says which contacts touch, an update cannot
         if (place(now) == REFUSED) {
             settle();
             return false;
@@ -178,8 +178,9 @@ public:
     }
 
 private:
-    static constexpr double WELL_INSIDE = 1e-3;  // of the mean normal force: the least slack of a start within limits
-    static constexpr double CLOSE = 2.0;  // times the Phi of a previous solution: above, another start is compared with it
+    static constexpr double WELL_INSIDE = 1e-3;  // of the mean normal force: smallest slack of a start within limits
+    // If Phi grows by this factor over the previous solution, another start is compared with it.
+    static constexpr double CLOSE = 2.0;
     Options options_;
     Current at_;
     NewtonOn<V, B> newton_;
@@ -189,21 +190,21 @@ private:
     std::optional<FlowOn<V, B>> flow_;
     std::optional<Prediction<V, B>> predicted_;
     Tangents<V, B> home_tangents_;
-    Field rest_, origin_, spare_, guess_;  // an internal force; where a descent begins; to work with; what a model predicts
+    Field rest_, origin_, spare_, guess_;  // an internal force; start of a descent; work space; prediction of a model
     General general_;
-    std::vector<double> inner_;  // the record of the contacts in place
-    std::vector<double> force_, turn_;  // a force and torsion to begin with
+    std::vector<double> inner_;  // record of the current contacts
+    std::vector<double> force_, turn_;  // force and torsion of a start
     std::vector<double> proof_;  // (M,) prices of the limits in the proof that no force keeps them
 
-    // Of the contacts in place.
+    // State of the current contacts.
     Kind kind_ = Kind::hard;
     Code placed_ = REFUSED;
-    bool home_now_ = false;  // whether they are those of the problem
+    bool home_now_ = false;  // true if they are the problem's own
     bool conic_ready_ = false, general_ready_ = false, flow_ready_ = false, rest_sought_ = false, has_rest_ = false;
-    // Of the start of this call.
+    // State of this call's start.
     Start used_ = Start::standard;
     bool replaced_ = false, outside_ = false;
-    bool by_general_ = false;  // whether the general program made the answer
+    bool by_general_ = false;  // true if the general program made the answer
     Vec6 twist_{};
 
     Record inner() { return Record(inner_.data(), at_.now.count); }
@@ -223,8 +224,8 @@ private:
         return flow_ || options_.start == Start::linear_combination || options_.start == Start::linear_combination_printed ||
                options_.start == Start::single_value || options_.start == Start::lagrange;
     }
-    // The 12-basis of the problem's contacts; without force closure there is none, and starts that need it are replaced. warm: from that of
-    // nearby contacts. Returns the worst relative gap, inf: it did not converge, nan: no force closure.
+    // Compute the 12-basis of the problem's contacts. Without force closure no basis exists, and starts that need it are replaced.
+    // warm: start from the basis of nearby contacts. Return the worst relative gap; inf: not converged, nan: no force closure.
     double fill_basis(bool warm = false) {
         auto& starter = newton_.starter;
         starter.has_basis = false;
@@ -233,7 +234,7 @@ private:
         starter.has_basis = gap < ACCEPTED_GAP, starter.basis_tangents = starter.tangents;
         return gap;
     }
-    // An internal force strictly inside the cones, in newton_.x.
+    // Find an internal force strictly inside the cones and store it in newton_.x.
     bool squeezes() {
         if (newton_.internal_force()) return true;
         const double nothing[6] = {};
@@ -242,7 +243,7 @@ private:
         return newton_.is_start(Vec6{});
     }
 
-    // The problem's own contacts and limits.
+    // Return to the problem's own contacts and limits.
     void settle() {
         home_now_ = false;
         if (limited_) limited_->newton.rows.reserve(newton_.cones, std::min(at_.limits.rows, LimitTable::MOST_ROWS));
@@ -250,7 +251,7 @@ private:
         home_tangents_.load(at_.home.frames.data(), at_.home.count);
     }
 
-    // CONVERGED: all of it is in its place.
+    // Load the contacts and limits of a call. Return CONVERGED if that succeeds.
     Code place(const Now& now) {
         Now given = now;
         if (at_.touching(now.contacts) == at_.touching(~std::uint64_t(0))) given.contacts = ~std::uint64_t(0);
@@ -281,7 +282,7 @@ private:
         }
         return CONVERGED;
     }
-    // So many contacts; lanes that are not used hold a contact without effect.
+    // Set the number of contacts. Unused lanes hold a contact without effect.
     void set_count(int count) {
         if (newton_.cones.count == count) return;
         newton_.cones.count = count;
@@ -297,19 +298,19 @@ private:
         conic_.cones = newton_.cones, conic_.rest = rest_, conic_ready_ = true;
     }
     bool ready_general() {
-        if (!general_ready_ || !general_.placed())  // a copy of it holds nothing
+        if (!general_ready_ || !general_.placed())  // a copied program has no contacts yet
             general_ready_ =
                 general_.place(at_.now, torsional() ? at_.divisor.data() : nullptr,
                                at_.limits.rows ? at_.limits_in_place() : ForceLimits{}, 4, internal()) == Placing::good;
         return general_ready_;
     }
-    // An internal force as the general program takes one, whatever was sought before; null: none.
+    // An internal force in the form the general program takes; null if there is none.
     const double* internal() {
         if (torsional() || !rest(options_.method == Method::conic)) return nullptr;
         newton_.cones.store_force(rest_, force_.data());
         return force_.data();
     }
-    // An internal force of the contacts in place, of least Phi among its multiples; false without force closure.
+    // Find an internal force of the current contacts, scaled to least Phi. Return false without force closure.
     bool rest(bool thorough = false) {
         if (!rest_sought_ || (thorough && !has_rest_)) {
             rest_sought_ = true;
@@ -326,14 +327,14 @@ private:
         return flow_ ? Start::linear_combination : Start::internal_force;
     }
 
-    // The start of a call in newton_.x, balanced and strictly inside the cones; else why there is none.
+    // Write the start of a call, balanced and strictly inside the cones, into newton_.x. Otherwise return the reason.
     Code begin(const Ask& ask, const Vec6& w) {
         const Code code = find_start(ask, w);
         if (code != CONVERGED) return code;
         newton_.cones.settle(newton_.x);
         return ask.adjustment.empty() || adjust(ask.adjustment, w) ? CONVERGED : REFUSED;
     }
-    // Adds a force (N, 3) along the axes of the positions to the start; what is least in Phi between the two is taken.
+    // Add a force (N, 3) along the axes of the positions to the start and take the point of least Phi between the two.
     bool adjust(Doubles by, const Vec6& w) {
         if (by.size() != std::size_t(3 * at_.home.count)) return false;
         newton_.cones.store_force(spare_ = newton_.x, force_.data());
@@ -373,10 +374,10 @@ private:
         }
         const Code code = standard(ask, w);
         const bool named = ask.start != Start::standard || options_.start != Start::standard;
-        replaced_ = named || used_ != Start::phase_one;  // without force closure phase one is the method's own
+        replaced_ = named || used_ != Start::phase_one;  // without force closure, phase one is the default
         return code;
     }
-    // The method's own start, or where the contacts have no force closure any force inside.
+    // The method's default start, or any force inside if the contacts have no force closure.
     Code standard(const Ask& ask, const Vec6& w) {
         const bool combines = flow_ || options_.start == Start::linear_combination;
         if (combines && combine(ask.wrench, w, used_ = Start::linear_combination)) return CONVERGED;
@@ -388,7 +389,8 @@ private:
         grasp::begin(newton_.cones, rest_, w, newton_.x);
         return newton_.cones.phi(newton_.x) < infinity ? CONVERGED : UNDECIDED;
     }
-    // Any force inside, or the proof that none touches the cones; UNDECIDED: neither is quickly found.
+    // Find any force inside the cones, or a proof that no balanced force touches them. Return UNDECIDED if neither is found
+    // quickly.
     Code look(const Vec6& w) {
         used_ = Start::phase_one;
         ready_conic();
@@ -399,7 +401,7 @@ private:
         if (found == Inside::found && !(newton_.cones.phi(newton_.x) < infinity)) return UNDECIDED;  // numbers out of range
         return found == Inside::found ? CONVERGED : found == Inside::none ? INFEASIBLE : UNDECIDED;
     }
-    // The same; where that is undecided, by the deepest force.
+    // Like `look`; if that is undecided, find the deepest force.
     Code search(const Ask& ask, const Vec6& w) {
         if (const Code code = look(w); code != UNDECIDED) return code;
         if (kind_ != Kind::hard || !ready_general()) return UNDECIDED;
@@ -409,7 +411,7 @@ private:
         newton_.cones.load_force(force_.data(), newton_.x);
         return newton_.is_start(w) ? CONVERGED : UNDECIDED;
     }
-    // A start of the paper and its relatives, from the offline optima.
+    // A start from the offline optima: the paper's, or a relative of it.
     bool combine(const double* wrench, const Vec6& w, Start start) {
         auto& starter = newton_.starter;
         if (!starter.has_basis || at_.now.count != at_.home.count) return false;
@@ -428,8 +430,8 @@ private:
         }
         return newton_.is_start(w);
     }
-    // argmin (f - k n)^T W (f - k n) s.t. G f = -w, W = diag(1, 10, 10), n the unit normal forces: affine in k, which is what takes it
-    // inside, at least the mean normal force at rest, and no further than the middle of what is inside.
+    // argmin (f - k n)^T W (f - k n) s.t. G f = -w, with W = diag(1, 10, 10) and n the unit normal forces. The solution is affine
+    // in k. k moves it inside the cones: at least the mean normal force at rest, at most the middle of the feasible interval.
     bool lagrange(const Vec6& w) {
         constexpr double WEIGHT[3] = {1.0, 10.0, 10.0};
         const int size = 3 * at_.now.count;
@@ -461,7 +463,7 @@ private:
         return true;
     }
 
-    // A previous solution in the current frames, balanced by the change that is least in the Hessian of Phi.
+    // Turn a previous solution into the current frames and balance it by the smallest change in the metric of the Hessian.
     bool carry(const Ask& ask, const Vec6& w) {
         if (!load_previous(ask)) return false;
         Field& x = newton_.x;
@@ -475,14 +477,14 @@ private:
         x = origin_;
         return newton_.starter.segment(newton_.cones, spare_, x) > 0.0;
     }
-    // A force (N, 3) of the caller into newton_.x and force_, of the contacts that touch now.
+    // Load a caller's force (N, 3) of the touching contacts into newton_.x and force_.
     bool load_force(Doubles force) {
         if (force.size() != std::size_t(3 * at_.home.count)) return false;
         for (int i = 0; i < at_.now.count; ++i) std::copy_n(&force[3 * at_.chosen[i]], 3, &force_[3 * i]), turn_[i] = 0.0;
         newton_.cones.load_force(force_.data(), newton_.x);
         return true;
     }
-    // Into newton_.x, force_ and turn_: of the contacts that touch now, in their frames.
+    // Load the previous solution of the touching contacts, in their current frames, into newton_.x, force_ and turn_.
     bool load_previous(const Ask& ask) {
         if (!ask.previous) return load_force(ask.force) && newton_.cones.sane(newton_.x);
         const Record before(const_cast<double*>(ask.previous));  // only read
@@ -496,7 +498,7 @@ private:
                 std::copy_n(f, 3, out);
                 continue;
             }
-            out[0] = f[0];  // what the frames' tilt takes off a tangential force is left out, so that it stays inside
+            out[0] = f[0];  // the component lost to the frames' tilt is dropped, so the force stays inside
             for (int a = 1; a < 3; ++a) {
                 out[a] = 0.0;
                 for (int r = 0; r < 3; ++r) out[a] += to[3 * r + a] * (from[3 * r + 1] * f[1] + from[3 * r + 2] * f[2]);
@@ -507,7 +509,7 @@ private:
                std::all_of(turn_.begin(), turn_.end(), [](double v) { return std::abs(v) < infinity; });
     }
 
-    // What is given, into force_ and turn_; whether it is balanced and strictly inside the cones.
+    // Load a given force into force_ and turn_. Return true if it is balanced and strictly inside the cones.
     bool load_given(const Ask& ask) {
         const std::size_t all = at_.home.count;
         if (ask.force.size() != 3 * all || (!ask.torsion.empty() && ask.torsion.size() != all)) return false;
@@ -525,20 +527,20 @@ private:
         return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(newton_.cones.unit.of(ask.wrench)));
     }
 
-    // Where what is in newton_.x, balanced, has more Phi than the method's own start, in spare_, the least on the way to that is taken; of
-    // a guess in any case.
+    // If Phi at the balanced newton_.x exceeds Phi at the default start in spare_, take the point of least Phi between them. For a
+    // guess, always do so.
     void bring_inside(const Vec6& w, Start start) {
         const auto& cones = newton_.cones;
         const double own = cones.phi(spare_);
         double share = 1.0;
         if (start == Start::guess || !(cones.phi(newton_.x) <= own)) {
             share = newton_.starter.segment(cones, spare_, newton_.x);
-            if (!(cones.phi(newton_.x) <= own)) newton_.x = spare_, share = 0.0;  // rounding: not a digit more
+            if (!(cones.phi(newton_.x) <= own)) newton_.x = spare_, share = 0.0;  // rounding
         }
         replaced_ = !(share > 0.0) && dot(w, w) > 0.0;
         if (!replaced_) used_ = start;
     }
-    // A force of the caller, from the method's own start in newton_.x.
+    // Start from a caller's force, with the default start in newton_.x.
     bool guess(const Ask& ask, const Vec6& w) {
         spare_ = newton_.x;
         load_force(ask.force);
@@ -547,7 +549,8 @@ private:
         return newton_.cones.phi(newton_.x) < infinity;
     }
 
-    // What the model predicts, and no more Phi than the method's own start has; better than a previous solution where one is given.
+    // Start from the model's prediction. Phi is never above that of the default start. If a previous solution is given, the better
+    // of the two is used.
     bool predict(const Ask& ask, const Vec6& w) {
         if (at_.now.count != at_.home.count) return false;
         const auto& cones = newton_.cones;
@@ -559,7 +562,7 @@ private:
         if (home_now_) {
             for (int b = 0; b < int(x.size()); ++b) x[b] = -cones.blocks[b].least(w);
             predicted_->add(w, x);
-        } else {  // the internal force that it predicts turns with the contacts
+        } else {  // the predicted internal force turns with the contacts
             for (auto& v : origin_) v = {V{}, V{}, V{}};
             predicted_->add(w, origin_);
             starter.turn(cones, origin_, home_tangents_, x);
@@ -577,7 +580,7 @@ private:
         return true;
     }
 
-    // The start of what would serve the call, as a record.
+    // Write the start that a solve would use as a record.
     Code write_start(const Ask& ask, const Record& record) {
         record.clear();
         const Vec6 w = newton_.cones.unit.of(ask.wrench);
@@ -625,7 +628,7 @@ private:
                 .trace = ask.trace.data(),
                 .traced = int(ask.trace.size())};
     }
-    // By the cones alone.
+    // Record a proof that uses only the cones.
     Code refuted(const Vec6& w, const Record& record) {
         std::fill(proof_.begin(), proof_.end(), 0.0);
         return record.refute((1.0 / grasp::size(twist_)) * twist_, grasp::size(w));
@@ -711,7 +714,7 @@ private:
         return code != CONVERGED && ready_general() ? general_.conic_from(newton_.options, record) : code;
     }
 
-    // The general program, from its own centre, a given force or the previous solution.
+    // Run the general program from its own centre, a given force or the previous solution.
     Code general(const Ask& ask, const Record& record) { return general(ask, record, newton_.options); }
     Code general(const Ask& ask, const Record& record, const Stop& stop) {
         if (!ready_general()) return UNDECIDED;
@@ -746,8 +749,8 @@ private:
         return record.code();
     }
 
-    // The optimum without limits into force_ and turn_, where it keeps them well: a start that costs a tenth of the deepest force.
-    // spent: its steps.
+    // Solve without limits into force_ and turn_. Return true if that optimum is well within the limits: such a start costs a tenth
+    // of the deepest force. spent: number of steps.
     bool free_optimum(const Ask& ask, int limit, int& spent) {
         if (kind_ != Kind::other || at_.now.placing != Placing::good || !rest()) return false;
         const Record record(newton_.row.data(), at_.now.count);
@@ -777,11 +780,11 @@ private:
 
     // --- the answer
 
-    // What `inner` holds, as a row of all contacts. optimum: whether limits have prices there.
+    // Write `inner` as a row of all contacts. optimum: true if the limits have prices there.
     Code deliver(Code code, const Record& out, bool optimum = true) {
         Summary& s = out.summary();
         const int all = at_.home.count;
-        // where rounding left the cones there is no force to speak of
+        // without a finite objective, rounding left no usable force
         if ((code == STALLED || code == LIMIT) && !(inner().summary().objective < infinity)) code = UNDECIDED;
         s.code = code;
         if (!out.has_force()) {
@@ -823,7 +826,7 @@ private:
         if (code == LIMITS_EXCEEDED) s.objective = s.limit_excess;
         return code;
     }
-    // The price of the k-th row of the contacts in place, at an optimum.
+    // Price of the k-th row of the current contacts at an optimum.
     double row_price(int k, const Record& from) const {
         if (by_general_) return general_.prices()[k];
         const int i = at_.table.owners[k];
