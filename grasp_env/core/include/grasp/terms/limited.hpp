@@ -1,4 +1,4 @@
-// Newton on Phi within limits, in one call: the optimum, a proof that there is none, or the force that exceeds limits least.
+// Newton on Phi within limits, in one call: the optimum, a proof that no force exists, or the force that exceeds the limits least.
 #pragma once
 #include <grasp/terms/excess.hpp>
 
@@ -7,17 +7,17 @@ namespace grasp {
 template <class V, int B> class LimitedOn {
 public:
     NewtonOn<V, B, LimitTerms<V, B>> newton;
-    bool elastic = false;  // where no force keeps the limits: the one that exceeds them least
-    double per = 0.0;  // of a proof: what its prices, those of `newton.rows`, are multiplied by to go with the twist
+    bool elastic = false;  // if no force keeps the limits, find the one that exceeds them least
+    double per = 0.0;  // factor that scales the prices in `newton.rows` of a proof to its twist
 
     LimitedOn(int count, const Stop& options) : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
 
-    // From a previous optimum, or any balanced force inside the cones.
-    // REFUSED: numbers that are not finite, no start, or a problem for the general program, nearly infeasible or out of digits.
-    // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`LimitTerms::farkas`): v . w > max -v . G f within
-    // the limits. LIMITS_EXCEEDED: objective and bound are those of the excess.
-    // begin(w, previous): makes the start in newton.x, that of the call or, `previous`, the optimum of another wrench balanced; whether
-    // there is one.
+    // Solve from a previous optimum, or from any balanced force inside the cones.
+    // REFUSED: numbers that are not finite, no start, or a problem for the general program: nearly infeasible, or out of digits.
+    // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`LimitTerms::farkas`): v . w > max -v . G f within the
+    // limits. LIMITS_EXCEEDED: objective and bound are those of the excess.
+    // begin(w, previous): writes the start into newton.x: that of the call, or if `previous` the balanced optimum of another
+    // wrench. Returns true if there is one.
     template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
         Summary& s = record.summary();
         s.code = REFUSED;
@@ -36,7 +36,7 @@ public:
     }
 
 private:
-    static constexpr double FIRM = 0.5;  // of the least slack of a previous force: there the parabola begins
+    static constexpr double FIRM = 0.5;  // of the least slack of a previous force: edge of the parabola
     typename Cones<V, B>::Field begun_;
     LeastExcess<V, B> least_;
 
@@ -44,7 +44,7 @@ private:
         return code == REFUSED || code == STALLED || (code == LIMIT && !newton.rows.within(newton.x));
     }
 
-    // From a previous optimum.
+    // Descend from a previous optimum.
     Code follow(const Call& call, const Vec6& w, const Record& record) {
         newton.cones.load_force(call.force, newton.x);
         const double room = newton.rows.tightest(newton.x);
@@ -65,7 +65,7 @@ private:
         return code;
     }
 
-    // Whether the least excess follows from a previous one in newton.x, without the proof that there is any.
+    // True if the least excess follows from a previous one in newton.x, without a proof that the limits must be exceeded.
     bool again(const Call& call, const Vec6& w, const Record& record) {
         if (!(newton.rows.excess(newton.x) > EXCESS_FLOOR)) return false;
         newton.cones.store_force(newton.x, record.initial_force());

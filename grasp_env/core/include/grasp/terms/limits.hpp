@@ -1,31 +1,32 @@
-// Limits that are linear in one contact's force, a . x <= b, as terms of Phi: joint torques of a finger, least and largest normal
-// forces. Phi gains lambda / slack for each row of length one; a row is a rank-one change of its contact's 3 x 3 inverse Hessian.
+// Limits that are linear in one contact's force, a . x <= b, as terms of Phi: joint torques of a finger, smallest and largest
+// normal forces. Phi gains lambda / slack for each row of length one. A row is a rank-one change of its contact's 3 x 3 inverse
+// Hessian.
 //
-// Below a small slack the barrier goes on as its parabola (C2), so any force inside the cones is a start. That edge is lowered
-// until every slack is above it: then the optimum is that of lambda / slack, and so is its bound. Or Newton's multipliers prove
-// that no force keeps the limits (Farkas).
+// Below a small slack, the edge, the barrier is replaced by its quadratic extension (C2), so any force inside the cones is a valid
+// start. The edge is lowered until every slack is above it: then the optimum is that of lambda / slack, and so is its bound.
+// Alternatively, Newton's multipliers prove that no force keeps the limits (Farkas).
 #pragma once
 #include <grasp/contacts/cones.hpp>
 
 namespace grasp {
 
-inline constexpr double UNBOUNDED = 1e30;  // [N] of what no row bounds: finite, so that nothing times it is nothing
+inline constexpr double UNBOUNDED = 1e30;  // [N] bound of what no row bounds; finite, so that 0 times it is 0
 
-// Rows on the force of one contact each, cone coordinates.
+// Rows that each act on the force of one contact, cone coordinates.
 struct LimitRows {
     int count = 0;
-    const double* normal = nullptr;  // (M, 3) of length one; zero: no force changes it
+    const double* normal = nullptr;  // (M, 3) of length one; zero: independent of the forces
     const double* bound = nullptr;  // (M,) b [N]
-    const double* share = nullptr;  // (M,) by how much b grows where the limit grows by all of itself [N]
+    const double* share = nullptr;  // (M,) growth of b if the limit grows by all of itself [N]
     const double* weight = nullptr;  // (M,) lambda > 0
     const int* contact = nullptr;  // (M,)
 };
 
-// a . x <= bound + t share, or for the other side of a pair -a . x; where it is not there weight and share are zero.
+// a . x <= bound + t share, or -a . x for the other side of a pair. Weight and share of a missing side are zero.
 template <class V> struct Side {
     V bound, share, weight;
-    V slack, price, bend;  // at x; price >= 0: its multiplier, bend: how that grows as the slack shrinks
-    V dslack, dprice;  // of a step
+    V slack, price, bend;  // at x; price >= 0: its multiplier, bend: growth of the price as the slack shrinks
+    V dslack, dprice;  // change by a step
 
     void at(const V& along, double t) { slack = bound + all<V>(t) * share - along; }
 };
@@ -36,7 +37,7 @@ template <class V> struct Pair {
     Side<V> high, low;
 
     V price() const { return high.price - low.price; }
-    // f(side, sign) for both
+    // call f(side, sign) for both
     template <class F> void sides(F&& f) { f(high, 1.0), f(low, -1.0); }
     template <class F> void sides(F&& f) const { f(high, 1.0), f(low, -1.0); }
     // inverse = (inverse^-1 + (bends) a a^T)^-1
@@ -48,18 +49,18 @@ template <class V> struct Pair {
     }
 };
 
-// What to do after a Newton step was found: go on; the edge was lowered; no force keeps the limits; neither is known.
+// Decision after a Newton step was computed: continue; the edge was lowered; no force keeps the limits; neither is known.
 enum class Verdict { on, harder, hopeless, lost };
 
-// All rows; to each contact as many pairs as one needs.
+// All rows. Every contact gets as many pairs as the contact with most rows needs.
 template <class V, int B> class LimitTerms {
 public:
     static constexpr bool any = true, turns = false;
     static constexpr int W = width<V>;
     using Field = typename Cones<V, B>::Field;
-    int sides = 0;  // how many rows
+    int sides = 0;  // number of rows
 
-    // From now on `pack` allocates nothing for as many rows, whichever contacts they are of.
+    // Make `pack` free of allocations for up to this many rows, on any contacts.
     void reserve(const Cones<V, B>& cones, int rows) {
         const int blocks = int(cones.blocks.size());
         of_.resize(W * blocks);
@@ -67,7 +68,7 @@ public:
         pairs_.reserve(size_t(rows) * blocks), extra_.reserve(W * blocks * size_t(rows));
         make_room(blocks);
     }
-    // Allocates nothing where the contacts had as many rows before.
+    // Load the rows. Does not allocate if the contacts had as many rows before.
     void pack(const Cones<V, B>& cones, const LimitRows& rows) {
         const int blocks = int(cones.blocks.size());
         of_.resize(W * blocks);
@@ -106,8 +107,9 @@ public:
         lean(cones);
     }
 
-    // Where the parabola begins, in parts of the contacts' own scales sqrt(lambda / omega), which slacks are of where limits
-    // bind. From the softest on any force is a start: a harder one takes more steps to come inside, a softer one to be hardened.
+    // The parabola begins at `edge` times the contact's own scale sqrt(lambda / omega), the scale of slacks at active limits. From
+    // SOFTEST on, any force is a start. A smaller first edge takes more steps to come inside, a larger one more steps to be
+    // lowered.
     static constexpr double SOFTEST = 8.0;
     void soften(double edge) { edge_ = edge; }
 
@@ -122,7 +124,7 @@ public:
         });
         return total;
     }
-    // Gradient and inverse Hessian at x: those of the cones, to which the rows' are added.
+    // Add the rows' terms to the cones' gradient and inverse Hessian at x.
     void bend(int b, const Vec3<V>& x, Vec3<V>& gradient, Sym3<V>& inverse) {
         const V edge = all<V>(edge_) * scale_[b];
         if (b == 0) tightest_ = all<V>(infinity);
@@ -146,7 +148,8 @@ public:
             p.sides([&](Side<V>& side, double sign) { side.price = max(V{}, side.price + sign * side.bend * along); });
         });
     }
-    // Takes the rows off y = G^T nu; returns their part of the dual value, the least of barrier(slack) + price (slack - bound).
+    // Subtract the rows from y = G^T nu. Return their part of the dual value, the minimum of barrier(slack) + price (slack -
+    // bound).
     V dual(int b, const Vec6&, Vec3<V>& y) const {
         V total{};
         const V edge = all<V>(edge_) * scale_[b];
@@ -159,9 +162,9 @@ public:
         return total;
     }
 
-    // --- all of them
+    // --- over all contacts
 
-    // Least slack, in parts of the contacts' scales.
+    // Smallest slack, relative to the contacts' scales.
     double tightest(const Field& x) const {
         V out = all<V>(infinity);
         for (int b = 0; b < int(x.size()); ++b)
@@ -171,10 +174,10 @@ public:
             });
         return least(out);
     }
-    // Whether the terms are lambda / slack at x.
+    // True if all terms are lambda / slack at x.
     bool within(const Field& x) const { return tightest(x) >= edge_; }
 
-    // Largest excess of a limit at x, as a part of it; 0 within. One that does not grow (share 0) is never exceeded by a part.
+    // Largest excess of a limit at x, as a fraction of the limit; 0 within. A limit with share 0 counts as never exceeded.
     double excess(const Field& x) const {
         V most{};
         for (int b = 0; b < int(x.size()); ++b)
@@ -185,12 +188,12 @@ public:
         return largest(most);
     }
 
-    // After the Newton step from the x of the last `bend`: nu its multipliers, decrement its squared decrement as a part of Phi. Where they
-    // prove that no force keeps the limits nu becomes that proof.
+    // Judge the Newton step from the x of the last `bend`. nu: its multipliers; decrement: its squared decrement as a fraction of
+    // Phi. If the multipliers prove that no force keeps the limits, nu becomes that proof.
     Verdict judge(const Cones<V, B>& cones, Vec6& nu, const Vec6& w, double decrement, int iterations) {
         const double slack = least(tightest_);
         if (slack >= edge_) return Verdict::on;
-        // the optimum of a parabola need not be exact; but where rows are far below its edge, it is what multipliers are found at
+        // the optimum with a parabola need not be exact, unless rows are far below the edge: then the multipliers depend on it
         const bool settled = decrement < (slack < -BROKEN * edge_ ? CLOSER : SETTLED);
         if (slack <= 0.0 && (settled || (iterations >= 2 && iterations % 2 == 1)) && hopeless(cones, nu, w))
             return Verdict::hopeless;
@@ -201,13 +204,13 @@ public:
     }
 
     // With prices y >= 0 and q = sum y a - G^T nu, every balanced force has sum q . x = sum y a . x + nu . w. In the cones and
-    // within limits raised by t this is at least -sum delta u_max, delta what q lacks of the dual cone, and at most
-    // sum y (b + t share) + nu . w: so value + t share >= 0, value < 0 is a proof that no force keeps the limits, and
-    // -value / share a bound of t. Where no row bounds u_max nu is leant over (see `lean`) until delta is nothing there.
+    // within limits raised by t this is at least -sum delta u_max, where delta is the distance of q from the dual cone, and at most
+    // sum y (b + t share) + nu . w. So value + t share >= 0: value < 0 proves that no force keeps the limits, and -value / share is
+    // a lower bound on t. Contacts whose u_max no row bounds have nu changed (see `lean`) until their delta is zero.
     struct Farkas {
         double value, share, size;
         Vec6 nu;
-    };  // size: what the terms of value add up to
+    };  // size: sum of the absolute terms of value
     Farkas farkas(const Cones<V, B>& cones, const Vec6& given, const Vec6& w, double t = 0.0) const {
         const Vec6 nu = leant(cones, given);
         V total{}, share{}, size{};
@@ -244,8 +247,8 @@ public:
         return true;
     }
 
-    // f(row, price) for all rows of the last proof: G^T v + sum price a, v = -nu, is in every dual cone; what the multipliers lack of that the
-    // rows that bound u make up for.
+    // Call f(row, price) for all rows of the last proof: G^T v + sum price a, v = -nu, lies in every dual cone. The rows that bound
+    // u provide what the multipliers lack.
     template <class F> void prices(F&& f) const {
         for (int i = 0; i < int(of_.size()); ++i)
             for (int k = 0; k < int(of_[i].size()); ++k) {
@@ -264,15 +267,15 @@ public:
     }
 
 private:
-    static constexpr double SETTLED = 0.03;  // squared decrement, as a part of Phi, from which the edge is lowered
-    static constexpr double CLOSER = 3e-4;  // the same where a row is BROKEN edges outside
+    static constexpr double SETTLED = 0.03;  // squared decrement, as a fraction of Phi, below which the edge is lowered
+    static constexpr double CLOSER = 3e-4;  // the same if a row is BROKEN edges outside
     static constexpr double BROKEN = 10.0;
     static constexpr double HARDENING = 1.0 / 16.0;
-    static constexpr double HARDEST = 1e-6;  // nearly infeasible: another method's
-    static constexpr double SURE = 1e-9;  // of what the terms of a proof add up to: far above their rounding
-    static constexpr double DAMPED = 1e-12;  // of the trace: contacts that least squares know too little of
-    static constexpr double INSIDE = 0.1;  // of e_u: how deep in the dual cones its answer must be
-    static constexpr double PARALLEL = 1e-12;  // by which opposite rows may differ
+    static constexpr double HARDEST = 1e-6;  // below it the problem is nearly infeasible and left to the general program
+    static constexpr double SURE = 1e-9;  // fraction of the terms of a proof: far above their rounding
+    static constexpr double DAMPED = 1e-12;  // of the trace: regularises contacts that the least squares leave undetermined
+    static constexpr double INSIDE = 0.1;  // of e_u: required depth of the answer in the dual cones
+    static constexpr double PARALLEL = 1e-12;  // allowed difference of opposite rows
     struct Both { int high, low; };  // the rows of a pair; -1: none
     struct Bounding {
         int row[3] = {-1, -1, -1};
@@ -280,19 +283,20 @@ private:
     };  // u <= sum part * row's bound, for forces in the cone
     double edge_ = SOFTEST;
     int each_ = 1;
-    std::vector<std::vector<Both>> of_;  // those of each contact
+    std::vector<std::vector<Both>> of_;  // pairs of each contact
     std::vector<Pair<V>> pairs_;  // (blocks, each)
-    std::vector<Bounding> bounding_;  // of each contact
-    std::vector<double> extra_;  // (M,) of a proof: prices besides those of the pairs
+    std::vector<Bounding> bounding_;  // for each contact
+    std::vector<double> extra_;  // (M,) prices of a proof beyond those of the pairs
     Blocks<V, B> scale_, room_, more_;  // u is at most room + t more within limits raised by t
-    Blocks<V, B> leans_;  // 1 of a contact that no row bounds, whose u is at most room + t more - lean . w
+    Blocks<V, B> leans_;  // 1 for a contact that no row bounds, with u at most room + t more - lean . w
     Vec6 lean_{};
     bool leaning_ = false;
     V tightest_{};
 
-    // Contacts that no row bounds: a twist nu with G_i^T nu - e_u in the dual cone of each of them, by least squares. It takes multipliers into
-    // their dual cones, and with what the others can bear it bounds what is left there of rounding: their u add up to at most
-    // nu . sum G_i x_i = -nu . w - sum (G_j^T nu) . x_j over the others. Contacts that can squeeze the object by themselves have none.
+    // For contacts that no row bounds: find by least squares a twist nu with G_i^T nu - e_u in the dual cone of each. Adding it
+    // takes multipliers into their dual cones. Together with the bounds of the other contacts it bounds the rounding left there:
+    // the u add up to at most nu . sum G_i x_i = -nu . w - sum (G_j^T nu) . x_j over the others. Contacts that can squeeze the
+    // object by themselves have no such twist.
     void lean(const Cones<V, B>& cones) {
         const int blocks = int(cones.blocks.size());
         Packed6 square{};
@@ -359,20 +363,20 @@ private:
     }
     static V part(const V& excess, const V& share) { return share > 0.0 ? excess / share : V{}; }
 
-    // lambda / slack, below `edge` its expansion to second order there
+    // lambda / slack; below `edge` its second-order expansion there
     static V barrier(const V& slack, const V& edge, const V& weight) {
         const V c = max(slack, edge), i = 1.0 / c, e = (slack - c) * i;
         return weight * i * (1.0 - e + e * e);
     }
-    // least over s of barrier(s) + price s
+    // minimum over s of barrier(s) + price s
     static V conjugate(const V& price, const V& edge, const V& weight) {
         const V most = weight / (edge * edge), inside = min(price, most), over = price - inside;
         const V bend = weight > 0.0 ? 0.25 * edge * edge * edge / weight : V{};
         return 2.0 * sqrt(weight * inside) + over * edge - bend * over * over;
     }
 
-    // Largest u within the rows of a contact and its cone, and how it grows with the limits: u <= sum z b for any z >= 0 with
-    // sum z a - e_u in the dual cone, of which one, two and three pairs are tried.
+    // Largest u within the rows of a contact and its cone, and its growth with the limits: u <= sum z b for any z >= 0 with sum z a
+    // - e_u in the dual cone. Tries one, two and three pairs.
     class Room {
     public:
         double most = UNBOUNDED, more = 0.0;
@@ -391,14 +395,14 @@ private:
 
     private:
         static constexpr int TRIED = 8;
-        static constexpr double CLEAR = 1e-3;  // from where on a combination is no matter of rounding
+        static constexpr double CLEAR = 1e-3;  // threshold above rounding for a combination
         const LimitRows& rows_;
 
         Vec3<double> normal(const Both& p) const {
             const double* a = rows_.normal + 3 * p.high;
             return {a[0], a[1], a[2]};
         }
-        // z of either sign: that of the pair's first row
+        // z of either sign, for the pair's first row
         void take(std::initializer_list<Both> pairs, std::initializer_list<double> z) {
             double bound = 0.0, share = 0.0;
             auto part = z.begin();
@@ -420,7 +424,7 @@ private:
             if (slack(a) > CLEAR) take({p}, {1.0 / slack(a)});
             if (slack(-a) > CLEAR) take({p}, {-1.0 / slack(-a)});
         }
-        // e_u + r in their plane with r on the dual cone, where what is normal to the plane is outside the cone
+        // e_u + r in the plane of a and b, with r on the dual cone, if the plane's normal lies outside the cone
         void two(const Both& p, const Both& q) {
             const Vec3<double> a = normal(p), b = normal(q), n = cross(a, b);
             const double across = std::sqrt(n.o * n.o + n.t * n.t), clear = across - std::abs(n.u), square = dot(n, n);
