@@ -1,20 +1,23 @@
-// The exact problem: least sum of normal forces, balance, friction cones. Primal-dual interior point with Nesterov-Todd scaling
-// and Mehrotra's corrector (Nesterov, Todd 1997; Mehrotra 1992; as in Vandenberghe 2010, "The CVXOPT linear and quadratic cone
-// program solvers"); every iterate is a valid grasp, and y scaled onto the boundary is a certified bound.
+// The exact problem: the least sum of normal forces subject to balance and friction cones. Primal-dual interior point with
+// Nesterov-Todd scaling and Mehrotra's corrector (Nesterov, Todd 1997; Mehrotra 1992; as in Vandenberghe 2010, "The CVXOPT linear
+// and quadratic cone program solvers"). Every iterate is a valid grasp, and y scaled onto the boundary is a certified bound.
 //
-//     min sum_i c_i u_i  s.t.  G x = -w,  x_i in the cone u >= |(o, t)|      max -w . y  s.t.  s_i = c_i e_u - G_i^T y in it
+//     min sum_i c_i u_i  s.t.  G x = -w,  x_i in the cone u >= |(o, t)|
+//     max -w . y  s.t.  s_i = c_i e_u - G_i^T y in the cone
 //
 // In these coordinates the scaling of a contact is eta (2 v v^T - J), v . J v = 1, so the 6 x 6 matrix of an iteration is the sum
-// of eta (2 (G v)(G v)^T - G J G^T) with G J G^T constant. Close to losing force closure, or with contacts close together, that
-// sum loses its digits: where it stalls the problem is solved again by least squares in the axes of the scalings, and no step is
-// the difference of two large ones.
+// of eta (2 (G v)(G v)^T - G J G^T) with G J G^T constant. That sum loses digits close to losing force closure, or with contacts
+// close together. If it stalls, the problem is solved again by least squares in the axes of the scalings, where no step is the
+// difference of two large ones.
+//
+// This file holds one algorithm, with the steps that one problem and a register of problems share.
 #pragma once
 #include <grasp/phi/newton.hpp>
 #include <grasp/math/qr6.hpp>
 
 namespace grasp {
 
-// M = eta (2 v v^T - J) takes s to x; sqrt(eta) * `scaled` is its square root.
+// M = eta (2 v v^T - J) takes s to x; its square root is sqrt(eta) * `scaled`.
 template <class T> struct Scaling {
     Vec3<T> v;
     T eta, shrink, root;  // 1 / (1 + v_0), 1 / sqrt(s . J s)
@@ -32,7 +35,7 @@ template <class T> struct Scaling {
         const T z = v.o * d.o + v.t * d.t, k = d.u + z * shrink;
         return {v.u * d.u + z, d.o + k * v.o, d.t + k * v.t};
     }
-    Vec3<T> unscaled(const Vec3<T>& d) const {  // of `scaled`
+    Vec3<T> unscaled(const Vec3<T>& d) const {  // inverse of `scaled`
         const T z = v.o * d.o + v.t * d.t, k = z * shrink - d.u;
         return {v.u * d.u - z, d.o + k * v.o, d.t + k * v.t};
     }
@@ -42,7 +45,7 @@ template <class T> struct Scaling {
     }
 };
 
-// The iterate and its steps, of one problem or a register of them.
+// The iterate and its steps, for one problem or a register of them.
 template <class V, int B> class ConicSteps {
 public:
     using S = Reduced<V>;
@@ -51,13 +54,13 @@ public:
         Vec3<V> x, s;  // primal and dual slack
         Scaling<V> m;
         Vec3<V> l, d, q;  // scaled point, (scaled) dual direction, dx
-        V share, l0;  // of the boundary at l; 1 / l_0
+        V share, l0;  // share of the `Boundary` at l; 1 / l_0
         Vec3<V> first;  // first x, for the record
 
         Boundary<V> boundary() const { return {l, m.root, share}; }  // l . J l = s . J s
     };
     Cones<V, B> cones;
-    Field rest;  // an internal force strictly inside the cones: what a start squeezes with
+    Field rest;  // an internal force strictly inside the cones, with which a start squeezes
     Blocks<At, B> at;
     S gap{}, price{};
     Six<S> y{};
@@ -66,7 +69,7 @@ public:
     explicit ConicSteps(int count) : cones(count), rest(cones.field()) { resize(at, cones.blocks.size()); }
     int blocks() const { return int(at.size()); }
 
-    // x = -G^+ w + k rest with k beyond what the triangle inequality asks, s = c
+    // x = -G^+ w + k rest, with k larger than the triangle inequality requires; s = c
     void start(const Six<S>& minus) {
         V squeeze = all<V>(1e-6), cost{};
         for (int b = 0; b < blocks(); ++b) {
@@ -84,7 +87,7 @@ public:
         gap = price = sum(cost), y = {};
     }
 
-    // S = sum eta (2 (G v)(G v)^T - G J G^T), factored; returns its least pivot
+    // S = sum eta (2 (G v)(G v)^T - G J G^T), factored; returns its smallest pivot
     [[gnu::always_inline]] S system() {
         V s[21] = {};
         for (int b = 0; b < blocks(); ++b) {
@@ -106,9 +109,9 @@ public:
         return schur.factor(lower);
     }
 
-    // A step with Mehrotra's corrector: `down` is the predictor's dy (dx + M ds = -x, so that S dy = G x = -w), correct(pull) that
-    // of all. Whether it moves anything; where it does not, it is not taken. EXACT: `correct` leaves dx in q. least: part of the
-    // gap that centring keeps; 1 stays inside instead of going for the optimum.
+    // Take a step with Mehrotra's corrector. down: the predictor's dy (dx + M ds = -x, so that S dy = G x = -w). correct(pull): the
+    // whole dy. Return true if the step moves anything; otherwise it is not taken. EXACT: `correct` leaves dx in q. least: smallest
+    // fraction of the gap that centring keeps; 1 stays in the interior instead of heading for the optimum.
     template <bool EXACT, class F> [[gnu::always_inline]] auto step(const Six<S>& down, F&& correct, double least = 0.0) {
         const auto [primal, dual, cross, square] = predict(down);
         const S after = gap + dual * cross - primal * (gap + cross) - primal * dual * (cross + square);
@@ -123,9 +126,9 @@ public:
         return moves;
     }
 
-    // What the iterate x, of a wrench of size 1, is as an answer: y scaled onto the boundary of its set by theta, and the force [N]
-    // of a wrench of size `scale`. For any y the largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|),
-    // g = G^T y, over the contacts where that is positive.
+    // The certified answer at the iterate x of a wrench of size 1: y scaled onto the boundary of its set by theta, and the force
+    // [N] for a wrench of size `scale`. For any y the largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|), g
+    // = G^T y, over the contacts where that is positive.
     struct Answer {
         S theta, price, bound;
         S gap() const { return select(bound > 0.0, (price - bound) / bound, S(infinity)); }
@@ -144,8 +147,8 @@ public:
             const auto& c = cones.blocks[b];
             auto& x = at[b].x;
             x -= c.least(left);
-            const V outside = 1e-15 * x.u - slack(x);  // 1e-15: what the rounding of the next lines may cost
-            // the last digits of balance may take x out of its cone: an internal force takes it back
+            const V outside = 1e-15 * x.u - slack(x);  // 1e-15 allows for the rounding of the next lines
+            // restoring the last digits of balance may take x out of its cone; an internal force takes it back
             squeeze = max(squeeze, 1.1 * c.mask * outside / slack(rest[b]));
         }
         const V k = all<V>(largest(squeeze));
@@ -159,9 +162,9 @@ public:
     }
 
 private:
-    static constexpr double STEP = 0.995;  // the largest part of the way to the boundary
+    static constexpr double STEP = 0.995;  // largest fraction of the way to the boundary
 
-    // Longest steps of x and s along the predictor ds = -G^T dy, s . dx part and ds . ds part.
+    // Longest steps of x and s along the predictor ds = -G^T dy, and the terms s . dx and ds . ds.
     struct Predicted { S primal, dual, cross, square; };
     Predicted predict(const Six<S>& dy) {
         V primal = all<V>(1.0), dual = all<V>(1.0), cross{}, square{};
@@ -179,7 +182,7 @@ private:
         return {1.0 / largest(primal), 1.0 / largest(dual), sum(cross), sum(square)};
     }
 
-    // d = scaled right side with centring and second order, q its unscaled image; returns -G q
+    // d = scaled right-hand side with centring and second order, q its unscaled image; returns -G q
     [[gnu::always_inline]] Six<S> centre(const S& target) {
         V out[6] = {};
         for (int b = 0; b < blocks(); ++b) {
@@ -189,7 +192,7 @@ private:
             const Vec3<V> r{target / m.eta + dot(f, e), f.u * e.o + e.u * f.o, f.u * e.t + e.u * f.t};
             const V h = lorentz(l, r) * m.root * m.root;
             here.d = cones.blocks[b].mask *
-                     (Vec3<V>{h, (r.o - h * l.o) * here.l0, (r.t - h * l.t) * here.l0} - l);  // unused lanes rest
+                     (Vec3<V>{h, (r.o - h * l.o) * here.l0, (r.t - h * l.t) * here.l0} - l);  // unused lanes do not move
             here.q = m.eta * m.scaled(here.d);
             cones.blocks[b].add_wrench(here.q, out);
         }
@@ -241,12 +244,12 @@ public:
         : Steps(count), options(options), force_(cones.field()), first_(cones.field()), qr_(Steps::blocks()),
           fitted_(qr_.rows()) {}
 
-    // A wrench of size 1, and what it was made from.
+    // A wrench of size 1, and its original size.
     struct Posed {
         Vec6 unit, minus;
         double scale;
     };
-    // Begins a record; false where that is all of it.
+    // Begin a record. Return false if the record is complete.
     bool pose(const double* wrench, Posed& posed, const Record& record) const {
         record.clear();
         Summary& out = record.summary();
@@ -255,7 +258,7 @@ public:
         std::copy(wrench, wrench + 6, out.wrench.begin());
         posed.unit = cones.unit.of(wrench);
         posed.scale = size(posed.unit);
-        if (posed.scale < NOTHING) {  // no force is needed, and none is less
+        if (posed.scale < NOTHING) {  // zero force is the answer
             out.code = CONVERGED, out.residual = posed.scale;
             return false;
         }
@@ -276,7 +279,7 @@ public:
         return code;
     }
 
-    // The iterate as an answer, with its certificate: the iterations' own gap is not proof. Returns the certified gap.
+    // Write the iterate as an answer with its certificate, since the iterations' own gap is no proof. Return the certified gap.
     double conclude(const Posed& posed, int iterations, const Record& record) {
         const double certified = certify(posed, record);
         Summary& out = record.summary();
@@ -284,12 +287,12 @@ public:
         return certified;
     }
 
-    // What `find_inside` ends with.
+    // Outcome of `find_inside`.
     enum class Inside { found, none, unknown };
-    // A force x strictly inside the cones that balances a wrench (unit frame), or the twist that proves that there is none. Needs no
-    // internal force: centred steps from the axes, until what is nearest and balanced is inside. The optimum on the boundary, which
-    // steps without centring go for, is often nearer than balance. Where no force exists y grows beyond all prices, and with it what
-    // every force within the cones would have to be.
+    // Find a force x strictly inside the cones that balances a wrench (unit frame), or the twist that proves that none exists.
+    // Needs no internal force: takes centred steps from the axes until the balanced force nearest to the iterate is inside. Steps
+    // without centring head for the optimum on the boundary, which is often nearer than balance. If no force exists, y grows
+    // without bound and becomes the proof.
     Inside find_inside(const Vec6& w, Field& x, Vec6& twist, int& iterations) {
         const double scale = size(w);
         if (!(scale >= NOTHING)) return Inside::unknown;
@@ -320,13 +323,13 @@ public:
 
 private:
     static constexpr int SEARCH = 60;  // steps; a dozen is usual
-    static constexpr double ROUNDING = 1e-12;  // of the twist: what a proof is strict by
-    Field force_, first_;  // what is written
+    static constexpr double ROUNDING = 1e-12;  // fraction of the twist by which a proof must be strict
+    Field force_, first_;  // the forces that are written
     LaneQr6<V> qr_;
-    std::vector<double> fitted_;  // scaled, by axes
+    std::vector<double> fitted_;  // scaled, in the axes
     using Steps::blocks;
 
-    // From the start to the record. EXACT: dy by least squares instead of S, which has the square of their condition number.
+    // Descend from the start and write the record. EXACT: find dy by least squares instead of S, whose condition number is squared.
     template <bool EXACT> Code descend(const Posed& posed, const Record& record) {
         const Vec6& minus = posed.minus;
         this->start(minus);
@@ -362,10 +365,10 @@ private:
         return sums(total) - minus;
     }
 
-    // M by its axes: along v, against it, across both. None of its numbers is a difference or loses digits to a larger one.
+    // M by its axes: along v, against it, and across both. None of its entries is a difference or loses digits to a larger one.
     struct RootAxes {
         Vec3<V> axis[3];
-        V size[3];  // of M's root: sqrt(eta) times v_0 + |v|, 1 / (v_0 + |v|), 1
+        V size[3];  // of the root of M: sqrt(eta) times v_0 + |v|, 1 / (v_0 + |v|), 1
 
         explicit RootAxes(const Scaling<V>& m) {
             const V half = all<V>(0.70710678118654752440), s = sqrt(m.v.o * m.v.o + m.v.t * m.v.t), root = sqrt(m.eta);
@@ -374,7 +377,7 @@ private:
             size[0] = root * (m.v.u + s), size[1] = root / (m.v.u + s), size[2] = root;
         }
     };
-    // A with S = A^T A, factored.
+    // Factor A, with S = A^T A.
     bool axes() {
         for (int b = 0; b < blocks(); ++b) {
             const RootAxes m(at[b].m = Scaling<V>(at[b].x, at[b].s));
@@ -383,7 +386,7 @@ private:
         }
         return qr_.factor();
     }
-    // The dy of which A dy is nearest to a scaled field
+    // The dy for which A dy is nearest to a scaled field.
     template <class F> Vec6 fit(F&& field) {
         for (int b = 0; b < blocks(); ++b) {
             const RootAxes m(at[b].m);
@@ -392,7 +395,8 @@ private:
         }
         return qr_.reject(fitted_);
     }
-    // dy and q = dx, the root of M times what A dy leaves of d: never the difference of two large steps. Takes off what x misses.
+    // dy and q = dx, the root of M times the part of d that A dy leaves: never the difference of two large steps. Also removes the
+    // balance residual of x.
     Vec6 correction(const Vec6& left) {
         Vec6 dy = -1.0 * fit([](const At& at) { return at.d; });
         for (auto& here : at) here.q = {V{}, V{}, V{}};
@@ -412,7 +416,7 @@ private:
         }
     }
 
-    // Writes force and certificates; returns the gap.
+    // Write force and certificates; return the gap.
     double certify(const Posed& posed, const Record& record) {
         auto made = this->answer(posed.minus, posed.scale, force_);
         for (int b = 0; b < blocks(); ++b) first_[b] = all<V>(posed.scale) * at[b].first;
@@ -424,7 +428,7 @@ private:
         out.lower_bound = made.bound, out.objective = made.price;
         return cones.balanced(force_, posed.unit, out.residual) ? made.gap() : infinity;
     }
-    // Where rounding left a force outside a cone: on the way to the start, all of whose digits are inside.
+    // If rounding left a force outside a cone, move it towards the start, which is well inside.
     [[gnu::cold, gnu::noinline]] void go_inside(const Vec6& unit, const Record& record) {
         for (double part = 1e-15; !(record.summary().margin >= 0.0); part = std::min(1.0, 4.0 * part)) {
             for (int b = 0; b < blocks(); ++b)
