@@ -1,14 +1,14 @@
-// The force deepest inside the limits of a program, or the twist that proves that there is none.
+// The force deepest inside the limits of a program, or the twist that proves that no force is inside.
 #pragma once
 #include <grasp/general/constraints.hpp>
 
 namespace grasp {
 
-// A margin up to this, of one for forces that sum to one, counts as the boundary: no force strictly inside.
+// A margin up to this, relative to forces that sum to one, counts as the boundary: no force is strictly inside.
 inline constexpr double CLEAR = 1e-9;
 
 struct Deepest {
-    Code code = REFUSED;  // INFEASIBLE: no force strictly inside, `twist` is the proof
+    Code code = REFUSED;  // INFEASIBLE: no force is strictly inside, and `twist` proves it
     int iterations = 0;
     double margin = 0.0;
     Vec6 twist{};  // [linear; angular], largest component one
@@ -16,24 +16,24 @@ struct Deepest {
 
 namespace detail {
 
-// max m with depth m in all cones and the first limits, forces and the wrench's share r summing to one, m <= r.
+// max m with depth m in all cones and the first limits; forces and the wrench's share r sum to one, m <= r.
 template <int D> class Depth {
 public:
     using Field = typename Constraints<D>::Field;
 
     Depth(const Constraints<D>& in, int many) : in_(&in), many_(many), room_(in.slacks()), prices_(in.limits) {}
 
-    // Into z [N]: strictly inside where CONVERGED, balanced with the wrench.
+    // Write the force into z [N]. If CONVERGED, it is strictly inside and balances the wrench.
     Deepest find(const double* wrench, double tolerance, Field& z) {
         const Deepest found = find<double>(wrench, tolerance, z);
         return found.code == CONVERGED || found.code == INFEASIBLE ? found : find<Twice>(wrench, tolerance, z);
     }
-    // Of the limits, where no force is inside: with the twist v they prove it, G^T v + sum price row in every dual cone, v . w > sum price
-    // bound.
+    // Prices of the limits if no force is inside. With the twist v they prove it: G^T v + sum price row lies in every dual cone, v
+    // . w > sum price bound.
     const Kept<double>& prices() const { return prices_; }
 
 private:
-    static constexpr double ROUNDING = 1e-14;  // of the numbers that make a proof, per term: far above what rounding may cost
+    static constexpr double ROUNDING = 1e-14;  // of the terms of a proof, per term: far above rounding
     const Constraints<D>* in_;
     int many_;
     Kept<double> room_, prices_;
@@ -45,7 +45,7 @@ private:
         double size = grasp::size(load);
         bool free = size == 0.0;
         for (int k = 0; k < many_; ++k) size = std::max(size, -in_->bound[k]), free = free && in_->bound[k] == 0.0;
-        if (!(size > NOTHING)) {  // of a rest the tightest limit is the unit
+        if (!(size > NOTHING)) {  // at rest, the tightest limit is the unit
             size = 1.0;
             for (int k = 0; k < many_; ++k)
                 if (in_->bound[k] > NOTHING) size = std::min(size, in_->bound[k]);
@@ -77,19 +77,19 @@ private:
         if (found.margin > CLEAR && least_of(room_) > 0.0) found.code = CONVERGED;
         else if (found.margin <= CLEAR && found.code == CONVERGED) found.code = INFEASIBLE;
         else if (separates(y, unit, size)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
-        else if (found.code == CONVERGED) found.code = STALLED;  // slow is not infeasible
+        else if (found.code == CONVERGED) found.code = STALLED;  // slow does not mean infeasible
         for (double& price : prices_) price *= per;
         return found;
     }
-    // What a row is multiplied by there: a bound far above the wrench makes a row of its size, not a huge one.
+    // Scaling of a row: a bound far above the wrench gives a row of the bound's size.
     double evened(int k, double size) const { return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size); }
-    // What a unit of depth takes of a limit's slack.
+    // Slack of a limit that a unit of depth uses.
     double inset(int k) const {
         double total = 1.0;
         for (int i = 0; i < in_->count; ++i) total += in_->inward(i, in_->limit[k][i]);
         return total;
     }
-    // The limits' multipliers.
+    // Multipliers of the limits.
     template <class R> void price(const InteriorPoint<R, D, 2>& engine, double size) {
         const auto& rows = engine.rows;
         for (const auto& row : rows.own)
@@ -98,8 +98,9 @@ private:
         for (int r = rows.equal; r < rows.joint; ++r)
             prices_[rows.label[r]] = evened(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
     }
-    // Whether y, a twist in the unit frame, proves with the limits' multipliers that no force is within the limits, wherever they
-    // come from: G^T y + sum price row is in every dual cone and y . w > sum price bound, both by more than rounding can have made.
+    // True if the twist y (unit frame) and the limits' multipliers prove that no force is within the limits: G^T y + sum price row
+    // lies in every dual cone and y . w > sum price bound, both by more than rounding. The origin of y and of the multipliers does
+    // not matter.
     bool separates(const Vec6& y, const Vec6& unit, double size) {
         const double rounding = ROUNDING * (8 + many_);
         for (int i = 0; i < in_->count; ++i) {
@@ -111,7 +112,7 @@ private:
             };
             for (int r = 0; r < 6; ++r) take(y[r], in_->balance[r][i]);
             for (int k = 0; k < many_; ++k) take(prices_[k], in_->limit[k][i]);
-            if (D == 4 && in_->soft[i] && !(dual[D - 1] > rounding * terms)) {  // w has no price to move away from: see `certify`
+            if (D == 4 && in_->soft[i] && !(dual[D - 1] > rounding * terms)) {  // w has no cost: see `certify`
                 const Tuple<double, D>& row = in_->limit[in_->torsion_row[i]][i];
                 const double raised = (2.0 * rounding * terms - dual[D - 1]) / row[D - 1];
                 prices_[in_->torsion_row[i]] += raised, take(raised, row);
@@ -124,7 +125,7 @@ private:
         for (int k = 0; k < many_; ++k) take(-prices_[k] * in_->bound[k] / size);
         return value > rounding * terms && terms < infinity;
     }
-    // The program of a wrench, from units: its turned balance and every limit, of the size of the wrench.
+    // Set up the program for a wrench, scaled to its size: the orthonormalised balance and every limit.
     template <class R> void ask(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
         auto& at = engine.at;
         for (int r = 0; r < engine.rows.joint; ++r) {

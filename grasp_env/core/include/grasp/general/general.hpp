@@ -1,5 +1,5 @@
-// The general program for real-time code: any contacts, any limits, and what is done with it where faster algorithms give up. It is made for
-// a number of contacts and limits and then takes those of every call; placing and solving allocate nothing.
+// The general program for real-time code: any contacts, any limits, and continuation of faster algorithms that give up. The
+// constructor allocates for a number of contacts and limits; placing and solving then allocate nothing.
 #pragma once
 #include <grasp/terms/force_limits.hpp>
 #include <grasp/general/program.hpp>
@@ -8,15 +8,14 @@ namespace grasp {
 
 class General {
 public:
-    static constexpr double BALANCE_TOLERANCE =
-        1e-8;  // of the wrench and the force: what a start that is given may miss of balance
-    static constexpr int CONIC_ITERATIONS = 100;  // of an interior point, of which a dozen is usual
+    static constexpr double BALANCE_TOLERANCE = 1e-8;  // of wrench and force: largest balance residual of a given start
+    static constexpr int CONIC_ITERATIONS = 100;  // of an interior point; a dozen is usual
 
     General() = default;
-    // For so many contacts and rows of limits at most; soft: torsion may be transmitted. It takes memory here, for the worst rows, unless that
-    // is more than LARGEST_ROOM: then, and for more contacts than these, it is taken as far as needed where `place` asks for more than ever before.
+    // For at most so many contacts and rows of limits; soft: torsion may be transmitted. Allocates here for the worst rows, unless
+    // that takes more than LARGEST_ROOM. In that case, or for more contacts, `place` allocates whenever it needs more than before.
     explicit General(int contacts, int limits = 0, bool soft = false) : arena_(taken(room(contacts, limits, limits, soft))) {}
-    // A copy has the room, and nothing placed.
+    // A copy has as much memory, and nothing placed.
     General(const General& other) : arena_(other.arena_.size()) {}
     General& operator=(const General& other) {
         forget();
@@ -24,10 +23,11 @@ public:
         return *this;
     }
 
-    // The current contacts, in their place, and their weights. torsion_divisor: (N,) v = divisor * torsion [1 / m], abs(v) <= normal force in cone
-    // coordinates; inf or 0: not soft; null: none is. limits: their Jacobian is (N, each, J), each 3 or, with the torsion's row, 4.
-    // internal: (N, 3) a force strictly inside the cones that balances itself, where one is known: `conic` finds one else. rank_lost: not even
-    // with torsion do the contacts make all wrenches. Nothing is kept of the arguments.
+    // Take over the current, placed contacts and their weights. torsion_divisor: (N,) v = divisor * torsion [1 / m], abs(v) <=
+    // normal force in cone coordinates; inf or 0: not soft; null: no soft contacts. limits: their Jacobian is (N, each, J), each =
+    // 3, or 4 with the torsion's row. internal: (N, 3) a force strictly inside the cones that balances itself, if known; otherwise
+    // `conic` finds one. rank_lost: the contacts cannot make all wrenches, not even with torsion. Keeps no reference to the
+    // arguments.
     Placing place(const Contacts& contacts, const double* torsion_divisor = nullptr, const ForceLimits& limits = {}, int each = 3,
                   const double* internal = nullptr) {
         forget();
@@ -54,9 +54,10 @@ public:
     bool placed() const { return bool(program_); }
     int count() const { return placed() ? now_->count : 0; }
 
-    // What follows needs contacts in their place; records are of as many contacts.
+    // The following functions need placed contacts, and records for as many contacts.
 
-    // The least sum of normal forces or the least largest one. INFEASIBLE: with the twist that proves it. UNDECIDED: neither.
+    // Minimise the sum or the largest of the normal forces. INFEASIBLE: the record holds the twist that proves it. UNDECIDED:
+    // neither found.
     Code conic(const double* wrench, Criterion criterion, const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         const Code code = least(wrench, criterion, {options.tolerance, CONIC_ITERATIONS}, options.limit, record);
@@ -65,7 +66,8 @@ public:
         if ((code != REFUSED && !lost) || !sane_wrench(wrench)) return code;
         return refute(deepest(wrench), wrench, record);
     }
-    // The same, of a least sum, from the record of a solver that stopped short of the tolerance; the better of the two stays. Its iterations count.
+    // Minimise the sum, continuing the record of a solver that stopped short of the tolerance. The better result stays; iterations
+    // add up.
     Code conic_from(const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         Summary& before = record.summary();
@@ -84,17 +86,18 @@ public:
         }
         const bool digits = gap(before) <= before.lower_bound && before.residual <= MISSED * program_->unit_size(wrench.data());
         if (record.code() == CONVERGED || digits) return record.code();
-        const Deepest found = deepest(wrench.data());  // forces so far beyond the wrench that they say nothing
+        const Deepest found = deepest(wrench.data());  // the forces are so far above the wrench that they prove nothing
         return found.code == INFEASIBLE ? refute(found, wrench.data(), record) : record.code();
     }
 
-    // Whether the start of a call is strictly inside, so that `phi` begins there.
+    // True if the start of a call is strictly inside, so that `phi` uses it.
     bool starts_from(const Call& call) {
         const Arena::Use use(arena_);
         return starts(call);
     }
-    // The least Phi. From::given: from the call's force and torsion where they are balanced and strictly inside; From::tangent:
-    // from what is nearest to them, balanced, where that is strictly inside; else from the deepest force. INFEASIBLE, UNDECIDED: as `conic`.
+    // Minimise Phi. From::given: from the call's force and torsion, if they are balanced and strictly inside. From::tangent: from
+    // the nearest balanced force, if it is strictly inside. Otherwise from the deepest force. INFEASIBLE, UNDECIDED: as for
+    // `conic`.
     Code phi(const Call& call, const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         record.clear();
@@ -109,7 +112,7 @@ public:
         now_->store(now_->z.data(), record.initial_force(), nullptr);
         return code;
     }
-    // The same from a record that stalled with more than its last digits left, in at most MORE_STEPS more; the better of the two stays.
+    // Continue a record that stalled with more than rounding left, with at most MORE_STEPS further steps. The better result stays.
     Code phi_from(const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         Summary& before = record.summary();
@@ -123,8 +126,8 @@ public:
         return take(made, record);
     }
 
-    // Where a record says INFEASIBLE: in its place the balanced force inside the cones that exceeds the limits least, LIMITS_EXCEEDED, where there
-    // is one.
+    // If a record is INFEASIBLE, replace it by the balanced force inside the cones that exceeds the limits least, LIMITS_EXCEEDED,
+    // if one exists.
     Code excess(const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         Summary& before = record.summary();
@@ -133,21 +136,22 @@ public:
         const Record made(now_->record.data(), now_->count);
         const Stop elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
         if (least(before.wrench.data(), Criterion::excess, elastic, left, made) != LIMITS_EXCEEDED) {
-            deepest(before.wrench.data());  // the prices of the proof again
+            deepest(before.wrench.data());  // restore the prices of the proof
             return record.code();
         }
         std::copy(made.force(), made.force() + 3 * now_->count, record.initial_force());
         return take(made, record);
     }
 
-    // The force (N, 3) [N] and torsion (N,) [N m] deepest inside everything; see `Program`.
+    // Find the force (N, 3) [N] and torsion (N,) [N m] deepest inside all constraints; see `Program`.
     Deepest deepest(const double* wrench, double tolerance, double* force, double* torsion) {
         const Arena::Use use(arena_);
         const Deepest found = deepest(wrench, tolerance);
         now_->store(now_->z.data(), force, torsion);
         return found;
     }
-    // What a force (N, 3) with torsion (N,), or null, misses of balance, unit frame [N]; and its least slack: above 0 strictly inside.
+    // Balance residual of a force (N, 3) with torsion (N,), or null, unit frame [N]; and its smallest slack: above 0 if strictly
+    // inside.
     double missed(const double* wrench, const double* force, const double* torsion) {
         now_->load(force, torsion);
         return program_->missed(wrench, now_->z.data());
@@ -157,24 +161,24 @@ public:
         return program_->slack(now_->z.data());
     }
 
-    // Prices of the last `phi`, `phi_from` or `conic`, those of the proof where there is no force: of the given limits as they are given, and before them, in
-    // `all_prices`, of the limit torsion >= -friction * normal of each soft contact.
+    // Prices of the last `phi`, `phi_from` or `conic`, or of the proof if there is no force: one per given limit. `all_prices`
+    // begins with those of the limit torsion >= -friction * normal of each soft contact.
     std::span<const double> all_prices() const { return placed() ? now_->prices : std::span<const double>(); }
     std::span<const double> prices() const { return all_prices().subspan(placed() ? now_->torsions : 0); }
 
 private:
-    static constexpr std::size_t LARGEST_ROOM = std::size_t(1) << 24;  // bytes that are taken before they are needed
-    static constexpr double LAST_DIGITS = 1e-9;  // a gap that is left to the rounding of a double
-    static constexpr int MORE_STEPS = 1000;  // where another solver stalled: 60 ms with four contacts
-    static constexpr double MISSED = 1e-3;  // of the wrench: an answer that misses more of it is none
+    static constexpr std::size_t LARGEST_ROOM = std::size_t(1) << 24;  // bytes that may be allocated before they are needed
+    static constexpr double LAST_DIGITS = 1e-9;  // relative gap that double precision cannot close
+    static constexpr int MORE_STEPS = 1000;  // for a stalled solver: 60 ms with four contacts
+    static constexpr double MISSED = 1e-3;  // of the wrench: an answer with a larger balance residual is rejected
     static constexpr double NEXT_TO_NOTHING = 1e-9;  // [N], [N m]
-    static constexpr double MOST_FORCE = 1e20;  // [N] beyond which limits are mistakes
+    static constexpr double MOST_FORCE = 1e20;  // [N] limits above this are rejected
 
-    // Contacts and limits as `Given` asks for them.
+    // Contacts and limits in the form of `Given`.
     struct Now {
         int count, limits, torsions;
         Kept<double> balance, rows, bound, shares, divisor;
-        Kept<double> sizes, weights, row_weights;  // (M,) what rows were divided by
+        Kept<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
         Kept<double> z, row, record, prices;
 
         Now(int count, int limits, int torsions)
@@ -186,7 +190,7 @@ private:
                    5 * Arena::room<double>(limits) + 3 * Arena::room<double>(4 * count) + Arena::room<double>(2 * count) +
                    Arena::room<double>(record_size(count));
         }
-        // False: numbers that are none.
+        // Return false if numbers are not finite.
         bool set(const Contacts& contacts, const double* torsion_divisor) {
             double total = 0.0;
             for (int i = 0, k = 0; i < count; ++i) {
@@ -225,7 +229,7 @@ private:
                         square += part, all += mine;
                         if (part > 0.0) lambda += mine, ++touched;
                     }
-                    // a torque that no force changes has no length
+                    // a torque that no force changes has zero length
                     const double size = sizes[k] = square == 0.0 ? 1.0 : std::sqrt(square), per = 1.0 / size;
                     for (to = &rows[4 * count * k]; to < &rows[0] + 4 * count * (k + 1); ++to) *to *= per;
                     bound[k] = b / size, shares[k] = limit / size;
@@ -235,7 +239,7 @@ private:
                 });
             return good;
         }
-        // (u, o, t, w) from forces and torsions, or no torsions; and back
+        // (u, o, t, w) from forces and torsions (null: zero), and back
         void load(const double* force, const double* torsion) {
             for (int i = 0; i < count; ++i) {
                 for (int a = 0; a < 3; ++a) {
@@ -288,7 +292,8 @@ private:
         priced(found.code);
         return found;
     }
-    // The deepest force, in z; of a wrench next to nothing, whose own are far from what Phi asks, that of none, balanced.
+    // Find the deepest force, in z. For a nearly zero wrench, whose deepest force is far from the optimum of Phi, balance that of
+    // the zero wrench.
     Deepest begin(const double* wrench) {
         const double nothing[6] = {};
         if (std::all_of(wrench, wrench + 6, [](double part) { return std::abs(part) < NEXT_TO_NOTHING; })) {
@@ -300,7 +305,7 @@ private:
         }
         return deepest(wrench);
     }
-    // Whether the call has a start, in z.
+    // True if the call has a start; writes it into z.
     bool starts(const Call& call) {
         if (call.start == From::combination || !call.force) return false;
         now_->load(call.force, call.torsion);
@@ -315,7 +320,7 @@ private:
         }
         return program_->slack(z) > 0.0;
     }
-    // No force: the proof that there is none, or none of that.
+    // Record the proof that no force exists, or UNDECIDED.
     Code refute(const Deepest& found, const double* wrench, const Record& record) {
         if (found.code != INFEASIBLE) std::fill(now_->prices.begin(), now_->prices.end(), 0.0);
         record.clear();
@@ -324,7 +329,7 @@ private:
         record.summary().code = UNDECIDED;
         return UNDECIDED;
     }
-    // A solution found later takes the place of one, whose steps and start are its own too.
+    // Replace a record by a later solution, keeping the initial force and adding up the steps.
     Code take(const Record& made, const Record& record) {
         const int count = now_->count;
         Summary& to = record.summary();

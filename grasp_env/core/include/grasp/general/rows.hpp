@@ -1,6 +1,8 @@
-// The linear system of the general program and of Newton on Phi under further limits. A row that touches one contact alone (its torsion
-// bound, normal force, the torque of a joint of its own finger) is a rank-one term of that contact's block; what is factored is balance,
-// the rows that couple contacts, and the T variables that all share.
+// The linear system of the general program and of Newton on Phi with further limits. A row that acts on one contact (its torsion
+// bound, normal force, or the torque of a joint of its own finger) is a rank-one term of that contact's block. The factored system
+// holds balance, the rows that couple contacts, and the T shared variables.
+//
+// Rows and their system stay together: the factorisation relies on the order in which rows are added.
 #pragma once
 #include <algorithm>
 #include <span>
@@ -9,7 +11,7 @@
 
 namespace grasp {
 
-// R is a number: a double, or `Twice` where that has too few digits.
+// R is a number: double, or `Twice` if that has too few digits.
 template <class R, int K> using Tuple = std::array<R, K>;
 template <class R, std::size_t K> inline R inner(const std::array<R, K>& a, const std::array<R, K>& b) {
     R total = 0.0;
@@ -19,7 +21,7 @@ template <class R, std::size_t K> inline R inner(const std::array<R, K>& a, cons
 template <class R, std::size_t K> inline void add(std::array<R, K>& to, const R& k, const std::array<R, K>& a) {
     for (std::size_t j = 0; j < K; ++j) to[j] += k * a[j];
 }
-// In another number's digits.
+// Conversion between number types.
 template <class R, std::size_t K> inline std::array<R, K> wide(const std::array<double, K>& a) {
     std::array<R, K> out;
     for (std::size_t j = 0; j < K; ++j) out[j] = a[j];
@@ -30,23 +32,23 @@ template <class R, std::size_t K> inline std::array<double, K> narrow(const std:
     for (std::size_t j = 0; j < K; ++j) out[j] = double(a[j]);
     return out;
 }
-// Whether it is a number above what was seen, or no number.
+// Keep the larger of two values, or nan.
 template <class R> inline void keep_largest(R& most, const R& value) {
     if (!(value <= most)) most = value;
 }
 
-// f(joint) with the number of joint rows: a constant where they are the six of balance alone, so that loops over them are unrolled.
+// Call f(joint) with the number of joint rows: a constant for the six of balance alone, so that loops over them unroll.
 template <class F> [[gnu::always_inline]] inline auto sized(int joint, F&& f) {
     return joint == 6 ? f(std::integral_constant<int, 6>()) : f(joint);
 }
 
-// A contact's variables (u, o, t) or, D = 4, (u, o, t, w): w = u - |torsion| in units of its limit.
+// A contact's variables (u, o, t) or, for D = 4, (u, o, t, w) with w = u - |torsion| in units of its limit.
 template <class R, std::size_t D> inline Vec3<R> cone(const std::array<R, D>& z) { return {z[0], z[1], z[2]}; }
 
-// F with dz = F e: the coordinates in which a block is the identity before its rows are added.
+// F with dz = F e: coordinates in which a block is the identity before its rows are added.
 template <class R, int D> struct Shape {
     R a[3][3];
-    R line = 1.0;  // of w
+    R line = 1.0;  // factor of w
 
     Tuple<R, D> operator*(const Tuple<R, D>& e) const {
         Tuple<R, D> out;
@@ -70,32 +72,32 @@ template <class R, int D, int T> struct Rows {
         Tuple<R, T> shared;
         R right;
         int label;
-        bool mirrored = false;  // the row before it with the other sign: the other limit of a torque
+        bool mirrored = false;  // the negative of the row before it: the other limit of a torque
     };
     int count, joint, equal;
-    int doubtful = -1;  // an equation that the contacts alone may not keep apart from the others, only with t
-    Kept<Tuple<R, D>> columns;  // (N, joint) coefficients of the joint rows, contact by contact
+    int doubtful = -1;  // an equation that may be independent of the others only through t
+    Kept<Tuple<R, D>> columns;  // (N, joint) coefficients of the joint rows, by contact
     Kept<Tuple<R, T>> coupling;  // (joint,)
     Kept<R> right;  // (joint,)
-    Kept<Own> own;  // contact by contact; those of no contact (only t) last
+    Kept<Own> own;  // by contact; those of no contact (only t) last
     Kept<int> first;  // (N + 2,) own[first[i]] is the first of contact i
-    Kept<int> label;  // (joint,) what a joint row is called, -1: an equation
+    Kept<int> label;  // (joint,) label of a joint row; -1: an equation
     Kept<int> lead;  // the joint rows that are not `mirrored`
-    Kept<char> mirrored;  // (joint + 1,) whether it is the row before it with the other sign: the other limit of a torque
+    Kept<char> mirrored;  // (joint + 1,) true if it is the negative of the row before it: the other limit of a torque
 
-    // how many rows will be added
+    // joints, owns: number of rows that will be added
     Rows(int contacts, int equations, int joints, int owns)
         : count(contacts), joint(joints), equal(equations), columns(contacts * joints), coupling(joints), right(joints),
           first(contacts + 2), label(joints), mirrored(joints + 1) {
         own.reserve(owns), lead.reserve(joints);
     }
-    // Joint rows one after the other, the equations first.
+    // Add a joint row; the equations come first.
     template <class Row> void add_joint(const Row& row, const Tuple<R, T>& shared, int name) {
         for (int i = 0; i < count; ++i) columns[joint * i + added_] = wide<R>(row[i]);
         coupling[added_] = shared, label[added_] = name;
         ++added_;
     }
-    // By growing contact, N: none.
+    // Add rows in the order of contacts; N: no contact.
     void add_own(int contact, const Tuple<R, D>& row, const Tuple<R, T>& shared, int name) {
         own.push_back({contact, row, shared, 0.0, name});
     }
@@ -121,9 +123,9 @@ template <class R, int D, int T> struct Rows {
     }
     // True if row k of contact i and the row after it mirror each other.
     bool paired(int i, int k) const { return T == 0 && k + 1 < first[i + 1] && own[k + 1].mirrored; }
-    // The same of joint row r.
+    // The same for joint row r.
     bool paired(int r) const { return T == 0 && mirrored[r + 1]; }
-    // f(k, paired) for the rows of contact i, two that mirror each other at once.
+    // Call f(k, paired) for the rows of contact i, once for two that mirror each other.
     template <class F> void each_own(int i, F&& f) const {
         for (int k = first[i]; k < first[i + 1]; ++k) {
             const bool both = paired(i, k);
@@ -131,7 +133,7 @@ template <class R, int D, int T> struct Rows {
             k += both;
         }
     }
-    // The force that the multipliers of row k, or of it and its mirror image, exert along the row.
+    // Force that the multipliers of row k, or of it and its mirror image, exert along the row.
     static R pulled(const Kept<R>& multipliers, int k, bool paired) {
         return paired ? multipliers[k] - multipliers[k + 1] : multipliers[k];
     }
@@ -151,10 +153,10 @@ private:
     }
 };
 
-// A point of the program's space, a direction or a right side.
+// A point of the program's space, a direction or a right-hand side.
 template <class R, int D, int T> struct Space {
     Kept<Tuple<R, D>> z;  // (N,)
-    Kept<R> own, joint;  // rows' multipliers, or what belongs to a row
+    Kept<R> own, joint;  // multipliers or residuals of rows
     Tuple<R, T> t{};
 
     explicit Space(const Rows<R, D, T>& rows) : z(rows.count), own(rows.own.size()), joint(rows.joint) {}
@@ -169,7 +171,7 @@ template <class R, int D, int T> struct Space {
     }
 };
 
-//   e + F^T C^T dy = f.z,   g^T dy = f.t,   C F e + g dt - diagonal dy = f.rows         (dy: of own and joint rows alike)
+// e + F^T C^T dy = f.z,   g^T dy = f.t,   C F e + g dt - diagonal dy = f.rows         (dy: own and joint rows alike)
 template <class R, int D, int T> class RowSystem {
 public:
     Kept<Shape<R, D>> shapes;  // (N,)
@@ -186,14 +188,14 @@ public:
                2 * Arena::room<Tuple<R, T>>(joints);
     }
 
-    // False where the system is not positive definite in floating point.
+    // Factor. Return false if the system is not positive definite in floating point.
     bool factor(const Rows<R, D, T>& rows) {
         return sized(int(rows.lead.size()), [&](auto leads) { return factor(rows, leads); });
     }
     void solve(const Rows<R, D, T>& rows, const Space<R, D, T>& f, Space<R, D, T>& out) {
         sized(int(rows.lead.size()), [&](auto leads) { solve(rows, leads, f, out); });
     }
-    // left = f - (what the equations make of x); returns the largest part of rows and t.
+    // left = f - (the system times x); returns the largest component of rows and t.
     R missed(const Rows<R, D, T>& rows, const Space<R, D, T>& f, const Space<R, D, T>& x, Space<R, D, T>& left) const {
         return sized(rows.joint, [&](auto joint) { return missed(rows, joint, f, x, left); });
     }
@@ -334,22 +336,22 @@ private:
     }
 
     static constexpr int K = D + T;
-    static constexpr double LOST = std::is_same_v<R, double> ? 1e-15 : 1e-30;  // part of a pivot that rounding may have made
-    static constexpr double DOUBT = 1e-9;  // what keeps that equation's pivot from zero; refinement takes it back
-    // A row as a change of its block's factor, column by column; what that does to a right side, and back, without a difference that
-    // cancels however large the row is.
+    static constexpr double LOST = std::is_same_v<R, double> ? 1e-15 : 1e-30;  // fraction of a pivot that rounding may cause
+    static constexpr double DOUBT = 1e-9;  // keeps the doubtful equation's pivot from zero; refinement removes its effect
+    // A row as an update of its block's factor, column by column, and its effect on right-hand sides and solutions, without a
+    // difference that cancels however large the row is.
     struct Own {
-        Tuple<R, D> p, beta, ratio;  // its number there, what of it joins the block's row, and old over new pivot
-        Tuple<R, T> shared;  // what is left for the shared variables, and its weight
+        Tuple<R, D> p, beta, ratio;  // entries of the row, its contribution to the block's row, and old over new pivot
+        Tuple<R, T> shared;  // remainder for the shared variables, and its weight
         R weight;
 
-        // b: D^-1 L^-1 of the block's right side, without and then with this row's `right`; returns what is left of that
+        // b: D^-1 L^-1 of the block's right-hand side, without and then with this row's `right`. Return the remainder of `right`.
         R forward(Tuple<R, D>& b, R right) const {
 #pragma GCC unroll 8
             for (int j = 0; j < D; ++j) right -= p[j] * b[j], b[j] += beta[j] * right;
             return right;
         }
-        // row . e + shared . t - right from what is left of it; rest: what e misses of the block's rows with this row, and then without
+        // row . e + shared . t - right, from its remainder. rest: residual of the block's rows with this row, and then without it.
         R backward(Tuple<R, D>& rest, R left) const {
 #pragma GCC unroll 8
             for (int j = D - 1; j >= 0; --j) {
@@ -360,7 +362,7 @@ private:
             return left;
         }
     };
-    // L diag(d) L^T of identity + rows' rank-one terms, bordered by the shared variables.
+    // L diag(d) L^T of the identity plus the rows' rank-one terms, bordered by the shared variables.
     struct Block {
         R l[K][D] = {}, d[D], inverse[D];
 
@@ -400,22 +402,22 @@ private:
     };
     Kept<Own> own_;
     Kept<Block> blocks_;
-    Kept<Tuple<R, D>> turned_, reduced_;  // the leading joint rows (N, leads) in the blocks' coordinates, and L^-1 of them
-    Kept<R> schur_;  // of the leading joint rows, factored: L below, 1 / D on the diagonal
-    Kept<R> y_;  // their multipliers
+    Kept<Tuple<R, D>> turned_, reduced_;  // leading joint rows (N, leads) in the blocks' coordinates, and L^-1 of them
+    Kept<R> schur_;  // Schur complement of the leading joint rows, factored: L below, 1 / D on the diagonal
+    Kept<R> y_;  // multipliers of the leading joint rows
     Kept<Tuple<R, T>> coupled_, solved_;
     std::array<Tuple<R, T>, T> corner_;
 
-    // The right side of two rows that mirror each other as one row, whose weight is that of both: 1 / up + 1 / down.
+    // Right-hand side of two rows that mirror each other, as one row with the weight of both: 1 / up + 1 / down.
     static R both(const R& up, const R& down, const R& first, const R& second) {
         const R per = 1.0 / (up + down);
-        return down * per * first - up * per * second;  // slacks may be large: no product of two
+        return down * per * first - up * per * second;  // slacks may be large, so no product of two
     }
     R right(const Space<R, D, T>& f, int k, bool paired) const {
         return paired ? both(own_diagonal[k], own_diagonal[k + 1], f.own[k], f.own[k + 1]) : f.own[k];
     }
-    // Their multipliers from what is left of that row. The smaller comes from its own row, the other from their difference: that of an
-    // active limit is what is left times a large weight, and no difference that cancels.
+    // Their multipliers from the remainder of that row. The smaller one comes from its own row, the other from their difference:
+    // for an active limit that is the remainder times a large weight, and no difference that cancels.
     static void part(const R& up, const R& down, const R& first, const R& second, const R& left, R* y) {
         const R along = left + both(up, down, first, second), net = left / up + left / down;
         if (down > up) y[1] = -(along + second) / down, y[0] = net + y[1];
