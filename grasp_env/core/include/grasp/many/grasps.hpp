@@ -1,6 +1,6 @@
-// Problems on many grasps. Those of a grasp that has many are solved as such; of all others a register holds W, each on the contacts
-// of its own grasp, from these to the record. What is not ordinary there is solved again by itself, from the beginning. What a lane
-// does hangs on no other.
+// Problems on many grasps. A grasp with many problems is solved alone. For all others a register holds W problems, each on the
+// contacts of its own grasp, from placing the contacts to the record. Problems that need more than an ordinary descent are solved
+// again alone. Lanes are independent.
 #pragma once
 #include <grasp/phi/basis.hpp>
 #include <grasp/math/dispatch.hpp>
@@ -8,29 +8,30 @@
 
 namespace grasp {
 
-// The contacts of one problem, (N, 3) each but weights (N, 2) omega and lambda. apart: from one coordinate of a tangent to the next.
+// The contacts of one problem, (N, 3) each, but weights (N, 2) omega and lambda. apart: stride between the coordinates of a
+// tangent.
 struct ContactArrays {
     const double *positions, *normals, *scale, *tangents, *weights;
     int apart = 1;
 };
-// One problem: its contacts, its number.
+// One problem: its contacts and its index.
 struct Case {
     ContactArrays at;
     std::ptrdiff_t number;
 };
 
-// Hard contacts of U grasps, N each; problems first[u] to first[u + 1] - 1 are those of grasp u.
+// Hard contacts of U grasps, N each; grasp u has the problems first[u] to first[u + 1] - 1.
 class Grasps {
 public:
     int contacts;
     std::ptrdiff_t count;
     const double *weights, *first;  // (N, 2) omega, lambda; (U + 1,)
 
-    // (U,) contacts in their place, whose own weights are not read; soft ones are not solved.
+    // placed: (U,) placed contacts, whose own weights are ignored; grasps with soft contacts are not solved.
     Grasps(int contacts, std::ptrdiff_t count, const Contacts* const* placed, const double* weights, const double* first)
         : contacts(contacts), count(count), weights(weights), first(first), placed_(placed) {}
 
-    // Whether they are those of a hard grasp.
+    // True if the grasp has hard contacts of full rank.
     bool sound(std::ptrdiff_t u) const { return placed_[u]->placing == Placing::good && !placed_[u]->soft(); }
     Case problem(std::ptrdiff_t u, std::ptrdiff_t k) const {
         const Contacts& at = *placed_[u];
@@ -46,7 +47,7 @@ private:
     const Contacts* const* placed_;
 };
 
-// The contacts of W grasps, a lane for each, as `Contacts` places those of one.
+// The contacts of W grasps, one lane each, placed as by `Contacts`.
 template <int W> class PlacedLanes {
 public:
     using V = Each<W>;
@@ -57,7 +58,7 @@ public:
         : points_(count), normals_(count), scales_(count), tangents_(count), x_(count), step_(count),
           system_(Cones<V, 0>(count)) {}
 
-    // Into the cones; which are ordinary: finite numbers, normals of unit length, rank 6 beyond doubt.
+    // Place the contacts into the cones. Return the ordinary lanes: finite numbers, normals of unit length, rank 6 beyond doubt.
     Mask place(const Case (&problems)[W], Cones<V, 0>& cones) {
         const int count = cones.count;
         for (int lane = 0; lane < W; ++lane) {
@@ -103,7 +104,7 @@ public:
         return (total < infinity) & (off == 0.0) & (rank_bound(s, factor) > Contacts::WELL);
     }
 
-    // `NewtonOn::internal_force`, where few plain steps find one.
+    // The same as `NewtonOn::internal_force`, for grasps where a few plain steps find one.
     Mask internal_force(const Cones<V, 0>& cones, Field& rest) {
         return balance_inside(cones, x_, step_, rest, FEW_STEPS,
                               [&](Six<V>& missed) { return system_.internal_step(cones, x_, missed, step_); });
@@ -113,7 +114,7 @@ private:
     Field points_, normals_, scales_, tangents_, x_, step_;
     System<V, 0> system_;
 
-    // stride: from one coordinate of a triple to the next
+    // stride: distance between the coordinates of a triple
     static void gather(const double* from, int stride, int lane, Field& to) {
         for (auto& triple : to) {
             set(triple.u, lane, from[0]), set(triple.o, lane, from[stride]), set(triple.t, lane, from[2 * stride]);
@@ -122,7 +123,7 @@ private:
     }
 };
 
-// What W problems, each on a grasp of its own, are given and end with.
+// Inputs and results of W problems, each on its own grasp.
 template <int W> struct GraspLanes {
     using V = Each<W>;
     using Mask = typename V::Mask;
@@ -136,7 +137,7 @@ template <int W> struct GraspLanes {
 
     GraspLanes(int contacts, const Many& many) : many(many), placed(contacts), rest(contacts), first(rest), force(rest) {}
 
-    // The contacts into the cones; which problems are ordinary.
+    // Place the contacts into the cones. Return the ordinary problems.
     Mask place(const Case (&problems)[W], Cones<V, 0>& cones) {
         const Mask good = placed.place(problems, cones) & placed.internal_force(cones, rest);
         for (int lane = 0; lane < W; ++lane)
@@ -146,13 +147,13 @@ template <int W> struct GraspLanes {
         return good & sane;
     }
 
-    // Of the answers; which are balanced.
+    // Compute residuals and margins of the answers. Return the balanced ones.
     Mask check(const Cones<V, 0>& cones) {
         residual = cones.residual(force, w), margin = cones.margin(force);
         return cones.balanced(force, w, residual);
     }
 
-    // The records of those that converged.
+    // Write the records of those that converged.
     void write(const Case (&problems)[W], const Mask& good, const Cones<V, 0>& cones) {
         nu = cones.unit.pull_back(nu);
         cones.to_force(first), cones.to_force(force);
@@ -177,7 +178,7 @@ public:
 
     NewtonGrasps(int contacts, const Stop& options, const Many& many) : group_(contacts, many), lanes_(contacts, options) {}
 
-    // Solves the problems that are `wanted` and ordinary; returns which those are.
+    // Solve the problems that are `wanted` and ordinary. Return the solved ones.
     Mask solve(const Case (&problems)[W], const Mask& wanted) {
         auto& g = group_;
         Mask live = wanted & g.place(problems, lanes_.cones);
@@ -196,7 +197,7 @@ public:
             g.iterations = select(closed, lanes_.iterations, g.iterations), g.trials = select(closed, lanes_.trials, g.trials);
         }
         lanes_.x = g.force;
-        cones.balance(lanes_.x, g.w);  // what rounding left of G x + w
+        cones.balance(lanes_.x, g.w);  // rounding of G x + w
         keep(g.iterations > 0.0, lanes_.x, g.force);
         good &= g.check(cones) & (g.margin > 0.0);
         g.objective = Rules<V>::again(cones.phi(g.force), g.objective);
@@ -249,8 +250,8 @@ private:
     ConicLanes<W> lanes_;
 };
 
-// All problems: those of a grasp that has many by one(contacts, problems), which is false where no internal force is quickly found. What is
-// left says REFUSED, for `ForceOptimizer` to solve.
+// Solve all problems. one(contacts, problems) solves a grasp that has many; it returns false if no internal force is found quickly.
+// The remaining records are REFUSED, to be solved by `ForceOptimizer`.
 template <class Group, class F> void solve_grasps(const Grasps& grasps, const Many& many, Group& group, F&& one) {
     constexpr int W = REGISTER;
     const auto refuse = [&](std::ptrdiff_t k) { many.record(k, grasps.contacts).summary().code = REFUSED; };
@@ -260,7 +261,7 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const Ma
         typename Group::Mask wanted{};
         for (int lane = 0; lane < W; ++lane) {
             if (lane < waiting) wanted[lane] = -1;
-            else problems[lane] = problems[0];  // something must stand there
+            else problems[lane] = problems[0];  // the lane needs valid data
         }
         const auto good = group.solve(problems, wanted);
         for (int lane = 0; lane < waiting; ++lane)
@@ -283,7 +284,7 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const Ma
     if (waiting > 0) solve();
 }
 
-// Newton, each grasp from an internal force of its own. REFUSED: no force closure in floating point.
+// Newton, each grasp from its own internal force. REFUSED: no force closure in floating point.
 inline void newton_grasps(const Grasps& grasps, const Stop& options, const Many& many) {
     NewtonGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {
@@ -298,7 +299,7 @@ inline void newton_grasps(const Grasps& grasps, const Stop& options, const Many&
     });
 }
 
-// The least sum of normal forces.
+// Minimise the sum of normal forces.
 inline void conic_grasps(const Grasps& grasps, const Stop& options, const Many& many) {
     ConicGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {
