@@ -1,5 +1,5 @@
-// Optimal forces of many problems, none of which shares anything with another, and their gradients: what layers of learning programs call.
-// An answer is the same bits whatever stands beside its problem.
+// Optimal forces of many independent problems, and their gradients, for layers of learning programs. An answer has the same bits
+// whatever problems stand beside it.
 #pragma once
 #include <grasp/layer/gradients.hpp>
 #include <grasp/layer/optima.hpp>
@@ -7,12 +7,12 @@
 
 namespace grasp {
 
-// What is written of each problem, one row each.
+// Output arrays, one row per problem.
 struct BatchForces {
     double* force;  // (N, 3) [N], the frame of the positions
     double* torsion;  // (N,) [N m]
     double* multipliers;  // (6,) nu
-    double* facts;  // (4,) a `Code`, relative certified gap (inf: none), missed balance [N] in the unit frame, iterations
+    double* facts;  // (4,) `Code`, relative certified gap (inf: none), balance residual [N] in the unit frame, iterations
     double* state;  // (4N + 7,) for the gradients
 };
 constexpr int layer_state_size(int contacts) { return 4 * contacts + 7; }
@@ -34,7 +34,7 @@ private:
     using Mask = typename SmoothLanes<W>::Mask;
     struct Front {
         std::optional<ForceOptimizer> solver;
-        std::vector<double> constants;  // what a call cannot change
+        std::vector<double> constants;  // the data that a call cannot change
     };
     struct Answer {
         Code code = REFUSED;
@@ -45,12 +45,13 @@ private:
     Stop options_;
     SmoothLanes<W> smooth_;
     Posed posed_[W];
-    Front within_, free_;  // with the limits, and without
+    Front within_, free_;  // with the limits; without them
     std::vector<double> row_;  // a solution of theirs
 
     int count() const { return batch_.contacts; }
 
-    // Problems `from` on, side by side. What is not ordinary there is solved by the front; then its force, or an elastic one, is made exact.
+    // Solve problems `from` on, side by side. `ForceOptimizer` solves the problems that need more than an ordinary descent; the
+    // lanes then refine its force, or an elastic one.
     void solve(std::ptrdiff_t from, int many, const BatchForces& to) {
         Answer answers[W];
         Mask sound{};
@@ -62,7 +63,7 @@ private:
         if (filler < 0) return;
         const double* starts[W] = {};
         for (int lane = 0; lane < W; ++lane) {
-            const int shown = sound[lane] ? lane : filler;  // something must stand there
+            const int shown = sound[lane] ? lane : filler;  // the lane needs valid data
             smooth_.load(lane, from + shown, posed_[shown], Regime::optimum);
             if (sound[lane] && posed_[lane].take_start(batch_, from + lane)) starts[lane] = posed_[lane].start.data();
         }
@@ -90,7 +91,7 @@ private:
         for (int lane = 0; lane < many; ++lane)
             if (sound[lane]) write(lane, from + lane, answers[lane], to);
     }
-    // The front's answer, which is where the lane goes on from.
+    // Solve by `ForceOptimizer`; the lane continues from its answer.
     Answer alone(std::ptrdiff_t k, int lane) {
         Answer answer{.code = solve_alone(k, posed_[lane])};
         const bool force = has_force(answer.code);
@@ -118,7 +119,7 @@ private:
         if (finite(to.force + 3 * count() * k, 3 * count()) && finite(to.torsion + count() * k, count()) &&
             finite(to.multipliers + 6 * k, 6) && finite(state, layer_state_size(count())) && finite(facts + 2, 1))
             return;
-        clear(k, to);  // numbers that no double can bear
+        clear(k, to);  // numbers outside the range of double
         facts[0] = UNDECIDED;
     }
     void clear(std::ptrdiff_t k, const BatchForces& to) const {
@@ -130,7 +131,8 @@ private:
     }
     static bool has_force(Code code) { return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED; }
 
-    // By the front, into row_: the optimum, or where no force keeps the limits that without them, LIMITS_EXCEEDED.
+    // Solve by `ForceOptimizer` into row_: the optimum or, if no force keeps the limits, the optimum without them and
+    // LIMITS_EXCEEDED.
     Code solve_alone(std::ptrdiff_t k, Posed& posed) {
         Code code = made(within_, k, posed, batch_.limited());
         if (code == CONVERGED) code = call(*within_.solver, k, posed, batch_.limited());
@@ -139,7 +141,8 @@ private:
         if (free == CONVERGED) free = call(*free_.solver, k, posed, false);
         return has_force(free) ? LIMITS_EXCEEDED : free;
     }
-    // The front of a problem; it is made again where what a call cannot change is different. CONVERGED: there is one.
+    // Make the optimiser of a problem, unless the data that a call cannot change is the same as before. Return CONVERGED if there
+    // is one.
     Code made(Front& front, std::ptrdiff_t k, const Posed& posed, bool limited) {
         row_.clear();
         std::vector<double> constants = this->constants(k, posed);
@@ -170,7 +173,7 @@ private:
     }
     static Doubles some(const Slices& from, std::ptrdiff_t k, int size) { return from ? Doubles(from[k], size) : Doubles{}; }
     Doubles jacobian(std::ptrdiff_t k) const { return some(batch_.jacobian, k, count() * batch_.jacobian_rows * batch_.joints); }
-    // What the front is made of and a call cannot change.
+    // The data of an optimiser that a call cannot change.
     std::vector<double> constants(std::ptrdiff_t k, const Posed& posed) const {
         std::vector<double> made(posed.weights);
         const auto add = [&](const double* from, int size) {
@@ -188,8 +191,9 @@ inline void optimal_forces(const ForceBatch& batch, const Stop& options, const B
     LayerSolver(batch, options).solve(to);
 }
 
-// Gradients of a loss by everything that the forces were made of, from its derivatives by force (N, 3), torsion (N,) and multipliers
-// (6,) (null: zero), one row per problem. elastic: also of problems that have no optimum. The rows of others are zero.
+// Compute gradients of a loss with respect to all inputs from its derivatives with respect to force (N, 3), torsion (N,) and
+// multipliers (6,) (null: zero), one row per problem. elastic: also for problems without an optimum. Rows of other problems are
+// zero.
 inline void optimal_forces_gradients(const ForceBatch& batch, const double* state, const double* by_force,
                                      const double* by_torsion, const double* by_multipliers, bool elastic,
                                      const BatchGradients& to) {
