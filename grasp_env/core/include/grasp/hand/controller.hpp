@@ -1,4 +1,4 @@
-// The control loop of a hand: from what is seen to joint torques in one call. It allocates when it is made, and never in a tick.
+// The control loop of a hand: from a reading to joint torques in one call. The constructor allocates, a tick never does.
 #pragma once
 #include <grasp/hand/sensing.hpp>
 #include <grasp/math/cholesky.hpp>
@@ -8,44 +8,43 @@
 namespace grasp {
 
 // A spring and damper that draws a tip to its place.
-struct Spring { double gain = 0.0, damping = 0.0, limit = infinity; };  // [N/m], [N s/m], the most force [N]
+struct Spring { double gain = 0.0, damping = 0.0, limit = infinity; };  // [N/m], [N s/m], largest force [N]
 
 struct ControlSettings {
     Body body;
-    std::vector<Spring> reach;  // (N,) of each finger without contact, on its way
-    Spring spring;  // of all fingers where nothing is optimized
-    double reach_depth = 0.0;  // [m] inside the surface to which a finger reaches
-    std::vector<Spring> posture;  // (M,) [N m/rad], [N m s/rad]: joints that the tips leave free
-    Options follow{.tolerance = 1e-4,
-                   .limit = 200};  // what solves after the method, from the last command, and within the torque limits
-    bool remembers = true;  // whether the method receives the last command, for starts that use it
-    std::vector<double> directions;  // (N, 3, K) [1], object frame: the internal forces of an adjustment
-    double squeeze = 0.0;  // [N] total normal force of `Hold::squeeze`
-    double most_change = infinity;  // [N] by which a force may change in one tick beyond what balance asks
-    int release = 2;  // ticks without force after which a finger no longer counts as in contact
+    std::vector<Spring> reach;  // (N,) for fingers without contact, on their way
+    Spring spring;  // for all fingers while nothing is optimised
+    double reach_depth = 0.0;  // [m] below the surface: goal of reaching fingers
+    std::vector<Spring> posture;  // (M,) [N m/rad], [N m s/rad]: for joints that the tips leave free
+    Options follow{.tolerance = 1e-4, .limit = 200};  // for the solves that start from the last command, and within torque limits
+    bool remembers = true;  // true if the method gets the last command, for starts that use it
+    std::vector<double> directions;  // (N, 3, K) [1], object frame: internal forces that an adjustment combines
+    double squeeze = 0.0;  // [N] total normal force for `Hold::squeeze`
+    double most_change = infinity;  // [N] largest change of a force in one tick beyond what balance requires
+    int release = 2;  // ticks without force until a finger no longer counts as in contact
 };
 
-// What solvers and motors were asked since `begin_step`.
+// Effort of solvers and motors since `begin_step`.
 struct Effort {
-    int iterations = 0, trials = 0;  // of the method: accepted steps, and all that were tried
-    int followed = 0;  // iterations at control ticks between two of the method's
-    int limited = 0;   // iterations of Newton within the torque limits, where a force exceeded them
-    bool saturated = false;  // torques had to be cut: no force within the limits balances the wrench, or none was found
-    double margin = infinity;  // least distance of a torque from its limit [N m]
-    double share = 0.0;  // largest torque as a share of its limit
+    int iterations = 0, trials = 0;  // of the method: accepted steps, and all steps tried
+    int followed = 0;  // iterations of the control ticks between two solves of the method
+    int limited = 0;  // iterations of Newton within the torque limits, when a force exceeded them
+    bool saturated = false;  // torques were cut: no force within the limits balances the wrench, or none was found
+    double margin = infinity;  // smallest distance of a torque from its limit [N m]
+    double share = 0.0;  // largest torque as a fraction of its limit
 };
 
 // Costs of an agent's step, each from 0 to 1.
 struct Costs {
-    double force;   // share of the commanded normal forces above the least that balances the wrench; 1: no force balances it
-    double torque;  // largest torque of the step as a share of its limit
-    double change;  // change of the commanded forces in the step as a share of the forces before and after: sums of |components|
+    double force;  // fraction of the commanded normal forces above the smallest that balance the wrench; 1: no force balances it
+    double torque;  // largest torque of the step as a fraction of its limit
+    double change;  // change of the commanded forces in the step, relative to the forces before and after: sums of |components|
 };
 
-// What the fingers in contact do.
+// Behaviour of the fingers in contact.
 enum class Hold {
-    optimized,  // the force that the method finds, and Newton after it
-    squeeze,  // a constant internal force, and what balances
+    optimized,  // the force found by the method, continued by Newton
+    squeeze,  // a constant internal force plus the balancing force
     place,  // no force: every finger holds its place
     direct,  // given forces
     reach,  // no force: every finger is drawn to its contact
@@ -58,18 +57,18 @@ public:
     const ControlSettings settings;
     Sensors sensors;
     Hold hold = Hold::optimized;
-    Vec6 wrench{};  // that is balanced [N, N m], object frame
+    Vec6 wrench{};  // wrench to balance [N, N m], object frame
     std::vector<double> torques;  // (M,) [N m]
     std::vector<double> force;  // (N, 3) commanded [N], contact frames
-    std::vector<double> frames;  // (N, 3, 3) these, columns (n, o, t), object frame
-    std::vector<double> depths;  // (N,) [m] inside the surface of the places that fingers hold where nothing is optimized
+    std::vector<double> frames;  // (N, 3, 3) contact frames, columns (n, o, t), object frame
+    std::vector<double> depths;  // (N,) [m] below the surface: places that fingers hold while nothing is optimised
     std::vector<double> home;  // (M,) rest posture [rad]
     std::vector<Point> goals, inwards;  // (N,) the grasp's contact points [m] and inward normals, object frame
-    std::vector<double> solution;  // the row of the method's last solve
+    std::vector<double> solution;  // row of the method's last solve
     double peak = 0.0;  // largest |torque| since `reset` [N m]
-    std::uint64_t mask = 0;  // the fingers that count as in contact
-    int changes = 0;  // how often they changed
-    bool closure = true;  // whether a force was found at the last tick that optimized
+    std::uint64_t mask = 0;  // fingers that count as in contact
+    int changes = 0;  // number of changes of `mask`
+    bool closure = true;  // true if the last tick that optimised found a force
     Effort effort;
 
     // method: finds the forces at an agent's step, made for the contacts of all fingers. Throws std::invalid_argument.
@@ -88,7 +87,7 @@ public:
     }
     Controller(const Controller&) = delete;
 
-    // Forgets the episode; before it the scene stood still.
+    // Start a new episode; before its first tick the scene stands still.
     void reset() {
         std::fill(torques.begin(), torques.end(), 0.0);
         std::fill(force.begin(), force.end(), 0.0);
@@ -102,28 +101,28 @@ public:
         sensors.reset();
     }
 
-    // What is known at a control tick.
+    // Input of a control tick.
     struct Known {
-        Doubles reading;  // of the simulator or the hand, see `Reading`; none: the scene stands as it was read
-        const double* external;  // (6,) wrench on the object as a perfect sensor would tell it [N, N m], object frame
-        const double* noise;  // (3 + 3N,) standard normal numbers where sensors are noisy
+        Doubles reading;  // of the simulator or the hand, see `Reading`; empty: the scene is as last read
+        const double* external;  // (6,) wrench on the object that a perfect sensor reports [N, N m], object frame
+        const double* noise;  // (3 + 3N,) standard normal numbers for noisy sensors
         Point gravity;  // [m/s^2], world
         Target target;
     };
-    // What an agent does in its step, which begins at this tick. All may be left out.
+    // An agent's step, which begins at this tick. Every member is optional.
     struct Step {
         Doubles adjustment{};  // (K,) [N] along `settings.directions`: added to the start, which is then repaired
-        Start start = Start::standard;  // of the method: its own, or `given`
-        Doubles force{};  // (N, 3) [N], contact frames: that start, or with `Hold::direct` what is commanded
+        Start start = Start::standard;  // of the method: its default, or `given`
+        Doubles force{};  // (N, 3) [N], contact frames: the given start, or the command for `Hold::direct`
     };
-    // One control tick, from a reading to `torques`, within the motors' limits. step: where an agent's step begins. False: the reading is not
-    // finite or the object is lost; nothing has changed.
+    // Run one control tick, from a reading to `torques` within the motors' limits. step: set when an agent's step begins. Return
+    // false, with nothing changed, if the reading is not finite or the object is lost.
     bool tick(const Known& known, const Step* step = nullptr) {
         const bool good = see(known);
         if (good) act(step);
         return good;
     }
-    // The two halves of a tick, for starts that need to know what is seen.
+    // The two halves of a tick, for starts that depend on what is seen.
     bool see(const Known& known) {
         if (!known.reading.empty() && !scene->read(known.reading.data(), known.reading.size())) return false;
         sensors.see(known.external, known.noise, settings.body, known.gravity);
@@ -140,7 +139,7 @@ public:
         return true;
     }
     void act(const Step* step = nullptr) {
-        before_ = force;  // not swapped: Python looks at it
+        before_ = force;  // copied, not swapped: Python holds a view of it
         std::fill(force.begin(), force.end(), 0.0);
         std::fill(torsion_.begin(), torsion_.end(), 0.0);
         write_frames();
@@ -161,9 +160,9 @@ public:
     }
     const Snapshot& seen() const { return sensors.seen(); }
 
-    // An agent's step begins: its effort is counted anew.
+    // Begin an agent's step and reset its effort.
     void begin_step() { effort = {}, began_ = force; }
-    // The costs of the step since `begin_step`, on the contacts that are seen now.
+    // Costs of the step since `begin_step`, on the contacts currently seen.
     Costs costs() {
         double total = 0.0, moved = 0.0, both = 0.0;
         for (int i = 0; i < tree->fingers(); ++i) total += force[3 * i];
@@ -177,33 +176,33 @@ public:
         }
         return out;
     }
-    // How the method's last solve ended.
+    // Code of the method's last solve.
     Code code() const { return Code(int(reinterpret_cast<const Summary*>(solution.data())->code)); }
 
-    // Frames, and measured forces as the commanded ones: what the hand does at rest, before the first command.
+    // Set the frames, and the measured forces as commanded ones, for a hand at rest before the first command.
     void rest() {
         write_frames();
-        worst_.slide = 0.0, std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});  // the first tick sees the same again
+        worst_.slide = 0.0, std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});  // the first tick counts it again
         for (int i = 0; i < tree->fingers(); ++i)
             for (int a = 0; a < 3; ++a) force[3 * i + a] = dot(axis(i, a), seen().forces[i]);
     }
 
-    // What was worst since `reset`, by the truth.
+    // Worst values since `reset`, from the true state.
     struct Worst {
-        double slide = 0.0;  // [m] of a touching tip from where it was on the object, by sliding
+        double slide = 0.0;  // [m] largest sliding distance of a touching tip on the object
         double overlap = 0.0;  // [m] of a tip and the object
-        double stray = 0.0;  // force of links on the object, as a share of external force and weight, the weight at least
+        double stray = 0.0;  // force of links on the object relative to external force plus weight, at least the weight
     };
-    // How the object is held, by the truth: its error against the wanted pose, and what the fingers do.
+    // Quality of the hold, from the true state: pose error against the target, and the fingers' forces and slip.
     struct Outcome {
         PoseError error;
-        double drift, tilt;  // [m], [rad]: lengths of the errors of position and orientation
+        double drift, tilt;  // [m], [rad]: norms of the position and orientation errors
         double force_error = 0.0;  // largest component of measured - commanded force [N]
-        double slip = 0.0;  // fastest touching tip on the object [m/s]
+        double slip = 0.0;  // highest tangential speed of a touching tip on the object [m/s]
         double stray = 0.0;  // force of links on the object [N]
         Worst worst;
     };
-    // measured: (N, 3) receives the measured forces in the commanded contact frames [N]
+    // measured: receives the measured forces (N, 3) in the commanded contact frames [N].
     Outcome outcome(const Target& target, double* measured) const {
         const Snapshot& now = scene->now;
         const PoseError error(now, target);
@@ -225,14 +224,14 @@ public:
 
 private:
     static constexpr double STANDARD_GRAVITY = 9.81;  // [m/s^2]
-    static constexpr double NEAR = 0.9;  // of a torque limit: below, limits are left out of the next tick
-    static constexpr double LIGHT = 1e-2;  // [N] of a finger that lands, times the friction
-    static constexpr double ROUNDED = 1e-9;  // of a torque limit: rounding by which it may be passed
+    static constexpr double NEAR = 0.9;  // of a torque limit: below it, the next tick ignores the limits
+    static constexpr double LIGHT = 1e-2;  // [N] of a landing finger, before division by the friction
+    static constexpr double ROUNDED = 1e-9;  // of a torque limit: allowed rounding
 
-    // The joints that have motors, and how the contact points move with them.
+    // The joints with motors, and the motion of the contact points with them.
     struct Motors {
-        std::vector<int> of;  // (M,) the motor of a joint; -1: it is coupled
-        std::vector<double> limit, bias;  // (J,) [N m]: of the motors; of them what the links' weight takes
+        std::vector<int> of;  // (M,) index of a joint's motor; -1: coupled
+        std::vector<double> limit, bias;  // (J,) [N m]: torque limits of the motors; their torques from the links' weight
         explicit Motors(const Tree& tree) : of(tree.joints(), -1) {
             for (int j = 0; j < tree.joints(); ++j)
                 if (!tree.links[j].coupled()) of[j] = int(limit.size()), limit.push_back(tree.links[j].torque_limit);
@@ -241,26 +240,25 @@ private:
     };
     ForceOptimizer method_;
     Motors motors_;
-    std::vector<double> jacobian_;  // (N, 3 or 6, J) object frame; before what is made with it
-    ForceOptimizer follow_, within_;  // what goes on after the method, on the cones alone; Newton within the motors' limits
+    std::vector<double> jacobian_;  // (N, 3 or 6, J) object frame; declared before its users
+    ForceOptimizer follow_, within_;  // Newton from the last command, on the cones only; Newton within the motors' limits
     ForceOptimizer least_;  // the least sum of normal forces
     ElasticBalance elastic_;
-    std::vector<double> followed_, found_, cheapest_, last_;  // rows of the three, and of the last command
-    bool known_ = false;  // whether there is a last command
-    bool limited_ = false,
-         exceeding_ = false;  // whether it was made within the limits and is near them; whether it exceeds them least
-    std::uint64_t squeezing_ = 0;  // the fingers that `squeezed_` is for
+    std::vector<double> followed_, found_, cheapest_, last_;  // rows of the three solvers, and of the last command
+    bool known_ = false;  // true if there is a last command
+    bool limited_ = false, exceeding_ = false;  // the last command is near the limits and kept them; it exceeds them least
+    std::uint64_t squeezing_ = 0;  // the fingers of `squeezed_`
     Worst worst_;
-    double load_ = 1.0;  // [N] external force and weight, the weight at least: pushes may cancel that
-    std::vector<Point> slid_;  // (N,) the way of each tip on the object by sliding [m], object frame
-    bool missing_ = false;  // a finger that counts has no force
+    double load_ = 1.0;  // [N] external force plus weight, at least the weight, since pushes may cancel it
+    std::vector<Point> slid_;  // (N,) path of each tip on the object by sliding [m], object frame
+    bool missing_ = false;  // a finger that counts as in contact has no force
     std::vector<int> apart_;  // (N,) ticks since a finger had force
     Target target_{};
-    std::vector<double> before_, began_, given_, squeezed_,
-        adjustment_;  // (N, 3): commanded at the last tick, and before the step; of the agent; internal; object frame
+    // (N, 3): commands of the last tick and before the step; the agent's; internal; object frame
+    std::vector<double> before_, began_, given_, squeezed_, adjustment_;
     std::vector<double> torsion_;  // (N,) commanded [N m]
-    std::vector<double> pull_, extra_, trial_;  // (M,) of `keep_posture`, `add_within`, `fits`
-    std::vector<double> push_, posture_;  // of `keep_posture`
+    std::vector<double> pull_, extra_, trial_;  // (M,) work space of `keep_posture`, `add_within`, `fits`
+    std::vector<double> push_, posture_;  // work space of `keep_posture`
     Cholesky normal_;
     bool redundant_;
 
@@ -271,7 +269,7 @@ private:
         return ForceOptimizer({contacts, {.jacobian = jacobian_, .torque_limit = motors_.limit}},
                               {.tolerance = settings.follow.tolerance, .limit = settings.follow.limit, .elastic = elastic});
     }
-    // Whether the tips leave joints free: more than three of a finger, or some that move none.
+    // True if the tips leave joints free: a finger has more than three, or a joint moves no tip.
     static bool is_redundant(const Tree& tree) {
         const std::vector<int> users = tree.users(tree.all_fingers());
         bool free = false;
@@ -280,7 +278,7 @@ private:
         return free;
     }
 
-    // Of all that was and what is.
+    // Worst values including the current state.
     Worst worst() const {
         Worst out = worst_;
         for (double gap : scene->now.gaps) out.overlap = std::max(out.overlap, -gap);
@@ -291,12 +289,12 @@ private:
     // --- contacts
 
     Point axis(int i, int a) const { return {frames[9 * i + a], frames[9 * i + 3 + a], frames[9 * i + 6 + a]}; }
-    // f(i) for the fingers in contact
+    // Call f(i) for the fingers in contact.
     template <class F> void touching(F&& f) const {
         for (int i = 0; i < tree->fingers(); ++i)
             if (mask >> i & 1) f(i);
     }
-    // Which fingers count as in contact: those that touch, and those that did a moment ago.
+    // Update the fingers that count as in contact: those that touch, and those that did within the last `release` ticks.
     void count_contacts() {
         const std::uint64_t touch = seen().mask();
         if (touch == mask && !missing_) return;
@@ -318,12 +316,12 @@ private:
                 for (int k = 0; k < 3; ++k) frames[9 * i + 3 * k + a] = frame[a][k];
         }
     }
-    // The current contacts, as optimizers take them.
+    // The current contacts for the solvers.
     Now contacts() const {
         const std::size_t size = 3 * seen().points.size();
         return {.positions = {&seen().points[0].u, size}, .normals = {&seen().normals[0].u, size}, .contacts = mask};
     }
-    // The same with the motors' Jacobian and what the links' weight takes of them.
+    // The current contacts with the motors' Jacobian and the torques of the links' weight.
     Now limited_contacts() {
         const Snapshot& s = seen();
         const std::size_t joints = motors_.limit.size(), rows = joints ? jacobian_.size() / (joints * tree->fingers()) : 0;
@@ -346,7 +344,7 @@ private:
     // --- forces
 
     void forget_solution() { Record(solution.data(), tree->fingers()).summary() = {}; }
-    // Forces of the fingers in contact into `force` and `torsion_`.
+    // Write the forces of the fingers in contact into `force` and `torsion_`.
     void find_forces(const Step* step) {
         if (hold == Hold::optimized) {
             if (known_) land();
@@ -370,7 +368,7 @@ private:
         std::copy_n(row.force(), force.size(), force.data());
         std::copy_n(row.torsion(), torsion_.size(), torsion_.data());
     }
-    // The method on the current contacts.
+    // Solve by the method on the current contacts.
     Record by_method(const Step& step) {
         Ask ask{.wrench = wrench.data(), .now = contacts(), .start = step.start};
         if (step.start == Start::given) ask.force = step.force;
@@ -381,7 +379,7 @@ private:
         if (row.has_force()) effort.iterations += int(row.summary().iterations), effort.trials += int(row.summary().trials);
         return row;
     }
-    // From the last command.
+    // Solve from the last command.
     Record follow() {
         follow_.solve(from_last(), followed_.data());
         const Record row(followed_.data());
@@ -392,7 +390,7 @@ private:
         return {
             .wrench = wrench.data(), .now = contacts(), .start = Start::previous, .previous = known_ ? last_.data() : nullptr};
     }
-    // Newton within the motors' limits from the row of a force near them; false without a force.
+    // Solve by Newton within the motors' limits, from the row of a force near them. Return false without a force.
     bool keep_limits(const double* previous) {
         within_.solve({.wrench = wrench.data(), .now = limited_contacts(), .start = Start::previous, .previous = previous},
                       found_.data());
@@ -403,7 +401,7 @@ private:
         limited_ = !fits(NEAR);
         return within.has_force();
     }
-    // No force closure: the last forces, towards what misses balance least.
+    // Without force closure: from the last forces, minimise the balance residual.
     void balance_elastically() {
         closure = limited_ = false;
         touching([&](int i) { std::copy_n(&before_[3 * i], 3, &force[3 * i]); });
@@ -417,7 +415,7 @@ private:
             for (std::size_t k = 0; k < columns; ++k) adjustment_[j] += settings.directions[columns * j + k] * coordinates[k];
         }
     }
-    // A finger that was commanded no force in its cone, as it has just landed, was barely inside it.
+    // A finger that has just landed was commanded no force in its cone; place its force just inside.
     void land() {
         const Record row(last_.data());
         touching([&](int i) {
@@ -426,7 +424,7 @@ private:
             if (!(scale[0] * f[0] > side)) f[0] = std::max(1.05 * side, LIGHT) / scale[0];
         });
     }
-    // The command as the previous solution of the next tick.
+    // Keep the command as the previous solution of the next tick.
     void remember(bool pushes) {
         known_ = pushes;
         if (!pushes) return;
@@ -436,7 +434,7 @@ private:
         std::copy(torsion_.begin(), torsion_.end(), row.torsion());
         std::copy(frames.begin(), frames.end(), row.frames());
     }
-    // Moves the forces towards what was commanded before, so that no component changes by more than `most_change` beyond balance.
+    // Move the forces towards the last command, so that no component changes by more than `most_change` beyond balance.
     void bound_change() {
         const auto change = [&](const double* then) {
             double most = 0.0;
@@ -456,7 +454,7 @@ private:
         for (std::size_t i = 0; i < torsion_.size(); ++i)
             torsion_[i] = kept.torsion()[i] + share * (torsion_[i] - kept.torsion()[i]);
     }
-    // The least share, from one on, of the way from `kept` to the forces that is within the torque limits if the forces are.
+    // The smallest fraction >= `share` of the way from `kept` to the forces that is within the torque limits, if the forces are.
     double within_limits(const Record& kept, double share) {
         torques_of(kept.force(), trial_), torques_of(force.data(), extra_);
         for (int j = 0; j < tree->joints(); ++j) {
@@ -466,7 +464,7 @@ private:
         }
         return share;
     }
-    // An internal force of the contacts that the method was made for, of those fingers that touch, with the total normal force of the settings.
+    // An internal force of the method's own contacts for the fingers that touch, with the total normal force of the settings.
     void squeeze() {
         const double nothing[6] = {};
         follow_.solve({.wrench = nothing, .now = {.contacts = mask}}, followed_.data());
@@ -479,7 +477,7 @@ private:
         for (double& f : squeezed_) f *= settings.squeeze / total;
         squeezing_ = mask;
     }
-    // The least change of the forces that restores balance, as far as these contacts can.
+    // Restore balance by the least-norm change of the forces, as far as these contacts can.
     void restore_balance() {
         constexpr double SHIFT = 1e-9;  // of the largest entry: two contacts cannot turn the object about the line between them
         Packed6 gram{};
@@ -501,8 +499,8 @@ private:
 
     // --- torques
 
-    // out (M,) = the torques that carry the hand and with which the fingers in contact push with forces (N, 3) [N], contact frames, and
-    // their torsion. Forces of no finger: none.
+    // out (M,) = the torques that carry the hand plus those of the fingers in contact with forces (N, 3) [N], contact frames, and
+    // their torsion.
     void torques_of(const double* forces, std::vector<double>& out) const {
         const Snapshot& s = seen();
         std::copy(s.gravity_torques.begin(), s.gravity_torques.end(), out.begin());
@@ -513,14 +511,14 @@ private:
             if (torsion_[i] != 0.0) s.posture.twist(tree->tips[i].link, torsion_[i] * (s.rotation * axis(i, 0)), out.data());
         });
     }
-    // Whether the motors can make the forces with a part of their limits, besides carrying the hand.
+    // True if the motors can produce the forces and carry the hand within `part` of their limits.
     bool fits(double part) {
         torques_of(force.data(), trial_);
         for (int j = 0; j < tree->joints(); ++j)
             if (!(std::abs(trial_[j]) <= part * tree->links[j].torque_limit)) return false;
         return true;
     }
-    // Adds as much of `extra_` to the torques as their limits leave room for.
+    // Add as much of `extra_` to the torques as their limits allow.
     void add_within() {
         double share = 1.0;
         for (int j = 0; j < tree->joints(); ++j) {
@@ -530,7 +528,7 @@ private:
         }
         for (int j = 0; j < tree->joints(); ++j) torques[j] += share * extra_[j];
     }
-    // Torques within the motors' limits.
+    // Clip the torques to the motors' limits.
     void cut() {
         for (int j = 0; j < tree->joints(); ++j) {
             if (tree->links[j].coupled()) continue;
@@ -543,8 +541,8 @@ private:
         }
     }
 
-    // Spring and damper that bring tip i to its place inside the surface at its goal: the target's where nothing is optimised,
-    // else carried by the object. World frame [N].
+    // Spring and damper force [N], world frame, that draws tip i to its place inside the surface at its goal: at the target while
+    // nothing is optimised, otherwise carried by the object.
     Point reach(int i) const {
         const Snapshot& s = seen();
         const bool anchored = hold == Hold::place;
@@ -560,7 +558,8 @@ private:
         return size > spring.limit ? (spring.limit / size) * pull : pull;
     }
 
-    // Adds what keeps a redundant hand near its rest posture without moving the tips: the null space of all tip Jacobians.
+    // Add the torques that keep a redundant hand near its rest posture without moving the tips, in the null space of all tip
+    // Jacobians.
     void keep_posture() {
         const Snapshot& s = seen();
         const int m = tree->joints(), rows = 3 * tree->fingers();

@@ -1,7 +1,7 @@
-// Closed meshes of triangles, convex or not: the nearest point of the surface, and on which side of it a point is.
+// Closed triangle meshes, convex or not: the nearest point of the surface, and the side of it on which a point lies.
 //
-// A tree of boxes over the faces finds the face (about 1 us for 16,000 of them). The side is that of the normal there; on edges and
-// corners that of the sum of the faces' normals, on corners weighted by their angles (Baerentzen and Aanaes 2005).
+// A tree of boxes over the faces finds the face (about 1 us for 16,000 of them). The side follows from the normal there; on edges
+// and corners, from the sum of the faces' normals, weighted by their angles on corners (Baerentzen and Aanaes 2005).
 #pragma once
 #include <algorithm>
 #include <array>
@@ -13,13 +13,14 @@
 
 namespace grasp {
 
-// Where several points are as near, as at the centre of a ball, it is one of them; on edges the normal is the direction to them.
+// One of the nearest points if several are equally near, as at the centre of a ball. On edges the normal is the direction to the
+// point.
 struct Nearest {
-    Point point, inward;  // [m] and unit normal
-    double distance;  // [m], below 0 inside
+    Point point, inward;  // [m], unit normal
+    double distance;  // [m], negative inside
 };
 
-// A convex piece of a solid: corners [m] about a point inside.
+// A convex piece of a solid: corners [m] relative to a point inside.
 struct Piece {
     Point center;
     std::shared_ptr<const std::vector<Point>> corners;
@@ -28,9 +29,9 @@ struct Piece {
 class Mesh {
 public:
     using Corners = std::array<int, 3>;
-    std::vector<Piece> pieces;  // together they hold the solid
+    std::vector<Piece> pieces;  // their union is the solid
 
-    // corners: (V,) [m]; faces: their numbers, from outside counterclockwise. Throws std::invalid_argument.
+    // corners: (V,) [m]; faces: indices of corners, counterclockwise from outside. Throws std::invalid_argument.
     Mesh(std::vector<Point> corners, std::vector<Corners> faces, std::vector<Piece> parts)
         : pieces(std::move(parts)), corners_(std::move(corners)), faces_(std::move(faces)) {
         if (faces_.empty() || pieces.empty()) throw std::invalid_argument("a mesh has faces and pieces");
@@ -47,7 +48,7 @@ public:
     }
 
     Nearest nearest(const Point& center) const {
-        constexpr double SHARP = 1e-9;  // [m]; nearer to an edge than this, rounding decides the direction
+        constexpr double SHARP = 1e-9;  // [m]; closer to an edge, rounding decides the direction
         const Hit hit = find(center);
         const Point way = hit.point - center;
         const double distance = length(way);
@@ -59,7 +60,7 @@ public:
         return {hit.point, -out, side * distance};
     }
 
-    // A point of the surface and the outward normal there, by three numbers in [0, 1): as many on each piece of area.
+    // A point of the surface, uniformly distributed by area, and its outward normal, from three numbers in [0, 1).
     std::pair<Point, Point> sample(double which, double u, double v) const {
         const auto found = std::upper_bound(areas_.begin(), areas_.end(), which * areas_.back());
         const int face = int(std::min<std::ptrdiff_t>(found - areas_.begin(), faces_.size() - 1));
@@ -69,13 +70,13 @@ public:
     }
 
 private:
-    static constexpr int INNER = 6;  // features: the corners of a face, the edges from each to the next, its inside
+    static constexpr int INNER = 6;  // features: corners of a face, edges from each to the next, interior
     static constexpr int LEAF = 4;  // triangles
 
     struct Triangle {
-        Point corner, b, c;  // [m], and the edges to the other two corners
-        Point to_b, to_c;  // gradients of the coordinates of a point along b and c
-        std::array<double, 3> shorter;  // one over the squared lengths of the edges from each corner to the next
+        Point corner, b, c;  // [m]; edges to the other two corners
+        Point to_b, to_c;  // gradients of a point's coordinates along b and c
+        std::array<double, 3> shorter;  // inverse squared lengths of the edges from each corner to the next
         int face;
     };
     struct Box {
@@ -95,7 +96,7 @@ private:
     };
     struct Branch {
         Box box;
-        int first = 0, count = 0;  // of its triangles; without any, of its node
+        int first = 0, count = 0;  // of its triangles; if it has none, index of its node
     };
     using Node = std::array<Branch, 2>;
     struct Hit {
@@ -106,8 +107,8 @@ private:
 
     std::vector<Point> corners_;
     std::vector<Corners> faces_;
-    std::vector<Point> normals_;  // (F,) outward unit normals; of faces without area 0
-    std::vector<double> areas_;  // (F,) twice the areas of the faces up to each
+    std::vector<Point> normals_;  // (F,) outward unit normals; 0 for faces without area
+    std::vector<double> areas_;  // (F,) cumulative double areas of the faces
     std::vector<Point> along_, around_;  // (F, 3) normals on the edges from each corner to the next; (V,) on corners
     std::vector<Triangle> triangles_;  // in the order of the leaves
     std::vector<Node> nodes_;
@@ -153,7 +154,7 @@ private:
                 best = {t.corner + from_corner, square, t.face, feature};
         };
         if (u >= 0.0 && v >= 0.0 && w >= 0.0) return take(v * t.b + w * t.c, INNER);
-        // nearest on an edge that the point is beyond; of a face without area on any
+        // nearest on an edge that the point is beyond; on any edge for a face without area
         const auto edge = [&](const Point& from, const Point& way, int k) {
             const double part = dot(arm - from, way) * t.shorter[k];
             if (part <= 0.0) take(from, k);
@@ -178,9 +179,9 @@ private:
         }
         if (!(total > 0.0)) throw std::invalid_argument("a mesh has area");
     }
-    // Whether a face of twice that area is as good as a line.
+    // True if a face with this double area is degenerate.
     bool flat(int face, double area) const {
-        constexpr double THIN = 1e-10;  // of its longest edge
+        constexpr double THIN = 1e-10;  // of the square of its longest edge
         const int k = longest(face);
         const auto p = points(face);
         const Point way = p[(k + 1) % 3] - p[k];
@@ -198,13 +199,13 @@ private:
         return best;
     }
 
-    // Sides of faces in the order of their edges: sides of one edge stand together.
+    // Sides of faces, sorted by edge: the sides of one edge are adjacent.
     struct Side {
         int low, high, face, edge;
         bool same(const Side& other) const { return low == other.low && high == other.high; }
     };
-    std::vector<Side> sides_;  // while the normals are made
-    std::vector<std::pair<int, int>> group_;  // (F, 3) the first side of the edge, and the first of the next one
+    std::vector<Side> sides_;  // used while the normals are computed
+    std::vector<std::pair<int, int>> group_;  // (F, 3) first side of the edge, and first side of the next edge
 
     void weigh_edges() {
         for (int f = 0; f < int(faces_.size()); ++f)
@@ -228,10 +229,10 @@ private:
             along_[3 * side.face + side.edge] = unit(sum, side.face);
         }
     }
-    static constexpr int DEEPEST = 6;  // faces without area side by side
+    static constexpr int DEEPEST = 6;  // largest number of adjacent faces without area
 
-    // The normal of a face as seen from one of its edges. One without area is a fold of what lies across its longest edge, and seen
-    // from there of what lies across the others, where an edge has two faces.
+    // The normal of a face as seen from one of its edges. A face without area is a fold: seen from its longest edge it has the
+    // normals across the others, and vice versa, if an edge has two faces.
     Point seen(int face, int edge, int deep) const {
         if (!flat(face) || deep == 0) return normals_[face];
         Point sum{0.0, 0.0, 0.0};
@@ -281,7 +282,7 @@ private:
         return out;
     }
 
-    // Halves of the faces, by their middles along the axis on which these spread most, until few are left.
+    // Halve the faces by their centres along the axis of largest spread, until few are left.
     Branch build(int* order, int count) {
         Branch out;
         Box middles;
