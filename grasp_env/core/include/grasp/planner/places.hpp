@@ -1,8 +1,10 @@
 // Places on an object that one finger of a hand can touch on its own.
 //
-// A finger whose tip goes anywhere reaches them by inverse kinematics. One with fewer joints, or in a plane, meets the object
-// where it does: from a posture of its joints one of them closes until the tip touches. Joints that move several fingers stay
-// where they are, but for fingers that nothing else moves, such as jaws with one motor: the motor of their last joint closes them.
+// A finger whose tip can go anywhere reaches them by inverse kinematics. A finger with fewer joints, or in a plane, finds them by
+// closing: from a drawn posture one of its joints closes until the tip touches. Joints that move several fingers stay fixed, unless
+// a finger has no others, such as jaws with one motor: then the motor of its last joint closes it.
+//
+// Places need both ways and their checks together, so the file is long.
 #pragma once
 #include <utility>
 #include <grasp/planner/clearance.hpp>
@@ -10,32 +12,31 @@
 
 namespace grasp {
 
-// What a place must keep.
+// Margins that a place must keep.
 struct Margins {
     double flat;  // [m] of flat surface around it
-    double joints;  // [rad] from the joints' limits
-    double clearance;  // [m] of the links from the object
-    double pieces;  // [m] of a mesh's convex pieces over it where the tip touches, at most
+    double joints;  // [rad] from the joint limits
+    double clearance;  // [m] between the links and the object
+    double pieces;  // [m] largest distance of a mesh's convex pieces from the mesh at the tip
 };
 
-// What a grasp must do. Wrenches are (force, moment / length) [N].
+// Requirements on a grasp. Wrenches are (force, moment / length) [N].
 struct Demand {
     double friction;
     double length;  // [m]
-    std::vector<Vec6> loads;  // that the contacts make; 0 is inside their convex hull
+    std::vector<Vec6> loads;  // wrenches that the contacts must make; 0 is inside their convex hull
     double space;  // between fingers [m]
-    double torsion = 0.0;  // moment about the normal over its force, of soft contacts [m]
+    double torsion = 0.0;  // ratio of moment about the normal to normal force, for soft contacts [m]
     double start = 0.0;  // [m] between tip and object before the fingers close
     Point gravity{0.0, 0.0, 0.0};  // [m/s^2]
 };
 
-inline constexpr double BEHIND =
-    1e-3;  // [m] from the object that is enough for the rest of a fingertip, which moves with its sphere
+inline constexpr double BEHIND = 1e-3;  // [m] clearance of the rest of a fingertip, which moves with its sphere
 inline constexpr double PI = 3.14159265358979323846;
-inline constexpr double FULL = 30.0;  // [N] that weigh as much as a joint at its torque limit
+inline constexpr double FULL = 30.0;  // [N] that weighs as much as a joint at its torque limit
 
-// Where to begin inside the object [m], and what to add to the direction towards the finger; on meshes, and for fingers that only
-// close, the six numbers in [0, 1) of which these were made count.
+// A start inside the object [m], and an offset of the direction towards the finger. On meshes, and for fingers that only close, the
+// six random numbers in [0, 1) are used directly.
 struct Ray {
     Point start, aside;
     Vec6 draws;
@@ -43,12 +44,13 @@ struct Ray {
 
 struct Place {
     Point point, normal;  // [m], inward
-    std::vector<Placed> limbs;  // of the finger, when it is there
-    std::vector<double> replies;  // see `grasp_search.hpp`
-    std::vector<double> angles, start;  // of the finger's joints there, and before it closes where that is known [rad]
-    std::vector<Point> efforts;  // of the joints that can be the limit: what 1 N takes of the torque that is left, times `FULL`
+    std::vector<Placed> limbs;  // of the finger at this place
+    std::vector<double> replies;  // see `search.hpp`
+    std::vector<double> angles, start;  // of the finger's joints at this place, and before closing if known [rad]
+    std::vector<Point>
+        efforts;  // joints that may reach their limit: fraction of the remaining torque that 1 N uses, times `FULL`
 
-    // Of a force [N]: 1 for each newton of it along the normal, or what the joint nearest to its limit feels.
+    // Cost of a force [N]: 1 per newton along the normal, or the load of the joint nearest to its limit if that is more.
     double cost(const Point& force) const {
         double most = 1.0;
         for (const Point& effort : efforts) most = std::max(most, std::abs(dot(effort, force)));
@@ -56,20 +58,20 @@ struct Place {
     }
 };
 
-// How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to start, without
-// push.
+// Number of rays that failed: at an edge, out of reach, near a joint limit, with a link at the object, without room to start, or
+// with too little push.
 struct Misses { int edge = 0, far = 0, limit = 0, touching = 0, start = 0, weak = 0; };
 
 // One finger of a hand: its joints as a tree of their own, and the limbs that they carry.
 class Finger {
 public:
-    std::vector<int> joints;  // numbers in the hand
-    std::vector<int> carried;  // numbers of its limbs in the hand
-    std::vector<Limb> limbs;  // links as numbered in the finger
-    bool free = false;  // its tip goes anywhere near
-    int closer = -1;  // the motor in the hand that closes it where none is its own; it may close others, too
+    std::vector<int> joints;  // indices in the hand
+    std::vector<int> carried;  // indices of its limbs in the hand
+    std::vector<Limb> limbs;  // links indexed as in the finger
+    bool free = false;  // its tip can go anywhere nearby
+    int closer = -1;  // motor in the hand that closes it if it has none of its own; may close other fingers as well
 
-    // home: (M,) [rad] of the hand, where the inverse kinematics starts; users: (M,) how many fingers each motor moves
+    // home: (M,) [rad] of the hand, start of the inverse kinematics; users: (M,) number of fingers that each motor moves
     Finger(const Tree& hand, int number, const std::vector<Limb>& all, const double* home, const std::vector<int>& users)
         : tree_(made(hand, number, home, users)), reach_(tree_), posture_(tree_) {
         for (int j : joints) home_.push_back(home[j]);
@@ -88,17 +90,17 @@ public:
 
     bool carries(int limb) const { return std::binary_search(carried.begin(), carried.end(), limb); }
 
-    // The angle of `closer` at angles of the finger's joints.
+    // The angle of `closer` for given angles of the finger's joints.
     double closed(const std::vector<double>& angles) const {
         const Link& link = tree_->links[own_[0]];
         return (angles[own_[0]] - link.shift) / link.ratio;
     }
 
-    // Up to `most` places that it reaches with its links clear of the object.
+    // Find up to `most` places that the finger reaches with its links clear of the object.
     void find(const Obstacle& object, const Demand& demand, const std::vector<Ray>& rays, const Margins& margins,
               std::size_t most, std::vector<Place>& places, Misses& misses) {
         places.clear();
-        // one joint meets the object in few ways, two do so along lines
+        // one joint meets the object in few ways, two joints along lines
         const std::size_t tries = free || own_.size() > 2 ? rays.size() : own_.size() == 2 ? 40 : 4;
         for (std::size_t r = 0; r < std::min(rays.size(), tries); ++r) {
             const Ray& ray = rays[r];
@@ -131,8 +133,8 @@ public:
         }
     }
 
-    // Angles of the finger's joints where its tip is `away` from a place [m]; false where it cannot be there, as where the object is
-    // on the other side, too.
+    // Find the joint angles with the tip `away` from a place [m]. Return false if the tip cannot be there, or if the object is on
+    // the other side as well.
     bool stand_off(const Surface& surface, const Place& place, double away, std::vector<double>& angles) {
         if (!free) {
             angles = place.start;
@@ -152,8 +154,8 @@ public:
     }
 
 private:
-    static constexpr double AROUND = 0.15;  // of the joints' ranges, about the rest posture
-    std::vector<int> own_;  // joints with a motor that moves no other finger, or of `closer`, as numbered in the finger
+    static constexpr double AROUND = 0.15;  // fraction of the joints' ranges, around the rest posture
+    std::vector<int> own_;  // joints with a motor that moves no other finger, or of `closer`; indexed as in the finger
     std::shared_ptr<const Tree> tree_;
     Reach reach_;
     Posture posture_;
@@ -187,9 +189,9 @@ private:
         posture_.trace(angles_.data());
     }
 
-    // Whether the tip moves in all directions, at one of some postures.
+    // True if the tip can move in all directions in at least one of several postures.
     bool spatial() {
-        constexpr double LEAST = 1e-4;  // of the determinant of J J^T over its mean eigenvalue's cube
+        constexpr double LEAST = 1e-4;  // of the determinant of J J^T over the cube of its mean eigenvalue
         const int count = int(joints.size());
         std::vector<double> jacobian(3 * count);
         double best = 0.0;
@@ -208,9 +210,9 @@ private:
         return best > LEAST;
     }
 
-    // From inside along a ray to the surface; false where the start is not inside.
+    // Walk from inside along a ray to the surface. Return false if the start is not inside.
     bool walk(const Surface& surface, const Ray& ray, Nearest& place) const {
-        constexpr int STEPS = 8;  // exactly along the ray does not matter
+        constexpr int STEPS = 8;  // the exact direction does not matter
         const Point way = direction_ + ray.aside;
         const double size = length(way);
         Point center = ray.start;
@@ -224,9 +226,9 @@ private:
         return true;
     }
 
-    // Where the tip touches a mesh near a point of it that is drawn and faces the finger; false where the tip finds no place there.
+    // Find where the tip touches a mesh near a drawn point that faces the finger. Return false if the tip finds no place there.
     bool land(const Mesh& mesh, const Ray& ray, Nearest& place) const {
-        constexpr double FACING = 0.1, FITS = 1e-6;  // least cosine; [m] of the tip in the object
+        constexpr double FACING = 0.1, FITS = 1e-6;  // smallest cosine; [m] of the tip in the object
         constexpr int STEPS = 6;
         const auto [from, outward] = mesh.sample(ray.draws[0], ray.draws[1], ray.draws[2]);
         const Point way = direction_ + ray.aside;
@@ -240,9 +242,9 @@ private:
         return false;
     }
 
-    // Whether the pieces of a mesh are as near to the tip at a place as the mesh, and face it alike.
+    // True if the convex pieces of a mesh are as near to the tip as the mesh itself, and face it alike.
     bool agrees(const Obstacle& object, const Nearest& place, double most) const {
-        constexpr double ASIDE = 3e-3;  // [m] over which their slope is measured; it may be `most` over this way
+        constexpr double ASIDE = 3e-3;  // [m] over which their slope is measured; it may deviate by `most` over this distance
         if (!object.surface.mesh() || object.solids.size() == 1) return true;
         const double radius = tree_->tips[0].radius;
         const auto above = [&](const Point& aside) {
@@ -254,7 +256,7 @@ private:
                std::abs(above(ASIDE * other) - above(-ASIDE * other)) < 2.0 * most;
     }
 
-    // Two unit vectors across a unit normal.
+    // Two unit vectors orthogonal to a unit normal.
     static std::pair<Point, Point> tangents(const Point& n) {
         int least = 0;
         for (int k = 1; k < 3; ++k)
@@ -265,7 +267,8 @@ private:
         return {side, cross(n, side)};
     }
 
-    // Whether the normal turns by less than 20 degrees up to `size` away. On a mesh it is that of a ball of this size, as faces are rough.
+    // True if the normal turns by less than 20 degrees up to `size` away. On a mesh, whose faces are rough, the normal is that of a
+    // ball of this size.
     static bool flat(const Surface& surface, const Nearest& place, double size) {
         const double above = (surface.mesh() ? 1.0 : 0.1) * size;
         const Point& n = place.inward;
@@ -291,12 +294,12 @@ private:
         return true;
     }
 
-    // One joint closes from a drawn posture until the tip touches: there into `angles_`, `start` with the tip clear.
-    // spread: of the postures around that at rest, of the joints' ranges.
+    // Close one joint from a drawn posture until the tip touches; that posture is in `angles_`, `start` is the one with the tip
+    // clear. spread: range of the drawn postures around the rest posture, as a fraction of the joints' ranges.
     bool closes(const Surface& surface, const Demand& demand, const Vec6& draws, double spread, const Margins& margins,
                 Nearest& place, std::vector<double>& start, Misses& misses) {
         constexpr int STEPS = 24, HALVES = 40;
-        constexpr double PUSH = 0.4;  // of the tip's largest motion, along the normal
+        constexpr double PUSH = 0.4;  // of the tip's largest motion: smallest part along the normal
         if (own_.empty()) {
             ++misses.far;
             return false;
@@ -317,14 +320,14 @@ private:
             place = surface.nearest(posture_.tip(0));
             return place.distance - radius;
         };
-        // between a part of the range where the tip is more than `away` off, and one where it is less
+        // bisect between a part of the range where the tip is more than `away` off, and one where it is closer
         const auto between = [&](double off, double on, double away) {
             for (int k = 0; k < HALVES; ++k) (distance(0.5 * (off + on)) > away ? off : on) = 0.5 * (off + on);
             return off;
         };
         std::array<double, STEPS + 1> found;
         for (int k = 0; k <= STEPS; ++k) found[k] = distance(double(k) / STEPS);
-        std::array<int, 2 * STEPS> meets;  // k > 0: the tip meets it on its way up to step k; k < 0: down to step -k - 1
+        std::array<int, 2 * STEPS> meets;  // k > 0: the tip meets the object on the way up to step k; k < 0: down to step -k - 1
         int ways = 0;
         for (int k = 1; k <= STEPS; ++k) {
             if (found[k - 1] > 0.0 && found[k] <= 0.0) meets[ways++] = k;
@@ -371,7 +374,7 @@ private:
         return true;
     }
 
-    // Whether the limbs are that far from the object at `angles_`; writes where they are.
+    // True if the limbs are `margin` away from the object at `angles_`; writes their positions.
     bool clear(const Obstacle& object, double margin, std::vector<Placed>& there) {
         posture_.trace(angles_.data());
         for (const Limb& limb : limbs) {
@@ -382,15 +385,16 @@ private:
         return true;
     }
 
-    // What forces on the tip take of the torques that the links' weight leaves, where that can be what limits them.
+    // Write the fractions of the torques, after the links' weight, that forces on the tip use, for joints that may reach their
+    // limit.
     void weigh(const Demand& demand, std::vector<Point>& efforts) const {
-        constexpr double LEAST = 0.05;  // of its limit that is left of a torque
+        constexpr double LEAST = 0.05;  // fraction of its limit that a torque keeps at least
         const int count = int(joints.size());
         std::vector<double> weight(count);
         std::vector<Point> moves(count, Point{0.0, 0.0, 0.0});
         posture_.support(demand.gravity, weight.data());
         posture_.carriers(count - 1, posture_.tip(0), [&](int j, const Point& along) { moves[j] += along; });
-        const double largest = std::sqrt(1.0 + demand.friction * demand.friction);  // of a force over its normal part
+        const double largest = std::sqrt(1.0 + demand.friction * demand.friction);  // ratio of a force to its normal component
         for (int j = 0; j < count; ++j) {
             const double limit = tree_->links[j].torque_limit;
             const Point effort = (FULL / std::max(limit - std::abs(weight[j]), LEAST * limit)) * moves[j];
@@ -399,7 +403,7 @@ private:
     }
 };
 
-// The limbs of a hand, and its fingers one by one.
+// The limbs of a hand, and its fingers as separate trees.
 struct HandLimbs {
     std::shared_ptr<const Tree> tree;
     std::vector<Limb> all;
@@ -413,7 +417,7 @@ struct HandLimbs {
         for (int i = 0; i < tree->fingers(); ++i) fingers.emplace_back(*tree, i, all, rest, users);
     }
 
-    // The same hand with its palm turned, then shifted [m], and another rest posture.
+    // The same hand with its palm rotated, then shifted [m], and with another rest posture.
     HandLimbs moved(const Rotation& turn, const Point& shift, const double* rest) const {
         auto hand = std::make_shared<Tree>(*tree);
         for (Link& link : hand->links)
@@ -424,8 +428,8 @@ struct HandLimbs {
         return {hand, std::move(limbs), together, rest};
     }
 
-    // Least distances [m]: of the links, without the spheres of fingertips, from the object; of links and tips from one another.
-    // Above `enough` a lower bound.
+    // Smallest distances [m]: of the links, without the spheres of fingertips, from the object; of links and tips from one another.
+    // Above `enough`, a lower bound.
     std::pair<double, double> clearance(const Obstacle& object, const double* angles, double enough = infinity) const {
         Posture posture(tree);
         posture.trace(angles);
@@ -444,8 +448,8 @@ struct HandLimbs {
         }
         return {away, apart};
     }
-    // How far the rest of a finger and the palm are from a ball about a point that touches the tip, in a posture; at most
-    // `enough` [m].
+    // Distance of the rest of a finger and the palm, in a posture, from a ball that touches the tip and is centred at `middle`; at
+    // most `enough` [m].
     double beside(int finger, const Posture& posture, const Point& middle, double enough) const {
         const double radius = length(posture.tip(finger) - middle) - tree->tips[finger].radius;
         const Solid ball = Solid::of(Segment{middle, middle}, std::max(radius, 0.0));
@@ -455,7 +459,7 @@ struct HandLimbs {
                 least = std::min(least, gap(Placed(ball), all[c].at(posture), least));
         return least;
     }
-    // Of the palm from the object [m].
+    // Distance of the palm from the object [m].
     double palm_gap(const Obstacle& object) const {
         double least = infinity;
         for (const Limb& limb : all)

@@ -1,21 +1,22 @@
-// The contacts with which a hand holds an object best.
+// Search for the contacts with which a hand holds an object best.
 //
-// Every finger has a pool of places that it reaches on its own. A choice of one place per finger is rated by the total normal
-// force, or by what that takes of the joints' torques where it is more, that the worst of some wrenches needs. That is a maximum
-// over directions y in wrench space,
+// Every finger has a pool of places that it reaches on its own. A choice of one place per finger is rated by the largest force that
+// any of the given wrenches needs: the total normal force, or its use of the joints' torques if that is more. This rating is a
+// maximum over directions y in wrench space,
 //
 //     max_y  max_w (-w . y) / h(y),  h(y) = max_i max {f . v_i(y) : f in cone i, cost 1},
 //
-// in which each place enters on its own: its part of h, its reply, is tabulated for a few hundred y, so that a choice takes a
-// microsecond. The choices that do best by the table are solved exactly, by linear programming whose columns, rays of the round
-// cones, are made as they are needed; the multipliers of that are further directions y for the table, the ones that matter.
+// to which each place contributes separately. Its contribution to h, its reply, is tabulated for a few hundred y, so that rating a
+// choice takes a microsecond. The best choices by the table are solved exactly by linear programming, with rays of the round cones
+// generated as columns when needed. The multipliers of these programs become further directions y of the table, the ones that
+// matter.
 #pragma once
 #include <grasp/planner/places.hpp>
 
 namespace grasp {
 
-// Most work that a contact force of cost 1 does along y, and its wrench. A soft contact turns about its normal too, within the
-// ellipsoid (slip / friction)^2 + (moment / torsion)^2 <= (normal force)^2.
+// Largest work along y of a contact force of cost 1, and the wrench of that force. A soft contact also transmits a moment about its
+// normal, within the ellipsoid (slip / friction)^2 + (moment / torsion)^2 <= (normal force)^2.
 struct Reply {
     double work;
     Vec6 wrench;
@@ -46,13 +47,13 @@ struct Reply {
     }
 };
 
-// Least cost [N] of contact forces whose wrench is `load`, by the rays that `Reply` names at most 2 % above it; inf: none was
-// found. y: multipliers; load . y over the largest reply is a lower bound.
+// Smallest cost [N] of contact forces whose wrench is `load`, at most 2 % above the optimum, by the rays from `Reply`; inf: none
+// was found. y: multipliers; load . y over the largest reply is a lower bound.
 inline double least_force(const std::vector<const Place*>& places, const Demand& demand, const Vec6& load, Vec6& y) {
-    constexpr double PENALTY = 1e6;  // [N] of what no contact force balances
+    constexpr double PENALTY = 1e6;  // [N] price of what no contact force balances
     constexpr double EXACT = 0.02;
     constexpr int PIVOTS = 120;
-    Six<Vec6> inverse{};  // of the basis: six rays, or what stands for them at a penalty
+    Six<Vec6> inverse{};  // of the basis: six rays, or artificial columns at the penalty
     Vec6 amount, cost, column;
     for (int r = 0; r < 6; ++r) inverse[r][r] = std::copysign(1.0, load[r]), amount[r] = std::abs(load[r]), cost[r] = PENALTY;
     for (int pivot = 0; pivot < PIVOTS; ++pivot) {
@@ -89,20 +90,20 @@ inline double least_force(const std::vector<const Place*>& places, const Demand&
 
 class GraspSearch {
 public:
-    using Choice = std::vector<int>;  // the number of a place per finger
+    using Choice = std::vector<int>;  // index of a place per finger
     struct Found {
         double force;
         Choice choice;
     };  // [N] in the worst case
 
-    std::vector<std::vector<Place>> pools;  // of each finger
+    std::vector<std::vector<Place>> pools;  // for each finger
     std::vector<Misses> misses;
 
     GraspSearch(std::shared_ptr<HandLimbs> hand, Surface surface, Demand demand, std::vector<Vec6> directions)
         : pools(hand->fingers.size()), misses(pools.size()), hand_(std::move(hand)), object_(std::move(surface)),
           demand_(std::move(demand)), given_(std::move(directions)) {}
 
-    // Makes the pool of a finger anew, of up to `most` places; their number.
+    // Refill the pool of a finger with up to `most` places. Return their number.
     int fill(int finger, const std::vector<Ray>& rays, const Margins& margins, int most) {
         hand_->fingers[finger].find(object_, demand_, rays, margins, most, pools[finger], misses[finger]);
         return int(pools[finger].size());
@@ -110,16 +111,17 @@ public:
 
     enum Fault { none, near_object, near_itself, no_start, start_near_object, start_near_itself, not_together };
 
-    // Angles (M,) at which the whole hand is at its places, and before it closes, and what is wrong with them. clearance: of the
-    // links from the object at the places [m].
+    // Compute the angles (M,) at which the whole hand is at its places, and before it closes; return what is wrong with them.
+    // clearance: of the links from the object at the places [m].
     Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
-        constexpr double TOGETHER = 2e-5;  // [m] that fingers of one motor are off the object when the first touches
+        constexpr double TOGETHER = 2e-5;  // [m] distance of fingers of one motor from the object when the first touches
         constexpr double EASIER = 0.9,
-                         OWN = 1.0 / 3.0;  // of the clearance: from the object, as the places have it; of links from links
+                         OWN = 1.0 /
+                               3.0;  // fractions of the clearance: from the object, which the places already keep; between links
         std::copy(hand_->home.begin(), hand_->home.end(), angles), std::copy(angles, angles + hand_->home.size(), start);
         std::vector<double> there;
         bool starts = true;
-        std::vector<int> shut;  // fingers before that motors of several close
+        std::vector<int> shut;  // fingers so far that are closed by a shared motor
         for (std::size_t i = 0; i < choice.size(); ++i) {
             Finger& finger = hand_->fingers[i];
             const Place& place = pools[i][choice[i]];
@@ -153,8 +155,8 @@ public:
         return first_apart > OWN * clearance ? none : start_near_itself;
     }
 
-    // The best choice of each round, in which the last one's multipliers count too; no pool may be empty. picks: random numbers
-    // >= 0 for the choices to begin with, taken in turn: half of them in the first round.
+    // Return the best choice of each round; each round adds the multipliers of the last. No pool may be empty. picks: random
+    // numbers >= 0 for the initial choices, used in turn, half of them in the first round.
     std::vector<Found> choose(const std::vector<Choice>& picks, int rounds) {
         constexpr int SWEEPS = 8;
         needs_.clear();
@@ -192,9 +194,9 @@ private:
     Obstacle object_;
     Demand demand_;
     std::vector<Vec6> given_;
-    std::vector<double> needs_, rest_;  // per direction: the largest load . y; the largest reply of all fingers but one
+    std::vector<double> needs_, rest_;  // per direction: the largest load . y; the largest reply of the other fingers
 
-    // A further direction for the table.
+    // Add a direction to the table.
     void learn(const Vec6& y) {
         double most = -infinity;
         for (const Vec6& load : demand_.loads) most = std::max(most, dot(load, y));
@@ -203,7 +205,7 @@ private:
             for (Place& place : pool) place.replies.push_back(Reply(place, demand_, y).work);
     }
 
-    // The places of a choice in a random order each, the first that keeps apart from those of the fingers before.
+    // Begin with the picked places: for each finger the first, from its pick on, that keeps apart from those of the fingers before.
     bool begin(const Choice& picks, Choice& choice) const {
         choice.clear();
         for (std::size_t i = 0; i < pools.size(); ++i) {
@@ -216,7 +218,7 @@ private:
         return true;
     }
 
-    // Gives each finger in turn its best place; false where none changed.
+    // Give each finger in turn its best place. Return false if none changed.
     bool better(Choice& choice, double& found) {
         bool changed = false;
         for (std::size_t i = 0; i < choice.size(); ++i) {
@@ -234,13 +236,13 @@ private:
     static void raise(std::vector<double>& most, const Place& place) {
         for (std::size_t d = 0; d < most.size(); ++d) most[d] = std::max(most[d], place.replies[d]);
     }
-    // The lower bound of a choice [N] by the table.
+    // Lower bound of a choice [N] by the table.
     double rate(const Choice& choice) {
         rest_.assign(needs_.size(), 0.0);
         for (std::size_t i = 0; i < choice.size(); ++i) raise(rest_, pools[i][choice[i]]);
         return rate(rest_, pools[0][choice[0]], infinity);
     }
-    // The same where `rest` holds the largest replies of the others; stops at `limit`.
+    // The same, with `rest` the largest replies of the others; stops at `limit`.
     double rate(const std::vector<double>& rest, const Place& place, double limit) const {
         double worst = 0.0;
         for (std::size_t d = 0; d < needs_.size() && worst < limit; ++d) {
@@ -250,7 +252,7 @@ private:
         return worst;
     }
 
-    // Whether finger i at its place k keeps apart from the others at their chosen places. Limbs that both carry do not count.
+    // True if finger i at its place k keeps apart from the others at their chosen places. Limbs that both carry do not count.
     bool apart(const Choice& choice, std::size_t i, int k) const {
         const Finger& one = hand_->fingers[i];
         const Place& here = pools[i][k];
