@@ -1,4 +1,4 @@
-// What every file of this folder includes: nanobind, and the functions that bind the parts.
+// Common header of this folder: nanobind, and the functions that bind the parts.
 #pragma once
 
 #include <nanobind/nanobind.h>
