@@ -74,12 +74,12 @@ public:
         const bool flows = options.method == Method::reduced_flow || options.method == Method::full_flow;
         if (flows) {
             if (at_.limits.rows || at_.home.soft())
-                throw std::invalid_argument("the flows know hard contacts without limits: take newton or conic");
+                throw std::invalid_argument("the flows know hard contacts without limits: use newton or conic");
             if (options.method == Method::full_flow && at_.home.count > FULL_CONTACTS)
                 throw std::invalid_argument("the full flow is dense: at most 8 contacts");
         }
         if (!(options.tolerance <= 1.0)) throw std::invalid_argument("the tolerance is a part of the objective: at most 1");
-        if (options.elastic && !at_.limits.rows) throw std::invalid_argument("elastic belongs to limits: give some");
+        if (options.elastic && !at_.limits.rows) throw std::invalid_argument("elastic belongs to limits: add limits");
         if (options.criterion == Criterion::excess || (options.criterion != Criterion::sum && options.method != Method::conic))
             throw std::invalid_argument("the criterion belongs to conic: sum or largest");
         settle();

@@ -159,7 +159,7 @@ private:
     // Smallest margin of an internal force; less would be useful only with millions of newtons.
     static constexpr double DEEP = 1e-6;
     static constexpr double BELOW = -1e-9;  // rounding by which an objective may lie below its bound
-    // Of the start's largest normal force: bound of the normal forces when minimising an excess.
+    // Bound of the normal forces when minimising an excess, relative to the largest normal force of the start.
     static constexpr double MOST = 1e4;
     static constexpr double BEGIN = 1.5;  // of a start's excess: initial increase of the limits
     static constexpr int FIRST_TRY = 40;  // iterations before another start or more digits are tried; a dozen is usual

@@ -82,8 +82,7 @@ public:
           slid_(goals), apart_(tree->fingers()), before_(force), began_(force), given_(force), squeezed_(force),
           adjustment_(force), torsion_(tree->fingers()), pull_(torques), extra_(torques), trial_(torques), push_(force),
           posture_(force.size() * torques.size()), normal_(int(force.size())), redundant_(is_redundant(*tree)) {
-        if (method.contacts().count != tree->fingers())
-            throw std::invalid_argument("the method needs one contact of each finger");
+        if (method.contacts().count != tree->fingers()) throw std::invalid_argument("the method needs one contact per finger");
     }
     Controller(const Controller&) = delete;
 

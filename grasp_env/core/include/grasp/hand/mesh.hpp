@@ -34,7 +34,7 @@ public:
     // corners: (V,) [m]; faces: indices of corners, counterclockwise from outside. Throws std::invalid_argument.
     Mesh(std::vector<Point> corners, std::vector<Corners> faces, std::vector<Piece> parts)
         : pieces(std::move(parts)), corners_(std::move(corners)), faces_(std::move(faces)) {
-        if (faces_.empty() || pieces.empty()) throw std::invalid_argument("a mesh has faces and pieces");
+        if (faces_.empty() || pieces.empty()) throw std::invalid_argument("a mesh needs faces and pieces");
         for (const Corners& face : faces_)
             for (int k : face)
                 if (k < 0 || k >= int(corners_.size())) throw std::invalid_argument("a corner of a face does not exist");
@@ -177,7 +177,7 @@ private:
             normals_.push_back(flat(f, area) ? Point{0.0, 0.0, 0.0} : across / area);
             areas_.push_back(total += area);
         }
-        if (!(total > 0.0)) throw std::invalid_argument("a mesh has area");
+        if (!(total > 0.0)) throw std::invalid_argument("the faces of a mesh must have area");
     }
     // True if a face with this double area is degenerate.
     bool flat(int face, double area) const {

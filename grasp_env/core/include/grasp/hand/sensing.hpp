@@ -1,4 +1,4 @@
-// The controller's view of a scene: delayed and noisy if requested, with the external wrench as far as it is known.
+// The controller's view of a scene: delayed and noisy if requested, and the external wrench as far as known.
 #pragma once
 #include <grasp/hand/balance.hpp>
 

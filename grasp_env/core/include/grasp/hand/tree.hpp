@@ -43,12 +43,12 @@ struct Tree {
     const char* fault() const {
         for (int j = 0; j < joints(); ++j) {
             const Link& link = links[j];
-            if (link.parent >= j || link.parent < -1) return "parents come before their links";
+            if (link.parent >= j || link.parent < -1) return "parents must come before their links";
             if (link.driver >= joints() || (link.coupled() && links[link.driver].coupled()))
-                return "a joint is coupled to one that is not";
+                return "a joint must be coupled to one that is not coupled itself";
         }
         for (const Tip& tip : tips)
-            if (tip.link < 0 || tip.link >= joints()) return "a tip is on a link";
+            if (tip.link < 0 || tip.link >= joints()) return "a tip must be on a link";
         return nullptr;
     }
     // Set the coupled joints from their drivers; angles: (M,).

@@ -60,7 +60,7 @@ public:
     // Throws std::invalid_argument if the file holds no such hand.
     static std::shared_ptr<const Tree> load(const std::string& path) {
         std::optional<Tree> tree = read(NumberReader::bytes(path));
-        if (!tree) throw std::invalid_argument(path + " is no whole file of a hand: HandKinematics.export writes one");
+        if (!tree) throw std::invalid_argument(path + " is not a complete hand file: HandKinematics.export writes one");
         return std::make_shared<const Tree>(*std::move(tree));
     }
 
