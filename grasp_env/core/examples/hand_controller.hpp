@@ -1,6 +1,5 @@
 // A controller for a torque-controlled hand: joint state, contacts and a wrench go in, commands in the units of the motors come out.
-// It has the life cycle of robot middleware's controllers, but needs no middleware: copy and adapt it. In Python:
-// examples/hand_controller.py.
+// It has the life cycle of robot middleware, but needs none: copy and adapt it. In Python: examples/hand_controller.py.
 #pragma once
 #include <grasp/hand/tree_file.hpp>
 #include <grasp/optimizer.hpp>
@@ -30,8 +29,7 @@ struct Settings {
     double push = 0.1;  // [N] force of a finger without contact, along its last normal
     double slew = 50.0;  // [1/s] fastest change of a torque relative to its limit
     double stale = 0.005;  // [s] largest age of contacts that are used
-    double grace = 0.1,
-           fade = 0.2;  // [s] duration for which the last forces are kept without a solution; and in which they then fade
+    double grace = 0.1, fade = 0.2;  // [s] time to keep the last forces without a solution; time in which they then fade
 };
 
 // Converts torques [N m] to whole device units: piecewise linear for each joint, clipped at the outer points.
@@ -49,9 +47,8 @@ struct Calibration {
     }
 };
 
-// `configure` allocates and may throw; the other functions never do. overloaded: the forces exceed the motors' limits, by the least
-// excess; coasting: the last forces, since contacts are stale, numbers invalid or no force balances; released: the hand only carries
-// itself.
+// `configure` allocates and may throw, the other functions never do. overloaded: the forces exceed the motors' limits, but least;
+// coasting: the last forces, since contacts are stale, numbers invalid or no force balances; released: the hand carries itself.
 class HandController {
 public:
     enum Status { inactive, holding, overloaded, coasting, released } status = inactive;
