@@ -110,7 +110,7 @@ Contacts put(nb::handle positions, nb::handle normals, nb::handle scale, nb::han
     const Numbers n = in(normals, count, 3), s = in(scale, count, 3), gamma = in(torsion, count), along = in(tangents, -1, 3);
     const std::vector<double> weights(2 * count, 1.0);
     Contacts made(count, s.data(), weights.data(), along.length(0) ? in(tangents, count, 3).data() : nullptr, gamma.data());
-    made.weigh(Objective{});
+    made.set_weights(Objective{});
     if (made.place(p.data(), n.data()) == Placing::refused) made.unit = UnitFrame(p.data(), count);  // for their size
     return made;
 }
@@ -119,7 +119,7 @@ Contacts put(nb::handle positions, nb::handle normals, nb::handle scale, nb::han
 template <class Weights> Contacts weighed(const Contacts& contacts, const Weights& weights) {
     if (contacts.placing != Placing::good) throw nb::value_error("rank(G) < 6");
     Contacts made = contacts;
-    made.keep_tangents(), made.weigh(weights);
+    made.keep_tangents(), made.set_weights(weights);
     if (!made.weights_good()) throw nb::value_error("weights must be finite and > 0");
     return made;
 }

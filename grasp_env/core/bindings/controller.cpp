@@ -107,7 +107,7 @@ Controller::Outcome outcome(const Controller& controller, nb::handle target, nb:
 static_assert(sizeof(PoseError) == 12 * sizeof(double));
 
 // The data of a step that `told` reports.
-struct Telling {
+struct StepReport {
     const Controller& c;
     const Controller::Outcome& outcome;
     const double* measured;
@@ -133,43 +133,43 @@ PyObject* touching(const Controller& c) {
 
 constexpr double LARGEST_GAP = 1e9;  // reported instead of an infinite gap
 // clang-format off
-constexpr struct { const char* name; PyObject* (*make)(const Telling&); } TOLD[] = {
-    {"iterations", [](const Telling& t) { return PyLong_FromLong(t.c.effort.iterations); }},
-    {"trials", [](const Telling& t) { return PyLong_FromLong(t.c.effort.trials); }},
-    {"objective", [](const Telling& t) { return PyFloat_FromDouble(t.solved ? t.solution.summary().objective : 0.0); }},
-    {"optimality_gap", [](const Telling& t) { return PyFloat_FromDouble(t.solved ? std::min(t.solution.gap(), LARGEST_GAP) : 0.0); }},
-    {"cone_margin", [](const Telling& t) { return PyFloat_FromDouble(t.solved ? t.solution.summary().margin : 0.0); }},
-    {"force_closure", [](const Telling& t) { return PyBool_FromLong(t.c.closure); }},
-    {"contacts", [](const Telling& t) { return PyLong_FromLong(std::popcount(t.c.mask)); }},
-    {"contact_changes", [](const Telling& t) { return PyLong_FromLong(t.c.changes); }},
-    {"wrench", [](const Telling& t) { return new_array(t.c.wrench.data(), {6}); }},
-    {"commanded_force", [](const Telling& t) { return new_array(t.c.force.data(), {t.c.tree->fingers(), 3}); }},
-    {"measured_force", [](const Telling& t) { return new_array(t.measured, {t.c.tree->fingers(), 3}); }},
-    {"force_error", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.force_error); }},
-    {"touching", [](const Telling& t) { return touching(t.c); }},
-    {"stray_force", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.stray); }},
-    {"slip", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.slip); }},
-    {"slip_distance", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.worst.slide); }},
-    {"overlap", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.worst.overlap); }},
-    {"stray_share", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.worst.stray); }},
-    {"drift", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.drift); }},
-    {"tilt", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.tilt); }},
-    {"peak_torque", [](const Telling& t) { return PyFloat_FromDouble(t.c.peak); }},
-    {"followed", [](const Telling& t) { return PyLong_FromLong(t.c.effort.followed); }},
-    {"limited", [](const Telling& t) { return PyLong_FromLong(t.c.effort.limited); }},
-    {"torque_margin", [](const Telling& t) { return PyFloat_FromDouble(t.c.effort.margin); }},
-    {"torque_share", [](const Telling& t) { return PyFloat_FromDouble(t.c.effort.share); }},
-    {"saturated", [](const Telling& t) { return PyBool_FromLong(t.c.effort.saturated); }},
+constexpr struct { const char* name; PyObject* (*make)(const StepReport&); } REPORT_FIELDS[] = {
+    {"iterations", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.iterations); }},
+    {"trials", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.trials); }},
+    {"objective", [](const StepReport& t) { return PyFloat_FromDouble(t.solved ? t.solution.summary().objective : 0.0); }},
+    {"optimality_gap", [](const StepReport& t) { return PyFloat_FromDouble(t.solved ? std::min(t.solution.gap(), LARGEST_GAP) : 0.0); }},
+    {"cone_margin", [](const StepReport& t) { return PyFloat_FromDouble(t.solved ? t.solution.summary().margin : 0.0); }},
+    {"force_closure", [](const StepReport& t) { return PyBool_FromLong(t.c.closure); }},
+    {"contacts", [](const StepReport& t) { return PyLong_FromLong(std::popcount(t.c.mask)); }},
+    {"contact_changes", [](const StepReport& t) { return PyLong_FromLong(t.c.changes); }},
+    {"wrench", [](const StepReport& t) { return new_array(t.c.wrench.data(), {6}); }},
+    {"commanded_force", [](const StepReport& t) { return new_array(t.c.force.data(), {t.c.tree->fingers(), 3}); }},
+    {"measured_force", [](const StepReport& t) { return new_array(t.measured, {t.c.tree->fingers(), 3}); }},
+    {"force_error", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.force_error); }},
+    {"touching", [](const StepReport& t) { return touching(t.c); }},
+    {"stray_force", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.stray); }},
+    {"slip", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.slip); }},
+    {"slip_distance", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.worst.slide); }},
+    {"overlap", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.worst.overlap); }},
+    {"stray_share", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.worst.stray); }},
+    {"drift", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.drift); }},
+    {"tilt", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.tilt); }},
+    {"peak_torque", [](const StepReport& t) { return PyFloat_FromDouble(t.c.peak); }},
+    {"followed", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.followed); }},
+    {"limited", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.limited); }},
+    {"torque_margin", [](const StepReport& t) { return PyFloat_FromDouble(t.c.effort.margin); }},
+    {"torque_share", [](const StepReport& t) { return PyFloat_FromDouble(t.c.effort.share); }},
+    {"saturated", [](const StepReport& t) { return PyBool_FromLong(t.c.effort.saturated); }},
 };
 // clang-format on
-PyObject* keys[std::size(TOLD)];  // the names, interned once
+PyObject* field_names[std::size(REPORT_FIELDS)];  // the names, interned once
 
 nb::typed<nb::dict, nb::str, nb::object> told(const Controller& c, const Controller::Outcome& outcome, nb::handle measured) {
-    const Telling telling{c, outcome, in(measured, c.tree->fingers(), 3).data()};
+    const StepReport report{c, outcome, in(measured, c.tree->fingers(), 3).data()};
     nb::dict out;
-    for (std::size_t k = 0; k < std::size(TOLD); ++k) {
-        const nb::object value = nb::steal(TOLD[k].make(telling));
-        if (!value || PyDict_SetItem(out.ptr(), keys[k], value.ptr()) < 0) throw nb::python_error();
+    for (std::size_t k = 0; k < std::size(REPORT_FIELDS); ++k) {
+        const nb::object value = nb::steal(REPORT_FIELDS[k].make(report));
+        if (!value || PyDict_SetItem(out.ptr(), field_names[k], value.ptr()) < 0) throw nb::python_error();
     }
     return out;
 }
@@ -226,8 +226,8 @@ nb::typed<nb::dict, nb::str, nb::ndarray<>> seen(nb::handle self) {
 
 void bind_controller(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
-    for (std::size_t k = 0; k < std::size(TOLD); ++k)
-        if (!(keys[k] = PyUnicode_InternFromString(TOLD[k].name))) throw nb::python_error();
+    for (std::size_t k = 0; k < std::size(REPORT_FIELDS); ++k)
+        if (!(field_names[k] = PyUnicode_InternFromString(REPORT_FIELDS[k].name))) throw nb::python_error();
     nb::class_<Gather>(m, "Gather", "Gathers the numbers of several arrays, clipped, into a new float32 array.")
         .def(nb::init<std::vector<Gather::Part>, Gather::Bound>(), "arrays"_a.noconvert(), "bound"_a.noconvert(),
              "C-contiguous float64 arrays, read at each call, and a float32 bound for each of their numbers.")

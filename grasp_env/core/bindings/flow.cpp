@@ -33,8 +33,8 @@ int descend(const Contacts& contacts, const char* name, nb::handle rule, double 
         on.cones.pack(contacts);
         on.cones.load_force(start.data(), on.x);
         const Vec6 w = on.cones.unit.of(load.data());
-        FlowOn<V, B> flow(on.cones, steps, form);
-        if (sane_wrench(load.data()) && on.is_start(w) && flow.place(on.cones))
+        FlowSolver<V, B> flow(on.cones, steps, form);
+        if (is_valid_wrench(load.data()) && on.is_start(w) && flow.place(on.cones))
             code = flow.descend(on, call, w, Record(row.data(), count));
     });
     return code;
@@ -49,7 +49,7 @@ double repeat(const Contacts& contacts, const char* name, nb::handle x, int time
         cones.pack(contacts);
         auto from = cones.field();
         cones.load(at, from);
-        FlowOn<V, B> flow(cones, StepRule{}, form);
+        FlowSolver<V, B> flow(cones, StepRule{}, form);
         if (flow.place(cones)) last = flow.repeat(cones, from, times);
     });
     return last;

@@ -48,7 +48,7 @@ std::shared_ptr<HandLimbs> make_hand(const std::shared_ptr<Tree>& tree, const st
                                      const Pairs& together) {
     for (const Limb& limb : limbs) check(*tree, limb.link);
     for (const auto& [a, b] : together) check(*tree, a), check(*tree, b);
-    return std::make_shared<HandLimbs>(tree, limbs, Together(*tree, together), in(home, tree->joints()).data());
+    return std::make_shared<HandLimbs>(tree, limbs, IgnoredPairs(*tree, together), in(home, tree->joints()).data());
 }
 
 // Smallest distances [m] of links (-1: the palm) in a posture, for every pair that is not of one joint: (link, link, distance).

@@ -12,9 +12,9 @@ using namespace grasp;
 namespace {
 
 // The numbers of an array that can be read in place.
-class Given {
+class ArrayArgument {
 public:
-    explicit Given(nb::handle object) {
+    explicit ArrayArgument(nb::handle object) {
         if (object.is_none()) return;
         given_ = true;
         if (!PyArray_Check(object.ptr())) return;
@@ -109,25 +109,26 @@ private:
 
     bool now(Ask& ask, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian, nb::handle torque_bias,
              nb::handle contacts) {
-        const auto take = [](const Given& given, std::initializer_list<npy_intp> shape, Doubles& to) {
+        const auto take = [](const ArrayArgument& given, std::initializer_list<npy_intp> shape, Doubles& to) {
             if (!given.given()) return true;
             if (!given.has(shape)) return false;
             to = given.numbers();
             return true;
         };
-        if (!take(Given(positions), {count, 3}, ask.now.positions) || !take(Given(normals), {count, 3}, ask.now.normals) ||
-            !take(Given(torque_bias), {joints}, ask.now.torque_bias))
+        if (!take(ArrayArgument(positions), {count, 3}, ask.now.positions) ||
+            !take(ArrayArgument(normals), {count, 3}, ask.now.normals) ||
+            !take(ArrayArgument(torque_bias), {joints}, ask.now.torque_bias))
             return false;
         if (!friction.is_none()) {
             if (PyFloat_CheckExact(friction.ptr())) {
                 friction_ = PyFloat_AsDouble(friction.ptr()), ask.now.friction = {&friction_, 1};
-            } else if (const Given given(friction); given.has({count}) || given.has({count, 2})) {
+            } else if (const ArrayArgument given(friction); given.has({count}) || given.has({count, 2})) {
                 ask.now.friction = given.numbers();
             } else {
                 return false;
             }
         }
-        if (const Given given(jacobian); given.given()) {
+        if (const ArrayArgument given(jacobian); given.given()) {
             if (!given.has({count, 3, joints}) && !given.has({count, 6, joints})) return false;
             ask.now.jacobian = given.numbers();
         }
@@ -143,7 +144,7 @@ private:
     }
     bool read(Ask& ask, nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
               nb::handle torque_bias, nb::handle contacts) {
-        const Given load(wrench);
+        const ArrayArgument load(wrench);
         if (!load.has({6})) return false;
         ask.wrench = load.data();
         return now(ask, positions, normals, friction, jacobian, torque_bias, contacts);
@@ -151,7 +152,7 @@ private:
     void from(Ask& ask, int start, nb::handle force, nb::handle before) const {
         if (start < 0 || start > int(Start::central)) throw nb::value_error("no such start");
         ask.start = Start(start);
-        if (const Given given(force); given.given()) {
+        if (const ArrayArgument given(force); given.given()) {
             if (!given.has({count, 3})) throw nb::type_error("expected a C-contiguous float64 array (N, 3)");
             ask.force = given.numbers();
         }
@@ -201,8 +202,8 @@ Solver* make(const Contacts& given, nb::handle weights, double force_weight, dou
              bool largest, int start, double tolerance, int limit, bool elastic, nb::handle rule, const Model* model,
              nb::object kind, nb::object name, nb::tuple starts, nb::object asked_name, bool remembers) {
     Contacts contacts = given;
-    if (weights.is_none()) contacts.weigh(Objective{force_weight, barrier_weight});
-    else contacts.weigh(in(weights, contacts.count, 2).data());
+    if (weights.is_none()) contacts.set_weights(Objective{force_weight, barrier_weight});
+    else contacts.set_weights(in(weights, contacts.count, 2).data());
     const int count = contacts.count;
     const std::vector<double> least = copied(min_normal, count), most = copied(max_normal, count),
                               torques = copied(torque_limit, -1), bias = copied(torque_bias, torques.size()),

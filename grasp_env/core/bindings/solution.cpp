@@ -13,12 +13,12 @@ using grasp::SUMMARY;
 struct Solution { PyObject_HEAD PyObject *record, *method, *initial, *objective_trace; };
 
 constexpr PyObject* Solution::* FIELDS[] = {&Solution::record, &Solution::method, &Solution::initial, &Solution::objective_trace};
-PyObject* nothing = nullptr;  // an empty array, read-only
+PyObject* empty_array = nullptr;  // an empty array, read-only
 
 PyArrayObject* array(PyObject* object) { return reinterpret_cast<PyArrayObject*>(object); }
 
 // Raise the project's own error, imported only when needed.
-PyObject* refuse(const char* said) {
+PyObject* raise_invalid_input(const char* said) {
     nb::object kind = nb::module_::import_("grasp_env.errors").attr("InvalidInputError");
     PyErr_SetString(kind.ptr(), said);
     return nullptr;
@@ -51,13 +51,13 @@ PyObject* made_of(PyTypeObject* type, PyObject* record, PyObject* method, PyObje
 }
 
 PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
-    PyObject *record, *method, *initial, *trace = nothing;
+    PyObject *record, *method, *initial, *trace = empty_array;
     static const char* names[] = {"record", "method", "initial", "objective_trace", nullptr};
     if (!PyArg_ParseTupleAndKeywords(arguments, named, "OOO|O", const_cast<char**>(names), &record, &method, &initial, &trace))
         return nullptr;
     if (!is_record(record)) {
         try {
-            return refuse(
+            return raise_invalid_input(
                 "a record must be a C-contiguous float64 array whose numbers say how many they are, the first a code of "
                 "`Status`: take "
                 "a solver's");
@@ -199,15 +199,15 @@ PyType_Spec spec{"grasp_env.core._core.Solution", sizeof(Solution), 0, Py_TPFLAG
 }  // namespace
 
 PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* method, PyObject* initial) {
-    return made_of(reinterpret_cast<PyTypeObject*>(kind), record, method, initial, nothing);
+    return made_of(reinterpret_cast<PyTypeObject*>(kind), record, method, initial, empty_array);
 }
 PyObject* record_of(PyObject* solution) { return reinterpret_cast<Solution*>(solution)->record; }
 
 void bind_solution(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
     npy_intp none = 0;
-    nothing = PyArray_SimpleNew(1, &none, NPY_DOUBLE);
-    if (!nothing) throw nb::python_error();
-    PyArray_CLEARFLAGS(array(nothing), NPY_ARRAY_WRITEABLE);
+    empty_array = PyArray_SimpleNew(1, &none, NPY_DOUBLE);
+    if (!empty_array) throw nb::python_error();
+    PyArray_CLEARFLAGS(array(empty_array), NPY_ARRAY_WRITEABLE);
     m.attr("Solution") = nb::steal(PyType_FromSpec(&spec));
 }

@@ -22,8 +22,8 @@ struct ExchangeApi {
     static const ExchangeApi* of(nb::handle object) {
         PyObject* const capsule =
             PyObject_GetAttrString(reinterpret_cast<PyObject*>(Py_TYPE(object.ptr())), "__dlpack_c_exchange_api__");
-        void* const found =
-            capsule ? PyCapsule_GetPointer(capsule, "dlpack_exchange_api") : nullptr;  // lives as long as the process
+        // lives as long as the process
+        void* const found = capsule ? PyCapsule_GetPointer(capsule, "dlpack_exchange_api") : nullptr;
         Py_XDECREF(capsule);
         if (!found) PyErr_Clear();
         const auto* const api = static_cast<const ExchangeApi*>(found);

@@ -29,8 +29,8 @@ int main() {
             n[3 * i] = 0.01 * std::sin(roll) / size, n[3 * i + 1] = 0, n[3 * i + 2] = NORMALS[3 * i + 2] / size;
             p[3 * i + 2] = POSITIONS[3 * i + 2];
         }
-        const double x = 0.5 * 9.81 * std::sin(turn),
-                     z = -0.5 * 9.81 * std::cos(turn);  // the weight rotates in the object's frame
+        // the weight rotates in the object's frame
+        const double x = 0.5 * 9.81 * std::sin(turn), z = -0.5 * 9.81 * std::cos(turn);
         const double wrench[] = {x, 0, z, 0, 0.01 * x - 0.005 * z, 0};
 
         const auto begin = Clock::now();

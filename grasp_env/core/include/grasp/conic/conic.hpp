@@ -39,7 +39,7 @@ template <class T> struct Scaling {
         const T z = v.o * d.o + v.t * d.t, k = z * shrink - d.u;
         return {v.u * d.u - z, d.o + k * v.o, d.t + k * v.t};
     }
-    Vec3<T> twice(const Vec3<T>& d) const {  // M d
+    Vec3<T> times(const Vec3<T>& d) const {  // M d
         const T z = 2.0 * dot(v, d);
         return {eta * (z * v.u - d.u), eta * (z * v.o + d.o), eta * (z * v.t + d.t)};
     }
@@ -191,8 +191,8 @@ private:
             const Vec3<V>&l = here.l, e = here.d, f = l + e;
             const Vec3<V> r{target / m.eta + dot(f, e), f.u * e.o + e.u * f.o, f.u * e.t + e.u * f.t};
             const V h = lorentz(l, r) * m.root * m.root;
-            here.d = cones.blocks[b].mask *
-                     (Vec3<V>{h, (r.o - h * l.o) * here.l0, (r.t - h * l.t) * here.l0} - l);  // unused lanes do not move
+            // unused lanes do not move
+            here.d = cones.blocks[b].mask * (Vec3<V>{h, (r.o - h * l.o) * here.l0, (r.t - h * l.t) * here.l0} - l);
             here.q = m.eta * m.scaled(here.d);
             cones.blocks[b].add_wrench(here.q, out);
         }
@@ -212,7 +212,7 @@ private:
                 const Vec3<V> e = here.m.scaled(d);
                 const Boundary<V> edge = here.boundary();
                 dual = max(dual, edge.per(e)), primal = max(primal, edge.per(here.d - e));
-                here.q -= here.m.twice(d);
+                here.q -= here.m.times(d);
             }
             here.d = d;
         }
@@ -231,7 +231,7 @@ private:
     }
 };
 
-template <class V, int B> class ConicOn : public ConicSteps<V, B> {
+template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
     using Steps = ConicSteps<V, B>;
     using typename Steps::At;
 
@@ -240,21 +240,21 @@ public:
     using typename Steps::Field;
     Stop options;
 
-    ConicOn(int count, const Stop& options)
+    ConicSolver(int count, const Stop& options)
         : Steps(count), options(options), force_(cones.field()), first_(cones.field()), qr_(Steps::blocks()),
           fitted_(qr_.rows()) {}
 
     // A wrench of size 1, and its original size.
-    struct Posed {
+    struct UnitWrench {
         Vec6 unit, minus;
         double scale;
     };
     // Begin a record. Return false if the record is complete.
-    bool pose(const double* wrench, Posed& posed, const Record& record) const {
+    bool begin_record(const double* wrench, UnitWrench& posed, const Record& record) const {
         record.clear();
         Summary& out = record.summary();
         out.code = REFUSED;
-        if (!sane_wrench(wrench) || !cones.sane(rest) || !(cones.margin(rest) > 0.0)) return false;
+        if (!is_valid_wrench(wrench) || !cones.is_in_range(rest) || !(cones.margin(rest) > 0.0)) return false;
         std::copy(wrench, wrench + 6, out.wrench.begin());
         posed.unit = cones.unit.of(wrench);
         posed.scale = size(posed.unit);
@@ -267,9 +267,9 @@ public:
     }
 
     Code solve(const double* wrench, const Record& record) {
-        Posed posed;
+        UnitWrench posed;
         Summary& out = record.summary();
-        if (!pose(wrench, posed, record)) return Code(int(out.code));
+        if (!begin_record(wrench, posed, record)) return Code(int(out.code));
         Code code = descend<false>(posed, record);
         if (code == STALLED) {  // S has lost its digits
             const double tried = out.iterations;
@@ -280,7 +280,7 @@ public:
     }
 
     // Write the iterate as an answer with its certificate, since the iterations' own gap is no proof. Return the certified gap.
-    double conclude(const Posed& posed, int iterations, const Record& record) {
+    double conclude(const UnitWrench& posed, int iterations, const Record& record) {
         const double certified = certify(posed, record);
         Summary& out = record.summary();
         out.code = certified <= options.tolerance ? CONVERGED : STALLED, out.iterations = out.trials = iterations;
@@ -330,7 +330,7 @@ private:
     using Steps::blocks;
 
     // Descend from the start and write the record. EXACT: find dy by least squares instead of S, whose condition number is squared.
-    template <bool EXACT> Code descend(const Posed& posed, const Record& record) {
+    template <bool EXACT> Code descend(const UnitWrench& posed, const Record& record) {
         const Vec6& minus = posed.minus;
         this->start(minus);
         double goal = options.tolerance;
@@ -340,7 +340,7 @@ private:
                 goal *= 0.1;
                 if (!(this->gap > 0.0) || goal < 1e-3 * options.tolerance) return STALLED;
             }
-            const bool ends = iterations >= options.limit, sound = !ends && (EXACT ? axes() : this->system() > 0.0);
+            const bool ends = iterations >= options.limit, sound = !ends && (EXACT ? factor_axes() : this->system() > 0.0);
             bool moves = false;
             if constexpr (EXACT) {
                 if (sound)
@@ -378,7 +378,7 @@ private:
         }
     };
     // Factor A, with S = A^T A.
-    bool axes() {
+    bool factor_axes() {
         for (int b = 0; b < blocks(); ++b) {
             const RootAxes m(at[b].m = Scaling<V>(at[b].x, at[b].s));
             for (int k = 0; k < 3; ++k)
@@ -417,19 +417,19 @@ private:
     }
 
     // Write force and certificates; return the gap.
-    double certify(const Posed& posed, const Record& record) {
+    double certify(const UnitWrench& posed, const Record& record) {
         auto made = this->answer(posed.minus, posed.scale, force_);
         for (int b = 0; b < blocks(); ++b) first_[b] = all<V>(posed.scale) * at[b].first;
         cones.store_force(first_, record.initial_force());
         cones.certify(force_, posed.unit, record);
         Summary& out = record.summary();
-        if (!(out.margin >= 0.0)) go_inside(posed.unit, record), made.price = this->price_of(force_);
+        if (!(out.margin >= 0.0)) move_inside(posed.unit, record), made.price = this->price_of(force_);
         out.multipliers = cones.unit.pull_back(made.theta * y);
         out.lower_bound = made.bound, out.objective = made.price;
         return cones.balanced(force_, posed.unit, out.residual) ? made.gap() : infinity;
     }
     // If rounding left a force outside a cone, move it towards the start, which is well inside.
-    [[gnu::cold, gnu::noinline]] void go_inside(const Vec6& unit, const Record& record) {
+    [[gnu::cold, gnu::noinline]] void move_inside(const Vec6& unit, const Record& record) {
         for (double part = 1e-15; !(record.summary().margin >= 0.0); part = std::min(1.0, 4.0 * part)) {
             for (int b = 0; b < blocks(); ++b)
                 force_[b] = part < 1.0 ? force_[b] + all<V>(part) * (first_[b] - force_[b]) : first_[b];

@@ -45,7 +45,7 @@ template <class V> inline Six<Reduced<V>> sums(const V (&a)[6]) {
 
 // No terms of Phi besides the cones'. Limits add `LimitTerms` (limits.hpp); torsion adds `SoftTerms` (soft.hpp), which acts on the
 // object by variables of its own.
-struct NoRows { static constexpr bool any = false, turns = false; };
+struct NoRows { static constexpr bool has_terms = false, has_torsion = false; };
 
 template <class V, int B> class Cones {
 public:
@@ -67,7 +67,7 @@ public:
 
     // Reset lanes without a contact to the force (1, 0, 0), where their gradient vanishes: they stay and move nothing. Without
     // friction, the tangential forces are zero.
-    void settle(Field& x) const {
+    void reset_unused_lanes(Field& x) const {
         for (int b = 0; b < int(blocks.size()); ++b) {
             const V& used = blocks[b].mask;
             const V grips = select(blocks[b].scale.o > 0.0, used, V{});
@@ -190,7 +190,7 @@ public:
         return least(room);
     }
     // True if all numbers are finite and within the range of forces.
-    auto sane(const Field& x) const {
+    auto is_in_range(const Field& x) const {
         V total{};
         for (int b = 0; b < int(blocks.size()); ++b) total += abs(x[b].u) + abs(x[b].o) + abs(x[b].t);
         return sum(total) < LARGEST;
@@ -252,7 +252,7 @@ private:
         for (int b = 0; b < int(blocks.size()); ++b) {
             const Vec3<V> x = at(b);
             V term = grasp::phi(x, Weights<V>{(blocks[b].weights.omega * ... * part), blocks[b].weights.lambda});
-            if constexpr (R::any) term += rows.value(b, x, alpha);
+            if constexpr (R::has_terms) term += rows.value(b, x, alpha);
             total += blocks[b].mask * term;
             room = min(room, min(x.u, lorentz(x, x)));
         }
@@ -265,9 +265,9 @@ private:
             V room;
             Vec3<V> y = blocks[b].transposed(nu);
             [[maybe_unused]] V more;
-            if constexpr (R::any) more = rows.dual(b, nu, y);
+            if constexpr (R::has_terms) more = rows.dual(b, nu, y);
             V part = least_of(y, b, room);
-            if constexpr (R::any) part += more;
+            if constexpr (R::has_terms) part += more;
             total += blocks[b].mask * part;
             smallest = min(smallest, room);
         }

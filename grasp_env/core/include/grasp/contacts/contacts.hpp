@@ -22,7 +22,8 @@ template <class T> inline T divisor_of(const T& scale) { return select(scale > 0
 
 class Contacts {
 public:
-    static constexpr double WELL = 1e-6;  // `rank_bound` above which G G^T is inverted directly, with at least six digits left
+    // `rank_bound` above which G G^T is inverted directly, with at least six digits left.
+    static constexpr double WELL_CONDITIONED = 1e-6;
     int count = 0;
     std::vector<double> scale, divisor;  // (N, 3) cone coordinates = scale * force, force = cone coordinates / divisor
     std::vector<double> omega, lambda;  // (N,) weights of Phi
@@ -47,13 +48,13 @@ public:
              const double* gamma = nullptr) {
         make_room(count);
         std::copy(scales, scales + 3 * count, scale.begin());
-        weigh(weights), transmit(), describe(along, gamma);
+        set_weights(weights), update_divisors(), set_tangents_and_torsion(along, gamma);
     }
     // friction: one coefficient for all contacts, one per contact (N), or two per contact (N, 2), along o and t; 0: frictionless.
     Contacts(int count, std::span<const double> friction, const Objective& objective = {}, const double* along = nullptr,
              const double* gamma = nullptr) {
         make_room(count);
-        weigh(objective), rub(friction), describe(along, gamma);
+        set_weights(objective), rub(friction), set_tangents_and_torsion(along, gamma);
     }
 
     // Place contacts; throws std::invalid_argument with a message about the wrong argument unless solvers can use them. Numbers are
@@ -63,17 +64,17 @@ public:
                          const Objective& objective = {}, std::span<const double> along = {},
                          std::span<const double> gamma = {}) {
         const std::size_t size = positions.size(), count = size / 3, given = friction.size();
-        ask(size > 0 && size % 3 == 0 && size <= 3 * MOST_CONTACTS,
-            "positions must be three numbers of each contact, up to 1000");
-        ask(normals.size() == size, "normals must be as many as positions");
-        ask(along.empty() || along.size() == size, "tangents must be as many as positions, or none");
-        ask(given == 1 || given == count || given == 2 * count, "friction must be one number, N or 2N");
-        ask(sane(friction), "friction must be 0 to 1e12");
-        ask(gamma.empty() || gamma.size() == count, "torsion must be one number of each contact, or none");
-        ask(sane(gamma), "torsion must be 0 to 1e12");
+        require(size > 0 && size % 3 == 0 && size <= 3 * MOST_CONTACTS,
+                "positions must be three numbers of each contact, up to 1000");
+        require(normals.size() == size, "normals must be as many as positions");
+        require(along.empty() || along.size() == size, "tangents must be as many as positions, or none");
+        require(given == 1 || given == count || given == 2 * count, "friction must be one number, N or 2N");
+        require(is_in_range(friction), "friction must be 0 to 1e12");
+        require(gamma.empty() || gamma.size() == count, "torsion must be one number of each contact, or none");
+        require(is_in_range(gamma), "torsion must be 0 to 1e12");
         Contacts made(int(count), friction, objective, along.empty() ? nullptr : along.data(),
                       gamma.empty() ? nullptr : gamma.data());
-        made.put(positions.data(), normals.data());
+        made.place_or_throw(positions.data(), normals.data());
         return made;
     }
     static Contacts from(std::span<const double> positions, std::span<const double> normals, double friction,
@@ -84,10 +85,10 @@ public:
     static Contacts checked(int count, const double* positions, const double* normals, const double* scales,
                             const double* weights, const double* along = nullptr) {
         for (int j = 0; j < 3 * count; ++j)
-            ask(scales[j] >= 0.0 && scales[j] < infinity && (j % 3 != 0 || scales[j] > 0.0),
-                "scale must be finite and >= 0, that of normals > 0");
+            require(scales[j] >= 0.0 && scales[j] < infinity && (j % 3 != 0 || scales[j] > 0.0),
+                    "scale must be finite and >= 0, that of normals > 0");
         Contacts made(count, scales, weights, along);
-        made.put(positions, normals);
+        made.place_or_throw(positions, normals);
         return made;
     }
 
@@ -103,14 +104,14 @@ public:
             const Point made = cone_scale(mu_o, mu_t);
             for (int a = 0; a < 3; ++a) scale[3 * k + a] = made[a];
         }
-        transmit();
+        update_divisors();
     }
 
     // Set the weights of Phi: (N, 2) omega and lambda, or the same for all contacts.
-    void weigh(const double* weights) {
+    void set_weights(const double* weights) {
         for (int i = 0; i < count; ++i) omega[i] = weights[2 * i], lambda[i] = weights[2 * i + 1];
     }
-    void weigh(const Objective& objective) {
+    void set_weights(const Objective& objective) {
         std::fill(omega.begin(), omega.end(), objective.force_weight);
         std::fill(lambda.begin(), lambda.end(), objective.barrier_weight);
     }
@@ -165,14 +166,14 @@ public:
                 set_column(force_rows.data(), size, j, row), set_column(rows.data(), size, j, per_[j] * row);
             }
         }
-        return placing = spanned(s);
+        return placing = find_rank(s);
     }
 
     // Write an orthonormal basis of the rows of G (forces) into `out` (6, 3N).
     void orthonormal(std::vector<double>& out) const {
         out = force_rows;
         double lower[6][6];
-        if (!orthonormalise(gram(out.data(), 3 * count), out, lower)) { Rotations(out, 3 * count).normalise(); }
+        if (!orthonormalise(gram(out.data(), 3 * count), out, lower)) { JacobiRotations(out, 3 * count).normalise(); }
     }
 
     // True if any contact transmits torsion.
@@ -186,10 +187,10 @@ private:
     std::vector<double> work_;  // (6, 4N)
     static constexpr double RANK = 1e-8;  // smallest ratio of singular values of G in the unit frame that counts as rank 6
 
-    static void ask(bool good, const char* said) {
+    static void require(bool good, const char* said) {
         if (!good) throw std::invalid_argument(said);
     }
-    static bool sane(std::span<const double> numbers) {
+    static bool is_in_range(std::span<const double> numbers) {
         return std::ranges::all_of(numbers, [](double v) { return v >= 0.0 && v <= LARGEST; });
     }
 
@@ -200,19 +201,19 @@ private:
         for (auto* many : {&matrix, &cone_matrix, &rows, &force_rows, &inverse}) many->resize(18 * n);
         frames.resize(9 * n), work_.resize(24 * n);
     }
-    void describe(const double* along, const double* gamma) {
+    void set_tangents_and_torsion(const double* along, const double* gamma) {
         if (along) tangents.assign(along, along + 3 * count);
         if (gamma) std::copy(gamma, gamma + count, torsion.begin());
     }
     // `place`; throws if that fails.
-    void put(const double* at, const double* inward) {
-        ask(weights_good(), "weights must be finite and > 0");
+    void place_or_throw(const double* at, const double* inward) {
+        require(weights_good(), "weights must be finite and > 0");
         place(at, inward);
-        ask(placing != Placing::refused, "positions must be finite and normals of unit length");
-        ask(placing != Placing::rank_lost, "rank(G) < 6");
+        require(placing != Placing::refused, "positions must be finite and normals of unit length");
+        require(placing != Placing::rank_lost, "rank(G) < 6");
     }
 
-    void transmit() {
+    void update_divisors() {
         for (int j = 0; j < 3 * count; ++j) {
             scale[j] = taken_scale(scale[j]), divisor[j] = divisor_of(scale[j]);
             used_[j] = scale[j] > 0.0, per_[j] = 1.0 / divisor[j];
@@ -220,7 +221,7 @@ private:
     }
 
     // Find the rank of placed contacts; s: Gram matrix of the rows.
-    Placing spanned(const Packed6& s) {
+    Placing find_rank(const Packed6& s) {
         clear = false;
         return invert(s) ? Placing::good : span_with_torsion(s) ? Placing::needs_torsion : Placing::rank_lost;
     }
@@ -242,7 +243,7 @@ private:
         factor.factor(s);
         clear = rank_bound(s, factor) > CLEAR_RANK;
         if (clear) return true;
-        const Rotations found(work_, columns);
+        const JacobiRotations found(work_, columns);
         return found.spans();
     }
 
@@ -255,7 +256,7 @@ private:
         Ldl6 factor;
         factor.factor(s);
         const double bound = rank_bound(s, factor);
-        if (bound > WELL) {  // G^+ = G^T (G G^T)^-1
+        if (bound > WELL_CONDITIONED) {  // G^+ = G^T (G G^T)^-1
             for (int j = 0; j < size; ++j) {
                 const Vec6 solved = factor.solve(column(force_rows.data(), size, j));
                 for (int r = 0; r < 6; ++r) inverse[6 * j + r] = scale[j] * solved[r];
@@ -274,7 +275,7 @@ private:
                 }
             return clear = true;
         }
-        Rotations found(work_, size);
+        JacobiRotations found(work_, size);
         if (!found.spans()) return false;
         found.normalise();
         for (int j = 0; j < size; ++j)
@@ -317,12 +318,12 @@ private:
     }
 
     // Jacobi's one-sided rotations: singular values to full relative accuracy, for contacts that hardly span the wrenches.
-    struct Rotations {
+    struct JacobiRotations {
         std::vector<double>& rows;  // rotated in place: `turn` times the given rows
         int size;
         double turn[6][6] = {}, value[6] = {}, most = 0.0, fewest = infinity;
 
-        Rotations(std::vector<double>& given, int columns) : rows(given), size(columns) {
+        JacobiRotations(std::vector<double>& given, int columns) : rows(given), size(columns) {
             for (int r = 0; r < 6; ++r) turn[r][r] = 1.0;
             for (int sweep = 0, again = 1; again && sweep < 60; ++sweep) {
                 again = 0;

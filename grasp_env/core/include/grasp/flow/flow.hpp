@@ -19,12 +19,12 @@ struct StepRule {
     double decrease = 0.0;
 };
 
-template <class V, int B> class FlowOn {
+template <class V, int B> class FlowSolver {
 public:
     using Field = typename Cones<V, B>::Field;
     StepRule rule;
 
-    FlowOn(const Cones<V, B>& cones, const StepRule& rule, Form form)
+    FlowSolver(const Cones<V, B>& cones, const StepRule& rule, Form form)
         : rule(rule), projection_(cones, form), next_(cones.field()), gradient_(cones.field()), there_(cones.field()),
           step_(cones.field()), past_(cones.field()) {}
 
@@ -247,16 +247,17 @@ private:
         }
         cones.certify(on.x, w, record);
         const double reached = cones.phi(on.x);
-        const bool honest = std::abs(reached - s.objective) <= HONEST * s.objective;
-        if (!honest) s.objective = reached;
-        const bool below = !known && s.objective - s.lower_bound < -HONEST * s.lower_bound;  // the force misses balance
+        const bool consistent = std::abs(reached - s.objective) <= OBJECTIVE_ROUNDING * s.objective;
+        if (!consistent) s.objective = reached;
+        // the force misses balance
+        const bool below = !known && s.objective - s.lower_bound < -OBJECTIVE_ROUNDING * s.lower_bound;
         const bool near = s.objective - s.lower_bound <= on.options.tolerance * s.lower_bound;
         if (code == CONVERGED && !(near && !below && cones.balanced(on.x, w, s.residual) && s.margin > 0.0)) code = STALLED;
         s.code = code, s.limit_excess = 0.0;
         std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
         return code;
     }
-    static constexpr double HONEST = 1e-9;  // fraction of Phi that may be lost to rounding
+    static constexpr double OBJECTIVE_ROUNDING = 1e-9;  // fraction of Phi that may be lost to rounding
 };
 
 }  // namespace grasp

@@ -9,7 +9,7 @@
 namespace grasp {
 
 // The data of a program; arrays are row-major.
-struct Given {
+struct ProgramData {
     int count, limits;  // N, M
     const double* frame;  // (6, 6) maps wrenches to the unit frame
     const double* balance;  // (6, N, 4) of (u, o, t, w), unit frame
@@ -55,7 +55,7 @@ template <int D> struct Constraints {
     Matrix balance, limit, turn;  // (6,) G, (M,), (6,) Q
     double frame[6][6], lower[6][6] = {};  // L
 
-    explicit Constraints(const Given& given)
+    explicit Constraints(const ProgramData& given)
         : count(given.count), limits(given.limits), soft(count), price(count), divisor(given.divisor, given.divisor + 4 * count),
           bound(given.bound, given.bound + limits), shares(given.shares, given.shares + limits), torsion_row(count, -1),
           owner(limits), own(limits), balance(6, count), limit(limits, count), turn(6, count) {
@@ -72,10 +72,11 @@ template <int D> struct Constraints {
         find_owners();
         orthonormalise();
     }
-    static std::size_t room(int count, int limits) {
-        return Arena::room<char>(count) + Arena::room<double>(count) + Arena::room<double>(4 * count) +
-               2 * Arena::room<double>(limits) + Arena::room<int>(count) + 2 * Arena::room<int>(limits) +
-               2 * Arena::room<Tuple<double, D>>(6 * count) + Arena::room<Tuple<double, D>>(std::size_t(limits) * count);
+    static std::size_t bytes_needed(int count, int limits) {
+        return Arena::bytes_needed<char>(count) + Arena::bytes_needed<double>(count) + Arena::bytes_needed<double>(4 * count) +
+               2 * Arena::bytes_needed<double>(limits) + Arena::bytes_needed<int>(count) + 2 * Arena::bytes_needed<int>(limits) +
+               2 * Arena::bytes_needed<Tuple<double, D>>(6 * count) +
+               Arena::bytes_needed<Tuple<double, D>>(std::size_t(limits) * count);
     }
 
     // Interior point for the first `many` limits. T = 0: least sum of normal forces. T = 1: least t above each normal force, or
@@ -95,7 +96,7 @@ template <int D> struct Constraints {
         if (D == 4) out[D - 1] = 1.0;
         return out;
     }
-    // Storage for the results of `rooms`.
+    // Storage for the results of `write_slacks`.
     Kept<double> slacks() const { return Kept<double>(2 * count + limits); }
     static double product(Row a, Row b) {
         double total = 0.0;
@@ -213,7 +214,7 @@ template <int D> struct Constraints {
     double inward(int i, const Tuple<double, D>& row) const { return row[0] + (D == 4 && soft[i] ? row[D - 1] : 0.0); }
 
     // Slack of every cone, of w and of every limit, less an allowance for rounding.
-    template <class Bound> void rooms(const Field& z, int many, Kept<double>& out, Bound&& right) const {
+    template <class Bound> void write_slacks(const Field& z, int many, Kept<double>& out, Bound&& right) const {
         int next = 0;
         for (int i = 0; i < count; ++i) {
             out[next++] = slack(cone(z[i])) - PAD * z[i][0];

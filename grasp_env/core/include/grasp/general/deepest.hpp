@@ -21,7 +21,7 @@ template <int D> class Depth {
 public:
     using Field = typename Constraints<D>::Field;
 
-    Depth(const Constraints<D>& in, int many) : in_(&in), many_(many), room_(in.slacks()), prices_(in.limits) {}
+    Depth(const Constraints<D>& in, int many) : in_(&in), many_(many), slacks_(in.slacks()), prices_(in.limits) {}
 
     // Write the force into z [N]. If CONVERGED, it is strictly inside and balances the wrench.
     Deepest find(const double* wrench, double tolerance, Field& z) {
@@ -36,7 +36,7 @@ private:
     static constexpr double ROUNDING = 1e-14;  // of the terms of a proof, per term: far above rounding
     const Constraints<D>* in_;
     int many_;
-    Kept<double> room_, prices_;
+    Kept<double> slacks_, prices_;
 
     template <class R> Deepest find(const double* wrench, double tolerance, Field& z) {
         const Arena::Scope scope;
@@ -51,7 +51,7 @@ private:
                 if (in_->bound[k] > NOTHING) size = std::min(size, in_->bound[k]);
         }
         const Vec6 unit = (1.0 / size) * load, turned = in_->solve_lower(unit);
-        ask(engine, turned, size);
+        set_up(engine, turned, size);
         const auto& at = engine.at;
         Deepest found;
         found.code = engine.run(tolerance, 0.1 * CLEAR, 0.0, 200, [] { return 0.0; });
@@ -73,18 +73,18 @@ private:
         const double per = 1.0 / std::max(grasp::size(twist), 1e-300);
         found.twist = per * twist;
         price(engine, size);
-        in_->rooms(z, many_, room_, [&](int k) { return in_->bound[k]; });
-        if (found.margin > CLEAR && least_of(room_) > 0.0) found.code = CONVERGED;
+        in_->write_slacks(z, many_, slacks_, [&](int k) { return in_->bound[k]; });
+        if (found.margin > CLEAR && least_of(slacks_) > 0.0) found.code = CONVERGED;
         else if (found.margin <= CLEAR && found.code == CONVERGED) found.code = INFEASIBLE;
-        else if (separates(y, unit, size)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
+        else if (proves_infeasible(y, unit, size)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
         else if (found.code == CONVERGED) found.code = STALLED;  // slow does not mean infeasible
         for (double& price : prices_) price *= per;
         return found;
     }
     // Scaling of a row: a bound far above the wrench gives a row of the bound's size.
-    double evened(int k, double size) const { return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size); }
+    double row_scale(int k, double size) const { return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size); }
     // Slack of a limit that a unit of depth uses.
-    double inset(int k) const {
+    double depth_slack(int k) const {
         double total = 1.0;
         for (int i = 0; i < in_->count; ++i) total += in_->inward(i, in_->limit[k][i]);
         return total;
@@ -94,14 +94,14 @@ private:
         const auto& rows = engine.rows;
         for (const auto& row : rows.own)
             if (row.label >= 0)
-                prices_[row.label] = evened(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
+                prices_[row.label] = row_scale(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
         for (int r = rows.equal; r < rows.joint; ++r)
-            prices_[rows.label[r]] = evened(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
+            prices_[rows.label[r]] = row_scale(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
     }
     // True if the twist y (unit frame) and the limits' multipliers prove that no force is within the limits: G^T y + sum price row
     // lies in every dual cone and y . w > sum price bound, both by more than rounding. The origin of y and of the multipliers does
     // not matter.
-    bool separates(const Vec6& y, const Vec6& unit, double size) {
+    bool proves_infeasible(const Vec6& y, const Vec6& unit, double size) {
         const double rounding = ROUNDING * (8 + many_);
         for (int i = 0; i < in_->count; ++i) {
             Tuple<double, D> dual{};
@@ -126,15 +126,15 @@ private:
         return value > rounding * terms && terms < infinity;
     }
     // Set up the program for a wrench, scaled to its size: the orthonormalised balance and every limit.
-    template <class R> void ask(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
+    template <class R> void set_up(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
         auto& at = engine.at;
         for (int r = 0; r < engine.rows.joint; ++r) {
             const int name = engine.rows.label[r];
             if (r < 6) engine.rows.coupling[r][1] = turned[r];
             engine.rows.right[r] = r == 6 ? 1.0 : 0.0;
             if (name >= 0) {
-                const double part = evened(name, size);
-                engine.rows.coupling[r] = {R(part * inset(name)), R(-part * in_->bound[name] / size)};
+                const double part = row_scale(name, size);
+                engine.rows.coupling[r] = {R(part * depth_slack(name)), R(-part * in_->bound[name] / size)};
                 for (int i = 0; i < in_->count; ++i)
                     for (int a = 0; a < D; ++a) engine.rows.columns[engine.rows.joint * i + r][a] = part * in_->limit[name][i][a];
             }
@@ -143,8 +143,8 @@ private:
         for (int k = 0; k < int(engine.rows.own.size()); ++k) {
             auto& row = engine.rows.own[k];
             if (row.label >= 0) {
-                const double part = evened(row.label, size);
-                row.shared = {R(part * inset(row.label)), R(-part * in_->bound[row.label] / size)};
+                const double part = row_scale(row.label, size);
+                row.shared = {R(part * depth_slack(row.label)), R(-part * in_->bound[row.label] / size)};
                 if (row.contact < in_->count)
                     for (int a = 0; a < D; ++a) row.row[a] = part * in_->limit[row.label][row.contact][a];
             }

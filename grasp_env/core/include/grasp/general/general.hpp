@@ -14,7 +14,8 @@ public:
     General() = default;
     // For at most so many contacts and rows of limits; soft: torsion may be transmitted. Allocates here for the worst rows, unless
     // that takes more than LARGEST_ROOM. In that case, or for more contacts, `place` allocates whenever it needs more than before.
-    explicit General(int contacts, int limits = 0, bool soft = false) : arena_(taken(room(contacts, limits, limits, soft))) {}
+    explicit General(int contacts, int limits = 0, bool soft = false)
+        : arena_(clamped_size(bytes_needed(contacts, limits, limits, soft))) {}
     // A copy has as much memory, and nothing placed.
     General(const General& other) : arena_(other.arena_.size()) {}
     General& operator=(const General& other) {
@@ -36,23 +37,23 @@ public:
         for (int i = 0; torsion_divisor && i < count; ++i) torsions += soft(torsion_divisor[i]);
         const int several = std::min(given, 2 * int(limits.torque_limit.size()));
         if (count == 0) return Placing::rank_lost;
-        arena_.reserve(room(count, given, several, torsions > 0));
+        arena_.reserve(bytes_needed(count, given, several, torsions > 0));
         const Arena::Use use(arena_);
-        Now& now = now_.emplace(count, torsions + given, torsions);
-        const bool sane = now.set(contacts, torsion_divisor) && now.set(limits, each);
-        if (sane) {
+        Inputs& inputs = inputs_.emplace(count, torsions + given, torsions);
+        const bool is_in_range = inputs.set(contacts, torsion_divisor) && inputs.set(limits, each);
+        if (is_in_range) {
             double frame[36];
             contacts.unit.write(frame);
-            program_.emplace(Given{count, now.limits, frame, now.balance.data(), now.rows.data(), now.bound.data(),
-                                   now.divisor.data(), now.shares.data(), true});
-            if (internal) now.load(internal, nullptr), program_->squeeze_with(now.z.data());
+            program_.emplace(ProgramData{count, inputs.limits, frame, inputs.balance.data(), inputs.rows.data(),
+                                         inputs.bound.data(), inputs.divisor.data(), inputs.shares.data(), true});
+            if (internal) inputs.load(internal, nullptr), program_->set_internal_force(inputs.z.data());
             if (program_->full()) return Placing::good;
         }
         forget();
-        return sane ? Placing::rank_lost : Placing::refused;
+        return is_in_range ? Placing::rank_lost : Placing::refused;
     }
     bool placed() const { return bool(program_); }
-    int count() const { return placed() ? now_->count : 0; }
+    int count() const { return placed() ? inputs_->count : 0; }
 
     // The following functions need placed contacts, and records for as many contacts.
 
@@ -63,7 +64,7 @@ public:
         const Code code = least(wrench, criterion, {options.tolerance, CONIC_ITERATIONS}, options.limit, record);
         const Summary& s = record.summary();
         const bool lost = code == STALLED && s.lower_bound > (1.0 + 1e-6) * s.objective;  // neither holds a digit
-        if ((code != REFUSED && !lost) || !sane_wrench(wrench)) return code;
+        if ((code != REFUSED && !lost) || !is_valid_wrench(wrench)) return code;
         return refute(deepest(wrench), wrench, record);
     }
     // Minimise the sum, continuing the record of a solver that stopped short of the tolerance. The better result stays; iterations
@@ -73,15 +74,15 @@ public:
         Summary& before = record.summary();
         const int left = options.limit - int(before.iterations);
         const bool stopped = record.code() == STALLED || record.code() == LIMIT;
-        if (!stopped || left <= 0 || !gapes(before, options.tolerance)) return record.code();
-        const Record made(now_->record.data(), now_->count);
+        if (!stopped || left <= 0 || !gap_exceeds_rounding(before, options.tolerance)) return record.code();
+        const Record made(inputs_->record.data(), inputs_->count);
         const Code code = least(before.wrench.data(), Criterion::sum, {options.tolerance, CONIC_ITERATIONS}, left, made);
         const bool ended = code == STALLED || code == LIMIT;
         const Vec6 wrench = before.wrench;
         if (code == CONVERGED || (ended && gap(made.summary()) < gap(before))) {
-            take(made, record);
+            replace_record(made, record);
         } else if (!ended && gap(before) > before.lower_bound) {  // neither holds a digit
-            if (code == INFEASIBLE) return take(made, record);
+            if (code == INFEASIBLE) return replace_record(made, record);
             return refute(deepest(wrench.data()), wrench.data(), record);
         }
         const bool digits = gap(before) <= before.lower_bound && before.residual <= MISSED * program_->unit_size(wrench.data());
@@ -93,7 +94,7 @@ public:
     // True if the start of a call is strictly inside, so that `phi` uses it.
     bool starts_from(const Call& call) {
         const Arena::Use use(arena_);
-        return starts(call);
+        return has_start(call);
     }
     // Minimise Phi. From::given: from the call's force and torsion, if they are balanced and strictly inside. From::tangent: from
     // the nearest balanced force, if it is strictly inside. Otherwise from the deepest force. INFEASIBLE, UNDECIDED: as for
@@ -102,14 +103,14 @@ public:
         const Arena::Use use(arena_);
         record.clear();
         record.summary().code = REFUSED;
-        if (!sane_wrench(call.wrench)) return REFUSED;
-        if (!starts(call)) {
+        if (!is_valid_wrench(call.wrench)) return REFUSED;
+        if (!has_start(call)) {
             const Deepest found = begin(call.wrench);
             if (found.code != CONVERGED) return refute(found, call.wrench, record);
         }
         const Code code = least_phi(call, options, record);
         if (code == REFUSED) return refute({}, call.wrench, record);
-        now_->store(now_->z.data(), record.initial_force(), nullptr);
+        inputs_->store(inputs_->z.data(), record.initial_force(), nullptr);
         return code;
     }
     // Continue a record that stalled with more than rounding left, with at most MORE_STEPS further steps. The better result stays.
@@ -117,13 +118,13 @@ public:
         const Arena::Use use(arena_);
         Summary& before = record.summary();
         const int left = options.limit - int(before.iterations);
-        if (record.code() != STALLED || left <= 0 || !gapes(before, options.tolerance)) return record.code();
-        const Record made(now_->record.data(), now_->count);
-        now_->load(record.force(), record.torsion());
+        if (record.code() != STALLED || left <= 0 || !gap_exceeds_rounding(before, options.tolerance)) return record.code();
+        const Record made(inputs_->record.data(), inputs_->count);
+        inputs_->load(record.force(), record.torsion());
         const Code code = least_phi({.wrench = before.wrench.data()}, {options.tolerance, std::min(left, MORE_STEPS)}, made);
         if (code != CONVERGED && (code == REFUSED || !(made.summary().objective < before.objective))) return record.code();
         made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
-        return take(made, record);
+        return replace_record(made, record);
     }
 
     // If a record is INFEASIBLE, replace it by the balanced force inside the cones that exceeds the limits least, LIMITS_EXCEEDED,
@@ -132,63 +133,63 @@ public:
         const Arena::Use use(arena_);
         Summary& before = record.summary();
         const int left = options.limit - int(before.iterations);
-        if (record.code() != INFEASIBLE || left <= 0 || now_->limits == now_->torsions) return record.code();
-        const Record made(now_->record.data(), now_->count);
+        if (record.code() != INFEASIBLE || left <= 0 || inputs_->limits == inputs_->torsions) return record.code();
+        const Record made(inputs_->record.data(), inputs_->count);
         const Stop elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
         if (least(before.wrench.data(), Criterion::excess, elastic, left, made) != LIMITS_EXCEEDED) {
             deepest(before.wrench.data());  // restore the prices of the proof
             return record.code();
         }
-        std::copy(made.force(), made.force() + 3 * now_->count, record.initial_force());
-        return take(made, record);
+        std::copy(made.force(), made.force() + 3 * inputs_->count, record.initial_force());
+        return replace_record(made, record);
     }
 
     // Find the force (N, 3) [N] and torsion (N,) [N m] deepest inside all constraints; see `Program`.
     Deepest deepest(const double* wrench, double tolerance, double* force, double* torsion) {
         const Arena::Use use(arena_);
         const Deepest found = deepest(wrench, tolerance);
-        now_->store(now_->z.data(), force, torsion);
+        inputs_->store(inputs_->z.data(), force, torsion);
         return found;
     }
     // Balance residual of a force (N, 3) with torsion (N,), or null, unit frame [N]; and its smallest slack: above 0 if strictly
     // inside.
     double missed(const double* wrench, const double* force, const double* torsion) {
-        now_->load(force, torsion);
-        return program_->missed(wrench, now_->z.data());
+        inputs_->load(force, torsion);
+        return program_->missed(wrench, inputs_->z.data());
     }
     double slack(const double* force, const double* torsion) {
-        now_->load(force, torsion);
-        return program_->slack(now_->z.data());
+        inputs_->load(force, torsion);
+        return program_->slack(inputs_->z.data());
     }
 
     // Prices of the last `phi`, `phi_from` or `conic`, or of the proof if there is no force: one per given limit. `all_prices`
     // begins with those of the limit torsion >= -friction * normal of each soft contact.
-    std::span<const double> all_prices() const { return placed() ? now_->prices : std::span<const double>(); }
-    std::span<const double> prices() const { return all_prices().subspan(placed() ? now_->torsions : 0); }
+    std::span<const double> all_prices() const { return placed() ? inputs_->prices : std::span<const double>(); }
+    std::span<const double> prices() const { return all_prices().subspan(placed() ? inputs_->torsions : 0); }
 
 private:
     static constexpr std::size_t LARGEST_ROOM = std::size_t(1) << 24;  // bytes that may be allocated before they are needed
     static constexpr double LAST_DIGITS = 1e-9;  // relative gap that double precision cannot close
     static constexpr int MORE_STEPS = 1000;  // for a stalled solver: 60 ms with four contacts
     static constexpr double MISSED = 1e-3;  // of the wrench: an answer with a larger balance residual is rejected
-    static constexpr double NEXT_TO_NOTHING = 1e-9;  // [N], [N m]
+    static constexpr double NEARLY_ZERO = 1e-9;  // [N], [N m]
     static constexpr double MOST_FORCE = 1e20;  // [N] limits above this are rejected
 
-    // Contacts and limits in the form of `Given`.
-    struct Now {
+    // Contacts and limits in the form of `ProgramData`.
+    struct Inputs {
         int count, limits, torsions;
         Kept<double> balance, rows, bound, shares, divisor;
         Kept<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
         Kept<double> z, row, record, prices;
 
-        Now(int count, int limits, int torsions)
+        Inputs(int count, int limits, int torsions)
             : count(count), limits(limits), torsions(torsions), balance(24 * count), rows(4 * count * limits), bound(limits),
               shares(limits), divisor(4 * count), sizes(limits), weights(2 * count), row_weights(limits), z(4 * count),
               row(4 * count), record(record_size(count)), prices(limits) {}
-        static std::size_t room(int count, int limits) {
-            return Arena::room<double>(24 * count) + Arena::room<double>(4 * std::size_t(count) * limits) +
-                   5 * Arena::room<double>(limits) + 3 * Arena::room<double>(4 * count) + Arena::room<double>(2 * count) +
-                   Arena::room<double>(record_size(count));
+        static std::size_t bytes_needed(int count, int limits) {
+            return Arena::bytes_needed<double>(24 * count) + Arena::bytes_needed<double>(4 * std::size_t(count) * limits) +
+                   5 * Arena::bytes_needed<double>(limits) + 3 * Arena::bytes_needed<double>(4 * count) +
+                   Arena::bytes_needed<double>(2 * count) + Arena::bytes_needed<double>(record_size(count));
         }
         // Return false if numbers are not finite.
         bool set(const Contacts& contacts, const double* torsion_divisor) {
@@ -207,7 +208,7 @@ private:
                 const double* frame = contacts.frames.data() + 9 * i;
                 const double axis[6] = {0.0, 0.0, 0.0, frame[0], frame[3], frame[6]};
                 const Vec6 made = contacts.unit.of(axis);
-                for (int r = 0; r < 6; ++r) slacken(&balance[4 * (count * r + i)], made[r] / torsion_divisor[i]);
+                for (int r = 0; r < 6; ++r) add_torsion(&balance[4 * (count * r + i)], made[r] / torsion_divisor[i]);
                 double* row = &rows[4 * (count * k + i)];  // torsion >= -u is w <= 2 u
                 row[0] = -2.0, row[3] = 1.0, sizes[k] = 1.0, row_weights[k++] = contacts.lambda[i];
             }
@@ -223,7 +224,7 @@ private:
                     int touched = 0;
                     for (int i = 0; i < count; ++i, to += 4) {
                         for (int a = 0; a < 3; ++a) to[a] = from[each * i + a] / divisor[4 * i + a];
-                        if (each == 4) slacken(to, from[4 * i + 3] / divisor[4 * i + 3]);
+                        if (each == 4) add_torsion(to, from[4 * i + 3] / divisor[4 * i + 3]);
                         const double part = to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3],
                                      mine = weights[2 * i + 1];
                         square += part, all += mine;
@@ -257,62 +258,62 @@ private:
             }
         }
         // (u, o, t) and v -> (u, o, t, w), w = u - v
-        static void slacken(double* row, double v) { row[0] += v, row[3] = -v; }
+        static void add_torsion(double* row, double v) { row[0] += v, row[3] = -v; }
     };
     Arena arena_;
-    std::optional<Now> now_;
+    std::optional<Inputs> inputs_;
     std::optional<Program> program_;
 
-    static std::size_t taken(std::size_t bytes) { return bytes <= LARGEST_ROOM ? bytes : 0; }
+    static std::size_t clamped_size(std::size_t bytes) { return bytes <= LARGEST_ROOM ? bytes : 0; }
     static bool soft(double divisor) { return divisor > 0.0 && divisor < infinity; }
-    static std::size_t room(int count, int limits, int several, bool soft) {
+    static std::size_t bytes_needed(int count, int limits, int several, bool soft) {
         const int rows = limits + (soft ? count : 0);
-        return Now::room(count, rows) + Program::room(count, rows, several, soft);
+        return Inputs::bytes_needed(count, rows) + Program::bytes_needed(count, rows, several, soft);
     }
-    void forget() { program_.reset(), now_.reset(); }
+    void forget() { program_.reset(), inputs_.reset(); }
 
     static double gap(const Summary& of) { return of.objective - of.lower_bound; }
-    static bool gapes(const Summary& of, double tolerance) {
+    static bool gap_exceeds_rounding(const Summary& of, double tolerance) {
         return !(of.lower_bound > 0.0 && gap(of) <= std::max(tolerance, LAST_DIGITS) * of.lower_bound);
     }
     Code least(const double* wrench, Criterion criterion, const Stop& options, int budget, const Record& record) {
-        return priced(program_->least(wrench, criterion, options, record, now_->prices.data(), budget));
+        return unscale_prices(program_->least(wrench, criterion, options, record, inputs_->prices.data(), budget));
     }
     Code least_phi(const Call& call, const Stop& options, const Record& record) {
-        Now& now = *now_;
-        return priced(program_->least_phi(call, now.weights.data(), now.row_weights.data(), now.z.data(), options, record,
-                                          now.prices.data()));
+        Inputs& inputs = *inputs_;
+        return unscale_prices(program_->least_phi(call, inputs.weights.data(), inputs.row_weights.data(), inputs.z.data(),
+                                                  options, record, inputs.prices.data()));
     }
-    Code priced(Code code) {
-        for (int k = 0; k < now_->limits; ++k) now_->prices[k] /= now_->sizes[k];
+    Code unscale_prices(Code code) {
+        for (int k = 0; k < inputs_->limits; ++k) inputs_->prices[k] /= inputs_->sizes[k];
         return code;
     }
     Deepest deepest(const double* wrench, double tolerance = 1e-7) {
-        const Deepest found = program_->deepest(wrench, tolerance, now_->z.data(), now_->prices.data());
-        priced(found.code);
+        const Deepest found = program_->deepest(wrench, tolerance, inputs_->z.data(), inputs_->prices.data());
+        unscale_prices(found.code);
         return found;
     }
     // Find the deepest force, in z. For a nearly zero wrench, whose deepest force is far from the optimum of Phi, balance that of
     // the zero wrench.
     Deepest begin(const double* wrench) {
         const double nothing[6] = {};
-        if (std::all_of(wrench, wrench + 6, [](double part) { return std::abs(part) < NEXT_TO_NOTHING; })) {
+        if (std::all_of(wrench, wrench + 6, [](double part) { return std::abs(part) < NEARLY_ZERO; })) {
             const Deepest found = deepest(nothing);
             if (found.code == CONVERGED) {
-                program_->balance(wrench, now_->z.data());
-                if (program_->slack(now_->z.data()) > 0.0) return found;
+                program_->balance(wrench, inputs_->z.data());
+                if (program_->slack(inputs_->z.data()) > 0.0) return found;
             }
         }
         return deepest(wrench);
     }
     // True if the call has a start; writes it into z.
-    bool starts(const Call& call) {
+    bool has_start(const Call& call) {
         if (call.start == From::combination || !call.force) return false;
-        now_->load(call.force, call.torsion);
-        double* z = now_->z.data();
+        inputs_->load(call.force, call.torsion);
+        double* z = inputs_->z.data();
         if (call.start == From::given) {
             double most = 0.0;
-            for (int j = 0; j < 3 * now_->count; ++j) most = std::max(most, std::abs(call.force[j]));
+            for (int j = 0; j < 3 * inputs_->count; ++j) most = std::max(most, std::abs(call.force[j]));
             const double size = most + program_->unit_size(call.wrench);
             if (!(program_->missed(call.wrench, z) <= BALANCE_TOLERANCE * size)) return false;
         } else {
@@ -322,7 +323,7 @@ private:
     }
     // Record the proof that no force exists, or UNDECIDED.
     Code refute(const Deepest& found, const double* wrench, const Record& record) {
-        if (found.code != INFEASIBLE) std::fill(now_->prices.begin(), now_->prices.end(), 0.0);
+        if (found.code != INFEASIBLE) std::fill(inputs_->prices.begin(), inputs_->prices.end(), 0.0);
         record.clear();
         std::copy(wrench, wrench + 6, record.summary().wrench.begin());
         if (found.code == INFEASIBLE) return record.refute(found.twist, program_->unit_size(wrench));
@@ -330,8 +331,8 @@ private:
         return UNDECIDED;
     }
     // Replace a record by a later solution, keeping the initial force and adding up the steps.
-    Code take(const Record& made, const Record& record) {
-        const int count = now_->count;
+    Code replace_record(const Record& made, const Record& record) {
+        const int count = inputs_->count;
         Summary& to = record.summary();
         const double iterations = to.iterations, trials = to.trials;
         to = made.summary();

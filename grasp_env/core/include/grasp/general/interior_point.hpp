@@ -11,7 +11,7 @@
 #pragma once
 #include <grasp/conic/conic.hpp>
 #include <grasp/general/rows.hpp>
-#include <grasp/math/twice.hpp>
+#include <grasp/math/double_double.hpp>
 
 namespace grasp {
 
@@ -39,10 +39,10 @@ public:
         at.joint.resize(rows.joint), at.joint_slack.resize(rows.joint);
         best_ = at;
     }
-    static std::size_t room(int count, int joints, int owns) {
-        return Rows<R, D, T>::room(count, joints, owns) + RowSystem<R, D, T>::room(count, joints, owns) +
-               9 * Space<R, D, T>::room(count, joints, owns) + 3 * Arena::room<Tuple<R, D>>(count) +
-               Arena::room<Scaling<R>>(count) + 2 * (Arena::room<R>(joints) + Arena::room<R>(owns));
+    static std::size_t bytes_needed(int count, int joints, int owns) {
+        return Rows<R, D, T>::bytes_needed(count, joints, owns) + RowSystem<R, D, T>::bytes_needed(count, joints, owns) +
+               9 * Space<R, D, T>::bytes_needed(count, joints, owns) + 3 * Arena::bytes_needed<Tuple<R, D>>(count) +
+               Arena::bytes_needed<Scaling<R>>(count) + 2 * (Arena::bytes_needed<R>(joints) + Arena::bytes_needed<R>(owns));
     }
 
     R objective() const {
@@ -52,10 +52,10 @@ public:
     }
 
     // Iterate until accept() returns a gap within the tolerance. accept() is called when the iterate is feasible with a gap of at
-    // most tolerance * |objective| + absolute, or already from a gap of `watch` * |objective|. If the gap is closed but an equation
+    // most tolerance * |objective| + absolute, or already from a gap of `accept_factor` * |objective|. If the gap is closed but an equation
     // is not, or accept() has no force at all because shortened steps never kept the equations, up to SETTLINGS settling steps
     // follow. Ends at the best feasible iterate.
-    template <class Accept> Code run(double tolerance, double absolute, double watch, int limit, Accept&& accept) {
+    template <class Accept> Code run(double tolerance, double absolute, double accept_factor, int limit, Accept&& accept) {
         double goal = tolerance;
         R best = infinity;
         int settled = 0;
@@ -72,15 +72,15 @@ public:
             const bool close = m.gap <= goal * m.size + absolute;
             if (!(m.primal < FEASIBLE && m.dual < FEASIBLE)) {
                 settle = close && m.dual < FEASIBLE && settled++ < SETTLINGS;
-            } else if (close || m.gap <= watch * m.size + absolute) {
+            } else if (close || m.gap <= accept_factor * m.size + absolute) {
                 const double found = accept();
                 done = found <= tolerance;
-                settle = close && !(found < infinity) && m.primal > KEPT && settled++ < SETTLINGS;
+                settle = close && !(found < infinity) && m.primal > EQUATION_ROUNDING && settled++ < SETTLINGS;
                 while (!done && !settle && !spent && m.gap <= goal * m.size + absolute)
                     goal *= 0.1, spent = goal < 1e-3 * tolerance || !(m.gap > 0.0);
             }
             if (done) return CONVERGED;
-            if (spent || m.runs_away) {
+            if (spent || m.diverges) {
                 code = STALLED;
                 break;
             }
@@ -99,7 +99,7 @@ public:
 
 private:
     static constexpr double FEASIBLE = 1e-9, NEARLY = 1e-7;  // residuals relative to the data
-    static constexpr double KEPT = 1e-14;  // equation residual that is mere rounding
+    static constexpr double EQUATION_ROUNDING = 1e-14;  // equation residual that is mere rounding
     static constexpr double AWAY = 1e10;  // multipliers that indicate an infeasible program
     static constexpr double MIDDLE = 0.3;  // of the required gap: target of a settling step
     static constexpr int REFINEMENTS = 2, SETTLINGS = 3;
@@ -114,7 +114,7 @@ private:
 
     struct Measured {
         R gap, size, primal, dual;
-        bool runs_away;
+        bool diverges;
     };
 
     // Write the residuals of the equations into `residual_`; return the gap and the sizes.
@@ -165,7 +165,7 @@ private:
         for (const R& value : residual_.joint) keep(m.primal, value);
         largest_ = largest_z;
         m.primal /= largest_z, m.dual /= largest_c;
-        m.runs_away = m.primal > FEASIBLE && largest_y > AWAY * largest_c;
+        m.diverges = m.primal > FEASIBLE && largest_y > AWAY * largest_c;
         return m;
     }
 
@@ -196,14 +196,14 @@ private:
         if (!system_.factor(rows)) return false;
         R part = 1.0, least = 1.0;
         if (settle) {
-            still();
+            clear_predictor();
         } else {
-            direct(0.0, false, 0);
+            find_direction(0.0, false, 0);
             const auto [primal, dual] = reach();
             const R near = min(R(1.0), 1.0 / primal), far = min(R(1.0), 1.0 / dual);
             part = min(R(1.0), max(gap_after(near, far), R(0.0)) / gap), least = min(near, far);
         }
-        direct(max(part * part * part, R(1e-10)) * gap / degree(), true, REFINEMENTS);
+        find_direction(max(part * part * part, R(1e-10)) * gap / degree(), true, REFINEMENTS);
         const R fraction = 0.9 + 0.095 * least;
         const auto [first, second] = reach();
         const R along = min(R(1.0), fraction / first), up = min(R(1.0), fraction / second);
@@ -217,14 +217,14 @@ private:
     }
 
     // A zero predictor.
-    void still() {
+    void clear_predictor() {
         d_.z.assign(rows.count, {}), ds_.assign(rows.count, {});
         for (auto* each : {&d_.own, &d_.joint, &dslack_own_, &dslack_joint_}) std::fill(each->begin(), each->end(), R(0.0));
     }
 
     // The direction towards complementarity `target`. second: with the second-order term of the predictor, still stored in d_, ds_
     // and dslack_.
-    void direct(const R& target, bool second, int refinements) {
+    void find_direction(const R& target, bool second, int refinements) {
         for (int i = 0; i < rows.count; ++i) {
             const Tuple<R, D> ls = scaled(i, at.s[i]);
             const Vec3<R> l = cone(ls);

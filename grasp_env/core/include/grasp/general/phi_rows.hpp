@@ -1,13 +1,13 @@
 // Damped Newton on Phi with soft contacts and further rows: each adds lambda / slack, the order of tr P^-1. Balance and rows are as
 // in `rows.hpp`; a contact's block is written in the axes of its inverse Hessian, H^-1 = F F^T (`Axes`).
 //
-// The loop is the common one (`drive`). The steps are separate from those of `NewtonOn`, which stay in registers: four hard
+// The loop is the common one (`run_descent`). The steps are separate from those of `NewtonOn`, which stay in registers: four hard
 // contacts take 1.1 us there and 7 here.
 #pragma once
 #include <climits>
 #include <grasp/phi/newton.hpp>
 #include <grasp/general/rows.hpp>
-#include <grasp/math/twice.hpp>
+#include <grasp/math/double_double.hpp>
 
 namespace grasp {
 
@@ -26,10 +26,11 @@ public:
         : rows(std::move(given)), weights(rows.count), row_weights(limits), soft(soft), z(rows.count), y(rows), proof(rows),
           system_(rows), f_(rows), left_(rows), more_(rows), own_slack_(rows.own.size()), own_trial_(rows.own.size()),
           joint_slack_(rows.joint), joint_trial_(rows.joint), step_(rows.count), trial_(rows.count) {}
-    static std::size_t room(int count, int joints, int owns, int limits) {
-        return Rows<R, D, 0>::room(count, joints, owns) + RowSystem<R, D, 0>::room(count, joints, owns) +
-               5 * Space<R, D, 0>::room(count, joints, owns) + 3 * Arena::room<Tuple<R, D>>(count) +
-               Arena::room<Weights<R>>(count) + Arena::room<R>(limits) + 2 * (Arena::room<R>(joints) + Arena::room<R>(owns));
+    static std::size_t bytes_needed(int count, int joints, int owns, int limits) {
+        return Rows<R, D, 0>::bytes_needed(count, joints, owns) + RowSystem<R, D, 0>::bytes_needed(count, joints, owns) +
+               5 * Space<R, D, 0>::bytes_needed(count, joints, owns) + 3 * Arena::bytes_needed<Tuple<R, D>>(count) +
+               Arena::bytes_needed<Weights<R>>(count) + Arena::bytes_needed<R>(limits) +
+               2 * (Arena::bytes_needed<R>(joints) + Arena::bytes_needed<R>(owns));
     }
 
     // fraction: largest fraction of the way to the boundary that a step goes
@@ -45,17 +46,17 @@ public:
         Direction step{};
         const auto find = [&](Code& code) {
             step = find_step();
-            if (!(step.decrement < infinity)) return code = certified() ? CONVERGED : STALLED, Next::ended;
+            if (!(step.decrement < infinity)) return code = certified() ? CONVERGED : STALLED, Next::stop;
             if (const R found = known ? bound : lower_bound(); known || !(found <= bound) || !(bound > -infinity))
                 bound = found, proof = y;
-            return Next::go;
+            return Next::step;
         };
         const auto advance = [&](Code& code) {
             if (search(step.decrement, step.reach > 0.0 ? min(R(1.0), fraction / step.reach) : R(1.0))) return true;
             code = certified() ? CONVERGED : STALLED;
             return false;
         };
-        return drive(*this, call, limit, INT_MAX, find, certified, advance);
+        return run_descent(*this, call, limit, INT_MAX, find, certified, advance);
     }
 
     // Phi at z; infinite unless strictly inside.

@@ -20,20 +20,22 @@ public:
     using Field = typename Constraints<D>::Field;
     template <class R, int T> using Engine = InteriorPoint<R, D, T>;
 
-    explicit ProgramOn(const Given& given)
-        : count(given.count), limits(given.limits), in_(given), may_exceed_(given.elastic), rest_(count), inside_(count),
-          z_(count), best_(count), room_(in_.slacks()), room_inside_(in_.slacks()), prices_(limits), best_prices_(limits) {}
+    explicit ProgramOn(const ProgramData& given)
+        : count(given.count), limits(given.limits), in_(given), may_exceed_(given.elastic), internal_force_(count),
+          inside_(count), z_(count), best_(count), slacks_(in_.slacks()), slacks_inside_(in_.slacks()), prices_(limits),
+          best_prices_(limits) {}
     // Memory of a program and of its solves, whose engines live for one call. joints: largest number of rows that act on several
     // contacts.
-    static std::size_t room(int count, int limits, int joints) {
+    static std::size_t bytes_needed(int count, int limits, int joints) {
         const auto most = [&](int joint) {
             const int owns = limits - joint + count + 1, rows = joint + 7;
-            const std::size_t depth = InteriorPoint<Twice, D, 2>::room(count, rows, owns);
-            const std::size_t least = InteriorPoint<double, D, 1>::room(count, rows, owns);
-            return depth + std::max(least, PhiRows<double, D>::room(count, rows, owns, limits));
+            const std::size_t depth = InteriorPoint<Twice, D, 2>::bytes_needed(count, rows, owns);
+            const std::size_t least = InteriorPoint<double, D, 1>::bytes_needed(count, rows, owns);
+            return depth + std::max(least, PhiRows<double, D>::bytes_needed(count, rows, owns, limits));
         };
-        return Constraints<D>::room(count, limits) + 6 * Arena::room<Tuple<double, D>>(count) +
-               3 * Arena::room<double>(2 * count + limits) + 3 * Arena::room<double>(limits) + std::max(most(0), most(joints));
+        return Constraints<D>::bytes_needed(count, limits) + 6 * Arena::bytes_needed<Tuple<double, D>>(count) +
+               3 * Arena::bytes_needed<double>(2 * count + limits) + 3 * Arena::bytes_needed<double>(limits) +
+               std::max(most(0), most(joints));
     }
 
     // See `Program`.
@@ -43,7 +45,7 @@ public:
         std::fill(prices, prices + limits, 0.0);
         Summary& out = record.summary();
         out.code = REFUSED;
-        if (!sane_wrench(wrench) || (criterion == Criterion::excess && !may_exceed_)) return REFUSED;
+        if (!is_valid_wrench(wrench) || (criterion == Criterion::excess && !may_exceed_)) return REFUSED;
         std::copy(wrench, wrench + 6, out.wrench.begin());
         criterion_ = criterion, budget_ = budget;
         const Vec6 load = in_.in_frame(wrench);
@@ -74,7 +76,7 @@ public:
         const Arena::Scope scope;
         std::fill(prices, prices + limits, 0.0);
         Deepest found;
-        if (!sane_wrench(wrench)) return found;
+        if (!is_valid_wrench(wrench)) return found;
         Depth depth(in_, limits);
         found = depth.find(wrench, tolerance, inside_);
         if (found.code == INFEASIBLE) std::copy(depth.prices().begin(), depth.prices().end(), prices);
@@ -93,17 +95,17 @@ public:
     }
     double least_slack(const double* z) {
         load_z(z, z_);
-        in_.rooms(z_, limits, room_, [&](int k) { return in_.bound[k]; });
-        return least_of(room_);
+        in_.write_slacks(z_, limits, slacks_, [&](int k) { return in_.bound[k]; });
+        return least_of(slacks_);
     }
-    bool squeeze_with(const double* z) {
-        load_z(z, rest_);
-        in_.rebalance(rest_, Vec6{});
-        in_.rooms(rest_, in_.torsions, room_, [](int) { return 0.0; });
+    bool set_internal_force(const double* z) {
+        load_z(z, internal_force_);
+        in_.rebalance(internal_force_, Vec6{});
+        in_.write_slacks(internal_force_, in_.torsions, slacks_, [](int) { return 0.0; });
         double most = 0.0;
-        for (const auto& each : rest_) most = std::max(most, each[0]);
-        if (least_of(room_) > DEEP * most) has_rest_ = true;
-        return has_rest_.has_value();
+        for (const auto& each : internal_force_) most = std::max(most, each[0]);
+        if (least_of(slacks_) > DEEP * most) has_internal_force_ = true;
+        return has_internal_force_.has_value();
     }
     double unit_size(const double* wrench) const { return grasp::size(in_.in_frame(wrench)); }
     bool full() const { return in_.full(); }
@@ -114,7 +116,7 @@ public:
         record.clear();
         std::fill(prices, prices + limits, 0.0);
         record.summary().code = REFUSED;
-        if (!sane_wrench(call.wrench)) return REFUSED;
+        if (!is_valid_wrench(call.wrench)) return REFUSED;
         std::copy(call.wrench, call.wrench + 6, record.summary().wrench.begin());
         criterion_ = Criterion::sum, size_ = 1.0, unit_ = in_.in_frame(call.wrench), turned_ = in_.solve_lower(unit_);
         load_z(z, inside_);
@@ -169,14 +171,14 @@ private:
     Constraints<D> in_;
     bool may_exceed_;
     // An internal force strictly inside the cones; a force strictly inside everything; work space.
-    Field rest_, inside_, z_, best_;
-    std::optional<bool> has_rest_;  // empty: not searched yet
+    Field internal_force_, inside_, z_, best_;
+    std::optional<bool> has_internal_force_;  // empty: not searched yet
     bool has_inside_ = false;
-    Kept<double> room_, room_inside_, prices_, best_prices_;
+    Kept<double> slacks_, slacks_inside_, prices_, best_prices_;
     Vec6 unit_{}, turned_{}, best_nu_{};  // wrench of this call, scaled to size one; L^-1 of it
     Criterion criterion_ = Criterion::sum;
     int budget_ = INT_MAX;  // iterations of all attempts together
-    double raised_ = 1.0, most_ = 1.0;  // the excess of one unit of t; the largest normal force considered
+    double excess_unit_ = 1.0, most_ = 1.0;  // the excess of one unit of t; the largest normal force considered
     double size_ = 1.0, best_value_ = infinity, best_bound_ = 0.0, residual_ = 0.0, best_residual_ = 0.0;
 
     void load_z(const double* z, Field& to) const {
@@ -198,10 +200,10 @@ private:
             if (known) place_inside(engine);
             else if (begin(engine)) inside_from_start(engine);
             const int left = std::min(options.limit, budget_ - spent);
-            const int limit = std::min(left, watches(engine) ? left : FIRST_TRY);
-            const double enough = elastic() ? EXCESS_FLOOR / raised_ : 0.0;
-            const Code code =
-                engine.run(options.tolerance, enough, watches(engine) ? 0.1 : 0.0, limit, [&] { return consider(engine); });
+            const int limit = std::min(left, keeps_interior(engine) ? left : FIRST_TRY);
+            const double enough = elastic() ? EXCESS_FLOOR / excess_unit_ : 0.0;
+            const Code code = engine.run(options.tolerance, enough, keeps_interior(engine) ? 0.1 : 0.0, limit,
+                                         [&] { return consider(engine); });
             spent += engine.iterations;
             if (code != CONVERGED && consider(engine) <= options.tolerance) return CONVERGED;
             return code == LIMIT && limit < left ? STALLED : code;
@@ -231,7 +233,7 @@ private:
         return code;
     }
     // True if the last iterate strictly inside in doubles is kept, to be mixed with the next ones.
-    template <class R, int T> static constexpr bool watches(const Engine<R, T>&) { return std::is_same_v<R, Twice>; }
+    template <class R, int T> static constexpr bool keeps_interior(const Engine<R, T>&) { return std::is_same_v<R, Twice>; }
     template <class Engine> void set_right(Engine& engine) const {
         auto& joint = engine.rows.right;
         for (int r = 0; r < engine.rows.joint; ++r) joint[r] = r < 6 ? -turned_[r] : in_.bound[engine.rows.label[r]] / size_;
@@ -247,11 +249,11 @@ private:
     // Set t in units of an excess above that of the start z, so that it begins at one; normal forces are bounded by a multiple of
     // those of z.
     template <class R> void raise(Engine<R, 1>& engine, const Field& z) {
-        raised_ = BEGIN * excess(z) + EXCESS_FLOOR, most_ = 1.0, best_bound_ = 0.0;
+        excess_unit_ = BEGIN * excess(z) + EXCESS_FLOOR, most_ = 1.0, best_bound_ = 0.0;
         for (int i = 0; i < count; ++i) most_ = std::max(most_, in_.price[i] * z[i][0]);
         most_ *= MOST;
         const auto raise = [&](Tuple<R, 1>& shared, int name) {
-            if (name >= 0) shared[0] = -raised_ * in_.shares[name] / size_;
+            if (name >= 0) shared[0] = -excess_unit_ * in_.shares[name] / size_;
         };
         for (int r = 0; r < engine.rows.joint; ++r) raise(engine.rows.coupling[r], engine.rows.label[r]);
         for (auto& row : engine.rows.own) {
@@ -269,30 +271,30 @@ private:
     }
     // Write a start. Return true if it is balanced and strictly inside all constraints.
     template <class R, int T> bool begin(Engine<R, T>& engine) {
-        if (!has_rest_) {
+        if (!has_internal_force_) {
             const Arena::Scope scope;
             const double nothing[6] = {};
-            const Deepest found = Depth(in_, in_.torsions).find(nothing, 1e-2, rest_);
-            has_rest_ = found.code == CONVERGED && found.margin > DEEP;
+            const Deepest found = Depth(in_, in_.torsions).find(nothing, 1e-2, internal_force_);
+            has_internal_force_ = found.code == CONVERGED && found.margin > DEEP;
         }
-        if (*has_rest_) {
+        if (*has_internal_force_) {
             for (auto& each : z_) each = {};
             in_.subtract(z_, turned_);
             double squeeze = 1e-6;
-            in_.rooms(z_, in_.torsions, room_, [](int) { return 0.0; });
-            in_.rooms(rest_, in_.torsions, room_inside_, [](int) { return 0.0; });
-            for (std::size_t k = 0; k < room_.size(); ++k)
-                if (room_[k] < infinity) squeeze = std::max(squeeze, -room_[k] / room_inside_[k]);
+            in_.write_slacks(z_, in_.torsions, slacks_, [](int) { return 0.0; });
+            in_.write_slacks(internal_force_, in_.torsions, slacks_inside_, [](int) { return 0.0; });
+            for (std::size_t k = 0; k < slacks_.size(); ++k)
+                if (slacks_[k] < infinity) squeeze = std::max(squeeze, -slacks_[k] / slacks_inside_[k]);
             for (int i = 0; i < count; ++i) {
-                add(z_[i], 1.3 * squeeze, rest_[i]);
+                add(z_[i], 1.3 * squeeze, internal_force_[i]);
                 if (D == 4 && !in_.soft[i]) z_[i][D - 1] = 1.0;
             }
         } else {
             for (auto& each : z_) each = in_.inwards();
         }
         for (int i = 0; i < count; ++i) engine.at.z[i] = wide<R>(z_[i]);
-        const bool slack = place(engine, *has_rest_ ? 1e-3 : 1.0);
-        return *has_rest_ && slack;
+        const bool slack = place(engine, *has_internal_force_ ? 1e-3 : 1.0);
+        return *has_internal_force_ && slack;
     }
 
     // Set slacks and a dual strictly inside for the z of a start: s = c + the limits' part, with balance's multipliers zero. Slacks
@@ -366,20 +368,20 @@ private:
         const auto right = [&](int k) { return in_.bound[k] / size_; };
         for (int i = 0; i < count; ++i) z_[i] = narrow(engine.at.z[i]);
         residual_ = in_.rebalance(z_, unit_);
-        in_.rooms(z_, kept(), room_, right);
-        double least = least_of(room_);
-        if (least > 0.0 && watches(engine)) inside_ = z_, has_inside_ = true;
+        in_.write_slacks(z_, kept(), slacks_, right);
+        double least = least_of(slacks_);
+        if (least > 0.0 && keeps_interior(engine)) inside_ = z_, has_inside_ = true;
         if (least < 0.0 && has_inside_) {  // mix with just enough of a force inside to restore the last digits
-            in_.rooms(inside_, kept(), room_inside_, right);
+            in_.write_slacks(inside_, kept(), slacks_inside_, right);
             double part = 0.0;
-            for (std::size_t k = 0; k < room_.size(); ++k)
-                if (room_[k] < 0.0) part = std::max(part, -room_[k] / (room_inside_[k] - room_[k]));
+            for (std::size_t k = 0; k < slacks_.size(); ++k)
+                if (slacks_[k] < 0.0) part = std::max(part, -slacks_[k] / (slacks_inside_[k] - slacks_[k]));
             part = std::min(1.0, 1.01 * part);
             for (int i = 0; i < count; ++i)
                 for (int a = 0; a < D; ++a) z_[i][a] = (1.0 - part) * z_[i][a] + part * inside_[i][a];
             residual_ = grasp::size(in_.wrench_of(z_) + unit_);
-            in_.rooms(z_, kept(), room_, right);
-            least = least_of(room_);
+            in_.write_slacks(z_, kept(), slacks_, right);
+            least = least_of(slacks_);
         }
         certify(engine);
         double force = 0.0;
@@ -460,8 +462,8 @@ private:
         for (double part = 1e-15;; part = std::min(1.0, 4.0 * part)) {  // moves what rounding took outside back towards the start
             for (int i = 0; i < count; ++i) engine.z[i] = wide<R>(best_[i]);
             engine.evaluate();
-            in_.rooms(best_, limits, room_, [&](int k) { return in_.bound[k]; });
-            if ((least_of(room_) >= 0.0 && engine.value < infinity) || best_ == inside_) break;
+            in_.write_slacks(best_, limits, slacks_, [&](int k) { return in_.bound[k]; });
+            if ((least_of(slacks_) >= 0.0 && engine.value < infinity) || best_ == inside_) break;
             for (int i = 0; i < count; ++i)
                 for (int a = 0; a < D; ++a)
                     best_[i][a] = part < 1.0 ? best_[i][a] + part * (inside_[i][a] - best_[i][a]) : inside_[i][a];
@@ -475,7 +477,7 @@ private:
             best_prices_[engine.rows.label[r]] = double(engine.proof.joint[r]);
         double force = 0.0;
         for (int i = 0; i < count; ++i) force = std::max(force, best_[i][0]);
-        const bool good = least_of(room_) >= 0.0 && best_residual_ <= BALANCED * (force + grasp::size(unit_));
+        const bool good = least_of(slacks_) >= 0.0 && best_residual_ <= BALANCED * (force + grasp::size(unit_));
         const bool near = best_bound_ > 0.0 && best_value_ - best_bound_ <= tolerance * best_bound_;
         if (code == CONVERGED && !(good && (near || call.optimum == call.optimum))) code = STALLED;
         write(code, record, prices);
@@ -521,10 +523,11 @@ class Program {
 public:
     const int count, limits;
 
-    explicit Program(const Given& given) : count(given.count), limits(given.limits), on_(made(given)) {}
+    explicit Program(const ProgramData& given) : count(given.count), limits(given.limits), on_(made(given)) {}
     // Bytes of an arena; joints: largest number of rows that act on several contacts.
-    static std::size_t room(int count, int limits, int joints, bool soft) {
-        return soft ? detail::ProgramOn<4>::room(count, limits, joints) : detail::ProgramOn<3>::room(count, limits, joints);
+    static std::size_t bytes_needed(int count, int limits, int joints, bool soft) {
+        return soft ? detail::ProgramOn<4>::bytes_needed(count, limits, joints)
+                    : detail::ProgramOn<3>::bytes_needed(count, limits, joints);
     }
 
     // Minimise a criterion, into a record, with prices (M,) >= 0 of the limits. INFEASIBLE: the record's multipliers are the twist
@@ -559,8 +562,8 @@ public:
     }
     // Provide an internal force z (N, 4) for starts. Return false, so that `least` searches for one, unless it is strictly inside
     // the cones and the rows of torsion.
-    bool squeeze_with(const double* z) {
-        return std::visit([&](auto& on) { return on.squeeze_with(z); }, on_);
+    bool set_internal_force(const double* z) {
+        return std::visit([&](auto& on) { return on.set_internal_force(z); }, on_);
     }
     // Largest component of a wrench, unit frame [N].
     double unit_size(const double* wrench) const {
@@ -575,7 +578,7 @@ private:
     using On = std::variant<detail::ProgramOn<3>, detail::ProgramOn<4>>;
     On on_;
 
-    static On made(const Given& given) {
+    static On made(const ProgramData& given) {
         for (int i = 0; i < given.count; ++i)
             if (given.divisor[4 * i + 3] < infinity) return On(std::in_place_index<1>, given);
         return On(std::in_place_index<0>, given);

@@ -137,10 +137,10 @@ template <class R, int D, int T> struct Rows {
     static R pulled(const Kept<R>& multipliers, int k, bool paired) {
         return paired ? multipliers[k] - multipliers[k + 1] : multipliers[k];
     }
-    static std::size_t room(int count, int joints, int owns) {
-        return Arena::room<Tuple<R, D>>(count * joints) + Arena::room<Tuple<R, T>>(joints) + Arena::room<R>(joints) +
-               Arena::room<Own>(owns) + Arena::room<int>(count + 2) + 2 * Arena::room<int>(joints) +
-               Arena::room<char>(joints + 1);
+    static std::size_t bytes_needed(int count, int joints, int owns) {
+        return Arena::bytes_needed<Tuple<R, D>>(count * joints) + Arena::bytes_needed<Tuple<R, T>>(joints) +
+               Arena::bytes_needed<R>(joints) + Arena::bytes_needed<Own>(owns) + Arena::bytes_needed<int>(count + 2) +
+               2 * Arena::bytes_needed<int>(joints) + Arena::bytes_needed<char>(joints + 1);
     }
 
 private:
@@ -160,8 +160,8 @@ template <class R, int D, int T> struct Space {
     Tuple<R, T> t{};
 
     explicit Space(const Rows<R, D, T>& rows) : z(rows.count), own(rows.own.size()), joint(rows.joint) {}
-    static std::size_t room(int count, int joints, int owns) {
-        return Arena::room<Tuple<R, D>>(count) + Arena::room<R>(joints) + Arena::room<R>(owns);
+    static std::size_t bytes_needed(int count, int joints, int owns) {
+        return Arena::bytes_needed<Tuple<R, D>>(count) + Arena::bytes_needed<R>(joints) + Arena::bytes_needed<R>(owns);
     }
     void add(const Space& other) {
         for (std::size_t i = 0; i < z.size(); ++i) grasp::add(z[i], R(1.0), other.z[i]);
@@ -181,11 +181,12 @@ public:
         : shapes(rows.count), own_diagonal(rows.own.size()), joint_diagonal(rows.joint), own_(rows.own.size()),
           blocks_(rows.count), turned_(rows.count * rows.joint), reduced_(rows.count * rows.joint),
           schur_(rows.joint * (rows.joint + 1) / 2), y_(rows.joint), coupled_(rows.joint), solved_(rows.joint) {}
-    static std::size_t room(int count, int joints, int owns) {
-        return Arena::room<Shape<R, D>>(count) + Arena::room<R>(owns) + Arena::room<R>(joints) + Arena::room<Own>(owns) +
-               Arena::room<Block>(count) + 2 * Arena::room<Tuple<R, D>>(count * joints) +
-               Arena::room<R>(std::size_t(joints) * (joints + 1) / 2) + Arena::room<R>(joints) +
-               2 * Arena::room<Tuple<R, T>>(joints);
+    static std::size_t bytes_needed(int count, int joints, int owns) {
+        return Arena::bytes_needed<Shape<R, D>>(count) + Arena::bytes_needed<R>(owns) + Arena::bytes_needed<R>(joints) +
+               Arena::bytes_needed<Own>(owns) + Arena::bytes_needed<Block>(count) +
+               2 * Arena::bytes_needed<Tuple<R, D>>(count * joints) +
+               Arena::bytes_needed<R>(std::size_t(joints) * (joints + 1) / 2) + Arena::bytes_needed<R>(joints) +
+               2 * Arena::bytes_needed<Tuple<R, T>>(joints);
     }
 
     // Factor. Return false if the system is not positive definite in floating point.

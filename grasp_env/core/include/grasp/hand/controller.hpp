@@ -77,11 +77,12 @@ public:
         : scene(std::move(given)), tree(scene->tree), settings(settings), sensors(scene, sensing), torques(tree->joints()),
           force(3 * tree->fingers()), frames(9 * tree->fingers()), depths(tree->fingers()), home(torques), goals(tree->fingers()),
           inwards(goals), solution(method.size()), method_(method), motors_(*tree), follow_({method.contacts()}, settings.follow),
-          within_(within(method.contacts())), least_({method.contacts()}, {.method = Method::conic, .tolerance = 1e-4}),
-          elastic_(tree->fingers()), followed_(follow_.size()), found_(within_.size()), cheapest_(least_.size()), last_(found_),
-          slid_(goals), apart_(tree->fingers()), before_(force), began_(force), given_(force), squeezed_(force),
-          adjustment_(force), torsion_(tree->fingers()), pull_(torques), extra_(torques), trial_(torques), push_(force),
-          posture_(force.size() * torques.size()), normal_(int(force.size())), redundant_(is_redundant(*tree)) {
+          within_(within(method.contacts())), least_sum_({method.contacts()}, {.method = Method::conic, .tolerance = 1e-4}),
+          elastic_(tree->fingers()), follow_row_(follow_.size()), within_row_(within_.size()), least_sum_row_(least_sum_.size()),
+          last_row_(within_row_), slid_(goals), ticks_apart_(tree->fingers()), last_force_(force), step_force_(force),
+          given_(force), squeezed_(force), adjustment_(force), torsion_(tree->fingers()), pull_(torques), extra_torques_(torques),
+          trial_torques_(torques), tip_push_(force), tip_jacobian_(force.size() * torques.size()), gram_(int(force.size())),
+          is_redundant_(is_redundant(*tree)) {
         if (method.contacts().count != tree->fingers()) throw std::invalid_argument("the method needs one contact per finger");
     }
     Controller(const Controller&) = delete;
@@ -91,11 +92,11 @@ public:
         std::fill(torques.begin(), torques.end(), 0.0);
         std::fill(force.begin(), force.end(), 0.0);
         std::fill(frames.begin(), frames.end(), 0.0);
-        std::fill(apart_.begin(), apart_.end(), 0);
+        std::fill(ticks_apart_.begin(), ticks_apart_.end(), 0);
         forget_solution();
-        wrench = {}, peak = 0.0, mask = squeezing_ = 0, changes = 0, closure = true;
+        wrench = {}, peak = 0.0, mask = squeezed_mask_ = 0, changes = 0, closure = true;
         begin_step();
-        missing_ = known_ = limited_ = false;
+        has_lost_force_ = has_last_ = near_limits_ = false;
         worst_ = {}, std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});
         sensors.reset();
     }
@@ -138,7 +139,7 @@ public:
         return true;
     }
     void act(const Step* step = nullptr) {
-        before_ = force;  // copied, not swapped: Python holds a view of it
+        last_force_ = force;  // copied, not swapped: Python holds a view of it
         std::fill(force.begin(), force.end(), 0.0);
         std::fill(torsion_.begin(), torsion_.end(), 0.0);
         write_frames();
@@ -146,31 +147,31 @@ public:
         closure = mask || hold != Hold::optimized;
         if (step) forget_solution();
         if (pushes) find_forces(step);
-        remember(pushes);
+        store_command(pushes);
         torques_of(force.data(), torques);
         for (int i = 0; i < tree->fingers(); ++i) {
             if (pushes && mask >> i & 1) continue;
-            std::fill(extra_.begin(), extra_.end(), 0.0);
-            seen().posture.push(tree->tips[i].link, seen().tips[i], reach(i), extra_.data());
+            std::fill(extra_torques_.begin(), extra_torques_.end(), 0.0);
+            seen().posture.push(tree->tips[i].link, seen().tips[i], reach(i), extra_torques_.data());
             add_within();
         }
-        if (redundant_) keep_posture();
-        cut();
+        if (is_redundant_) keep_posture();
+        clip_torques();
     }
     const Snapshot& seen() const { return sensors.seen(); }
 
     // Begin an agent's step and reset its effort.
-    void begin_step() { effort = {}, began_ = force; }
+    void begin_step() { effort = {}, step_force_ = force; }
     // Costs of the step since `begin_step`, on the contacts currently seen.
     Costs costs() {
         double total = 0.0, moved = 0.0, both = 0.0;
         for (int i = 0; i < tree->fingers(); ++i) total += force[3 * i];
         for (std::size_t j = 0; j < force.size(); ++j)
-            moved += std::abs(force[j] - began_[j]), both += std::abs(force[j]) + std::abs(began_[j]);
+            moved += std::abs(force[j] - step_force_[j]), both += std::abs(force[j]) + std::abs(step_force_[j]);
         Costs out{.force = closure ? 0.0 : 1.0, .torque = std::min(effort.share, 1.0), .change = both > 0.0 ? moved / both : 0.0};
         if (closure && total > 0.0) {
-            least_.solve({.wrench = wrench.data(), .now = contacts()}, cheapest_.data());
-            const Record row(cheapest_.data());
+            least_sum_.solve({.wrench = wrench.data(), .now = contacts()}, least_sum_row_.data());
+            const Record row(least_sum_row_.data());
             out.force = row.has_force() ? std::max(0.0, 1.0 - row.summary().objective / total) : 1.0;
         }
         return out;
@@ -241,25 +242,27 @@ private:
     Motors motors_;
     std::vector<double> jacobian_;  // (N, 3 or 6, J) object frame; declared before its users
     ForceOptimizer follow_, within_;  // Newton from the last command, on the cones only; Newton within the motors' limits
-    ForceOptimizer least_;  // the least sum of normal forces
+    ForceOptimizer least_sum_;  // the least sum of normal forces
     ElasticBalance elastic_;
-    std::vector<double> followed_, found_, cheapest_, last_;  // rows of the three solvers, and of the last command
-    bool known_ = false;  // true if there is a last command
-    bool limited_ = false, exceeding_ = false;  // the last command is near the limits and kept them; it exceeds them least
-    std::uint64_t squeezing_ = 0;  // the fingers of `squeezed_`
+    // Rows of the three solvers, and of the last command.
+    std::vector<double> follow_row_, within_row_, least_sum_row_, last_row_;
+    bool has_last_ = false;  // true if there is a last command
+    // The last command is near the limits and kept them; it exceeds them least.
+    bool near_limits_ = false, exceeds_limits_ = false;
+    std::uint64_t squeezed_mask_ = 0;  // the fingers of `squeezed_`
     Worst worst_;
     double load_ = 1.0;  // [N] external force plus weight, at least the weight, since pushes may cancel it
     std::vector<Point> slid_;  // (N,) path of each tip on the object by sliding [m], object frame
-    bool missing_ = false;  // a finger that counts as in contact has no force
-    std::vector<int> apart_;  // (N,) ticks since a finger had force
+    bool has_lost_force_ = false;  // a finger that counts as in contact has no force
+    std::vector<int> ticks_apart_;  // (N,) ticks since a finger had force
     Target target_{};
     // (N, 3): commands of the last tick and before the step; the agent's; internal; object frame
-    std::vector<double> before_, began_, given_, squeezed_, adjustment_;
+    std::vector<double> last_force_, step_force_, given_, squeezed_, adjustment_;
     std::vector<double> torsion_;  // (N,) commanded [N m]
-    std::vector<double> pull_, extra_, trial_;  // (M,) work space of `keep_posture`, `add_within`, `fits`
-    std::vector<double> push_, posture_;  // work space of `keep_posture`
-    Cholesky normal_;
-    bool redundant_;
+    std::vector<double> pull_, extra_torques_, trial_torques_;  // (M,) work space of `keep_posture`, `add_within`, `fits`
+    std::vector<double> tip_push_, tip_jacobian_;  // work space of `keep_posture`
+    Cholesky gram_;
+    bool is_redundant_;
 
     ForceOptimizer within(const Contacts& contacts) {
         jacobian_.resize((contacts.soft() ? 6 : 3) * contacts.count * motors_.limit.size());
@@ -270,10 +273,10 @@ private:
     }
     // True if the tips leave joints free: a finger has more than three, or a joint moves no tip.
     static bool is_redundant(const Tree& tree) {
-        const std::vector<int> users = tree.users(tree.all_fingers());
+        const std::vector<int> fingers_per_motor = tree.fingers_per_motor(tree.all_fingers());
         bool free = false;
         for (int i = 0; i < tree.fingers(); ++i) free = free || tree.movers(i).size() > 3;
-        for (int j = 0; j < tree.joints(); ++j) free = free || !(users[j] || tree.links[j].coupled());
+        for (int j = 0; j < tree.joints(); ++j) free = free || !(fingers_per_motor[j] || tree.links[j].coupled());
         return free;
     }
 
@@ -296,14 +299,14 @@ private:
     // Update the fingers that count as in contact: those that touch, and those that did within the last `release` ticks.
     void count_contacts() {
         const std::uint64_t touch = seen().mask();
-        if (touch == mask && !missing_) return;
+        if (touch == mask && !has_lost_force_) return;
         std::uint64_t held = 0;
         for (int i = 0; i < tree->fingers(); ++i) {
             const std::uint64_t bit = std::uint64_t(1) << i;
-            apart_[i] = touch & bit ? 0 : apart_[i] + 1;
-            if (touch & bit || (mask & bit && apart_[i] <= settings.release)) held |= bit;
+            ticks_apart_[i] = touch & bit ? 0 : ticks_apart_[i] + 1;
+            if (touch & bit || (mask & bit && ticks_apart_[i] <= settings.release)) held |= bit;
         }
-        missing_ = held != touch;
+        has_lost_force_ = held != touch;
         if (held == mask) return;
         changes += mask != 0;
         mask = held;
@@ -330,8 +333,8 @@ private:
                 const Point there = s.rotation.transposed(moves);
                 for (int k = 0; k < 3; ++k) jacobian_[joints * (rows * i + row + k) + motors_.of[j]] += there[k];
             };
-            s.posture.carriers(tree->tips[i].link, s.touch[i], [&](int j, const Point& moves) { add(0, j, moves); });
-            if (rows == 6) s.posture.turners(tree->tips[i].link, [&](int j, const Point& turns) { add(3, j, turns); });
+            s.posture.each_moving_joint(tree->tips[i].link, s.touch[i], [&](int j, const Point& moves) { add(0, j, moves); });
+            if (rows == 6) s.posture.each_turning_joint(tree->tips[i].link, [&](int j, const Point& turns) { add(3, j, turns); });
         });
         for (int j = 0; j < tree->joints(); ++j)
             if (motors_.of[j] >= 0) motors_.bias[motors_.of[j]] = s.gravity_torques[j];
@@ -346,24 +349,24 @@ private:
     // Write the forces of the fingers in contact into `force` and `torsion_`.
     void find_forces(const Step* step) {
         if (hold == Hold::optimized) {
-            if (known_) land();
-            if (step || !known_ || !limited_ || !keep_limits(last_.data())) {
+            if (has_last_) lift_landed_forces();
+            if (step || !has_last_ || !near_limits_ || !keep_limits(last_row_.data())) {
                 const Record row = step ? by_method(*step) : follow();
                 if (!row.has_force()) return balance_elastically();
-                take(row);
-                if (fits(1.0)) limited_ = false;
-                else keep_limits(known_ && limited_ ? last_.data() : (step ? solution : followed_).data());
+                set_force(row);
+                if (motors_can_make(1.0)) near_limits_ = false;
+                else keep_limits(has_last_ && near_limits_ ? last_row_.data() : (step ? solution : follow_row_).data());
             }
-            if (known_) bound_change();
+            if (has_last_) bound_change();
             return;
         }
         if (hold == Hold::direct && step) std::copy(step->force.begin(), step->force.end(), given_.begin());
-        if (hold == Hold::squeeze && squeezing_ != mask) squeeze();
+        if (hold == Hold::squeeze && squeezed_mask_ != mask) squeeze();
         const std::vector<double>& from = hold == Hold::direct ? given_ : squeezed_;
         touching([&](int i) { std::copy_n(&from[3 * i], 3, &force[3 * i]); });
         if (hold == Hold::squeeze) restore_balance();
     }
-    void take(const Record& row) {
+    void set_force(const Record& row) {
         std::copy_n(row.force(), force.size(), force.data());
         std::copy_n(row.torsion(), torsion_.size(), torsion_.data());
     }
@@ -371,7 +374,7 @@ private:
     Record by_method(const Step& step) {
         Ask ask{.wrench = wrench.data(), .now = contacts(), .start = step.start};
         if (step.start == Start::given) ask.force = step.force;
-        if (settings.remembers && known_) ask.previous = last_.data();
+        if (settings.remembers && has_last_) ask.previous = last_row_.data();
         if (!step.adjustment.empty()) adjust(step.adjustment), ask.adjustment = adjustment_;
         method_.solve(ask, solution.data());
         const Record row(solution.data());
@@ -380,30 +383,32 @@ private:
     }
     // Solve from the last command.
     Record follow() {
-        follow_.solve(from_last(), followed_.data());
-        const Record row(followed_.data());
+        follow_.solve(from_last(), follow_row_.data());
+        const Record row(follow_row_.data());
         effort.followed += int(row.summary().iterations);
         return row;
     }
     Ask from_last() const {
-        return {
-            .wrench = wrench.data(), .now = contacts(), .start = Start::previous, .previous = known_ ? last_.data() : nullptr};
+        return {.wrench = wrench.data(),
+                .now = contacts(),
+                .start = Start::previous,
+                .previous = has_last_ ? last_row_.data() : nullptr};
     }
     // Solve by Newton within the motors' limits, from the row of a force near them. Return false without a force.
     bool keep_limits(const double* previous) {
         within_.solve({.wrench = wrench.data(), .now = limited_contacts(), .start = Start::previous, .previous = previous},
-                      found_.data());
-        const Record within(found_.data());
+                      within_row_.data());
+        const Record within(within_row_.data());
         effort.limited += int(within.summary().iterations);
-        exceeding_ = within.code() == LIMITS_EXCEEDED;
-        if (within.has_force()) take(within);
-        limited_ = !fits(NEAR);
+        exceeds_limits_ = within.code() == LIMITS_EXCEEDED;
+        if (within.has_force()) set_force(within);
+        near_limits_ = !motors_can_make(NEAR);
         return within.has_force();
     }
     // Without force closure: from the last forces, minimise the balance residual.
     void balance_elastically() {
-        closure = limited_ = false;
-        touching([&](int i) { std::copy_n(&before_[3 * i], 3, &force[3 * i]); });
+        closure = near_limits_ = false;
+        touching([&](int i) { std::copy_n(&last_force_[3 * i], 3, &force[3 * i]); });
         elastic_.solve(method_.contacts(), mask, &seen().points[0].u, frames.data(), wrench, settings.follow.limit, force.data());
         effort.followed += elastic_.iterations;
     }
@@ -415,8 +420,8 @@ private:
         }
     }
     // A finger that has just landed was commanded no force in its cone; place its force just inside.
-    void land() {
-        const Record row(last_.data());
+    void lift_landed_forces() {
+        const Record row(last_row_.data());
         touching([&](int i) {
             double* f = row.force() + 3 * i;
             const double *scale = &method_.contacts().scale[3 * i], side = std::hypot(scale[1] * f[1], scale[2] * f[2]);
@@ -424,11 +429,12 @@ private:
         });
     }
     // Keep the command as the previous solution of the next tick.
-    void remember(bool pushes) {
-        known_ = pushes;
+    void store_command(bool pushes) {
+        has_last_ = pushes;
         if (!pushes) return;
-        const Record row(last_.data(), tree->fingers());
-        row.summary().code = limited_ && exceeding_ ? LIMITS_EXCEEDED : CONVERGED, row.summary().contacts = tree->fingers();
+        const Record row(last_row_.data(), tree->fingers());
+        row.summary().code = near_limits_ && exceeds_limits_ ? LIMITS_EXCEEDED : CONVERGED,
+        row.summary().contacts = tree->fingers();
         std::copy(force.begin(), force.end(), row.force());
         std::copy(torsion_.begin(), torsion_.end(), row.torsion());
         std::copy(frames.begin(), frames.end(), row.frames());
@@ -442,9 +448,9 @@ private:
             });
             return most;
         };
-        if (change(before_.data()) <= settings.most_change) return;
-        follow_.start(from_last(), followed_.data());
-        const Record kept(followed_.data());
+        if (change(last_force_.data()) <= settings.most_change) return;
+        follow_.start(from_last(), follow_row_.data());
+        const Record kept(follow_row_.data());
         if (!kept.has_force()) return;
         const double moved = change(kept.force());
         if (moved <= settings.most_change) return;
@@ -455,10 +461,10 @@ private:
     }
     // The smallest fraction >= `share` of the way from `kept` to the forces that is within the torque limits, if the forces are.
     double within_limits(const Record& kept, double share) {
-        torques_of(kept.force(), trial_), torques_of(force.data(), extra_);
+        torques_of(kept.force(), trial_torques_), torques_of(force.data(), extra_torques_);
         for (int j = 0; j < tree->joints(); ++j) {
-            const double limit = tree->links[j].torque_limit, from = trial_[j], way = extra_[j] - from;
-            if (std::abs(extra_[j]) <= limit && std::abs(from + share * way) > limit)
+            const double limit = tree->links[j].torque_limit, from = trial_torques_[j], way = extra_torques_[j] - from;
+            if (std::abs(extra_torques_[j]) <= limit && std::abs(from + share * way) > limit)
                 share = std::min(1.0, (std::copysign(limit, from) - from) / way);
         }
         return share;
@@ -466,15 +472,15 @@ private:
     // An internal force of the method's own contacts for the fingers that touch, with the total normal force of the settings.
     void squeeze() {
         const double nothing[6] = {};
-        follow_.solve({.wrench = nothing, .now = {.contacts = mask}}, followed_.data());
-        const Record row(followed_.data());
+        follow_.solve({.wrench = nothing, .now = {.contacts = mask}}, follow_row_.data());
+        const Record row(follow_row_.data());
         double total = 0.0;
         touching([&](int i) {
             for (int a = 0; a < 3; ++a) squeezed_[3 * i + a] = row.has_force() ? row.force()[3 * i + a] : a == 0;
             total += squeezed_[3 * i];
         });
         for (double& f : squeezed_) f *= settings.squeeze / total;
-        squeezing_ = mask;
+        squeezed_mask_ = mask;
     }
     // Restore balance by the least-norm change of the forces, as far as these contacts can.
     void restore_balance() {
@@ -511,24 +517,24 @@ private:
         });
     }
     // True if the motors can produce the forces and carry the hand within `part` of their limits.
-    bool fits(double part) {
-        torques_of(force.data(), trial_);
+    bool motors_can_make(double part) {
+        torques_of(force.data(), trial_torques_);
         for (int j = 0; j < tree->joints(); ++j)
-            if (!(std::abs(trial_[j]) <= part * tree->links[j].torque_limit)) return false;
+            if (!(std::abs(trial_torques_[j]) <= part * tree->links[j].torque_limit)) return false;
         return true;
     }
-    // Add as much of `extra_` to the torques as their limits allow.
+    // Add as much of `extra_torques_` to the torques as their limits allow.
     void add_within() {
         double share = 1.0;
         for (int j = 0; j < tree->joints(); ++j) {
-            if (extra_[j] == 0.0) continue;
-            const double room = tree->links[j].torque_limit - std::copysign(torques[j], torques[j] * extra_[j]);
-            share = std::min(share, std::max(room, 0.0) / std::abs(extra_[j]));
+            if (extra_torques_[j] == 0.0) continue;
+            const double room = tree->links[j].torque_limit - std::copysign(torques[j], torques[j] * extra_torques_[j]);
+            share = std::min(share, std::max(room, 0.0) / std::abs(extra_torques_[j]));
         }
-        for (int j = 0; j < tree->joints(); ++j) torques[j] += share * extra_[j];
+        for (int j = 0; j < tree->joints(); ++j) torques[j] += share * extra_torques_[j];
     }
     // Clip the torques to the motors' limits.
-    void cut() {
+    void clip_torques() {
         for (int j = 0; j < tree->joints(); ++j) {
             if (tree->links[j].coupled()) continue;
             const double limit = tree->links[j].torque_limit, asked = std::abs(torques[j]);
@@ -566,20 +572,20 @@ private:
             const Spring& spring = settings.posture[j];
             pull_[j] = tree->links[j].coupled() ? 0.0 : -spring.gain * (s.angles[j] - home[j]) - spring.damping * s.rates[j];
         }
-        for (int i = 0; i < tree->fingers(); ++i) s.posture.jacobian(tree->tips[i].link, s.tips[i], &posture_[3 * m * i]);
+        for (int i = 0; i < tree->fingers(); ++i) s.posture.jacobian(tree->tips[i].link, s.tips[i], &tip_jacobian_[3 * m * i]);
         for (int a = 0; a < rows; ++a) {
-            push_[a] = 0.0;
-            for (int j = 0; j < m; ++j) push_[a] += posture_[m * a + j] * pull_[j];
+            tip_push_[a] = 0.0;
+            for (int j = 0; j < m; ++j) tip_push_[a] += tip_jacobian_[m * a + j] * pull_[j];
             for (int b = 0; b <= a; ++b) {
-                normal_(a, b) = a == b ? 1e-10 : 0.0;
-                for (int j = 0; j < m; ++j) normal_(a, b) += posture_[m * a + j] * posture_[m * b + j];
+                gram_(a, b) = a == b ? 1e-10 : 0.0;
+                for (int j = 0; j < m; ++j) gram_(a, b) += tip_jacobian_[m * a + j] * tip_jacobian_[m * b + j];
             }
         }
-        if (!normal_.factor()) return;
-        normal_.solve(push_.data());
+        if (!gram_.factor()) return;
+        gram_.solve(tip_push_.data());
         for (int j = 0; j < m; ++j) {
-            extra_[j] = pull_[j];
-            for (int a = 0; a < rows; ++a) extra_[j] -= posture_[m * a + j] * push_[a];
+            extra_torques_[j] = pull_[j];
+            for (int a = 0; a < rows; ++a) extra_torques_[j] -= tip_jacobian_[m * a + j] * tip_push_[a];
         }
         add_within();
     }

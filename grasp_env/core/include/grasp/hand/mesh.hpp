@@ -38,9 +38,9 @@ public:
         for (const Corners& face : faces_)
             for (int k : face)
                 if (k < 0 || k >= int(corners_.size())) throw std::invalid_argument("a corner of a face does not exist");
-        measure();
-        weigh_edges();
-        weigh_corners();
+        compute_faces();
+        compute_edge_normals();
+        compute_corner_normals();
         std::vector<int> order(faces_.size());
         std::iota(order.begin(), order.end(), 0);
         triangles_.reserve(order.size());
@@ -53,8 +53,8 @@ public:
         const Point way = hit.point - center;
         const double distance = length(way);
         const Point& out = hit.feature == INNER ? normals_[hit.face]
-                           : hit.feature < 3    ? around_[faces_[hit.face][hit.feature]]
-                                                : along_[3 * hit.face + hit.feature - 3];
+                           : hit.feature < 3    ? corner_normals_[faces_[hit.face][hit.feature]]
+                                                : edge_normals_[3 * hit.face + hit.feature - 3];
         const double side = dot(way, out) > 0.0 ? -1.0 : 1.0;
         if (hit.feature != INNER && distance > SHARP) return {hit.point, (side / distance) * way, side * distance};
         return {hit.point, -out, side * distance};
@@ -109,7 +109,8 @@ private:
     std::vector<Corners> faces_;
     std::vector<Point> normals_;  // (F,) outward unit normals; 0 for faces without area
     std::vector<double> areas_;  // (F,) cumulative double areas of the faces
-    std::vector<Point> along_, around_;  // (F, 3) normals on the edges from each corner to the next; (V,) on corners
+    // (F, 3) normals on the edges from each corner to the next; (V,) on corners.
+    std::vector<Point> edge_normals_, corner_normals_;
     std::vector<Triangle> triangles_;  // in the order of the leaves
     std::vector<Node> nodes_;
     Branch root_;
@@ -134,7 +135,7 @@ private:
             const Open next = open[--count];
             if (next.square >= best.square) continue;
             if (next.branch->count > 0) {
-                for (int k = 0; k < next.branch->count; ++k) look(triangles_[next.branch->first + k], center, best);
+                for (int k = 0; k < next.branch->count; ++k) test_triangle(triangles_[next.branch->first + k], center, best);
                 continue;
             }
             const Node& node = nodes_[next.branch->first];
@@ -145,7 +146,7 @@ private:
         return best;
     }
 
-    static void look(const Triangle& t, const Point& center, Hit& best) {
+    static void test_triangle(const Triangle& t, const Point& center, Hit& best) {
         const Point arm = center - t.corner;
         const double v = dot(arm, t.to_b), w = dot(arm, t.to_c), u = 1.0 - v - w;
         const auto take = [&](const Point& from_corner, int feature) {
@@ -168,26 +169,26 @@ private:
 
     // --- set up
 
-    void measure() {
+    void compute_faces() {
         double total = 0.0;
         for (int f = 0; f < int(faces_.size()); ++f) {
             const auto [a, b, c] = points(f);
             const Point across = cross(b - a, c - a);
             const double area = length(across);
-            normals_.push_back(flat(f, area) ? Point{0.0, 0.0, 0.0} : across / area);
+            normals_.push_back(is_degenerate(f, area) ? Point{0.0, 0.0, 0.0} : across / area);
             areas_.push_back(total += area);
         }
         if (!(total > 0.0)) throw std::invalid_argument("the faces of a mesh must have area");
     }
     // True if a face with this double area is degenerate.
-    bool flat(int face, double area) const {
+    bool is_degenerate(int face, double area) const {
         constexpr double THIN = 1e-10;  // of the square of its longest edge
         const int k = longest(face);
         const auto p = points(face);
         const Point way = p[(k + 1) % 3] - p[k];
         return area <= THIN * dot(way, way);
     }
-    bool flat(int face) const { return dot(normals_[face], normals_[face]) == 0.0; }
+    bool is_degenerate(int face) const { return dot(normals_[face], normals_[face]) == 0.0; }
     int longest(int face) const {
         const auto p = points(face);
         int best = 0;
@@ -207,7 +208,7 @@ private:
     std::vector<Side> sides_;  // used while the normals are computed
     std::vector<std::pair<int, int>> group_;  // (F, 3) first side of the edge, and first side of the next edge
 
-    void weigh_edges() {
+    void compute_edge_normals() {
         for (int f = 0; f < int(faces_.size()); ++f)
             for (int k = 0; k < 3; ++k) {
                 const int i = faces_[f][k], j = faces_[f][(k + 1) % 3];
@@ -221,50 +222,51 @@ private:
             while (last < int(sides_.size()) && sides_[last].same(sides_[first])) ++last;
             for (int s = first; s < last; ++s) group_[3 * sides_[s].face + sides_[s].edge] = {first, last};
         }
-        along_.resize(sides_.size());
+        edge_normals_.resize(sides_.size());
         for (const Side& side : sides_) {
             Point sum{0.0, 0.0, 0.0};
             const auto [first, last] = group_[3 * side.face + side.edge];
-            for (int s = first; s < last; ++s) sum += seen(sides_[s].face, sides_[s].edge, DEEPEST);
-            along_[3 * side.face + side.edge] = unit(sum, side.face);
+            for (int s = first; s < last; ++s) sum += normal_seen_from(sides_[s].face, sides_[s].edge, MAX_FOLDS);
+            edge_normals_[3 * side.face + side.edge] = normal_or_default(sum, side.face);
         }
     }
-    static constexpr int DEEPEST = 6;  // largest number of adjacent faces without area
+    static constexpr int MAX_FOLDS = 6;  // largest number of adjacent faces without area
 
     // The normal of a face as seen from one of its edges. A face without area is a fold: seen from its longest edge it has the
     // normals across the others, and vice versa, if an edge has two faces.
-    Point seen(int face, int edge, int deep) const {
-        if (!flat(face) || deep == 0) return normals_[face];
+    Point normal_seen_from(int face, int edge, int deep) const {
+        if (!is_degenerate(face) || deep == 0) return normals_[face];
         Point sum{0.0, 0.0, 0.0};
         const int through = longest(face);
         for (int k = 0; k < 3; ++k) {
             if ((k == through) == (edge == through)) continue;
             const auto [first, last] = group_[3 * face + k];
             for (int s = first; s < last && last - first == 2; ++s)
-                if (sides_[s].face != face) sum += seen(sides_[s].face, sides_[s].edge, deep - 1);
+                if (sides_[s].face != face) sum += normal_seen_from(sides_[s].face, sides_[s].edge, deep - 1);
         }
         const double size = length(sum);
         return size > 0.0 ? sum / size : sum;
     }
-    void weigh_corners() {
-        around_.assign(corners_.size(), Point{0.0, 0.0, 0.0});
+    void compute_corner_normals() {
+        corner_normals_.assign(corners_.size(), Point{0.0, 0.0, 0.0});
         std::vector<int> some(corners_.size(), 0);
         for (int f = 0; f < int(faces_.size()); ++f) {
             const auto p = points(f);
-            const Point normal = seen(f, (longest(f) + 1) % 3, DEEPEST);
+            const Point normal = normal_seen_from(f, (longest(f) + 1) % 3, MAX_FOLDS);
             for (int k = 0; k < 3; ++k) {
                 const Point one = p[(k + 1) % 3] - p[k], other = p[(k + 2) % 3] - p[k];
-                around_[faces_[f][k]] += std::atan2(length(cross(one, other)), dot(one, other)) * normal;
-                if (!flat(f)) some[faces_[f][k]] = f;
+                corner_normals_[faces_[f][k]] += std::atan2(length(cross(one, other)), dot(one, other)) * normal;
+                if (!is_degenerate(f)) some[faces_[f][k]] = f;
             }
         }
-        for (std::size_t v = 0; v < around_.size(); ++v) around_[v] = unit(around_[v], some[v]);
+        for (std::size_t v = 0; v < corner_normals_.size(); ++v)
+            corner_normals_[v] = normal_or_default(corner_normals_[v], some[v]);
         sides_ = {}, group_ = {};
     }
-    Point unit(const Point& sum, int face) const {
+    Point normal_or_default(const Point& sum, int face) const {
         const double size = length(sum);
         if (size > 1e-9) return sum / size;
-        return flat(face) ? Point{1.0, 0.0, 0.0} : normals_[face];  // faces back to back
+        return is_degenerate(face) ? Point{1.0, 0.0, 0.0} : normals_[face];  // faces back to back
     }
 
     Triangle triangle(int face) const {
@@ -272,8 +274,8 @@ private:
         const Point b = second - a, c = third - a, across = cross(b, c);
         Triangle out{a, b, c, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {}, face};
         const double area = dot(across, across), none = std::numeric_limits<double>::quiet_NaN();
-        out.to_b = flat(face) ? Point{none, none, none} : cross(c, across) / area;
-        out.to_c = flat(face) ? Point{none, none, none} : cross(across, b) / area;
+        out.to_b = is_degenerate(face) ? Point{none, none, none} : cross(c, across) / area;
+        out.to_c = is_degenerate(face) ? Point{none, none, none} : cross(across, b) / area;
         const Point ways[] = {b, c - b, c};
         for (int k = 0; k < 3; ++k) {
             const double square = dot(ways[k], ways[k]);

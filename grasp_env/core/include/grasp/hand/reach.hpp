@@ -38,7 +38,7 @@ public:
             missed[g] = infinity;
             for (int s = 0; s < count && missed[g] > REACHED; ++s) {
                 std::copy(starts + joints * s, starts + joints * (s + 1), best_.begin());
-                const double distance = approach(groups[g], work_[g], targets);
+                const double distance = move_to_targets(groups[g], work_[g], targets);
                 if (!(distance < missed[g])) continue;
                 missed[g] = distance;
                 for (int j : groups[g].joints) angles[j] = best_[j];
@@ -69,7 +69,7 @@ private:
     std::vector<Work> work_;
 
     // Move the joints of a group in `best_` until its tips are at their targets. Return the distance of the worst tip [m].
-    double approach(const FingerGroup& group, Work& work, const Point* targets) {
+    double move_to_targets(const FingerGroup& group, Work& work, const Point* targets) {
         trial_ = best_;
         double missed = infinity, best = infinity, factor = 0.5;
         for (int round = 0, slow = 0, refused = 0; round < MOST_STEPS; ++round) {
@@ -107,7 +107,7 @@ private:
         std::fill(work.jacobian.begin(), work.jacobian.end(), 0.0);
         for (std::size_t i = 0; i < group.fingers.size(); ++i) {
             const int finger = group.fingers[i];
-            posture_.carriers(tree_->tips[finger].link, posture_.tip(finger), [&](int j, const Point& moves) {
+            posture_.each_moving_joint(tree_->tips[finger].link, posture_.tip(finger), [&](int j, const Point& moves) {
                 const auto a = std::lower_bound(group.joints.begin(), group.joints.end(), j) - group.joints.begin();
                 for (int k = 0; k < 3; ++k) work.jacobian[(3 * i + k) * joints + a] += moves[k];
             });

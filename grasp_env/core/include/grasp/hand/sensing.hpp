@@ -54,34 +54,34 @@ public:
     const SensorSettings settings;
 
     Sensors(std::shared_ptr<const Scene> given, const SensorSettings& settings)
-        : settings(settings), scene_(std::move(given)), estimator_(settings.tick, settings.keep), own_(scene_->now),
-          told_(settings.delay + settings.wrench_delay + 1) {
-        if (!exact()) late_.assign(settings.delay + 1, own_);  // `perfect` is not set yet
+        : settings(settings), scene_(std::move(given)), estimator_(settings.tick, settings.keep), seen_(scene_->now),
+          reported_(settings.delay + settings.wrench_delay + 1) {
+        if (!exact()) delayed_.assign(settings.delay + 1, seen_);  // `perfect` is not set yet
     }
     Sensors(const Sensors&) = delete;
 
     bool perfect = false;  // ignore delay and noise, while the hand takes over the object
     // True if the scene is seen without delay and noise.
     bool exact() const { return perfect || !(settings.delay || settings.pose_noise > 0.0 || settings.tactile_noise > 0.0); }
-    const Snapshot& seen() const { return exact() ? scene_->now : own_; }
+    const Snapshot& seen() const { return exact() ? scene_->now : seen_; }
     Vec6 external{};  // known wrench on the object [N, N m], object frame
 
     // Return to the state before the first tick: the scene stands still.
     void reset() {
         estimator_.reset();
-        std::fill(late_.begin(), late_.end(), scene_->now);
-        std::fill(told_.begin(), told_.end(), Vec6{});
+        std::fill(delayed_.begin(), delayed_.end(), scene_->now);
+        std::fill(reported_.begin(), reported_.end(), Vec6{});
         tick_ = 0;
     }
 
     // Observe the scene of this tick. wrench: (6,) the external wrench that a perfect sensor reports. noise: (3 + 3N,) standard
     // normal numbers if anything is noisy. gravity: as far as known.
     void see(const double* wrench, const double* noise, const Body& body, const Point& gravity) {
-        if (!exact()) look(noise);
-        std::copy(wrench, wrench + 6, told_[tick_ % told_.size()].begin());
+        if (!exact()) observe_with_delay(noise);
+        std::copy(wrench, wrench + 6, reported_[tick_ % reported_.size()].begin());
         ++tick_;
         switch (settings.wrench) {
-            case WrenchSource::measured: external = told_[tick_ % told_.size()]; break;
+            case WrenchSource::measured: external = reported_[tick_ % reported_.size()]; break;
             case WrenchSource::estimated: external = estimator_(seen(), body, gravity); break;
             case WrenchSource::none: external = {}; break;
         }
@@ -90,18 +90,18 @@ public:
 private:
     std::shared_ptr<const Scene> scene_;
     WrenchEstimator estimator_;
-    std::vector<Snapshot> late_;
-    Snapshot own_;  // what is seen, unless it is the scene itself
-    std::vector<Vec6> told_;
+    std::vector<Snapshot> delayed_;
+    Snapshot seen_;  // what is seen, unless it is the scene itself
+    std::vector<Vec6> reported_;
     std::size_t tick_ = 0;
 
-    void look(const double* noise) {
-        late_[tick_ % late_.size()] = scene_->now;
-        own_ = late_[(tick_ + 1) % late_.size()];
-        own_.position += settings.pose_noise * point(noise);
-        for (std::size_t i = 0; i < own_.forces.size(); ++i)
-            own_.forces[i] += settings.tactile_noise * length(own_.forces[i]) * point(noise + 3 + 3 * i);
-        if (settings.delay) own_.advance(*scene_->tree, scene_->surface, scene_->gravity, settings.delay * settings.tick);
+    void observe_with_delay(const double* noise) {
+        delayed_[tick_ % delayed_.size()] = scene_->now;
+        seen_ = delayed_[(tick_ + 1) % delayed_.size()];
+        seen_.position += settings.pose_noise * point(noise);
+        for (std::size_t i = 0; i < seen_.forces.size(); ++i)
+            seen_.forces[i] += settings.tactile_noise * length(seen_.forces[i]) * point(noise + 3 + 3 * i);
+        if (settings.delay) seen_.advance(*scene_->tree, scene_->surface, scene_->gravity, settings.delay * settings.tick);
     }
 };
 

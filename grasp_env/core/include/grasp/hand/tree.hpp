@@ -67,7 +67,7 @@ struct Tree {
         return out;
     }
     // Number of the given fingers that the motor of each joint moves, (M,).
-    std::vector<int> users(const std::vector<int>& fingers) const {
+    std::vector<int> fingers_per_motor(const std::vector<int>& fingers) const {
         std::vector<int> out(joints());
         for (int i : fingers)
             for (int j : movers(i)) ++out[j];
@@ -144,7 +144,7 @@ public:
 
     // Call f(j, velocity of a point of the link per speed of joint j): contributions to the Jacobian's columns; those of a coupled
     // joint go to its driver.
-    template <class F> void carriers(int link, const Point& place, F&& f) const {
+    template <class F> void each_moving_joint(int link, const Point& place, F&& f) const {
         for (int j = link; j >= 0; j = tree_->links[j].parent) {
             const Link& joint = tree_->links[j];
             const Point moves = joint.sliding ? axes[j] : cross(axes[j], place - origins[j]);
@@ -153,7 +153,7 @@ public:
         }
     }
     // Call f(j, angular velocity of the link per speed of joint j), world frame.
-    template <class F> void turners(int link, F&& f) const {
+    template <class F> void each_turning_joint(int link, F&& f) const {
         for (int j = link; j >= 0; j = tree_->links[j].parent) {
             const Link& joint = tree_->links[j];
             if (!joint.sliding) f(tree_->mover(j), joint.coupled() ? joint.ratio * axes[j] : axes[j]);
@@ -163,23 +163,23 @@ public:
     void jacobian(int link, const Point& place, double* out) const {
         const int count = tree_->joints();
         std::fill(out, out + 3 * count, 0.0);
-        carriers(link, place, [&](int j, const Point& moves) {
+        each_moving_joint(link, place, [&](int j, const Point& moves) {
             for (int k = 0; k < 3; ++k) out[count * k + j] += moves[k];
         });
     }
     // Velocity [m/s] of a point fixed to the link; rates: (M,) [rad/s].
     Point velocity(int link, const Point& place, const double* rates) const {
         Point out{0.0, 0.0, 0.0};
-        carriers(link, place, [&](int j, const Point& moves) { out += rates[j] * moves; });
+        each_moving_joint(link, place, [&](int j, const Point& moves) { out += rates[j] * moves; });
         return out;
     }
     // torques (M,) += J^T force: the torques with which the link pushes at that point.
     void push(int link, const Point& place, const Point& force, double* torques) const {
-        carriers(link, place, [&](int j, const Point& moves) { torques[j] += dot(moves, force); });
+        each_moving_joint(link, place, [&](int j, const Point& moves) { torques[j] += dot(moves, force); });
     }
     // torques (M,) += those with which the link applies a moment [N m].
     void twist(int link, const Point& moment, double* torques) const {
-        turners(link, [&](int j, const Point& turns) { torques[j] += dot(turns, moment); });
+        each_turning_joint(link, [&](int j, const Point& turns) { torques[j] += dot(turns, moment); });
     }
     // torques (M,) that carry the weight of all links [N m]; gravity [m/s^2].
     void support(const Point& gravity, double* torques) const {
@@ -210,8 +210,8 @@ public:
             const Link& link = tree_->links[l];
             std::fill(moves.begin(), moves.end(), Point{0.0, 0.0, 0.0}),
                 std::fill(turns.begin(), turns.end(), Point{0.0, 0.0, 0.0});
-            carriers(l, at(l, link.center), [&](int j, const Point& a) { moves[j] += a; });
-            turners(l, [&](int j, const Point& a) { turns[j] += frames[l].transposed(a); });
+            each_moving_joint(l, at(l, link.center), [&](int j, const Point& a) { moves[j] += a; });
+            each_turning_joint(l, [&](int j, const Point& a) { turns[j] += frames[l].transposed(a); });
             const auto& i = link.inertia;
             const Sym3<double> inertia{i[0], i[1], i[2], i[3], i[4], i[5]};
             for (int j = 0; j < count; ++j)

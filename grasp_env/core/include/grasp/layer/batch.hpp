@@ -51,12 +51,12 @@ inline ForceBatch ForceBatch::part(std::ptrdiff_t from, std::ptrdiff_t to) const
 }
 
 // The contacts of one problem of a batch: unit directions, scales and weights.
-struct Posed {
+struct PosedProblem {
     // (N, 3), (N, 3), (N, 3), (N, 2) omega and lambda, (N,) of the normals
     std::vector<double> normals, tangents, scale, weights, lengths;
     std::vector<double> start;  // (N, 3) [N], contact frames
 
-    explicit Posed(int count = 0)
+    explicit PosedProblem(int count = 0)
         : normals(3 * count), tangents(3 * count), scale(3 * count), weights(2 * count), lengths(count), start(3 * count) {}
 
     // Load problem k. Return false if numbers are not finite or not possible.

@@ -7,7 +7,7 @@ namespace grasp {
 // Start with a large edge, below which the barriers of limits are parabolas. Lower it until all slacks are above it, or to the edge
 // of elastic forces.
 template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
-    edge_ = select(live, V(SOFTEST), edge_), place_edges();
+    edge_ = select(live, V(LARGEST_EDGE), edge_), place_edges();
     V value = energy();
     iterations = select(live, V(0.0), iterations);
     live &= value < infinity;
@@ -18,7 +18,7 @@ template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
         const auto [decrement, reach] = judged_step();
         const Mask whole = (edge_ <= last_) | (tightest_ >= edge_);  // the barriers have their final form
         Mask harder = live & ~whole & !(decrement > CLOSE * value);
-        const Mask lost = harder & (last_ == 0.0) & (edge_ < HARDEST), done = live & whole & !(decrement > SETTLED * value);
+        const Mask lost = harder & (last_ == 0.0) & (edge_ < LEAST_EDGE), done = live & whole & !(decrement > SETTLED * value);
         found |= done, live &= ~(done | lost), harder &= ~lost;
         V alpha = min(V(1.0), LONG / reach), taken{};
         Mask open = live & ~harder;
@@ -31,7 +31,7 @@ template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
         for (int i = 0; i < count(); ++i) x_[i] += taken * step_[i], v_[i] += taken * step_v_[i];
         iterations += select(taken > 0.0, V(1.0), V(0.0));
         if (!any(harder)) continue;
-        edge_ = select(harder, max(HARDENING * edge_, last_), edge_), place_edges();
+        edge_ = select(harder, max(EDGE_FACTOR * edge_, last_), edge_), place_edges();
         value = select(harder, energy(), value);
     }
     edge_ = last_, place_edges();

@@ -49,7 +49,7 @@ public:
           pull_(batch.contacts), step_v_(batch.contacts), back_v_(batch.contacts), pull_v_(batch.contacts), along_(joints_) {}
 
     // Load problem k into a lane, before `place`, which still reads `posed`.
-    void load(int lane, std::ptrdiff_t k, const Posed& posed, Regime regime) {
+    void load(int lane, std::ptrdiff_t k, const PosedProblem& posed, Regime regime) {
         problems_[lane] = {
             {batch_.positions[k], posed.normals.data(), posed.scale.data(), posed.tangents.data(), posed.weights.data()}, k};
         for (int r = 0; r < 6; ++r) set(wrench_[r], lane, batch_.wrench[k][r]);
@@ -109,7 +109,7 @@ public:
         for (int lane = 0; lane < W; ++lane)
             if (starts[lane]) cones_.load_force(starts[lane], rest_, lane);
         cones_.balance(rest_, w_);
-        keep(cones_.phi(rest_) < cones_.phi(x_), rest_, x_);
+        copy_where(cones_.phi(rest_) < cones_.phi(x_), rest_, x_);
     }
     // Start from a force (N, 3) [N] in contact frames with its torsion (N,) [N m] and the multipliers (6,) nu of the given wrench.
     void begin(int lane, const double* force, const double* torsion, const Vec6& nu) {
@@ -219,8 +219,8 @@ private:
     };
     static constexpr double ROUNDED = 1e-13;  // fraction of E: largest value of a step's balance residual
     static constexpr double RAISED = 1e-11;  // fraction of E: largest rise by a full step that restores balance
-    static constexpr double SOFTEST = 8.0, HARDENING = 1.0 / 16.0;  // first edge of a descent, and its factor
-    static constexpr double HARDEST = 1e-6;  // below it the problem is nearly infeasible and left to another solver
+    static constexpr double LARGEST_EDGE = 8.0, EDGE_FACTOR = 1.0 / 16.0;  // first edge of a descent, and its factor
+    static constexpr double LEAST_EDGE = 1e-6;  // below it the problem is nearly infeasible and left to another solver
     static constexpr double CLOSE = 0.03;  // squared decrement, as a fraction of E, below which the edge is lowered
     static constexpr double SETTLED = 1e-9;  // the same, below which `polish` takes over
     static constexpr double MISSES = 1e-13;  // fraction of an adjoint force and of its right-hand side: allowed residual
@@ -245,7 +245,7 @@ private:
     AnyLdl<V> schur_;
     Six<V> wrench_{}, w_{};
     V softness_{}, last_{}, edge_{}, tightest_{};  // edges: in units of the limits; tightest_: smallest slack at the last system
-    Case problems_[W] = {};
+    LaneProblem problems_[W] = {};
 
     int count() const { return batch_.contacts; }
     std::ptrdiff_t number(int lane) const { return problems_[lane].number; }
@@ -325,7 +325,7 @@ private:
     const Column& scaled(int i, int r) const { return scaled_[joints_ * i + r - 6]; }
 
     // (inverse^-1 + bend a a^T)^-1 with h = inverse a, square = a . h
-    static void soften(Contact& c, const V& bend, const Vec& h, const V& hv, const V& square) {
+    static void subtract_rank_one(Contact& c, const V& bend, const Vec& h, const V& hv, const V& square) {
         const V part = bend / (1.0 + bend * square);
         const Vec f = part * h;
         Sym3<V>& m = c.inverse;

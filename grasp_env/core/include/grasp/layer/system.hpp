@@ -107,7 +107,7 @@ template <int W> void SmoothLanes<W>::bind(int i) {
     }
     if (batch_.torsion || batch_.min_normal || batch_.max_normal) {
         const Vec h{c.inverse.uu, c.inverse.uo, c.inverse.ut};
-        soften(c, bend, h, V(0.0), h.u);
+        subtract_rank_one(c, bend, h, V(0.0), h.u);
     }
     if (batch_.torsion) {
         c.across = lever * Vec{c.inverse.uu, c.inverse.uo, c.inverse.ut};
@@ -120,7 +120,7 @@ template <int W> void SmoothLanes<W>::bind(int i) {
         Vec h;
         V hv;
         applied(i, col.c, col.cv, h, hv);
-        soften(c, rows_[j].bend, h, hv, dot(h, col.c) + hv * col.cv);
+        subtract_rank_one(c, rows_[j].bend, h, hv, dot(h, col.c) + hv * col.cv);
     }
 }
 

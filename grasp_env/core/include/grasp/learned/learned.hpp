@@ -24,8 +24,8 @@ struct Normalisation {
 // A trained model for given contacts: a network from the wrench to internal forces.
 struct Model {
     Network network;
-    Network
-        pairs;  // one stage, 6 to 2 M numbers: M vectors along the surfaces from the wrench's direction; their lengths are features
+    // One stage, 6 to 2 M numbers: M vectors along the surfaces from the wrench's direction; their lengths are features.
+    Network pairs;
     Normalisation normalisation{};
     double friction = 0.0;  // of the contacts
     double scale = 1.0;  // sqrt(lambda / omega) relative to that of training: the only unit of force in Phi

@@ -1,6 +1,6 @@
 // Many problems side by side: a register holds one contact of W problems, and the next problem takes the lane of one that ends.
 // Lanes are independent: an answer does not depend on the problems beside it. A problem starts and finishes alone, in the registers
-// of one problem (`NewtonOn`, `ConicOn`), which also solve anything but an ordinary descent from the start.
+// of one problem (`NewtonOn`, `ConicSolver`), which also solve anything but an ordinary descent from the start.
 #pragma once
 #include <grasp/conic/conic.hpp>
 
@@ -14,7 +14,7 @@ template <int W> inline Vec6 of(const Six<Each<W>>& a, int lane) {
 }
 
 // Problems that have reached their tolerance, and problems that must be solved alone.
-template <class Mask> struct Ended { Mask closed, alone; };
+template <class Mask> struct LaneOutcome { Mask closed, alone; };
 
 template <int W> class NewtonLanes {
 public:
@@ -59,26 +59,26 @@ public:
     }
 
     // Take one step of the `live` lanes, as in `NewtonOn::descend`.
-    Ended<Mask> step(const Mask& live) {
+    LaneOutcome<Mask> step(const Mask& live) {
         const double tolerance = options.tolerance;
         Mask open = live & system_.assemble(cones, x) & (iterations < double(std::min(options.limit, PATIENCE)));
         const Six<V> left = system_.made + wrench;
         nu = system_.multipliers(left);
         NoRows none;
         const auto [decrement, reach] = system_.step(cones, x, nu, left, value, step_, none);
-        if (const Mask look = open & By::close(value, decrement, tolerance); any(look))
+        if (const Mask look = open & By::promises_tolerance(value, decrement, tolerance); any(look))
             raise(look, cones.lower_bound(nu, wrench));
         Mask certified = open & By::certified(value, bound, tolerance);
         open &= ~certified;
         if (!any(open)) return {certified, live & ~certified};
 
-        V alpha = By::longest(reach, fraction_);
+        V alpha = By::longest_step(reach, fraction_);
         const Mask moved = search(open, decrement, alpha);
         for (int b = 0; b < int(x.size()); ++b) x[b] += alpha * step_[b];
         iterations += select(moved, V(1.0), V(0.0));
-        const Mask look = moved & (alpha == V(1.0)) & By::small(value, decrement, tolerance);
+        const Mask look = moved & (alpha == V(1.0)) & By::is_small_step(value, decrement, tolerance);
         if (any(look)) {
-            raise(look, cones.lower_bound(nu, wrench, x, By::tight(tolerance)));
+            raise(look, cones.lower_bound(nu, wrench, x, By::dual_precision(tolerance)));
             certified |= look & By::certified(value, bound, tolerance);
         }
         return {certified, live & ~(certified | moved)};
@@ -96,13 +96,13 @@ private:
     // Halve alpha in the open lanes until Phi decreases; `value` follows, and alpha becomes 0 elsewhere. Return the lanes that
     // moved.
     Mask search(Mask open, const V& decrement, V& alpha) {
-        const Mask flat = By::flat(value, decrement);
+        const Mask flat = By::is_within_rounding(value, decrement);
         Mask moved{};
         V taken{};
         for (int halving = 0; halving < By::HALVINGS; ++halving, alpha = 0.5 * alpha) {
             trials += select(open, V(1.0), V(0.0));
             const V found = cones.phi_along(x, step_, alpha);
-            Mask good = open & (By::falls(found, value, alpha, decrement) | (flat & (found <= value)));
+            Mask good = open & (By::decreases(found, value, alpha, decrement) | (flat & (found <= value)));
             if (const Mask suspect = halving > 0 ? good : good & flat; any(suspect)) {
                 const Mask far = alpha * cones.largest_normal(step_) > By::SHORTEST * cones.largest_normal(x);
                 open &= ~(suspect & ~far), good &= ~(suspect & ~far);
@@ -150,7 +150,7 @@ public:
         return int(get(iterations, lane));
     }
 
-    Ended<Mask> step(const Mask& live) {
+    LaneOutcome<Mask> step(const Mask& live) {
         const Mask sound = live & (steps.system() > 0.0) & (iterations < double(options.limit));
         const auto solve = [&](const Six<V>& pull) { return steps.schur.solve(pull); };
         const Mask moved = sound & steps.template step<false>(solve(minus), solve);
@@ -168,10 +168,10 @@ private:
 
 // Solve problems 0 .. many - 1 in the lanes. begin(lane, k): loads problem k into a lane, or handles it otherwise and returns
 // false. end(lane, k, closed): takes it out.
-template <class Many, class Begin, class End> void run(Many& lanes, std::ptrdiff_t many, Begin&& begin, End&& end) {
-    constexpr int W = sizeof(typename Many::V) / sizeof(double);
+template <class SolveBatch, class Begin, class End> void run(SolveBatch& lanes, std::ptrdiff_t many, Begin&& begin, End&& end) {
+    constexpr int W = sizeof(typename SolveBatch::V) / sizeof(double);
     std::ptrdiff_t next = 0, problem[W] = {};
-    typename Many::Mask live{};
+    typename SolveBatch::Mask live{};
     const auto fill = [&](int lane) {
         live[lane] = 0;
         while (next < many && !live[lane])
@@ -186,10 +186,10 @@ template <class Many, class Begin, class End> void run(Many& lanes, std::ptrdiff
     }
 }
 
-inline constexpr int FEW = REGISTER / 2;  // fewer problems are solved one by one
+inline constexpr int FEW_PROBLEMS = REGISTER / 2;  // fewer problems are solved one by one
 
 // Input and output of many solves, one row per problem.
-struct Many {
+struct SolveBatch {
     std::ptrdiff_t count;
     const double* wrenches;  // (M, 6) [N, N m]
     double* rows;  // (M, record_size(N))
@@ -198,11 +198,11 @@ struct Many {
 };
 
 // Solve many wrenches of one grasp by Newton, from an internal force strictly inside the cones.
-template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const Many& many) {
+template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const SolveBatch& many) {
     auto& cones = one.cones;
     const int count = cones.count;
     const auto alone = [&](std::ptrdiff_t k, const Record& record) { one.solve_from(rest, {.wrench = many.wrench(k)}, record); };
-    if (many.count < FEW) {
+    if (many.count < FEW_PROBLEMS) {
         for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
         return;
     }
@@ -211,7 +211,7 @@ template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename C
     const auto enter = [&](int lane, std::ptrdiff_t k) {
         const Record record = many.record(k, count);
         const Vec6 w = cones.unit.of(many.wrench(k));
-        if (!sane_wrench(many.wrench(k))) {
+        if (!is_valid_wrench(many.wrench(k))) {
             record.summary().code = REFUSED;
             return false;
         }
@@ -238,17 +238,17 @@ template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename C
 }
 
 // Minimise the sum of normal forces for many wrenches of one grasp.
-template <class V, int B> void conic_many(ConicOn<V, B>& one, const Many& many) {
+template <class V, int B> void conic_many(ConicSolver<V, B>& one, const SolveBatch& many) {
     const int count = one.cones.count;
-    if (many.count < FEW) {
+    if (many.count < FEW_PROBLEMS) {
         for (std::ptrdiff_t k = 0; k < many.count; ++k) one.solve(many.wrench(k), many.record(k, count));
         return;
     }
     ConicLanes<REGISTER> lanes(one.cones, one.options);
-    typename ConicOn<V, B>::Posed posed[REGISTER];
+    typename ConicSolver<V, B>::UnitWrench posed[REGISTER];
     const auto enter = [&](int lane, std::ptrdiff_t k) {
         const Record record = many.record(k, count);
-        if (!one.pose(many.wrench(k), posed[lane], record)) return false;
+        if (!one.begin_record(many.wrench(k), posed[lane], record)) return false;
         one.start(posed[lane].minus);
         if (one.gap <= one.options.tolerance * one.price) {  // the start is good enough
             one.solve(many.wrench(k), record);

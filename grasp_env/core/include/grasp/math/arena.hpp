@@ -26,7 +26,7 @@ public:
         memory_.reset(new std::byte[bytes]), size_ = bytes;
     }
     // Bytes of an array.
-    template <class T> static constexpr std::size_t room(std::size_t many) { return whole(many * sizeof(T)); }
+    template <class T> static constexpr std::size_t bytes_needed(std::size_t many) { return whole(many * sizeof(T)); }
 
     class Use {
     public:

@@ -21,7 +21,7 @@ public:
     double warm() {
         for (int k = 12; k >= 0 && worst_ < infinity; --k) {
             if (begin_warm(k)) descend(k);
-            else if (k < 12) alone(k);
+            else if (k < 12) solve_alone(k);
             else worst_ = infinity;
         }
         return made();
@@ -43,11 +43,11 @@ public:
             return value < infinity;
         };
         const auto leave = [&](int lane, std::ptrdiff_t k, bool closed) {
-            if (!closed) return alone(int(k));
+            if (!closed) return solve_alone(int(k));
             w_ = lanes.wrench_of(lane);
             lanes.cones.store(lanes.x, flat.data(), lane), newton_.cones.load(flat.data(), x);
             const Progress at = lanes.progress(lane);
-            keep(int(k), at.value, at.bound);
+            store_optimum(int(k), at.value, at.bound);
         };
         run(lanes, 12, enter, leave);
         return made();
@@ -60,18 +60,18 @@ private:
     double wrench_[6];
     Vec6 w_;  // wrench of an optimum: in the given frame, in the unit frame
 
-    void pose(int k) {
+    void set_wrench(int k) {
         std::fill(wrench_, wrench_ + 6, 0.0);
         if (k < 12) wrench_[k % 6] = k < 6 ? 1.0 : -1.0;
         w_ = newton_.cones.unit.of(wrench_);
     }
     // Write the start of optimum k < 12 into x: the least-norm force plus as much of the optimum at rest as it needs.
     void begin(int k) {
-        pose(k);
+        set_wrench(k);
         grasp::begin(newton_.cones, newton_.starter.basis[12], w_, newton_.x);
     }
     bool begin_warm(int k) {  // the second correction removes the rounding that the first left in the balance
-        pose(k);
+        set_wrench(k);
         newton_.x = newton_.starter.basis[k];
         const auto follows = [&] {
             return newton_.starter.tangent(newton_.cones, newton_.system, w_, newton_.x) &&
@@ -79,18 +79,18 @@ private:
         };
         return follows() && follows();
     }
-    void alone(int k) { begin(k), descend(k); }
+    void solve_alone(int k) { begin(k), descend(k); }
     void descend(int k) {
-        pose(k);
+        set_wrench(k);
         const Record record(newton_.row.data(), newton_.cones.count);
         if (!(newton_.cones.phi(newton_.x) < infinity)) {
             worst_ = infinity;
             return;
         }
         newton_.descend_from(newton_.starter.safe() = newton_.x, {.wrench = wrench_, .start = From::given}, w_, record, LONG);
-        keep(k, record.summary().objective, record.summary().lower_bound);
+        store_optimum(k, record.summary().objective, record.summary().lower_bound);
     }
-    void keep(int k, double value, double bound) {
+    void store_optimum(int k, double value, double bound) {
         newton_.polish(w_);
         newton_.cones.balance(newton_.x, w_);
         newton_.starter.basis[k] = newton_.x;

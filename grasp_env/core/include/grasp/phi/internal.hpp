@@ -70,10 +70,10 @@ template <class V, int B> void begin(const Cones<V, B>& cones, const typename Co
 }
 
 // Copy `from` to `to`: everything, or the lanes of some problems.
-template <class Field> inline void keep(bool which, const Field& from, Field& to) {
+template <class Field> inline void copy_where(bool which, const Field& from, Field& to) {
     if (which) to = from;
 }
-template <class Mask, class Field> inline void keep(const Mask& which, const Field& from, Field& to) {
+template <class Mask, class Field> inline void copy_where(const Mask& which, const Field& from, Field& to) {
     for (int b = 0; b < int(to.size()); ++b) to[b] = select(which, from[b], to[b]);
 }
 
@@ -95,7 +95,7 @@ auto balance_inside(const Cones<V, B>& cones, Field& x, const Field& step, Field
         auto there = decltype(open)(open & (size(missed) < 1e-9 * force));
         if (any(there)) {
             there = there & (cones.largest_normal(step) < 1e-2 * force);
-            keep(there, x, rest), found = found | there, open = open & !there;
+            copy_where(there, x, rest), found = found | there, open = open & !there;
         }
         if (!any(open)) break;
         const S reach = cones.reach(x, step), alpha = min(S(1.0), 0.9 / max(reach, S(1e-300)));

@@ -5,7 +5,7 @@
 namespace grasp {
 
 // If Phi grows by this factor when the combination moves to new contacts, the basis is outdated.
-inline constexpr double FAR = 2.0;
+inline constexpr double MAX_GROWTH = 2.0;
 
 enum class From {
     combination,  // of the 12 offline optima (the paper, Sec. III)
@@ -84,13 +84,13 @@ public:
         turn(cones, there_, basis_tangents, out);
         if (!tangent(cones, system, w, out)) return false;
         const double value = cones.phi(out);
-        return value < infinity && value <= FAR * cones.phi(there_);
+        return value < infinity && value <= MAX_GROWTH * cones.phi(there_);
     }
 
     // Set x to the force of least Phi on the segment from `safe` (strictly inside) to x. Return the fraction of the way. Phi is
     // convex there: bisection drives its slope to zero, to a thousandth. Never worse than either end.
     double segment(const Cones<V, B>& cones, const Field& safe, Field& x) {
-        if (!cones.sane(x)) {
+        if (!cones.is_in_range(x)) {
             x = safe;
             return 0.0;
         }

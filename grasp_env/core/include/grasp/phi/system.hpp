@@ -31,7 +31,7 @@ public:
             const Sym3<V> h = inverse[b];
             const Vec3<V>* g = columns(cones, rows, b);
             c.add(g, h * gradient[b], q), c.add_wrench(x[b], l);
-            if constexpr (R::turns) rows.add(b, s, q, l);
+            if constexpr (R::has_torsion) rows.add(b, s, q, l);
 #pragma GCC unroll 8
             for (int r = 0; r < 6; ++r) {
                 const Vec3<V> hg = h * g[r];
@@ -62,7 +62,7 @@ public:
             const Vec3<V>* g = columns(cones, rows, b);
             step[b] = inverse[b] * (Block<V>::combined(g, nu) - gradient[b]);
             cones.blocks[b].add_wrench(step[b], moved);
-            if constexpr (R::turns) rows.turn(b, nu, step[b].u, moved);
+            if constexpr (R::has_torsion) rows.turn(b, nu, step[b].u, moved);
         }
         return sums(moved);
     }
@@ -93,10 +93,10 @@ public:
         for (int b = 0; b < int(x.size()); ++b) {
             const auto& c = cones.blocks[b];
             step[b] -= c.least(missed);
-            if constexpr (R::any) rows.follow(b, step[b]);
+            if constexpr (R::has_terms) rows.predict_prices(b, step[b]);
             decrement -= dot(step[b], gradient[b]);
             reach = max(reach, Boundary<V>(x[b]).per(step[b]));
-            if constexpr (R::turns) decrement -= rows.slope(b, step[b]), reach = max(reach, rows.reach(b, step[b]));
+            if constexpr (R::has_torsion) decrement -= rows.slope(b, step[b]), reach = max(reach, rows.reach(b, step[b]));
         }
         return {sum(decrement), largest(reach)};
     }
@@ -115,7 +115,7 @@ public:
             const Vec3<V> change = inverse[b] * Block<V>::combined(columns(cones, rows, b), n);
             x[b] -= change;
             cones.blocks[b].add_wrench(x[b], moved);
-            if constexpr (R::turns) rows.restore(b, n, change.u, moved);
+            if constexpr (R::has_torsion) rows.restore(b, n, change.u, moved);
         }
         return sums(moved);
     }
@@ -124,12 +124,12 @@ private:
     // `direction` and `restore`, out of line unless there is torsion.
     template <class R> [[gnu::always_inline]] Six<S> moved_by(const Cones<V, B>& cones, const Six<S>& nu, Field& step,
                                                               [[maybe_unused]] R& rows) const {
-        if constexpr (R::turns) return direction(cones, nu, step, rows);
+        if constexpr (R::has_torsion) return direction(cones, nu, step, rows);
         else return direction(cones, nu, step);
     }
     template <class R> [[gnu::always_inline]] Six<S> restored_by(const Cones<V, B>& cones, const Six<S>& missed, Field& step,
                                                                  [[maybe_unused]] R& rows) const {
-        if constexpr (R::turns) return restore(cones, missed, step, rows);
+        if constexpr (R::has_torsion) return restore(cones, missed, step, rows);
         else return restore(cones, missed, step);
     }
 
@@ -138,7 +138,7 @@ private:
 
     template <class R>
     [[gnu::always_inline]] static const Vec3<V>* columns(const Cones<V, B>& cones, [[maybe_unused]] const R& rows, int b) {
-        if constexpr (R::turns) return rows.columns(b);
+        if constexpr (R::has_torsion) return rows.columns(b);
         else return cones.blocks[b].g;
     }
 };

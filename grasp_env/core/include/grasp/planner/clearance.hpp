@@ -22,10 +22,10 @@ inline double gap(const Obstacle& object, const Placed& limb, double enough = in
     return least;
 }
 // True if a limb is closer to the object than `distance` [m].
-inline bool nearer(const Obstacle& object, const Placed& limb, double distance) {
+inline bool is_closer(const Obstacle& object, const Placed& limb, double distance) {
     if (limb.solid->is_line() && !object.surface.mesh()) return gap(object, limb, distance) < distance;
     return std::any_of(object.solids.begin(), object.solids.end(),
-                       [&](const Solid& solid) { return nearer(Placed(solid), limb, distance); });
+                       [&](const Solid& solid) { return is_closer(Placed(solid), limb, distance); });
 }
 
 // A solid that is fixed to a link.
@@ -41,9 +41,9 @@ struct Limb {
 };
 
 // Pairs of links whose distance is not checked: those of one joint, and those that always touch.
-class Together {
+class IgnoredPairs {
 public:
-    explicit Together(const Tree& tree, const std::vector<std::pair<int, int>>& pairs = {})
+    explicit IgnoredPairs(const Tree& tree, const std::vector<std::pair<int, int>>& pairs = {})
         : count_(tree.joints() + 1), pairs_(count_ * count_, 0) {
         for (int j = -1; j < tree.joints(); ++j) add(j, j);
         for (int j = 0; j < tree.joints(); ++j) add(j, tree.links[j].parent);

@@ -302,7 +302,7 @@ inline double gap(const Placed& a, const Placed& b, double enough = infinity) {
 }
 
 // True if two solids are closer than `distance` [m].
-inline bool nearer(const Placed& a, const Placed& b, double distance) {
+inline bool is_closer(const Placed& a, const Placed& b, double distance) {
     const double needed = distance + a.solid->radius + b.solid->radius;
     if (length(a.center - b.center) - a.solid->size - b.solid->size > needed) return false;
     return needed > 0.0 ? separation(a, b, needed) < needed : gap(a, b, distance) < distance;

@@ -31,9 +31,9 @@ struct Demand {
     Point gravity{0.0, 0.0, 0.0};  // [m/s^2]
 };
 
-inline constexpr double BEHIND = 1e-3;  // [m] clearance of the rest of a fingertip, which moves with its sphere
+inline constexpr double TIP_CLEARANCE = 1e-3;  // [m] clearance of the rest of a fingertip, which moves with its sphere
 inline constexpr double PI = 3.14159265358979323846;
-inline constexpr double FULL = 30.0;  // [N] that weighs as much as a joint at its torque limit
+inline constexpr double FORCE_AT_LIMIT = 30.0;  // [N] that weighs as much as a joint at its torque limit
 
 // A start inside the object [m], and an offset of the direction towards the finger. On meshes, and for fingers that only close, the
 // six random numbers in [0, 1) are used directly.
@@ -47,8 +47,8 @@ struct Place {
     std::vector<Placed> limbs;  // of the finger at this place
     std::vector<double> replies;  // see `search.hpp`
     std::vector<double> angles, start;  // of the finger's joints at this place, and before closing if known [rad]
-    std::vector<Point>
-        efforts;  // joints that may reach their limit: fraction of the remaining torque that 1 N uses, times `FULL`
+    // Joints that may reach their limit: fraction of the remaining torque that 1 N uses, times `FORCE_AT_LIMIT`.
+    std::vector<Point> efforts;
 
     // Cost of a force [N]: 1 per newton along the normal, or the load of the joint nearest to its limit if that is more.
     double cost(const Point& force) const {
@@ -72,8 +72,9 @@ public:
     int closer = -1;  // motor in the hand that closes it if it has none of its own; may close other fingers as well
 
     // home: (M,) [rad] of the hand, start of the inverse kinematics; users: (M,) number of fingers that each motor moves
-    Finger(const Tree& hand, int number, const std::vector<Limb>& all, const double* home, const std::vector<int>& users)
-        : tree_(made(hand, number, home, users)), reach_(tree_), posture_(tree_) {
+    Finger(const Tree& hand, int number, const std::vector<Limb>& all, const double* home,
+           const std::vector<int>& fingers_per_motor)
+        : tree_(make_tree(hand, number, home, fingers_per_motor)), reach_(tree_), posture_(tree_) {
         for (int j : joints) home_.push_back(home[j]);
         for (std::size_t c = 0; c < all.size(); ++c) {
             const auto at = std::find(joints.begin(), joints.end(), all[c].link);
@@ -82,7 +83,7 @@ public:
             limbs.back().link = int(at - joints.begin());
         }
         angles_ = home_;
-        free = own_.size() >= 3 && spatial();
+        free = own_joints_.size() >= 3 && is_spatial();
         posture_.trace(home_.data());
         const Point tip = posture_.tip(0);
         direction_ = (1.0 / std::max(length(tip), 1e-9)) * tip;
@@ -92,8 +93,8 @@ public:
 
     // The angle of `closer` for given angles of the finger's joints.
     double closed(const std::vector<double>& angles) const {
-        const Link& link = tree_->links[own_[0]];
-        return (angles[own_[0]] - link.shift) / link.ratio;
+        const Link& link = tree_->links[own_joints_[0]];
+        return (angles[own_joints_[0]] - link.shift) / link.ratio;
     }
 
     // Find up to `most` places that the finger reaches with its links clear of the object.
@@ -101,7 +102,7 @@ public:
               std::size_t most, std::vector<Place>& places, Misses& misses) {
         places.clear();
         // one joint meets the object in few ways, two joints along lines
-        const std::size_t tries = free || own_.size() > 2 ? rays.size() : own_.size() == 2 ? 40 : 4;
+        const std::size_t tries = free || own_joints_.size() > 2 ? rays.size() : own_joints_.size() == 2 ? 40 : 4;
         for (std::size_t r = 0; r < std::min(rays.size(), tries); ++r) {
             const Ray& ray = rays[r];
             if (places.size() == most) return;
@@ -109,26 +110,26 @@ public:
             Place made;
             if (free) {
                 const Mesh* mesh = object.surface.mesh();
-                if (!(mesh ? land(*mesh, ray, place) : walk(object.surface, ray, place))) continue;
-                if (!flat(object.surface, place, margins.flat)) {
+                if (!(mesh ? touch_mesh(*mesh, ray, place) : walk_to_surface(object.surface, ray, place))) continue;
+                if (!is_flat(object.surface, place, margins.flat)) {
                     ++misses.edge;
                     continue;
                 }
-                if (!reaches(place, margins.joints, misses)) continue;
-            } else if (!closes(object.surface, demand, ray.draws, r % 2 == 0 ? AROUND : 1.0, margins, place, made.start,
-                               misses)) {
+                if (!solve_reach(place, margins.joints, misses)) continue;
+            } else if (!close_joint(object.surface, demand, ray.draws, r % 2 == 0 ? AROUND : 1.0, margins, place, made.start,
+                                    misses)) {
                 continue;
             }
-            if (!agrees(object, place, margins.pieces)) {
+            if (!pieces_agree(object, place, margins.pieces)) {
                 ++misses.edge;
                 continue;
             }
-            if (!clear(object, margins.clearance, made.limbs)) {
+            if (!keeps_clear(object, margins.clearance, made.limbs)) {
                 ++misses.touching;
                 continue;
             }
             made.point = place.point, made.normal = place.inward, made.angles = angles_;
-            weigh(demand, made.efforts);
+            write_efforts(demand, made.efforts);
             places.push_back(std::move(made));
         }
     }
@@ -155,25 +156,26 @@ public:
 
 private:
     static constexpr double AROUND = 0.15;  // fraction of the joints' ranges, around the rest posture
-    std::vector<int> own_;  // joints with a motor that moves no other finger, or of `closer`; indexed as in the finger
+    std::vector<int> own_joints_;  // joints with a motor that moves no other finger, or of `closer`; indexed as in the finger
     std::shared_ptr<const Tree> tree_;
     Reach reach_;
     Posture posture_;
     std::vector<double> home_, angles_;
     Point direction_;  // from the object to the finger
 
-    std::shared_ptr<const Tree> made(const Tree& hand, int number, const double* home, const std::vector<int>& users) {
+    std::shared_ptr<const Tree> make_tree(const Tree& hand, int number, const double* home,
+                                          const std::vector<int>& fingers_per_motor) {
         auto out = std::make_shared<Tree>(hand.chain(number, joints));
         const auto motor = [&](int k) { return hand.mover(joints[k]); };
-        const auto alone = [&](int k) { return !hand.links[joints[k]].coupled() && users[motor(k)] == 1; };
+        const auto alone = [&](int k) { return !hand.links[joints[k]].coupled() && fingers_per_motor[motor(k)] == 1; };
         const int count = int(joints.size());
         for (int k = 0; k < count; ++k)
-            if (alone(k)) own_.push_back(k);
-        if (own_.empty()) closer = motor(count - 1);
+            if (alone(k)) own_joints_.push_back(k);
+        if (own_joints_.empty()) closer = motor(count - 1);
         for (int k = 0; k < count; ++k) {
             Link& link = out->links[k];
             if (link.coupled() || alone(k)) continue;
-            if (motor(k) == closer) own_.push_back(k), link.torque_limit /= users[closer];
+            if (motor(k) == closer) own_joints_.push_back(k), link.torque_limit /= fingers_per_motor[closer];
             else link.lower = link.upper = home[joints[k]];
         }
         for (Link& link : out->links)
@@ -190,19 +192,19 @@ private:
     }
 
     // True if the tip can move in all directions in at least one of several postures.
-    bool spatial() {
+    bool is_spatial() {
         constexpr double LEAST = 1e-4;  // of the determinant of J J^T over the cube of its mean eigenvalue
         const int count = int(joints.size());
         std::vector<double> jacobian(3 * count);
         double best = 0.0;
         for (double part : {-1.0, 0.35, 0.5, 0.65}) {
-            for (int j : own_) angles_[j] = part < 0.0 ? home_[j] : low(j) + part * (high(j) - low(j));
+            for (int j : own_joints_) angles_[j] = part < 0.0 ? home_[j] : low(j) + part * (high(j) - low(j));
             trace();
             posture_.jacobian(count - 1, posture_.tip(0), jacobian.data());
             Point rows[3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}};
             for (int r = 0; r < 3; ++r)
                 for (int c = 0; c < 3; ++c)
-                    for (int j : own_) rows[r][c] += jacobian[count * r + j] * jacobian[count * c + j];
+                    for (int j : own_joints_) rows[r][c] += jacobian[count * r + j] * jacobian[count * c + j];
             const double mean = (rows[0][0] + rows[1][1] + rows[2][2]) / 3.0;
             if (mean > 0.0) best = std::max(best, dot(rows[0], cross(rows[1], rows[2])) / (mean * mean * mean));
         }
@@ -211,7 +213,7 @@ private:
     }
 
     // Walk from inside along a ray to the surface. Return false if the start is not inside.
-    bool walk(const Surface& surface, const Ray& ray, Nearest& place) const {
+    bool walk_to_surface(const Surface& surface, const Ray& ray, Nearest& place) const {
         constexpr int STEPS = 8;  // the exact direction does not matter
         const Point way = direction_ + ray.aside;
         const double size = length(way);
@@ -227,7 +229,7 @@ private:
     }
 
     // Find where the tip touches a mesh near a drawn point that faces the finger. Return false if the tip finds no place there.
-    bool land(const Mesh& mesh, const Ray& ray, Nearest& place) const {
+    bool touch_mesh(const Mesh& mesh, const Ray& ray, Nearest& place) const {
         constexpr double FACING = 0.1, FITS = 1e-6;  // smallest cosine; [m] of the tip in the object
         constexpr int STEPS = 6;
         const auto [from, outward] = mesh.sample(ray.draws[0], ray.draws[1], ray.draws[2]);
@@ -243,7 +245,7 @@ private:
     }
 
     // True if the convex pieces of a mesh are as near to the tip as the mesh itself, and face it alike.
-    bool agrees(const Obstacle& object, const Nearest& place, double most) const {
+    bool pieces_agree(const Obstacle& object, const Nearest& place, double most) const {
         constexpr double ASIDE = 3e-3;  // [m] over which their slope is measured; it may deviate by `most` over this distance
         if (!object.surface.mesh() || object.solids.size() == 1) return true;
         const double radius = tree_->tips[0].radius;
@@ -269,7 +271,7 @@ private:
 
     // True if the normal turns by less than 20 degrees up to `size` away. On a mesh, whose faces are rough, the normal is that of a
     // ball of this size.
-    static bool flat(const Surface& surface, const Nearest& place, double size) {
+    static bool is_flat(const Surface& surface, const Nearest& place, double size) {
         const double above = (surface.mesh() ? 1.0 : 0.1) * size;
         const Point& n = place.inward;
         const auto [side, other] = tangents(n);
@@ -278,7 +280,7 @@ private:
         return true;
     }
 
-    bool reaches(const Nearest& place, double margin, Misses& misses) {
+    bool solve_reach(const Nearest& place, double margin, Misses& misses) {
         const Point tip = place.point - tree_->tips[0].radius * place.inward;
         double missed;
         reach_.solve(&tip, home_.data(), 1, angles_.data(), &missed);
@@ -286,7 +288,7 @@ private:
             ++misses.far;
             return false;
         }
-        for (int j : own_)
+        for (int j : own_joints_)
             if (angles_[j] < tree_->links[j].lower + margin || angles_[j] > tree_->links[j].upper - margin) {
                 ++misses.limit;
                 return false;
@@ -296,23 +298,23 @@ private:
 
     // Close one joint from a drawn posture until the tip touches; that posture is in `angles_`, `start` is the one with the tip
     // clear. spread: range of the drawn postures around the rest posture, as a fraction of the joints' ranges.
-    bool closes(const Surface& surface, const Demand& demand, const Vec6& draws, double spread, const Margins& margins,
-                Nearest& place, std::vector<double>& start, Misses& misses) {
+    bool close_joint(const Surface& surface, const Demand& demand, const Vec6& draws, double spread, const Margins& margins,
+                     Nearest& place, std::vector<double>& start, Misses& misses) {
         constexpr int STEPS = 24, HALVES = 40;
         constexpr double PUSH = 0.4;  // of the tip's largest motion: smallest part along the normal
-        if (own_.empty()) {
+        if (own_joints_.empty()) {
             ++misses.far;
             return false;
         }
-        const int count = int(own_.size());
+        const int count = int(own_joints_.size());
         for (int k = 0; k < count; ++k) {
-            const double from = low(own_[k]) + margins.joints, to = high(own_[k]) - margins.joints;
-            const double middle = std::min(std::max(home_[own_[k]], from), to),
+            const double from = low(own_joints_[k]) + margins.joints, to = high(own_joints_[k]) - margins.joints;
+            const double middle = std::min(std::max(home_[own_joints_[k]], from), to),
                          least = std::max(from, middle - spread * (to - from));
             const double most = std::min(to, middle + spread * (to - from));
-            angles_[own_[k]] = least + draws[k % 5] * (most - least);
+            angles_[own_joints_[k]] = least + draws[k % 5] * (most - least);
         }
-        const int joint = own_[std::min(int(draws[5] * count), count - 1)];
+        const int joint = own_joints_[std::min(int(draws[5] * count), count - 1)];
         const double radius = tree_->tips[0].radius, first = low(joint), size = high(joint) - first;
         const auto distance = [&](double part) {
             angles_[joint] = first + part * size;
@@ -354,7 +356,7 @@ private:
         }
         start = angles_;
         distance(touching);
-        if (!flat(surface, place, margins.flat)) {
+        if (!is_flat(surface, place, margins.flat)) {
             ++misses.edge;
             return false;
         }
@@ -364,9 +366,11 @@ private:
             return false;
         }
         std::vector<Point> moves(joints.size(), Point{0.0, 0.0, 0.0});
-        posture_.carriers(int(joints.size()) - 1, posture_.tip(0), [&](int j, const Point& along) { moves[j] += along; });
+        posture_.each_moving_joint(int(joints.size()) - 1, posture_.tip(0),
+                                   [&](int j, const Point& along) { moves[j] += along; });
         double push = 0.0, most = 0.0;
-        for (int j : own_) push = std::max(push, std::abs(dot(moves[j], place.inward))), most = std::max(most, length(moves[j]));
+        for (int j : own_joints_)
+            push = std::max(push, std::abs(dot(moves[j], place.inward))), most = std::max(most, length(moves[j]));
         if (push < PUSH * most) {
             ++misses.weak;
             return false;
@@ -375,29 +379,29 @@ private:
     }
 
     // True if the limbs are `margin` away from the object at `angles_`; writes their positions.
-    bool clear(const Obstacle& object, double margin, std::vector<Placed>& there) {
+    bool keeps_clear(const Obstacle& object, double margin, std::vector<Placed>& there) {
         posture_.trace(angles_.data());
         for (const Limb& limb : limbs) {
             there.push_back(limb.at(posture_));
             if (limb.is_sphere_of_tip()) continue;
-            if (nearer(object, there.back(), limb.tip ? std::min(margin, BEHIND) : margin)) return false;
+            if (is_closer(object, there.back(), limb.tip ? std::min(margin, TIP_CLEARANCE) : margin)) return false;
         }
         return true;
     }
 
     // Write the fractions of the torques, after the links' weight, that forces on the tip use, for joints that may reach their
     // limit.
-    void weigh(const Demand& demand, std::vector<Point>& efforts) const {
+    void write_efforts(const Demand& demand, std::vector<Point>& efforts) const {
         constexpr double LEAST = 0.05;  // fraction of its limit that a torque keeps at least
         const int count = int(joints.size());
         std::vector<double> weight(count);
         std::vector<Point> moves(count, Point{0.0, 0.0, 0.0});
         posture_.support(demand.gravity, weight.data());
-        posture_.carriers(count - 1, posture_.tip(0), [&](int j, const Point& along) { moves[j] += along; });
+        posture_.each_moving_joint(count - 1, posture_.tip(0), [&](int j, const Point& along) { moves[j] += along; });
         const double largest = std::sqrt(1.0 + demand.friction * demand.friction);  // ratio of a force to its normal component
         for (int j = 0; j < count; ++j) {
             const double limit = tree_->links[j].torque_limit;
-            const Point effort = (FULL / std::max(limit - std::abs(weight[j]), LEAST * limit)) * moves[j];
+            const Point effort = (FORCE_AT_LIMIT / std::max(limit - std::abs(weight[j]), LEAST * limit)) * moves[j];
             if (length(effort) * largest > 1.0) efforts.push_back(effort);
         }
     }
@@ -407,14 +411,14 @@ private:
 struct HandLimbs {
     std::shared_ptr<const Tree> tree;
     std::vector<Limb> all;
-    Together together;
+    IgnoredPairs together;
     std::vector<double> home;  // (M,) [rad]
     std::vector<Finger> fingers;
 
-    HandLimbs(std::shared_ptr<const Tree> hand, std::vector<Limb> limbs, Together pairs, const double* rest)
+    HandLimbs(std::shared_ptr<const Tree> hand, std::vector<Limb> limbs, IgnoredPairs pairs, const double* rest)
         : tree(std::move(hand)), all(std::move(limbs)), together(std::move(pairs)), home(rest, rest + tree->joints()) {
-        const std::vector<int> users = tree->users(tree->all_fingers());
-        for (int i = 0; i < tree->fingers(); ++i) fingers.emplace_back(*tree, i, all, rest, users);
+        const std::vector<int> fingers_per_motor = tree->fingers_per_motor(tree->all_fingers());
+        for (int i = 0; i < tree->fingers(); ++i) fingers.emplace_back(*tree, i, all, rest, fingers_per_motor);
     }
 
     // The same hand with its palm rotated, then shifted [m], and with another rest posture.
@@ -440,7 +444,7 @@ struct HandLimbs {
             const Placed placed = limb.at(posture);
             if (!limb.is_sphere_of_tip()) {
                 const double least = gap(object, placed, away);
-                if (!limb.tip || least < BEHIND) away = std::min(away, least);
+                if (!limb.tip || least < TIP_CLEARANCE) away = std::min(away, least);
             }
             for (std::size_t e = 0; e < there.size(); ++e)
                 if (!together(limb.link, all[e].link)) apart = std::min(apart, gap(placed, there[e], apart));

@@ -101,7 +101,7 @@ public:
 
     GraspSearch(std::shared_ptr<HandLimbs> hand, Surface surface, Demand demand, std::vector<Vec6> directions)
         : pools(hand->fingers.size()), misses(pools.size()), hand_(std::move(hand)), object_(std::move(surface)),
-          demand_(std::move(demand)), given_(std::move(directions)) {}
+          demand_(std::move(demand)), directions_(std::move(directions)) {}
 
     // Refill the pool of a finger with up to `most` places. Return their number.
     int fill(int finger, const std::vector<Ray>& rays, const Margins& margins, int most) {
@@ -115,9 +115,8 @@ public:
     // clearance: of the links from the object at the places [m].
     Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
         constexpr double TOGETHER = 2e-5;  // [m] distance of fingers of one motor from the object when the first touches
-        constexpr double EASIER = 0.9,
-                         OWN = 1.0 /
-                               3.0;  // fractions of the clearance: from the object, which the places already keep; between links
+        // fractions of the clearance: from the object, which the places already keep; between links
+        constexpr double EASIER = 0.9, OWN = 1.0 / 3.0;
         std::copy(hand_->home.begin(), hand_->home.end(), angles), std::copy(angles, angles + hand_->home.size(), start);
         std::vector<double> there;
         bool starts = true;
@@ -146,9 +145,9 @@ public:
                     std::abs(object_.surface.nearest(tip).distance - hand_->tree->tips[i].radius) > TOGETHER)
                     return not_together;
         }
-        const auto [away, apart] = hand_->clearance(object_, angles, 2.0 * clearance);
+        const auto [away, keeps_apart] = hand_->clearance(object_, angles, 2.0 * clearance);
         if (away < EASIER * clearance) return near_object;
-        if (!(apart > OWN * clearance)) return near_itself;
+        if (!(keeps_apart > OWN * clearance)) return near_itself;
         if (!starts) return no_start;
         const auto [first_away, first_apart] = hand_->clearance(object_, start, 2.0 * clearance);
         if (!(first_away > OWN * clearance)) return start_near_object;
@@ -162,7 +161,7 @@ public:
         needs_.clear();
         for (auto& pool : pools)
             for (Place& place : pool) place.replies.clear();
-        for (const Vec6& y : given_) learn(y);
+        for (const Vec6& y : directions_) add_direction(y);
         std::vector<Found> out;
         Choice best, choice;
         std::size_t begun = 0;
@@ -170,7 +169,7 @@ public:
             double rating = best.empty() ? infinity : rate(best);
             const auto improve = [&] {
                 double found = rate(choice);
-                for (int sweep = 0; sweep < SWEEPS && better(choice, found); ++sweep) {}
+                for (int sweep = 0; sweep < SWEEPS && improve_each_finger(choice, found); ++sweep) {}
                 if (found < rating || best.empty()) rating = found, best = choice;
             };
             for (std::size_t share = picks.size() / (round == 0 ? 2 : 2 * rounds); share > 0; --share)
@@ -183,7 +182,7 @@ public:
             std::vector<Vec6> multipliers(demand_.loads.size());
             for (std::size_t m = 0; m < multipliers.size(); ++m)
                 worst = std::max(worst, least_force(places, demand_, demand_.loads[m], multipliers[m]));
-            for (const Vec6& y : multipliers) learn(y);
+            for (const Vec6& y : multipliers) add_direction(y);
             out.push_back({worst, best});
         }
         return out;
@@ -193,11 +192,11 @@ private:
     std::shared_ptr<HandLimbs> hand_;
     Obstacle object_;
     Demand demand_;
-    std::vector<Vec6> given_;
+    std::vector<Vec6> directions_;
     std::vector<double> needs_, rest_;  // per direction: the largest load . y; the largest reply of the other fingers
 
     // Add a direction to the table.
-    void learn(const Vec6& y) {
+    void add_direction(const Vec6& y) {
         double most = -infinity;
         for (const Vec6& load : demand_.loads) most = std::max(most, dot(load, y));
         needs_.push_back(most);
@@ -211,7 +210,7 @@ private:
         for (std::size_t i = 0; i < pools.size(); ++i) {
             const int count = int(pools[i].size());
             int tried = 0, k = picks[i] % count;
-            for (; tried < count && !apart(choice, i, k); ++tried) k = (k + 1) % count;
+            for (; tried < count && !keeps_apart(choice, i, k); ++tried) k = (k + 1) % count;
             if (tried == count) return false;
             choice.push_back(k);
         }
@@ -219,7 +218,7 @@ private:
     }
 
     // Give each finger in turn its best place. Return false if none changed.
-    bool better(Choice& choice, double& found) {
+    bool improve_each_finger(Choice& choice, double& found) {
         bool changed = false;
         for (std::size_t i = 0; i < choice.size(); ++i) {
             rest_.assign(needs_.size(), 0.0);
@@ -227,7 +226,7 @@ private:
                 if (j != i) raise(rest_, pools[j][choice[j]]);
             for (int k = 0; k < int(pools[i].size()); ++k) {
                 const double rated = rate(rest_, pools[i][k], found);
-                if (rated < found && apart(choice, i, k)) found = rated, choice[i] = k, changed = true;
+                if (rated < found && keeps_apart(choice, i, k)) found = rated, choice[i] = k, changed = true;
             }
         }
         return changed;
@@ -253,7 +252,7 @@ private:
     }
 
     // True if finger i at its place k keeps apart from the others at their chosen places. Limbs that both carry do not count.
-    bool apart(const Choice& choice, std::size_t i, int k) const {
+    bool keeps_apart(const Choice& choice, std::size_t i, int k) const {
         const Finger& one = hand_->fingers[i];
         const Place& here = pools[i][k];
         for (std::size_t j = 0; j < choice.size(); ++j) {
@@ -269,7 +268,7 @@ private:
                     if (first.solid.is_line() && second.solid.is_line()) {
                         const double needed = first.solid.radius + second.solid.radius + demand_.space;
                         if (gap(here.limbs[c].axis, there.limbs[e].axis) < needed) return false;
-                    } else if (nearer(here.limbs[c], there.limbs[e], demand_.space)) {
+                    } else if (is_closer(here.limbs[c], there.limbs[e], demand_.space)) {
                         return false;
                     }
                 }

@@ -37,7 +37,7 @@ public:
     ForceLimits view() const { return {min_normal, max_normal, jacobian, torque_limit, torque_bias}; }
 };
 
-class Current {
+class CurrentContacts {
 public:
     Contacts home, now;  // of the problem; of this call, without those that do not touch
     OwnLimits limits;
@@ -47,17 +47,17 @@ public:
     std::vector<int> chosen;  // indices of the contacts that touch
     bool separate = true;  // true if each limit acts on one contact
 
-    explicit Current(const Problem& problem)
+    explicit CurrentContacts(const Problem& problem)
         : home(problem.contacts), now(home), limits(problem.limits, home.count), joints(int(limits.joints())),
-          divisor(home.count, infinity), chosen(home.count), turned_(4 * home.count * joints), gathered_(6 * home.count),
-          least_(home.count), most_(home.count) {}
+          divisor(home.count, infinity), chosen(home.count), contact_jacobian_(4 * home.count * joints),
+          gathered_(6 * home.count), min_normal_(home.count), max_normal_(home.count) {}
 
     // The bits of a mask that belong to contacts.
     std::uint64_t touching(std::uint64_t mask) const {
         return home.count < 64 ? mask & ((std::uint64_t(1) << home.count) - 1) : mask;
     }
     // Take over the contacts and limits of a call. Return CONVERGED, REFUSED or RANK_LOST.
-    Code take(const Now& given) {
+    Code load_call(const Now& given) {
         const int all = home.count;
         const std::size_t triples = std::size_t(3 * all);
         if ((!given.positions.empty() && given.positions.size() != triples) ||
@@ -94,7 +94,7 @@ public:
         if (placed == Placing::refused) return REFUSED;
         if (placed == Placing::rank_lost) return RANK_LOST;
         for (int i = 0; i < now.count; ++i) divisor[i] = now.torsion[i] > 0.0 ? now.scale[3 * i] / now.torsion[i] : infinity;
-        return limit(given) ? CONVERGED : REFUSED;
+        return load_limits(given) ? CONVERGED : REFUSED;
     }
 
     // Limits of the current contacts, with the Jacobian (n, 4, J) in contact frames.
@@ -105,8 +105,8 @@ public:
             for (int i = 0; i < now.count; ++i) to[i] = from[chosen[i]];
             return Doubles(to);
         };
-        return {of(limits.min_normal, least_), of(limits.max_normal, most_),
-                Doubles(turned_).first(std::size_t(4) * now.count * joints), limits.torque_limit, bias_};
+        return {of(limits.min_normal, min_normal_), of(limits.max_normal, max_normal_),
+                Doubles(contact_jacobian_).first(std::size_t(4) * now.count * joints), limits.torque_limit, bias_};
     }
     // Joint torques (J,) [N m] of a force, a record of the contacts `now`.
     void torques(const Record& from, double* to) const {
@@ -114,7 +114,7 @@ public:
         for (int i = 0; i < now.count; ++i)
             for (int a = 0; a < 4; ++a) {
                 const double force = a < 3 ? from.force()[3 * i + a] : from.torsion()[i];
-                for (int j = 0; j < joints; ++j) to[j] += turned_[joints * (4 * i + a) + j] * force;
+                for (int j = 0; j < joints; ++j) to[j] += contact_jacobian_[joints * (4 * i + a) + j] * force;
             }
     }
     // Write the prices of all limits: `of(row)` for a row of the current contacts, 0 if its contact does not touch.
@@ -149,11 +149,11 @@ public:
 
 private:
     // The Jacobian (n, 4, J) in contact frames; the call's numbers of the contacts that touch.
-    std::vector<double> turned_, gathered_, least_, most_;
+    std::vector<double> contact_jacobian_, gathered_, min_normal_, max_normal_;
     Doubles jacobian_{}, bias_{};
 
     // Return false if the numbers are not finite.
-    bool limit(const Now& given) {
+    bool load_limits(const Now& given) {
         jacobian_ = given.jacobian.empty() ? Doubles(limits.jacobian) : given.jacobian;
         bias_ = given.torque_bias.empty() ? Doubles(limits.torque_bias) : given.torque_bias;
         separate = true;
@@ -170,7 +170,7 @@ private:
         const int rows = int(jacobian_.size()) / (home.count * joints);
         for (int i = 0; i < now.count; ++i) {
             const double *from = jacobian_.data() + std::size_t(rows) * joints * chosen[i], *f = &now.frames[9 * i];
-            double* to = &turned_[4 * joints * i];
+            double* to = &contact_jacobian_[4 * joints * i];
             for (int a = 0; a < 3; ++a)
                 for (int j = 0; j < joints; ++j)
                     to[joints * a + j] = f[a] * from[j] + f[3 + a] * from[joints + j] + f[6 + a] * from[2 * joints + j];

@@ -11,11 +11,11 @@ namespace grasp {
 //
 // The price of squeezing is linear, so H is the barrier's alone. With a barrier t times as strong the step is centring + part *
 // descent, part = 1 / t, from the same factorisation.
-template <class V, int B> class Steep {
+template <class V, int B> class QrSystem {
 public:
     using Field = typename Cones<V, B>::Field;
 
-    explicit Steep(const Cones<V, B>& cones)
+    explicit QrSystem(const Cones<V, B>& cones)
         : qr_(int(cones.blocks.size())), descent_(qr_.rows()), centring_(qr_.rows()), change_(qr_.rows()) {
         resize(axes_, cones.blocks.size());
     }
@@ -47,7 +47,7 @@ public:
     double decrement(double part) const { return (part * square_ + 2.0 * slope_) * part + rest_; }
     Vec6 multipliers(double part) const { return nu_descent_ + (1.0 / part) * nu_centring_; }
     // The part of the price at which the step is shortest; may be negative.
-    double nearest() const { return -slope_ / square_; }
+    double nearest_part() const { return -slope_ / square_; }
 
     // step += the smallest change in the metric of Phi that removes `missed` from G step.
     void restore(const Vec6& missed, Field& step) {
