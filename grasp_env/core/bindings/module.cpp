@@ -19,5 +19,6 @@ NB_MODULE(_core, m) {
     bind_tree(m);
     bind_grasping(m);
     bind_scene(m);
+    bind_gather(m);
     bind_controller(m);
 }

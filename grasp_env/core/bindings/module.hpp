@@ -21,4 +21,5 @@ void bind_surface(nb::module_& m);
 void bind_tree(nb::module_& m);
 void bind_grasping(nb::module_& m);
 void bind_scene(nb::module_& m);
+void bind_gather(nb::module_& m);
 void bind_controller(nb::module_& m);

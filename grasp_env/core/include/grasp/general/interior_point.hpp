@@ -10,7 +10,7 @@
 // here.
 #pragma once
 #include <grasp/conic/conic.hpp>
-#include <grasp/general/rows.hpp>
+#include <grasp/general/row_system.hpp>
 #include <grasp/math/double_double.hpp>
 
 namespace grasp {

@@ -6,7 +6,7 @@
 #pragma once
 #include <climits>
 #include <grasp/phi/newton.hpp>
-#include <grasp/general/rows.hpp>
+#include <grasp/general/row_system.hpp>
 #include <grasp/math/double_double.hpp>
 
 namespace grasp {

@@ -4,63 +4,13 @@
 // closing: from a drawn posture one of its joints closes until the tip touches. Joints that move several fingers stay fixed, unless
 // a finger has no others, such as jaws with one motor: then the motor of its last joint closes it.
 //
-// Places need both ways and their checks together, so the file is long.
+// Both ways share the checks of a place, so the file is long.
 #pragma once
 #include <utility>
-#include <grasp/planner/clearance.hpp>
+#include <grasp/planner/place.hpp>
 #include <grasp/hand/reach.hpp>
 
 namespace grasp {
-
-// Margins that a place must keep.
-struct Margins {
-    double flat;  // [m] of flat surface around it
-    double joints;  // [rad] from the joint limits
-    double clearance;  // [m] between the links and the object
-    double pieces;  // [m] largest distance of a mesh's convex pieces from the mesh at the tip
-};
-
-// Requirements on a grasp. Wrenches are (force, moment / length) [N].
-struct Demand {
-    double friction;
-    double length;  // [m]
-    std::vector<Vec6> loads;  // wrenches that the contacts must make; 0 is inside their convex hull
-    double space;  // between fingers [m]
-    double torsion = 0.0;  // ratio of moment about the normal to normal force, for soft contacts [m]
-    double start = 0.0;  // [m] between tip and object before the fingers close
-    Point gravity{0.0, 0.0, 0.0};  // [m/s^2]
-};
-
-inline constexpr double TIP_CLEARANCE = 1e-3;  // [m] clearance of the rest of a fingertip, which moves with its sphere
-inline constexpr double PI = 3.14159265358979323846;
-inline constexpr double FORCE_AT_LIMIT = 30.0;  // [N] that weighs as much as a joint at its torque limit
-
-// A start inside the object [m], and an offset of the direction towards the finger. On meshes, and for fingers that only close, the
-// six random numbers in [0, 1) are used directly.
-struct Ray {
-    Point start, aside;
-    Vec6 draws;
-};
-
-struct Place {
-    Point point, normal;  // [m], inward
-    std::vector<Placed> limbs;  // of the finger at this place
-    std::vector<double> replies;  // see `search.hpp`
-    std::vector<double> angles, start;  // of the finger's joints at this place, and before closing if known [rad]
-    // Joints that may reach their limit: fraction of the remaining torque that 1 N uses, times `FORCE_AT_LIMIT`.
-    std::vector<Point> efforts;
-
-    // Cost of a force [N]: 1 per newton along the normal, or the load of the joint nearest to its limit if that is more.
-    double cost(const Point& force) const {
-        double most = 1.0;
-        for (const Point& effort : efforts) most = std::max(most, std::abs(dot(effort, force)));
-        return most;
-    }
-};
-
-// Number of rays that failed: at an edge, out of reach, near a joint limit, with a link at the object, without room to start, or
-// with too little push.
-struct Misses { int edge = 0, far = 0, limit = 0, touching = 0, start = 0, weak = 0; };
 
 // One finger of a hand: its joints as a tree of their own, and the limbs that they carry.
 class Finger {
@@ -404,71 +354,6 @@ private:
             const Point effort = (FORCE_AT_LIMIT / std::max(limit - std::abs(weight[j]), LEAST * limit)) * moves[j];
             if (length(effort) * largest > 1.0) efforts.push_back(effort);
         }
-    }
-};
-
-// The limbs of a hand, and its fingers as separate trees.
-struct HandLimbs {
-    std::shared_ptr<const Tree> tree;
-    std::vector<Limb> all;
-    IgnoredPairs together;
-    std::vector<double> home;  // (M,) [rad]
-    std::vector<Finger> fingers;
-
-    HandLimbs(std::shared_ptr<const Tree> hand, std::vector<Limb> limbs, IgnoredPairs pairs, const double* rest)
-        : tree(std::move(hand)), all(std::move(limbs)), together(std::move(pairs)), home(rest, rest + tree->joints()) {
-        const std::vector<int> fingers_per_motor = tree->fingers_per_motor(tree->all_fingers());
-        for (int i = 0; i < tree->fingers(); ++i) fingers.emplace_back(*tree, i, all, rest, fingers_per_motor);
-    }
-
-    // The same hand with its palm rotated, then shifted [m], and with another rest posture.
-    HandLimbs moved(const Rotation& turn, const Point& shift, const double* rest) const {
-        auto hand = std::make_shared<Tree>(*tree);
-        for (Link& link : hand->links)
-            if (link.parent < 0) link.offset = shift + turn * link.offset, link.rotation = turn * link.rotation;
-        std::vector<Limb> limbs = all;
-        for (Limb& limb : limbs)
-            if (limb.link < 0) limb.solid = limb.solid.moved(turn, shift);
-        return {hand, std::move(limbs), together, rest};
-    }
-
-    // Smallest distances [m]: of the links, without the spheres of fingertips, from the object; of links and tips from one another.
-    // Above `enough`, a lower bound.
-    std::pair<double, double> clearance(const Obstacle& object, const double* angles, double enough = infinity) const {
-        Posture posture(tree);
-        posture.trace(angles);
-        double away = enough, apart = enough;
-        std::vector<Placed> there;
-        there.reserve(all.size());
-        for (const Limb& limb : all) {
-            const Placed placed = limb.at(posture);
-            if (!limb.is_sphere_of_tip()) {
-                const double least = gap(object, placed, away);
-                if (!limb.tip || least < TIP_CLEARANCE) away = std::min(away, least);
-            }
-            for (std::size_t e = 0; e < there.size(); ++e)
-                if (!together(limb.link, all[e].link)) apart = std::min(apart, gap(placed, there[e], apart));
-            there.push_back(placed);
-        }
-        return {away, apart};
-    }
-    // Distance of the rest of a finger and the palm, in a posture, from a ball that touches the tip and is centred at `middle`; at
-    // most `enough` [m].
-    double beside(int finger, const Posture& posture, const Point& middle, double enough) const {
-        const double radius = length(posture.tip(finger) - middle) - tree->tips[finger].radius;
-        const Solid ball = Solid::of(Segment{middle, middle}, std::max(radius, 0.0));
-        double least = enough;
-        for (std::size_t c = 0; c < all.size(); ++c)
-            if ((all[c].link < 0 || fingers[finger].carries(int(c))) && !all[c].is_sphere_of_tip())
-                least = std::min(least, gap(Placed(ball), all[c].at(posture), least));
-        return least;
-    }
-    // Distance of the palm from the object [m].
-    double palm_gap(const Obstacle& object) const {
-        double least = infinity;
-        for (const Limb& limb : all)
-            if (limb.link < 0) least = std::min(least, gap(object, Placed(limb.solid), least));
-        return least;
     }
 };
 

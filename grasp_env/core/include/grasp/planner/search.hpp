@@ -11,7 +11,7 @@
 // generated as columns when needed. The multipliers of these programs become further directions y of the table, the ones that
 // matter.
 #pragma once
-#include <grasp/planner/places.hpp>
+#include <grasp/planner/hand_limbs.hpp>
 
 namespace grasp {
 
