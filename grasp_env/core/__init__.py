@@ -1,4 +1,4 @@
-"""The compiled core, C++20: headers in `include/grasp`, this module their door to Python."""
+"""The compiled core, C++20: headers in `include/grasp`, bound to Python by this module."""
 
 from grasp_env.core._builds import folders
 

@@ -1,4 +1,4 @@
-"""`python -m grasp_env.core`: what another build asks of this package."""
+"""`python -m grasp_env.core`: folders of this package for builds of C++ programs."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 
 
 def main() -> None:
-    """Prints what is asked for."""
-    parser = argparse.ArgumentParser(prog="python -m grasp_env.core", description="where the C++ core is")
+    """Print a folder."""
+    parser = argparse.ArgumentParser(prog="python -m grasp_env.core", description="Print a folder of the C++ core.")
     asked = parser.add_mutually_exclusive_group(required=True)
     folder = Path(__file__).resolve().parent
     for option, path, said in (

@@ -1,4 +1,4 @@
-"""A wheel for x86-64 holds the core several times, each in the folder of its level; this chooses. Any other install holds one."""
+"""Choice of the core's build: a wheel for x86-64 holds one folder per processor level, any other install a single build."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import os
 from pathlib import Path
 
 VARIABLE = "GRASP_CORE_ARCH"
-"""Forces a level, such as `x86-64-v2`; for tests and measurements."""
+"""Environment variable that selects a level, such as `x86-64-v2`, for tests and measurements."""
 _HERE = Path(__file__).parent
 
 
 def processor_level(here: Path) -> int:
-    """1 to 4: of x86-64, what processor and system run (`bindings/wheel/processor.cpp`)."""
+    """Return the level of x86-64, 1 to 4, that processor and system support (`bindings/wheel/processor.cpp`)."""
     return ctypes.CDLL(str(here / "processor.so")).grasp_processor_level()
 
 
 def folders(here: Path = _HERE) -> list[str]:
-    """Where to look for `_core` besides the package's own folder: the highest level that this processor runs.
+    """Return the folders to search for `_core` in addition to the package's own: that of the highest level that this processor runs.
 
     Raises:
-        ImportError: the wheel holds none for this processor, or not the one that the variable asks for.
+        ImportError: the wheel holds no build for this processor, or not the one that the variable selects.
     """
     held = sorted(path.name for path in here.glob("x86-64-v*"))
     if not held:
@@ -34,6 +34,6 @@ def folders(here: Path = _HERE) -> list[str]:
     fitting = [name for name in held if int(name.removeprefix("x86-64-v")) <= level]
     if not fitting:
         raise ImportError(
-            f"this wheel needs a processor of {held[0]}, and this one is older: `pip install .` builds for any"
+            f"this wheel needs a processor of level {held[0]}, and this one is older: build from source with `pip install .`"
         )
     return [str(here / fitting[-1])]

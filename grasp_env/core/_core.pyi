@@ -1,4 +1,4 @@
-"""The compiled core; `grasp_env.core` is its door."""
+"""The compiled core; use `grasp_env.core`."""
 
 from collections.abc import Sequence
 import enum
@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 
 def build_info() -> dict[str, str]:
     """
-    Version, compiler, instruction set, build type, processor asked for and flags of this module.
+    Version, compiler, instruction set, build type, target processor and flags of this module.
     """
 
 def record_fields() -> dict[str, int]:
     """
-    Where the fields of a solution stand in its row of numbers; from `force` on 3N force, 3N initial force, N torsion.
+    Return the offsets of a solution's fields in its row; from `force` on: 3N force, 3N initial force, N torsion.
     """
 
 def codes() -> dict[str, int]:
-    """How a solve ends, by name."""
+    """Return the outcomes of a solve by name."""
 
 def record_size(contacts: int) -> int:
-    """Numbers in a row of N contacts."""
+    """Return the number of values in a row of N contacts."""
 
 class Solution:
-    """One record and what was said of it; see `grasp_env.force.ForceSolution`."""
+    """The data of a solution; see `grasp_env.force.ForceSolution`."""
 
     _record: NDArray[np.float64]
     method: str
@@ -86,59 +86,60 @@ LARGEST: float = 1000000000000.0
 NOTHING: float = 1e-306
 
 def all_finite(array: object) -> bool:
-    """Whether all numbers of a C-contiguous float64 array are finite."""
+    """True if all numbers of a C-contiguous float64 array are finite."""
 
 def normalise(normals: object) -> int:
     """
-    Gives (N, 3) directions unit length in place; returns the first that misses it by more than 1e-6, -1: none.
+    Normalise (N, 3) directions in place. Return the first index off unit length by more than 1e-6; -1: none.
     """
 
 def along_normal(tangents: object, normals: object) -> int:
     """
-    The first of (N, 3) tangents that is along its unit normal, -1: none is.
+    Return the index of the first of (N, 3) tangents parallel to its unit normal; -1: none.
     """
 
 def cone_scale(friction: object, scale: object) -> None:
     """
-    Fills (N, 3), cone coordinates = scale * force, of friction (N, 2) along o and t; 0: the normal force alone.
+    Fill `scale` (N, 3), cone coordinates = scale * force, from friction (N, 2) along o and t; 0: frictionless.
     """
 
 class ContactReader:
-    """Reads what `Grasp.from_contacts` is given where it is as it should be."""
+    """Fast reader for the arguments of `Grasp.from_contacts`."""
 
     def __init__(self, *, least_friction: float, most_friction: float, least_length: float, most_length: float, distance: float, most: int) -> None:
         """
-        Friction, length of a grasp [m], distance of its origin in lengths and number of contacts that are within range.
+        Accepted ranges of friction and length of a grasp [m], distance of its origin in lengths, number of contacts.
         """
 
     def read(self, positions: object, normals: object, friction: object, tangents: object) -> Contacts | None:
         """
-        Hard contacts of float64 arrays: (N, 3), friction a float, (N,) or (N, 2), tangents (N, 3) or None. None: one of them
-        is of another class, shape or layout or out of range, or the rank is not 6 beyond doubt.
+        Make hard contacts from float64 arrays: (N, 3), friction a float, (N,) or (N, 2), tangents (N, 3) or None.
+        Return None if one of them has another class, shape or layout or is out of range, or if the rank is not
+        6 beyond doubt.
         """
 
 class Contacts:
     """
-    Contacts: what they transmit and weigh, and where they are. Arrays are those of a `Grasp`.
+    Contacts: friction, weights and places. The arrays are those of a `Grasp`.
     """
 
     @staticmethod
     def make(positions: object, normals: object, scale: object, weights: object, tangents: object) -> Contacts:
         """
-        Hard ones: (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2) omega and
-        lambda, (N, 3) tangents or (0, 3). ValueError where the rank of G is not 6.
+        Make hard contacts: (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2)
+        omega and lambda, (N, 3) tangents or (0, 3). Raises ValueError unless the rank of G is 6.
         """
 
     @staticmethod
     def put(positions: object, normals: object, scale: object, torsion: object, tangents: object) -> Contacts:
         """
-        The same with (N,) torsional friction [m], wherever they are: see `refused` and `clear`.
+        The same with (N,) torsional friction [m], for any places: check `refused` and `clear`.
         """
 
     @overload
     def weighed(self, force_weight: float, barrier_weight: float) -> Contacts:
         """
-        A copy for solvers with omega and lambda, with the current tangents. ValueError where the rank of G is not 6.
+        Copy for solvers with omega and lambda, keeping the current tangents. Raises ValueError unless the rank of G is 6.
         """
 
     @overload
@@ -147,23 +148,23 @@ class Contacts:
 
     @property
     def count(self) -> int:
-        """N."""
+        """Number of contacts."""
 
     @property
     def refused(self) -> bool:
-        """Not finite, or not unit normals."""
+        """True if numbers are not finite or normals not of unit length."""
 
     @property
     def clear(self) -> bool:
-        """Whether the rank is 6 beyond doubt, torsion included."""
+        """True if the rank is 6 beyond doubt, torsion included."""
 
     @property
     def soft(self) -> bool:
-        """Whether torsion is transmitted anywhere."""
+        """True if any contact transmits torsion."""
 
     @property
     def outwards(self) -> bool:
-        """Whether all normals point away from the centre of the contacts."""
+        """True if all normals point away from the centre of the contacts."""
 
     @property
     def length(self) -> float: ...
@@ -179,7 +180,7 @@ class Contacts:
 
     @property
     def tangents(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]:
-        """(N, 3) as given, (0, 3): the default rule."""
+        """(N, 3) given tangents, or (0, 3) for the default rule."""
 
     @property
     def frames(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
@@ -202,7 +203,8 @@ CLEAR: float = 1e-09
 
 def combine(basis: object, wrench: object, printed: bool, to: object) -> None:
     """
-    The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest (Eqs. 33, 34).
+    Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,). printed: without the optimum at rest
+    (Eqs. 33, 34).
     """
 
 def advise(contacts: Contacts, wrench: object = None, jacobian: object = None, torque_limit: object = None) -> list[tuple[bool, str]]:
@@ -214,58 +216,59 @@ def looks_wrong(contacts: Contacts, wrench: object | None = None, jacobian: obje
     """True if some of that advice is near certain."""
 
 class ForceOptimizer:
-    """`grasp::ForceOptimizer`; `grasp_env.force.ForceOptimizer` is its door."""
+    """`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`."""
 
     @staticmethod
     def make(contacts: Contacts, weights: object | None = None, force_weight: float = 1.0, barrier_weight: float = 0.01, min_normal: object | None = None, max_normal: object | None = None, jacobian: object | None = None, torque_limit: object | None = None, torque_bias: object | None = None, method: str = 'newton', largest: bool = False, start: int = 0, tolerance: float = 0.0, limit: int = 20000, elastic: bool = False, rule: object | None = None, model: Model | None = None, kind: object | None = None, name: object | None = None, starts: tuple = (), asked: object | None = None, remembers: bool = False) -> ForceOptimizer:
         """
-        See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions;
-        asked: the name of the start that is asked for; remembers: whether calls get the previous solution.
+        See `Problem` and `Options`. start: index into `starts`, the names of each `Start`; kind: the class of solutions;
+        asked: the name of the requested start; remembers: True if calls get the previous solution.
         """
 
     def solve(self, wrench: object | None, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
         """
-        A solution; None: an argument cannot be read as it is, or there is no force and `ended` holds the row.
+        Return a solution; None if an argument cannot be read in place, or if there is no force and `ended` holds the row.
         """
 
     def solve_from(self, start: int, initial: object | None, force: object | None, before: object | None, optimum: float, trace: object | None, wrench: object, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
         """
-        The same from a start of its own; optimum: a known minimum or nan; trace: (T,) receives Phi of the first iterates.
+        The same from a start of this call. optimum: a known minimum or nan; trace: (T,) receives Phi of the first iterates.
         """
 
     def start(self, start: int, force: object | None, before: object | None, wrench: object, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
-        """The row of the start alone."""
+        """Return the row of the start alone."""
 
     def update(self, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None) -> bool:
         """
-        From now on contacts and limits are these; False: they are not possible, and nothing has changed.
+        Replace contacts and limits for later calls. Return False, with nothing changed, if they are not possible.
         """
 
     def set_basis(self, basis: object) -> None:
-        """Takes the 12-basis with the rest, (13, 3N) cone coordinates."""
+        """Set the 12-basis with the optimum at rest, (13, 3N) cone coordinates."""
 
     def make_basis(self, basis: object, warm: bool) -> float:
         """
-        Fills that, and takes it; returns the worst relative gap, inf: it did not converge, nan: no force closure. warm: it holds that of nearby contacts.
+        Compute that basis into `basis` and use it. Return the worst relative gap; inf: not converged, nan: no force closure.
+        warm: `basis` holds that of nearby contacts.
         """
 
     def deepest(self, wrench: object, force: object, torsion: object, twist: object) -> tuple[int, int, float]:
         """
-        The force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist (6,) that proves that none is;
-        returns (code, iterations, margin).
+        Find the force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist (6,) that proves that none is
+        inside. Return (code, iterations, margin).
         """
 
     def solve_many(self, wrenches: object, rows: object) -> None:
-        """(M, 6) into (M, size); releases the GIL."""
+        """Solve (M, 6) wrenches into (M, size); releases the GIL."""
 
     def times(self, wrenches: object, passes: int, rows: object, best: object) -> None:
         """
-        Best seconds (M,) of `passes` calls for each of (M, 6), none of which knows another; the rows of the last.
+        Measure the best time (M,) [s] of `passes` independent calls for each of (M, 6) wrenches, and write the last rows.
         """
 
     @property
     def previous(self) -> object:
-        """The last solution that has a force, or None."""
+        """Last solution with a force, or None."""
 
     @previous.setter
     def previous(self, solution: object | None) -> None: ...
@@ -273,50 +276,50 @@ class ForceOptimizer:
     @property
     def ended(self) -> object:
         """
-        The row of the last call that returned None, unless it could not read its arguments.
+        Row of the last call that returned None without a force; None if it could not read its arguments.
         """
 
     @property
     def count(self) -> int:
-        """Contacts."""
+        """Number of contacts."""
 
     @property
     def size(self) -> int:
-        """Numbers of a row."""
+        """Number of values in a row."""
 
 def newton_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
     """
-    U contacts in their place, whose own weights are not read but `weights` (N, 2); wrenches first[u] to
-    first[u + 1] - 1 are those of contacts u. Into whole rows of solutions; releases the GIL.
-    REFUSED: they are soft, or without force closure.
+    Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to
+    contacts u. Writes complete rows of solutions; releases the GIL.
+    REFUSED: soft contacts, or no force closure.
     """
 
 def conic_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
     """
-    U contacts in their place, whose own weights are not read but `weights` (N, 2); wrenches first[u] to
-    first[u + 1] - 1 are those of contacts u. Into whole rows of solutions; releases the GIL.
-    REFUSED: they are soft, or without force closure.
+    Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to
+    contacts u. Writes complete rows of solutions; releases the GIL.
+    REFUSED: soft contacts, or no force closure.
     """
 
 LAYER_FACTS: int = 4
 
 def layer_state_size(contacts: int) -> int:
-    """Numbers of a problem's state."""
+    """Return the number of values in a problem's state."""
 
 class ForceProblems:
     """
-    Problems with any leading dimensions, read where their numbers lie.
+    Problems with any leading dimensions, read in place.
 
-    Given are positions, normals, friction, tangents, torsional friction, wrench, jacobian, torque limit,
-    torque bias, least and largest normal force, omega, lambda, and a start or none. Each is a tensor or an
-    array on the CPU, float64 or float32, whose leading dimensions broadcast; a number for all contacts or
+    The inputs are positions, normals, friction, tangents, torsional friction, wrench, jacobian, torque limit,
+    torque bias, smallest and largest normal force, omega, lambda, and optionally a start. Each is a tensor or
+    an array on the CPU, float64 or float32, whose leading dimensions broadcast; a number for all contacts or
     joints; or None.
     """
 
     @staticmethod
     def of(given: tuple, most_contacts: int, most_joints: int) -> ForceProblems | None:
         """
-        None: a type or a layout that is not read here; convert it, or say what is wrong.
+        Return None for a type or a layout that cannot be read in place: convert it, or report an error.
         """
 
     @property
@@ -325,7 +328,7 @@ class ForceProblems:
 
     @property
     def size(self) -> int:
-        """Their product."""
+        """Product of the leading dimensions."""
 
     @property
     def contacts(self) -> int: ...
@@ -338,36 +341,36 @@ class ForceProblems:
 
     @property
     def float32(self) -> bool:
-        """Whether no tensor with dimensions is float64."""
+        """True if no tensor with dimensions is float64."""
 
     def solve(self, start: int, stop: int, tolerance: float, limit: int, force: object, torsion: object, multipliers: object, facts: object, state: object) -> None:
         """
-        Optimal forces of the problems from start to stop into arrays of all of them, see `BatchForces`. Releases the GIL.
+        Write the optimal forces of problems start to stop into arrays for all problems, see `BatchForces`. Releases the GIL.
         """
 
     def differentiate(self, start: int, stop: int, state: object, by_force: object | None, by_torsion: object | None, by_multipliers: object | None, elastic: bool, gradients: tuple) -> None:
         """
-        Gradients of a loss by the inputs, into arrays or None in their order. Releases the GIL.
+        Write the gradients of a loss with respect to the inputs, into arrays or None, in the inputs' order. Releases the GIL.
         """
 
 FULL_CONTACTS: int = 8
 
 def descend_flow(contacts: Contacts, form: str, rule: object, tolerance: float, limit: int, wrench: object, force: object, optimum: float, trace: object, record: object) -> int:
     """
-    A flow from a balanced force (N, 3) inside the cones, into a record; returns the code. rule: (5,) kind, first, grow,
-    shrink, decrease, see `step_size.py`; optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.
+    Run a flow from a balanced force (N, 3) inside the cones; write the record and return the code. rule: (5,) kind, first,
+    grow, shrink, decrease, see `step_size.py`; optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.
     """
 
 def repeat_step(contacts: Contacts, form: str, x: object, times: int) -> float:
     """
-    Makes the product step of a flow at x (3N,), cone coordinates, so many times; returns its last number.
-    form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the fewest products.
+    Compute the step of a flow at x (3N,), cone coordinates, `times` times; return its last number.
+    form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the cheapest form.
     """
 
 def limit_rows(least: object, most: object, jacobian: object, torques: object, biases: object, matrix: object, bounds: object, limited: object) -> int:
     """
-    Finite limits of normal forces (N,) and, with a Jacobian (N, 4, J), of torques (J,), as rows A f <= b on force and
-    torsion: fills A (R, N, 4), b (R,) and what each limit is (R,), R = 2 (N + J), up to the number that it returns.
+    Write finite limits of normal forces (N,) and, with a Jacobian (N, 4, J), of torques (J,), as rows A f <= b on force
+    and torsion: A (R, N, 4), b (R,) and the size of each limit (R,), with R = 2 (N + J). Return the number of rows.
     """
 
 PLAIN_FEATURES: int = 8
@@ -382,57 +385,64 @@ class Network:
     @staticmethod
     def make(sizes: Sequence[int], weights: object) -> Network:
         """
-        sizes: inputs, hidden ..., outputs; weights: of each stage (inputs x outputs), then its bias, flat.
+        sizes: inputs, hidden ..., outputs; weights: for each stage the matrix (inputs x outputs), then its bias, flat.
         """
 
 class Model:
-    """A trained model on contacts as they are now."""
+    """A trained model for given contacts."""
 
     @staticmethod
     def make(network: Network, pairs: Network) -> Model:
         """
-        pairs: of one stage, makes of a wrench's direction the vectors whose lengths the network reads, too.
+        pairs: one stage that maps a wrench's direction to vectors, whose lengths are further inputs of the network.
         """
 
     def normalise(self, floor: float, smoothing: float, log_mean: float, log_scale: float, friction_mean: float, friction_scale: float) -> None:
-        """Of the network's features, see policies/features.py."""
+        """Set the scaling of the network's features, see policies/features.py."""
 
     def place(self, null_space: object, friction: float, scale: float, largest: float) -> None:
         """
-        null_space: (3N, 3N - 6) internal forces that the network's outputs stand for; scale: sqrt(lambda / omega) over that of
-        training; largest: size of the training's wrenches [N], < 0: none is covered.
+        Set the contacts. null_space: (3N, 3N - 6) internal forces, the basis of the network's outputs; scale:
+        sqrt(lambda / omega) relative to that of training; largest: size of the largest training wrench [N],
+        < 0: none is covered.
         """
 
     def save(self) -> bytes:
-        """What `grasp::ModelFile` reads: one file for C++ programs."""
+        """
+        Return the bytes of a model file, which `grasp::ModelFile` reads in C++.
+        """
 
     @staticmethod
     def load(bytes: bytes) -> Model | None:
-        """The model that `save` wrote; None: it is not whole."""
+        """
+        Return the model that `save` wrote; None if the bytes are not a whole file.
+        """
 
     def covers(self, wrench: object) -> bool:
         """
-        Whether wrench (unit frame), contacts and friction lie in the training range.
+        True if the wrench (unit frame), contacts and friction lie in the training range.
         """
 
     def predict(self, wrench: object, coordinates: object) -> None:
         """
-        The internal force that the network predicts for a wrench (unit frame), in coordinates (3N - 6,) [N] of the null space.
+        Predict the internal force for a wrench (unit frame), as coordinates (3N - 6,) [N] in the null space.
         """
 
 def phi(x: object, weights: object) -> float:
     """
-    Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf unless strictly inside every cone.
+    Return Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf unless strictly inside every cone.
     """
 
 def phi_gradient(x: object, weights: object, out: object) -> None:
-    """Its gradient, into (N, 3)."""
+    """Write the gradient of Phi into (N, 3)."""
 
 def phi_hessian(x: object, weights: object, out: object) -> None:
-    """The 3 x 3 blocks of its Hessian, into (N, 3, 3)."""
+    """Write the 3 x 3 blocks of the Hessian of Phi into (N, 3, 3)."""
 
 def phi_lower_bound(y: object, weights: object) -> float:
-    """Least of phi(x) - y . x, contact by contact, y (N, 3); -inf: none."""
+    """
+    Return the sum over contacts of the minimum of phi(x) - y . x, y (N, 3); -inf: none.
+    """
 
 class Surface:
     """A surface, body frame; the axis of cylinders and capsules is y."""
@@ -441,20 +451,20 @@ class Surface:
     def make(kind: str, numbers: object) -> Surface:
         """
         numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; sphere, radius; capsule,
-        radius and half its axis.
+        radius and half the length of its axis.
         """
 
     @staticmethod
     def mesh(corners: object, faces: object, pieces: Sequence[object]) -> Surface:
         """
-        corners (V, 3) [m] and their numbers (F, 3) as float64, from outside counterclockwise, of a closed mesh; corners
-        (K, 3) [m] of convex pieces that together hold it.
+        A closed mesh: corners (V, 3) [m] and their indices (F, 3) as float64, counterclockwise from outside; pieces: corners
+        (K, 3) [m] of convex pieces whose union is the solid.
         """
 
     def nearest(self, center: object) -> tuple[NDArray, NDArray, float]:
         """
-        The nearest point [m], (3,), the INWARD unit normal there and the distance [m], below 0 inside. Where several
-        points are as near, one of them; on edges the normal is the direction to them.
+        Return the nearest point (3,) [m], the INWARD unit normal there and the distance [m], negative inside. If several
+        points are equally near, one of them; on edges the normal is the direction to them.
         """
 
 REACHED: float = 1e-09
@@ -464,24 +474,24 @@ class Link:
 
     def __init__(self, *, parent: int, offset: Sequence[float], rotation: Sequence[float], axis: Sequence[float], mass: float, center: Sequence[float], lower: float, upper: float, torque_limit: float, sliding: bool = False, driver: int = -1, ratio: float = 1.0, shift: float = 0.0, inertia: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]) -> None:
         """
-        parent: number of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's frame.
-        axis: of the joint, unit; center: of mass [m], its own frame. Limits [rad], [N m], of a sliding joint [m], [N].
-        driver: the joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift. inertia: xx, xy, xz, yy, yz, zz
-        about the centre of mass [kg m^2].
+        parent: index of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's frame.
+        axis: unit vector of the joint; center: of mass [m], its own frame. Limits [rad], [N m]; for a sliding joint [m], [N].
+        driver: joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift. inertia: xx, xy, xz,
+        yy, yz, zz about the centre of mass [kg m^2].
         """
 
 class Tip:
     """The sphere with which a finger touches."""
 
     def __init__(self, *, link: int, center: Sequence[float], radius: float) -> None:
-        """center [m] in the link's frame."""
+        """center: [m] in the link's frame."""
 
 class Tree:
-    """A hand as a tree of M links with N fingertips, never changed."""
+    """A hand as an immutable tree of M links with N fingertips."""
 
     @staticmethod
     def make(links: Sequence[Link], tips: Sequence[Tip]) -> Tree:
-        """Parents come before their links."""
+        """Make a hand. Parents must come before their links."""
 
     @property
     def joints(self) -> int: ...
@@ -490,40 +500,45 @@ class Tree:
     def fingers(self) -> int: ...
 
     def couple(self, angles: object) -> None:
-        """Puts coupled joints where those that drive them say, in angles (M,)."""
+        """Set the coupled joints in angles (M,) from their drivers."""
 
     def trace(self, angles: object, rotations: object, origins: object) -> None:
         """
-        Where the links are at angles (M,) [rad], world frame: rotations (M, 3, 3) and origins (M, 3) [m] are filled.
+        Write the frames of the links at angles (M,) [rad], world frame: rotations (M, 3, 3) and origins (M, 3) [m].
         """
 
     def tips(self, angles: object, centers: object) -> None:
-        """Centres of the fingertips [m], world frame, into (N, 3)."""
+        """Write the centres of the fingertips [m], world frame, into (N, 3)."""
 
     def jacobian(self, angles: object, link: int, place: object, jacobian: object) -> None:
         """
-        The velocity of a point (3,) [m] of a link per joint speed, world frame, into (3, M).
+        Write the velocity of a point (3,) [m] of a link per joint speed, world frame, into (3, M).
         """
 
     def mass_matrix(self, angles: object, matrix: object) -> None:
-        """(M, M) [kg m^2]; rows and columns of coupled joints are zero."""
+        """
+        Write the mass matrix (M, M) [kg m^2]; rows and columns of coupled joints are zero.
+        """
 
     def gravity_torques(self, angles: object, gravity: object, torques: object) -> None:
         """
-        Torques that carry the weight of all links under a gravity (3,) [m/s^2], into (M,) [N m].
+        Write the torques that carry the weight of all links under a gravity (3,) [m/s^2], into (M,) [N m].
         """
 
     def statics(self, angles: object, points: object, gravity: object, jacobian: object, torques: object) -> None:
         """
-        The Jacobians of the points (N, 3) [m] with which the fingertips touch, into (N, 3, M), and those torques, into (M,).
+        Write the Jacobians of the points (N, 3) [m] where the fingertips touch, into (N, 3, M), and the torques of
+        `gravity_torques`, into (M,).
         """
 
     def save(self) -> bytes:
-        """The bytes of a file for C++ programs, which `grasp::TreeFile` reads."""
+        """Return the bytes of a hand file, which `grasp::TreeFile` reads in C++."""
 
     @staticmethod
     def load(bytes: bytes) -> Tree | None:
-        """The hand that `save` wrote; None: it is not whole."""
+        """
+        Return the hand that `save` wrote; None if the bytes are not a whole file.
+        """
 
 class Reach:
     """
@@ -532,72 +547,72 @@ class Reach:
 
     @staticmethod
     def make(tree: Tree, limited: bool = True) -> Reach:
-        """limited: within the joint limits."""
+        """limited: True to stay within the joint limits."""
 
     @property
     def groups(self) -> list[tuple[list[int], list[int]]]:
-        """Fingers that share joints, and these joints."""
+        """Groups of fingers that share joints, and these joints."""
 
     def solve(self, targets: object, starts: object, angles: object, missed: object) -> None:
         """
-        Brings the tips near to targets (N, 3) [m], from starts (S, M) in this order: fills angles (M,) [rad], and (G,) what
-        the worst tip of each group misses [m].
+        Bring the tips near targets (N, 3) [m], from starts (S, M) in this order; write the angles (M,) [rad] and the
+        distances (G,) of the worst tip of each group from its target [m].
         """
 
 class Limb:
-    """A convex shape that is fixed to a link; -1: to the palm."""
+    """A convex shape fixed to a link; -1: the palm."""
 
     @staticmethod
     def line(*, link: int, start: Sequence[float], end: Sequence[float], radius: float, tip: bool) -> Limb:
         """
-        All within a radius of a line [m], link frame; tip: part of a fingertip.
+        All points within a radius of a line [m], link frame; tip: part of a fingertip.
         """
 
     @staticmethod
     def solid(*, link: int, kind: str, half: Sequence[float], center: Sequence[float], rotation: Sequence[float], corners: object, tip: bool) -> Limb:
         """
-        kind: box, half its sides; cylinder about z, radius twice and half its height; hull, (K, 3) corners about a
-        point inside [m]. center [m] and rotation (9,), link frame.
+        kind: box, half its sides; cylinder about z, radius, radius and half its height; hull, (K, 3) corners relative to
+        a point inside [m]. center [m] and rotation (9,), link frame.
         """
 
 class HandLimbs:
-    """The limbs of a hand, and its fingers one by one."""
+    """The limbs of a hand, and its fingers as separate trees."""
 
     @staticmethod
     def make(tree: Tree, limbs: Sequence[Limb], home: object, together: Sequence[tuple[int, int]] = []) -> HandLimbs:
         """
-        home (M,) [rad]: where the inverse kinematics starts; together: pairs of links, -1 the palm, that may touch.
+        home (M,) [rad]: start of the inverse kinematics; together: pairs of links that may touch, -1: the palm.
         """
 
     def moved(self, turn: Sequence[float], shift: Sequence[float], home: object) -> HandLimbs:
         """
-        The same hand, its palm turned (9,), then shifted [m], with another rest posture (M,).
+        Return the same hand with its palm rotated (9,), then shifted [m], and with another rest posture (M,).
         """
 
     def clearance(self, surface: Surface, angles: object, enough: float = float('inf')) -> tuple[float, float]:
         """
-        Least distances [m] at angles (M,): of the links, without spheres of fingertips, from an object; of links and tips from one
-        another; at most `enough`.
+        Return the smallest distances [m] at angles (M,), at most `enough`: of the links, without the spheres of
+        fingertips, from an object; of links and tips from one another.
         """
 
     def link_gaps(self, angles: object, enough: float) -> list[tuple[int, int, float]]:
         """
-        Pairs of limbs of different links, not of one joint, that are at most `enough` apart [m]: (link, link, distance). Coupled
-        joints follow theirs.
+        Return the pairs of limbs of different links, not of one joint, at most `enough` apart [m]: (link, link, distance).
+        Coupled joints follow their drivers.
         """
 
     def beside(self, finger: int, angles: object, middles: object, enough: float, gaps: object) -> None:
         """
-        How far the rest of a finger and the palm are from balls about `middles` (K, 3) that touch its tip in postures (K, M),
-        at most `enough` [m]: into (K,).
+        Write (K,) distances, at most `enough` [m], of the rest of a finger and the palm in postures (K, M) from balls about
+        `middles` (K, 3) that touch its tip.
         """
 
     @property
     def free(self) -> list[bool]:
-        """Of each finger, whether its tip goes anywhere near."""
+        """For each finger, True if its tip can go anywhere nearby."""
 
     def palm_gap(self, surface: Surface) -> float:
-        """Of the palm from an object [m]."""
+        """Return the distance of the palm from an object [m]."""
 
 class GraspSearch:
     """A search for contacts with which a hand holds an object."""
@@ -605,90 +620,95 @@ class GraspSearch:
     @staticmethod
     def make(hand: HandLimbs, surface: Surface, *, friction: float, torsion: float, length: float, space: float, start: float, gravity: Sequence[float], loads: object, directions: object) -> GraspSearch:
         """
-        loads: (L, 6) that the contacts make, (force, moment / length) [N]; directions: (D, 6) to compare them in;
-        length, space between fingers, torsion: moment about the normal over its force, start: of the tips from the
-        object before they close [m]; gravity (3,) [m/s^2].
+        loads: (L, 6) wrenches that the contacts must make, (force, moment / length) [N]; directions: (D, 6) for comparing
+        places; length, space between fingers, torsion (moment about the normal over normal force), start (gap of the tips
+        before they close) [m]; gravity (3,) [m/s^2].
         """
 
     def fill(self, finger: int, draws: object, spread: Sequence[float], margins: Sequence[float], most: int) -> int:
         """
-        Makes the pool of places of a finger anew, and returns their number.
-        draws: (S, 6) in [0, 1); less 1/2, times spread (6,): where to begin inside the object [m], and what to add to the
+        Refill the pool of places of a finger and return their number.
+        draws: (S, 6) in [0, 1); (draws - 1/2) * spread (6,) gives the start inside the object [m] and the offset of the
         direction towards the finger.
-        margins: [m] of flat surface, [rad] from joint limits, [m] of clearance, [m] of a mesh's pieces over it at most.
+        margins: [m] of flat surface, [rad] from joint limits, [m] of clearance, [m] largest distance of a mesh's pieces.
         """
 
     def choose(self, picks: Sequence[Sequence[int]], forces: object, points: object, normals: object, choices: object) -> int:
         """
-        The best choice of each round: the total normal force [N] that it needs in the worst case into (R,), points and
-        normals into (R, N, 3), places into (R, N); returns how many. picks: random numbers >= 0 per finger, of the choices to begin with.
+        Find the best choice of each round: write its total normal force [N] in the worst case into (R,), points and
+        normals into (R, N, 3), places into (R, N). Return the number of rounds. picks: random numbers >= 0 per finger
+        for the initial choices.
         """
 
     def misses(self, finger: int) -> list[int]:
         """
-        How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to start,
-        without push along the normal.
+        Return the number of rays that failed: at an edge, out of reach, near a joint limit, with a link at the object,
+        without room to start, with too little push along the normal.
         """
 
     def assemble(self, choice: Sequence[int], clearance: float, angles: object, start: object) -> int:
         """
-        Angles (M,) of the whole hand at a choice of places, and before it closes, as far as they are. Returns 0, or what is
-        wrong: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at the start,
-        6 fingers of one motor do not touch together.
+        Write the angles (M,) of the whole hand at a choice of places, and before it closes, as far as they exist. Return 0,
+        or the fault: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at
+        the start, 6 fingers of one motor do not touch together.
         """
 
 class Answers:
     """
-    Where the numbers lie in the nested tuples that a simulator answers with.
+    Positions of the numbers in the nested tuples that a simulator returns.
     """
 
     def __init__(self, *, link: int, place: int, forces: Sequence[tuple[int, int]], factor: float, first: int, links: Sequence[int]) -> None:
         """
-        Of a contact: which item is the engine's link number, which the point, which pairs are amounts and directions of
-        forces; factor of all amounts, below 0 where they push the hand. links: the hand's link of each of the
-        engine's, from number `first` on, -1: none.
+        For a contact: items of the engine's link number and of the point, pairs of items that hold amounts and directions of
+        forces; factor of all amounts, below 0 if they push the hand. links: the hand's link for each of the engine's, from
+        number `first` on; -1: none.
         """
 
     def read(self, joints: object, pose: object, velocity: object, contacts: object) -> numpy.typing.NDArray[numpy.float64]:
         """
-        Joints ((angle, rate, ...), ...), pose (position, quaternion), velocity (linear, angular) and contacts as the flat
-        numbers of `Scene.read`, a new array.
+        Return joints ((angle, rate, ...), ...), pose (position, quaternion), velocity (linear, angular) and contacts as the
+        flat numbers of `Scene.read`, a new array.
         """
 
 def reading_size(joints: int, contacts: int) -> int:
-    """Numbers of a reading."""
+    """Return the number of values in a reading."""
 
 class Scene:
-    """A hand and an object in a simulator, as they were last read."""
+    """A hand and an object in a simulator, as last read."""
 
     @staticmethod
     def make(tree: Tree, surface: Surface, gravity: Sequence[float]) -> Scene: ...
 
     def set_gravity(self, gravity: Sequence[float]) -> None:
-        """[m/s^2], (3,), world frame."""
+        """Set the gravity (3,) [m/s^2], world frame."""
 
     def read(self, numbers: object) -> bool:
         """
-        Angles (M,), rates (M,), the object's position, quaternion (x y z w), linear and angular velocity, and seven numbers
-        a contact: the hand's link, the point [m] and the force ON the object [N]; world frame. False: not finite, or the
-        object is lost.
+        Read angles (M,), rates (M,), the object's position, quaternion (x y z w), linear and angular velocity, and seven
+        numbers per contact: the hand's link, the point [m] and the force ON the object [N]; world frame. Return False if
+        numbers are not finite or the object is lost.
         """
 
     def arrays(self) -> dict[str, NDArray]:
-        """Views of what follows from it, by name: overwritten at each reading."""
+        """Views of the scene's state by name; overwritten at each reading."""
 
 class Gather:
-    """Numbers that lie in several arrays, clipped, as one new float32 array."""
+    """
+    Gathers the numbers of several arrays, clipped, into a new float32 array.
+    """
 
     def __init__(self, arrays: Sequence[Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)]], bound: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
         """
-        C-contiguous float64 arrays, which are read at each call, and a float32 bound for each of their numbers.
+        C-contiguous float64 arrays, read at each call, and a float32 bound for each of their numbers.
         """
 
     def __call__(self) -> numpy.typing.NDArray[numpy.float32]: ...
 
 class Body:
-    """The object as a controller believes it to be, and the pose feedback."""
+    """
+    The controller's model of the object, and the gains of its pose feedback.
+    """
 
     def __init__(self) -> None: ...
 
@@ -736,17 +756,17 @@ class Body:
 
     def wrench(self, scene: Scene, target: object, gravity: object) -> list[float]:
         """
-        Weight - inertial wrench of the wanted motion + pose feedback (6,) [N, N m], object frame.
+        Weight - inertial wrench of the target motion + pose feedback (6,) [N, N m], object frame.
         """
 
 class Spring:
-    """Of a tip that is drawn to its place."""
+    """A spring and damper that draws a tip to its place."""
 
     def __init__(self, gain: float, damping: float, limit: float) -> None:
-        """[N/m], [N s/m], the most force [N]"""
+        """[N/m], [N s/m], largest force [N]"""
 
 class WrenchSource(enum.Enum):
-    """How the controller knows the external wrench."""
+    """Source of the external wrench."""
 
     measured = 0
 
@@ -755,13 +775,13 @@ class WrenchSource(enum.Enum):
     none = 2
 
 class Hold(enum.Enum):
-    """What the fingers in contact do."""
+    """Behaviour of the fingers in contact."""
 
     optimized = 0
-    """the force that the method finds, and Newton after it"""
+    """the force found by the method, continued by Newton"""
 
     squeeze = 1
-    """a constant internal force, and what balances"""
+    """a constant internal force plus the balancing force"""
 
     place = 2
     """no force: every finger holds its place"""
@@ -773,7 +793,7 @@ class Hold(enum.Enum):
     """no force: every finger is drawn to its contact"""
 
 class ControlSettings:
-    """Belief and gains of a control loop."""
+    """Object model and gains of a control loop."""
 
     def __init__(self) -> None: ...
 
@@ -785,47 +805,48 @@ class ControlSettings:
 
     @property
     def reach(self) -> list[Spring]:
-        """(N,) of each finger without contact on its way"""
+        """(N,) for fingers without contact, on their way"""
 
     @reach.setter
     def reach(self, arg: Sequence[Spring], /) -> None: ...
 
     @property
     def spring(self) -> Spring:
-        """of all fingers where nothing is optimized"""
+        """for all fingers while nothing is optimised"""
 
     @spring.setter
     def spring(self, arg: Spring, /) -> None: ...
 
     @property
     def reach_depth(self) -> float:
-        """[m] inside the surface to which a finger reaches"""
+        """[m] below the surface: goal of reaching fingers"""
 
     @reach_depth.setter
     def reach_depth(self, arg: float, /) -> None: ...
 
     @property
     def posture(self) -> list[Spring]:
-        """(M,) of joints that the tips leave free [N m/rad], [N m s/rad]"""
+        """(M,) for joints that the tips leave free [N m/rad], [N m s/rad]"""
 
     @posture.setter
     def posture(self, arg: Sequence[Spring], /) -> None: ...
 
     def set_follow(self, tolerance: float, limit: int, conic: bool = False) -> None:
         """
-        What solves between two ticks of the method, Newton or conic: relative certified gap, most steps.
+        Set the solver of the ticks between two solves of the method, Newton or conic: relative certified gap, largest
+        number of steps.
         """
 
     @property
     def remembers(self) -> bool:
-        """whether the method receives the last command"""
+        """True if the method gets the last command"""
 
     @remembers.setter
     def remembers(self, arg: bool, /) -> None: ...
 
     @property
     def directions(self) -> list[float]:
-        """(N, 3, K) internal forces of an adjustment, object frame"""
+        """(N, 3, K) internal forces that an adjustment combines, object frame"""
 
     @directions.setter
     def directions(self, arg: Sequence[float], /) -> None: ...
@@ -839,20 +860,20 @@ class ControlSettings:
 
     @property
     def most_change(self) -> float:
-        """[N] by which a force may change in a tick beyond balance"""
+        """[N] largest change of a force in a tick beyond balance"""
 
     @most_change.setter
     def most_change(self, arg: float, /) -> None: ...
 
     @property
     def release(self) -> int:
-        """ticks without force after which a finger is no longer in contact"""
+        """ticks without force until a finger no longer counts as in contact"""
 
     @release.setter
     def release(self, arg: int, /) -> None: ...
 
 class SensorSettings:
-    """What the controller sees: how late, how noisy."""
+    """Delay and noise of the controller's sensors."""
 
     def __init__(self) -> None: ...
 
@@ -871,21 +892,21 @@ class SensorSettings:
 
     @property
     def keep(self) -> float:
-        """share of its last value that the estimate keeps over a tick"""
+        """fraction of its value that the estimate keeps over a tick"""
 
     @keep.setter
     def keep(self, arg: float, /) -> None: ...
 
     @property
     def delay(self) -> int:
-        """ticks by which everything comes late"""
+        """ticks of delay of everything"""
 
     @delay.setter
     def delay(self, arg: int, /) -> None: ...
 
     @property
     def wrench_delay(self) -> int:
-        """ticks by which measured wrenches come later than that"""
+        """further ticks of delay of measured wrenches"""
 
     @wrench_delay.setter
     def wrench_delay(self, arg: int, /) -> None: ...
@@ -899,13 +920,13 @@ class SensorSettings:
 
     @property
     def tactile_noise(self) -> float:
-        """standard deviation per axis, part of the force"""
+        """standard deviation per axis, fraction of the force"""
 
     @tactile_noise.setter
     def tactile_noise(self, arg: float, /) -> None: ...
 
 class Effort:
-    """What solvers and motors were asked since `begin_step`."""
+    """Effort of solvers and motors since `begin_step`."""
 
     @property
     def iterations(self) -> int:
@@ -913,29 +934,29 @@ class Effort:
 
     @property
     def trials(self) -> int:
-        """all steps of the method"""
+        """all steps tried by the method"""
 
     @property
     def followed(self) -> int:
-        """iterations at control ticks between two of the method's"""
+        """iterations of the control ticks between two solves of the method"""
 
     @property
     def limited(self) -> int:
         """
-        iterations of Newton within the torque limits, where a force exceeded them
+        iterations of Newton within the torque limits, when a force exceeded them
         """
 
     @property
     def saturated(self) -> bool:
-        """whether torques had to be cut"""
+        """True if torques were cut"""
 
     @property
     def margin(self) -> float:
-        """least distance of a torque from its limit [N m]"""
+        """smallest distance of a torque from its limit [N m]"""
 
     @property
     def share(self) -> float:
-        """largest torque as a share of its limit"""
+        """largest torque as a fraction of its limit"""
 
 class Costs:
     """Costs of an agent's step, each from 0 to 1."""
@@ -943,29 +964,29 @@ class Costs:
     @property
     def force(self) -> float:
         """
-        share of the commanded normal forces above the least that balances the wrench; 1: no force balances it
+        fraction of the commanded normal forces above the smallest that balance the wrench; 1: no force balances it
         """
 
     @property
     def torque(self) -> float:
-        """largest torque of the step as a share of its limit"""
+        """largest torque of the step as a fraction of its limit"""
 
     @property
     def change(self) -> float:
         """
-        change of the commanded forces in the step as a share of the forces before and after: sums of |components|
+        change of the commanded forces in the step, relative to the forces before and after: sums of |components|
         """
 
 class Outcome:
-    """How the object is held."""
+    """Quality of the hold."""
 
     @property
     def drift(self) -> float:
-        """[m] from where it should be"""
+        """[m] distance from the target position"""
 
     @property
     def tilt(self) -> float:
-        """[rad] from how it should stand"""
+        """[rad] angle to the target orientation"""
 
     @property
     def force_error(self) -> float:
@@ -973,7 +994,7 @@ class Outcome:
 
     @property
     def slip(self) -> float:
-        """fastest touching tip on the object [m/s]"""
+        """highest tangential speed of a touching tip on the object [m/s]"""
 
     @property
     def stray(self) -> float:
@@ -982,116 +1003,118 @@ class Outcome:
     @property
     def slide(self) -> float:
         """
-        the furthest since `reset` that a touching tip has slid from where it was on the object [m]
+        largest sliding distance of a touching tip on the object since `reset` [m]
         """
 
     @property
     def overlap(self) -> float:
-        """the deepest since `reset` of a tip and the object [m]"""
+        """largest overlap of a tip and the object since `reset` [m]"""
 
     @property
     def stray_share(self) -> float:
         """
-        the largest force of links on the object since `reset`, as a share of external force and weight,
-        the weight at least
+        largest force of links on the object since `reset`, relative to external force plus weight, at least the weight
         """
 
 class Controller:
-    """The control loop of a hand: what it sees, and the torques that hold."""
+    """The control loop of a hand: from readings to joint torques."""
 
     @staticmethod
     def make(scene: Scene, optimizer: object, settings: ControlSettings, sensors: SensorSettings) -> Controller:
         """
-        optimizer: a `ForceOptimizer` for the contacts of all fingers, which is copied.
+        optimizer: a `ForceOptimizer` for the contacts of all fingers; it is copied.
         """
 
     def reset(self) -> None:
-        """Forgets the episode; before it the scene stood still."""
+        """Start a new episode; before its first tick the scene stands still."""
 
     def rewind(self) -> None:
-        """As before the first tick: what was seen was not yet."""
+        """Reset the sensors to the state before the first tick."""
 
     def tick(self, reading: object | None, external: object, gravity: object, target: object, noise: object | None, due: bool, adjustment: object | None, given: object | None) -> list[float] | None:
         """
-        Joint torques (M,) [N m] of a control tick; None: the reading is not finite or the object is lost. reading: as of
-        `Scene.read`, None: the scene has it already; external: the wrench (6,) as a perfect sensor would tell it; gravity
-        (3,); target (19,); noise: standard normal numbers (3 + 3N,) where anything is noisy. due: whether an agent's step
-        begins, with adjustment (K,) [N] of the start and given forces (N, 3) [N], contact frames, for `Hold.direct`.
+        Return the joint torques (M,) [N m] of a control tick; None if the reading is not finite or the object is lost.
+        reading: as for `Scene.read`; None: the scene has read it already. external: the wrench (6,) that a perfect sensor
+        reports; gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if anything is noisy. due: True if an
+        agent's step begins, with adjustment (K,) [N] of the start and given forces (N, 3) [N], contact frames, for
+        `Hold.direct`.
         """
 
     def see(self, reading: object | None, external: object, gravity: object, target: object, noise: object | None) -> bool:
-        """The first half of a tick: what is known, and the wrench to balance."""
+        """
+        First half of a tick: observe the scene and find the wrench to balance.
+        """
 
     def act(self, due: bool, adjustment: object | None, start: object | None, given: object | None) -> list[float]:
         """
-        The second half. start: (N, 3) [N], contact frames, from where the method begins.
+        Second half of a tick: find forces and torques. start: (N, 3) [N], contact frames, start of the method.
         """
 
     @property
     def hold(self) -> Hold:
-        """What the fingers in contact do."""
+        """Behaviour of the fingers in contact."""
 
     @hold.setter
     def hold(self, arg: Hold, /) -> None: ...
 
     def begin_step(self) -> None:
-        """An agent's step begins."""
+        """Begin an agent's step."""
 
     @property
     def effort(self) -> Effort: ...
 
     def costs(self) -> Costs:
         """
-        The costs of the step since `begin_step`, on the contacts that are seen now.
+        Return the costs of the step since `begin_step`, on the contacts currently seen.
         """
 
     @property
     def code(self) -> int:
-        """How the method's last solve ended."""
+        """Code of the method's last solve."""
 
     @property
     def closure(self) -> bool:
-        """Whether a force was found at the last tick that optimized."""
+        """True if the last tick that optimised found a force."""
 
     def rest(self) -> None:
-        """Measured forces as the commanded ones: what the hand does at rest."""
+        """Set the measured forces as commanded ones, for a hand at rest."""
 
     def outcome(self, target: object, error: object, measured: object) -> Outcome:
         """
-        How the object is held, by the truth: fills the pose error (12,) against a target (19,), and the measured forces
+        Return the outcome from the true state; write the pose error (12,) against a target (19,), and the measured forces
         (N, 3) in the commanded contact frames [N].
         """
 
     def told(self, outcome: Outcome, measured: object) -> dict[str, object]:
         """
-        What an environment reports of a step, by name: the method's solution, contacts, forces [N], effort, and an outcome with its
-        measured forces (N, 3); the arrays are copies.
+        Return the report of a step by name: the method's solution, contacts, forces [N], effort, and an outcome with its
+        measured forces (N, 3). The arrays are copies.
         """
 
     def arrays(self) -> dict[str, NDArray]:
-        """Views of what is commanded, by name: overwritten in place."""
+        """Views of the commands by name; overwritten in place."""
 
     def seen(self) -> dict[str, NDArray]:
-        """Views of what is seen, by name: overwritten in place."""
+        """Views of the observed state by name; overwritten in place."""
 
     @property
     def perfect(self) -> bool:
-        """Whether the scene is seen as it is, whatever the settings."""
+        """True to ignore delay and noise of the sensors."""
 
     @perfect.setter
     def perfect(self, arg: bool, /) -> None: ...
 
     @property
     def exact(self) -> bool:
-        """Whether the scene is seen as it is."""
+        """True if the scene is seen without delay and noise."""
 
     @property
     def mask(self) -> int:
-        """The fingers that count as in contact: 2^i for finger i."""
+        """Fingers that count as in contact: 2^i for finger i."""
 
     @property
     def changes(self) -> int:
-        """How often they changed since `reset`."""
+        """Number of changes of `mask` since `reset`."""
 
     @property
     def peak(self) -> float:

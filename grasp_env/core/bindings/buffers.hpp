@@ -1,5 +1,5 @@
-// Python's own buffer protocol: an array is read as it is where its numbers lie as the core reads them, and refused elsewhere
-// (Python then converts it, or says what is wrong). Never a silent copy, never a misread layout.
+// Python's buffer protocol: an array is read in place if its layout is the core's, and refused otherwise (Python then converts it,
+// or reports an error). Never a silent copy, never a misread layout.
 #pragma once
 
 #include <cstring>
@@ -20,7 +20,7 @@ public:
     Buffer(const Buffer&) = delete;
     Buffer& operator=(const Buffer&) = delete;
 
-    // Whether these are float64 of this shape; -1: any length
+    // True for float64 numbers of this shape; -1: any length.
     template <class... Sizes> bool has(Sizes... sizes) const {
         const Py_ssize_t wanted[] = {Py_ssize_t(sizes)...};
         if (!held_ || std::strcmp(view_.format, "d") != 0 || view_.ndim != int(sizeof...(sizes))) return false;
@@ -28,7 +28,7 @@ public:
             if (wanted[a] >= 0 && view_.shape[a] != wanted[a]) return false;
         return true;
     }
-    // Whether these are so many float64, in whatever shape.
+    // True for `count` float64 numbers in any shape.
     bool holds(Py_ssize_t count) const {
         return held_ && std::strcmp(view_.format, "d") == 0 && view_.len == count * Py_ssize_t(sizeof(double));
     }
@@ -41,23 +41,24 @@ private:
     bool held_ = false;
 };
 
-// The numbers of an array that Python has made for the core: of this shape, or a TypeError (a mistake of the package's own code).
+// The numbers of an array that Python has made for the core. Throws a TypeError for another shape, which is a bug of the package
+// itself.
 class Numbers : public Buffer {
 public:
     template <class... Sizes> Numbers(nb::handle object, bool writable, Sizes... sizes) : Buffer(object, writable) {
-        if (!has(sizes...)) throw nb::type_error("a C-contiguous float64 array of another shape is needed");
+        if (!has(sizes...)) throw nb::type_error("expected a C-contiguous float64 array of another shape");
     }
 };
 template <class... Sizes> inline Numbers in(nb::handle object, Sizes... sizes) { return {object, false, sizes...}; }
 template <class... Sizes> inline Numbers out(nb::handle object, Sizes... sizes) { return {object, true, sizes...}; }
 
-// Rows of numbers with whatever dimensions in front, or a TypeError as above.
+// Rows of numbers with any leading dimensions, or a TypeError as above.
 class NumberRows : public Buffer {
 public:
-    // optional: None has no rows, which are null
+    // optional: None has null rows
     NumberRows(nb::handle object, bool writable, Py_ssize_t count, Py_ssize_t row, bool optional = false)
         : Buffer(object, writable), row_(row), none_(optional && object.is_none()) {
-        if (!none_ && !holds(count * row)) throw nb::type_error("C-contiguous float64 numbers of another shape are needed");
+        if (!none_ && !holds(count * row)) throw nb::type_error("expected C-contiguous float64 numbers of another shape");
     }
     double* operator[](Py_ssize_t k) const { return none_ ? nullptr : data() + k * row_; }
 

@@ -1,11 +1,11 @@
-// How this module was built: benchmarks and reports say it.
+// Build information of this module, for benchmarks and reports.
 #include <grasp/version.hpp>
 
 #include "module.hpp"
 
 namespace {
 
-// The widest vectors the compiler was allowed to use.
+// The widest vectors that the compiler may use.
 const char* instruction_set() {
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
     return "AVX-512";
@@ -41,5 +41,5 @@ nb::typed<nb::dict, nb::str, nb::str> build_info() {
 
 void bind_build_info(nb::module_& m) {
     m.def("build_info", &build_info,
-          "Version, compiler, instruction set, build type, processor asked for and flags of this module.");
+          "Version, compiler, instruction set, build type, target processor and flags of this module.");
 }

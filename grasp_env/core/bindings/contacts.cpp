@@ -1,4 +1,4 @@
-// Contact geometry: what a `Grasp` is made of, and the contacts that solvers are made for.
+// Contact geometry: the arrays of a `Grasp`, and the contacts for solvers.
 #include <grasp/contacts/contacts.hpp>
 
 #include "buffers.hpp"
@@ -8,7 +8,7 @@ using namespace grasp;
 
 namespace {
 
-// The first tangent that is none: along its unit normal; -1: none is.
+// Index of the first tangent parallel to its unit normal; -1: none.
 int first_along(int count, const double* tangents, const double* normals) {
     constexpr double LEAST = 1e-6;  // sine of the angle between them
     for (int i = 0; i < count; ++i) {
@@ -22,12 +22,12 @@ int along_normal(nb::handle tangents, nb::handle normals) {
     return first_along(int(o.length(0)), o.data(), n.data());
 }
 
-// Reads what `Grasp.from_contacts` is given where it is as it should be: arrays of this layout, numbers within the ranges of
-// `grasp_env/ranges.py`, a rank of 6 beyond doubt. Python converts what is otherwise, or says what is wrong with it.
+// Reads the arguments of `Grasp.from_contacts` if they have the expected form: arrays of this layout, numbers within the ranges of
+// `grasp_env/ranges.py`, a rank of 6 beyond doubt. Otherwise Python converts them or reports the error.
 struct ContactReader {
     double least_friction, most_friction, least_length, most_length, distance;
     int most;
-    PyTypeObject* array;  // numpy's own class: others may hold masks
+    PyTypeObject* array;  // numpy's own class: subclasses may hold masks
 
     nb::object read(nb::handle positions, nb::handle normals, nb::handle friction, nb::handle tangents) const {
         const bool turned = !tangents.is_none();
@@ -60,7 +60,7 @@ private:
     }
 };
 
-// Whether all numbers of a C-contiguous float64 array are finite.
+// True if all numbers of a C-contiguous float64 array are finite.
 bool all_finite(nb::handle array) {
     Py_buffer view;
     if (PyObject_GetBuffer(array.ptr(), &view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) != 0) throw nb::python_error();
@@ -69,12 +69,12 @@ bool all_finite(nb::handle array) {
     if (good)
         for (Py_ssize_t k = 0; k < view.len / 8; ++k) total += 0.0 * static_cast<const double*>(view.buf)[k];
     PyBuffer_Release(&view);
-    if (!good) throw nb::type_error("a C-contiguous float64 array is needed");
+    if (!good) throw nb::type_error("expected a C-contiguous float64 array");
     return total == 0.0;
 }
 
-// (N, 3) normals in place: those that miss unit length by more than rounding are divided by it. Returns the first that misses it
-// by more than UNIT_TOLERANCE, -1: none.
+// Normalise (N, 3) normals in place, except those of unit length within rounding. Return the index of the first off unit length by
+// more than UNIT_TOLERANCE; -1: none.
 int normalise(nb::handle normals) {
     const Numbers n = out(normals, -1, 3);
     int first = -1;
@@ -86,7 +86,7 @@ int normalise(nb::handle normals) {
     return first;
 }
 
-// (N, 2) friction along o and t, 0: none, into (N, 3) scale of cone coordinates
+// Convert (N, 2) friction along o and t, 0: frictionless, to (N, 3) scale of cone coordinates.
 void scales(nb::handle friction, nb::handle scale) {
     const Numbers mu = in(friction, -1, 2), made = out(scale, mu.length(0), 3);
     for (Py_ssize_t i = 0; i < mu.length(0); ++i) {
@@ -103,16 +103,15 @@ Contacts make(nb::handle positions, nb::handle normals, nb::handle scale, nb::ha
                              along.length(0) ? in(tangents, count, 3).data() : nullptr);
 }
 
-// Contacts wherever they are put: what `placing` and `clear` say of them is for the caller to read.
+// Contacts at any places: the caller checks `placing` and `clear`.
 Contacts put(nb::handle positions, nb::handle normals, nb::handle scale, nb::handle torsion, nb::handle tangents) {
     const Numbers p = in(positions, -1, 3);
     const int count = int(p.length(0));
     const Numbers n = in(normals, count, 3), s = in(scale, count, 3), gamma = in(torsion, count), along = in(tangents, -1, 3);
     const std::vector<double> weights(2 * count, 1.0);
     Contacts made(count, s.data(), weights.data(), along.length(0) ? in(tangents, count, 3).data() : nullptr, gamma.data());
-    made.weigh(Objective{});
-    if (made.place(p.data(), n.data()) == Placing::refused)
-        made.unit = UnitFrame(p.data(), count);  // that says how large they are
+    made.set_weights(Objective{});
+    if (made.place(p.data(), n.data()) == Placing::refused) made.unit = UnitFrame(p.data(), count);  // for their size
     return made;
 }
 
@@ -120,7 +119,7 @@ Contacts put(nb::handle positions, nb::handle normals, nb::handle scale, nb::han
 template <class Weights> Contacts weighed(const Contacts& contacts, const Weights& weights) {
     if (contacts.placing != Placing::good) throw nb::value_error("rank(G) < 6");
     Contacts made = contacts;
-    made.keep_tangents(), made.weigh(weights);
+    made.keep_tangents(), made.set_weights(weights);
     if (!made.weights_good()) throw nb::value_error("weights must be finite and > 0");
     return made;
 }
@@ -157,14 +156,14 @@ ReadOnly unit_frame(const Contacts& c) {
 void bind_contacts(nb::module_& m) {
     m.attr("TANGENT_SWITCH") = TANGENT_SWITCH, m.attr("ROUNDING") = ROUNDING;
     m.attr("LARGEST") = LARGEST, m.attr("NOTHING") = NOTHING;
-    m.def("all_finite", &all_finite, "array"_a, "Whether all numbers of a C-contiguous float64 array are finite.");
+    m.def("all_finite", &all_finite, "array"_a, "True if all numbers of a C-contiguous float64 array are finite.");
     m.def("normalise", &normalise, "normals"_a,
-          "Gives (N, 3) directions unit length in place; returns the first that misses it by more than 1e-6, -1: none.");
+          "Normalise (N, 3) directions in place. Return the first index off unit length by more than 1e-6; -1: none.");
     m.def("along_normal", &along_normal, "tangents"_a, "normals"_a,
-          "The first of (N, 3) tangents that is along its unit normal, -1: none is.");
+          "Return the index of the first of (N, 3) tangents parallel to its unit normal; -1: none.");
     m.def("cone_scale", &scales, "friction"_a, "scale"_a,
-          "Fills (N, 3), cone coordinates = scale * force, of friction (N, 2) along o and t; 0: the normal force alone.");
-    nb::class_<ContactReader>(m, "ContactReader", "Reads what `Grasp.from_contacts` is given where it is as it should be.")
+          "Fill `scale` (N, 3), cone coordinates = scale * force, from friction (N, 2) along o and t; 0: frictionless.");
+    nb::class_<ContactReader>(m, "ContactReader", "Fast reader for the arguments of `Grasp.from_contacts`.")
         .def(
             "__init__",
             [](ContactReader* self, double least_friction, double most_friction, double least_length, double most_length,
@@ -173,36 +172,35 @@ void bind_contacts(nb::module_& m) {
                 new (self) ContactReader{least_friction, most_friction, least_length, most_length, distance, most, array};
             },
             nb::kw_only(), "least_friction"_a, "most_friction"_a, "least_length"_a, "most_length"_a, "distance"_a, "most"_a,
-            "Friction, length of a grasp [m], distance of its origin in lengths and number of contacts that are within range.")
+            "Accepted ranges of friction and length of a grasp [m], distance of its origin in lengths, number of contacts.")
         .def("read", &ContactReader::read, "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "tangents"_a.none(),
              nb::sig("def read(self, positions: object, normals: object, friction: object, tangents: object) -> Contacts | None"),
-             "Hard contacts of float64 arrays: (N, 3), friction a float, (N,) or (N, 2), tangents (N, 3) or None. None: one of "
-             "them\n"
-             "is of another class, shape or layout or out of range, or the rank is not 6 beyond doubt.");
-    nb::class_<Contacts>(m, "Contacts",
-                         "Contacts: what they transmit and weigh, and where they are. Arrays are those of a `Grasp`.")
-        .def_static(
-            "make", &make, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a,
-            "Hard ones: (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2) omega and\n"
-            "lambda, (N, 3) tangents or (0, 3). ValueError where the rank of G is not 6.")
+             "Make hard contacts from float64 arrays: (N, 3), friction a float, (N,) or (N, 2), tangents (N, 3) or None.\n"
+             "Return None if one of them has another class, shape or layout or is out of range, or if the rank is not\n"
+             "6 beyond doubt.");
+    nb::class_<Contacts>(m, "Contacts", "Contacts: friction, weights and places. The arrays are those of a `Grasp`.")
+        .def_static("make", &make, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a,
+                    "Make hard contacts: (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2)\n"
+                    "omega and lambda, (N, 3) tangents or (0, 3). Raises ValueError unless the rank of G is 6.")
         .def_static("put", &put, "positions"_a, "normals"_a, "scale"_a, "torsion"_a, "tangents"_a,
-                    "The same with (N,) torsional friction [m], wherever they are: see `refused` and `clear`.")
+                    "The same with (N,) torsional friction [m], for any places: check `refused` and `clear`.")
         .def("weighed", &weighed_alike, "force_weight"_a, "barrier_weight"_a,
-             "A copy for solvers with omega and lambda, with the current tangents. ValueError where the rank of G is not 6.")
+             "Copy for solvers with omega and lambda, keeping the current tangents. Raises ValueError unless the rank of G is 6.")
         .def("weighed", &weighed_each, "weights"_a, "The same with (N, 2) omega and lambda.")
-        .def_ro("count", &Contacts::count, "N.")
+        .def_ro("count", &Contacts::count, "Number of contacts.")
         .def_prop_ro(
-            "refused", [](const Contacts& c) { return c.placing == Placing::refused; }, "Not finite, or not unit normals.")
-        .def_ro("clear", &Contacts::clear, "Whether the rank is 6 beyond doubt, torsion included.")
-        .def_prop_ro("soft", &Contacts::soft, "Whether torsion is transmitted anywhere.")
-        .def_prop_ro("outwards", &outwards, "Whether all normals point away from the centre of the contacts.")
+            "refused", [](const Contacts& c) { return c.placing == Placing::refused; },
+            "True if numbers are not finite or normals not of unit length.")
+        .def_ro("clear", &Contacts::clear, "True if the rank is 6 beyond doubt, torsion included.")
+        .def_prop_ro("soft", &Contacts::soft, "True if any contact transmits torsion.")
+        .def_prop_ro("outwards", &outwards, "True if all normals point away from the centre of the contacts.")
         .def_prop_ro("length", [](const Contacts& c) { return c.unit.length; })
         .def_prop_ro("centre", [](nb::handle s) { return view(s, &of(s).unit.centre.u, {3}); })
         .def_prop_ro("positions", [](nb::handle s) { return view(s, of(s).positions.data(), {size_t(of(s).count), 3}); })
         .def_prop_ro("normals", [](nb::handle s) { return view(s, of(s).normals.data(), {size_t(of(s).count), 3}); })
         .def_prop_ro(
             "tangents", [](nb::handle s) { return view(s, of(s).tangents.data(), {of(s).tangents.size() / 3, 3}); },
-            "(N, 3) as given, (0, 3): the default rule.")
+            "(N, 3) given tangents, or (0, 3) for the default rule.")
         .def_prop_ro("frames", [](nb::handle s) { return view(s, of(s).frames.data(), {size_t(of(s).count), 3, 3}); })
         .def_prop_ro("matrix", [](nb::handle s) { return view(s, of(s).matrix.data(), {6, size_t(3 * of(s).count)}); })
         .def_prop_ro("cone_matrix", [](nb::handle s) { return view(s, of(s).cone_matrix.data(), {6, size_t(3 * of(s).count)}); })

@@ -25,16 +25,16 @@ std::array<double, 6> wrench(const Body& body, const Scene& scene, nb::handle ta
     return body.wrench(scene.now, target_of(target), point(in(gravity, 3).data()));
 }
 
-// What is known at a tick, read from arrays that live as long as the call.
+// The input of a tick, read from arrays that live as long as the call.
 class Known {
 public:
     Known(const Controller& controller, nb::handle reading, nb::handle external, nb::handle gravity, nb::handle target,
           nb::handle noise)
         : reading_(reading), external_(in(external, 6)), noise_(noise) {
         if (!reading.is_none() && !(reading_.has(-1) && reading_.length(0) >= Reading::size(controller.tree->joints(), 0)))
-            throw nb::type_error("reading: (2M + 13 + 7 contacts,)");
+            throw nb::type_error("reading must be (2M + 13 + 7 contacts,)");
         if (!controller.sensors.exact() && !noise_.has(3 + 3 * controller.tree->fingers()))
-            throw nb::type_error("noise: (3 + 3N,)");
+            throw nb::type_error("noise must be (3 + 3N,)");
         known = {reading.is_none() ? Doubles{} : Doubles(reading_.data(), std::size_t(reading_.length(0))), external_.data(),
                  noise.is_none() ? nullptr : noise_.data(), point(in(gravity, 3).data()), target_of(target)};
     }
@@ -46,19 +46,19 @@ private:
     Buffer noise_;
 };
 
-// What an agent does, the same.
+// The same for an agent's step.
 class Step {
 public:
     Step(const Controller& controller, nb::handle adjustment, nb::handle start, nb::handle given)
         : adjustment_(adjustment), start_(start), given_(given) {
         const auto forces = [&](const Buffer& from, nb::handle object) {
             if (object.is_none()) return Doubles{};
-            if (!from.has(controller.tree->fingers(), 3)) throw nb::type_error("forces: (N, 3)");
+            if (!from.has(controller.tree->fingers(), 3)) throw nb::type_error("forces must be (N, 3)");
             return Doubles(from.data(), controller.force.size());
         };
         const std::size_t columns = controller.settings.directions.size() / controller.force.size();
         if (!adjustment.is_none()) {
-            if (!adjustment_.has(columns)) throw nb::type_error("adjustment: (K,)");
+            if (!adjustment_.has(columns)) throw nb::type_error("adjustment must be (K,)");
             step.adjustment = Doubles(adjustment_.data(), columns);
         }
         step.force = forces(given_, given);
@@ -106,12 +106,12 @@ Controller::Outcome outcome(const Controller& controller, nb::handle target, nb:
 }
 static_assert(sizeof(PoseError) == 12 * sizeof(double));
 
-// A step, as `told` reports it.
-struct Telling {
+// The data of a step that `told` reports.
+struct StepReport {
     const Controller& c;
     const Controller::Outcome& outcome;
     const double* measured;
-    Record solution{const_cast<double*>(c.solution.data())};  // only read
+    Record solution{const_cast<double*>(c.solution.data())};  // read only
     bool solved = solution.has_force();
 };
 
@@ -131,76 +131,48 @@ PyObject* touching(const Controller& c) {
     return made;
 }
 
-constexpr double LARGEST_GAP = 1e9;  // told instead of an infinite one
+constexpr double LARGEST_GAP = 1e9;  // reported instead of an infinite gap
 // clang-format off
-constexpr struct { const char* name; PyObject* (*make)(const Telling&); } TOLD[] = {
-    {"iterations", [](const Telling& t) { return PyLong_FromLong(t.c.effort.iterations); }},
-    {"trials", [](const Telling& t) { return PyLong_FromLong(t.c.effort.trials); }},
-    {"objective", [](const Telling& t) { return PyFloat_FromDouble(t.solved ? t.solution.summary().objective : 0.0); }},
-    {"optimality_gap", [](const Telling& t) { return PyFloat_FromDouble(t.solved ? std::min(t.solution.gap(), LARGEST_GAP) : 0.0); }},
-    {"cone_margin", [](const Telling& t) { return PyFloat_FromDouble(t.solved ? t.solution.summary().margin : 0.0); }},
-    {"force_closure", [](const Telling& t) { return PyBool_FromLong(t.c.closure); }},
-    {"contacts", [](const Telling& t) { return PyLong_FromLong(std::popcount(t.c.mask)); }},
-    {"contact_changes", [](const Telling& t) { return PyLong_FromLong(t.c.changes); }},
-    {"wrench", [](const Telling& t) { return new_array(t.c.wrench.data(), {6}); }},
-    {"commanded_force", [](const Telling& t) { return new_array(t.c.force.data(), {t.c.tree->fingers(), 3}); }},
-    {"measured_force", [](const Telling& t) { return new_array(t.measured, {t.c.tree->fingers(), 3}); }},
-    {"force_error", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.force_error); }},
-    {"touching", [](const Telling& t) { return touching(t.c); }},
-    {"stray_force", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.stray); }},
-    {"slip", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.slip); }},
-    {"slip_distance", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.worst.slide); }},
-    {"overlap", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.worst.overlap); }},
-    {"stray_share", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.worst.stray); }},
-    {"drift", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.drift); }},
-    {"tilt", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.tilt); }},
-    {"peak_torque", [](const Telling& t) { return PyFloat_FromDouble(t.c.peak); }},
-    {"followed", [](const Telling& t) { return PyLong_FromLong(t.c.effort.followed); }},
-    {"limited", [](const Telling& t) { return PyLong_FromLong(t.c.effort.limited); }},
-    {"torque_margin", [](const Telling& t) { return PyFloat_FromDouble(t.c.effort.margin); }},
-    {"torque_share", [](const Telling& t) { return PyFloat_FromDouble(t.c.effort.share); }},
-    {"saturated", [](const Telling& t) { return PyBool_FromLong(t.c.effort.saturated); }},
+constexpr struct { const char* name; PyObject* (*make)(const StepReport&); } REPORT_FIELDS[] = {
+    {"iterations", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.iterations); }},
+    {"trials", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.trials); }},
+    {"objective", [](const StepReport& t) { return PyFloat_FromDouble(t.solved ? t.solution.summary().objective : 0.0); }},
+    {"optimality_gap", [](const StepReport& t) { return PyFloat_FromDouble(t.solved ? std::min(t.solution.gap(), LARGEST_GAP) : 0.0); }},
+    {"cone_margin", [](const StepReport& t) { return PyFloat_FromDouble(t.solved ? t.solution.summary().margin : 0.0); }},
+    {"force_closure", [](const StepReport& t) { return PyBool_FromLong(t.c.closure); }},
+    {"contacts", [](const StepReport& t) { return PyLong_FromLong(std::popcount(t.c.mask)); }},
+    {"contact_changes", [](const StepReport& t) { return PyLong_FromLong(t.c.changes); }},
+    {"wrench", [](const StepReport& t) { return new_array(t.c.wrench.data(), {6}); }},
+    {"commanded_force", [](const StepReport& t) { return new_array(t.c.force.data(), {t.c.tree->fingers(), 3}); }},
+    {"measured_force", [](const StepReport& t) { return new_array(t.measured, {t.c.tree->fingers(), 3}); }},
+    {"force_error", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.force_error); }},
+    {"touching", [](const StepReport& t) { return touching(t.c); }},
+    {"stray_force", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.stray); }},
+    {"slip", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.slip); }},
+    {"slip_distance", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.worst.slide); }},
+    {"overlap", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.worst.overlap); }},
+    {"stray_share", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.worst.stray); }},
+    {"drift", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.drift); }},
+    {"tilt", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.tilt); }},
+    {"peak_torque", [](const StepReport& t) { return PyFloat_FromDouble(t.c.peak); }},
+    {"followed", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.followed); }},
+    {"limited", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.limited); }},
+    {"torque_margin", [](const StepReport& t) { return PyFloat_FromDouble(t.c.effort.margin); }},
+    {"torque_share", [](const StepReport& t) { return PyFloat_FromDouble(t.c.effort.share); }},
+    {"saturated", [](const StepReport& t) { return PyBool_FromLong(t.c.effort.saturated); }},
 };
 // clang-format on
-PyObject* keys[std::size(TOLD)];  // their names, interned once
+PyObject* field_names[std::size(REPORT_FIELDS)];  // the names, interned once
 
 nb::typed<nb::dict, nb::str, nb::object> told(const Controller& c, const Controller::Outcome& outcome, nb::handle measured) {
-    const Telling telling{c, outcome, in(measured, c.tree->fingers(), 3).data()};
+    const StepReport report{c, outcome, in(measured, c.tree->fingers(), 3).data()};
     nb::dict out;
-    for (std::size_t k = 0; k < std::size(TOLD); ++k) {
-        const nb::object value = nb::steal(TOLD[k].make(telling));
-        if (!value || PyDict_SetItem(out.ptr(), keys[k], value.ptr()) < 0) throw nb::python_error();
+    for (std::size_t k = 0; k < std::size(REPORT_FIELDS); ++k) {
+        const nb::object value = nb::steal(REPORT_FIELDS[k].make(report));
+        if (!value || PyDict_SetItem(out.ptr(), field_names[k], value.ptr()) < 0) throw nb::python_error();
     }
     return out;
 }
-
-// Numbers that lie in several arrays, clipped, as float32: an observation.
-class Gather {
-public:
-    using Part = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-    using Bound = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
-    Gather(std::vector<Part> parts, Bound bound) : parts_(std::move(parts)), bound_(std::move(bound)) {
-        std::size_t size = 0;
-        for (const Part& part : parts_) size += part.size();
-        if (bound_.size() != size) throw nb::type_error("a bound of each number is needed, as float32");
-    }
-    nb::object operator()() const {
-        npy_intp size = bound_.size();
-        nb::object made = nb::steal(PyArray_SimpleNew(1, &size, NPY_FLOAT));
-        if (!made) throw nb::python_error();
-        const float* bound = bound_.data();
-        float* to = static_cast<float*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(made.ptr())));
-        for (const Part& part : parts_)
-            for (std::size_t k = 0; k < part.size(); ++k, ++bound, ++to)
-                *to = std::min(std::max(float(part.data()[k]), -*bound), *bound);
-        return made;
-    }
-
-private:
-    std::vector<Part> parts_;
-    Bound bound_;
-};
 
 nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
     auto& c = nb::cast<Controller&>(self);
@@ -226,13 +198,9 @@ nb::typed<nb::dict, nb::str, nb::ndarray<>> seen(nb::handle self) {
 
 void bind_controller(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
-    for (std::size_t k = 0; k < std::size(TOLD); ++k)
-        if (!(keys[k] = PyUnicode_InternFromString(TOLD[k].name))) throw nb::python_error();
-    nb::class_<Gather>(m, "Gather", "Numbers that lie in several arrays, clipped, as one new float32 array.")
-        .def(nb::init<std::vector<Gather::Part>, Gather::Bound>(), "arrays"_a.noconvert(), "bound"_a.noconvert(),
-             "C-contiguous float64 arrays, which are read at each call, and a float32 bound for each of their numbers.")
-        .def("__call__", &Gather::operator(), nb::sig("def __call__(self) -> numpy.typing.NDArray[numpy.float32]"));
-    nb::class_<Body>(m, "Body", "The object as a controller believes it to be, and the pose feedback.")
+    for (std::size_t k = 0; k < std::size(REPORT_FIELDS); ++k)
+        if (!(field_names[k] = PyUnicode_InternFromString(REPORT_FIELDS[k].name))) throw nb::python_error();
+    nb::class_<Body>(m, "Body", "The controller's model of the object, and the gains of its pose feedback.")
         .def(nb::init<>())
         .def_rw("mass", &Body::mass, "[kg]")
         .def_prop_rw(
@@ -248,78 +216,79 @@ void bind_controller(nb::module_& m) {
         .def_rw("rotation_gain", &Body::rotation_gain, "[1/s^2], times the inertia")
         .def_rw("rotation_damping", &Body::rotation_damping, "[1/s], times the inertia")
         .def("wrench", &wrench, "scene"_a, "target"_a, "gravity"_a,
-             "Weight - inertial wrench of the wanted motion + pose feedback (6,) [N, N m], object frame.");
-    nb::class_<Spring>(m, "Spring", "Of a tip that is drawn to its place.")
-        .def(nb::init<double, double, double>(), "gain"_a, "damping"_a, "limit"_a, "[N/m], [N s/m], the most force [N]");
-    nb::enum_<WrenchSource>(m, "WrenchSource", "How the controller knows the external wrench.")
+             "Weight - inertial wrench of the target motion + pose feedback (6,) [N, N m], object frame.");
+    nb::class_<Spring>(m, "Spring", "A spring and damper that draws a tip to its place.")
+        .def(nb::init<double, double, double>(), "gain"_a, "damping"_a, "limit"_a, "[N/m], [N s/m], largest force [N]");
+    nb::enum_<WrenchSource>(m, "WrenchSource", "Source of the external wrench.")
         .value("measured", WrenchSource::measured)
         .value("estimated", WrenchSource::estimated)
         .value("none", WrenchSource::none);
-    nb::enum_<Hold>(m, "Hold", "What the fingers in contact do.")
-        .value("optimized", Hold::optimized, "the force that the method finds, and Newton after it")
-        .value("squeeze", Hold::squeeze, "a constant internal force, and what balances")
+    nb::enum_<Hold>(m, "Hold", "Behaviour of the fingers in contact.")
+        .value("optimized", Hold::optimized, "the force found by the method, continued by Newton")
+        .value("squeeze", Hold::squeeze, "a constant internal force plus the balancing force")
         .value("place", Hold::place, "no force: every finger holds its place")
         .value("direct", Hold::direct, "given forces")
         .value("reach", Hold::reach, "no force: every finger is drawn to its contact");
-    nb::class_<ControlSettings>(m, "ControlSettings", "Belief and gains of a control loop.")
+    nb::class_<ControlSettings>(m, "ControlSettings", "Object model and gains of a control loop.")
         .def(nb::init<>())
         .def_rw("body", &ControlSettings::body)
-        .def_rw("reach", &ControlSettings::reach, "(N,) of each finger without contact on its way")
-        .def_rw("spring", &ControlSettings::spring, "of all fingers where nothing is optimized")
-        .def_rw("reach_depth", &ControlSettings::reach_depth, "[m] inside the surface to which a finger reaches")
-        .def_rw("posture", &ControlSettings::posture, "(M,) of joints that the tips leave free [N m/rad], [N m s/rad]")
+        .def_rw("reach", &ControlSettings::reach, "(N,) for fingers without contact, on their way")
+        .def_rw("spring", &ControlSettings::spring, "for all fingers while nothing is optimised")
+        .def_rw("reach_depth", &ControlSettings::reach_depth, "[m] below the surface: goal of reaching fingers")
+        .def_rw("posture", &ControlSettings::posture, "(M,) for joints that the tips leave free [N m/rad], [N m s/rad]")
         .def(
             "set_follow",
             [](ControlSettings& c, double tolerance, int limit, bool conic) {
                 c.follow = {.method = conic ? Method::conic : Method::newton, .tolerance = tolerance, .limit = limit};
             },
             "tolerance"_a, "limit"_a, "conic"_a = false,
-            "What solves between two ticks of the method, Newton or conic: relative certified gap, most steps.")
-        .def_rw("remembers", &ControlSettings::remembers, "whether the method receives the last command")
-        .def_rw("directions", &ControlSettings::directions, "(N, 3, K) internal forces of an adjustment, object frame")
+            "Set the solver of the ticks between two solves of the method, Newton or conic: relative certified gap, largest\n"
+            "number of steps.")
+        .def_rw("remembers", &ControlSettings::remembers, "True if the method gets the last command")
+        .def_rw("directions", &ControlSettings::directions, "(N, 3, K) internal forces that an adjustment combines, object frame")
         .def_rw("squeeze", &ControlSettings::squeeze, "[N] total normal force of `Hold.squeeze`")
-        .def_rw("most_change", &ControlSettings::most_change, "[N] by which a force may change in a tick beyond balance")
-        .def_rw("release", &ControlSettings::release, "ticks without force after which a finger is no longer in contact");
-    nb::class_<SensorSettings>(m, "SensorSettings", "What the controller sees: how late, how noisy.")
+        .def_rw("most_change", &ControlSettings::most_change, "[N] largest change of a force in a tick beyond balance")
+        .def_rw("release", &ControlSettings::release, "ticks without force until a finger no longer counts as in contact");
+    nb::class_<SensorSettings>(m, "SensorSettings", "Delay and noise of the controller's sensors.")
         .def(nb::init<>())
         .def_rw("wrench", &SensorSettings::wrench)
         .def_rw("tick", &SensorSettings::tick, "[s]")
-        .def_rw("keep", &SensorSettings::keep, "share of its last value that the estimate keeps over a tick")
-        .def_rw("delay", &SensorSettings::delay, "ticks by which everything comes late")
-        .def_rw("wrench_delay", &SensorSettings::wrench_delay, "ticks by which measured wrenches come later than that")
+        .def_rw("keep", &SensorSettings::keep, "fraction of its value that the estimate keeps over a tick")
+        .def_rw("delay", &SensorSettings::delay, "ticks of delay of everything")
+        .def_rw("wrench_delay", &SensorSettings::wrench_delay, "further ticks of delay of measured wrenches")
         .def_rw("pose_noise", &SensorSettings::pose_noise, "standard deviation per axis [m]")
-        .def_rw("tactile_noise", &SensorSettings::tactile_noise, "standard deviation per axis, part of the force");
-    nb::class_<Effort>(m, "Effort", "What solvers and motors were asked since `begin_step`.")
+        .def_rw("tactile_noise", &SensorSettings::tactile_noise, "standard deviation per axis, fraction of the force");
+    nb::class_<Effort>(m, "Effort", "Effort of solvers and motors since `begin_step`.")
         .def_ro("iterations", &Effort::iterations, "accepted steps of the method")
-        .def_ro("trials", &Effort::trials, "all steps of the method")
-        .def_ro("followed", &Effort::followed, "iterations at control ticks between two of the method's")
-        .def_ro("limited", &Effort::limited, "iterations of Newton within the torque limits, where a force exceeded them")
-        .def_ro("saturated", &Effort::saturated, "whether torques had to be cut")
-        .def_ro("margin", &Effort::margin, "least distance of a torque from its limit [N m]")
-        .def_ro("share", &Effort::share, "largest torque as a share of its limit");
+        .def_ro("trials", &Effort::trials, "all steps tried by the method")
+        .def_ro("followed", &Effort::followed, "iterations of the control ticks between two solves of the method")
+        .def_ro("limited", &Effort::limited, "iterations of Newton within the torque limits, when a force exceeded them")
+        .def_ro("saturated", &Effort::saturated, "True if torques were cut")
+        .def_ro("margin", &Effort::margin, "smallest distance of a torque from its limit [N m]")
+        .def_ro("share", &Effort::share, "largest torque as a fraction of its limit");
     nb::class_<Costs>(m, "Costs", "Costs of an agent's step, each from 0 to 1.")
         .def_ro("force", &Costs::force,
-                "share of the commanded normal forces above the least that balances the wrench; 1: no force balances it")
-        .def_ro("torque", &Costs::torque, "largest torque of the step as a share of its limit")
+                "fraction of the commanded normal forces above the smallest that balance the wrench; 1: no force balances it")
+        .def_ro("torque", &Costs::torque, "largest torque of the step as a fraction of its limit")
         .def_ro("change", &Costs::change,
-                "change of the commanded forces in the step as a share of the forces before and after: sums of |components|");
+                "change of the commanded forces in the step, relative to the forces before and after: sums of |components|");
     using Outcome = Controller::Outcome;
-    nb::class_<Outcome>(m, "Outcome", "How the object is held.")
-        .def_ro("drift", &Outcome::drift, "[m] from where it should be")
-        .def_ro("tilt", &Outcome::tilt, "[rad] from how it should stand")
+    nb::class_<Outcome>(m, "Outcome", "Quality of the hold.")
+        .def_ro("drift", &Outcome::drift, "[m] distance from the target position")
+        .def_ro("tilt", &Outcome::tilt, "[rad] angle to the target orientation")
         .def_ro("force_error", &Outcome::force_error, "largest component of measured - commanded force [N]")
-        .def_ro("slip", &Outcome::slip, "fastest touching tip on the object [m/s]")
+        .def_ro("slip", &Outcome::slip, "highest tangential speed of a touching tip on the object [m/s]")
         .def_ro("stray", &Outcome::stray, "force of links on the object [N]")
         .def_prop_ro(
             "slide", [](const Outcome& o) { return o.worst.slide; },
-            "the furthest since `reset` that a touching tip has slid from where it was on the object [m]")
+            "largest sliding distance of a touching tip on the object since `reset` [m]")
         .def_prop_ro(
-            "overlap", [](const Outcome& o) { return o.worst.overlap; }, "the deepest since `reset` of a tip and the object [m]")
+            "overlap", [](const Outcome& o) { return o.worst.overlap; },
+            "largest overlap of a tip and the object since `reset` [m]")
         .def_prop_ro(
             "stray_share", [](const Outcome& o) { return o.worst.stray; },
-            "the largest force of links on the object since `reset`, as a share of external force and weight,\n"
-            "the weight at least");
-    nb::class_<Controller>(m, "Controller", "The control loop of a hand: what it sees, and the torques that hold.")
+            "largest force of links on the object since `reset`, relative to external force plus weight, at least the weight");
+    nb::class_<Controller>(m, "Controller", "The control loop of a hand: from readings to joint torques.")
         .def_static(
             "make",
             [](const std::shared_ptr<Scene>& scene, nb::handle optimizer, const ControlSettings& settings,
@@ -327,46 +296,46 @@ void bind_controller(nb::module_& m) {
                 return std::make_unique<Controller>(scene, optimizer_of(optimizer), settings, sensors);
             },
             "scene"_a, "optimizer"_a, "settings"_a, "sensors"_a,
-            "optimizer: a `ForceOptimizer` for the contacts of all fingers, which is copied.")
-        .def("reset", &Controller::reset, "Forgets the episode; before it the scene stood still.")
+            "optimizer: a `ForceOptimizer` for the contacts of all fingers; it is copied.")
+        .def("reset", &Controller::reset, "Start a new episode; before its first tick the scene stands still.")
         .def(
-            "rewind", [](Controller& c) { c.sensors.reset(); }, "As before the first tick: what was seen was not yet.")
+            "rewind", [](Controller& c) { c.sensors.reset(); }, "Reset the sensors to the state before the first tick.")
         .def(
             "tick", &tick, "reading"_a.none(), "external"_a, "gravity"_a, "target"_a, "noise"_a.none(), "due"_a,
             "adjustment"_a.none(), "given"_a.none(),
-            "Joint torques (M,) [N m] of a control tick; None: the reading is not finite or the object is lost. reading: as of\n"
-            "`Scene.read`, None: the scene has it already; external: the wrench (6,) as a perfect sensor would tell it; gravity\n"
-            "(3,); target (19,); noise: standard normal numbers (3 + 3N,) where anything is noisy. due: whether an agent's step\n"
-            "begins, with adjustment (K,) [N] of the start and given forces (N, 3) [N], contact frames, for `Hold.direct`.")
+            "Return the joint torques (M,) [N m] of a control tick; None if the reading is not finite or the object is lost.\n"
+            "reading: as for `Scene.read`; None: the scene has read it already. external: the wrench (6,) that a perfect sensor\n"
+            "reports; gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if anything is noisy. due: True if "
+            "an\n"
+            "agent's step begins, with adjustment (K,) [N] of the start and given forces (N, 3) [N], contact frames, for\n"
+            "`Hold.direct`.")
         .def("see", &see, "reading"_a.none(), "external"_a, "gravity"_a, "target"_a, "noise"_a.none(),
-             "The first half of a tick: what is known, and the wrench to balance.")
+             "First half of a tick: observe the scene and find the wrench to balance.")
         .def("act", &act, "due"_a, "adjustment"_a.none(), "start"_a.none(), "given"_a.none(),
-             "The second half. start: (N, 3) [N], contact frames, from where the method begins.")
-        .def_rw("hold", &Controller::hold, "What the fingers in contact do.")
-        .def("begin_step", &Controller::begin_step, "An agent's step begins.")
+             "Second half of a tick: find forces and torques. start: (N, 3) [N], contact frames, start of the method.")
+        .def_rw("hold", &Controller::hold, "Behaviour of the fingers in contact.")
+        .def("begin_step", &Controller::begin_step, "Begin an agent's step.")
         .def_ro("effort", &Controller::effort)
-        .def("costs", &Controller::costs, "The costs of the step since `begin_step`, on the contacts that are seen now.")
+        .def("costs", &Controller::costs, "Return the costs of the step since `begin_step`, on the contacts currently seen.")
         .def_prop_ro(
-            "code", [](const Controller& c) { return int(c.code()); }, "How the method's last solve ended.")
-        .def_ro("closure", &Controller::closure, "Whether a force was found at the last tick that optimized.")
-        .def("rest", &Controller::rest, "Measured forces as the commanded ones: what the hand does at rest.")
-        .def("outcome", &outcome, "target"_a, "error"_a, "measured"_a,
-             "How the object is held, by the truth: fills the pose error (12,) against a target (19,), and the measured forces\n"
-             "(N, 3) in the commanded contact frames [N].")
+            "code", [](const Controller& c) { return int(c.code()); }, "Code of the method's last solve.")
+        .def_ro("closure", &Controller::closure, "True if the last tick that optimised found a force.")
+        .def("rest", &Controller::rest, "Set the measured forces as commanded ones, for a hand at rest.")
         .def(
-            "told", &told, "outcome"_a, "measured"_a,
-            "What an environment reports of a step, by name: the method's solution, contacts, forces [N], effort, and an outcome "
-            "with its\n"
-            "measured forces (N, 3); the arrays are copies.")
-        .def("arrays", &arrays, "Views of what is commanded, by name: overwritten in place.")
-        .def("seen", &seen, "Views of what is seen, by name: overwritten in place.")
+            "outcome", &outcome, "target"_a, "error"_a, "measured"_a,
+            "Return the outcome from the true state; write the pose error (12,) against a target (19,), and the measured forces\n"
+            "(N, 3) in the commanded contact frames [N].")
+        .def("told", &told, "outcome"_a, "measured"_a,
+             "Return the report of a step by name: the method's solution, contacts, forces [N], effort, and an outcome with its\n"
+             "measured forces (N, 3). The arrays are copies.")
+        .def("arrays", &arrays, "Views of the commands by name; overwritten in place.")
+        .def("seen", &seen, "Views of the observed state by name; overwritten in place.")
         .def_prop_rw(
             "perfect", [](const Controller& c) { return c.sensors.perfect; },
-            [](Controller& c, bool value) { c.sensors.perfect = value; },
-            "Whether the scene is seen as it is, whatever the settings.")
+            [](Controller& c, bool value) { c.sensors.perfect = value; }, "True to ignore delay and noise of the sensors.")
         .def_prop_ro(
-            "exact", [](const Controller& c) { return c.sensors.exact(); }, "Whether the scene is seen as it is.")
-        .def_ro("mask", &Controller::mask, "The fingers that count as in contact: 2^i for finger i.")
-        .def_ro("changes", &Controller::changes, "How often they changed since `reset`.")
+            "exact", [](const Controller& c) { return c.sensors.exact(); }, "True if the scene is seen without delay and noise.")
+        .def_ro("mask", &Controller::mask, "Fingers that count as in contact: 2^i for finger i.")
+        .def_ro("changes", &Controller::changes, "Number of changes of `mask` since `reset`.")
         .def_ro("peak", &Controller::peak, "Largest torque since `reset` [N m].");
 }

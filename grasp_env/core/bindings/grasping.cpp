@@ -32,7 +32,7 @@ Limb make_solid(int link, const std::string& kind, const Three& half, const Thre
                 Solid::of(kind == "box" ? Solid::Core::box : Solid::Core::cylinder, point(half.data()), 0.0, point(center.data()),
                           frame),
                 tip};
-    if (kind != "hull" || each.length(0) < 4) throw nb::value_error("box, cylinder or hull; a hull with corners");
+    if (kind != "hull" || each.length(0) < 4) throw nb::value_error("kind must be box, cylinder or hull; a hull needs corners");
     std::vector<Point> points;
     for (Py_ssize_t k = 0; k < each.length(0); ++k) points.push_back(point(each.data() + 3 * k));
     return {link, Solid::hull(std::make_shared<const std::vector<Point>>(std::move(points)), point(center.data()), frame), tip};
@@ -41,17 +41,17 @@ Limb make_solid(int link, const std::string& kind, const Three& half, const Thre
 using Pairs = std::vector<std::pair<int, int>>;
 
 void check(const Tree& tree, int link) {
-    if (link < -1 || link >= tree.joints()) throw nb::value_error("a limb is of a link, or of the palm: -1");
+    if (link < -1 || link >= tree.joints()) throw nb::value_error("a limb belongs to a link, or to the palm: -1");
 }
 
 std::shared_ptr<HandLimbs> make_hand(const std::shared_ptr<Tree>& tree, const std::vector<Limb>& limbs, nb::handle home,
                                      const Pairs& together) {
     for (const Limb& limb : limbs) check(*tree, limb.link);
     for (const auto& [a, b] : together) check(*tree, a), check(*tree, b);
-    return std::make_shared<HandLimbs>(tree, limbs, Together(*tree, together), in(home, tree->joints()).data());
+    return std::make_shared<HandLimbs>(tree, limbs, IgnoredPairs(*tree, together), in(home, tree->joints()).data());
 }
 
-// Least distances [m] of links (-1: the palm) in a posture, of every pair that is not of one joint: (link, link, distance).
+// Smallest distances [m] of links (-1: the palm) in a posture, for every pair that is not of one joint: (link, link, distance).
 std::vector<std::tuple<int, int, double>> link_gaps(const HandLimbs& hand, nb::handle angles, double enough) {
     const Numbers given = in(angles, hand.tree->joints());
     std::vector<double> there(given.data(), given.data() + hand.tree->joints());
@@ -112,7 +112,7 @@ int choose(GraspSearch& search, const std::vector<std::vector<int>>& picks, nb::
     const std::size_t fingers = search.pools.size();
     for (const auto& row : picks)
         if (row.size() != fingers || std::any_of(row.begin(), row.end(), [](int k) { return k < 0; }))
-            throw nb::value_error("picks: numbers >= 0, one per finger");
+            throw nb::value_error("picks must be numbers >= 0, one per finger");
     for (const auto& pool : search.pools)
         if (pool.empty()) throw nb::value_error("a finger has no places");
     const Numbers f = out(forces, -1), p = out(points, f.length(0), fingers, 3), n = out(normals, f.length(0), fingers, 3);
@@ -133,7 +133,7 @@ int choose(GraspSearch& search, const std::vector<std::vector<int>>& picks, nb::
 }
 
 int assemble(GraspSearch& search, const std::vector<int>& choice, double clearance, nb::handle angles, nb::handle start) {
-    if (choice.size() != search.pools.size()) throw nb::value_error("choice: a place per finger");
+    if (choice.size() != search.pools.size()) throw nb::value_error("choice must be one place per finger");
     for (std::size_t i = 0; i < choice.size(); ++i)
         if (choice[i] < 0 || choice[i] >= int(search.pools[i].size())) throw nb::value_error("no such place");
     const Numbers there = out(angles, -1);
@@ -143,17 +143,16 @@ int assemble(GraspSearch& search, const std::vector<int>& choice, double clearan
 }  // namespace
 
 void bind_grasping(nb::module_& m) {
-    nb::class_<Limb>(m, "Limb", "A convex shape that is fixed to a link; -1: to the palm.")
+    nb::class_<Limb>(m, "Limb", "A convex shape fixed to a link; -1: the palm.")
         .def_static("line", &make_line, nb::kw_only(), "link"_a, "start"_a, "end"_a, "radius"_a, "tip"_a,
-                    "All within a radius of a line [m], link frame; tip: part of a fingertip.")
+                    "All points within a radius of a line [m], link frame; tip: part of a fingertip.")
         .def_static(
             "solid", &make_solid, nb::kw_only(), "link"_a, "kind"_a, "half"_a, "center"_a, "rotation"_a, "corners"_a, "tip"_a,
-            "kind: box, half its sides; cylinder about z, radius twice and half its height; hull, (K, 3) corners about a\n"
-            "point inside [m]. center [m] and rotation (9,), link frame.");
-    nb::class_<HandLimbs>(m, "HandLimbs", "The limbs of a hand, and its fingers one by one.")
-        .def_static(
-            "make", &make_hand, "tree"_a, "limbs"_a, "home"_a, "together"_a = Pairs{},
-            "home (M,) [rad]: where the inverse kinematics starts; together: pairs of links, -1 the palm, that may touch.")
+            "kind: box, half its sides; cylinder about z, radius, radius and half its height; hull, (K, 3) corners relative to\n"
+            "a point inside [m]. center [m] and rotation (9,), link frame.");
+    nb::class_<HandLimbs>(m, "HandLimbs", "The limbs of a hand, and its fingers as separate trees.")
+        .def_static("make", &make_hand, "tree"_a, "limbs"_a, "home"_a, "together"_a = Pairs{},
+                    "home (M,) [rad]: start of the inverse kinematics; together: pairs of links that may touch, -1: the palm.")
         .def(
             "moved",
             [](const HandLimbs& hand, const Nine& turn, const Three& shift, nb::handle home) {
@@ -161,24 +160,23 @@ void bind_grasping(nb::module_& m) {
                     hand.moved(Rotation::from(turn.data()), point(shift.data()), in(home, hand.tree->joints()).data()));
             },
             "turn"_a, "shift"_a, "home"_a,
-            "The same hand, its palm turned (9,), then shifted [m], with another rest posture (M,).")
+            "Return the same hand with its palm rotated (9,), then shifted [m], and with another rest posture (M,).")
         .def(
             "clearance",
             [](const HandLimbs& hand, const Surface& surface, nb::handle angles, double enough) {
                 return hand.clearance(Obstacle(surface), in(angles, hand.tree->joints()).data(), enough);
             },
             "surface"_a, "angles"_a, "enough"_a = infinity,
-            "Least distances [m] at angles (M,): of the links, without spheres of fingertips, from an object; of links and tips "
-            "from one\n"
-            "another; at most `enough`.")
+            "Return the smallest distances [m] at angles (M,), at most `enough`: of the links, without the spheres of\n"
+            "fingertips, from an object; of links and tips from one another.")
         .def("link_gaps", &link_gaps, "angles"_a, "enough"_a,
-             "Pairs of limbs of different links, not of one joint, that are at most `enough` apart [m]: (link, link, distance). "
-             "Coupled\n"
-             "joints follow theirs.")
+             "Return the pairs of limbs of different links, not of one joint, at most `enough` apart [m]: (link, link, "
+             "distance).\n"
+             "Coupled joints follow their drivers.")
         .def("beside", &beside, "finger"_a, "angles"_a, "middles"_a, "enough"_a, "gaps"_a,
-             "How far the rest of a finger and the palm are from balls about `middles` (K, 3) that touch its tip in postures (K, "
-             "M),\n"
-             "at most `enough` [m]: into (K,).")
+             "Write (K,) distances, at most `enough` [m], of the rest of a finger and the palm in postures (K, M) from balls "
+             "about\n"
+             "`middles` (K, 3) that touch its tip.")
         .def_prop_ro(
             "free",
             [](const HandLimbs& hand) {
@@ -186,27 +184,26 @@ void bind_grasping(nb::module_& m) {
                 for (const Finger& finger : hand.fingers) out.push_back(finger.free);
                 return out;
             },
-            "Of each finger, whether its tip goes anywhere near.")
+            "For each finger, True if its tip can go anywhere nearby.")
         .def(
             "palm_gap", [](const HandLimbs& hand, const Surface& surface) { return hand.palm_gap(Obstacle(surface)); },
-            "surface"_a, "Of the palm from an object [m].");
+            "surface"_a, "Return the distance of the palm from an object [m].");
     nb::class_<GraspSearch>(m, "GraspSearch", "A search for contacts with which a hand holds an object.")
         .def_static(
             "make", &make, "hand"_a, "surface"_a, nb::kw_only(), "friction"_a, "torsion"_a, "length"_a, "space"_a, "start"_a,
             "gravity"_a, "loads"_a, "directions"_a,
-            "loads: (L, 6) that the contacts make, (force, moment / length) [N]; directions: (D, 6) to compare them in;\n"
-            "length, space between fingers, torsion: moment about the normal over its force, start: of the tips from the\n"
-            "object before they close [m]; gravity (3,) [m/s^2].")
-        .def(
-            "fill", &fill, "finger"_a, "draws"_a, "spread"_a, "margins"_a, "most"_a,
-            "Makes the pool of places of a finger anew, and returns their number.\n"
-            "draws: (S, 6) in [0, 1); less 1/2, times spread (6,): where to begin inside the object [m], and what to add to the\n"
-            "direction towards the finger.\n"
-            "margins: [m] of flat surface, [rad] from joint limits, [m] of clearance, [m] of a mesh's pieces over it at most.")
+            "loads: (L, 6) wrenches that the contacts must make, (force, moment / length) [N]; directions: (D, 6) for comparing\n"
+            "places; length, space between fingers, torsion (moment about the normal over normal force), start (gap of the tips\n"
+            "before they close) [m]; gravity (3,) [m/s^2].")
+        .def("fill", &fill, "finger"_a, "draws"_a, "spread"_a, "margins"_a, "most"_a,
+             "Refill the pool of places of a finger and return their number.\n"
+             "draws: (S, 6) in [0, 1); (draws - 1/2) * spread (6,) gives the start inside the object [m] and the offset of the\n"
+             "direction towards the finger.\n"
+             "margins: [m] of flat surface, [rad] from joint limits, [m] of clearance, [m] largest distance of a mesh's pieces.")
         .def("choose", &choose, "picks"_a, "forces"_a, "points"_a, "normals"_a, "choices"_a,
-             "The best choice of each round: the total normal force [N] that it needs in the worst case into (R,), points and\n"
-             "normals into (R, N, 3), places into (R, N); returns how many. picks: random numbers >= 0 per finger, of the "
-             "choices to begin with.")
+             "Find the best choice of each round: write its total normal force [N] in the worst case into (R,), points and\n"
+             "normals into (R, N, 3), places into (R, N). Return the number of rounds. picks: random numbers >= 0 per finger\n"
+             "for the initial choices.")
         .def(
             "misses",
             [](const GraspSearch& search, int finger) {
@@ -214,13 +211,12 @@ void bind_grasping(nb::module_& m) {
                 return Ends{misses.edge, misses.far, misses.limit, misses.touching, misses.start, misses.weak};
             },
             "finger"_a,
-            "How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to "
-            "start,\n"
-            "without push along the normal.")
-        .def("assemble", &assemble, "choice"_a, "clearance"_a, "angles"_a, "start"_a,
-             "Angles (M,) of the whole hand at a choice of places, and before it closes, as far as they are. Returns 0, or what "
-             "is\n"
-             "wrong: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at the "
-             "start,\n"
-             "6 fingers of one motor do not touch together.");
+            "Return the number of rays that failed: at an edge, out of reach, near a joint limit, with a link at the object,\n"
+            "without room to start, with too little push along the normal.")
+        .def(
+            "assemble", &assemble, "choice"_a, "clearance"_a, "angles"_a, "start"_a,
+            "Write the angles (M,) of the whole hand at a choice of places, and before it closes, as far as they exist. Return "
+            "0,\n"
+            "or the fault: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at\n"
+            "the start, 6 fingers of one motor do not touch together.");
 }

@@ -7,7 +7,7 @@ using namespace grasp;
 
 namespace {
 
-using Solve = void (*)(const Grasps&, const Stop&, const Many&);
+using Solve = void (*)(const Grasps&, const Stop&, const SolveBatch&);
 
 void check_first(const Numbers& first, Py_ssize_t grasps, Py_ssize_t many) {
     bool rises = first.data()[0] == 0.0 && first.data()[grasps] == double(many);
@@ -15,7 +15,7 @@ void check_first(const Numbers& first, Py_ssize_t grasps, Py_ssize_t many) {
         const double from = first.data()[u], until = first.data()[u + 1];
         rises = rises && from == std::floor(from) && from <= until;
     }
-    if (!rises) throw nb::value_error("first: rising from 0 to the number of wrenches");
+    if (!rises) throw nb::value_error("first must rise from 0 to the number of wrenches");
 }
 
 template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first, double tolerance,
@@ -28,7 +28,7 @@ template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::h
     placed.reserve(grasps);
     for (const nb::handle each : contacts) {
         const Contacts* one = nullptr;
-        if (!nb::try_cast(each, one) || !one || one->count != count) throw nb::type_error("contacts: N of each grasp");
+        if (!nb::try_cast(each, one) || !one || one->count != count) throw nb::type_error("contacts must have N contacts each");
         placed.push_back(one);
     }
     const Grasps given(int(count), grasps, placed.data(), price.data(), begins.data());
@@ -49,9 +49,9 @@ template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::h
 
 void bind_grasps(nb::module_& m) {
     const char* arguments =
-        "U contacts in their place, whose own weights are not read but `weights` (N, 2); wrenches first[u] to\n"
-        "first[u + 1] - 1 are those of contacts u. Into whole rows of solutions; releases the GIL.\n"
-        "REFUSED: they are soft, or without force closure.";
+        "Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to\n"
+        "contacts u. Writes complete rows of solutions; releases the GIL.\n"
+        "REFUSED: soft contacts, or no force closure.";
     const auto bind = [&](const char* name, auto solve) {
         m.def(name, solve, "contacts"_a, "weights"_a, "first"_a, "tolerance"_a, "limit"_a, "wrenches"_a, "records"_a, arguments);
     };

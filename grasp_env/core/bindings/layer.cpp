@@ -26,16 +26,18 @@ enum Place {
     START
 };
 
-// Problems with any leading dimensions, read where their numbers lie. What is given stands in the order of `FORCE_INPUTS`, with a start or
-// without: tensors or arrays on the CPU, float64 or float32, whose leading dimensions broadcast; numbers for all contacts or joints; or None.
+// Problems with any leading dimensions, read in place. The inputs have the order of `FORCE_INPUTS`, with or without a start:
+// tensors or arrays on the CPU, float64 or float32, whose leading dimensions broadcast; numbers for all contacts or joints; or
+// None.
 class Problems {
 public:
     ForceBatch batch;
     bool float32 = true;  // no tensor with dimensions is float64
 
-    // Null: a type or a layout that is not read here; the caller converts it, or says what is wrong.
+    // Return null for a type or a layout that cannot be read in place; the caller converts it or reports an error.
     static Problems* of(nb::tuple given, Py_ssize_t most_contacts, Py_ssize_t most_joints) {
-        if (given.size() != INPUTS && given.size() != INPUTS + 1) throw nb::type_error("13 tensors, and a start or none");
+        if (given.size() != INPUTS && given.size() != INPUTS + 1)
+            throw nb::type_error("expected 13 tensors, and optionally a start");
         std::unique_ptr<Problems> made(new Problems(given));
         return made->take(most_contacts, most_joints) ? made.release() : nullptr;
     }
@@ -57,18 +59,19 @@ public:
         nb::gil_scoped_release free;
         optimal_forces(chosen, {tolerance, limit}, {forces[from], turns[from], prices[from], told[from], states[from]});
     }
-    // state: of `solve`; the derivatives of a loss by its answers, None: zero; gradients: arrays in the order of the inputs, or None
+    // state: from `solve`. The derivatives of a loss with respect to the answers, None: zero. gradients: arrays in the order of the
+    // inputs, or None.
     void differentiate(Py_ssize_t from, Py_ssize_t to, nb::handle state, nb::handle by_force, nb::handle by_torsion,
                        nb::handle by_multipliers, bool elastic, nb::tuple gradients) const {
         const ForceBatch chosen = part(from, to);
         const Py_ssize_t n = contacts();
-        if (gradients.size() != INPUTS) throw nb::type_error("13 arrays of gradients");
+        if (gradients.size() != INPUTS) throw nb::type_error("expected 13 arrays of gradients");
         const NumberRows states(state, false, size(), layer_state_size(contacts())), forces(by_force, false, size(), 3 * n, true),
             turns(by_torsion, false, size(), n, true), prices(by_multipliers, false, size(), 6, true);
         BatchGradients made{};
         for (int k = 0; k < INPUTS; ++k) {
             if (gradients[k].is_none()) continue;
-            if (!(batch.*FORCE_INPUTS[k])) throw nb::type_error("a gradient by an input that is not given");
+            if (!(batch.*FORCE_INPUTS[k])) throw nb::type_error("a gradient is requested for an input that is not given");
             const Py_ssize_t row = rows_[k].count();
             double* const data = made.*FORCE_GRADIENTS[k] = NumberRows(gradients[k], true, size(), row)[from];
             std::fill_n(data, row * (to - from), 0.0);  // the tuple holds the array
@@ -124,7 +127,7 @@ private:
         }
         return true;
     }
-    // Leading dimensions to which those before and these broadcast; false: there are none.
+    // Broadcast the leading dimensions so far with these. Return false if they do not fit.
     bool broadcast(const Tensor::Lengths& shape, int leading) {
         if (leading + 3 > Tensor::MOST_DIMENSIONS) return false;
         if (leading > leading_) {
@@ -139,7 +142,7 @@ private:
         return true;
     }
 
-    nb::tuple given_;  // keeps what is read
+    nb::tuple given_;  // keeps the inputs alive
     std::array<Tensor, INPUTS + 1> tensors_;
     std::array<Tensor::Row, INPUTS + 1> rows_;
     Tensor::Lengths lead_{};
@@ -150,27 +153,30 @@ private:
 
 void bind_layer(nb::module_& m) {
     m.attr("LAYER_FACTS") = LAYER_FACTS;
-    m.def("layer_state_size", &layer_state_size, "contacts"_a, "Numbers of a problem's state.");
+    m.def("layer_state_size", &layer_state_size, "contacts"_a, "Return the number of values in a problem's state.");
     nb::class_<Problems>(
         m, "ForceProblems",
-        "Problems with any leading dimensions, read where their numbers lie.\n\n"
-        "Given are positions, normals, friction, tangents, torsional friction, wrench, jacobian, torque limit,\n"
-        "torque bias, least and largest normal force, omega, lambda, and a start or none. Each is a tensor or an\n"
-        "array on the CPU, float64 or float32, whose leading dimensions broadcast; a number for all contacts or\n"
+        "Problems with any leading dimensions, read in place.\n"
+        "\n"
+        "The inputs are positions, normals, friction, tangents, torsional friction, wrench, jacobian, torque limit,\n"
+        "torque bias, smallest and largest normal force, omega, lambda, and optionally a start. Each is a tensor or\n"
+        "an array on the CPU, float64 or float32, whose leading dimensions broadcast; a number for all contacts or\n"
         "joints; or None.")
         .def_static("of", &Problems::of, "given"_a, "most_contacts"_a, "most_joints"_a, nb::rv_policy::take_ownership,
                     nb::sig("def of(given: tuple, most_contacts: int, most_joints: int) -> ForceProblems | None"),
-                    "None: a type or a layout that is not read here; convert it, or say what is wrong.")
+                    "Return None for a type or a layout that cannot be read in place: convert it, or report an error.")
         .def_prop_ro("lead", &Problems::lead, "Leading dimensions.")
-        .def_prop_ro("size", &Problems::size, "Their product.")
+        .def_prop_ro("size", &Problems::size, "Product of the leading dimensions.")
         .def_prop_ro("contacts", &Problems::contacts)
         .def_prop_ro("joints", [](const Problems& made) { return made.batch.joints; })
         .def_prop_ro("jacobian_rows", [](const Problems& made) { return made.batch.jacobian_rows; })
-        .def_ro("float32", &Problems::float32, "Whether no tensor with dimensions is float64.")
+        .def_ro("float32", &Problems::float32, "True if no tensor with dimensions is float64.")
         .def("solve", &Problems::solve, "start"_a, "stop"_a, "tolerance"_a, "limit"_a, "force"_a, "torsion"_a, "multipliers"_a,
              "facts"_a, "state"_a,
-             "Optimal forces of the problems from start to stop into arrays of all of them, see `BatchForces`. Releases the GIL.")
+             "Write the optimal forces of problems start to stop into arrays for all problems, see `BatchForces`. Releases the "
+             "GIL.")
         .def("differentiate", &Problems::differentiate, "start"_a, "stop"_a, "state"_a, "by_force"_a.none(),
              "by_torsion"_a.none(), "by_multipliers"_a.none(), "elastic"_a, "gradients"_a,
-             "Gradients of a loss by the inputs, into arrays or None in their order. Releases the GIL.");
+             "Write the gradients of a loss with respect to the inputs, into arrays or None, in the inputs' order. Releases the "
+             "GIL.");
 }

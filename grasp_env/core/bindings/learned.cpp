@@ -10,7 +10,7 @@ using namespace grasp;
 
 namespace {
 
-// Weights are kept as float32; here they come as the float64 of every other array.
+// Convert weights from the float64 of all arrays to the float32 in which networks keep them.
 std::vector<float> singles(const Numbers& from, size_t count) {
     std::vector<float> out(from.data(), from.data() + count);
     for (const float v : out)
@@ -20,14 +20,15 @@ std::vector<float> singles(const Numbers& from, size_t count) {
 
 Network make_network(const std::vector<int>& sizes, nb::handle weights) {
     const size_t count = Network::numbers(sizes);
-    if (!count) throw nb::value_error("a network has 1 to MOST_STAGES stages, each of 1 to WIDEST numbers");
+    if (!count) throw nb::value_error("a network must have 1 to MOST_STAGES stages, each with 1 to WIDEST numbers");
     return Network(sizes, singles(in(weights, count), count).data());
 }
 
 Model make_model(const Network& network, const Network& pairs) {
     Model model;
     model.network = network, model.pairs = pairs;
-    if (!model.whole()) throw nb::value_error("pairs has one stage, 6 to 2 M numbers, and the network reads PLAIN_FEATURES + M");
+    if (!model.whole())
+        throw nb::value_error("pairs must have one stage, 6 to 2 M numbers, and the network PLAIN_FEATURES + M inputs");
     return model;
 }
 
@@ -66,23 +67,24 @@ void predict(Model& model, nb::handle wrench, nb::handle coordinates) {
 void bind_learned(nb::module_& m) {
     m.attr("PLAIN_FEATURES") = PLAIN_FEATURES, m.attr("MOST_STAGES") = MOST_STAGES, m.attr("WIDEST") = WIDEST;
     nb::class_<Network>(m, "Network", "A float32 perceptron with activation v/2 (1 + v / sqrt(1 + v^2)).")
-        .def_static("make", &make_network, "sizes"_a, "weights"_a,
-                    "sizes: inputs, hidden ..., outputs; weights: of each stage (inputs x outputs), then its bias, flat.");
-    nb::class_<Model>(m, "Model", "A trained model on contacts as they are now.")
-        .def_static("make", &make_model, "network"_a, "pairs"_a,
-                    "pairs: of one stage, makes of a wrench's direction the vectors whose lengths the network reads, too.")
+        .def_static(
+            "make", &make_network, "sizes"_a, "weights"_a,
+            "sizes: inputs, hidden ..., outputs; weights: for each stage the matrix (inputs x outputs), then its bias, flat.");
+    nb::class_<Model>(m, "Model", "A trained model for given contacts.")
+        .def_static(
+            "make", &make_model, "network"_a, "pairs"_a,
+            "pairs: one stage that maps a wrench's direction to vectors, whose lengths are further inputs of the network.")
         .def("normalise", &normalise, "floor"_a, "smoothing"_a, "log_mean"_a, "log_scale"_a, "friction_mean"_a,
-             "friction_scale"_a, "Of the network's features, see policies/features.py.")
+             "friction_scale"_a, "Set the scaling of the network's features, see policies/features.py.")
         .def("place", &place, "null_space"_a, "friction"_a, "scale"_a, "largest"_a,
-             "null_space: (3N, 3N - 6) internal forces that the network's outputs stand for; scale: sqrt(lambda / omega) over "
-             "that of\n"
-             "training; largest: size of the training's wrenches [N], < 0: none is covered.")
-        .def("save", &save, "What `grasp::ModelFile` reads: one file for C++ programs.")
+             "Set the contacts. null_space: (3N, 3N - 6) internal forces, the basis of the network's outputs; scale:\n"
+             "sqrt(lambda / omega) relative to that of training; largest: size of the largest training wrench [N],\n"
+             "< 0: none is covered.")
+        .def("save", &save, "Return the bytes of a model file, which `grasp::ModelFile` reads in C++.")
         .def_static(
             "load", [](nb::bytes bytes) { return ModelFile::read({bytes.c_str(), bytes.size()}); }, "bytes"_a,
-            "The model that `save` wrote; None: it is not whole.")
-        .def("covers", &covers, "wrench"_a, "Whether wrench (unit frame), contacts and friction lie in the training range.")
+            "Return the model that `save` wrote; None if the bytes are not a whole file.")
+        .def("covers", &covers, "wrench"_a, "True if the wrench (unit frame), contacts and friction lie in the training range.")
         .def("predict", &predict, "wrench"_a, "coordinates"_a,
-             "The internal force that the network predicts for a wrench (unit frame), in coordinates (3N - 6,) [N] of the null "
-             "space.");
+             "Predict the internal force for a wrench (unit frame), as coordinates (3N - 6,) [N] in the null space.");
 }

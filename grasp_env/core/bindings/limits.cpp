@@ -9,7 +9,7 @@ namespace {
 
 std::span<const double> span(const Numbers& numbers, Py_ssize_t count) { return {numbers.data(), size_t(count)}; }
 
-// All finite limits as rows on force and torsion, (M, N, 4) with bounds and what each limit is (M,); returns M.
+// Write all finite limits as rows on force and torsion, (M, N, 4), with bounds and the size of each limit (M,). Return M.
 int limit_rows(nb::handle least, nb::handle most, nb::handle jacobian, nb::handle torques, nb::handle biases, nb::handle matrix,
                nb::handle bounds, nb::handle limited) {
     const Numbers low = in(least, -1), limit = in(torques, -1);
@@ -32,6 +32,6 @@ int limit_rows(nb::handle least, nb::handle most, nb::handle jacobian, nb::handl
 void bind_limits(nb::module_& m) {
     m.def("limit_rows", &limit_rows, "least"_a, "most"_a, "jacobian"_a, "torques"_a, "biases"_a, "matrix"_a, "bounds"_a,
           "limited"_a,
-          "Finite limits of normal forces (N,) and, with a Jacobian (N, 4, J), of torques (J,), as rows A f <= b on force and\n"
-          "torsion: fills A (R, N, 4), b (R,) and what each limit is (R,), R = 2 (N + J), up to the number that it returns.");
+          "Write finite limits of normal forces (N,) and, with a Jacobian (N, 4, J), of torques (J,), as rows A f <= b on force\n"
+          "and torsion: A (R, N, 4), b (R,) and the size of each limit (R,), with R = 2 (N + J). Return the number of rows.");
 }

@@ -2,8 +2,8 @@
 #include "module.hpp"
 
 NB_MODULE(_core, m) {
-    nb::set_leak_warnings(false);  // what a program keeps to its end is no leak
-    m.doc() = "The compiled core; `grasp_env.core` is its door.";
+    nb::set_leak_warnings(false);  // objects that a program keeps to its end are no leak
+    m.doc() = "The compiled core; use `grasp_env.core`.";
     bind_build_info(m);
     bind_record(m);
     bind_solution(m);
@@ -19,5 +19,6 @@ NB_MODULE(_core, m) {
     bind_tree(m);
     bind_grasping(m);
     bind_scene(m);
+    bind_gather(m);
     bind_controller(m);
 }

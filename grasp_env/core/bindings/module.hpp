@@ -1,4 +1,4 @@
-// What every file of this folder includes: nanobind, and the functions that bind the parts.
+// Common header of this folder: nanobind, and the functions that bind the parts.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -21,4 +21,5 @@ void bind_surface(nb::module_& m);
 void bind_tree(nb::module_& m);
 void bind_grasping(nb::module_& m);
 void bind_scene(nb::module_& m);
+void bind_gather(nb::module_& m);
 void bind_controller(nb::module_& m);

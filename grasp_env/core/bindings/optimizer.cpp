@@ -1,5 +1,5 @@
-// `grasp::ForceOptimizer`. `solve` is what control loops call: it reads arrays where they lie and makes its solution without a line of
-// Python; whatever it cannot read, and every outcome that takes words, it leaves to Python by returning None.
+// `grasp::ForceOptimizer`. Control loops call `solve`: it reads arrays in place and makes its solution without running Python. It
+// returns None if it cannot read an argument, or if the outcome needs a message; Python then takes over.
 #include "optimizer.hpp"
 
 #include <grasp/advice.hpp>
@@ -13,10 +13,10 @@ using namespace grasp;
 
 namespace {
 
-// The numbers of an array that can be read as they lie.
-class Given {
+// The numbers of an array that can be read in place.
+class ArrayArgument {
 public:
-    explicit Given(nb::handle object) {
+    explicit ArrayArgument(nb::handle object) {
         if (object.is_none()) return;
         given_ = true;
         if (!PyArray_Check(object.ptr())) return;
@@ -25,7 +25,7 @@ public:
             array_ = const_cast<PyArrayObject*>(a);
     }
     bool given() const { return given_; }
-    // Of this shape, -1: any length.
+    // True if the array has this shape; -1: any length.
     bool has(std::initializer_list<npy_intp> shape) const {
         if (!array_ || PyArray_NDIM(array_) != int(shape.size())) return false;
         int axis = 0;
@@ -45,15 +45,15 @@ class Solver {
 public:
     ForceOptimizer on;
     const int count, joints;
-    nb::object previous = nb::none();  // the last solution with a force
+    nb::object previous = nb::none();  // last solution with a force
 
-    // kind: the class of solutions; method: its name; starts: what solutions call each `Start`
+    // kind: the class of solutions; method: its name; starts: the name of each `Start` in solutions
     Solver(const Problem& problem, const Options& options, nb::object kind, nb::object method, nb::tuple starts, nb::object name,
            bool remembers)
         : on(problem, options), count(problem.contacts.count), joints(int(problem.limits.torque_limit.size())),
           remembers_(remembers), asked_(options.start), kind_(kind), method_(method), name_(name), starts_(starts) {}
 
-    // A solution; None: an argument cannot be read as it is, or it ended without a force: `ended` is its row then.
+    // Return a solution; None if an argument cannot be read in place, or if there is no force, with its row in `ended`.
     nb::object solve(nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
                      nb::handle torque_bias, nb::handle contacts) {
         ended = nb::none();
@@ -62,25 +62,25 @@ public:
         if (remembers_ && !previous.is_none()) ask.previous = row_of(previous.ptr());
         return made(ask, asked_, nb::handle());
     }
-    // The same from a start of this call. initial: the start's name for the solution, or None: its own.
+    // The same from a start of this call. initial: name of the start for the solution; None: its own.
     nb::object solve_from(int start, nb::handle initial, nb::handle force, nb::handle before, double optimum, nb::handle trace,
                           nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
                           nb::handle torque_bias, nb::handle contacts) {
         ended = nb::none();
         Ask ask{};
         if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts))
-            throw nb::type_error("C-contiguous float64 arrays are needed");
+            throw nb::type_error("expected C-contiguous float64 arrays");
         from(ask, start, force, before);
         ask.optimum = optimum;
         if (!trace.is_none()) ask.trace = {out(trace, -1).data(), std::size_t(out(trace, -1).length(0))};
         return made(ask, Start(start), initial);
     }
-    // The start alone, a record whose force it is; its code says LIMIT, or why there is none.
+    // Return the start alone, as the force of a record with code LIMIT, or the reason why there is none.
     nb::object start(int start, nb::handle force, nb::handle before, nb::handle wrench, nb::handle positions, nb::handle normals,
                      nb::handle friction, nb::handle jacobian, nb::handle torque_bias, nb::handle contacts) {
         Ask ask{};
         if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts))
-            throw nb::type_error("C-contiguous float64 arrays are needed");
+            throw nb::type_error("expected C-contiguous float64 arrays");
         from(ask, start, force, before);
         nb::object row = new_row();
         on.start(ask, data(row.ptr()));
@@ -89,7 +89,7 @@ public:
     bool update(nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian, nb::handle torque_bias) {
         Ask ask{};
         if (!now(ask, positions, normals, friction, jacobian, torque_bias, nb::none()))
-            throw nb::type_error("C-contiguous float64 arrays are needed");
+            throw nb::type_error("expected C-contiguous float64 arrays");
         return on.update(ask.now);
     }
     nb::object ended = nb::none();
@@ -111,25 +111,26 @@ private:
 
     bool now(Ask& ask, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian, nb::handle torque_bias,
              nb::handle contacts) {
-        const auto take = [](const Given& given, std::initializer_list<npy_intp> shape, Doubles& to) {
+        const auto take = [](const ArrayArgument& given, std::initializer_list<npy_intp> shape, Doubles& to) {
             if (!given.given()) return true;
             if (!given.has(shape)) return false;
             to = given.numbers();
             return true;
         };
-        if (!take(Given(positions), {count, 3}, ask.now.positions) || !take(Given(normals), {count, 3}, ask.now.normals) ||
-            !take(Given(torque_bias), {joints}, ask.now.torque_bias))
+        if (!take(ArrayArgument(positions), {count, 3}, ask.now.positions) ||
+            !take(ArrayArgument(normals), {count, 3}, ask.now.normals) ||
+            !take(ArrayArgument(torque_bias), {joints}, ask.now.torque_bias))
             return false;
         if (!friction.is_none()) {
             if (PyFloat_CheckExact(friction.ptr())) {
                 friction_ = PyFloat_AsDouble(friction.ptr()), ask.now.friction = {&friction_, 1};
-            } else if (const Given given(friction); given.has({count}) || given.has({count, 2})) {
+            } else if (const ArrayArgument given(friction); given.has({count}) || given.has({count, 2})) {
                 ask.now.friction = given.numbers();
             } else {
                 return false;
             }
         }
-        if (const Given given(jacobian); given.given()) {
+        if (const ArrayArgument given(jacobian); given.given()) {
             if (!given.has({count, 3, joints}) && !given.has({count, 6, joints})) return false;
             ask.now.jacobian = given.numbers();
         }
@@ -145,7 +146,7 @@ private:
     }
     bool read(Ask& ask, nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
               nb::handle torque_bias, nb::handle contacts) {
-        const Given load(wrench);
+        const ArrayArgument load(wrench);
         if (!load.has({6})) return false;
         ask.wrench = load.data();
         return now(ask, positions, normals, friction, jacobian, torque_bias, contacts);
@@ -153,8 +154,8 @@ private:
     void from(Ask& ask, int start, nb::handle force, nb::handle before) const {
         if (start < 0 || start > int(Start::central)) throw nb::value_error("no such start");
         ask.start = Start(start);
-        if (const Given given(force); given.given()) {
-            if (!given.has({count, 3})) throw nb::type_error("a C-contiguous float64 array (N, 3) is needed");
+        if (const ArrayArgument given(force); given.given()) {
+            if (!given.has({count, 3})) throw nb::type_error("expected a C-contiguous float64 array (N, 3)");
             ask.force = given.numbers();
         }
         if (!before.is_none()) ask.previous = row_of(before.ptr());
@@ -170,7 +171,7 @@ private:
         }
         const Summary& s = record.summary();
         const int used = int(s.start);
-        const bool named = initial.is_valid() && !initial.is_none();  // a name of this call's own start
+        const bool named = initial.is_valid() && !initial.is_none();  // the start of this call has a name
         nb::handle name = named && used == int(Start::given) ? initial : starts_[used];
         nb::object told;
         if (s.replaced != 0.0 || s.outside != 0.0) {
@@ -189,7 +190,7 @@ private:
     double friction_ = 0.0;
 };
 
-// The numbers of an array of this shape, -1: any length; of None none.
+// The numbers of an array of this shape, -1: any length; empty for None.
 template <class... Sizes> std::vector<double> copied(nb::handle array, Sizes... sizes) {
     if (array.is_none()) return {};
     const Numbers given = in(array, sizes...);
@@ -203,8 +204,8 @@ Solver* make(const Contacts& given, nb::handle weights, double force_weight, dou
              bool largest, int start, double tolerance, int limit, bool elastic, nb::handle rule, const Model* model,
              nb::object kind, nb::object name, nb::tuple starts, nb::object asked_name, bool remembers) {
     Contacts contacts = given;
-    if (weights.is_none()) contacts.weigh(Objective{force_weight, barrier_weight});
-    else contacts.weigh(in(weights, contacts.count, 2).data());
+    if (weights.is_none()) contacts.set_weights(Objective{force_weight, barrier_weight});
+    else contacts.set_weights(in(weights, contacts.count, 2).data());
     const int count = contacts.count;
     const std::vector<double> least = copied(min_normal, count), most = copied(max_normal, count),
                               torques = copied(torque_limit, -1), bias = copied(torque_bias, torques.size()),
@@ -230,7 +231,7 @@ void solve_many(const Solver& solver, nb::handle wrenches, nb::handle rows) {
         return Doubles(given.data(), std::size_t(6 * given.length(0)));
     }();
     const Numbers to = out(rows, Py_ssize_t(loads.size() / 6), solver.on.size());
-    const ForceOptimizer own = solver.on;  // before others may use it
+    const ForceOptimizer own = solver.on;  // copied while the GIL still protects it
     nb::gil_scoped_release free;
     own.solve_many(loads, {to.data(), loads.size() / 6 * solver.on.size()});
 }
@@ -258,7 +259,7 @@ double fill_basis(Solver& solver, nb::handle basis, bool warm) {
     return solver.on.make_basis({out(basis, 13, 3 * solver.count).data(), size}, warm);
 }
 
-// the combination of a 12-basis (13, M), into (M,)
+// combine a 12-basis (13, M) into (M,)
 void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
     const Numbers rows = in(basis, 13, -1), load = in(wrench, 6);
     const Py_ssize_t size = rows.length(1);
@@ -301,16 +302,9 @@ void bind_optimizer(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
     m.attr("ACCEPTED_GAP") = ACCEPTED_GAP, m.attr("CLEAR") = CLEAR;
     m.def("combine", &combine, "basis"_a, "wrench"_a, "printed"_a, "to"_a,
-          "The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest "
+          "Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,). printed: without the optimum at rest\n"
           "(Eqs. 33, 34).");
-    m.def("advise", &advice, "contacts"_a, "wrench"_a.none() = nb::none(), "jacobian"_a.none() = nb::none(),
-          "torque_limit"_a.none() = nb::none(),
-          nb::sig("def advise(contacts: Contacts, wrench: object = None, jacobian: object = None, torque_limit: object = None) "
-                  "-> list[tuple[bool, str]]"),
-          "Likely mistakes: whether each is near certain, and its text. float64 arrays: (6,), (N, 3 or 6, J), (J,).");
-    m.def("looks_wrong", &is_suspect, "contacts"_a, "wrench"_a.none() = nb::none(), "jacobian"_a.none() = nb::none(),
-          "torque_limit"_a.none() = nb::none(), "True if some of that advice is near certain.");
-    nb::class_<Solver>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; `grasp_env.force.ForceOptimizer` is its door.")
+    nb::class_<Solver>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`.")
         .def_static(
             "make", &make, "contacts"_a, "weights"_a.none() = nb::none(), "force_weight"_a = 1.0, "barrier_weight"_a = 0.01,
             "min_normal"_a.none() = nb::none(), "max_normal"_a.none() = nb::none(), "jacobian"_a.none() = nb::none(),
@@ -318,37 +312,40 @@ void bind_optimizer(nb::module_& m) {
             "start"_a = 0, "tolerance"_a = 0.0, "limit"_a = 20000, "elastic"_a = false, "rule"_a.none() = nb::none(),
             "model"_a.none() = nb::none(), "kind"_a = nb::none(), "name"_a = nb::none(), "starts"_a = nb::tuple(),
             "asked"_a = nb::none(), "remembers"_a = false,
-            "See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions;\n"
-            "asked: the name of the start that is asked for; remembers: whether calls get the previous solution.")
+            "See `Problem` and `Options`. start: index into `starts`, the names of each `Start`; kind: the class of solutions;\n"
+            "asked: the name of the requested start; remembers: True if calls get the previous solution.")
         .def("solve", &Solver::solve, "wrench"_a.none(), "positions"_a.none(), "normals"_a.none(), "friction"_a.none(),
              "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
-             "A solution; None: an argument cannot be read as it is, or there is no force and `ended` holds the row.")
+             "Return a solution; None if an argument cannot be read in place, or if there is no force and `ended` holds the row.")
         .def("solve_from", &Solver::solve_from, "start"_a, "initial"_a.none(), "force"_a.none(), "before"_a.none(), "optimum"_a,
              "trace"_a.none(), "wrench"_a, "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(),
              "torque_bias"_a.none(), "contacts"_a.none(),
-             "The same from a start of its own; optimum: a known minimum or nan; trace: (T,) receives Phi of the first iterates.")
+             "The same from a start of this call. optimum: a known minimum or nan; trace: (T,) receives Phi of the first "
+             "iterates.")
         .def("start", &Solver::start, "start"_a, "force"_a.none(), "before"_a.none(), "wrench"_a, "positions"_a.none(),
              "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
-             "The row of the start alone.")
+             "Return the row of the start alone.")
         .def("update", &Solver::update, "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(),
              "torque_bias"_a.none(),
-             "From now on contacts and limits are these; False: they are not possible, and nothing has changed.")
+             "Replace contacts and limits for later calls. Return False, with nothing changed, if they are not possible.")
         .def(
             "set_basis",
             [](Solver& s, nb::handle basis) { s.on.set_basis({in(basis, 13, 3 * s.count).data(), std::size_t(39 * s.count)}); },
-            "basis"_a, "Takes the 12-basis with the rest, (13, 3N) cone coordinates.")
+            "basis"_a, "Set the 12-basis with the optimum at rest, (13, 3N) cone coordinates.")
         .def("make_basis", &fill_basis, "basis"_a, "warm"_a,
-             "Fills that, and takes it; returns the worst relative gap, inf: it did not converge, nan: no force closure. warm: "
-             "it holds that of nearby contacts.")
-        .def("deepest", &deepest, "wrench"_a, "force"_a, "torsion"_a, "twist"_a,
-             "The force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist (6,) that proves that none is;\n"
-             "returns (code, iterations, margin).")
-        .def("solve_many", &solve_many, "wrenches"_a, "rows"_a, "(M, 6) into (M, size); releases the GIL.")
+             "Compute that basis into `basis` and use it. Return the worst relative gap; inf: not converged, nan: no force "
+             "closure.\n"
+             "warm: `basis` holds that of nearby contacts.")
+        .def(
+            "deepest", &deepest, "wrench"_a, "force"_a, "torsion"_a, "twist"_a,
+            "Find the force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist (6,) that proves that none is\n"
+            "inside. Return (code, iterations, margin).")
+        .def("solve_many", &solve_many, "wrenches"_a, "rows"_a, "Solve (M, 6) wrenches into (M, size); releases the GIL.")
         .def("times", &times, "wrenches"_a, "passes"_a, "rows"_a, "best"_a,
-             "Best seconds (M,) of `passes` calls for each of (M, 6), none of which knows another; the rows of the last.")
-        .def_rw("previous", &Solver::previous, nb::for_setter(nb::arg("solution").none()),
-                "The last solution that has a force, or None.")
-        .def_ro("ended", &Solver::ended, "The row of the last call that returned None, unless it could not read its arguments.")
-        .def_ro("count", &Solver::count, "Contacts.")
-        .def_prop_ro("size", [](const Solver& s) { return s.on.size(); }, "Numbers of a row.");
+             "Measure the best time (M,) [s] of `passes` independent calls for each of (M, 6) wrenches, and write the last rows.")
+        .def_rw("previous", &Solver::previous, nb::for_setter(nb::arg("solution").none()), "Last solution with a force, or None.")
+        .def_ro("ended", &Solver::ended,
+                "Row of the last call that returned None without a force; None if it could not read its arguments.")
+        .def_ro("count", &Solver::count, "Number of contacts.")
+        .def_prop_ro("size", [](const Solver& s) { return s.on.size(); }, "Number of values in a row.");
 }

@@ -1,4 +1,4 @@
-// Phi itself, contact by contact.
+// Phi, for each contact.
 #include <grasp/contacts/contacts.hpp>
 #include <grasp/phi/phi.hpp>
 
@@ -8,7 +8,7 @@ using namespace grasp;
 
 namespace {
 
-// f(contact, its force x, its weights) of x (N, 3) and weights (N, 2)
+// Call f(contact, its force x, its weights) for x (N, 3) and weights (N, 2).
 template <class F> void each(nb::handle x, nb::handle weights, F&& f) {
     const Numbers rows = in(x, -1, 3), prices = in(weights, rows.length(0), 2);
     for (Py_ssize_t i = 0; i < rows.length(0); ++i)
@@ -61,9 +61,10 @@ double lower_bound(nb::handle y, nb::handle weights) {
 
 void bind_phi(nb::module_& m) {
     m.def("phi", &value, "x"_a, "weights"_a,
-          "Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf unless strictly inside every cone.");
-    m.def("phi_gradient", &gradients, "x"_a, "weights"_a, "out"_a, "Its gradient, into (N, 3).");
-    m.def("phi_hessian", &hessians, "x"_a, "weights"_a, "out"_a, "The 3 x 3 blocks of its Hessian, into (N, 3, 3).");
+          "Return Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf unless strictly inside every "
+          "cone.");
+    m.def("phi_gradient", &gradients, "x"_a, "weights"_a, "out"_a, "Write the gradient of Phi into (N, 3).");
+    m.def("phi_hessian", &hessians, "x"_a, "weights"_a, "out"_a, "Write the 3 x 3 blocks of the Hessian of Phi into (N, 3, 3).");
     m.def("phi_lower_bound", &lower_bound, "y"_a, "weights"_a,
-          "Least of phi(x) - y . x, contact by contact, y (N, 3); -inf: none.");
+          "Return the sum over contacts of the minimum of phi(x) - y . x, y (N, 3); -inf: none.");
 }

@@ -1,4 +1,4 @@
-// The layout of a solution, so that it stands once.
+// The layout of a solution, defined once for both languages.
 #include <grasp/record.hpp>
 
 #include "module.hpp"
@@ -35,13 +35,13 @@ nb::typed<nb::dict, nb::str, int> codes() {
 
 void bind_record(nb::module_& m) {
     m.def("record_fields", &record_fields,
-          "Where the fields of a solution stand in its row of numbers; from `force` on 3N force, 3N initial force, N torsion.");
-    m.def("codes", &codes, "How a solve ends, by name.");
+          "Return the offsets of a solution's fields in its row; from `force` on: 3N force, 3N initial force, N torsion.");
+    m.def("codes", &codes, "Return the outcomes of a solve by name.");
     m.def(
         "record_size",
         [](int contacts) {
-            if (contacts < 0 || contacts > 1'000'000) throw nb::value_error("0 to 1,000,000 contacts");
+            if (contacts < 0 || contacts > 1'000'000) throw nb::value_error("contacts must be 0 to 1,000,000");
             return grasp::record_size(contacts);
         },
-        "contacts"_a, "Numbers in a row of N contacts.");
+        "contacts"_a, "Return the number of values in a row of N contacts.");
 }

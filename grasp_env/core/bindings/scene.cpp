@@ -1,4 +1,4 @@
-// Scenes: what a simulator answers, and what follows from it.
+// Scenes: readings of a simulator, and the state that follows from them.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
@@ -14,7 +14,7 @@ using namespace grasp;
 
 namespace {
 
-// Item k of a tuple, borrowed; what is no tuple, or too short, throws.
+// Item k of a tuple, borrowed; throws for anything else and for a short tuple.
 PyObject* item(PyObject* tuple, Py_ssize_t k) {
     PyObject* found = PyTuple_GetItem(tuple, k);
     if (!found) throw nb::python_error();
@@ -27,13 +27,13 @@ double number(PyObject* object) {
 }
 Point vector(PyObject* tuple) { return {number(item(tuple, 0)), number(item(tuple, 1)), number(item(tuple, 2))}; }
 
-// Where the numbers lie in the nested tuples that an engine answers with.
+// Positions of the numbers in the nested tuples that an engine returns.
 struct Answers {
-    int link, place;                              // in a contact: the engine's number of the hand's link, the point
-    std::vector<std::pair<int, int>> forces;      // amounts and their directions
-    double factor;                                // of the amounts; above 0: they push the object
-    int first;                                    // the engine's number of what comes first in `links`
-    std::vector<int> links;                       // the hand's link of each of the engine's, -1: none
+    int link, place;  // of a contact: items of the engine's number of the hand's link, and of the point
+    std::vector<std::pair<int, int>> forces;  // amounts and their directions
+    double factor;  // of the amounts; above 0: they push the object
+    int first;  // the engine's number of the first of `links`
+    std::vector<int> links;  // the hand's link for each of the engine's; -1: none
 
     nb::object read(nb::handle joints, nb::handle pose, nb::handle velocity, nb::handle contacts) const {
         const Py_ssize_t count = PyTuple_Size(joints.ptr()), rows = PyTuple_Size(contacts.ptr());
@@ -77,7 +77,7 @@ std::shared_ptr<Scene> make_scene(const std::shared_ptr<Tree>& tree, const Surfa
 
 bool read_scene(Scene& scene, nb::handle numbers) {
     const Numbers given = in(numbers, -1);
-    if (given.length(0) < Reading::size(scene.tree->joints(), 0)) throw nb::value_error("a reading is longer");
+    if (given.length(0) < Reading::size(scene.tree->joints(), 0)) throw nb::value_error("the reading is too short");
     return scene.read(given.data(), std::size_t(given.length(0)));
 }
 
@@ -109,27 +109,28 @@ nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays_of(nb::handle owner, Snapshot
 
 void bind_scene(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
-    nb::class_<Answers>(m, "Answers", "Where the numbers lie in the nested tuples that a simulator answers with.")
+    nb::class_<Answers>(m, "Answers", "Positions of the numbers in the nested tuples that a simulator returns.")
         .def("__init__", &make_answers, nb::kw_only(), "link"_a, "place"_a, "forces"_a, "factor"_a, "first"_a, "links"_a,
-             "Of a contact: which item is the engine's link number, which the point, which pairs are amounts and directions of\n"
-             "forces; factor of all amounts, below 0 where they push the hand. links: the hand's link of each of the\n"
-             "engine's, from number `first` on, -1: none.")
-        .def(
-            "read", &Answers::read, "joints"_a, "pose"_a, "velocity"_a, "contacts"_a,
-            nb::sig("def read(self, joints: object, pose: object, velocity: object, contacts: object) -> "
-                    "numpy.typing.NDArray[numpy.float64]"),
-            "Joints ((angle, rate, ...), ...), pose (position, quaternion), velocity (linear, angular) and contacts as the flat\n"
-            "numbers of `Scene.read`, a new array.");
-    m.def("reading_size", &Reading::size, "joints"_a, "contacts"_a, "Numbers of a reading.");
-    nb::class_<Scene>(m, "Scene", "A hand and an object in a simulator, as they were last read.")
+             "For a contact: items of the engine's link number and of the point, pairs of items that hold amounts and directions "
+             "of\n"
+             "forces; factor of all amounts, below 0 if they push the hand. links: the hand's link for each of the engine's, "
+             "from\n"
+             "number `first` on; -1: none.")
+        .def("read", &Answers::read, "joints"_a, "pose"_a, "velocity"_a, "contacts"_a,
+             nb::sig("def read(self, joints: object, pose: object, velocity: object, contacts: object) -> "
+                     "numpy.typing.NDArray[numpy.float64]"),
+             "Return joints ((angle, rate, ...), ...), pose (position, quaternion), velocity (linear, angular) and contacts as "
+             "the\n"
+             "flat numbers of `Scene.read`, a new array.");
+    m.def("reading_size", &Reading::size, "joints"_a, "contacts"_a, "Return the number of values in a reading.");
+    nb::class_<Scene>(m, "Scene", "A hand and an object in a simulator, as last read.")
         .def_static("make", &make_scene, "tree"_a, "surface"_a, "gravity"_a)
         .def(
             "set_gravity", [](Scene& scene, const std::array<double, 3>& g) { scene.gravity = point(g.data()); }, "gravity"_a,
-            "[m/s^2], (3,), world frame.")
+            "Set the gravity (3,) [m/s^2], world frame.")
         .def("read", &read_scene, "numbers"_a,
-             "Angles (M,), rates (M,), the object's position, quaternion (x y z w), linear and angular velocity, and seven "
-             "numbers\n"
-             "a contact: the hand's link, the point [m] and the force ON the object [N]; world frame. False: not finite, or the\n"
-             "object is lost.")
-        .def("arrays", &scene_arrays, "Views of what follows from it, by name: overwritten at each reading.");
+             "Read angles (M,), rates (M,), the object's position, quaternion (x y z w), linear and angular velocity, and seven\n"
+             "numbers per contact: the hand's link, the point [m] and the force ON the object [N]; world frame. Return False if\n"
+             "numbers are not finite or the object is lost.")
+        .def("arrays", &scene_arrays, "Views of the scene's state by name; overwritten at each reading.");
 }

@@ -1,4 +1,4 @@
-// What the files of scenes and of the control loop share.
+// Shared by the files of scenes and of the control loop.
 #pragma once
 
 #include <nanobind/ndarray.h>

@@ -1,5 +1,5 @@
-// What `ForceSolution` is made of: one record and what was said of it, with the force read off it. Plain CPython and numpy, as
-// the control loop pays for every nanosecond here: the same in Python, or as a class of nanobind, takes four times as long.
+// The base class of `ForceSolution`: a record with the method and start that made it, and the force read from it. Plain CPython and
+// numpy, since the control loop is sensitive to every nanosecond here: Python or a nanobind class take four times as long.
 #include <grasp/record.hpp>
 
 #include "solution.hpp"
@@ -13,12 +13,12 @@ using grasp::SUMMARY;
 struct Solution { PyObject_HEAD PyObject *record, *method, *initial, *objective_trace; };
 
 constexpr PyObject* Solution::* FIELDS[] = {&Solution::record, &Solution::method, &Solution::initial, &Solution::objective_trace};
-PyObject* nothing = nullptr;  // an empty array, read-only
+PyObject* empty_array = nullptr;  // an empty array, read-only
 
 PyArrayObject* array(PyObject* object) { return reinterpret_cast<PyArrayObject*>(object); }
 
-// Refuses with the project's own error, which is found only when it is needed.
-PyObject* refuse(const char* said) {
+// Raise the project's own error, imported only when needed.
+PyObject* raise_invalid_input(const char* said) {
     nb::object kind = nb::module_::import_("grasp_env.errors").attr("InvalidInputError");
     PyErr_SetString(kind.ptr(), said);
     return nullptr;
@@ -51,13 +51,13 @@ PyObject* made_of(PyTypeObject* type, PyObject* record, PyObject* method, PyObje
 }
 
 PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
-    PyObject *record, *method, *initial, *trace = nothing;
+    PyObject *record, *method, *initial, *trace = empty_array;
     static const char* names[] = {"record", "method", "initial", "objective_trace", nullptr};
     if (!PyArg_ParseTupleAndKeywords(arguments, named, "OOO|O", const_cast<char**>(names), &record, &method, &initial, &trace))
         return nullptr;
     if (!is_record(record)) {
         try {
-            return refuse(
+            return raise_invalid_input(
                 "a record must be a C-contiguous float64 array whose numbers say how many they are, the first a code of "
                 "`Status`: take "
                 "a solver's");
@@ -76,8 +76,8 @@ void drop(PyObject* self) {
     Py_DECREF(type);
 }
 
-// Numbers of the record as a read-only array that keeps it alive: the certificates belong to them, and the next solve may start
-// there.
+// Numbers of the record as a read-only array that keeps it alive. The certificates belong to these numbers, and the next solve may
+// start from them.
 PyObject* view(PyObject* self, Py_ssize_t first, int axes, const npy_intp* shape) {
     PyArrayObject* record = array(reinterpret_cast<Solution*>(self)->record);
     PyArray_Descr* type = PyArray_DESCR(record);
@@ -146,38 +146,37 @@ template <grasp::Vec6 grasp::Summary::* field> PyObject* six(PyObject* self, voi
 
 using grasp::Summary;
 PyGetSetDef read[] = {
-    {"wrench", six<&Summary::wrench>, nullptr, "(6,) the external wrench that `force` balances [N, N m].", nullptr},
+    {"wrench", six<&Summary::wrench>, nullptr, "(6,) external wrench that `force` balances [N, N m].", nullptr},
     {"multipliers", six<&Summary::multipliers>, nullptr,
      "(6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu.", nullptr},
     {"iterations", whole<&Summary::iterations>, nullptr, "Accepted steps.", nullptr},
     {"trials", whole<&Summary::trials>, nullptr, "All steps tried, rejected ones included.", nullptr},
     {"objective", number<&Summary::objective>, nullptr,
-     "Phi of `force`; of `conic` the sum or maximum of the normal forces [N]; else `limit_excess`, where it is > 0.", nullptr},
+     "Phi of `force`; for `conic` the sum or maximum of the normal forces [N]; `limit_excess` if that is > 0.", nullptr},
     {"lower_bound", number<&Summary::lower_bound>, nullptr,
-     "A dual bound: no balanced force has a smaller objective (-inf: none); with `optimum` given, that.", nullptr},
+     "A dual bound: no balanced force has a smaller objective (-inf: none). If `optimum` is given, that value.", nullptr},
     {"equilibrium_residual", number<&Summary::residual>, nullptr,
      "Largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length.", nullptr},
     {"cone_margin", number<&Summary::margin>, nullptr,
-     "Min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0 strictly inside.", nullptr},
+     "Smallest mu * normal - |tangential| over the contacts [N] (in cone coordinates); > 0 strictly inside.", nullptr},
     {"limit_excess", number<&Summary::limit_excess>, nullptr,
-     "Largest excess of a limit, as a part of that limit; 0 within all. See `elastic` of `optimize_force`.", nullptr},
+     "Largest excess of a limit, as a fraction of that limit; 0 within all. See `elastic` of `optimize_force`.", nullptr},
     {"optimality_gap", gap, nullptr, "(objective - lower_bound) / lower_bound, certified; +inf without a positive bound.",
      nullptr},
     {"start_replaced", truth<&Summary::replaced>, nullptr,
-     "True if nothing is left of the start that was asked for, so that the solve began from another; `initial` says which.",
-     nullptr},
+     "True if the requested start could not be used, so that the solve began from another; see `initial`.", nullptr},
     {"frames", frames, nullptr, "(N, 3, 3) columns (n, o, t) of each contact, in the frame of the positions.", nullptr},
     {"object_force", object_force, nullptr, "(N, 3) N: `force` along the axes of the frame of the positions.", nullptr},
     {"torques", torques, nullptr,
-     "(J,) N m: of the joints of the torque limits, those besides the grasp's included; empty where there are none.", nullptr},
+     "(J,) [N m] torques of the joints with torque limits, including the torque bias; empty without such limits.", nullptr},
     {"limit_multipliers", prices, nullptr,
-     "(M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; of INFEASIBLE those of the proof; else "
-     "empty.",
+     "(M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; for INFEASIBLE those of the proof;\n"
+     "otherwise empty.",
      nullptr},
-    {"n_contacts", n_contacts, nullptr, "N.", nullptr},
-    {"code", code, nullptr, "How the solve ended, see `codes`.", nullptr},
+    {"n_contacts", n_contacts, nullptr, "Number of contacts.", nullptr},
+    {"code", code, nullptr, "Code of the solve, see `codes`.", nullptr},
     {"force", force, nullptr, "(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.", nullptr},
-    {"initial_force", initial_force, nullptr, "(N, 3) the start [N].", nullptr},
+    {"initial_force", initial_force, nullptr, "(N, 3) start [N].", nullptr},
     {"torsion", torsion, nullptr,
      "(N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft.", nullptr},
     {},
@@ -193,22 +192,22 @@ PyType_Slot slots[] = {{Py_tp_new, reinterpret_cast<void*>(make)},
                        {Py_tp_dealloc, reinterpret_cast<void*>(drop)},
                        {Py_tp_getset, read},
                        {Py_tp_members, held},
-                       {Py_tp_doc, const_cast<char*>("One record and what was said of it; see `grasp_env.force.ForceSolution`.")},
+                       {Py_tp_doc, const_cast<char*>("The data of a solution; see `grasp_env.force.ForceSolution`.")},
                        {}};
 PyType_Spec spec{"grasp_env.core._core.Solution", sizeof(Solution), 0, Py_TPFLAGS_DEFAULT | Py_TPFLAGS_BASETYPE, slots};
 
 }  // namespace
 
 PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* method, PyObject* initial) {
-    return made_of(reinterpret_cast<PyTypeObject*>(kind), record, method, initial, nothing);
+    return made_of(reinterpret_cast<PyTypeObject*>(kind), record, method, initial, empty_array);
 }
 PyObject* record_of(PyObject* solution) { return reinterpret_cast<Solution*>(solution)->record; }
 
 void bind_solution(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
     npy_intp none = 0;
-    nothing = PyArray_SimpleNew(1, &none, NPY_DOUBLE);
-    if (!nothing) throw nb::python_error();
-    PyArray_CLEARFLAGS(array(nothing), NPY_ARRAY_WRITEABLE);
+    empty_array = PyArray_SimpleNew(1, &none, NPY_DOUBLE);
+    if (!empty_array) throw nb::python_error();
+    PyArray_CLEARFLAGS(array(empty_array), NPY_ARRAY_WRITEABLE);
     m.attr("Solution") = nb::steal(PyType_FromSpec(&spec));
 }

@@ -1,4 +1,4 @@
-// What `ForceSolution` is made of, for other files of this folder. Include it last: it is numpy's C interface.
+// The base class of `ForceSolution`, for other files of this folder. Include it last: it brings numpy's C interface.
 #pragma once
 
 #include "module.hpp"
@@ -6,7 +6,7 @@
 #define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
 #include <numpy/arrayobject.h>
 
-// A new object of a class derived from `core.Solution`, of a row that a solver wrote; null: an exception is set.
+// Return a new object of a class derived from `core.Solution` for a row that a solver wrote; null: an exception is set.
 PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* method, PyObject* initial);
-// The row of a solution, borrowed.
+// Return the row of a solution, borrowed.
 PyObject* record_of(PyObject* solution);

@@ -3,7 +3,7 @@ grasp_env.core._core.Solution$:
     \import numpy as np
     \from numpy.typing import NDArray
     class Solution:
-        """One record and what was said of it; see `grasp_env.force.ForceSolution`."""
+        """The data of a solution; see `grasp_env.force.ForceSolution`."""
 
         _record: NDArray[np.float64]
         method: str

@@ -18,7 +18,7 @@ Surface make(const std::string& kind, nb::handle numbers) {
     if (kind == "cylinder") return {Cylinder{n[0], n[1]}};
     if (kind == "sphere") return {Capsule{n[0], 0.0}};
     if (kind == "capsule") return {Capsule{n[0], n[1]}};
-    throw nb::value_error("cuboid, cylinder, sphere or capsule");
+    throw nb::value_error("kind must be cuboid, cylinder, sphere or capsule");
 }
 
 std::vector<Point> points(nb::handle rows) {
@@ -26,7 +26,7 @@ std::vector<Point> points(nb::handle rows) {
     std::vector<Point> out(given.length(0));
     for (std::size_t k = 0; k < out.size(); ++k) {
         out[k] = point(given.data() + 3 * k);
-        if (!(dot(out[k], out[k]) < infinity)) throw nb::value_error("corners are finite");
+        if (!(dot(out[k], out[k]) < infinity)) throw nb::value_error("corners must be finite");
     }
     return out;
 }
@@ -65,12 +65,12 @@ void bind_surface(nb::module_& m) {
     nb::class_<Surface>(m, "Surface", "A surface, body frame; the axis of cylinders and capsules is y.")
         .def_static("make", &make, "kind"_a, "numbers"_a,
                     "numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; sphere, radius; capsule,\n"
-                    "radius and half its axis.")
-        .def_static(
-            "mesh", &mesh, "corners"_a, "faces"_a, "pieces"_a,
-            "corners (V, 3) [m] and their numbers (F, 3) as float64, from outside counterclockwise, of a closed mesh; corners\n"
-            "(K, 3) [m] of convex pieces that together hold it.")
+                    "radius and half the length of its axis.")
+        .def_static("mesh", &mesh, "corners"_a, "faces"_a, "pieces"_a,
+                    "A closed mesh: corners (V, 3) [m] and their indices (F, 3) as float64, counterclockwise from outside; "
+                    "pieces: corners\n"
+                    "(K, 3) [m] of convex pieces whose union is the solid.")
         .def("nearest", &nearest, "center"_a,
-             "The nearest point [m], (3,), the INWARD unit normal there and the distance [m], below 0 inside. Where several\n"
-             "points are as near, one of them; on edges the normal is the direction to them.");
+             "Return the nearest point (3,) [m], the INWARD unit normal there and the distance [m], negative inside. If several\n"
+             "points are equally near, one of them; on edges the normal is the direction to them.");
 }

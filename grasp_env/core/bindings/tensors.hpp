@@ -1,4 +1,4 @@
-// Tensors and arrays of any leading dimensions, read where their numbers lie.
+// Tensors and arrays with any leading dimensions, read in place.
 #pragma once
 
 #include <algorithm>
@@ -11,18 +11,19 @@
 
 #include "module.hpp"
 
-// `DLPackExchangeAPI` of DLPack 1 (dlpack.h): functions of a type of tensors, which torch has from 2.10 on.
+// `DLPackExchangeAPI` of DLPack 1 (dlpack.h): functions of a tensor type; torch has them from 2.10 on.
 struct ExchangeApi {
     std::uint32_t major, minor;
     void *previous_api, *allocator, *from_object, *to_object;
-    int (*dltensor_from_object)(void* object, nb::dlpack::dltensor* to);  // 0: done; the object owns what is viewed
+    int (*dltensor_from_object)(void* object, nb::dlpack::dltensor* to);  // returns 0 on success; the object owns the viewed data
     void* current_stream;
 
-    // Null: the object's type has none.
+    // Return null if the object's type has no such functions.
     static const ExchangeApi* of(nb::handle object) {
         PyObject* const capsule =
             PyObject_GetAttrString(reinterpret_cast<PyObject*>(Py_TYPE(object.ptr())), "__dlpack_c_exchange_api__");
-        void* const found = capsule ? PyCapsule_GetPointer(capsule, "dlpack_exchange_api") : nullptr;  // as long as the process
+        // lives as long as the process
+        void* const found = capsule ? PyCapsule_GetPointer(capsule, "dlpack_exchange_api") : nullptr;
         Py_XDECREF(capsule);
         if (!found) PyErr_Clear();
         const auto* const api = static_cast<const ExchangeApi*>(found);
@@ -35,7 +36,7 @@ class Tensor {
 public:
     static constexpr int MOST_DIMENSIONS = 24;
     using Lengths = std::array<Py_ssize_t, MOST_DIMENSIONS>;
-    struct Row {  // the shape of what belongs to one problem: up to three lengths
+    struct Row {  // the shape of one problem's part: up to three lengths
         Py_ssize_t lengths[3];
         int dimensions;
 
@@ -59,7 +60,7 @@ public:
         if (held_) PyBuffer_Release(&buffer_);
     }
 
-    // False: it cannot be read. None is not given. The object must outlive what is read.
+    // View an object, which must outlive the view; None counts as not given. Return false if it cannot be read.
     bool view(nb::handle object) {
         if (object.is_none()) return true;
         given = true;
@@ -79,13 +80,13 @@ public:
     bool ends_in(const Row& row) const {
         return number || (leading(row) >= 0 && std::equal(row.lengths, row.lengths + row.dimensions, &shape[leading(row)]));
     }
-    // One more dimension, along which all numbers are the same.
+    // Append a dimension along which all numbers are the same.
     bool repeat(Py_ssize_t times) {
         if (dimensions == MOST_DIMENSIONS) return false;
         shape[dimensions] = times, strides_[dimensions++] = 0;
         return true;
     }
-    // `leading` dimensions in front of the row, of these lengths, to which those that are there broadcast.
+    // Prepend leading dimensions of these lengths by broadcasting.
     void expand(const Row& row, const Lengths& lead, int leading) {
         Lengths strides{};
         const int own = this->leading(row), added = leading - own;
@@ -97,7 +98,7 @@ public:
         std::copy_n(row.lengths, row.dimensions, &shape[leading]);
     }
 
-    // `size` problems with a row each, or with one row for all; copied where they do not lie as the core reads them.
+    // `size` problems with a row each, or with one row for all; copied unless they can be read in place.
     grasp::Slices slices(const Row& row, Py_ssize_t size) {
         const int first = leading(row);
         const Py_ssize_t per = row.count();
@@ -147,7 +148,7 @@ private:
         std::copy_n(seen.shape, dimensions, shape.begin()), std::copy_n(seen.strides, dimensions, strides_.begin());
         return true;
     }
-    // Whether these dimensions are one run, whose last one has the stride `step`; the stride of a length of 1 is without meaning.
+    // True if these dimensions are contiguous with the stride `step` in the last one; the stride of a length of 1 does not matter.
     bool is_run(int from, int to, Py_ssize_t step = 1) const {
         for (int a = to - 1; a >= from; --a) {
             if (shape[a] != 1 && strides_[a] != step) return false;

@@ -8,7 +8,7 @@
 
 #include "buffers.hpp"
 
-// best (M,) [s] of `passes` calls of solve(wrench, row) for each of (M, 6) wrenches
+// Write the best times (M,) [s] of `passes` calls of solve(wrench, row) for each of (M, 6) wrenches.
 template <class Solve>
 void time_calls(nb::handle wrenches, int passes, int size, nb::handle records, nb::handle best, Solve&& solve) {
     const Numbers loads = in(wrenches, -1, 6);

@@ -52,7 +52,7 @@ std::shared_ptr<Tree> load(nb::bytes bytes) {
     return tree ? std::make_shared<Tree>(*std::move(tree)) : nullptr;
 }
 
-// A posture at these angles (M,).
+// The posture at angles (M,).
 Posture posture(const std::shared_ptr<Tree>& tree, nb::handle angles) {
     Posture made(tree);
     made.trace(in(angles, tree->joints()).data());
@@ -114,42 +114,44 @@ void bind_tree(nb::module_& m) {
         .def("__init__", &make_link, nb::kw_only(), "parent"_a, "offset"_a, "rotation"_a, "axis"_a, "mass"_a, "center"_a,
              "lower"_a, "upper"_a, "torque_limit"_a, "sliding"_a = false, "driver"_a = -1, "ratio"_a = 1.0, "shift"_a = 0.0,
              "inertia"_a = std::array<double, 6>{},
-             "parent: number of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's "
+             "parent: index of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's "
              "frame.\n"
-             "axis: of the joint, unit; center: of mass [m], its own frame. Limits [rad], [N m], of a sliding joint [m], [N].\n"
-             "driver: the joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift. inertia: xx, "
-             "xy, xz, yy, yz, zz\n"
-             "about the centre of mass [kg m^2].");
+             "axis: unit vector of the joint; center: of mass [m], its own frame. Limits [rad], [N m]; for a sliding joint [m], "
+             "[N].\n"
+             "driver: joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift. inertia: xx, xy, "
+             "xz,\n"
+             "yy, yz, zz about the centre of mass [kg m^2].");
     nb::class_<Tip>(m, "Tip", "The sphere with which a finger touches.")
         .def(
             "__init__",
             [](Tip* tip, int link, const Three& center, double radius) { new (tip) Tip{link, point(center.data()), radius}; },
-            nb::kw_only(), "link"_a, "center"_a, "radius"_a, "center [m] in the link's frame.");
-    nb::class_<Tree>(m, "Tree", "A hand as a tree of M links with N fingertips, never changed.")
-        .def_static("make", &make_tree, "links"_a, "tips"_a, "Parents come before their links.")
+            nb::kw_only(), "link"_a, "center"_a, "radius"_a, "center: [m] in the link's frame.");
+    nb::class_<Tree>(m, "Tree", "A hand as an immutable tree of M links with N fingertips.")
+        .def_static("make", &make_tree, "links"_a, "tips"_a, "Make a hand. Parents must come before their links.")
         .def_prop_ro("joints", &Tree::joints)
         .def_prop_ro("fingers", &Tree::fingers)
         .def(
             "couple", [](const Tree& tree, nb::handle angles) { tree.couple(out(angles, tree.joints()).data()); }, "angles"_a,
-            "Puts coupled joints where those that drive them say, in angles (M,).")
+            "Set the coupled joints in angles (M,) from their drivers.")
         .def("trace", &trace, "angles"_a, "rotations"_a, "origins"_a,
-             "Where the links are at angles (M,) [rad], world frame: rotations (M, 3, 3) and origins (M, 3) [m] are filled.")
-        .def("tips", &tips, "angles"_a, "centers"_a, "Centres of the fingertips [m], world frame, into (N, 3).")
+             "Write the frames of the links at angles (M,) [rad], world frame: rotations (M, 3, 3) and origins (M, 3) [m].")
+        .def("tips", &tips, "angles"_a, "centers"_a, "Write the centres of the fingertips [m], world frame, into (N, 3).")
         .def("jacobian", &jacobian, "angles"_a, "link"_a, "place"_a, "jacobian"_a,
-             "The velocity of a point (3,) [m] of a link per joint speed, world frame, into (3, M).")
-        .def("mass_matrix", &mass_matrix, "angles"_a, "matrix"_a, "(M, M) [kg m^2]; rows and columns of coupled joints are zero.")
+             "Write the velocity of a point (3,) [m] of a link per joint speed, world frame, into (3, M).")
+        .def("mass_matrix", &mass_matrix, "angles"_a, "matrix"_a,
+             "Write the mass matrix (M, M) [kg m^2]; rows and columns of coupled joints are zero.")
         .def("gravity_torques", &gravity_torques, "angles"_a, "gravity"_a, "torques"_a,
-             "Torques that carry the weight of all links under a gravity (3,) [m/s^2], into (M,) [N m].")
+             "Write the torques that carry the weight of all links under a gravity (3,) [m/s^2], into (M,) [N m].")
         .def("statics", &statics, "angles"_a, "points"_a, "gravity"_a, "jacobian"_a, "torques"_a,
-             "The Jacobians of the points (N, 3) [m] with which the fingertips touch, into (N, 3, M), and those torques, into "
-             "(M,).")
-        .def("save", &save, "The bytes of a file for C++ programs, which `grasp::TreeFile` reads.")
+             "Write the Jacobians of the points (N, 3) [m] where the fingertips touch, into (N, 3, M), and the torques of\n"
+             "`gravity_torques`, into (M,).")
+        .def("save", &save, "Return the bytes of a hand file, which `grasp::TreeFile` reads in C++.")
         .def_static("load", &load, "bytes"_a, nb::sig("def load(bytes: bytes) -> Tree | None"),
-                    "The hand that `save` wrote; None: it is not whole.");
+                    "Return the hand that `save` wrote; None if the bytes are not a whole file.");
     nb::class_<Reach>(m, "Reach", "Inverse kinematics of a hand: damped least squares within the joint limits.")
         .def_static(
             "make", [](const std::shared_ptr<Tree>& tree, bool limited) { return std::make_unique<Reach>(tree, limited); },
-            "tree"_a, "limited"_a = true, "limited: within the joint limits.")
+            "tree"_a, "limited"_a = true, "limited: True to stay within the joint limits.")
         .def_prop_ro(
             "groups",
             [](const Reach& reach) {
@@ -157,9 +159,8 @@ void bind_tree(nb::module_& m) {
                 for (const FingerGroup& group : reach.groups) groups.emplace_back(group.fingers, group.joints);
                 return groups;
             },
-            "Fingers that share joints, and these joints.")
+            "Groups of fingers that share joints, and these joints.")
         .def("solve", &solve, "targets"_a, "starts"_a, "angles"_a, "missed"_a,
-             "Brings the tips near to targets (N, 3) [m], from starts (S, M) in this order: fills angles (M,) [rad], and (G,) "
-             "what\n"
-             "the worst tip of each group misses [m].");
+             "Bring the tips near targets (N, 3) [m], from starts (S, M) in this order; write the angles (M,) [rad] and the\n"
+             "distances (G,) of the worst tip of each group from its target [m].");
 }

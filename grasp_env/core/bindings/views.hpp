@@ -11,12 +11,12 @@
 
 using View = nb::ndarray<nb::numpy, double, nb::c_contig>;
 
-// That keep their owner alive.
+// A view that keeps its owner alive.
 inline View view(nb::handle owner, std::vector<double>& numbers, std::initializer_list<size_t> shape) {
     return View(numbers.data(), shape, owner);
 }
 
-// The same read-only, and a new array.
+// A read-only view, and a new read-only array.
 using ReadOnly = nb::ndarray<nb::numpy, const double, nb::c_contig>;
 inline ReadOnly view(nb::handle owner, const double* numbers, std::initializer_list<size_t> shape) {
     return ReadOnly(numbers, shape, owner);

@@ -1,5 +1,5 @@
-# grasp::core: C++20 headers without dependencies; grasp::planner: where a hand can hold an object (grasp/planner/). This one file is what find_package(grasp) reads, in an installed prefix, in a
-# Python package or in the source tree, and what add_subdirectory of the folder above gives.
+# grasp::core: C++20 headers without dependencies; grasp::planner: search for grasps (grasp/planner/). find_package(grasp) reads this
+# file from an installed prefix, a Python package or the source tree; add_subdirectory of the folder above includes it.
 if(TARGET grasp::core)
   return()
 endif()
@@ -10,10 +10,9 @@ foreach(beside ../include ../../../include) # in the package; in a prefix, from 
   endif()
 endforeach()
 add_library(grasp::core INTERFACE IMPORTED GLOBAL)
-# What the headers were made fast with: products and sums rounded at once, no errno and no traps of the floating point. Numbers
-# that are none stay none: never -ffast-math. Your own sources that link grasp::core get these too; who wants their own clears
-# INTERFACE_COMPILE_OPTIONS. -march is yours to choose: with AVX2 or AVX-512 solves take half the time. -Wno-psabi: GCC's notes
-# on passing wide vectors concern nobody here.
+# Flags that the headers' speed relies on: fused products and sums, no errno, no floating-point traps. NaN must stay NaN, so never
+# -ffast-math. Sources that link grasp::core get these flags too; clear INTERFACE_COMPILE_OPTIONS to use your own. Choose -march
+# yourself: with AVX2 or AVX-512, solves take half the time. -Wno-psabi: GCC's notes on passing wide vectors do not apply.
 set(grasp_flags -ffp-contract=fast -fno-math-errno -fno-trapping-math -Wno-psabi)
 set_target_properties(grasp::core PROPERTIES
   INTERFACE_INCLUDE_DIRECTORIES "${grasp_include}"

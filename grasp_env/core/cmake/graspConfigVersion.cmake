@@ -1,4 +1,4 @@
-# Versions that only differ in their last number go together.
+# Versions that differ only in their last number are compatible.
 foreach(beside ../include ../../../include)
   set(grasp_header "${CMAKE_CURRENT_LIST_DIR}/${beside}/grasp/version.hpp")
   if(EXISTS "${grasp_header}")

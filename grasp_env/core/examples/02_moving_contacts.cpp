@@ -1,4 +1,4 @@
-// Contacts that move, at 1 kHz: a second of turning a cuboid in four fingers whose tips roll. The same in Python:
+// Contacts that move, at 1 kHz: four fingers with rolling tips turn a cuboid for one second. The same in Python:
 // examples/02_moving_contacts.py.
 #include <grasp/optimizer.hpp>
 
@@ -13,7 +13,7 @@ using Clock = std::chrono::steady_clock;
 // A thumb below, three fingers above; metres and unit vectors INTO the object.
 constexpr double POSITIONS[] = {0, 0, -0.05, 0, 0.03, 0.05, -0.03, -0.02, 0.05, 0.03, -0.02, 0.05};
 constexpr double NORMALS[] = {0, 0, 1, 0, 0, -1, 0, 0, -1, 0, 0, -1};
-// Velocity of a contact point by the three joints of its finger, object frame [m].
+// Velocity of a contact point per speed of the three joints of its finger, object frame [m].
 constexpr double LEVERS[3][3] = {{0.05, 0, 0}, {0.01, -0.02, -0.03}, {0.06, 0.05, 0.03}};
 
 int main() {
@@ -29,7 +29,8 @@ int main() {
             n[3 * i] = 0.01 * std::sin(roll) / size, n[3 * i + 1] = 0, n[3 * i + 2] = NORMALS[3 * i + 2] / size;
             p[3 * i + 2] = POSITIONS[3 * i + 2];
         }
-        const double x = 0.5 * 9.81 * std::sin(turn), z = -0.5 * 9.81 * std::cos(turn);  // its weight turns in its frame
+        // the weight rotates in the object's frame
+        const double x = 0.5 * 9.81 * std::sin(turn), z = -0.5 * 9.81 * std::cos(turn);
         const double wrench[] = {x, 0, z, 0, 0.01 * x - 0.005 * z, 0};
 
         const auto begin = Clock::now();

@@ -1,4 +1,5 @@
-// A contact is lost, and comes back: a bit of each call says which contacts touch. The same in Python: examples/03_lost_contact.py.
+// A contact is lost and comes back: a bit mask in each call marks the touching contacts. The same in Python:
+// examples/03_lost_contact.py.
 #include <grasp/optimizer.hpp>
 
 #include <cmath>
@@ -27,7 +28,7 @@ int main() {
         for (int i = 0; i < 4; ++i) std::printf("%s%.3f", i ? " " : "", solution.force()[3 * i]);
         std::printf("] N\n");
     }
-    const double wrench[] = {0, 0, 2, 0, 0, 0};  // what no force can balance is a code, not an exception, and holds zeros
+    const double wrench[] = {0, 0, 2, 0, 0, 0};  // without a balancing force the result is a code, not an exception, and zeros
     if (solver.solve(wrench, {.contacts = 0b0011}).code() == grasp::RANK_LOST)
         std::printf("two remain: they cannot balance a wrench of every direction\n");
 }

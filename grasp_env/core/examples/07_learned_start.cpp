@@ -1,5 +1,5 @@
-// A learned start: Newton from what a network predicts, far from the last wrench. The same in Python: examples/07_learned_start.py,
-// where `LearnedInitialForce.pretrained().export("four.model", grasp)` makes the file:
+// A learned start: Newton from the prediction of a network, for wrenches far from the last one. The same in Python:
+// examples/07_learned_start.py, where `LearnedInitialForce.pretrained().export("four.model", grasp)` makes the file:
 //
 //     07_learned_start four.model
 #include <grasp/optimizer.hpp>
@@ -19,8 +19,8 @@ int main(int given, char** arguments) try {
     for (double size : {0.5, 1.0, 2.0}) {
         const double wrench[] = {size, 0.5 * size, -0.6 * size, -0.01 * size, 0.02 * size, 0};  // [N, N m]
         const double steps = plain.solve(wrench).summary().iterations;
-        learned.forget();  // else it would also look at the last solution
-        const grasp::Record& solution = learned.solve(wrench);  // certified as any other, whatever the weights say
+        learned.forget();  // otherwise it would also try the last solution
+        const grasp::Record& solution = learned.solve(wrench);  // certified like any other, for any weights
         if (solution.code() != grasp::CONVERGED) return 1;
         std::printf("wrench x %.1f: %.0f Newton steps from the network, %.0f from an internal force; normal forces", size,
                     solution.summary().iterations, steps);

@@ -1,4 +1,4 @@
-// Many wrenches: in C++ a batch is a loop, a solver for each thread. The same in Python: examples/08_batch.py.
+// Many wrenches: in C++ a batch is a loop, with one solver per thread. The same in Python: examples/08_batch.py.
 #include <grasp/optimizer.hpp>
 
 #include <chrono>
@@ -10,14 +10,14 @@
 // A thumb below, three fingers above; metres and unit vectors INTO the object.
 constexpr double POSITIONS[] = {0, 0, -0.05, 0, 0.03, 0.05, -0.03, -0.02, 0.05, 0.03, -0.02, 0.05};
 constexpr double NORMALS[] = {0, 0, 1, 0, 0, -1, 0, 0, -1, 0, 0, -1};
-constexpr int AROUND = 360, UP = 169, THREADS = 2;  // degree by degree
+constexpr int AROUND = 360, UP = 169, THREADS = 2;  // steps of one degree
 
 int main() {
     const auto contacts = grasp::Contacts::from(POSITIONS, NORMALS, 0.4);
     std::vector<double> least(AROUND * UP);  // sum of normal forces [N] for 5 N in each direction
     const auto begin = std::chrono::steady_clock::now();
     const auto work = [&](int part) {
-        grasp::ForceOptimizer solver({contacts}, {.method = grasp::Method::conic});  // belongs to its thread; nothing is shared
+        grasp::ForceOptimizer solver({contacts}, {.method = grasp::Method::conic});  // one per thread; nothing is shared
         for (int k = part; k < AROUND * UP; k += THREADS) {
             const double azimuth = (k % AROUND - 180) * std::numbers::pi / 180;
             const double elevation = (k / AROUND - 84) * std::numbers::pi / 180;

@@ -1,6 +1,7 @@
 // Runs the controller of `hand_controller.hpp` for a hand in another process: `hand_controller FD HAND_FILE RATE FRICTION` answers
-// messages over an inherited socket (AF_UNIX, SOCK_SEQPACKET) until it is closed; each is a row of doubles. In: number, state.
-// Out: the newest state's number, messages heard, updates, seconds of this one, late, over_budget, status; commands; torques.
+// messages over an inherited socket (AF_UNIX, SOCK_SEQPACKET) until it is closed. Each message is a row of doubles.
+// In: number, state. Out: number of the newest state, messages received, updates, duration of this update [s], late, over_budget,
+// status; commands; torques.
 #include "hand_controller.hpp"
 
 #include <cstdio>
@@ -12,7 +13,7 @@ int main(int given, char** arguments) try {
     const int channel = std::atoi(arguments[1]);
     const auto hand = grasp::TreeFile::load(arguments[2]);
     const double rate = std::atof(arguments[3]), friction = std::atof(arguments[4]);
-    Calibration calibration;  // whole numbers of at most 240
+    Calibration calibration;  // whole numbers from -240 to 240
     for (const grasp::Link& link : hand->links) {
         calibration.torques.push_back({-link.torque_limit, link.torque_limit});
         calibration.units.push_back({-240.0, 240.0});
@@ -25,15 +26,15 @@ int main(int given, char** arguments) try {
     for (auto part : PARTS) numbers += (state.*part).size();
     Numbers in(numbers), out;
     pollfd ready{channel, POLLIN, 0};
-    const timespec patience{0, long(1.5e9 / rate)};  // without a message there is an update all the same
+    const timespec patience{0, long(1.5e9 / rate)};  // the controller updates without a message, too
     double heard = 0.0, updates = 0.0, measured = 0.0, last = 0.0;
     while (true) {
         ppoll(&ready, 1, heard ? &patience : nullptr, nullptr);
         bool fresh = false;
         ssize_t got;
         while ((got = recv(channel, in.data(), numbers * sizeof(double), MSG_DONTWAIT)) > 0)
-            fresh = true, ++heard;  // the newest counts
-        if (got == 0) return 0;  // the other side has closed
+            fresh = true, ++heard;  // only the newest is used
+        if (got == 0) return 0;  // the other side has closed the socket
         const double now = std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
         if (fresh) {
             auto from = in.begin() + 1;

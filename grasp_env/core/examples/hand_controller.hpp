@@ -1,5 +1,5 @@
-// A controller for a torque-controlled hand: joint state, contacts and a wrench in, commands in the units of the motors out. It has
-// the life cycle of controllers of robot middleware, without any: copy it, make it yours. In Python: examples/hand_controller.py.
+// A controller for a torque-controlled hand: joint state, contacts and a wrench go in, commands in the units of the motors come out.
+// It has the life cycle of robot middleware, but needs none: copy and adapt it. In Python: examples/hand_controller.py.
 #pragma once
 #include <grasp/hand/tree_file.hpp>
 #include <grasp/optimizer.hpp>
@@ -8,12 +8,12 @@
 
 using Numbers = std::vector<double>;
 
-// A message of a hand with M joints and N fingertips, in the frame of the hand's base.
+// State message of a hand with M joints and N fingertips, in the frame of the hand's base.
 struct HandState {
     Numbers angles, rates;  // (M,) [rad], [rad/s]
-    Numbers touching, positions, normals;  // (N,) 1 or 0; (N, 3) where they touch [m], unit vectors into the object
-    Numbers wrench;  // (6,) that the fingers balance: the object's weight and feedback on its pose [N, N m]
-    Numbers gravity, age;  // (3,) [m/s^2]: the hand may be on an arm; (1,) [s] since the contacts were measured
+    Numbers touching, positions, normals;  // (N,) 1 or 0; (N, 3) contact points [m], unit normals into the object
+    Numbers wrench;  // (6,) wrench to balance: the object's weight plus feedback on its pose [N, N m]
+    Numbers gravity, age;  // (3,) [m/s^2], since the hand may be on an arm; (1,) age of the contacts [s]
 
     explicit HandState(int m = 0, int n = 0)
         : angles(m), rates(m), touching(n), positions(3 * n), normals(3 * n), wrench(6), gravity(3), age(1) {}
@@ -23,20 +23,20 @@ constexpr Numbers HandState::* PARTS[] = {&HandState::angles,  &HandState::rates
 
 struct Settings {
     double friction = 0.8, rate = 1000.0;  // coefficient; [Hz] of `update`
-    int iterations = 40;  // most steps of the solver in an update
-    double budget = 1e-4;  // [s] of an update: longer ones are counted
-    double damping = 0.01, stiffness = 0.1;  // [N m s/rad]; [N m/rad] towards the first posture, for joints left free
-    double push = 0.1;  // [N] of a finger without contact, along its last normal
-    double slew = 50.0;  // [1/s] fastest change of a torque, as a part of its limit
-    double stale = 0.005;  // [s] largest age of contacts that are solved for
-    double grace = 0.1, fade = 0.2;  // [s] for which the last forces are kept without a solution; in which they then fade
+    int iterations = 40;  // largest number of solver steps in an update
+    double budget = 1e-4;  // [s] longer updates are counted
+    double damping = 0.01, stiffness = 0.1;  // [N m s/rad]; [N m/rad] towards the first posture, for free joints
+    double push = 0.1;  // [N] force of a finger without contact, along its last normal
+    double slew = 50.0;  // [1/s] fastest change of a torque relative to its limit
+    double stale = 0.005;  // [s] largest age of contacts that are used
+    double grace = 0.1, fade = 0.2;  // [s] time to keep the last forces without a solution; time in which they then fade
 };
 
-// Torques [N m] to whole device units: for each joint piecewise linear between points, clipped at the outer ones.
+// Converts torques [N m] to whole device units: piecewise linear for each joint, clipped at the outer points.
 struct Calibration {
-    std::vector<Numbers> torques, units;  // of each joint: [N m] ascending from below zero to above it; as many
+    std::vector<Numbers> torques, units;  // for each joint: [N m] ascending through zero; device units, as many
 
-    double limit(int j) const { return std::min(-torques[j].front(), torques[j].back()); }  // reached in both directions
+    double limit(int j) const { return std::min(-torques[j].front(), torques[j].back()); }  // torque available in both directions
     double operator()(int j, double torque) const {
         double out = units[j][0];
         for (std::size_t k = 1; k < torques[j].size(); ++k) {
@@ -47,21 +47,21 @@ struct Calibration {
     }
 };
 
-// `configure` allocates and may throw, the others never do. overloaded: forces that exceed the motors' limits least; coasting: the
-// last forces, as contacts are stale, numbers broken or no force balances; released: the hand carries itself.
+// `configure` allocates and may throw, the other functions never do. overloaded: the forces exceed the motors' limits, but least;
+// coasting: the last forces, since contacts are stale, numbers invalid or no force balances; released: the hand carries itself.
 class HandController {
 public:
     enum Status { inactive, holding, overloaded, coasting, released } status = inactive;
     Numbers torques, commands;  // (M,) [N m], device units
-    double duration = 0.0;  // [s] of the last update
-    int late = 0, over_budget = 0;  // updates after a missed deadline; that took longer than the budget
+    double duration = 0.0;  // [s] duration of the last update
+    int late = 0, over_budget = 0;  // number of updates after a missed deadline; number longer than the budget
 
     void configure(std::shared_ptr<const grasp::Tree> hand, const Settings& settings, const Calibration& calibration) {
         m_ = hand->joints(), n_ = hand->fingers(), status = inactive, jacobian_ = Numbers(3 * n_ * m_);
         hand_ = hand, s_ = settings, calibration_ = calibration, posture_.emplace(hand), now_ = HandState(m_, n_);
         torques = commands = home_ = limits_ = carry_ = spring_ = wanted_ = Numbers(m_), forces_ = pushes_ = Numbers(3 * n_);
         for (int j = 0; j < m_; ++j) limits_[j] = std::min(hand->links[j].torque_limit, calibration.limit(j));
-        Numbers ring(3 * n_), inward(3 * n_);  // any N contacts: every call brings its own
+        Numbers ring(3 * n_), inward(3 * n_);  // placeholder contacts: every call passes its own
         for (int i = 0; i < n_; ++i) {
             const double turn = 2 * std::numbers::pi * i / n_;
             inward[3 * i] = -std::cos(turn), inward[3 * i + 1] = -std::sin(turn);
@@ -70,12 +70,12 @@ public:
         solver_.emplace(grasp::Problem{grasp::Contacts::from(ring, inward, s_.friction), {{}, {}, jacobian_, limits_, {}}},
                         grasp::Options{.start = grasp::Start::previous, .limit = s_.iterations, .elastic = true});
     }
-    void activate(const HandState& state) {  // torques rise from none; broken numbers leave it inactive
+    void activate(const HandState& state) {  // torques rise from zero; invalid numbers leave it inactive
         if (good(state)) now_ = state, home_ = state.angles, blind_ = grasp::infinity, late = over_budget = 0, status = released;
         solver_->forget();
     }
     void deactivate() { status = inactive, std::fill(torques.begin(), torques.end(), 0.0); }
-    // Fills `commands`. state: the newest, however old; period: [s] since the last update.
+    // Write `commands`. state: the newest message, of any age; period: [s] since the last update.
     void update(const HandState& state, double period) noexcept {
         const auto begin = std::chrono::steady_clock::now();
         if (status != inactive)
@@ -92,7 +92,7 @@ private:
     Calibration calibration_;
     std::optional<grasp::Posture> posture_;
     std::optional<grasp::ForceOptimizer> solver_;
-    HandState now_;  // the last good message; a finger without contact keeps its last
+    HandState now_;  // the last valid message; a finger without contact keeps its last contact
     double blind_ = 0.0;  // [s] without a solution
     Numbers home_, limits_, carry_, spring_, wanted_, forces_, pushes_, jacobian_;
 
@@ -110,7 +110,7 @@ private:
         for (int k = 0; k < 3 * n_; ++k)
             if (now_.touching[k / 3] != 0.0) now_.positions[k] = state.positions[k], now_.normals[k] = state.normals[k];
     }
-    // torques += those of forces (N, 3) at the fingertips
+    // torques += J^T forces, (N, 3) at the fingertips
     void push(const Numbers& forces, Numbers& torques) const {
         for (int k = 0; k < 3 * n_; ++k)
             for (int j = 0; j < m_; ++j) torques[j] += jacobian_[m_ * k + j] * forces[k];
@@ -134,8 +134,8 @@ private:
             for (int k = 0; k < 3 * n_; ++k) forces_[k] += pushes_[k];
             std::copy_n(found->torques(), m_, wanted_.begin());
         } else {
-            // The object was in balance a moment ago: the same forces hold it until contacts have moved or the load has changed.
-            // Later a hand that does not know what it holds must not go on to squeeze it: forces fade.
+            // The object was in balance a moment ago, so the same forces hold it until contacts move or the load changes. After
+            // that, a hand without knowledge of its contacts must not keep squeezing: the forces fade.
             blind_ += period;
             const double share = std::clamp(1.0 - (blind_ - s_.grace) / s_.fade, 0.0, 1.0);
             push(forces_, spring_);

@@ -1,5 +1,5 @@
-# The C++ compiler of PyPI's ziglang (Clang with its own libc++ and the symbols of any glibc), as one program each for CMake. It is
-# the one on the PATH, or lies in the environment of the Python that is built for: an isolated build hides that from `import` only.
+# The C++ compiler of PyPI's ziglang (Clang with its own libc++ and the symbols of any glibc), wrapped as separate programs for CMake.
+# zig is taken from the PATH or from the environment of the target Python, which an isolated build hides only from `import`.
 find_package(Python 3.10 COMPONENTS Interpreter REQUIRED)
 execute_process(COMMAND "${Python_EXECUTABLE}" -c "import sysconfig; print(sysconfig.get_path('platlib'))"
   OUTPUT_STRIP_TRAILING_WHITESPACE OUTPUT_VARIABLE packages COMMAND_ERROR_IS_FATAL ANY)
@@ -7,7 +7,7 @@ find_program(zig zig HINTS "${packages}/ziglang" NO_CACHE)
 if(zig)
   set(found "${zig}")
   if(NOT GRASP_ZIG)
-    set_property(CACHE GRASP_ZIG PROPERTY VALUE native) # and so the next time
+    set_property(CACHE GRASP_ZIG PROPERTY VALUE native) # keep this choice
   endif()
   foreach(tool IN ITEMS "CXX_COMPILER=c++ -target ${GRASP_ZIG}" AR=ar RANLIB=ranlib)
     string(REGEX MATCH "^([A-Z_]+)=(.*)$" tool "${tool}")

@@ -1,5 +1,6 @@
-// Files of numbers that Python writes and C++ programs read, little-endian: eight letters that name kind and version, a hash of all that
-// follows, then the numbers. A file may come from anywhere: what is read is bounded by its length, and every number is looked at.
+// Files of numbers that Python writes and C++ programs read, little-endian: eight letters for kind and version, a hash of
+// everything that follows, then the numbers. Files are not trusted: reading stays within the file's length, and every number is
+// checked.
 #pragma once
 #include <algorithm>
 #include <bit>
@@ -17,13 +18,13 @@ namespace grasp {
 
 static_assert(std::endian::native == std::endian::little, "number files hold little-endian numbers");
 
-inline constexpr std::size_t LARGEST_FILE = std::size_t(1) << 26;  // bytes; the shipped model has 22 thousand
+inline constexpr std::size_t LARGEST_FILE = std::size_t(1) << 26;  // bytes; the shipped model has 22 thousand numbers
 
 class NumberWriter {
 public:
     template <class T> void put(T value) { bytes_.append(reinterpret_cast<const char*>(&value), sizeof value); }
     void put(int value) { put(double(value)); }
-    // The whole file. kind: eight letters.
+    // Return the whole file. kind: eight letters.
     std::string file(std::string_view kind) const {
         const std::uint64_t check = hash(bytes_);
         return std::string(kind) + std::string(reinterpret_cast<const char*>(&check), sizeof check) + bytes_;
@@ -42,7 +43,7 @@ class NumberReader {
 public:
     explicit NumberReader(std::string_view numbers) : left_(numbers) {}
 
-    // What follows kind and hash; none where the bytes are not those of a whole file of that kind.
+    // Return what follows kind and hash; empty unless the bytes are a whole file of that kind.
     static std::optional<std::string_view> body(std::string_view bytes, std::string_view kind) {
         std::uint64_t check;
         const std::size_t head = kind.size() + sizeof check;
@@ -51,7 +52,7 @@ public:
         if (check != NumberWriter::hash(bytes.substr(head))) return {};
         return bytes.substr(head);
     }
-    // The bytes of a file; empty: it cannot be read.
+    // Return the bytes of a file; empty if it cannot be read.
     static std::string bytes(const std::string& path) {
         std::string out;
         if (std::FILE* file = std::fopen(path.c_str(), "rb")) {
@@ -63,7 +64,7 @@ public:
         return out;
     }
 
-    // The next number, which must be finite; 0 from the first that is not.
+    // Return the next number, which must be finite; 0 from the first bad number on.
     template <class T> T take() {
         T value{};
         good_ = good_ && left_.size() >= sizeof value;
@@ -74,13 +75,13 @@ public:
         return good_ ? value : T{};
     }
     double number() { return take<double>(); }
-    // A whole number from `least` to `most`.
+    // Return a whole number from `least` to `most`.
     int whole(int most, int least = 0) {
         const double value = number();
         good_ = good_ && value >= least && value <= most && value == std::floor(value);
         return good_ ? int(value) : 0;
     }
-    // Whether all numbers so far were there and as they must be.
+    // True if all numbers so far were present and valid.
     bool good() const { return good_; }
     std::size_t bytes_left() const { return left_.size(); }
 

@@ -1,11 +1,12 @@
-// The front for control programs: contacts, limits and a wrench in, a certified grasp force out.
+// The front for control programs: contacts, limits and a wrench go in, a certified grasp force comes out.
 //
 //     grasp::ForceOptimizer solver({.contacts = grasp::Contacts::from(positions, normals, 0.4)}, {.tolerance = 1e-6});
 //     const grasp::Record& solution = solver.solve(wrench);
 //     if (solution.code() == grasp::CONVERGED) use(solution.force());
 //
-// Setting up allocates, and throws std::invalid_argument, which says what is wrong. Solving never throws and never allocates: every call
-// says how it ended. An object belongs to one thread at a time; several may run at once. Python's `ForceOptimizer` is this class.
+// The constructor allocates; it throws std::invalid_argument with a message about the wrong argument. `solve` never throws or
+// allocates: the code of its record tells how it ended. Use one object per thread; several objects may run at once. Python's
+// `ForceOptimizer` is this class.
 #pragma once
 #include <grasp/math/dispatch.hpp>
 #include <grasp/engine.hpp>
@@ -22,15 +23,15 @@ public:
         : engine_(other.engine_->clone()), rows_{other.rows_[0], other.rows_[1]}, known_(other.known_), record_(now()) {}
     ForceOptimizer(ForceOptimizer&&) = default;
 
-    // The force for a wrench; the record is overwritten by the next call. `now`: what is different in this call alone.
+    // Solve for the force that balances a wrench. The next call overwrites the record. now: what differs in this call only.
     const Record& solve(Wrench wrench, const Now& now = {}) { return solve(Ask{.wrench = wrench.data(), .now = now}); }
-    // The same with a start of its own, or with what studies ask for.
+    // Solve with a start for this call, or with the options for studies.
     const Record& solve(const Ask& asked) {
         Ask ask = asked;
         if (known_ && !ask.previous) ask.previous = rows_[0].data();
         engine_->solve(ask, rows_[1].data());
         const Record made(rows_[1].data());
-        if (made.has_force()) {  // what has none leaves the previous solution as it is
+        if (made.has_force()) {  // without a force, the previous solution stays
             std::swap(rows_[0], rows_[1]), known_ = true;
             record_ = this->now();
         } else {
@@ -38,30 +39,31 @@ public:
         }
         return record_;
     }
-    // Into a row of the caller's, of `size()` numbers; what is previous is the caller's too.
+    // Solve into a row of `size()` numbers that the caller owns; the previous solution is the caller's as well.
     Code solve(const Ask& ask, double* row) { return engine_->solve(ask, row); }
-    // The start of a call alone, in place of the force: LIMIT, or why there is none.
+    // Write only the start of a call, in place of the force. Return LIMIT, or the reason why there is no start.
     Code start(const Ask& ask, double* row) { return engine_->start(ask, row); }
-    // (13, 3N) the offline optima of the problem's contacts in cone coordinates, which the paper's starts combine, from elsewhere: it makes
-    // them itself where its options ask for a flow or for such a start.
+    // Set the offline optima that the paper's starts combine, (13, 3N) in cone coordinates, for the problem's contacts. Not needed
+    // otherwise: if the options call for a flow or such a start, the constructor computes them.
     void set_basis(Doubles basis) { engine_->set_basis(basis.data()); }
-    // Fills these, and takes them; returns the worst relative gap, inf: it did not converge, nan: no force closure. warm: they hold those of nearby contacts.
+    // Compute the basis into `basis` and use it. Return the worst relative gap; inf: not converged, nan: no force closure. warm:
+    // `basis` holds the optima of nearby contacts to start from.
     double make_basis(std::span<double> basis, bool warm = false) { return engine_->make_basis(basis.data(), warm); }
-    // The force (N, 3) [N] and torsion (N,) [N m] deepest inside the cones and limits that balances the wrench, or the twist that proves that
-    // none is inside. With wrench zero: force closure.
+    // Find the force (N, 3) [N] and torsion (N,) [N m] that balances the wrench deepest inside cones and limits, or the twist that
+    // proves that no force is inside. With a zero wrench this tests force closure.
     Deepest deepest(Wrench wrench, std::span<double> force, std::span<double> torsion) {
         return engine_->deepest(wrench.data(), force.data(), torsion.data());
     }
-    // From now on the contacts and limits are these; false, and nothing has changed: numbers that are not possible.
+    // Replace contacts and limits for all later calls. Return false, with nothing changed, if the numbers are not possible.
     bool update(const Now& now) { return engine_->update(now); }
-    // (M, 6) wrenches into M rows of `size()` numbers, each as `solve` without a previous solution. This allocates.
+    // Solve (M, 6) wrenches into M rows of `size()` numbers, each as `solve` without a previous solution. Allocates.
     void solve_many(Doubles wrenches, std::span<double> rows) const {
         engine_->clone()->solve_many(std::ptrdiff_t(wrenches.size() / 6), wrenches.data(), rows.data());
     }
 
-    // The last solution that holds a force.
+    // Last solution that holds a force.
     std::optional<Record> previous() { return known_ ? std::optional<Record>(now()) : std::nullopt; }
-    // The next call does not know the calls before it.
+    // Forget the last solution, so that the next call does not start from it.
     void forget() { known_ = false; }
 
     const Contacts& contacts() const { return engine_->home(); }
@@ -69,7 +71,7 @@ public:
 
 private:
     std::unique_ptr<detail::Engine> engine_;
-    std::vector<double> rows_[2];  // the last solution with a force, and room for the next
+    std::vector<double> rows_[2];  // last solution with a force, and space for the next
     bool known_ = false;
     Record record_{rows_[0].data(), 0};
 

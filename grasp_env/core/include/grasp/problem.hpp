@@ -1,4 +1,4 @@
-// What `ForceOptimizer` is made of and asked.
+// The inputs of `ForceOptimizer`: a problem, options, and the data of one call.
 #pragma once
 #include <memory>
 #include <optional>
@@ -9,18 +9,18 @@
 
 namespace grasp {
 
-using Wrench = std::span<const double, 6>;  // external, on the object: force [N], moment [N m]
+using Wrench = std::span<const double, 6>;  // external wrench on the object: force [N], moment [N m]
 using Doubles = std::span<const double>;
 
 enum class Method {
-    newton,        // Phi by Newton: about six steps
-    reduced_flow,  // Phi by the paper's gradient flow, in its fewest products
-    full_flow,     // the same as printed, dense: up to FULL_CONTACTS contacts
-    conic,         // the least sum or maximum of the normal forces, exactly on the cones where that is least
+    newton,  // minimise Phi by Newton: about six steps
+    reduced_flow,  // minimise Phi by the paper's gradient flow, in its cheapest form
+    full_flow,  // the same flow as printed, dense: up to FULL_CONTACTS contacts
+    conic,  // minimise the sum or the maximum of the normal forces; the optimum may lie on the cones
 };
 
-// Contacts with the weights of Phi, and limits besides friction. Positions, normals, wrenches and the Jacobian are given in ONE frame
-// of the caller's choice.
+// Contacts with the weights of Phi, and limits besides friction. Positions, normals, wrenches and the Jacobian share ONE frame of
+// the caller's choice.
 struct Problem {
     Contacts contacts;
     ForceLimits limits{};  // jacobian: (N, 3, J), or (N, 6, J) with the angular velocities of the fingertips
@@ -28,24 +28,24 @@ struct Problem {
 
 struct Options {
     Method method = Method::newton;
-    Criterion criterion = Criterion::sum;  // of conic: of the normal forces
+    Criterion criterion = Criterion::sum;  // of the normal forces, for Method::conic
     Start start = Start::standard;
-    double tolerance = 0.0;  // relative certified gap, at most 1; 0: 1e-4, of conic 1e-6
-    int limit = 20000;       // most accepted steps
-    bool elastic = false;    // where no force keeps the limits: the one that exceeds them least, instead of the proof
-    StepRule step_rule{};    // of the flows
-    std::shared_ptr<const Model> model{};  // of Start::learned; none: that is replaced
+    double tolerance = 0.0;  // relative certified gap, at most 1; 0: 1e-4, or 1e-6 for Method::conic
+    int limit = 20000;  // largest number of accepted steps
+    bool elastic = false;  // if no force keeps the limits, return the one that exceeds them least instead of the proof
+    StepRule step_rule{};  // for the flows
+    std::shared_ptr<const Model> model{};  // for Start::learned; without it that start is replaced
 
     double gap() const { return tolerance > 0.0 ? tolerance : method == Method::conic ? 1e-6 : 1e-4; }
 };
 
-// What a call, or an update, has of its own; what is left empty stays as in the problem.
+// Changes of the problem in a call or an update. Empty members stay as in the problem.
 struct Now {
     Doubles positions{}, normals{};  // (N, 3) [m], inward unit normals
-    Doubles friction{};              // one coefficient, N, or two of each
-    Doubles jacobian{};              // as of the limits
-    Doubles torque_bias{};           // (J,) [N m]
-    std::uint64_t contacts = ~std::uint64_t(0);  // bit i: contact i touches; of solvers for up to 64 contacts
+    Doubles friction{};  // one coefficient, N coefficients, or two for each contact
+    Doubles jacobian{};  // same shape as in the limits
+    Doubles torque_bias{};  // (J,) [N m]
+    std::uint64_t contacts = ~std::uint64_t(0);  // bit i: contact i touches; for solvers of up to 64 contacts
 
     bool empty() const {
         return positions.empty() && normals.empty() && friction.empty() && jacobian.empty() && torque_bias.empty() &&
@@ -53,16 +53,17 @@ struct Now {
     }
 };
 
-// One call: what to balance, what is different now, where to begin.
+// One call: the wrench to balance, what differs from the problem, and the start.
 struct Ask {
     const double* wrench;
     Now now{};
     Start start = Start::standard;
-    Doubles force{}, torsion{};  // of Start::given, guess and previous: (N, 3) [N] and (N,) [N m], current contact frames
-    const double* previous = nullptr;  // of Start::previous, before `force`: the row of another solution of as many contacts
-    double optimum = std::numeric_limits<double>::quiet_NaN();  // a known min Phi to take the gap to, instead of the bound
+    Doubles force{}, torsion{};  // for Start::given, guess and previous: (N, 3) [N] and (N,) [N m], current contact frames
+    const double* previous = nullptr;  // for Start::previous, used before `force`: row of a solution of as many contacts
+    // Known min Phi; the gap is measured against it instead of the bound.
+    double optimum = std::numeric_limits<double>::quiet_NaN();
     std::span<double> trace{};  // receives Phi of the first iterates
-    Doubles adjustment{};  // (N, 3) [N], the frame of the positions: added to the start, which is then brought inside the cones
+    Doubles adjustment{};  // (N, 3) [N], frame of the positions: added to the start, which is then brought inside the cones
 };
 
 }  // namespace grasp

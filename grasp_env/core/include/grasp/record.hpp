@@ -1,57 +1,59 @@
-// One solution as one row of numbers: what solvers write, single or in a batch.
+// One solution as one row of numbers, the output of all solvers, single or in a batch.
 #pragma once
 #include <cstddef>
 #include <grasp/math/linear6.hpp>
 
 namespace grasp {
 
-// How a solve ended.
+// Outcome of a solve.
 enum Code {
-    CONVERGED,        // the force is optimal to the tolerance
-    LIMIT,            // the iteration limit ended it
-    STALLED,          // no further progress in floating point
-    INFEASIBLE,       // no force within the cones and limits balances the wrench; the record holds the twist that proves it
-    REFUSED,          // numbers that are not finite or not possible, or a given start that is not balanced and inside
+    CONVERGED,  // the force is optimal to the tolerance
+    LIMIT,  // the iteration limit was reached
+    STALLED,  // no further progress in floating point
+    INFEASIBLE,  // no force within the cones and limits balances the wrench; the record holds the twist that proves it
+    REFUSED,  // numbers that are not finite or not possible, or a given start that is not balanced or not inside the cones
     LIMITS_EXCEEDED,  // no force keeps all limits; this one exceeds them least
-    RANK_LOST,        // the contacts cannot balance a wrench of every direction
-    UNDECIDED,        // neither a force nor a proof was found
+    RANK_LOST,  // the contacts cannot balance a wrench of every direction
+    UNDECIDED,  // neither a force nor a proof was found
 };
 
-// Where a solve begins.
+// Starting points of a solve.
 enum class Start {
-    standard,      // the method's own: Newton's is one internal force, a flow's the linear combination, conic has its centre
-    internal_force,  // -G^+ w with as much of one internal force as takes it inside the cones
-    linear_combination,  // of the 12 offline optima (the paper, Sec. III), with the rest that keeps it inside at small wrenches
-    linear_combination_printed,  // the same as printed
-    single_value,  // -G^+ w with as much of the optimum at rest as takes it inside the cones
-    lagrange,  // the least weighted distance from a normal squeeze
-    phase_one,  // a force inside the cones that balances the wrench, found by an interior point
+    // default of the method: one internal force for Newton, the linear combination for a flow, the centre for conic
+    standard,
+    internal_force,  // -G^+ w plus enough of one internal force to lie inside the cones
+    // of the 12 offline optima (the paper, Sec. III), plus the optimum at rest, which keeps it inside at small wrenches
+    linear_combination,
+    linear_combination_printed,  // the same as printed, without the optimum at rest
+    single_value,  // -G^+ w plus enough of the optimum at rest to lie inside the cones
+    lagrange,  // least weighted distance from a normal squeeze
+    phase_one,  // a balanced force inside the cones, found by an interior point
     previous,  // the last solution
-    given,  // a force of the caller
-    guess,  // a force of the caller, balanced and brought inside the cones: never worse in Phi than the method's own start
-    learned,  // what a trained model predicts
-    central,  // an interior point's own
+    given,  // a force of the caller, used unchanged
+    guess,  // a force of the caller, balanced and brought inside the cones: never worse in Phi than the method's default
+    learned,  // the prediction of a trained model
+    central,  // an interior point's own start
 };
 
 struct Summary {
     double code = REFUSED;  // a `Code`
     double iterations = 0;  // accepted steps
     double trials = 0;  // all steps tried
-    double objective = 0;  // Phi, or the sum or maximum of the normal forces [N]; where limits are exceeded, the excess
+    double objective = 0;  // Phi, or the sum or maximum of the normal forces [N]; if limits are exceeded, the excess
     double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none
     double residual = 0;  // largest |component| of G f + w in the unit frame [N]
-    double margin = 0;  // least distance to a cone's surface [N]
-    double limit_excess = 0;  // largest excess of a limit, as a part of it; 0 within
-    Vec6 wrench{};  // what is balanced [N, N m]
-    Vec6 multipliers{};  // nu of balance: grad objective = G^T nu (+ the cones' multipliers); where INFEASIBLE the twist
-    double start = 0;  // a `Start`: where it began
-    double replaced = 0;  // 1: nothing of the start that was asked for is left, so it began from `start`
-    double outside = 0;  // 1: a trained model's training did not cover this wrench
-    double contacts = 0, joints = 0, limits = 0;  // how many numbers follow: N, J, M
+    double margin = 0;  // smallest distance to a cone's surface [N]
+    double limit_excess = 0;  // largest excess of a limit, as a fraction of the limit; 0 within
+    Vec6 wrench{};  // balanced wrench [N, N m]
+    Vec6 multipliers{};  // nu of balance: grad objective = G^T nu (+ the cones' multipliers); INFEASIBLE: the twist
+    double start = 0;  // the `Start` that was used
+    double replaced = 0;  // 1: the requested start could not be used, and `start` took its place
+    double outside = 0;  // 1: the wrench lies outside the range of the model's training
+    double contacts = 0, joints = 0, limits = 0;  // sizes of the following data: N, J, M
 };
 inline constexpr int SUMMARY = sizeof(Summary) / sizeof(double);
 
-// A row: the summary, then force (N, 3), initial force (N, 3) [N], torsion (N,) [N m]; a solution of `ForceOptimizer` goes on with
+// A row: the summary, then force (N, 3), initial force (N, 3) [N], torsion (N,) [N m]. A row of `ForceOptimizer` continues with
 // frames (N, 3, 3), joint torques (J,) [N m] and prices of limits (M,).
 constexpr int record_size(int contacts) { return SUMMARY + 7 * contacts; }
 constexpr int record_size(int contacts, int joints, int limits) { return SUMMARY + 16 * contacts + joints + limits; }
@@ -59,10 +61,10 @@ constexpr int record_size(int contacts, int joints, int limits) { return SUMMARY
 class Record {
 public:
     Record(double* row, int count) : row_(row), count_(count) {}
-    // Of a whole solution.
+    // A complete row of `ForceOptimizer`.
     explicit Record(double* row) : row_(row), count_(int(summary().contacts)) {}
     Code code() const { return Code(int(summary().code)); }
-    // Whether it holds a force; the others hold zeros.
+    // True if the record holds a force; otherwise the force is zero.
     bool has_force() const {
         const Code code = this->code();
         return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED;
@@ -79,12 +81,12 @@ public:
     double* initial_force() const { return force() + 3 * count_; }  // (N, 3) [N]
     double* torsion() const { return force() + 6 * count_; }  // (N,) [N m]
     double* frames() const { return force() + 7 * count_; }  // (N, 3, 3) columns (n, o, t), the frame of the positions
-    double* torques() const { return force() + 16 * count_; }  // (J,) [N m], those besides the grasp's included
-    // (M,) >= 0, of the limits A f <= b. INFEASIBLE: with the twist v they are the proof, G^T v + A^T prices in every dual cone and
-    // v . w > prices . b.
+    double* torques() const { return force() + 16 * count_; }  // (J,) [N m], including the torque bias
+    // Multipliers of the limits A f <= b, (M,) >= 0. INFEASIBLE: with the twist v they are the proof: G^T v + A^T prices lies in
+    // every dual cone, and v . w > prices . b.
     double* prices() const { return torques() + int(summary().joints); }
     void clear() const { std::fill(row_, row_ + record_size(count_), 0.0); }
-    // INFEASIBLE: no force, and the twist that proves it in place of the multipliers. missed: the wrench, unit frame [N]
+    // Record INFEASIBLE: no force, and the twist that proves it in place of the multipliers. missed: the wrench, unit frame [N].
     Code refute(const Vec6& twist, double missed) const {
         Summary& s = summary();
         s.code = INFEASIBLE, s.objective = s.lower_bound = infinity, s.margin = s.limit_excess = 0.0, s.residual = missed;
@@ -92,7 +94,7 @@ public:
         std::fill(force(), row_ + record_size(count_), 0.0);
         return INFEASIBLE;
     }
-    // Along the axes of the positions, (3,) [N].
+    // Force on the object along the axes of the positions, (3,) [N].
     void object_force(int contact, double* out) const {
         const double *f = force() + 3 * contact, *frame = frames() + 9 * contact;
         for (int r = 0; r < 3; ++r) out[r] = frame[3 * r] * f[0] + frame[3 * r + 1] * f[1] + frame[3 * r + 2] * f[2];

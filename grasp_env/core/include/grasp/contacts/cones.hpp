@@ -1,4 +1,5 @@
-// Contacts packed for the registers, W to a block, and what every solver asks of a force x on them (cone coordinates).
+// Contacts packed for the registers, W to a block, and the functions of a force x on them (cone coordinates) that every solver
+// uses.
 #pragma once
 #include <grasp/contacts/contacts.hpp>
 #include <grasp/phi/phi.hpp>
@@ -10,12 +11,12 @@ namespace grasp {
 template <class V> struct Block {
     using S = Reduced<V>;
     Vec3<V> g[6], inverse[6];  // row r of G, and of (G^+)^T, unit frame
-    V gjg[21];                 // G J G^T, J = diag(1, -1, -1)
+    V gjg[21];  // G J G^T, J = diag(1, -1, -1)
     Vec3<V> scale, divisor;
     Weights<V> weights;
-    V cost, mask;  // price of u in the sum of normal forces, 1 / mu; 1 for a contact
+    V cost, mask;  // price of u in the sum of normal forces, 1 / mu; 1 for a contact, 0 for an unused lane
 
-    Vec3<V> transposed(const Six<S>& n) const { return combined(g, n); }   // G^T n
+    Vec3<V> transposed(const Six<S>& n) const { return combined(g, n); }  // G^T n
     Vec3<V> least(const Six<S>& n) const { return combined(inverse, n); }  // G^+ n
     void bind_gjg() {
         for (int r = 0; r < 6; ++r)
@@ -24,7 +25,7 @@ template <class V> struct Block {
     // out += G x, lane by lane
     void add_wrench(const Vec3<V>& x, V (&out)[6]) const { add(g, x, out); }
 
-    // the same of other rows
+    // the same for other rows
     [[gnu::always_inline]] static void add(const Vec3<V>* rows, const Vec3<V>& x, V (&out)[6]) {
 #pragma GCC unroll 8
         for (int r = 0; r < 6; ++r) out[r] += dot(rows[r], x);
@@ -42,9 +43,9 @@ template <class V> inline Six<Reduced<V>> sums(const V (&a)[6]) {
     return out;
 }
 
-// What Phi has besides the cones' terms: nothing. What further limits add is `LimitTerms` of limits.hpp; what torsion adds, which
-// turns the object by variables of its own, is `SoftTerms` of soft.hpp.
-struct NoRows { static constexpr bool any = false, turns = false; };
+// No terms of Phi besides the cones'. Limits add `LimitTerms` (limits.hpp); torsion adds `SoftTerms` (soft.hpp), which acts on the
+// object by variables of its own.
+struct NoRows { static constexpr bool has_terms = false, has_torsion = false; };
 
 template <class V, int B> class Cones {
 public:
@@ -64,9 +65,9 @@ public:
         return out;
     }
 
-    // Lanes without a contact get the force (1, 0, 0), at which their gradient vanishes: nothing moves them, and they move nothing.
-    // Nor is there a tangent where there is no friction.
-    void settle(Field& x) const {
+    // Reset lanes without a contact to the force (1, 0, 0), where their gradient vanishes: they stay and move nothing. Without
+    // friction, the tangential forces are zero.
+    void reset_unused_lanes(Field& x) const {
         for (int b = 0; b < int(blocks.size()); ++b) {
             const V& used = blocks[b].mask;
             const V grips = select(blocks[b].scale.o > 0.0, used, V{});
@@ -96,7 +97,7 @@ public:
         for (auto& block : blocks) block.bind_gjg();
     }
 
-    // A register of problems, all of them on the contacts of one.
+    // Load a register of problems that all have the contacts of one.
     template <class C, int D> void spread(const Cones<C, D>& one)
         requires many<V>
     {
@@ -114,7 +115,7 @@ public:
         }
     }
 
-    // (3N,) numbers into the lanes, and back; of a register of problems those of one lane
+    // (3N,) numbers into the lanes, and back; for a register of problems, those of one lane
     void load(const double* from, Field& x, int lane = 0) const {
         each(lane, [&](int b, int n, int at) {
             for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a]);
@@ -125,7 +126,7 @@ public:
             for (int a = 0; a < 3; ++a) to[at + a] = get(x[b][a], n);
         });
     }
-    // the same of forces (normal, o, t) [N]
+    // the same for forces (normal, o, t) [N]
     void load_force(const double* from, Field& x, int lane = 0) const {
         each(lane, [&](int b, int n, int at) {
             for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a] * get(blocks[b].scale[a], n));
@@ -147,7 +148,7 @@ public:
     template <class R = NoRows> S phi(const Field& x, const R& rows = {}) const {
         return phi_of(rows, 0.0, [&](int b) { return x[b]; });
     }
-    // of x + alpha step
+    // Phi at x + alpha step
     template <class R = NoRows> S phi_along(const Field& x, const Field& step, const S& alpha, const R& rows = {}) const {
         return phi_of(rows, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
     }
@@ -168,28 +169,28 @@ public:
         for (int b = 0; b < int(blocks.size()); ++b) blocks[b].add_wrench(x[b], out);
         return sums(out);
     }
-    // x -= G^+ (G x + w), w in the unit frame: balanced by the least change in force
+    // x -= G^+ (G x + w), w in the unit frame: balance by the least-norm change of force
     void balance(Field& x, const Six<S>& w) const { subtract(x, wrench(x) + w); }
     // x -= G^+ missed
     void subtract(Field& x, const Six<S>& missed) const {
         for (int b = 0; b < int(blocks.size()); ++b) x[b] -= blocks[b].least(missed);
     }
 
-    // 1 / (largest step inside the cones); <= 0: all of the ray is inside
+    // 1 / (largest step inside the cones); <= 0: the whole ray is inside
     S reach(const Field& x, const Field& step) const {
         V most{};
         for (int b = 0; b < int(blocks.size()); ++b) most = max(most, Boundary<V>(x[b]).per(step[b]));
         return largest(most);
     }
-    // Least distance to a cone's surface.
+    // Smallest distance to a cone's surface.
     S margin(const Field& x) const {
         V room = all<V>(infinity);
         for (int b = 0; b < int(blocks.size()); ++b)
             room = min(room, select(blocks[b].mask > 0.5, slack(x[b]), all<V>(infinity)));
         return least(room);
     }
-    // Whether all numbers are finite and below what forces can be.
-    auto sane(const Field& x) const {
+    // True if all numbers are finite and within the range of forces.
+    auto is_in_range(const Field& x) const {
         V total{};
         for (int b = 0; b < int(blocks.size()); ++b) total += abs(x[b].u) + abs(x[b].o) + abs(x[b].t);
         return sum(total) < LARGEST;
@@ -200,18 +201,18 @@ public:
         return largest(most);
     }
 
-    // Dual value at nu (unit frame): a lower bound of min Phi that needs no trust in the iterations; -inf: none.
+    // Dual value at nu (unit frame): a lower bound of min Phi that holds for any nu; -inf: no bound.
     template <class R = NoRows> S lower_bound(const Six<S>& nu, const Six<S>& w, const R& rows = {}) const {
         return bound(nu, w, rows, [&](const Vec3<V>& y, int b, V& room) { return dual(y, blocks[b].weights, room); });
     }
-    // The same in half the time where x is close to the optimum.
+    // The same in half the time, if x is close to the optimum.
     template <class R = NoRows>
     S lower_bound(const Six<S>& nu, const Six<S>& w, const Field& x, double tight, const R& rows = {}) const {
         return bound(nu, w, rows,
                      [&](const Vec3<V>& y, int b, V& room) { return dual_near(y, blocks[b].weights, x[b], tight, room); });
     }
 
-    // Scales multipliers that miss the dual cones into them, as nu = 0 is inside.
+    // Scale multipliers outside the dual cones into them; nu = 0 is inside.
     void scale_inside(Vec6& nu) const {
         V most{};
         for (int b = 0; b < int(blocks.size()); ++b) {
@@ -222,13 +223,13 @@ public:
         if (outside > INSIDE) nu = (INSIDE / outside) * nu;
     }
 
-    // Whether x, which misses balance by that, counts as balanced.
+    // True if x, with this balance residual, counts as balanced.
     auto balanced(const Field& x, const Six<S>& w, const S& residual) const {
         return residual <= BALANCED * max(size(w), min(largest_normal(x), S(1.0)));
     }
-    // What x misses of balance.
+    // Balance residual of x.
     S residual(const Field& x, const Six<S>& w) const { return size(wrench(x) + w); }
-    // Writes forces, residual and margin of x: what a solution is checked by.
+    // Write force, residual and margin of x, which certify a solution.
     void certify(const Field& x, const Vec6& w, const Record& record) const {
         record.summary().residual = residual(x, w);
         record.summary().margin = margin(x);
@@ -236,8 +237,8 @@ public:
     }
 
 private:
-    static constexpr double BALANCED = 1e-9;  // part of the wrench, or of forces up to 1 N
-    static constexpr double INSIDE = 1.0 - 1e-13;  // of the way to the surface of the dual cones: beyond it rounding decides
+    static constexpr double BALANCED = 1e-9;  // fraction of the wrench, or of forces up to 1 N
+    static constexpr double INSIDE = 1.0 - 1e-13;  // fraction of the way to the surface of the dual cones, kept clear of rounding
     int needed() const { return (count + W - 1) / W; }
 
     // f(block, lane, first number) for every contact
@@ -251,7 +252,7 @@ private:
         for (int b = 0; b < int(blocks.size()); ++b) {
             const Vec3<V> x = at(b);
             V term = grasp::phi(x, Weights<V>{(blocks[b].weights.omega * ... * part), blocks[b].weights.lambda});
-            if constexpr (R::any) term += rows.value(b, x, alpha);
+            if constexpr (R::has_terms) term += rows.value(b, x, alpha);
             total += blocks[b].mask * term;
             room = min(room, min(x.u, lorentz(x, x)));
         }
@@ -264,9 +265,9 @@ private:
             V room;
             Vec3<V> y = blocks[b].transposed(nu);
             [[maybe_unused]] V more;
-            if constexpr (R::any) more = rows.dual(b, nu, y);
+            if constexpr (R::has_terms) more = rows.dual(b, nu, y);
             V part = least_of(y, b, room);
-            if constexpr (R::any) part += more;
+            if constexpr (R::has_terms) part += more;
             total += blocks[b].mask * part;
             smallest = min(smallest, room);
         }

@@ -1,96 +1,100 @@
-// Contacts: what they transmit and weigh, given once, and where they are now. `place` and `select` allocate nothing.
+// Contacts: their friction and weights, set once, and their current place. `place` and `select` allocate nothing.
 #pragma once
 #include <span>
 #include <stdexcept>
 #include <grasp/contacts/geometry.hpp>
+#include <grasp/math/jacobi_rotations.hpp>
 
 namespace grasp {
 
-inline constexpr double LARGEST = 1e12;    // [N], [N m] beyond which numbers are mistakes
-inline constexpr double NOTHING = 1e-306;  // [N] below which a wrench counts as none: its inverse is infinite
+inline constexpr double LARGEST = 1e12;  // [N], [N m] largest number accepted
+inline constexpr double NOTHING = 1e-306;  // [N] a smaller wrench counts as zero, since its inverse is infinite
 
-// refused: not finite, or a normal that is not of unit length. needs_torsion: the rank is 6 with the torsion of soft contacts and not
-// without it; `inverse` is none.
+// refused: not finite, or a normal not of unit length. needs_torsion: the rank is 6 only with the torsion of soft contacts;
+// `inverse` is then undefined.
 enum class Placing { good, refused, rank_lost, needs_torsion };
 
-// The weights of Phi, of all contacts alike: the price of squeezing, and of coming close to a cone [N^2].
+// The weights of Phi, equal for all contacts: the price of squeezing, and of approaching a cone [N^2].
 struct Objective { double force_weight = 1.0, barrier_weight = 0.01; };
 
-// A scale of cone coordinates as it is taken, 0: nothing is transmitted; what such coordinates are divided by.
+// Accepted scale of cone coordinates, 0: nothing is transmitted; and the divisor of such coordinates.
 template <class T> inline T taken_scale(const T& given) { return select((given > 0.0) & (given < infinity), given, T(0.0)); }
 template <class T> inline T divisor_of(const T& scale) { return select(scale > 0.0, scale, T(infinity)); }
 
 class Contacts {
 public:
-    static constexpr double WELL = 1e-6;  // `rank_bound` from which G G^T may be inverted as it is: six digits are left at least
+    // `rank_bound` above which G G^T is inverted directly, with at least six digits left.
+    static constexpr double WELL_CONDITIONED = 1e-6;
     int count = 0;
     std::vector<double> scale, divisor;  // (N, 3) cone coordinates = scale * force, force = cone coordinates / divisor
     std::vector<double> omega, lambda;  // (N,) weights of Phi
     std::vector<double> torsion;  // (N,) gamma [m] of soft contacts, 0 of others
-    std::vector<double> tangents;  // (N, 3) directions of o, or none: the default rule
+    std::vector<double> tangents;  // (N, 3) directions of o; empty: the default rule
 
     UnitFrame unit;
-    std::vector<double> positions, normals;  // (N, 3) as they are taken
+    std::vector<double> positions, normals;  // (N, 3) as placed
     std::vector<double> frames;  // (N, 3, 3) columns (n, o, t), object frame
     std::vector<double> matrix;  // (6, 3N) G
     std::vector<double> cone_matrix;  // (6, 3N) G in cone coordinates
     std::vector<double> rows;  // (6, 3N) the same in the unit frame
-    std::vector<double> force_rows;  // (6, 3N) G in forces, unit frame; zero where nothing is transmitted
-    std::vector<double> inverse;  // (3N, 6) G^+ in cone coordinates, unit frame: the least change in force
-    Placing placing = Placing::refused;  // of the last `place`; the arrays above are those of the last that was not refused
-    bool clear = false;  // whether the rank is 6 beyond doubt: no singular values were needed
+    std::vector<double> force_rows;  // (6, 3N) G for forces, unit frame; zero where nothing is transmitted
+    std::vector<double> inverse;  // (3N, 6) G^+ in cone coordinates, unit frame: the least-norm change of force
+    Placing placing = Placing::refused;  // of the last `place`; the arrays above belong to the last one that was not refused
+    bool clear = false;  // true if the rank is 6 beyond doubt, without singular values
 
     Contacts() = default;
-    // scale: (N, 3) mu for the normal and 1 for round cones; 0 where nothing is transmitted. weights: (N, 2) omega, lambda.
+    // scale: (N, 3) mu for the normal and 1 for the tangents of round cones; 0: nothing is transmitted. weights: (N, 2) omega,
+    // lambda.
     Contacts(int count, const double* scales, const double* weights, const double* along = nullptr,
              const double* gamma = nullptr) {
         make_room(count);
         std::copy(scales, scales + 3 * count, scale.begin());
-        weigh(weights), transmit(), describe(along, gamma);
+        set_weights(weights), update_divisors(), set_tangents_and_torsion(along, gamma);
     }
-    // friction: one coefficient for all contacts, one of each (N), or two of each (N, 2), along o and t; 0: frictionless.
+    // friction: one coefficient for all contacts, one per contact (N), or two per contact (N, 2), along o and t; 0: frictionless.
     Contacts(int count, std::span<const double> friction, const Objective& objective = {}, const double* along = nullptr,
              const double* gamma = nullptr) {
         make_room(count);
-        weigh(objective), rub(friction), describe(along, gamma);
+        set_weights(objective), rub(friction), set_tangents_and_torsion(along, gamma);
     }
 
-    // Contacts in their place; throws std::invalid_argument, which says what is wrong, unless solvers can be made for them.
-    // Numbers contact by contact. positions, normals: as of `place`. friction: as of the constructor. along: (N, 3) tangents, or none.
-    // gamma: (N,) torsional friction [m], 0: hard, or none.
+    // Place contacts; throws std::invalid_argument with a message about the wrong argument unless solvers can use them. Numbers are
+    // given contact by contact. positions, normals: as for `place`. friction: as for the constructor. along: (N, 3) tangents, or
+    // empty. gamma: (N,) torsional friction [m], 0: hard, or empty.
     static Contacts from(std::span<const double> positions, std::span<const double> normals, std::span<const double> friction,
                          const Objective& objective = {}, std::span<const double> along = {},
                          std::span<const double> gamma = {}) {
         const std::size_t size = positions.size(), count = size / 3, given = friction.size();
-        ask(size > 0 && size % 3 == 0 && size <= 3 * MOST_CONTACTS,
-            "positions must be three numbers of each contact, up to 1000");
-        ask(normals.size() == size, "normals must be as many as positions");
-        ask(along.empty() || along.size() == size, "tangents must be as many as positions, or none");
-        ask(given == 1 || given == count || given == 2 * count, "friction must be one number, N or 2N");
-        ask(sane(friction), "friction must be 0 to 1e12");
-        ask(gamma.empty() || gamma.size() == count, "torsion must be one number of each contact, or none");
-        ask(sane(gamma), "torsion must be 0 to 1e12");
+        require(size > 0 && size % 3 == 0 && size <= 3 * MOST_CONTACTS,
+                "positions must be three numbers of each contact, up to 1000");
+        require(normals.size() == size, "normals must be as many as positions");
+        require(along.empty() || along.size() == size, "tangents must be as many as positions, or none");
+        require(given == 1 || given == count || given == 2 * count, "friction must be one number, N or 2N");
+        require(is_in_range(friction), "friction must be 0 to 1e12");
+        require(gamma.empty() || gamma.size() == count, "torsion must be one number of each contact, or none");
+        require(is_in_range(gamma), "torsion must be 0 to 1e12");
         Contacts made(int(count), friction, objective, along.empty() ? nullptr : along.data(),
                       gamma.empty() ? nullptr : gamma.data());
-        made.put(positions.data(), normals.data());
+        made.place_or_throw(positions.data(), normals.data());
         return made;
     }
     static Contacts from(std::span<const double> positions, std::span<const double> normals, double friction,
                          const Objective& objective = {}) {
         return from(positions, normals, std::span(&friction, 1), objective);
     }
-    // The same by scale and weights (N, 2), as of the constructor.
+    // The same with scale and weights (N, 2), as for the constructor.
     static Contacts checked(int count, const double* positions, const double* normals, const double* scales,
                             const double* weights, const double* along = nullptr) {
         for (int j = 0; j < 3 * count; ++j)
-            ask(scales[j] >= 0.0 && scales[j] < infinity && (j % 3 != 0 || scales[j] > 0.0),
-                "scale must be finite and >= 0, that of normals > 0");
+            require(scales[j] >= 0.0 && scales[j] < infinity && (j % 3 != 0 || scales[j] > 0.0),
+                    "scale must be finite and >= 0, that of normals > 0");
         Contacts made(count, scales, weights, along);
-        made.put(positions, normals);
+        made.place_or_throw(positions, normals);
         return made;
     }
 
-    // Other friction, as of the constructor, from the next `place` on; chosen: where `friction` is of more contacts, which of them these are, and those without any keep none.
+    // Replace the friction, given as for the constructor, from the next `place` on. chosen: indices of these contacts if `friction`
+    // covers more of them; frictionless contacts then stay so.
     void rub(std::span<const double> friction, std::span<const int> chosen = {}, int of = 0) {
         const std::size_t given = friction.size(), all = chosen.empty() ? count : of;
         for (int k = 0; k < count; ++k) {
@@ -101,14 +105,14 @@ public:
             const Point made = cone_scale(mu_o, mu_t);
             for (int a = 0; a < 3; ++a) scale[3 * k + a] = made[a];
         }
-        transmit();
+        update_divisors();
     }
 
-    // The weights of Phi, (N, 2) omega and lambda, or those of all contacts.
-    void weigh(const double* weights) {
+    // Set the weights of Phi: (N, 2) omega and lambda, or the same for all contacts.
+    void set_weights(const double* weights) {
         for (int i = 0; i < count; ++i) omega[i] = weights[2 * i], lambda[i] = weights[2 * i + 1];
     }
-    void weigh(const Objective& objective) {
+    void set_weights(const Objective& objective) {
         std::fill(omega.begin(), omega.end(), objective.force_weight);
         std::fill(lambda.begin(), lambda.end(), objective.barrier_weight);
     }
@@ -116,14 +120,14 @@ public:
         const auto good = [](double v) { return v > 0.0 && v < infinity; };
         return std::ranges::all_of(omega, good) && std::ranges::all_of(lambda, good);
     }
-    // From now on the directions of o are those of the current contacts, projected, instead of those of the default rule.
+    // From now on, project the current directions of o instead of using the default rule.
     void keep_tangents() {
         tangents.resize(3 * count);
         for (int j = 0; j < 3 * count; ++j) tangents[j] = frames[3 * j + 1];
     }
 
-    // What is said of some contacts of `all` becomes what is said of these; `place` then places them. No allocation where this was
-    // a copy of `all` once. chosen: their numbers in `all`.
+    // Take over the properties of some contacts of `all`; `place` then places them. Does not allocate if this object was once a
+    // copy of `all`. chosen: their indices in `all`.
     void select(const Contacts& all, std::span<const int> chosen) {
         make_room(int(chosen.size()));
         const auto take = [&](std::vector<double>& to, const std::vector<double>& from, int width) {
@@ -136,7 +140,7 @@ public:
         placing = Placing::refused, clear = false;
     }
 
-    // positions [m] and inward unit normals, (N, 3) each, object frame
+    // Place the contacts. positions [m] and inward unit normals, (N, 3) each, object frame.
     Placing place(const double* at, const double* inward) {
         double total = 0.0;
         for (int j = 0; j < 3 * count; ++j) total += std::abs(at[j]);
@@ -163,31 +167,30 @@ public:
                 set_column(force_rows.data(), size, j, row), set_column(rows.data(), size, j, per_[j] * row);
             }
         }
-        return placing = spanned(s);
+        return placing = find_rank(s);
     }
 
-    // An orthonormal basis of the rows of G (forces) into (6, 3N).
+    // Write an orthonormal basis of the rows of G (forces) into `out` (6, 3N).
     void orthonormal(std::vector<double>& out) const {
         out = force_rows;
         double lower[6][6];
-        if (!orthonormalise(gram(out.data(), 3 * count), out, lower)) { Rotations(out, 3 * count).normalise(); }
+        if (!orthonormalise(gram(out.data(), 3 * count), out, lower)) { JacobiRotations(out, 3 * count).normalise(); }
     }
 
-    // Whether torsion is transmitted anywhere.
+    // True if any contact transmits torsion.
     bool soft() const {
         return std::ranges::any_of(torsion, [](double gamma) { return gamma > 0.0; });
     }
 
 private:
     static constexpr std::size_t MOST_CONTACTS = 1000;
-    std::vector<double> used_, per_;  // 1 where a force is transmitted; 1 / divisor
+    std::vector<double> used_, per_;  // 1 where a force is transmitted, else 0; 1 / divisor
     std::vector<double> work_;  // (6, 4N)
-    static constexpr double RANK = 1e-8;  // least ratio of singular values of G in the unit frame that counts as rank 6
 
-    static void ask(bool good, const char* said) {
+    static void require(bool good, const char* said) {
         if (!good) throw std::invalid_argument(said);
     }
-    static bool sane(std::span<const double> numbers) {
+    static bool is_in_range(std::span<const double> numbers) {
         return std::ranges::all_of(numbers, [](double v) { return v >= 0.0 && v <= LARGEST; });
     }
 
@@ -198,27 +201,27 @@ private:
         for (auto* many : {&matrix, &cone_matrix, &rows, &force_rows, &inverse}) many->resize(18 * n);
         frames.resize(9 * n), work_.resize(24 * n);
     }
-    void describe(const double* along, const double* gamma) {
+    void set_tangents_and_torsion(const double* along, const double* gamma) {
         if (along) tangents.assign(along, along + 3 * count);
         if (gamma) std::copy(gamma, gamma + count, torsion.begin());
     }
-    // `place`, or an exception.
-    void put(const double* at, const double* inward) {
-        ask(weights_good(), "weights must be finite and > 0");
+    // `place`; throws if that fails.
+    void place_or_throw(const double* at, const double* inward) {
+        require(weights_good(), "weights must be finite and > 0");
         place(at, inward);
-        ask(placing != Placing::refused, "positions must be finite and normals of unit length");
-        ask(placing != Placing::rank_lost, "rank(G) < 6");
+        require(placing != Placing::refused, "positions must be finite and normals of unit length");
+        require(placing != Placing::rank_lost, "rank(G) < 6");
     }
 
-    void transmit() {
+    void update_divisors() {
         for (int j = 0; j < 3 * count; ++j) {
             scale[j] = taken_scale(scale[j]), divisor[j] = divisor_of(scale[j]);
             used_[j] = scale[j] > 0.0, per_[j] = 1.0 / divisor[j];
         }
     }
 
-    // What is spanned by contacts in their place; s: Gram matrix of the rows.
-    Placing spanned(const Packed6& s) {
+    // Find the rank of placed contacts; s: Gram matrix of the rows.
+    Placing find_rank(const Packed6& s) {
         clear = false;
         return invert(s) ? Placing::good : span_with_torsion(s) ? Placing::needs_torsion : Placing::rank_lost;
     }
@@ -240,7 +243,7 @@ private:
         factor.factor(s);
         clear = rank_bound(s, factor) > CLEAR_RANK;
         if (clear) return true;
-        const Rotations found(work_, columns);
+        const JacobiRotations found(work_, columns);
         return found.spans();
     }
 
@@ -253,7 +256,7 @@ private:
         Ldl6 factor;
         factor.factor(s);
         const double bound = rank_bound(s, factor);
-        if (bound > WELL) {  // G^+ = G^T (G G^T)^-1
+        if (bound > WELL_CONDITIONED) {  // G^+ = G^T (G G^T)^-1
             for (int j = 0; j < size; ++j) {
                 const Vec6 solved = factor.solve(column(force_rows.data(), size, j));
                 for (int r = 0; r < 6; ++r) inverse[6 * j + r] = scale[j] * solved[r];
@@ -272,7 +275,7 @@ private:
                 }
             return clear = true;
         }
-        Rotations found(work_, size);
+        JacobiRotations found(work_, size);
         if (!found.spans()) return false;
         found.normalise();
         for (int j = 0; j < size; ++j)
@@ -284,8 +287,8 @@ private:
         return true;
     }
 
-    // Rows (6, 3N) with Gram matrix s = lower * (orthonormal rows), by two Cholesky factors: to rounding for condition numbers up
-    // to 1e7. False where rank is lost.
+    // Orthonormalise rows (6, 3N) with Gram matrix s = lower * (orthonormal rows) by two Cholesky factorisations, exact to rounding
+    // for condition numbers up to 1e7. Return false if rank is lost.
     bool orthonormalise(Packed6 s, std::vector<double>& turned, double (&lower)[6][6]) const {
         const int size = 3 * count;
         for (int pass = 0; pass < 2; ++pass) {
@@ -313,50 +316,6 @@ private:
         }
         return true;
     }
-
-    // Jacobi's one-sided rotations: the singular values to their own last digits, for contacts that hardly span the wrenches.
-    struct Rotations {
-        std::vector<double>& rows;  // turned in place: `turn` times what was given
-        int size;
-        double turn[6][6] = {}, value[6] = {}, most = 0.0, fewest = infinity;
-
-        Rotations(std::vector<double>& given, int columns) : rows(given), size(columns) {
-            for (int r = 0; r < 6; ++r) turn[r][r] = 1.0;
-            for (int sweep = 0, again = 1; again && sweep < 60; ++sweep) {
-                again = 0;
-                for (int p = 0; p < 6; ++p)
-                    for (int q = p + 1; q < 6; ++q) again |= rotate(p, q);
-            }
-            for (int r = 0; r < 6; ++r) {
-                double square = 0.0;
-                for (int j = 0; j < size; ++j) square += rows[size * r + j] * rows[size * r + j];
-                value[r] = std::sqrt(square), most = std::max(most, value[r]), fewest = std::min(fewest, value[r]);
-            }
-        }
-        bool spans() const { return fewest >= RANK * most && fewest > 0.0; }
-        void normalise() {
-            for (int r = 0; r < 6; ++r)
-                for (int j = 0; j < size; ++j) rows[size * r + j] /= value[r];
-        }
-
-    private:
-        bool rotate(int p, int q) {
-            double *a = rows.data() + size * p, *b = rows.data() + size * q, pp = 0.0, qq = 0.0, pq = 0.0;
-            for (int j = 0; j < size; ++j) pp += a[j] * a[j], qq += b[j] * b[j], pq += a[j] * b[j];
-            if (!(std::abs(pq) > 1e-16 * std::sqrt(pp * qq))) return false;
-            const double zeta = (qq - pp) / (2.0 * pq);
-            const double t = (zeta < 0.0 ? -1.0 : 1.0) / (std::abs(zeta) + std::sqrt(1.0 + zeta * zeta));
-            const double c = 1.0 / std::sqrt(1.0 + t * t), s = c * t;
-            const auto mix = [&](double* first, double* second, int items) {
-                for (int j = 0; j < items; ++j) {
-                    const double x = first[j], y = second[j];
-                    first[j] = c * x - s * y, second[j] = s * x + c * y;
-                }
-            };
-            mix(a, b, size), mix(turn[p], turn[q], 6);
-            return true;
-        }
-    };
 };
 
 }  // namespace grasp

@@ -1,5 +1,5 @@
-// Contact frames, the grasp matrix G and the frame in which wrenches are of one size, for one grasp or a register of them; arrays
-// are row-major.
+// Contact frames, the grasp matrix G and the unit frame, which makes wrenches comparable in size; for one grasp or a register of
+// them. Arrays are row-major.
 #pragma once
 #include <grasp/math/linear6.hpp>
 #include <grasp/math/vec3.hpp>
@@ -9,9 +9,9 @@ namespace grasp {
 using Point = Vec3<double>;  // x, y, z in the object frame
 
 inline constexpr double TANGENT_SWITCH = 0.9;
-// Normals may miss unit length by this much; they are then normalised exactly.
+// Allowed deviation of a normal from unit length; normals are then normalised exactly.
 inline constexpr double UNIT_TOLERANCE = 1e-6;
-// Directions that miss unit length and orthogonality by no more are kept, so that a grasp made again keeps its bits.
+// Directions closer to unit length and orthogonality than this stay unchanged, so that a rebuilt grasp keeps its bits.
 inline constexpr double ROUNDING = 1e-15;
 
 inline Point point(const double* a) { return {a[0], a[1], a[2]}; }
@@ -21,8 +21,8 @@ template <class T> inline Vec3<T> normalised(const Vec3<T>& a) {
     return select(abs(size - 1.0) > ROUNDING, (1.0 / size) * a, a);
 }
 
-// Cone coordinates = scale * force: (mu, o mu / mu_o, t mu / mu_t), mu = sqrt(mu_o mu_t), so that every friction cone is round and
-// of slope one. Without friction the normal force alone is transmitted.
+// Cone coordinates = scale * force: (mu, o mu / mu_o, t mu / mu_t), mu = sqrt(mu_o mu_t), in which every friction cone is round
+// with slope one. Without friction only the normal force is transmitted.
 inline Point cone_scale(double mu_o, double mu_t) {
     if (!(mu_o > 0.0 && mu_t > 0.0)) return {1.0, 0.0, 0.0};
     if (mu_o == mu_t) return {mu_o, 1.0, 1.0};
@@ -30,7 +30,7 @@ inline Point cone_scale(double mu_o, double mu_t) {
     return {mu, mu / mu_o, mu / mu_t};
 }
 
-// (n, o, t) with o the projection of `along` on the tangent plane; without one of e_x, or of e_y where |n . e_x| > 0.9.
+// (n, o, t), with o the projection of `along` onto the tangent plane; the default is e_x, or e_y if |n . e_x| > 0.9.
 template <class T> struct FrameOf {
     Vec3<T> n, o, t;
 
@@ -40,7 +40,7 @@ template <class T> struct FrameOf {
         t = cross(n, o);
     }
     FrameOf(const Vec3<T>& normal, const Vec3<T>& along) : n(normal), o(along) {
-        for (int pass = 0; pass < 2; ++pass) {  // the second takes what rounding left of o . n for a tangent close to n
+        for (int pass = 0; pass < 2; ++pass) {  // the second pass removes the rounding of o . n for a tangent close to n
             const T off = dot(o, n);
             o = normalised(select(abs(off) > ROUNDING, o - off * n, o));
         }
@@ -54,14 +54,14 @@ template <class T> struct FrameOf {
 };
 using Frame = FrameOf<double>;
 
-// Where a wrench is (force, moment about the contacts' centre / their length) [N]: of one size wherever the origin is and however
-// large the object.
+// The unit frame: a wrench as (force, moment about the contacts' centre / their length) [N], independent of the origin and of the
+// object's size.
 template <class T> struct UnitFrameOf {
     Vec3<T> centre{};
     T length{};  // [m] root mean square distance of the contacts from their centre
 
     UnitFrameOf() = default;
-    // at(i): where contact i is
+    // at(i): position of contact i
     template <class F> UnitFrameOf(int count, F&& at) {
         const T share = 1.0 / std::max(count, 1);
         for (int i = 0; i < count; ++i) centre += share * at(i);
@@ -75,7 +75,7 @@ template <class T> struct UnitFrameOf {
     UnitFrameOf(const double* positions, int count)
         requires std::is_same_v<T, double>
         : UnitFrameOf(count, [&](int i) { return point(positions + 3 * i); }) {}
-    template <class O> explicit UnitFrameOf(const UnitFrameOf<O>& one)  // of all of a register
+    template <class O> explicit UnitFrameOf(const UnitFrameOf<O>& one)  // for all problems of a register
         requires many<T> && std::is_same_v<O, double>
         : centre{one.centre.u, one.centre.o, one.centre.t}, length(one.length) {}
     T scale() const { return select(length > 0.0, 1.0 / length, T(1.0)); }
@@ -89,12 +89,12 @@ template <class T> struct UnitFrameOf {
     {
         return of(Vec6{w[0], w[1], w[2], w[3], w[4], w[5]});
     }
-    // Multipliers of the given wrench from those of this frame: the transposed map.
+    // Multipliers of the given wrench from those in this frame: the transposed map.
     Six<T> pull_back(const Six<T>& n) const {
         const Vec3<T> moment = scale() * Vec3<T>{n[3], n[4], n[5]}, force = Vec3<T>{n[0], n[1], n[2]} - cross(moment, centre);
         return {force.u, force.o, force.t, moment.u, moment.o, moment.t};
     }
-    // The map itself, (6, 6).
+    // Write the map, (6, 6).
     void write(double* out) const
         requires std::is_same_v<T, double>
     {
@@ -118,7 +118,7 @@ inline Vec6 column(const double* matrix, int columns, int j) {
 inline void set_column(double* matrix, int columns, int j, const Vec6& a) {
     for (int r = 0; r < 6; ++r) matrix[columns * r + j] = a[r];
 }
-// Adds a column of six rows to their Gram matrix.
+// Add a column of six rows to their Gram matrix.
 template <class T> [[gnu::always_inline]] inline void add_gram(Packed<T>& s, const Six<T>& column) {
 #pragma GCC unroll 8
     for (int r = 0; r < 6; ++r)
@@ -137,12 +137,12 @@ inline Packed6 gram(const double* rows, int columns) {
     return s;
 }
 
-// A lower bound of the least eigenvalue of a 6 x 6 Gram matrix s over its trace, from its factor; 0 where rounding may have made
-// it: where it is above CLEAR_RANK the rows have rank 6 beyond doubt, elsewhere only their singular values can tell.
-// det S <= least eigenvalue * (trace / 5)^5, so the pivots of S bound that eigenvalue from below.
+// Lower bound of the smallest eigenvalue of a 6 x 6 Gram matrix s over its trace, from its factors; 0 if rounding may have caused
+// it. Above CLEAR_RANK the rows have rank 6 beyond doubt; below it only their singular values can tell. det S <= smallest
+// eigenvalue * (trace / 5)^5, so the pivots of S bound that eigenvalue from below.
 inline constexpr double CLEAR_RANK = 1e-10;
 template <class T> inline T rank_bound(const Packed<T>& s, const Ldl<T>& factor) {
-    constexpr double LOST = 1e-13;  // of the trace: a pivot that rounding may have made
+    constexpr double LOST = 1e-13;  // of the trace: largest pivot that rounding may cause
     T trace{}, bound = 1.0;
     for (int r = 0; r < 6; ++r) trace += s[packed(r, r)];
     auto clear = trace > 0.0;

@@ -1,53 +1,57 @@
-// The paper's gradient flow, x_{k+1} = x_k + alpha_k d_k (Eqs. 12, 26): every x_k balanced and inside the cones, Phi falling.
+// The paper's gradient flow, x_{k+1} = x_k + alpha_k d_k (Eqs. 12, 26): every x_k is balanced and inside the cones, and Phi
+// decreases.
 #pragma once
 #include <grasp/phi/newton.hpp>
 #include <grasp/flow/projection.hpp>
 
 namespace grasp {
 
-// alpha_k, as data; see `step_size.py`.
+// The rule for alpha_k, as data; see `step_size.py`.
 struct StepRule {
     enum Kind { FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT };
-    static constexpr double ALTERNATE = 0.0, LONG_ONLY = 1.0;  // BARZILAI_BORWEIN has its variant in `grow`; else the short one
+    // Variants of BARZILAI_BORWEIN, given in `grow`; any other value: the short steps.
+    static constexpr double ALTERNATE = 0.0, LONG_ONLY = 1.0;
     int kind = ADAPTIVE;
     double first = 0.3;  // first trial step [N / omega]
     double grow = 1.5;  // factor after an accepted step
-    double shrink = 0.5;  // after a rejected one
-    double decrease = 0.0;  // share of alpha |d|^2 by which Phi has to fall; of EXACT: of the slope that may be left
+    double shrink = 0.5;  // factor after a rejected one
+    // Fraction of alpha |d|^2 by which Phi has to decrease; for EXACT the fraction of the slope that may remain.
+    double decrease = 0.0;
 };
 
-template <class V, int B> class FlowOn {
+template <class V, int B> class FlowSolver {
 public:
     using Field = typename Cones<V, B>::Field;
     StepRule rule;
 
-    FlowOn(const Cones<V, B>& cones, const StepRule& rule, Form form)
+    FlowSolver(const Cones<V, B>& cones, const StepRule& rule, Form form)
         : rule(rule), projection_(cones, form), next_(cones.field()), gradient_(cones.field()), there_(cones.field()),
           step_(cones.field()), past_(cones.field()) {}
 
-    // The current contacts; false where G has lost rank.
+    // Prepare for the current contacts. Return false if G has lost rank.
     bool place(const Cones<V, B>& cones) { return projection_.place(cones); }
 
-    // The step at x made so many times; returns its last number.
+    // Compute the step at x `times` times; return its last number. For benchmarks.
     double repeat(const Cones<V, B>& cones, Field& x, int times) {
         for (int b = 0; b < int(x.size()); ++b) gradient_[b] = gradient(x[b], cones.blocks[b].weights);
         for (int k = 0; k < times; ++k) {
             projection_.apply(cones, x, gradient_, step_);
-            const V little = all<V>(1e-30) * step_[0].u;  // one after the other
+            const V little = all<V>(1e-30) * step_[0].u;  // makes each step depend on the one before
             x[0].u += little, gradient_[0].u += little;
         }
         return get(step_[0].u, 0);
     }
 
-    // From the start in on.x, which is balanced and strictly inside, to the record.
+    // Descend from the start in on.x, which must be balanced and strictly inside, and write the record.
     Code descend(NewtonOn<V, B>& on, const Call& call, const Vec6& w, const Record& record) {
         const auto& cones = on.cones;
         const int blocks = int(cones.blocks.size());
         cones.store_force(on.x, record.initial_force());
-        // x_k, the gradient there, d_k; x_k + alpha d_k, the gradient there; d_{k-1}: in registers where their number is fixed
+        // x_k, the gradient there, d_k; x_k + alpha d_k, the gradient there; d_{k-1}: in registers if the number of contacts is
+        // fixed
         Local x = on.x, gradient = gradient_, step = step_, next = next_, there = there_, past = past_;
         for (int b = 0; b < blocks; ++b) step[b] = past[b] = {V{}, V{}, V{}};
-        // Phi at x + alpha step, which goes to `next`, its gradient to `there`; +inf outside
+        // Phi at x + alpha step, written to `next`, with its gradient in `there`; +inf outside
         const auto ahead = [&](double alpha) {
             V total{}, room = all<V>(infinity);
             for (int b = 0; b < blocks; ++b) {
@@ -59,12 +63,12 @@ public:
             const double value = sum(total);
             return least(room) > 0.0 && value == value ? value : infinity;
         };
-        // its first and second derivative by alpha
+        // its first and second derivatives with respect to alpha
         const auto slope = [&] { return total_of([&](int b) { return dot(there[b], step[b]); }); };
         const auto bend = [&] {
             return total_of([&](int b) { return cones.blocks[b].mask * curvature(next[b], step[b], cones.blocks[b].weights); });
         };
-        const auto mixed = [&] {  // <d_k, d_{k-1}>, which d_k then is
+        const auto mixed = [&] {  // <d_k, d_{k-1}>; then stores d_k as the past step
             const double product = total_of([&](int b) { return inner(step[b], past[b]); });
             for (int b = 0; b < blocks; ++b) past[b] = step[b];
             return product;
@@ -105,39 +109,41 @@ public:
 
 private:
     using Local = std::conditional_t<B == 0, Field&, Field>;
-    static constexpr double SHORTEST = 1e-10;  // the first trial of an iteration moves x by at least this part of its length
-    static constexpr double ROUNDED = 1e-16;  // and none by less than this
+    static constexpr double SHORTEST = 1e-10;  // the first trial of an iteration moves x by at least this fraction of its length
+    static constexpr double ROUNDED = 1e-16;  // no trial moves x by less than this
     static constexpr double LONGEST = 1e300;
-    static constexpr double FLAT = 1e-12;  // where <s, y> is below this share of <s, s> / alpha Phi is straight to rounding,
+    static constexpr double FLAT = 1e-12;  // if <s, y> is below this fraction of <s, s> / alpha, Phi is straight to rounding,
     static constexpr double LEAP = 10.0;  // and alpha grows by this factor
-    static constexpr int SEARCHES = 60;  // trials of a search for the exact minimum, before it settles for any decrease
-    static constexpr int PATIENCE = 100;  // trials of an iteration after which steps are halved at least, so that they end
+    static constexpr int SEARCHES = 60;  // trials of the search for the exact minimum before any decrease is accepted
+    static constexpr int PATIENCE = 100;  // trials of an iteration after which steps are at least halved, so that they end
     Projection<V, B> projection_;
     Field next_, gradient_, there_, step_, past_;
 
-    // How far a descent has come.
+    // State of a descent.
     struct Progress {
         double alpha, value;  // alpha_k; Phi at x_k
-        double gained = 0.0;  // by how much the last step lowered it
+        double gained = 0.0;  // decrease of Phi by the last step
         double length = 0.0, before = 0.0, size = 0.0;  // |d_k|^2, |d_{k-1}|^2, |x_k|^2
         int k = 0, trials = 0;
 
-        bool moves(double part) const { return alpha * alpha * length > part * part * size; }  // x by more than this part of it
+        bool moves(double part) const {
+            return alpha * alpha * length > part * part * size;
+        }  // x moves by more than this fraction of it
     };
     struct Bound {
         double value;
         Vec6 multipliers;
     };
 
-    // What is known of min Phi, and when to compute a bound again, which costs as much as several iterations: not while steps
-    // gain more than what may be left, and once one is close, where the next will do. A bound falls short of min Phi by up to
-    // SHORT times the square of the gap, in parts of it.
+    // Bounds of min Phi, and the time of the next bound, which costs as much as several iterations. No bound is computed while
+    // steps gain more than the tolerance allows. Once a bound is close, the next one waits until it can certify. A bound falls
+    // short of min Phi by up to SHORT times the square of the relative gap.
     struct Proof {
-        bool known;  // the optimum is, to the caller
-        double tolerance;  // relative gap that is asked for
+        bool known;  // true if the caller knows the optimum
+        double tolerance;  // required relative gap
         Bound best;
-        int next = 0;  // iteration at which to look in any case
-        double goal = -infinity;  // Phi at which to look
+        int next = 0;  // iteration of the next bound at the latest
+        double goal = -infinity;  // value of Phi at which the next bound is due
 
         Proof(const Call& call, double tolerance)
             : known(call.optimum == call.optimum), tolerance(tolerance), best{known ? call.optimum : -infinity, {}} {}
@@ -160,7 +166,7 @@ private:
         return sum(total);
     }
 
-    // The first trial of alpha_k, by the rule.
+    // The first trial of alpha_k by the rule.
     template <class Mixed, class Bend> void propose(Progress& at, Mixed&& mixed, Bend&& bend) const {
         if (rule.kind == StepRule::BARZILAI_BORWEIN) {
             const double product = mixed();
@@ -180,7 +186,7 @@ private:
             at.alpha = SHORTEST * std::sqrt(at.size / at.length);
     }
 
-    // Trials of alpha_k until Phi falls, by as much as the rule asks; false where no step that moves x lets it.
+    // Try alpha_k until Phi decreases as much as the rule requires. Return false if no step that moves x does so.
     template <class Ahead, class Slope, class Bend> bool accept(Progress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
         const double decrease = rule.kind == StepRule::ARMIJO ? rule.decrease * at.length : 0.0;
         double trial = rule.kind == StepRule::EXACT ? search(at, ahead, slope, bend) : infinity;
@@ -195,15 +201,15 @@ private:
         return accepted;
     }
 
-    // Lower bound of min Phi from the Newton multipliers at on.x; -inf: none.
+    // Lower bound of min Phi from the Newton multipliers at on.x; -inf: no bound.
     [[gnu::noinline]] static Bound bound_at(NewtonOn<V, B>& on, const Vec6& w) {
         if (!on.system.assemble(on.cones, on.x)) return {-infinity, {}};
         const Vec6 nu = on.system.multipliers(on.system.made + w);
         return {on.cones.lower_bound(nu, w), nu};
     }
 
-    // Barzilai and Borwein (1988) in the metric of P, over alpha: with s the step before and y the change of the projected
-    // gradient, <s, s> / <s, y> or <s, y> / <y, y>.
+    // Barzilai and Borwein (1988) in the metric of P, relative to alpha. With s the previous step and y the change of the projected
+    // gradient: <s, s> / <s, y> or <s, y> / <y, y>.
     double inverse_curvature(double before, double now, double mixed, int iterations) const {
         const double s_y = before - mixed, y_y = (before - mixed) + (now - mixed);
         if (!(s_y > FLAT * before && y_y > 0.0)) return LEAP;
@@ -211,7 +217,8 @@ private:
         return only || (alternate && iterations % 2 == 0) ? before / s_y : s_y / y_y;
     }
 
-    // Phi where its slope is as small as the rule asks, along alpha: Newton on the slope, kept in a bracket; inf: not found.
+    // Phi at a point along the step where its slope is as small as the rule requires: Newton on the slope, kept in a bracket; inf:
+    // not found.
     template <class Ahead, class Slope, class Bend> double search(Progress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
         double low = 0.0, high = infinity;
         for (int n = 0; n < SEARCHES; ++n) {
@@ -229,7 +236,7 @@ private:
         return infinity;
     }
 
-    // What rounding left of balance, and the certificates: CONVERGED only where the force itself keeps what that says.
+    // Remove rounding from the balance and write the certificates. CONVERGED requires that the final force meets them.
     Code finish(NewtonOn<V, B>& on, const Vec6& w, Code code, bool known, const Record& record) {
         const auto& cones = on.cones;
         Summary& s = record.summary();
@@ -240,16 +247,17 @@ private:
         }
         cones.certify(on.x, w, record);
         const double reached = cones.phi(on.x);
-        const bool honest = std::abs(reached - s.objective) <= HONEST * s.objective;
-        if (!honest) s.objective = reached;
-        const bool below = !known && s.objective - s.lower_bound < -HONEST * s.lower_bound;  // its bound: it misses balance
+        const bool consistent = std::abs(reached - s.objective) <= OBJECTIVE_ROUNDING * s.objective;
+        if (!consistent) s.objective = reached;
+        // the force misses balance
+        const bool below = !known && s.objective - s.lower_bound < -OBJECTIVE_ROUNDING * s.lower_bound;
         const bool near = s.objective - s.lower_bound <= on.options.tolerance * s.lower_bound;
         if (code == CONVERGED && !(near && !below && cones.balanced(on.x, w, s.residual) && s.margin > 0.0)) code = STALLED;
         s.code = code, s.limit_excess = 0.0;
         std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
         return code;
     }
-    static constexpr double HONEST = 1e-9;  // part by which Phi may be off through rounding
+    static constexpr double OBJECTIVE_ROUNDING = 1e-9;  // fraction of Phi that may be lost to rounding
 };
 
 }  // namespace grasp

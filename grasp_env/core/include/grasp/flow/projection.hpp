@@ -1,17 +1,17 @@
-// What the flows move along: the projection of a drive onto balance, in the metric of P, |P|^2 = sum 3 u^2 + 2 o^2 + 2 t^2.
+// The directions of the flows: the projection of a drive onto balance in the metric of P, |P|^2 = sum 3 u^2 + 2 o^2 + 2 t^2.
 #pragma once
 #include <grasp/contacts/cones.hpp>
 
 namespace grasp {
 
-// Ways to make the same product, for N contacts. All give the same steps to rounding.
+// Ways to compute the same product, for N contacts. All give the same steps up to rounding.
 enum class Form {
-    full,    // Q, (9 N^2)^2 numbers, times vec(P^-1 W_i P^-1 - W_p) (Eqs. 9-12)
-    paper,   // Q_bar, 27 N^2 numbers, times VWP (Eqs. 18-26)
+    full,  // Q, (9 N^2)^2 numbers, times vec(P^-1 W_i P^-1 - W_p) (Eqs. 9-12)
+    paper,  // Q_bar, 27 N^2 numbers, times VWP (Eqs. 18-26)
     reduced  // Pi = D^-1 - R^T R, D = diag(3, 2, 2), R the six orthonormal rows of G in D: the 9 N^2 numbers of -Pi up to four
              // contacts, 39 N beyond, times the gradient of Phi
 };
-inline constexpr int FULL_CONTACTS = 8;  // most that the dense Q is made for: 2.7 MB
+inline constexpr int FULL_CONTACTS = 8;  // largest number of contacts of the dense Q: 2.7 MB
 
 template <class T> inline T squared(const Vec3<T>& x) { return 3.0 * x.u * x.u + 2.0 * (x.o * x.o + x.t * x.t); }
 template <class T> inline T inner(const Vec3<T>& x, const Vec3<T>& y) { return 3.0 * x.u * y.u + 2.0 * (x.o * y.o + x.t * y.t); }
@@ -32,7 +32,7 @@ template <class V, int B> class Projection {
 public:
     using Field = typename Cones<V, B>::Field;
     static constexpr int W = width<V>;
-    static constexpr bool DENSE = B > 0 && W* B <= 4;  // where the product with -Pi is faster than the two with R
+    static constexpr bool DENSE = B > 0 && W* B <= 4;  // the product with -Pi is faster than the two with R
 
     Projection(const Cones<V, B>& cones, Form form) : form_(form), count_(cones.count), spare_(cones.field()) {
         for (auto& row : rows_) row = cones.field();
@@ -47,7 +47,7 @@ public:
         }
     }
 
-    // The matrices for the current contacts; false where G has lost rank.
+    // Compute the matrices for the current contacts. Return false if G has lost rank.
     bool place(const Cones<V, B>& cones) {
         if (!orthonormalise(cones)) return false;
         if (form_ == Form::full) fill_full();
@@ -73,22 +73,23 @@ public:
 
 private:
     static constexpr double PER[3] = {1.0 / 3.0, 0.5, 0.5};  // D^-1
-    // The entries (row, column) of the block P of one contact that u, o and t stand at; the first is the one that Eq. 18 picks.
+    // The entries (row, column) of the block P of one contact that hold u, o and t; the first one of each is used in Eq. 18.
     struct Place { int coordinate, row, column; };
     static constexpr Place PLACES[] = {{0, 0, 0}, {0, 1, 1}, {0, 2, 2}, {1, 2, 0}, {1, 0, 2}, {2, 2, 1}, {2, 1, 2}};
-    static constexpr int PICKED[3] = {0, 3, 5};  // of PLACES
+    static constexpr int PICKED[3] = {0, 3, 5};  // indices into PLACES
 
     Form form_;
     int count_;
     Field rows_[6];  // R
-    std::vector<Field> columns_;  // of -Pi or Q_bar
+    std::vector<Field> columns_;  // columns of -Pi or Q_bar
     std::vector<double> dense_, into_, out_;  // Q, vec(P^-1 W_i P^-1 - W_p), their product
     Field spare_;
 
     static constexpr int PASSES = 6;
 
-    // R: the rows of G D^-1/2, orthonormalised by Cholesky factors, times D^-1/2. Two passes are rounding for condition numbers
-    // up to 1e7; beyond, a shift keeps the first factors positive (Fukaya et al. 2020, "Shifted Cholesky QR") and costs more.
+    // R: the rows of G D^-1/2, orthonormalised by Cholesky factors, times D^-1/2. Two passes are exact to rounding for condition
+    // numbers up to 1e7. Beyond, a shift keeps the first factors positive (Fukaya et al. 2020, "Shifted Cholesky QR") at the cost
+    // of more passes.
     bool orthonormalise(const Cones<V, B>& cones) {
         const double root[3] = {std::sqrt(PER[0]), std::sqrt(PER[1]), std::sqrt(PER[2])};
         const int blocks = int(cones.blocks.size());
@@ -117,7 +118,7 @@ private:
                 for (int r = 0; r < 6; ++r) gram[packed(r, r)] += SHIFT * trace;
                 if (!(factor.factor(gram) > 0.0)) return false;
             }
-            done = off < CLOSE;  // one more from there takes all digits
+            done = off < CLOSE;  // one more pass from here reaches full accuracy
             for (int b = 0; b < blocks; ++b) {
                 for (int r = 1; r < 6; ++r)
                     for (int k = 0; k < r; ++k) rows_[r][b] -= all<V>(factor.l[packed(r, k)]) * rows_[k][b];
@@ -129,9 +130,9 @@ private:
                 for (int a = 0; a < 3; ++a) v[a] = root[a] * v[a];
         return true;
     }
-    static constexpr double SHIFT = 1e-14, CLOSE = 1e-4;  // of the trace; the error of the next pass is its square
+    static constexpr double SHIFT = 1e-14, CLOSE = 1e-4;  // of the trace; the error of the next pass is the square of this one
 
-    // column = that of -Pi for coordinate a of contact i
+    // column of -Pi for coordinate a of contact i
     void minus_pi(int i, int a, Field& column) const {
         const int from = i / W, lane = i % W;
         for (int b = 0; b < int(column.size()); ++b) {
@@ -164,7 +165,7 @@ private:
                     for (const Place& p : PLACES) column[entry(i, p)] = -get(spare_[i / W][p.coordinate], i % W);
             }
     }
-    // where an entry of the block of contact i stands in vec(P), which stacks columns (Eqs. 19, 21)
+    // Index in vec(P), which stacks columns (Eqs. 19, 21), of an entry of the block of contact i.
     int entry(int i, const Place& p) const { return (3 * i + p.column) * 3 * count_ + 3 * i + p.row; }
 
     void multiply(const Field& gradient, Field& step) const {
@@ -195,7 +196,7 @@ private:
         }
     }
 
-    // The drive at the x in `spare_`, times Q or Q_bar, there.
+    // Replace the x in `spare_` by Q or Q_bar times the drive at x.
     [[gnu::noinline]] void printed(const Cones<V, B>& cones) {
         const int inputs = int(into_.size());
         for (int b = 0; b < int(spare_.size()); ++b) {

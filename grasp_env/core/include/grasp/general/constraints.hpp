@@ -1,31 +1,31 @@
-// What limits the forces of a program: balance, cones, torsion, further rows; and the interior points that stay within them.
+// The constraints of a program: balance, cones, torsion, further rows; and the interior points for them.
 //
-// Contact i has z_i = (u, o, t, w): cone coordinates and, where it is soft, w = u - |torsion| in units of its limit with a row w <= 2u.
-// Balance is taken with orthonormal rows, G = L Q, so that contacts close to each other cost no digits.
+// Contact i has z_i = (u, o, t, w): cone coordinates and, if it is soft, w = u - |torsion| in units of its limit, with a row w <=
+// 2u. Balance uses orthonormal rows, G = L Q, so contacts close to each other cost no digits.
 #pragma once
 #include <memory>
 #include <grasp/general/interior_point.hpp>
 
 namespace grasp {
 
-// What a program is made of; arrays are row-major.
-struct Given {
+// The data of a program; arrays are row-major.
+struct ProgramData {
     int count, limits;  // N, M
-    const double* frame;  // (6, 6) wrenches into the unit frame
+    const double* frame;  // (6, 6) maps wrenches to the unit frame
     const double* balance;  // (6, N, 4) of (u, o, t, w), unit frame
-    const double* rows;  // (M, N, 4) of length one: rows . z <= bound; those of torsion come first
+    const double* rows;  // (M, N, 4) of length one: rows . z <= bound; rows of torsion come first
     const double* bound;  // (M,) [N]
-    const double* divisor;  // (N, 4) force and torsion from z; inf where nothing is transmitted
-    const double* shares;  // (M,) [N] by how much a bound grows where its limit grows by all of itself; 0: never
-    bool elastic;  // whether the least excess will be asked
+    const double* divisor;  // (N, 4) force and torsion from z; inf: nothing is transmitted
+    const double* shares;  // (M,) [N] growth of a bound if its limit grows by all of itself; 0: never
+    bool elastic;  // true if the least excess may be requested
 };
 
-// `excess`: the largest part of itself by which a limit is exceeded, t with rows . z <= bound + t share.
+// `excess`: the largest relative excess of a limit, t with rows . z <= bound + t share.
 enum class Criterion { sum, largest, excess };
 
 namespace detail {
 
-// The least, or what is no number.
+// The smallest value; nan if any is nan.
 inline double least_of(std::span<const double> values) {
     double least = infinity;
     for (double value : values) least = value >= least ? least : value;
@@ -33,7 +33,7 @@ inline double least_of(std::span<const double> values) {
 }
 
 template <int D> struct Constraints {
-    using Row = std::span<const Tuple<double, D>>;  // z, or coefficients of it
+    using Row = std::span<const Tuple<double, D>>;  // z, or its coefficients
     using Field = Kept<Tuple<double, D>>;
     // Rows of coefficients.
     class Matrix {
@@ -46,16 +46,16 @@ template <int D> struct Constraints {
         Field numbers_;
         std::size_t count_;
     };
-    int count, limits, torsions = 0;  // N, M; the first rows are those of torsion
+    int count, limits, torsions = 0;  // N, M; the first rows belong to torsion
     Kept<char> soft;
     Kept<double> price, divisor, bound, shares;  // price: normal force = price u
     Kept<int> torsion_row;  // (N,) -1: not soft
-    Kept<int> owner;  // (M,) the one contact that a row touches; N: none, SEVERAL: more than one
-    Kept<int> own;  // rows of at most one contact, by contact
+    Kept<int> owner;  // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
+    Kept<int> own;  // rows that act on at most one contact, by contact
     Matrix balance, limit, turn;  // (6,) G, (M,), (6,) Q
     double frame[6][6], lower[6][6] = {};  // L
 
-    explicit Constraints(const Given& given)
+    explicit Constraints(const ProgramData& given)
         : count(given.count), limits(given.limits), soft(count), price(count), divisor(given.divisor, given.divisor + 4 * count),
           bound(given.bound, given.bound + limits), shares(given.shares, given.shares + limits), torsion_row(count, -1),
           owner(limits), own(limits), balance(6, count), limit(limits, count), turn(6, count) {
@@ -72,14 +72,15 @@ template <int D> struct Constraints {
         find_owners();
         orthonormalise();
     }
-    static std::size_t room(int count, int limits) {
-        return Arena::room<char>(count) + Arena::room<double>(count) + Arena::room<double>(4 * count) +
-               2 * Arena::room<double>(limits) + Arena::room<int>(count) + 2 * Arena::room<int>(limits) +
-               2 * Arena::room<Tuple<double, D>>(6 * count) + Arena::room<Tuple<double, D>>(std::size_t(limits) * count);
+    static std::size_t bytes_needed(int count, int limits) {
+        return Arena::bytes_needed<char>(count) + Arena::bytes_needed<double>(count) + Arena::bytes_needed<double>(4 * count) +
+               2 * Arena::bytes_needed<double>(limits) + Arena::bytes_needed<int>(count) + 2 * Arena::bytes_needed<int>(limits) +
+               2 * Arena::bytes_needed<Tuple<double, D>>(6 * count) +
+               Arena::bytes_needed<Tuple<double, D>>(std::size_t(limits) * count);
     }
 
-    // What keeps the first `many` limits: T = 0 the least sum of normal forces; 1 the least of a t above each normal force, or above each
-    // excess; 2 the largest of a depth m, with the share r of the wrench.
+    // Interior point for the first `many` limits. T = 0: least sum of normal forces. T = 1: least t above each normal force, or
+    // above each excess. T = 2: largest depth m, with the share r of the wrench.
     template <class R, int T> InteriorPoint<R, D, T> engine(int many, Criterion criterion = Criterion::sum) const {
         InteriorPoint<R, D, T> made(rows<R, T>(many, criterion), soft);
         if constexpr (T == 1) made.shared_cost = {R(1.0)};
@@ -88,14 +89,14 @@ template <int D> struct Constraints {
             for (int i = 0; i < count; ++i) made.cost[i][0] = price[i];
         return made;
     }
-    // (1, 0, 0, 1): the way into a cone.
+    // (1, 0, 0, 1): the direction into a cone.
     static Tuple<double, D> inwards() {
         Tuple<double, D> out{};
         out[0] = 1.0;
         if (D == 4) out[D - 1] = 1.0;
         return out;
     }
-    // For what `rooms` writes.
+    // Storage for the results of `write_slacks`.
     Kept<double> slacks() const { return Kept<double>(2 * count + limits); }
     static double product(Row a, Row b) {
         double total = 0.0;
@@ -115,7 +116,7 @@ template <int D> struct Constraints {
         }
         return a;
     }
-    // Multipliers of the wrench as it is given from those of the turned balance.
+    // Multipliers of the given wrench from those of the orthonormalised balance.
     Vec6 pull_back(const Vec6& a) const { return out_of_frame(solve_upper(a)); }
     Vec6 solve_upper(Vec6 a) const {
         for (int r = 5; r >= 0; --r) {
@@ -130,7 +131,7 @@ template <int D> struct Constraints {
             for (int r = 0; r < 6; ++r) out[q] += frame[r][q] * a[r];
         return out;
     }
-    // The largest number of the least-norm force of a turned wrench: a size that does not hang on units.
+    // Largest number of the least-norm force of an orthonormalised wrench: a size independent of units.
     double largest_of(const Vec6& turned) const {
         double most = 0.0;
         for (int i = 0; i < count; ++i)
@@ -151,7 +152,7 @@ template <int D> struct Constraints {
         for (int r = 0; r < 6; ++r) out[r] = product(balance[r], z);
         return out;
     }
-    // Whether G has rank 6, as far as its digits can tell.
+    // True if G has rank 6 within rounding.
     bool full() const {
         double square = 0.0, inverse = 0.0;
         for (int r = 0; r < 6; ++r) {
@@ -162,8 +163,8 @@ template <int D> struct Constraints {
         }
         return square * inverse * RANK * RANK < 1.0;
     }
-    // What G z + w misses off z, by the least change; returns what is left. What is z's own rounding stays: where contacts are close to each
-    // other its least change is far larger than it.
+    // Remove the balance residual G z + w from z by the least-norm change; return the remaining residual. The rounding of z itself
+    // stays: with contacts close together, removing it would change z far more.
     double rebalance(Field& z, const Vec6& unit) const {
         double most = 0.0;
         for (int i = 0; i < count; ++i) most = std::max(most, z[i][0]);
@@ -196,7 +197,7 @@ template <int D> struct Constraints {
             for (; next < int(own.size()) && owner[own[next]] == i; ++next)
                 if (own[next] < many) out.add_own(i, i < count ? wide<R>(limit[own[next]][i]) : Tuple<R, D>{}, {}, own[next]);
             if constexpr (T == 1)
-                if (i < count) {  // normal <= t, or where t is an excess <= a bound to come
+                if (i < count) {  // normal <= t, or for an excess t, normal <= a bound set later
                     Tuple<R, D> row{};
                     row[0] = price[i];
                     out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);
@@ -209,11 +210,11 @@ template <int D> struct Constraints {
         return out;
     }
 
-    // What a row makes of it.
+    // Effect of a unit of depth on a row.
     double inward(int i, const Tuple<double, D>& row) const { return row[0] + (D == 4 && soft[i] ? row[D - 1] : 0.0); }
 
-    // Slack of every cone, w and limit, less what rounding may cost.
-    template <class Bound> void rooms(const Field& z, int many, Kept<double>& out, Bound&& right) const {
+    // Slack of every cone, of w and of every limit, less an allowance for rounding.
+    template <class Bound> void write_slacks(const Field& z, int many, Kept<double>& out, Bound&& right) const {
         int next = 0;
         for (int i = 0; i < count; ++i) {
             out[next++] = slack(cone(z[i])) - PAD * z[i][0];
@@ -233,9 +234,9 @@ template <int D> struct Constraints {
 
 private:
     static constexpr int SEVERAL = -1;
-    static constexpr double RANK = 1e-13;  // a ratio of singular values that rounding may have made
-    static constexpr double PAD = 6e-16;  // of the numbers that make a slack: what rounding may cost on the way to forces
-    static constexpr double LAST = 4e-16;  // of the largest normal force: what rounding it may cost balance
+    static constexpr double RANK = 1e-13;  // largest ratio of singular values that rounding may cause
+    static constexpr double PAD = 6e-16;  // of the terms of a slack: rounding on the way to forces
+    static constexpr double LAST = 4e-16;  // of the largest normal force: effect of its rounding on balance
 
     void find_owners() {
         for (int k = 0; k < limits; ++k) {
@@ -250,7 +251,7 @@ private:
         own.resize(many);
         std::sort(own.begin(), own.end(), [&](int a, int b) { return std::pair(owner[a], a) < std::pair(owner[b], b); });
     }
-    // G = L Q by Gram and Schmidt, twice.
+    // G = L Q by Gram-Schmidt, twice.
     void orthonormalise() {
         turn = balance;
         for (int r = 0; r < 6; ++r) {

@@ -1,14 +1,14 @@
-// The force deepest inside the limits of a program, or the twist that proves that there is none.
+// The force deepest inside the limits of a program, or the twist that proves that no force is inside.
 #pragma once
 #include <grasp/general/constraints.hpp>
 
 namespace grasp {
 
-// A margin up to this, of one for forces that sum to one, counts as the boundary: no force strictly inside.
+// A margin up to this, relative to forces that sum to one, counts as the boundary: no force is strictly inside.
 inline constexpr double CLEAR = 1e-9;
 
 struct Deepest {
-    Code code = REFUSED;  // INFEASIBLE: no force strictly inside, `twist` is the proof
+    Code code = REFUSED;  // INFEASIBLE: no force is strictly inside, and `twist` proves it
     int iterations = 0;
     double margin = 0.0;
     Vec6 twist{};  // [linear; angular], largest component one
@@ -16,27 +16,27 @@ struct Deepest {
 
 namespace detail {
 
-// max m with depth m in all cones and the first limits, forces and the wrench's share r summing to one, m <= r.
+// max m with depth m in all cones and the first limits; forces and the wrench's share r sum to one, m <= r.
 template <int D> class Depth {
 public:
     using Field = typename Constraints<D>::Field;
 
-    Depth(const Constraints<D>& in, int many) : in_(&in), many_(many), room_(in.slacks()), prices_(in.limits) {}
+    Depth(const Constraints<D>& in, int many) : in_(&in), many_(many), slacks_(in.slacks()), prices_(in.limits) {}
 
-    // Into z [N]: strictly inside where CONVERGED, balanced with the wrench.
+    // Write the force into z [N]. If CONVERGED, it is strictly inside and balances the wrench.
     Deepest find(const double* wrench, double tolerance, Field& z) {
         const Deepest found = find<double>(wrench, tolerance, z);
         return found.code == CONVERGED || found.code == INFEASIBLE ? found : find<Twice>(wrench, tolerance, z);
     }
-    // Of the limits, where no force is inside: with the twist v they prove it, G^T v + sum price row in every dual cone, v . w > sum price
-    // bound.
+    // Prices of the limits if no force is inside. With the twist v they prove it: G^T v + sum price row lies in every dual cone, v
+    // . w > sum price bound.
     const Kept<double>& prices() const { return prices_; }
 
 private:
-    static constexpr double ROUNDING = 1e-14;  // of the numbers that make a proof, per term: far above what rounding may cost
+    static constexpr double ROUNDING = 1e-14;  // of the terms of a proof, per term: far above rounding
     const Constraints<D>* in_;
     int many_;
-    Kept<double> room_, prices_;
+    Kept<double> slacks_, prices_;
 
     template <class R> Deepest find(const double* wrench, double tolerance, Field& z) {
         const Arena::Scope scope;
@@ -45,13 +45,13 @@ private:
         double size = grasp::size(load);
         bool free = size == 0.0;
         for (int k = 0; k < many_; ++k) size = std::max(size, -in_->bound[k]), free = free && in_->bound[k] == 0.0;
-        if (!(size > NOTHING)) {  // of a rest the tightest limit is the unit
+        if (!(size > NOTHING)) {  // at rest, the tightest limit is the unit
             size = 1.0;
             for (int k = 0; k < many_; ++k)
                 if (in_->bound[k] > NOTHING) size = std::min(size, in_->bound[k]);
         }
         const Vec6 unit = (1.0 / size) * load, turned = in_->solve_lower(unit);
-        ask(engine, turned, size);
+        set_up(engine, turned, size);
         const auto& at = engine.at;
         Deepest found;
         found.code = engine.run(tolerance, 0.1 * CLEAR, 0.0, 200, [] { return 0.0; });
@@ -73,34 +73,35 @@ private:
         const double per = 1.0 / std::max(grasp::size(twist), 1e-300);
         found.twist = per * twist;
         price(engine, size);
-        in_->rooms(z, many_, room_, [&](int k) { return in_->bound[k]; });
-        if (found.margin > CLEAR && least_of(room_) > 0.0) found.code = CONVERGED;
+        in_->write_slacks(z, many_, slacks_, [&](int k) { return in_->bound[k]; });
+        if (found.margin > CLEAR && least_of(slacks_) > 0.0) found.code = CONVERGED;
         else if (found.margin <= CLEAR && found.code == CONVERGED) found.code = INFEASIBLE;
-        else if (separates(y, unit, size)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
-        else if (found.code == CONVERGED) found.code = STALLED;  // slow is not infeasible
+        else if (proves_infeasible(y, unit, size)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
+        else if (found.code == CONVERGED) found.code = STALLED;  // slow does not mean infeasible
         for (double& price : prices_) price *= per;
         return found;
     }
-    // What a row is multiplied by there: a bound far above the wrench makes a row of its size, not a huge one.
-    double evened(int k, double size) const { return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size); }
-    // What a unit of depth takes of a limit's slack.
-    double inset(int k) const {
+    // Scaling of a row: a bound far above the wrench gives a row of the bound's size.
+    double row_scale(int k, double size) const { return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size); }
+    // Slack of a limit that a unit of depth uses.
+    double depth_slack(int k) const {
         double total = 1.0;
         for (int i = 0; i < in_->count; ++i) total += in_->inward(i, in_->limit[k][i]);
         return total;
     }
-    // The limits' multipliers.
+    // Multipliers of the limits.
     template <class R> void price(const InteriorPoint<R, D, 2>& engine, double size) {
         const auto& rows = engine.rows;
         for (const auto& row : rows.own)
             if (row.label >= 0)
-                prices_[row.label] = evened(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
+                prices_[row.label] = row_scale(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
         for (int r = rows.equal; r < rows.joint; ++r)
-            prices_[rows.label[r]] = evened(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
+            prices_[rows.label[r]] = row_scale(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
     }
-    // Whether y, a twist in the unit frame, proves with the limits' multipliers that no force is within the limits, wherever they
-    // come from: G^T y + sum price row is in every dual cone and y . w > sum price bound, both by more than rounding can have made.
-    bool separates(const Vec6& y, const Vec6& unit, double size) {
+    // True if the twist y (unit frame) and the limits' multipliers prove that no force is within the limits: G^T y + sum price row
+    // lies in every dual cone and y . w > sum price bound, both by more than rounding. The origin of y and of the multipliers does
+    // not matter.
+    bool proves_infeasible(const Vec6& y, const Vec6& unit, double size) {
         const double rounding = ROUNDING * (8 + many_);
         for (int i = 0; i < in_->count; ++i) {
             Tuple<double, D> dual{};
@@ -111,7 +112,7 @@ private:
             };
             for (int r = 0; r < 6; ++r) take(y[r], in_->balance[r][i]);
             for (int k = 0; k < many_; ++k) take(prices_[k], in_->limit[k][i]);
-            if (D == 4 && in_->soft[i] && !(dual[D - 1] > rounding * terms)) {  // w has no price to move away from: see `certify`
+            if (D == 4 && in_->soft[i] && !(dual[D - 1] > rounding * terms)) {  // w has no cost: see `certify`
                 const Tuple<double, D>& row = in_->limit[in_->torsion_row[i]][i];
                 const double raised = (2.0 * rounding * terms - dual[D - 1]) / row[D - 1];
                 prices_[in_->torsion_row[i]] += raised, take(raised, row);
@@ -124,16 +125,16 @@ private:
         for (int k = 0; k < many_; ++k) take(-prices_[k] * in_->bound[k] / size);
         return value > rounding * terms && terms < infinity;
     }
-    // The program of a wrench, from units: its turned balance and every limit, of the size of the wrench.
-    template <class R> void ask(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
+    // Set up the program for a wrench, scaled to its size: the orthonormalised balance and every limit.
+    template <class R> void set_up(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
         auto& at = engine.at;
         for (int r = 0; r < engine.rows.joint; ++r) {
             const int name = engine.rows.label[r];
             if (r < 6) engine.rows.coupling[r][1] = turned[r];
             engine.rows.right[r] = r == 6 ? 1.0 : 0.0;
             if (name >= 0) {
-                const double part = evened(name, size);
-                engine.rows.coupling[r] = {R(part * inset(name)), R(-part * in_->bound[name] / size)};
+                const double part = row_scale(name, size);
+                engine.rows.coupling[r] = {R(part * depth_slack(name)), R(-part * in_->bound[name] / size)};
                 for (int i = 0; i < in_->count; ++i)
                     for (int a = 0; a < D; ++a) engine.rows.columns[engine.rows.joint * i + r][a] = part * in_->limit[name][i][a];
             }
@@ -142,8 +143,8 @@ private:
         for (int k = 0; k < int(engine.rows.own.size()); ++k) {
             auto& row = engine.rows.own[k];
             if (row.label >= 0) {
-                const double part = evened(row.label, size);
-                row.shared = {R(part * inset(row.label)), R(-part * in_->bound[row.label] / size)};
+                const double part = row_scale(row.label, size);
+                row.shared = {R(part * depth_slack(row.label)), R(-part * in_->bound[row.label] / size)};
                 if (row.contact < in_->count)
                     for (int a = 0; a < D; ++a) row.row[a] = part * in_->limit[row.label][row.contact][a];
             }

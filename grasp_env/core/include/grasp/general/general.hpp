@@ -1,5 +1,5 @@
-// The general program for real-time code: any contacts, any limits, and what is done with it where faster algorithms give up. It is made for
-// a number of contacts and limits and then takes those of every call; placing and solving allocate nothing.
+// The general program for real-time code: any contacts, any limits, and continuation of faster algorithms that give up. The
+// constructor allocates for a number of contacts and limits; placing and solving then allocate nothing.
 #pragma once
 #include <grasp/terms/force_limits.hpp>
 #include <grasp/general/program.hpp>
@@ -8,15 +8,15 @@ namespace grasp {
 
 class General {
 public:
-    static constexpr double BALANCE_TOLERANCE =
-        1e-8;  // of the wrench and the force: what a start that is given may miss of balance
-    static constexpr int CONIC_ITERATIONS = 100;  // of an interior point, of which a dozen is usual
+    static constexpr double BALANCE_TOLERANCE = 1e-8;  // of wrench and force: largest balance residual of a given start
+    static constexpr int CONIC_ITERATIONS = 100;  // of an interior point; a dozen is usual
 
     General() = default;
-    // For so many contacts and rows of limits at most; soft: torsion may be transmitted. It takes memory here, for the worst rows, unless that
-    // is more than LARGEST_ROOM: then, and for more contacts than these, it is taken as far as needed where `place` asks for more than ever before.
-    explicit General(int contacts, int limits = 0, bool soft = false) : arena_(taken(room(contacts, limits, limits, soft))) {}
-    // A copy has the room, and nothing placed.
+    // For at most so many contacts and rows of limits; soft: torsion may be transmitted. Allocates here for the worst rows, unless
+    // that takes more than LARGEST_ROOM. In that case, or for more contacts, `place` allocates whenever it needs more than before.
+    explicit General(int contacts, int limits = 0, bool soft = false)
+        : arena_(clamped_size(bytes_needed(contacts, limits, limits, soft))) {}
+    // A copy has as much memory, and nothing placed.
     General(const General& other) : arena_(other.arena_.size()) {}
     General& operator=(const General& other) {
         forget();
@@ -24,10 +24,11 @@ public:
         return *this;
     }
 
-    // The current contacts, in their place, and their weights. torsion_divisor: (N,) v = divisor * torsion [1 / m], abs(v) <= normal force in cone
-    // coordinates; inf or 0: not soft; null: none is. limits: their Jacobian is (N, each, J), each 3 or, with the torsion's row, 4.
-    // internal: (N, 3) a force strictly inside the cones that balances itself, where one is known: `conic` finds one else. rank_lost: not even
-    // with torsion do the contacts make all wrenches. Nothing is kept of the arguments.
+    // Take over the current, placed contacts and their weights. torsion_divisor: (N,) v = divisor * torsion [1 / m], abs(v) <=
+    // normal force in cone coordinates; inf or 0: not soft; null: no soft contacts. limits: their Jacobian is (N, each, J), each =
+    // 3, or 4 with the torsion's row. internal: (N, 3) a force strictly inside the cones that balances itself, if known; otherwise
+    // `conic` finds one. rank_lost: the contacts cannot make all wrenches, not even with torsion. Keeps no reference to the
+    // arguments.
     Placing place(const Contacts& contacts, const double* torsion_divisor = nullptr, const ForceLimits& limits = {}, int each = 3,
                   const double* internal = nullptr) {
         forget();
@@ -36,157 +37,161 @@ public:
         for (int i = 0; torsion_divisor && i < count; ++i) torsions += soft(torsion_divisor[i]);
         const int several = std::min(given, 2 * int(limits.torque_limit.size()));
         if (count == 0) return Placing::rank_lost;
-        arena_.reserve(room(count, given, several, torsions > 0));
+        arena_.reserve(bytes_needed(count, given, several, torsions > 0));
         const Arena::Use use(arena_);
-        Now& now = now_.emplace(count, torsions + given, torsions);
-        const bool sane = now.set(contacts, torsion_divisor) && now.set(limits, each);
-        if (sane) {
+        Inputs& inputs = inputs_.emplace(count, torsions + given, torsions);
+        const bool is_in_range = inputs.set(contacts, torsion_divisor) && inputs.set(limits, each);
+        if (is_in_range) {
             double frame[36];
             contacts.unit.write(frame);
-            program_.emplace(Given{count, now.limits, frame, now.balance.data(), now.rows.data(), now.bound.data(),
-                                   now.divisor.data(), now.shares.data(), true});
-            if (internal) now.load(internal, nullptr), program_->squeeze_with(now.z.data());
+            program_.emplace(ProgramData{count, inputs.limits, frame, inputs.balance.data(), inputs.rows.data(),
+                                         inputs.bound.data(), inputs.divisor.data(), inputs.shares.data(), true});
+            if (internal) inputs.load(internal, nullptr), program_->set_internal_force(inputs.z.data());
             if (program_->full()) return Placing::good;
         }
         forget();
-        return sane ? Placing::rank_lost : Placing::refused;
+        return is_in_range ? Placing::rank_lost : Placing::refused;
     }
     bool placed() const { return bool(program_); }
-    int count() const { return placed() ? now_->count : 0; }
+    int count() const { return placed() ? inputs_->count : 0; }
 
-    // What follows needs contacts in their place; records are of as many contacts.
+    // The following functions need placed contacts, and records for as many contacts.
 
-    // The least sum of normal forces or the least largest one. INFEASIBLE: with the twist that proves it. UNDECIDED: neither.
+    // Minimise the sum or the largest of the normal forces. INFEASIBLE: the record holds the twist that proves it. UNDECIDED:
+    // neither found.
     Code conic(const double* wrench, Criterion criterion, const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         const Code code = least(wrench, criterion, {options.tolerance, CONIC_ITERATIONS}, options.limit, record);
         const Summary& s = record.summary();
         const bool lost = code == STALLED && s.lower_bound > (1.0 + 1e-6) * s.objective;  // neither holds a digit
-        if ((code != REFUSED && !lost) || !sane_wrench(wrench)) return code;
+        if ((code != REFUSED && !lost) || !is_valid_wrench(wrench)) return code;
         return refute(deepest(wrench), wrench, record);
     }
-    // The same, of a least sum, from the record of a solver that stopped short of the tolerance; the better of the two stays. Its iterations count.
+    // Minimise the sum, continuing the record of a solver that stopped short of the tolerance. The better result stays; iterations
+    // add up.
     Code conic_from(const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         Summary& before = record.summary();
         const int left = options.limit - int(before.iterations);
         const bool stopped = record.code() == STALLED || record.code() == LIMIT;
-        if (!stopped || left <= 0 || !gapes(before, options.tolerance)) return record.code();
-        const Record made(now_->record.data(), now_->count);
+        if (!stopped || left <= 0 || !gap_exceeds_rounding(before, options.tolerance)) return record.code();
+        const Record made(inputs_->record.data(), inputs_->count);
         const Code code = least(before.wrench.data(), Criterion::sum, {options.tolerance, CONIC_ITERATIONS}, left, made);
         const bool ended = code == STALLED || code == LIMIT;
         const Vec6 wrench = before.wrench;
         if (code == CONVERGED || (ended && gap(made.summary()) < gap(before))) {
-            take(made, record);
+            replace_record(made, record);
         } else if (!ended && gap(before) > before.lower_bound) {  // neither holds a digit
-            if (code == INFEASIBLE) return take(made, record);
+            if (code == INFEASIBLE) return replace_record(made, record);
             return refute(deepest(wrench.data()), wrench.data(), record);
         }
         const bool digits = gap(before) <= before.lower_bound && before.residual <= MISSED * program_->unit_size(wrench.data());
         if (record.code() == CONVERGED || digits) return record.code();
-        const Deepest found = deepest(wrench.data());  // forces so far beyond the wrench that they say nothing
+        const Deepest found = deepest(wrench.data());  // the forces are so far above the wrench that they prove nothing
         return found.code == INFEASIBLE ? refute(found, wrench.data(), record) : record.code();
     }
 
-    // Whether the start of a call is strictly inside, so that `phi` begins there.
+    // True if the start of a call is strictly inside, so that `phi` uses it.
     bool starts_from(const Call& call) {
         const Arena::Use use(arena_);
-        return starts(call);
+        return has_start(call);
     }
-    // The least Phi. From::given: from the call's force and torsion where they are balanced and strictly inside; From::tangent:
-    // from what is nearest to them, balanced, where that is strictly inside; else from the deepest force. INFEASIBLE, UNDECIDED: as `conic`.
+    // Minimise Phi. From::given: from the call's force and torsion, if they are balanced and strictly inside. From::tangent: from
+    // the nearest balanced force, if it is strictly inside. Otherwise from the deepest force. INFEASIBLE, UNDECIDED: as for
+    // `conic`.
     Code phi(const Call& call, const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         record.clear();
         record.summary().code = REFUSED;
-        if (!sane_wrench(call.wrench)) return REFUSED;
-        if (!starts(call)) {
+        if (!is_valid_wrench(call.wrench)) return REFUSED;
+        if (!has_start(call)) {
             const Deepest found = begin(call.wrench);
             if (found.code != CONVERGED) return refute(found, call.wrench, record);
         }
         const Code code = least_phi(call, options, record);
         if (code == REFUSED) return refute({}, call.wrench, record);
-        now_->store(now_->z.data(), record.initial_force(), nullptr);
+        inputs_->store(inputs_->z.data(), record.initial_force(), nullptr);
         return code;
     }
-    // The same from a record that stalled with more than its last digits left, in at most MORE_STEPS more; the better of the two stays.
+    // Continue a record that stalled with more than rounding left, with at most MORE_STEPS further steps. The better result stays.
     Code phi_from(const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         Summary& before = record.summary();
         const int left = options.limit - int(before.iterations);
-        if (record.code() != STALLED || left <= 0 || !gapes(before, options.tolerance)) return record.code();
-        const Record made(now_->record.data(), now_->count);
-        now_->load(record.force(), record.torsion());
+        if (record.code() != STALLED || left <= 0 || !gap_exceeds_rounding(before, options.tolerance)) return record.code();
+        const Record made(inputs_->record.data(), inputs_->count);
+        inputs_->load(record.force(), record.torsion());
         const Code code = least_phi({.wrench = before.wrench.data()}, {options.tolerance, std::min(left, MORE_STEPS)}, made);
         if (code != CONVERGED && (code == REFUSED || !(made.summary().objective < before.objective))) return record.code();
         made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
-        return take(made, record);
+        return replace_record(made, record);
     }
 
-    // Where a record says INFEASIBLE: in its place the balanced force inside the cones that exceeds the limits least, LIMITS_EXCEEDED, where there
-    // is one.
+    // If a record is INFEASIBLE, replace it by the balanced force inside the cones that exceeds the limits least, LIMITS_EXCEEDED,
+    // if one exists.
     Code excess(const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         Summary& before = record.summary();
         const int left = options.limit - int(before.iterations);
-        if (record.code() != INFEASIBLE || left <= 0 || now_->limits == now_->torsions) return record.code();
-        const Record made(now_->record.data(), now_->count);
+        if (record.code() != INFEASIBLE || left <= 0 || inputs_->limits == inputs_->torsions) return record.code();
+        const Record made(inputs_->record.data(), inputs_->count);
         const Stop elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
         if (least(before.wrench.data(), Criterion::excess, elastic, left, made) != LIMITS_EXCEEDED) {
-            deepest(before.wrench.data());  // the prices of the proof again
+            deepest(before.wrench.data());  // restore the prices of the proof
             return record.code();
         }
-        std::copy(made.force(), made.force() + 3 * now_->count, record.initial_force());
-        return take(made, record);
+        std::copy(made.force(), made.force() + 3 * inputs_->count, record.initial_force());
+        return replace_record(made, record);
     }
 
-    // The force (N, 3) [N] and torsion (N,) [N m] deepest inside everything; see `Program`.
+    // Find the force (N, 3) [N] and torsion (N,) [N m] deepest inside all constraints; see `Program`.
     Deepest deepest(const double* wrench, double tolerance, double* force, double* torsion) {
         const Arena::Use use(arena_);
         const Deepest found = deepest(wrench, tolerance);
-        now_->store(now_->z.data(), force, torsion);
+        inputs_->store(inputs_->z.data(), force, torsion);
         return found;
     }
-    // What a force (N, 3) with torsion (N,), or null, misses of balance, unit frame [N]; and its least slack: above 0 strictly inside.
+    // Balance residual of a force (N, 3) with torsion (N,), or null, unit frame [N]; and its smallest slack: above 0 if strictly
+    // inside.
     double missed(const double* wrench, const double* force, const double* torsion) {
-        now_->load(force, torsion);
-        return program_->missed(wrench, now_->z.data());
+        inputs_->load(force, torsion);
+        return program_->missed(wrench, inputs_->z.data());
     }
     double slack(const double* force, const double* torsion) {
-        now_->load(force, torsion);
-        return program_->slack(now_->z.data());
+        inputs_->load(force, torsion);
+        return program_->slack(inputs_->z.data());
     }
 
-    // Prices of the last `phi`, `phi_from` or `conic`, those of the proof where there is no force: of the given limits as they are given, and before them, in
-    // `all_prices`, of the limit torsion >= -friction * normal of each soft contact.
-    std::span<const double> all_prices() const { return placed() ? now_->prices : std::span<const double>(); }
-    std::span<const double> prices() const { return all_prices().subspan(placed() ? now_->torsions : 0); }
+    // Prices of the last `phi`, `phi_from` or `conic`, or of the proof if there is no force: one per given limit. `all_prices`
+    // begins with those of the limit torsion >= -friction * normal of each soft contact.
+    std::span<const double> all_prices() const { return placed() ? inputs_->prices : std::span<const double>(); }
+    std::span<const double> prices() const { return all_prices().subspan(placed() ? inputs_->torsions : 0); }
 
 private:
-    static constexpr std::size_t LARGEST_ROOM = std::size_t(1) << 24;  // bytes that are taken before they are needed
-    static constexpr double LAST_DIGITS = 1e-9;  // a gap that is left to the rounding of a double
-    static constexpr int MORE_STEPS = 1000;  // where another solver stalled: 60 ms with four contacts
-    static constexpr double MISSED = 1e-3;  // of the wrench: an answer that misses more of it is none
-    static constexpr double NEXT_TO_NOTHING = 1e-9;  // [N], [N m]
-    static constexpr double MOST_FORCE = 1e20;  // [N] beyond which limits are mistakes
+    static constexpr std::size_t LARGEST_ROOM = std::size_t(1) << 24;  // bytes that may be allocated before they are needed
+    static constexpr double LAST_DIGITS = 1e-9;  // relative gap that double precision cannot close
+    static constexpr int MORE_STEPS = 1000;  // for a stalled solver: 60 ms with four contacts
+    static constexpr double MISSED = 1e-3;  // of the wrench: an answer with a larger balance residual is rejected
+    static constexpr double NEARLY_ZERO = 1e-9;  // [N], [N m]
+    static constexpr double MOST_FORCE = 1e20;  // [N] limits above this are rejected
 
-    // Contacts and limits as `Given` asks for them.
-    struct Now {
+    // Contacts and limits in the form of `ProgramData`.
+    struct Inputs {
         int count, limits, torsions;
         Kept<double> balance, rows, bound, shares, divisor;
-        Kept<double> sizes, weights, row_weights;  // (M,) what rows were divided by
+        Kept<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
         Kept<double> z, row, record, prices;
 
-        Now(int count, int limits, int torsions)
+        Inputs(int count, int limits, int torsions)
             : count(count), limits(limits), torsions(torsions), balance(24 * count), rows(4 * count * limits), bound(limits),
               shares(limits), divisor(4 * count), sizes(limits), weights(2 * count), row_weights(limits), z(4 * count),
               row(4 * count), record(record_size(count)), prices(limits) {}
-        static std::size_t room(int count, int limits) {
-            return Arena::room<double>(24 * count) + Arena::room<double>(4 * std::size_t(count) * limits) +
-                   5 * Arena::room<double>(limits) + 3 * Arena::room<double>(4 * count) + Arena::room<double>(2 * count) +
-                   Arena::room<double>(record_size(count));
+        static std::size_t bytes_needed(int count, int limits) {
+            return Arena::bytes_needed<double>(24 * count) + Arena::bytes_needed<double>(4 * std::size_t(count) * limits) +
+                   5 * Arena::bytes_needed<double>(limits) + 3 * Arena::bytes_needed<double>(4 * count) +
+                   Arena::bytes_needed<double>(2 * count) + Arena::bytes_needed<double>(record_size(count));
         }
-        // False: numbers that are none.
+        // Return false if numbers are not finite.
         bool set(const Contacts& contacts, const double* torsion_divisor) {
             double total = 0.0;
             for (int i = 0, k = 0; i < count; ++i) {
@@ -203,7 +208,7 @@ private:
                 const double* frame = contacts.frames.data() + 9 * i;
                 const double axis[6] = {0.0, 0.0, 0.0, frame[0], frame[3], frame[6]};
                 const Vec6 made = contacts.unit.of(axis);
-                for (int r = 0; r < 6; ++r) slacken(&balance[4 * (count * r + i)], made[r] / torsion_divisor[i]);
+                for (int r = 0; r < 6; ++r) add_torsion(&balance[4 * (count * r + i)], made[r] / torsion_divisor[i]);
                 double* row = &rows[4 * (count * k + i)];  // torsion >= -u is w <= 2 u
                 row[0] = -2.0, row[3] = 1.0, sizes[k] = 1.0, row_weights[k++] = contacts.lambda[i];
             }
@@ -219,13 +224,13 @@ private:
                     int touched = 0;
                     for (int i = 0; i < count; ++i, to += 4) {
                         for (int a = 0; a < 3; ++a) to[a] = from[each * i + a] / divisor[4 * i + a];
-                        if (each == 4) slacken(to, from[4 * i + 3] / divisor[4 * i + 3]);
+                        if (each == 4) add_torsion(to, from[4 * i + 3] / divisor[4 * i + 3]);
                         const double part = to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3],
                                      mine = weights[2 * i + 1];
                         square += part, all += mine;
                         if (part > 0.0) lambda += mine, ++touched;
                     }
-                    // a torque that no force changes has no length
+                    // a torque that no force changes has zero length
                     const double size = sizes[k] = square == 0.0 ? 1.0 : std::sqrt(square), per = 1.0 / size;
                     for (to = &rows[4 * count * k]; to < &rows[0] + 4 * count * (k + 1); ++to) *to *= per;
                     bound[k] = b / size, shares[k] = limit / size;
@@ -235,7 +240,7 @@ private:
                 });
             return good;
         }
-        // (u, o, t, w) from forces and torsions, or no torsions; and back
+        // (u, o, t, w) from forces and torsions (null: zero), and back
         void load(const double* force, const double* torsion) {
             for (int i = 0; i < count; ++i) {
                 for (int a = 0; a < 3; ++a) {
@@ -253,61 +258,62 @@ private:
             }
         }
         // (u, o, t) and v -> (u, o, t, w), w = u - v
-        static void slacken(double* row, double v) { row[0] += v, row[3] = -v; }
+        static void add_torsion(double* row, double v) { row[0] += v, row[3] = -v; }
     };
     Arena arena_;
-    std::optional<Now> now_;
+    std::optional<Inputs> inputs_;
     std::optional<Program> program_;
 
-    static std::size_t taken(std::size_t bytes) { return bytes <= LARGEST_ROOM ? bytes : 0; }
+    static std::size_t clamped_size(std::size_t bytes) { return bytes <= LARGEST_ROOM ? bytes : 0; }
     static bool soft(double divisor) { return divisor > 0.0 && divisor < infinity; }
-    static std::size_t room(int count, int limits, int several, bool soft) {
+    static std::size_t bytes_needed(int count, int limits, int several, bool soft) {
         const int rows = limits + (soft ? count : 0);
-        return Now::room(count, rows) + Program::room(count, rows, several, soft);
+        return Inputs::bytes_needed(count, rows) + Program::bytes_needed(count, rows, several, soft);
     }
-    void forget() { program_.reset(), now_.reset(); }
+    void forget() { program_.reset(), inputs_.reset(); }
 
     static double gap(const Summary& of) { return of.objective - of.lower_bound; }
-    static bool gapes(const Summary& of, double tolerance) {
+    static bool gap_exceeds_rounding(const Summary& of, double tolerance) {
         return !(of.lower_bound > 0.0 && gap(of) <= std::max(tolerance, LAST_DIGITS) * of.lower_bound);
     }
     Code least(const double* wrench, Criterion criterion, const Stop& options, int budget, const Record& record) {
-        return priced(program_->least(wrench, criterion, options, record, now_->prices.data(), budget));
+        return unscale_prices(program_->least(wrench, criterion, options, record, inputs_->prices.data(), budget));
     }
     Code least_phi(const Call& call, const Stop& options, const Record& record) {
-        Now& now = *now_;
-        return priced(program_->least_phi(call, now.weights.data(), now.row_weights.data(), now.z.data(), options, record,
-                                          now.prices.data()));
+        Inputs& inputs = *inputs_;
+        return unscale_prices(program_->least_phi(call, inputs.weights.data(), inputs.row_weights.data(), inputs.z.data(),
+                                                  options, record, inputs.prices.data()));
     }
-    Code priced(Code code) {
-        for (int k = 0; k < now_->limits; ++k) now_->prices[k] /= now_->sizes[k];
+    Code unscale_prices(Code code) {
+        for (int k = 0; k < inputs_->limits; ++k) inputs_->prices[k] /= inputs_->sizes[k];
         return code;
     }
     Deepest deepest(const double* wrench, double tolerance = 1e-7) {
-        const Deepest found = program_->deepest(wrench, tolerance, now_->z.data(), now_->prices.data());
-        priced(found.code);
+        const Deepest found = program_->deepest(wrench, tolerance, inputs_->z.data(), inputs_->prices.data());
+        unscale_prices(found.code);
         return found;
     }
-    // The deepest force, in z; of a wrench next to nothing, whose own are far from what Phi asks, that of none, balanced.
+    // Find the deepest force, in z. For a nearly zero wrench, whose deepest force is far from the optimum of Phi, balance that of
+    // the zero wrench.
     Deepest begin(const double* wrench) {
         const double nothing[6] = {};
-        if (std::all_of(wrench, wrench + 6, [](double part) { return std::abs(part) < NEXT_TO_NOTHING; })) {
+        if (std::all_of(wrench, wrench + 6, [](double part) { return std::abs(part) < NEARLY_ZERO; })) {
             const Deepest found = deepest(nothing);
             if (found.code == CONVERGED) {
-                program_->balance(wrench, now_->z.data());
-                if (program_->slack(now_->z.data()) > 0.0) return found;
+                program_->balance(wrench, inputs_->z.data());
+                if (program_->slack(inputs_->z.data()) > 0.0) return found;
             }
         }
         return deepest(wrench);
     }
-    // Whether the call has a start, in z.
-    bool starts(const Call& call) {
+    // True if the call has a start; writes it into z.
+    bool has_start(const Call& call) {
         if (call.start == From::combination || !call.force) return false;
-        now_->load(call.force, call.torsion);
-        double* z = now_->z.data();
+        inputs_->load(call.force, call.torsion);
+        double* z = inputs_->z.data();
         if (call.start == From::given) {
             double most = 0.0;
-            for (int j = 0; j < 3 * now_->count; ++j) most = std::max(most, std::abs(call.force[j]));
+            for (int j = 0; j < 3 * inputs_->count; ++j) most = std::max(most, std::abs(call.force[j]));
             const double size = most + program_->unit_size(call.wrench);
             if (!(program_->missed(call.wrench, z) <= BALANCE_TOLERANCE * size)) return false;
         } else {
@@ -315,18 +321,18 @@ private:
         }
         return program_->slack(z) > 0.0;
     }
-    // No force: the proof that there is none, or none of that.
+    // Record the proof that no force exists, or UNDECIDED.
     Code refute(const Deepest& found, const double* wrench, const Record& record) {
-        if (found.code != INFEASIBLE) std::fill(now_->prices.begin(), now_->prices.end(), 0.0);
+        if (found.code != INFEASIBLE) std::fill(inputs_->prices.begin(), inputs_->prices.end(), 0.0);
         record.clear();
         std::copy(wrench, wrench + 6, record.summary().wrench.begin());
         if (found.code == INFEASIBLE) return record.refute(found.twist, program_->unit_size(wrench));
         record.summary().code = UNDECIDED;
         return UNDECIDED;
     }
-    // A solution found later takes the place of one, whose steps and start are its own too.
-    Code take(const Record& made, const Record& record) {
-        const int count = now_->count;
+    // Replace a record by a later solution, keeping the initial force and adding up the steps.
+    Code replace_record(const Record& made, const Record& record) {
+        const int count = inputs_->count;
         Summary& to = record.summary();
         const double iterations = to.iterations, trials = to.trials;
         to = made.summary();

@@ -1,16 +1,17 @@
-// The general cone program by an interior point with Nesterov-Todd scaling and Mehrotra's corrector, as `conic.hpp`, with soft contacts,
-// further rows and variables that all contacts share:
+// The general cone program by an interior point with Nesterov-Todd scaling and Mehrotra's corrector, as in `conic.hpp`, with soft
+// contacts, further rows and variables that all contacts share:
 //
-//     min  sum_i c_i . z_i + d . t   s.t.   rows (`Rows`),  (u, o, t)_i in its cone,  w_i >= 0 where contact i is soft
+//     min  sum_i c_i . z_i + d . t   s.t.   rows (`Rows`),  (u, o, t)_i in its cone,  w_i >= 0 if contact i is soft
 //
-// A start may miss its equations; one that keeps them stays a valid grasp throughout. Slacks are variables of their own, so that none
-// is a difference that cancels, and each direction is corrected by what it misses of the equations themselves.
+// A start may violate its equations; one that keeps them stays a valid grasp throughout. Slacks are separate variables, so none is
+// a difference that cancels, and each direction is refined by its residual in the equations themselves.
 //
-// Apart from `conic.hpp`, whose steps serve one problem and a register of them: four hard contacts take 1.5 us there and 5.5 here.
+// Separate from `conic.hpp`, whose steps serve one problem and a register of them: four hard contacts take 1.5 us there and 5.5
+// here.
 #pragma once
 #include <grasp/conic/conic.hpp>
-#include <grasp/general/rows.hpp>
-#include <grasp/math/twice.hpp>
+#include <grasp/general/row_system.hpp>
+#include <grasp/math/double_double.hpp>
 
 namespace grasp {
 
@@ -19,13 +20,13 @@ public:
     struct State {
         Kept<Tuple<R, D>> z, s;  // primal and dual, strictly inside
         Tuple<R, T> t{};
-        Kept<R> own, joint;  // multipliers; > 0 on limits
-        Kept<R> own_slack, joint_slack;  // > 0 on limits
+        Kept<R> own, joint;  // multipliers; > 0 for limits
+        Kept<R> own_slack, joint_slack;  // > 0 for limits
     };
     Rows<R, D, T> rows;
     Kept<Tuple<R, D>> cost;
     Tuple<R, T> shared_cost{};
-    std::span<const char> soft;  // whether w is a variable; elsewhere it stays 1 and no row touches it
+    std::span<const char> soft;  // true if w is a variable; otherwise it stays 1 and no row acts on it
     State at;  // the start, then the answer
     int iterations = 0;
 
@@ -38,10 +39,10 @@ public:
         at.joint.resize(rows.joint), at.joint_slack.resize(rows.joint);
         best_ = at;
     }
-    static std::size_t room(int count, int joints, int owns) {
-        return Rows<R, D, T>::room(count, joints, owns) + RowSystem<R, D, T>::room(count, joints, owns) +
-               9 * Space<R, D, T>::room(count, joints, owns) + 3 * Arena::room<Tuple<R, D>>(count) +
-               Arena::room<Scaling<R>>(count) + 2 * (Arena::room<R>(joints) + Arena::room<R>(owns));
+    static std::size_t bytes_needed(int count, int joints, int owns) {
+        return Rows<R, D, T>::bytes_needed(count, joints, owns) + RowSystem<R, D, T>::bytes_needed(count, joints, owns) +
+               9 * Space<R, D, T>::bytes_needed(count, joints, owns) + 3 * Arena::bytes_needed<Tuple<R, D>>(count) +
+               Arena::bytes_needed<Scaling<R>>(count) + 2 * (Arena::bytes_needed<R>(joints) + Arena::bytes_needed<R>(owns));
     }
 
     R objective() const {
@@ -50,10 +51,11 @@ public:
         return total;
     }
 
-    // Until accept(), asked wherever the iterate is feasible with a gap of tolerance * |objective| + absolute, returns a gap within the
-    // tolerance; asked from a gap of `watch` * |objective| on. Where the gap is closed and an equation is not, or accept() has no force at
-    // all, as steps that end short of a limit never kept it, some settle. Ends at the best feasible iterate.
-    template <class Accept> Code run(double tolerance, double absolute, double watch, int limit, Accept&& accept) {
+    // Iterate until accept() returns a gap within the tolerance. accept() is called when the iterate is feasible with a gap of at
+    // most tolerance * |objective| + absolute, or already from a gap of `accept_factor` * |objective|. If the gap is closed but an equation
+    // is not, or accept() has no force at all because shortened steps never kept the equations, up to SETTLINGS settling steps
+    // follow. Ends at the best feasible iterate.
+    template <class Accept> Code run(double tolerance, double absolute, double accept_factor, int limit, Accept&& accept) {
         double goal = tolerance;
         R best = infinity;
         int settled = 0;
@@ -70,15 +72,15 @@ public:
             const bool close = m.gap <= goal * m.size + absolute;
             if (!(m.primal < FEASIBLE && m.dual < FEASIBLE)) {
                 settle = close && m.dual < FEASIBLE && settled++ < SETTLINGS;
-            } else if (close || m.gap <= watch * m.size + absolute) {
+            } else if (close || m.gap <= accept_factor * m.size + absolute) {
                 const double found = accept();
                 done = found <= tolerance;
-                settle = close && !(found < infinity) && m.primal > KEPT && settled++ < SETTLINGS;
+                settle = close && !(found < infinity) && m.primal > EQUATION_ROUNDING && settled++ < SETTLINGS;
                 while (!done && !settle && !spent && m.gap <= goal * m.size + absolute)
                     goal *= 0.1, spent = goal < 1e-3 * tolerance || !(m.gap > 0.0);
             }
             if (done) return CONVERGED;
-            if (spent || m.runs_away) {
+            if (spent || m.diverges) {
                 code = STALLED;
                 break;
             }
@@ -96,12 +98,12 @@ public:
     }
 
 private:
-    static constexpr double FEASIBLE = 1e-9, NEARLY = 1e-7;  // residuals, relative to the data
-    static constexpr double KEPT = 1e-14;  // of equations that only rounding misses
-    static constexpr double AWAY = 1e10;  // multipliers at which an infeasible program shows
-    static constexpr double MIDDLE = 0.3;  // of the gap that is asked for: where a step that settles aims
+    static constexpr double FEASIBLE = 1e-9, NEARLY = 1e-7;  // residuals relative to the data
+    static constexpr double EQUATION_ROUNDING = 1e-14;  // equation residual that is mere rounding
+    static constexpr double AWAY = 1e10;  // multipliers that indicate an infeasible program
+    static constexpr double MIDDLE = 0.3;  // of the required gap: target of a settling step
     static constexpr int REFINEMENTS = 2, SETTLINGS = 3;
-    static constexpr double ENOUGH = 1e-12;  // of the largest force: what a direction may miss of its equations
+    static constexpr double ENOUGH = 1e-12;  // of the largest force: allowed residual of a direction
     R largest_ = 0.0;
     RowSystem<R, D, T> system_;
     Space<R, D, T> f_, d_, left_, more_, residual_;  // d_.z is the scaled direction W^-1 dz
@@ -112,10 +114,10 @@ private:
 
     struct Measured {
         R gap, size, primal, dual;
-        bool runs_away;
+        bool diverges;
     };
 
-    // Residuals of the equations into `residual_`; the gap and how large all that is.
+    // Write the residuals of the equations into `residual_`; return the gap and the sizes.
     Measured measure() {
         return sized(rows.joint, [&](auto joint) { return measure(joint); });
     }
@@ -163,7 +165,7 @@ private:
         for (const R& value : residual_.joint) keep(m.primal, value);
         largest_ = largest_z;
         m.primal /= largest_z, m.dual /= largest_c;
-        m.runs_away = m.primal > FEASIBLE && largest_y > AWAY * largest_c;
+        m.diverges = m.primal > FEASIBLE && largest_y > AWAY * largest_c;
         return m;
     }
 
@@ -176,7 +178,8 @@ private:
     // The scaled dual s, W s.
     Tuple<R, D> scaled(int i, const Tuple<R, D>& a) const { return system_.shapes[i] * a; }
 
-    // From a gap to the one that Mehrotra's predictor finds; settle: to this one, where whole steps end inside and keep every equation.
+    // Take a step: from the gap to the one that Mehrotra's predictor finds. settle: to this gap, so that whole steps stay inside
+    // and keep every equation.
     bool step(const R& gap, bool settle) {
         for (int i = 0; i < rows.count; ++i) {
             const Scaling<R>& m = scaling_[i] = Scaling<R>(cone(at.z[i]), cone(at.s[i]));
@@ -193,14 +196,14 @@ private:
         if (!system_.factor(rows)) return false;
         R part = 1.0, least = 1.0;
         if (settle) {
-            still();
+            clear_predictor();
         } else {
-            direct(0.0, false, 0);
+            find_direction(0.0, false, 0);
             const auto [primal, dual] = reach();
             const R near = min(R(1.0), 1.0 / primal), far = min(R(1.0), 1.0 / dual);
             part = min(R(1.0), max(gap_after(near, far), R(0.0)) / gap), least = min(near, far);
         }
-        direct(max(part * part * part, R(1e-10)) * gap / degree(), true, REFINEMENTS);
+        find_direction(max(part * part * part, R(1e-10)) * gap / degree(), true, REFINEMENTS);
         const R fraction = 0.9 + 0.095 * least;
         const auto [first, second] = reach();
         const R along = min(R(1.0), fraction / first), up = min(R(1.0), fraction / second);
@@ -213,14 +216,15 @@ private:
         return true;
     }
 
-    // A predictor that goes nowhere.
-    void still() {
+    // A zero predictor.
+    void clear_predictor() {
         d_.z.assign(rows.count, {}), ds_.assign(rows.count, {});
         for (auto* each : {&d_.own, &d_.joint, &dslack_own_, &dslack_joint_}) std::fill(each->begin(), each->end(), R(0.0));
     }
 
-    // The direction towards complementarity `target`; second: with the predictor's second order, which d_, ds_ and dslack_ still hold.
-    void direct(const R& target, bool second, int refinements) {
+    // The direction towards complementarity `target`. second: with the second-order term of the predictor, still stored in d_, ds_
+    // and dslack_.
+    void find_direction(const R& target, bool second, int refinements) {
         for (int i = 0; i < rows.count; ++i) {
             const Tuple<R, D> ls = scaled(i, at.s[i]);
             const Vec3<R> l = cone(ls);
@@ -261,7 +265,7 @@ private:
         }
         for (int i = 0; i < rows.count; ++i) {
             dz_[i] = scaled(i, d_.z[i]);
-            ds_[i] = residual_.z[i];  // ds from its own equation: what was feasible stays so to the last digit
+            ds_[i] = residual_.z[i];  // ds from its own equation, so feasibility is kept to the last digit
             sized(rows.joint, [&](auto joint) {
                 for (int r = 0; r < joint; ++r) add(ds_[i], d_.joint[r], rows.columns[joint * i + r]);
             });
@@ -273,7 +277,7 @@ private:
             dslack_joint_[r] = (kappa_joint_[r] - at.joint_slack[r] * d_.joint[r]) / at.joint[r];
     }
 
-    // 1 / (largest step) of the primal and of the dual part; at least 1e-12, nan kept
+    // 1 / (largest step) of the primal and the dual part; at least 1e-12; nan is kept.
     struct Reach { R primal, dual; };
     Reach reach() const {
         Reach out{1e-12, 1e-12};

@@ -1,12 +1,13 @@
-// Damped Newton on Phi with soft contacts and further rows: each adds lambda / slack, the order of tr P^-1. Balance and rows as in
-// `rows.hpp`, a contact's block in the axes of its inverse Hessian, H^-1 = F F^T (`Axes`).
-// The loop is that of every descent (`drive`); the steps are apart from `NewtonOn`'s, which stay in registers: four hard contacts take
-// 1.1 us there and 7 here.
+// Damped Newton on Phi with soft contacts and further rows: each adds lambda / slack, the order of tr P^-1. Balance and rows are as
+// in `rows.hpp`; a contact's block is written in the axes of its inverse Hessian, H^-1 = F F^T (`Axes`).
+//
+// The loop is the common one (`run_descent`). The steps are separate from those of `NewtonOn`, which stay in registers: four hard
+// contacts take 1.1 us there and 7 here.
 #pragma once
 #include <climits>
 #include <grasp/phi/newton.hpp>
-#include <grasp/general/rows.hpp>
-#include <grasp/math/twice.hpp>
+#include <grasp/general/row_system.hpp>
+#include <grasp/math/double_double.hpp>
 
 namespace grasp {
 
@@ -25,13 +26,14 @@ public:
         : rows(std::move(given)), weights(rows.count), row_weights(limits), soft(soft), z(rows.count), y(rows), proof(rows),
           system_(rows), f_(rows), left_(rows), more_(rows), own_slack_(rows.own.size()), own_trial_(rows.own.size()),
           joint_slack_(rows.joint), joint_trial_(rows.joint), step_(rows.count), trial_(rows.count) {}
-    static std::size_t room(int count, int joints, int owns, int limits) {
-        return Rows<R, D, 0>::room(count, joints, owns) + RowSystem<R, D, 0>::room(count, joints, owns) +
-               5 * Space<R, D, 0>::room(count, joints, owns) + 3 * Arena::room<Tuple<R, D>>(count) +
-               Arena::room<Weights<R>>(count) + Arena::room<R>(limits) + 2 * (Arena::room<R>(joints) + Arena::room<R>(owns));
+    static std::size_t bytes_needed(int count, int joints, int owns, int limits) {
+        return Rows<R, D, 0>::bytes_needed(count, joints, owns) + RowSystem<R, D, 0>::bytes_needed(count, joints, owns) +
+               5 * Space<R, D, 0>::bytes_needed(count, joints, owns) + 3 * Arena::bytes_needed<Tuple<R, D>>(count) +
+               Arena::bytes_needed<Weights<R>>(count) + Arena::bytes_needed<R>(limits) +
+               2 * (Arena::bytes_needed<R>(joints) + Arena::bytes_needed<R>(owns));
     }
 
-    // fraction: of the way to the boundary that a step goes at most
+    // fraction: largest fraction of the way to the boundary that a step goes
     Code run(const Call& call, double tolerance, int limit, double fraction) {
         const bool known = call.optimum == call.optimum;
         bound = known ? call.optimum : -infinity;
@@ -44,17 +46,17 @@ public:
         Direction step{};
         const auto find = [&](Code& code) {
             step = find_step();
-            if (!(step.decrement < infinity)) return code = certified() ? CONVERGED : STALLED, Next::ended;
+            if (!(step.decrement < infinity)) return code = certified() ? CONVERGED : STALLED, Next::stop;
             if (const R found = known ? bound : lower_bound(); known || !(found <= bound) || !(bound > -infinity))
                 bound = found, proof = y;
-            return Next::go;
+            return Next::step;
         };
         const auto advance = [&](Code& code) {
             if (search(step.decrement, step.reach > 0.0 ? min(R(1.0), fraction / step.reach) : R(1.0))) return true;
             code = certified() ? CONVERGED : STALLED;
             return false;
         };
-        return drive(*this, call, limit, INT_MAX, find, certified, advance);
+        return run_descent(*this, call, limit, INT_MAX, find, certified, advance);
     }
 
     // Phi at z; infinite unless strictly inside.
@@ -66,9 +68,9 @@ public:
 private:
     struct Direction { R decrement, reach; };  // squared Newton decrement (nan: no step), 1 / (largest step inside)
     static constexpr int REFINEMENTS = 3, HALVINGS = 60;
-    static constexpr double BALANCED = 1e-13;  // a step that misses balance by less than this part of Phi needs no refinement
-    static constexpr double SHORTEST = 1e-10;  // a step moves z by at least this part of its length
-    static constexpr double BELOW = -1e-9;  // rounding by which Phi may fall short of its bound
+    static constexpr double BALANCED = 1e-13;  // fraction of Phi; a step with a smaller balance residual needs no refinement
+    static constexpr double SHORTEST = 1e-10;  // a step moves z by at least this fraction of its length
+    static constexpr double BELOW = -1e-9;  // rounding by which Phi may lie below its bound
     RowSystem<R, D, 0> system_;
     Space<R, D, 0> f_, left_, more_;
     Kept<R> own_slack_, own_trial_, joint_slack_, joint_trial_;
@@ -133,7 +135,7 @@ private:
             system_.solve(rows, left_, more_);
             y.add(more_);
         }
-        // what is left of balance by the least change: its rows are orthonormal
+        // the least-norm change removes the remaining balance residual: the rows of balance are orthonormal
         R decrement = 0.0, reach = 0.0;
         for (int i = 0; i < rows.count; ++i) {
             step_[i] = system_.shapes[i] * y.z[i];
@@ -160,7 +162,7 @@ private:
         keep_largest<R>(reach, by / slack);
     }
 
-    // Halves alpha until Phi falls; false where no step that moves z does.
+    // Halve alpha until Phi decreases. Return false if no step that moves z decreases it.
     bool search(const R& decrement, R alpha) {
         R moved = 0.0, size = 0.0;
         for (int i = 0; i < rows.count; ++i) keep_largest(moved, abs(step_[i][0])), keep_largest(size, abs(z[i][0]));
@@ -172,7 +174,7 @@ private:
             const R found = phi(trial_, own_trial_, joint_trial_);
             const bool flat = decrement < 1e-9 * value;
             if (found < value - 1e-4 * alpha * decrement || (flat && found <= value)) {
-                // far from the optimum steps are as long as Phi is straight: what counts is how far z moves
+                // far from the optimum Phi is nearly straight and steps are long, so the criterion is how far z moves
                 if ((flat || halving > 0) && !(alpha * moved > SHORTEST * size)) return false;
                 std::swap(z, trial_), std::swap(own_slack_, own_trial_), std::swap(joint_slack_, joint_trial_);
                 value = found;
@@ -182,8 +184,8 @@ private:
         return false;
     }
 
-    // Dual value at the multipliers: contact by contact the least of phi(x) + q . x, q = C^T y (see `dual`), of lambda / w + q_w w, and of
-    // lambda / slack + y slack: 2 sqrt(lambda y). -inf: none.
+    // Dual value at the multipliers: for each contact the minimum of phi(x) + q . x, q = C^T y (see `dual`), and of lambda / w +
+    // q_w w; for each limit that of lambda / slack + y slack: 2 sqrt(lambda y). -inf: no bound.
     R lower_bound() {
         R total = 0.0;
         for (int k = 0; k < int(rows.own.size()); ++k) {

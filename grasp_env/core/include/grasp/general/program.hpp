@@ -1,7 +1,9 @@
-// The general program of a grasp: soft, elliptic and frictionless contacts, least and largest normal forces, joint torques; the least sum
-// or the least maximum of the normal forces, the least excess over limits that no force keeps (`excess.hpp`, for any rows and contacts),
-// and the force deepest inside everything, or the twist that proves that there is none.
-// Forces are of the size of the least-norm one, so that tolerances mean the same from 1e-6 to 1e4 N.
+// The general program of a grasp: soft, elliptic and frictionless contacts, smallest and largest normal forces, joint torques. It
+// minimises the sum or the maximum of the normal forces, or the excess over limits that no force keeps (`excess.hpp`, for any rows
+// and contacts), or Phi, and finds the force deepest inside all constraints or the twist that proves that none is inside. Forces
+// are scaled by the least-norm one, so tolerances mean the same from 1e-6 to 1e4 N.
+//
+// This file is long because all these objectives share the starts, certificates and record of one program.
 #pragma once
 #include <climits>
 #include <optional>
@@ -18,19 +20,22 @@ public:
     using Field = typename Constraints<D>::Field;
     template <class R, int T> using Engine = InteriorPoint<R, D, T>;
 
-    explicit ProgramOn(const Given& given)
-        : count(given.count), limits(given.limits), in_(given), may_exceed_(given.elastic), rest_(count), inside_(count),
-          z_(count), best_(count), room_(in_.slacks()), room_inside_(in_.slacks()), prices_(limits), best_prices_(limits) {}
-    // For a program, and for solving it: engines live for a call. joints: rows that touch several contacts, at most.
-    static std::size_t room(int count, int limits, int joints) {
+    explicit ProgramOn(const ProgramData& given)
+        : count(given.count), limits(given.limits), in_(given), may_exceed_(given.elastic), internal_force_(count),
+          inside_(count), z_(count), best_(count), slacks_(in_.slacks()), slacks_inside_(in_.slacks()), prices_(limits),
+          best_prices_(limits) {}
+    // Memory of a program and of its solves, whose engines live for one call. joints: largest number of rows that act on several
+    // contacts.
+    static std::size_t bytes_needed(int count, int limits, int joints) {
         const auto most = [&](int joint) {
             const int owns = limits - joint + count + 1, rows = joint + 7;
-            const std::size_t depth = InteriorPoint<Twice, D, 2>::room(count, rows, owns);
-            const std::size_t least = InteriorPoint<double, D, 1>::room(count, rows, owns);
-            return depth + std::max(least, PhiRows<double, D>::room(count, rows, owns, limits));
+            const std::size_t depth = InteriorPoint<Twice, D, 2>::bytes_needed(count, rows, owns);
+            const std::size_t least = InteriorPoint<double, D, 1>::bytes_needed(count, rows, owns);
+            return depth + std::max(least, PhiRows<double, D>::bytes_needed(count, rows, owns, limits));
         };
-        return Constraints<D>::room(count, limits) + 6 * Arena::room<Tuple<double, D>>(count) +
-               3 * Arena::room<double>(2 * count + limits) + 3 * Arena::room<double>(limits) + std::max(most(0), most(joints));
+        return Constraints<D>::bytes_needed(count, limits) + 6 * Arena::bytes_needed<Tuple<double, D>>(count) +
+               3 * Arena::bytes_needed<double>(2 * count + limits) + 3 * Arena::bytes_needed<double>(limits) +
+               std::max(most(0), most(joints));
     }
 
     // See `Program`.
@@ -40,7 +45,7 @@ public:
         std::fill(prices, prices + limits, 0.0);
         Summary& out = record.summary();
         out.code = REFUSED;
-        if (!sane_wrench(wrench) || (criterion == Criterion::excess && !may_exceed_)) return REFUSED;
+        if (!is_valid_wrench(wrench) || (criterion == Criterion::excess && !may_exceed_)) return REFUSED;
         std::copy(wrench, wrench + 6, out.wrench.begin());
         criterion_ = criterion, budget_ = budget;
         const Vec6 load = in_.in_frame(wrench);
@@ -48,7 +53,7 @@ public:
         size_ = in_.largest_of(turned);
         double most = 0.0;
         for (int k = 0; k < limits; ++k) most = std::max(most, -in_.bound[k]);
-        if (size_ < NOTHING && !(most > 0.0)) {  // no force is needed, and none is less
+        if (size_ < NOTHING && !(most > 0.0)) {  // zero force is the answer
             out.code = CONVERGED;
             return CONVERGED;
         }
@@ -71,7 +76,7 @@ public:
         const Arena::Scope scope;
         std::fill(prices, prices + limits, 0.0);
         Deepest found;
-        if (!sane_wrench(wrench)) return found;
+        if (!is_valid_wrench(wrench)) return found;
         Depth depth(in_, limits);
         found = depth.find(wrench, tolerance, inside_);
         if (found.code == INFEASIBLE) std::copy(depth.prices().begin(), depth.prices().end(), prices);
@@ -90,17 +95,17 @@ public:
     }
     double least_slack(const double* z) {
         load_z(z, z_);
-        in_.rooms(z_, limits, room_, [&](int k) { return in_.bound[k]; });
-        return least_of(room_);
+        in_.write_slacks(z_, limits, slacks_, [&](int k) { return in_.bound[k]; });
+        return least_of(slacks_);
     }
-    bool squeeze_with(const double* z) {
-        load_z(z, rest_);
-        in_.rebalance(rest_, Vec6{});
-        in_.rooms(rest_, in_.torsions, room_, [](int) { return 0.0; });
+    bool set_internal_force(const double* z) {
+        load_z(z, internal_force_);
+        in_.rebalance(internal_force_, Vec6{});
+        in_.write_slacks(internal_force_, in_.torsions, slacks_, [](int) { return 0.0; });
         double most = 0.0;
-        for (const auto& each : rest_) most = std::max(most, each[0]);
-        if (least_of(room_) > DEEP * most) has_rest_ = true;
-        return has_rest_.has_value();
+        for (const auto& each : internal_force_) most = std::max(most, each[0]);
+        if (least_of(slacks_) > DEEP * most) has_internal_force_ = true;
+        return has_internal_force_.has_value();
     }
     double unit_size(const double* wrench) const { return grasp::size(in_.in_frame(wrench)); }
     bool full() const { return in_.full(); }
@@ -111,7 +116,7 @@ public:
         record.clear();
         std::fill(prices, prices + limits, 0.0);
         record.summary().code = REFUSED;
-        if (!sane_wrench(call.wrench)) return REFUSED;
+        if (!is_valid_wrench(call.wrench)) return REFUSED;
         std::copy(call.wrench, call.wrench + 6, record.summary().wrench.begin());
         criterion_ = Criterion::sum, size_ = 1.0, unit_ = in_.in_frame(call.wrench), turned_ = in_.solve_lower(unit_);
         load_z(z, inside_);
@@ -121,7 +126,7 @@ public:
             for (int i = 0; i < count; ++i) engine.z[i] = wide<std::decay_t<decltype(engine.value)>>(inside_[i]);
         };
         int spent = 0, trials = 0;
-        // on Phi with lambda times `raised`
+        // descend on Phi with lambda multiplied by `raised`
         const auto descend = [&](auto& engine, const Call& asked, double raised, double tolerance, int limit) {
             for (int i = 0; i < count; ++i) engine.weights[i] = {weights[2 * i], raised * weights[2 * i + 1]};
             for (int k = 0; k < limits; ++k) engine.row_weights[k] = raised * row_weights[k];
@@ -137,7 +142,7 @@ public:
         take_start(quick);
         const Code first = descend(quick, call, 1.0, options.tolerance, std::min(options.limit, PATIENCE));
         if (first != STALLED && (first != LIMIT || options.limit <= PATIENCE)) return written(quick, first);
-        // where surfaces are curved against the forces steps along them are short: down the central path, which is far from them
+        // if steps along curved surfaces are short: follow the central path, which stays away from the surfaces
         double raised = 1.0;
         for (int i = 0; i < count; ++i) raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
         PhiRows<Twice, D> careful(in_.template rows<Twice, 0>(limits), in_.soft, limits);
@@ -152,26 +157,28 @@ public:
     }
 
 private:
-    static constexpr double BALANCED = 1e-9;  // of the wrench: what an optimal force may miss
-    static constexpr double DEEP = 1e-6;  // margin of an internal force: those of less are of no use but in millions of newtons
-    static constexpr double BELOW = -1e-9;  // rounding by which an objective may fall short of its bound
-    static constexpr double MOST =
-        1e4;  // of the largest normal force of a start: normal forces among which an excess is the least
-    static constexpr double BEGIN = 1.5;  // of a start's excess: how much limits are raised there
-    static constexpr int FIRST_TRY = 40;  // iterations, of which a dozen is usual, before another start or more digits are tried
-    static constexpr int PATIENCE = 200;  // iterations on Phi, of which twenty are usual, before the central path is tried
-    static constexpr double FALL = 30.0;  // of lambda from one stage of the path to the next
+    static constexpr double BALANCED = 1e-9;  // of the wrench: largest balance residual of an optimal force
+    // Smallest margin of an internal force; less would be useful only with millions of newtons.
+    static constexpr double DEEP = 1e-6;
+    static constexpr double BELOW = -1e-9;  // rounding by which an objective may lie below its bound
+    // Bound of the normal forces when minimising an excess, relative to the largest normal force of the start.
+    static constexpr double MOST = 1e4;
+    static constexpr double BEGIN = 1.5;  // of a start's excess: initial increase of the limits
+    static constexpr int FIRST_TRY = 40;  // iterations before another start or more digits are tried; a dozen is usual
+    static constexpr int PATIENCE = 200;  // iterations on Phi before the central path is tried; twenty are usual
+    static constexpr double FALL = 30.0;  // factor on lambda between stages of the path
     int count, limits;
     Constraints<D> in_;
     bool may_exceed_;
-    Field rest_, inside_, z_, best_;  // an internal force strictly inside the cones; a force strictly inside everything
-    std::optional<bool> has_rest_;  // none: not asked yet
+    // An internal force strictly inside the cones; a force strictly inside everything; work space.
+    Field internal_force_, inside_, z_, best_;
+    std::optional<bool> has_internal_force_;  // empty: not searched yet
     bool has_inside_ = false;
-    Kept<double> room_, room_inside_, prices_, best_prices_;
-    Vec6 unit_{}, turned_{}, best_nu_{};  // the wrench of this call, of size one, and L^-1 of it
+    Kept<double> slacks_, slacks_inside_, prices_, best_prices_;
+    Vec6 unit_{}, turned_{}, best_nu_{};  // wrench of this call, scaled to size one; L^-1 of it
     Criterion criterion_ = Criterion::sum;
-    int budget_ = INT_MAX;  // of iterations, all attempts together
-    double raised_ = 1.0, most_ = 1.0;  // the excess that is one unit of t; the largest normal force that is looked at
+    int budget_ = INT_MAX;  // iterations of all attempts together
+    double excess_unit_ = 1.0, most_ = 1.0;  // the excess of one unit of t; the largest normal force considered
     double size_ = 1.0, best_value_ = infinity, best_bound_ = 0.0, residual_ = 0.0, best_residual_ = 0.0;
 
     void load_z(const double* z, Field& to) const {
@@ -181,21 +188,22 @@ private:
         for (int i = 0; i < count; ++i)
             for (int a = 0; a < 4; ++a) z[4 * i + a] = a < D ? from[i][a] : 1.0;
     }
+    // True if the excess is minimised.
     bool elastic() const { return criterion_ == Criterion::excess; }
     int kept() const { return elastic() ? in_.torsions : limits; }  // limits that no force may exceed
 
     template <int T> Code solve(const double* wrench, const Stop& options, Summary& out) {
         int spent = 0;
-        // from a strictly feasible z where one is known, in one precision, then in the other
+        // start from a strictly feasible z if one is known; first in double, then in higher precision
         const auto attempt = [&](auto& engine, bool known) {
             set_right(engine);
             if (known) place_inside(engine);
             else if (begin(engine)) inside_from_start(engine);
             const int left = std::min(options.limit, budget_ - spent);
-            const int limit = std::min(left, watches(engine) ? left : FIRST_TRY);
-            const double enough = elastic() ? EXCESS_FLOOR / raised_ : 0.0;
-            const Code code =
-                engine.run(options.tolerance, enough, watches(engine) ? 0.1 : 0.0, limit, [&] { return consider(engine); });
+            const int limit = std::min(left, keeps_interior(engine) ? left : FIRST_TRY);
+            const double enough = elastic() ? EXCESS_FLOOR / excess_unit_ : 0.0;
+            const Code code = engine.run(options.tolerance, enough, keeps_interior(engine) ? 0.1 : 0.0, limit,
+                                         [&] { return consider(engine); });
             spent += engine.iterations;
             if (code != CONVERGED && consider(engine) <= options.tolerance) return CONVERGED;
             return code == LIMIT && limit < left ? STALLED : code;
@@ -224,27 +232,28 @@ private:
         out.iterations = out.trials = spent;
         return code;
     }
-    // Whether the last iterate that is strictly inside in doubles is kept, to mix the next ones with.
-    template <class R, int T> static constexpr bool watches(const Engine<R, T>&) { return std::is_same_v<R, Twice>; }
+    // True if the last iterate strictly inside in doubles is kept, to be mixed with the next ones.
+    template <class R, int T> static constexpr bool keeps_interior(const Engine<R, T>&) { return std::is_same_v<R, Twice>; }
     template <class Engine> void set_right(Engine& engine) const {
         auto& joint = engine.rows.right;
         for (int r = 0; r < engine.rows.joint; ++r) joint[r] = r < 6 ? -turned_[r] : in_.bound[engine.rows.label[r]] / size_;
         for (auto& row : engine.rows.own) row.right = row.label >= 0 ? in_.bound[row.label] / size_ : 0.0;
     }
-    // The largest part of itself by which z exceeds a limit.
+    // Largest relative excess of a limit at z.
     double excess(const Field& z) const {
         double most = 0.0;
         for (int k = in_.torsions; k < limits; ++k)
             if (in_.shares[k] > 0.0) most = std::max(most, (size_ * in_.product(in_.limit[k], z) - in_.bound[k]) / in_.shares[k]);
         return most;
     }
-    // t in units of an excess above that of a start z, where it begins at one; normal forces up to a multiple of those of z.
+    // Set t in units of an excess above that of the start z, so that it begins at one; normal forces are bounded by a multiple of
+    // those of z.
     template <class R> void raise(Engine<R, 1>& engine, const Field& z) {
-        raised_ = BEGIN * excess(z) + EXCESS_FLOOR, most_ = 1.0, best_bound_ = 0.0;
+        excess_unit_ = BEGIN * excess(z) + EXCESS_FLOOR, most_ = 1.0, best_bound_ = 0.0;
         for (int i = 0; i < count; ++i) most_ = std::max(most_, in_.price[i] * z[i][0]);
         most_ *= MOST;
         const auto raise = [&](Tuple<R, 1>& shared, int name) {
-            if (name >= 0) shared[0] = -raised_ * in_.shares[name] / size_;
+            if (name >= 0) shared[0] = -excess_unit_ * in_.shares[name] / size_;
         };
         for (int r = 0; r < engine.rows.joint; ++r) raise(engine.rows.coupling[r], engine.rows.label[r]);
         for (auto& row : engine.rows.own) {
@@ -260,36 +269,36 @@ private:
         for (int i = 0; i < count; ++i) engine.at.z[i] = wide<R>(inside_[i]);
         place(engine, 0.0);
     }
-    // A start; true where it is strictly inside everything and balanced.
+    // Write a start. Return true if it is balanced and strictly inside all constraints.
     template <class R, int T> bool begin(Engine<R, T>& engine) {
-        if (!has_rest_) {
+        if (!has_internal_force_) {
             const Arena::Scope scope;
             const double nothing[6] = {};
-            const Deepest found = Depth(in_, in_.torsions).find(nothing, 1e-2, rest_);
-            has_rest_ = found.code == CONVERGED && found.margin > DEEP;
+            const Deepest found = Depth(in_, in_.torsions).find(nothing, 1e-2, internal_force_);
+            has_internal_force_ = found.code == CONVERGED && found.margin > DEEP;
         }
-        if (*has_rest_) {
+        if (*has_internal_force_) {
             for (auto& each : z_) each = {};
             in_.subtract(z_, turned_);
             double squeeze = 1e-6;
-            in_.rooms(z_, in_.torsions, room_, [](int) { return 0.0; });
-            in_.rooms(rest_, in_.torsions, room_inside_, [](int) { return 0.0; });
-            for (std::size_t k = 0; k < room_.size(); ++k)
-                if (room_[k] < infinity) squeeze = std::max(squeeze, -room_[k] / room_inside_[k]);
+            in_.write_slacks(z_, in_.torsions, slacks_, [](int) { return 0.0; });
+            in_.write_slacks(internal_force_, in_.torsions, slacks_inside_, [](int) { return 0.0; });
+            for (std::size_t k = 0; k < slacks_.size(); ++k)
+                if (slacks_[k] < infinity) squeeze = std::max(squeeze, -slacks_[k] / slacks_inside_[k]);
             for (int i = 0; i < count; ++i) {
-                add(z_[i], 1.3 * squeeze, rest_[i]);
+                add(z_[i], 1.3 * squeeze, internal_force_[i]);
                 if (D == 4 && !in_.soft[i]) z_[i][D - 1] = 1.0;
             }
         } else {
             for (auto& each : z_) each = in_.inwards();
         }
         for (int i = 0; i < count; ++i) engine.at.z[i] = wide<R>(z_[i]);
-        const bool slack = place(engine, *has_rest_ ? 1e-3 : 1.0);
-        return *has_rest_ && slack;
+        const bool slack = place(engine, *has_internal_force_ ? 1e-3 : 1.0);
+        return *has_internal_force_ && slack;
     }
 
-    // Slacks and a dual strictly inside for the z of a start: s = c + the limits' part, balance's multipliers zero. Slacks below `least` of
-    // the largest force are lifted to it; false where that was needed.
+    // Set slacks and a dual strictly inside for the z of a start: s = c + the limits' part, with balance's multipliers zero. Slacks
+    // below `least` times the largest force are lifted to it. Return false if any was.
     template <class R, int T> bool place(Engine<R, T>& engine, double least) {
         auto& at = engine.at;
         const auto& rows = engine.rows;
@@ -336,13 +345,13 @@ private:
             at.joint[r] = min(product / at.joint_slack[r], share * price);
         }
         if constexpr (T == 1)
-            if (elastic()) {  // t's price, as its equation says where that is one
+            if (elastic()) {  // t's price from its equation, if that is positive
                 R left = 1.0;
                 for (int r = rows.equal; r < rows.joint; ++r) left += at.joint[r] * rows.coupling[r][0];
                 for (std::size_t k = 0; k + 1 < rows.own.size(); ++k) left += at.own[k] * rows.own[k].shared[0];
                 at.own.back() = max(left, R(1e-3));
             }
-        for (int i = 0; i < count; ++i) {  // s as its equation says
+        for (int i = 0; i < count; ++i) {  // s from its equation
             Tuple<R, D> s = engine.cost[i];
             for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) add(s, at.own[k], rows.own[k].row);
             for (int r = rows.equal; r < rows.joint; ++r) add(s, at.joint[r], rows.columns[rows.joint * i + r]);
@@ -353,25 +362,26 @@ private:
     }
     template <int T> double engine_price(int i) const { return T == 1 ? in_.price[i] / count : in_.price[i]; }
 
-    // Balances the iterate, takes it into the limits and bounds its objective; keeps the best force and the best bound. Returns the gap.
+    // Balance the iterate, bring it within the limits and bound its objective; keep the best force and the best bound. Return the
+    // gap.
     template <class R, int T> double consider(const Engine<R, T>& engine) {
         const auto right = [&](int k) { return in_.bound[k] / size_; };
         for (int i = 0; i < count; ++i) z_[i] = narrow(engine.at.z[i]);
         residual_ = in_.rebalance(z_, unit_);
-        in_.rooms(z_, kept(), room_, right);
-        double least = least_of(room_);
-        if (least > 0.0 && watches(engine)) inside_ = z_, has_inside_ = true;
-        if (least < 0.0 && has_inside_) {  // mixed with as little of a force inside as takes the last digits in
-            in_.rooms(inside_, kept(), room_inside_, right);
+        in_.write_slacks(z_, kept(), slacks_, right);
+        double least = least_of(slacks_);
+        if (least > 0.0 && keeps_interior(engine)) inside_ = z_, has_inside_ = true;
+        if (least < 0.0 && has_inside_) {  // mix with just enough of a force inside to restore the last digits
+            in_.write_slacks(inside_, kept(), slacks_inside_, right);
             double part = 0.0;
-            for (std::size_t k = 0; k < room_.size(); ++k)
-                if (room_[k] < 0.0) part = std::max(part, -room_[k] / (room_inside_[k] - room_[k]));
+            for (std::size_t k = 0; k < slacks_.size(); ++k)
+                if (slacks_[k] < 0.0) part = std::max(part, -slacks_[k] / (slacks_inside_[k] - slacks_[k]));
             part = std::min(1.0, 1.01 * part);
             for (int i = 0; i < count; ++i)
                 for (int a = 0; a < D; ++a) z_[i][a] = (1.0 - part) * z_[i][a] + part * inside_[i][a];
             residual_ = grasp::size(in_.wrench_of(z_) + unit_);
-            in_.rooms(z_, kept(), room_, right);
-            least = least_of(room_);
+            in_.write_slacks(z_, kept(), slacks_, right);
+            least = least_of(slacks_);
         }
         certify(engine);
         double force = 0.0;
@@ -393,8 +403,8 @@ private:
         return found >= BELOW ? found : infinity;
     }
 
-    // The dual value at the multipliers, on the segment to interior ones where that takes to be feasible: s = c + C^T y in the dual cones,
-    // y >= 0 on the limits. Of an excess: at multipliers that price t at one; what they lack of the dual cones is paid for by forces up to most_.
+    // Dual value at the multipliers, moved towards interior ones until feasible: s = c + C^T y in the dual cones, y >= 0 for the
+    // limits. For an excess: at multipliers that price t at one; what they lack of the dual cones is paid by forces up to most_.
     template <class R, int T> void certify(const Engine<R, T>& engine) {
         const auto& rows = engine.rows;
         const auto& at = engine.at;
@@ -419,7 +429,7 @@ private:
             for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
                 if (rows.own[k].label >= 0) add(end, prices_[rows.own[k].label], in_.limit[rows.own[k].label][i]);
             if (D == 4 && in_.soft[i] && end[D - 1] < 0.0) {
-                // w has no price to move away from: raise its row's multiplier, at the expense of u
+                // w has no cost: raise its row's multiplier, at the expense of u
                 const Tuple<double, D>& row = in_.limit[in_.torsion_row[i]][i];
                 const double raised = -end[D - 1] / row[D - 1];
                 prices_[in_.torsion_row[i]] += raised, add(end, raised, row);
@@ -444,17 +454,16 @@ private:
         }
     }
 
-    // Optimal where what is returned is: balanced, inside, its gap within the tolerance.
+    // Write Phi's optimum. CONVERGED requires that the returned force is balanced, inside, and has a gap within the tolerance.
     template <class R>
     Code write_phi(PhiRows<R, D>& engine, Code code, const Call& call, double tolerance, const Record& record, double* prices) {
         for (int i = 0; i < count; ++i) best_[i] = narrow(engine.z[i]);
         best_residual_ = in_.rebalance(best_, unit_);
-        for (double part = 1e-15;;
-             part = std::min(1.0, 4.0 * part)) {  // what rounding took outside goes back, on the way to the start
+        for (double part = 1e-15;; part = std::min(1.0, 4.0 * part)) {  // moves what rounding took outside back towards the start
             for (int i = 0; i < count; ++i) engine.z[i] = wide<R>(best_[i]);
             engine.evaluate();
-            in_.rooms(best_, limits, room_, [&](int k) { return in_.bound[k]; });
-            if ((least_of(room_) >= 0.0 && engine.value < infinity) || best_ == inside_) break;
+            in_.write_slacks(best_, limits, slacks_, [&](int k) { return in_.bound[k]; });
+            if ((least_of(slacks_) >= 0.0 && engine.value < infinity) || best_ == inside_) break;
             for (int i = 0; i < count; ++i)
                 for (int a = 0; a < D; ++a)
                     best_[i][a] = part < 1.0 ? best_[i][a] + part * (inside_[i][a] - best_[i][a]) : inside_[i][a];
@@ -468,7 +477,7 @@ private:
             best_prices_[engine.rows.label[r]] = double(engine.proof.joint[r]);
         double force = 0.0;
         for (int i = 0; i < count; ++i) force = std::max(force, best_[i][0]);
-        const bool good = least_of(room_) >= 0.0 && best_residual_ <= BALANCED * (force + grasp::size(unit_));
+        const bool good = least_of(slacks_) >= 0.0 && best_residual_ <= BALANCED * (force + grasp::size(unit_));
         const bool near = best_bound_ > 0.0 && best_value_ - best_bound_ <= tolerance * best_bound_;
         if (code == CONVERGED && !(good && (near || call.optimum == call.optimum))) code = STALLED;
         write(code, record, prices);
@@ -478,14 +487,14 @@ private:
 
     void write(Code code, const Record& record, double* prices) {
         Summary& out = record.summary();
-        if (!(best_value_ < infinity)) {  // the last force known to be inside, or nothing
+        if (!(best_value_ < infinity)) {  // the last force known to be inside, or none
             if (!has_inside_ || elastic()) {
                 out.code = REFUSED;
                 return;
             }
             best_ = inside_;
         }
-        const double unit = elastic() ? 1.0 : size_;  // of the objective
+        const double unit = elastic() ? 1.0 : size_;  // unit of the objective
         out.code = code, out.objective = unit * best_value_, out.lower_bound = unit * best_bound_;
         if (elastic()) {
             out.code = code == CONVERGED ? LIMITS_EXCEEDED : code, out.limit_excess = best_value_;
@@ -509,56 +518,58 @@ private:
 
 }  // namespace detail
 
-// What it works in is taken when it is made and in every call, from the arena in use or from the heap.
+// A general program. Its memory, for construction and calls, comes from the arena in use or from the heap.
 class Program {
 public:
     const int count, limits;
 
-    explicit Program(const Given& given) : count(given.count), limits(given.limits), on_(made(given)) {}
-    // Of an arena; joints: the most rows that touch several contacts.
-    static std::size_t room(int count, int limits, int joints, bool soft) {
-        return soft ? detail::ProgramOn<4>::room(count, limits, joints) : detail::ProgramOn<3>::room(count, limits, joints);
+    explicit Program(const ProgramData& given) : count(given.count), limits(given.limits), on_(made(given)) {}
+    // Bytes of an arena; joints: largest number of rows that act on several contacts.
+    static std::size_t bytes_needed(int count, int limits, int joints, bool soft) {
+        return soft ? detail::ProgramOn<4>::bytes_needed(count, limits, joints)
+                    : detail::ProgramOn<3>::bytes_needed(count, limits, joints);
     }
 
-    // Into a record, with prices (M,) >= 0 of the limits. INFEASIBLE: the record's multipliers are the twist that proves it. REFUSED: numbers
-    // that are not finite, or neither a force nor a proof was found. LIMITS_EXCEEDED: what `excess` ends with, to EXCESS_WITHIN.
-    // budget: of iterations, where several attempts of the limit's may follow each other.
+    // Minimise a criterion, into a record, with prices (M,) >= 0 of the limits. INFEASIBLE: the record's multipliers are the twist
+    // that proves it. REFUSED: numbers that are not finite, or neither a force nor a proof was found. LIMITS_EXCEEDED: outcome for
+    // Criterion::excess, to EXCESS_WITHIN. budget: iterations of all attempts together.
     Code least(const double* wrench, Criterion criterion, const Stop& options, const Record& record, double* prices,
                int budget = INT_MAX) {
         return std::visit([&](auto& on) { return on.least(wrench, criterion, options, record, prices, budget); }, on_);
     }
-    // z (N, 4) [N]: the force of largest m with depth m in all cones and rows, where forces and the wrench's share r sum to one, m <= r.
-    // INFEASIBLE: the prices (M,) of the limits in the proof.
+    // Find z (N, 4) [N], the force of largest depth m in all cones and rows, where forces and the wrench's share r sum to one, m <=
+    // r. INFEASIBLE: prices (M,) are those of the limits in the proof.
     Deepest deepest(const double* wrench, double tolerance, double* z, double* prices) {
         return std::visit([&](auto& on) { return on.deepest(wrench, tolerance, z, prices); }, on_);
     }
-    // The least Phi from z (N, 4), balanced and strictly inside, into a record; weights (N, 2) omega and lambda, row_weights (M,). Of the
-    // call wrench, optimum and trace are read. REFUSED: no such start.
+    // Minimise Phi from z (N, 4), balanced and strictly inside, into a record; weights (N, 2) omega and lambda, row_weights (M,).
+    // Uses wrench, optimum and trace of the call. REFUSED: no such start.
     Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const Stop& options,
                    const Record& record, double* prices) {
         return std::visit([&](auto& on) { return on.least_phi(call, weights, row_weights, z, options, record, prices); }, on_);
     }
-    // The largest part of G z + w, z (N, 4), unit frame [N].
+    // Largest component of G z + w, z (N, 4), unit frame [N].
     double missed(const double* wrench, const double* z) {
         return std::visit([&](auto& on) { return on.missed(wrench, z); }, on_);
     }
-    // By the least change z (N, 4) balances a wrench.
+    // Balance z (N, 4) by the least-norm change.
     void balance(const double* wrench, double* z) {
         std::visit([&](auto& on) { on.balance(wrench, z); }, on_);
     }
-    // The least slack of z (N, 4) in cones, torsion and rows; above zero: strictly inside, whatever rounding did.
+    // Smallest slack of z (N, 4) in cones, torsion and rows; above zero: strictly inside, rounding included.
     double slack(const double* z) {
         return std::visit([&](auto& on) { return on.least_slack(z); }, on_);
     }
-    // An internal force z (N, 4) to start from, where it is strictly inside the cones and torsion's rows; false: `least` looks for one.
-    bool squeeze_with(const double* z) {
-        return std::visit([&](auto& on) { return on.squeeze_with(z); }, on_);
+    // Provide an internal force z (N, 4) for starts. Return false, so that `least` searches for one, unless it is strictly inside
+    // the cones and the rows of torsion.
+    bool set_internal_force(const double* z) {
+        return std::visit([&](auto& on) { return on.set_internal_force(z); }, on_);
     }
-    // The largest part of a wrench, unit frame [N].
+    // Largest component of a wrench, unit frame [N].
     double unit_size(const double* wrench) const {
         return std::visit([&](const auto& on) { return on.unit_size(wrench); }, on_);
     }
-    // Whether the contacts make wrenches of all directions.
+    // True if the contacts make wrenches of all directions.
     bool full() const {
         return std::visit([&](const auto& on) { return on.full(); }, on_);
     }
@@ -567,7 +578,7 @@ private:
     using On = std::variant<detail::ProgramOn<3>, detail::ProgramOn<4>>;
     On on_;
 
-    static On made(const Given& given) {
+    static On made(const ProgramData& given) {
         for (int i = 0; i < given.count; ++i)
             if (given.divisor[4 * i + 3] < infinity) return On(std::in_place_index<1>, given);
         return On(std::in_place_index<0>, given);

@@ -1,20 +1,20 @@
-// What a grasp has to balance at a control tick.
+// The wrench that a grasp has to balance at a control tick.
 #pragma once
 #include <grasp/hand/snapshot.hpp>
 
 namespace grasp {
 
-// The wanted pose and motion of the object, world frame.
+// Target pose and motion of the object, world frame.
 struct Target {
-    Point position;                                  // [m]
-    double quaternion[4];                            // (x, y, z, w)
-    Point linear, angular;                           // [m/s], [rad/s]
+    Point position;  // [m]
+    double quaternion[4];  // (x, y, z, w)
+    Point linear, angular;  // [m/s], [rad/s]
     Point linear_acceleration, angular_acceleration;  // [m/s^2], [rad/s^2]
     static constexpr int SIZE = 19;
 };
 static_assert(sizeof(Target) == Target::SIZE * sizeof(double));
 
-// The object against its target: position [m], orientation [rad] and velocities [m/s], [rad/s], world frame.
+// Error of the object against its target: position [m], orientation [rad] and velocities [m/s], [rad/s], world frame.
 struct PoseError {
     Point position, orientation, linear, angular;
 
@@ -24,14 +24,14 @@ struct PoseError {
           linear(seen.linear - target.linear), angular(seen.angular - target.angular) {}
 };
 
-// The object as the controller believes it to be, and the pose feedback.
+// The controller's model of the object, and the gains of its pose feedback.
 struct Body {
     double mass = 0.0;  // [kg]
-    Rotation inertia;   // (3, 3) [kg m^2] about its centre, object frame
+    Rotation inertia;  // (3, 3) [kg m^2] about its centre, object frame
     double position_gain = 0.0, position_damping = 0.0;  // [N/m], [N s/m]
     double rotation_gain = 0.0, rotation_damping = 0.0;  // [1/s^2], [1/s]: times the inertia
 
-    // Weight - inertial wrench of the wanted motion + pose feedback [N, N m], object frame; gravity [m/s^2], world.
+    // Weight - inertial wrench of the target motion + pose feedback [N, N m], object frame; gravity [m/s^2], world.
     Vec6 wrench(const Snapshot& seen, const Target& target, const Point& gravity) const {
         const PoseError error(seen, target);
         const Point pull = position_gain * error.position + position_damping * error.linear;

@@ -1,55 +1,13 @@
-// The control loop of a hand: from what is seen to joint torques in one call. It allocates when it is made, and never in a tick.
+// The control loop of a hand: from a reading to joint torques in one call. The constructor allocates, a tick never does.
+// The file is long because all parts of a tick share the loop's state.
 #pragma once
+#include <grasp/hand/control_settings.hpp>
 #include <grasp/hand/sensing.hpp>
 #include <grasp/math/cholesky.hpp>
 #include <grasp/optimizer.hpp>
 #include <grasp/phi/elastic.hpp>
 
 namespace grasp {
-
-// A spring and damper that draws a tip to its place.
-struct Spring { double gain = 0.0, damping = 0.0, limit = infinity; };  // [N/m], [N s/m], the most force [N]
-
-struct ControlSettings {
-    Body body;
-    std::vector<Spring> reach;  // (N,) of each finger without contact, on its way
-    Spring spring;  // of all fingers where nothing is optimized
-    double reach_depth = 0.0;  // [m] inside the surface to which a finger reaches
-    std::vector<Spring> posture;  // (M,) [N m/rad], [N m s/rad]: joints that the tips leave free
-    Options follow{.tolerance = 1e-4,
-                   .limit = 200};  // what solves after the method, from the last command, and within the torque limits
-    bool remembers = true;  // whether the method receives the last command, for starts that use it
-    std::vector<double> directions;  // (N, 3, K) [1], object frame: the internal forces of an adjustment
-    double squeeze = 0.0;  // [N] total normal force of `Hold::squeeze`
-    double most_change = infinity;  // [N] by which a force may change in one tick beyond what balance asks
-    int release = 2;  // ticks without force after which a finger no longer counts as in contact
-};
-
-// What solvers and motors were asked since `begin_step`.
-struct Effort {
-    int iterations = 0, trials = 0;  // of the method: accepted steps, and all that were tried
-    int followed = 0;  // iterations at control ticks between two of the method's
-    int limited = 0;   // iterations of Newton within the torque limits, where a force exceeded them
-    bool saturated = false;  // torques had to be cut: no force within the limits balances the wrench, or none was found
-    double margin = infinity;  // least distance of a torque from its limit [N m]
-    double share = 0.0;  // largest torque as a share of its limit
-};
-
-// Costs of an agent's step, each from 0 to 1.
-struct Costs {
-    double force;   // share of the commanded normal forces above the least that balances the wrench; 1: no force balances it
-    double torque;  // largest torque of the step as a share of its limit
-    double change;  // change of the commanded forces in the step as a share of the forces before and after: sums of |components|
-};
-
-// What the fingers in contact do.
-enum class Hold {
-    optimized,  // the force that the method finds, and Newton after it
-    squeeze,  // a constant internal force, and what balances
-    place,  // no force: every finger holds its place
-    direct,  // given forces
-    reach,  // no force: every finger is drawn to its contact
-};
 
 class Controller {
 public:
@@ -58,18 +16,18 @@ public:
     const ControlSettings settings;
     Sensors sensors;
     Hold hold = Hold::optimized;
-    Vec6 wrench{};  // that is balanced [N, N m], object frame
+    Vec6 wrench{};  // wrench to balance [N, N m], object frame
     std::vector<double> torques;  // (M,) [N m]
     std::vector<double> force;  // (N, 3) commanded [N], contact frames
-    std::vector<double> frames;  // (N, 3, 3) these, columns (n, o, t), object frame
-    std::vector<double> depths;  // (N,) [m] inside the surface of the places that fingers hold where nothing is optimized
+    std::vector<double> frames;  // (N, 3, 3) contact frames, columns (n, o, t), object frame
+    std::vector<double> depths;  // (N,) [m] below the surface: places that fingers hold while nothing is optimised
     std::vector<double> home;  // (M,) rest posture [rad]
     std::vector<Point> goals, inwards;  // (N,) the grasp's contact points [m] and inward normals, object frame
-    std::vector<double> solution;  // the row of the method's last solve
+    std::vector<double> solution;  // row of the method's last solve
     double peak = 0.0;  // largest |torque| since `reset` [N m]
-    std::uint64_t mask = 0;  // the fingers that count as in contact
-    int changes = 0;  // how often they changed
-    bool closure = true;  // whether a force was found at the last tick that optimized
+    std::uint64_t mask = 0;  // fingers that count as in contact
+    int changes = 0;  // number of changes of `mask`
+    bool closure = true;  // true if the last tick that optimised found a force
     Effort effort;
 
     // method: finds the forces at an agent's step, made for the contacts of all fingers. Throws std::invalid_argument.
@@ -78,52 +36,52 @@ public:
         : scene(std::move(given)), tree(scene->tree), settings(settings), sensors(scene, sensing), torques(tree->joints()),
           force(3 * tree->fingers()), frames(9 * tree->fingers()), depths(tree->fingers()), home(torques), goals(tree->fingers()),
           inwards(goals), solution(method.size()), method_(method), motors_(*tree), follow_({method.contacts()}, settings.follow),
-          within_(within(method.contacts())), least_({method.contacts()}, {.method = Method::conic, .tolerance = 1e-4}),
-          elastic_(tree->fingers()), followed_(follow_.size()), found_(within_.size()), cheapest_(least_.size()), last_(found_),
-          slid_(goals), apart_(tree->fingers()), before_(force), began_(force), given_(force), squeezed_(force),
-          adjustment_(force), torsion_(tree->fingers()), pull_(torques), extra_(torques), trial_(torques), push_(force),
-          posture_(force.size() * torques.size()), normal_(int(force.size())), redundant_(is_redundant(*tree)) {
-        if (method.contacts().count != tree->fingers())
-            throw std::invalid_argument("the method needs one contact of each finger");
+          within_(within(method.contacts())), least_sum_({method.contacts()}, {.method = Method::conic, .tolerance = 1e-4}),
+          elastic_(tree->fingers()), follow_row_(follow_.size()), within_row_(within_.size()), least_sum_row_(least_sum_.size()),
+          last_row_(within_row_), slid_(goals), ticks_apart_(tree->fingers()), last_force_(force), step_force_(force),
+          given_(force), squeezed_(force), adjustment_(force), torsion_(tree->fingers()), pull_(torques), extra_torques_(torques),
+          trial_torques_(torques), tip_push_(force), tip_jacobian_(force.size() * torques.size()), gram_(int(force.size())),
+          is_redundant_(is_redundant(*tree)) {
+        if (method.contacts().count != tree->fingers()) throw std::invalid_argument("the method needs one contact per finger");
     }
     Controller(const Controller&) = delete;
 
-    // Forgets the episode; before it the scene stood still.
+    // Start a new episode; before its first tick the scene stands still.
     void reset() {
         std::fill(torques.begin(), torques.end(), 0.0);
         std::fill(force.begin(), force.end(), 0.0);
         std::fill(frames.begin(), frames.end(), 0.0);
-        std::fill(apart_.begin(), apart_.end(), 0);
+        std::fill(ticks_apart_.begin(), ticks_apart_.end(), 0);
         forget_solution();
-        wrench = {}, peak = 0.0, mask = squeezing_ = 0, changes = 0, closure = true;
+        wrench = {}, peak = 0.0, mask = squeezed_mask_ = 0, changes = 0, closure = true;
         begin_step();
-        missing_ = known_ = limited_ = false;
+        has_lost_force_ = has_last_ = near_limits_ = false;
         worst_ = {}, std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});
         sensors.reset();
     }
 
-    // What is known at a control tick.
+    // Input of a control tick.
     struct Known {
-        Doubles reading;  // of the simulator or the hand, see `Reading`; none: the scene stands as it was read
-        const double* external;  // (6,) wrench on the object as a perfect sensor would tell it [N, N m], object frame
-        const double* noise;  // (3 + 3N,) standard normal numbers where sensors are noisy
+        Doubles reading;  // of the simulator or the hand, see `Reading`; empty: the scene is as last read
+        const double* external;  // (6,) wrench on the object that a perfect sensor reports [N, N m], object frame
+        const double* noise;  // (3 + 3N,) standard normal numbers for noisy sensors
         Point gravity;  // [m/s^2], world
         Target target;
     };
-    // What an agent does in its step, which begins at this tick. All may be left out.
+    // An agent's step, which begins at this tick. Every member is optional.
     struct Step {
         Doubles adjustment{};  // (K,) [N] along `settings.directions`: added to the start, which is then repaired
-        Start start = Start::standard;  // of the method: its own, or `given`
-        Doubles force{};  // (N, 3) [N], contact frames: that start, or with `Hold::direct` what is commanded
+        Start start = Start::standard;  // of the method: its default, or `given`
+        Doubles force{};  // (N, 3) [N], contact frames: the given start, or the command for `Hold::direct`
     };
-    // One control tick, from a reading to `torques`, within the motors' limits. step: where an agent's step begins. False: the reading is not
-    // finite or the object is lost; nothing has changed.
+    // Run one control tick, from a reading to `torques` within the motors' limits. step: set when an agent's step begins. Return
+    // false, with nothing changed, if the reading is not finite or the object is lost.
     bool tick(const Known& known, const Step* step = nullptr) {
         const bool good = see(known);
         if (good) act(step);
         return good;
     }
-    // The two halves of a tick, for starts that need to know what is seen.
+    // The two halves of a tick, for starts that depend on what is seen.
     bool see(const Known& known) {
         if (!known.reading.empty() && !scene->read(known.reading.data(), known.reading.size())) return false;
         sensors.see(known.external, known.noise, settings.body, known.gravity);
@@ -140,7 +98,7 @@ public:
         return true;
     }
     void act(const Step* step = nullptr) {
-        before_ = force;  // not swapped: Python looks at it
+        last_force_ = force;  // copied, not swapped: Python holds a view of it
         std::fill(force.begin(), force.end(), 0.0);
         std::fill(torsion_.begin(), torsion_.end(), 0.0);
         write_frames();
@@ -148,62 +106,62 @@ public:
         closure = mask || hold != Hold::optimized;
         if (step) forget_solution();
         if (pushes) find_forces(step);
-        remember(pushes);
+        store_command(pushes);
         torques_of(force.data(), torques);
         for (int i = 0; i < tree->fingers(); ++i) {
             if (pushes && mask >> i & 1) continue;
-            std::fill(extra_.begin(), extra_.end(), 0.0);
-            seen().posture.push(tree->tips[i].link, seen().tips[i], reach(i), extra_.data());
+            std::fill(extra_torques_.begin(), extra_torques_.end(), 0.0);
+            seen().posture.push(tree->tips[i].link, seen().tips[i], reach(i), extra_torques_.data());
             add_within();
         }
-        if (redundant_) keep_posture();
-        cut();
+        if (is_redundant_) keep_posture();
+        clip_torques();
     }
     const Snapshot& seen() const { return sensors.seen(); }
 
-    // An agent's step begins: its effort is counted anew.
-    void begin_step() { effort = {}, began_ = force; }
-    // The costs of the step since `begin_step`, on the contacts that are seen now.
+    // Begin an agent's step and reset its effort.
+    void begin_step() { effort = {}, step_force_ = force; }
+    // Costs of the step since `begin_step`, on the contacts currently seen.
     Costs costs() {
         double total = 0.0, moved = 0.0, both = 0.0;
         for (int i = 0; i < tree->fingers(); ++i) total += force[3 * i];
         for (std::size_t j = 0; j < force.size(); ++j)
-            moved += std::abs(force[j] - began_[j]), both += std::abs(force[j]) + std::abs(began_[j]);
+            moved += std::abs(force[j] - step_force_[j]), both += std::abs(force[j]) + std::abs(step_force_[j]);
         Costs out{.force = closure ? 0.0 : 1.0, .torque = std::min(effort.share, 1.0), .change = both > 0.0 ? moved / both : 0.0};
         if (closure && total > 0.0) {
-            least_.solve({.wrench = wrench.data(), .now = contacts()}, cheapest_.data());
-            const Record row(cheapest_.data());
+            least_sum_.solve({.wrench = wrench.data(), .now = contacts()}, least_sum_row_.data());
+            const Record row(least_sum_row_.data());
             out.force = row.has_force() ? std::max(0.0, 1.0 - row.summary().objective / total) : 1.0;
         }
         return out;
     }
-    // How the method's last solve ended.
+    // Code of the method's last solve.
     Code code() const { return Code(int(reinterpret_cast<const Summary*>(solution.data())->code)); }
 
-    // Frames, and measured forces as the commanded ones: what the hand does at rest, before the first command.
+    // Set the frames, and the measured forces as commanded ones, for a hand at rest before the first command.
     void rest() {
         write_frames();
-        worst_.slide = 0.0, std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});  // the first tick sees the same again
+        worst_.slide = 0.0, std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});  // the first tick counts it again
         for (int i = 0; i < tree->fingers(); ++i)
             for (int a = 0; a < 3; ++a) force[3 * i + a] = dot(axis(i, a), seen().forces[i]);
     }
 
-    // What was worst since `reset`, by the truth.
+    // Worst values since `reset`, from the true state.
     struct Worst {
-        double slide = 0.0;  // [m] of a touching tip from where it was on the object, by sliding
+        double slide = 0.0;  // [m] largest sliding distance of a touching tip on the object
         double overlap = 0.0;  // [m] of a tip and the object
-        double stray = 0.0;  // force of links on the object, as a share of external force and weight, the weight at least
+        double stray = 0.0;  // force of links on the object relative to external force plus weight, at least the weight
     };
-    // How the object is held, by the truth: its error against the wanted pose, and what the fingers do.
+    // Quality of the hold, from the true state: pose error against the target, and the fingers' forces and slip.
     struct Outcome {
         PoseError error;
-        double drift, tilt;  // [m], [rad]: lengths of the errors of position and orientation
+        double drift, tilt;  // [m], [rad]: norms of the position and orientation errors
         double force_error = 0.0;  // largest component of measured - commanded force [N]
-        double slip = 0.0;  // fastest touching tip on the object [m/s]
+        double slip = 0.0;  // highest tangential speed of a touching tip on the object [m/s]
         double stray = 0.0;  // force of links on the object [N]
         Worst worst;
     };
-    // measured: (N, 3) receives the measured forces in the commanded contact frames [N]
+    // measured: receives the measured forces (N, 3) in the commanded contact frames [N].
     Outcome outcome(const Target& target, double* measured) const {
         const Snapshot& now = scene->now;
         const PoseError error(now, target);
@@ -225,14 +183,14 @@ public:
 
 private:
     static constexpr double STANDARD_GRAVITY = 9.81;  // [m/s^2]
-    static constexpr double NEAR = 0.9;  // of a torque limit: below, limits are left out of the next tick
-    static constexpr double LIGHT = 1e-2;  // [N] of a finger that lands, times the friction
-    static constexpr double ROUNDED = 1e-9;  // of a torque limit: rounding by which it may be passed
+    static constexpr double NEAR = 0.9;  // of a torque limit: below it, the next tick ignores the limits
+    static constexpr double LIGHT = 1e-2;  // [N] of a landing finger, before division by the friction
+    static constexpr double ROUNDED = 1e-9;  // of a torque limit: allowed rounding
 
-    // The joints that have motors, and how the contact points move with them.
+    // The joints with motors, and the motion of the contact points with them.
     struct Motors {
-        std::vector<int> of;  // (M,) the motor of a joint; -1: it is coupled
-        std::vector<double> limit, bias;  // (J,) [N m]: of the motors; of them what the links' weight takes
+        std::vector<int> of;  // (M,) index of a joint's motor; -1: coupled
+        std::vector<double> limit, bias;  // (J,) [N m]: torque limits of the motors; their torques from the links' weight
         explicit Motors(const Tree& tree) : of(tree.joints(), -1) {
             for (int j = 0; j < tree.joints(); ++j)
                 if (!tree.links[j].coupled()) of[j] = int(limit.size()), limit.push_back(tree.links[j].torque_limit);
@@ -241,28 +199,29 @@ private:
     };
     ForceOptimizer method_;
     Motors motors_;
-    std::vector<double> jacobian_;  // (N, 3 or 6, J) object frame; before what is made with it
-    ForceOptimizer follow_, within_;  // what goes on after the method, on the cones alone; Newton within the motors' limits
-    ForceOptimizer least_;  // the least sum of normal forces
+    std::vector<double> jacobian_;  // (N, 3 or 6, J) object frame; declared before its users
+    ForceOptimizer follow_, within_;  // Newton from the last command, on the cones only; Newton within the motors' limits
+    ForceOptimizer least_sum_;  // the least sum of normal forces
     ElasticBalance elastic_;
-    std::vector<double> followed_, found_, cheapest_, last_;  // rows of the three, and of the last command
-    bool known_ = false;  // whether there is a last command
-    bool limited_ = false,
-         exceeding_ = false;  // whether it was made within the limits and is near them; whether it exceeds them least
-    std::uint64_t squeezing_ = 0;  // the fingers that `squeezed_` is for
+    // Rows of the three solvers, and of the last command.
+    std::vector<double> follow_row_, within_row_, least_sum_row_, last_row_;
+    bool has_last_ = false;  // true if there is a last command
+    // The last command is near the limits and kept them; it exceeds them least.
+    bool near_limits_ = false, exceeds_limits_ = false;
+    std::uint64_t squeezed_mask_ = 0;  // the fingers of `squeezed_`
     Worst worst_;
-    double load_ = 1.0;  // [N] external force and weight, the weight at least: pushes may cancel that
-    std::vector<Point> slid_;  // (N,) the way of each tip on the object by sliding [m], object frame
-    bool missing_ = false;  // a finger that counts has no force
-    std::vector<int> apart_;  // (N,) ticks since a finger had force
+    double load_ = 1.0;  // [N] external force plus weight, at least the weight, since pushes may cancel it
+    std::vector<Point> slid_;  // (N,) path of each tip on the object by sliding [m], object frame
+    bool has_lost_force_ = false;  // a finger that counts as in contact has no force
+    std::vector<int> ticks_apart_;  // (N,) ticks since a finger had force
     Target target_{};
-    std::vector<double> before_, began_, given_, squeezed_,
-        adjustment_;  // (N, 3): commanded at the last tick, and before the step; of the agent; internal; object frame
+    // (N, 3): commands of the last tick and before the step; the agent's; internal; object frame
+    std::vector<double> last_force_, step_force_, given_, squeezed_, adjustment_;
     std::vector<double> torsion_;  // (N,) commanded [N m]
-    std::vector<double> pull_, extra_, trial_;  // (M,) of `keep_posture`, `add_within`, `fits`
-    std::vector<double> push_, posture_;  // of `keep_posture`
-    Cholesky normal_;
-    bool redundant_;
+    std::vector<double> pull_, extra_torques_, trial_torques_;  // (M,) work space of `keep_posture`, `add_within`, `fits`
+    std::vector<double> tip_push_, tip_jacobian_;  // work space of `keep_posture`
+    Cholesky gram_;
+    bool is_redundant_;
 
     ForceOptimizer within(const Contacts& contacts) {
         jacobian_.resize((contacts.soft() ? 6 : 3) * contacts.count * motors_.limit.size());
@@ -271,16 +230,16 @@ private:
         return ForceOptimizer({contacts, {.jacobian = jacobian_, .torque_limit = motors_.limit}},
                               {.tolerance = settings.follow.tolerance, .limit = settings.follow.limit, .elastic = elastic});
     }
-    // Whether the tips leave joints free: more than three of a finger, or some that move none.
+    // True if the tips leave joints free: a finger has more than three, or a joint moves no tip.
     static bool is_redundant(const Tree& tree) {
-        const std::vector<int> users = tree.users(tree.all_fingers());
+        const std::vector<int> fingers_per_motor = tree.fingers_per_motor(tree.all_fingers());
         bool free = false;
         for (int i = 0; i < tree.fingers(); ++i) free = free || tree.movers(i).size() > 3;
-        for (int j = 0; j < tree.joints(); ++j) free = free || !(users[j] || tree.links[j].coupled());
+        for (int j = 0; j < tree.joints(); ++j) free = free || !(fingers_per_motor[j] || tree.links[j].coupled());
         return free;
     }
 
-    // Of all that was and what is.
+    // Worst values including the current state.
     Worst worst() const {
         Worst out = worst_;
         for (double gap : scene->now.gaps) out.overlap = std::max(out.overlap, -gap);
@@ -291,22 +250,22 @@ private:
     // --- contacts
 
     Point axis(int i, int a) const { return {frames[9 * i + a], frames[9 * i + 3 + a], frames[9 * i + 6 + a]}; }
-    // f(i) for the fingers in contact
+    // Call f(i) for the fingers in contact.
     template <class F> void touching(F&& f) const {
         for (int i = 0; i < tree->fingers(); ++i)
             if (mask >> i & 1) f(i);
     }
-    // Which fingers count as in contact: those that touch, and those that did a moment ago.
+    // Update the fingers that count as in contact: those that touch, and those that did within the last `release` ticks.
     void count_contacts() {
         const std::uint64_t touch = seen().mask();
-        if (touch == mask && !missing_) return;
+        if (touch == mask && !has_lost_force_) return;
         std::uint64_t held = 0;
         for (int i = 0; i < tree->fingers(); ++i) {
             const std::uint64_t bit = std::uint64_t(1) << i;
-            apart_[i] = touch & bit ? 0 : apart_[i] + 1;
-            if (touch & bit || (mask & bit && apart_[i] <= settings.release)) held |= bit;
+            ticks_apart_[i] = touch & bit ? 0 : ticks_apart_[i] + 1;
+            if (touch & bit || (mask & bit && ticks_apart_[i] <= settings.release)) held |= bit;
         }
-        missing_ = held != touch;
+        has_lost_force_ = held != touch;
         if (held == mask) return;
         changes += mask != 0;
         mask = held;
@@ -318,12 +277,12 @@ private:
                 for (int k = 0; k < 3; ++k) frames[9 * i + 3 * k + a] = frame[a][k];
         }
     }
-    // The current contacts, as optimizers take them.
+    // The current contacts for the solvers.
     Now contacts() const {
         const std::size_t size = 3 * seen().points.size();
         return {.positions = {&seen().points[0].u, size}, .normals = {&seen().normals[0].u, size}, .contacts = mask};
     }
-    // The same with the motors' Jacobian and what the links' weight takes of them.
+    // The current contacts with the motors' Jacobian and the torques of the links' weight.
     Now limited_contacts() {
         const Snapshot& s = seen();
         const std::size_t joints = motors_.limit.size(), rows = joints ? jacobian_.size() / (joints * tree->fingers()) : 0;
@@ -333,8 +292,8 @@ private:
                 const Point there = s.rotation.transposed(moves);
                 for (int k = 0; k < 3; ++k) jacobian_[joints * (rows * i + row + k) + motors_.of[j]] += there[k];
             };
-            s.posture.carriers(tree->tips[i].link, s.touch[i], [&](int j, const Point& moves) { add(0, j, moves); });
-            if (rows == 6) s.posture.turners(tree->tips[i].link, [&](int j, const Point& turns) { add(3, j, turns); });
+            s.posture.each_moving_joint(tree->tips[i].link, s.touch[i], [&](int j, const Point& moves) { add(0, j, moves); });
+            if (rows == 6) s.posture.each_turning_joint(tree->tips[i].link, [&](int j, const Point& turns) { add(3, j, turns); });
         });
         for (int j = 0; j < tree->joints(); ++j)
             if (motors_.of[j] >= 0) motors_.bias[motors_.of[j]] = s.gravity_torques[j];
@@ -346,67 +305,69 @@ private:
     // --- forces
 
     void forget_solution() { Record(solution.data(), tree->fingers()).summary() = {}; }
-    // Forces of the fingers in contact into `force` and `torsion_`.
+    // Write the forces of the fingers in contact into `force` and `torsion_`.
     void find_forces(const Step* step) {
         if (hold == Hold::optimized) {
-            if (known_) land();
-            if (step || !known_ || !limited_ || !keep_limits(last_.data())) {
+            if (has_last_) lift_landed_forces();
+            if (step || !has_last_ || !near_limits_ || !keep_limits(last_row_.data())) {
                 const Record row = step ? by_method(*step) : follow();
                 if (!row.has_force()) return balance_elastically();
-                take(row);
-                if (fits(1.0)) limited_ = false;
-                else keep_limits(known_ && limited_ ? last_.data() : (step ? solution : followed_).data());
+                set_force(row);
+                if (motors_can_make(1.0)) near_limits_ = false;
+                else keep_limits(has_last_ && near_limits_ ? last_row_.data() : (step ? solution : follow_row_).data());
             }
-            if (known_) bound_change();
+            if (has_last_) bound_change();
             return;
         }
         if (hold == Hold::direct && step) std::copy(step->force.begin(), step->force.end(), given_.begin());
-        if (hold == Hold::squeeze && squeezing_ != mask) squeeze();
+        if (hold == Hold::squeeze && squeezed_mask_ != mask) squeeze();
         const std::vector<double>& from = hold == Hold::direct ? given_ : squeezed_;
         touching([&](int i) { std::copy_n(&from[3 * i], 3, &force[3 * i]); });
         if (hold == Hold::squeeze) restore_balance();
     }
-    void take(const Record& row) {
+    void set_force(const Record& row) {
         std::copy_n(row.force(), force.size(), force.data());
         std::copy_n(row.torsion(), torsion_.size(), torsion_.data());
     }
-    // The method on the current contacts.
+    // Solve by the method on the current contacts.
     Record by_method(const Step& step) {
         Ask ask{.wrench = wrench.data(), .now = contacts(), .start = step.start};
         if (step.start == Start::given) ask.force = step.force;
-        if (settings.remembers && known_) ask.previous = last_.data();
+        if (settings.remembers && has_last_) ask.previous = last_row_.data();
         if (!step.adjustment.empty()) adjust(step.adjustment), ask.adjustment = adjustment_;
         method_.solve(ask, solution.data());
         const Record row(solution.data());
         if (row.has_force()) effort.iterations += int(row.summary().iterations), effort.trials += int(row.summary().trials);
         return row;
     }
-    // From the last command.
+    // Solve from the last command.
     Record follow() {
-        follow_.solve(from_last(), followed_.data());
-        const Record row(followed_.data());
+        follow_.solve(from_last(), follow_row_.data());
+        const Record row(follow_row_.data());
         effort.followed += int(row.summary().iterations);
         return row;
     }
     Ask from_last() const {
-        return {
-            .wrench = wrench.data(), .now = contacts(), .start = Start::previous, .previous = known_ ? last_.data() : nullptr};
+        return {.wrench = wrench.data(),
+                .now = contacts(),
+                .start = Start::previous,
+                .previous = has_last_ ? last_row_.data() : nullptr};
     }
-    // Newton within the motors' limits from the row of a force near them; false without a force.
+    // Solve by Newton within the motors' limits, from the row of a force near them. Return false without a force.
     bool keep_limits(const double* previous) {
         within_.solve({.wrench = wrench.data(), .now = limited_contacts(), .start = Start::previous, .previous = previous},
-                      found_.data());
-        const Record within(found_.data());
+                      within_row_.data());
+        const Record within(within_row_.data());
         effort.limited += int(within.summary().iterations);
-        exceeding_ = within.code() == LIMITS_EXCEEDED;
-        if (within.has_force()) take(within);
-        limited_ = !fits(NEAR);
+        exceeds_limits_ = within.code() == LIMITS_EXCEEDED;
+        if (within.has_force()) set_force(within);
+        near_limits_ = !motors_can_make(NEAR);
         return within.has_force();
     }
-    // No force closure: the last forces, towards what misses balance least.
+    // Without force closure: from the last forces, minimise the balance residual.
     void balance_elastically() {
-        closure = limited_ = false;
-        touching([&](int i) { std::copy_n(&before_[3 * i], 3, &force[3 * i]); });
+        closure = near_limits_ = false;
+        touching([&](int i) { std::copy_n(&last_force_[3 * i], 3, &force[3 * i]); });
         elastic_.solve(method_.contacts(), mask, &seen().points[0].u, frames.data(), wrench, settings.follow.limit, force.data());
         effort.followed += elastic_.iterations;
     }
@@ -417,26 +378,27 @@ private:
             for (std::size_t k = 0; k < columns; ++k) adjustment_[j] += settings.directions[columns * j + k] * coordinates[k];
         }
     }
-    // A finger that was commanded no force in its cone, as it has just landed, was barely inside it.
-    void land() {
-        const Record row(last_.data());
+    // A finger that has just landed was commanded no force in its cone; place its force just inside.
+    void lift_landed_forces() {
+        const Record row(last_row_.data());
         touching([&](int i) {
             double* f = row.force() + 3 * i;
             const double *scale = &method_.contacts().scale[3 * i], side = std::hypot(scale[1] * f[1], scale[2] * f[2]);
             if (!(scale[0] * f[0] > side)) f[0] = std::max(1.05 * side, LIGHT) / scale[0];
         });
     }
-    // The command as the previous solution of the next tick.
-    void remember(bool pushes) {
-        known_ = pushes;
+    // Keep the command as the previous solution of the next tick.
+    void store_command(bool pushes) {
+        has_last_ = pushes;
         if (!pushes) return;
-        const Record row(last_.data(), tree->fingers());
-        row.summary().code = limited_ && exceeding_ ? LIMITS_EXCEEDED : CONVERGED, row.summary().contacts = tree->fingers();
+        const Record row(last_row_.data(), tree->fingers());
+        row.summary().code = near_limits_ && exceeds_limits_ ? LIMITS_EXCEEDED : CONVERGED,
+        row.summary().contacts = tree->fingers();
         std::copy(force.begin(), force.end(), row.force());
         std::copy(torsion_.begin(), torsion_.end(), row.torsion());
         std::copy(frames.begin(), frames.end(), row.frames());
     }
-    // Moves the forces towards what was commanded before, so that no component changes by more than `most_change` beyond balance.
+    // Move the forces towards the last command, so that no component changes by more than `most_change` beyond balance.
     void bound_change() {
         const auto change = [&](const double* then) {
             double most = 0.0;
@@ -445,9 +407,9 @@ private:
             });
             return most;
         };
-        if (change(before_.data()) <= settings.most_change) return;
-        follow_.start(from_last(), followed_.data());
-        const Record kept(followed_.data());
+        if (change(last_force_.data()) <= settings.most_change) return;
+        follow_.start(from_last(), follow_row_.data());
+        const Record kept(follow_row_.data());
         if (!kept.has_force()) return;
         const double moved = change(kept.force());
         if (moved <= settings.most_change) return;
@@ -456,30 +418,30 @@ private:
         for (std::size_t i = 0; i < torsion_.size(); ++i)
             torsion_[i] = kept.torsion()[i] + share * (torsion_[i] - kept.torsion()[i]);
     }
-    // The least share, from one on, of the way from `kept` to the forces that is within the torque limits if the forces are.
+    // The smallest fraction >= `share` of the way from `kept` to the forces that is within the torque limits, if the forces are.
     double within_limits(const Record& kept, double share) {
-        torques_of(kept.force(), trial_), torques_of(force.data(), extra_);
+        torques_of(kept.force(), trial_torques_), torques_of(force.data(), extra_torques_);
         for (int j = 0; j < tree->joints(); ++j) {
-            const double limit = tree->links[j].torque_limit, from = trial_[j], way = extra_[j] - from;
-            if (std::abs(extra_[j]) <= limit && std::abs(from + share * way) > limit)
+            const double limit = tree->links[j].torque_limit, from = trial_torques_[j], way = extra_torques_[j] - from;
+            if (std::abs(extra_torques_[j]) <= limit && std::abs(from + share * way) > limit)
                 share = std::min(1.0, (std::copysign(limit, from) - from) / way);
         }
         return share;
     }
-    // An internal force of the contacts that the method was made for, of those fingers that touch, with the total normal force of the settings.
+    // An internal force of the method's own contacts for the fingers that touch, with the total normal force of the settings.
     void squeeze() {
         const double nothing[6] = {};
-        follow_.solve({.wrench = nothing, .now = {.contacts = mask}}, followed_.data());
-        const Record row(followed_.data());
+        follow_.solve({.wrench = nothing, .now = {.contacts = mask}}, follow_row_.data());
+        const Record row(follow_row_.data());
         double total = 0.0;
         touching([&](int i) {
             for (int a = 0; a < 3; ++a) squeezed_[3 * i + a] = row.has_force() ? row.force()[3 * i + a] : a == 0;
             total += squeezed_[3 * i];
         });
         for (double& f : squeezed_) f *= settings.squeeze / total;
-        squeezing_ = mask;
+        squeezed_mask_ = mask;
     }
-    // The least change of the forces that restores balance, as far as these contacts can.
+    // Restore balance by the least-norm change of the forces, as far as these contacts can.
     void restore_balance() {
         constexpr double SHIFT = 1e-9;  // of the largest entry: two contacts cannot turn the object about the line between them
         Packed6 gram{};
@@ -501,8 +463,8 @@ private:
 
     // --- torques
 
-    // out (M,) = the torques that carry the hand and with which the fingers in contact push with forces (N, 3) [N], contact frames, and
-    // their torsion. Forces of no finger: none.
+    // out (M,) = the torques that carry the hand plus those of the fingers in contact with forces (N, 3) [N], contact frames, and
+    // their torsion.
     void torques_of(const double* forces, std::vector<double>& out) const {
         const Snapshot& s = seen();
         std::copy(s.gravity_torques.begin(), s.gravity_torques.end(), out.begin());
@@ -513,25 +475,25 @@ private:
             if (torsion_[i] != 0.0) s.posture.twist(tree->tips[i].link, torsion_[i] * (s.rotation * axis(i, 0)), out.data());
         });
     }
-    // Whether the motors can make the forces with a part of their limits, besides carrying the hand.
-    bool fits(double part) {
-        torques_of(force.data(), trial_);
+    // True if the motors can produce the forces and carry the hand within `part` of their limits.
+    bool motors_can_make(double part) {
+        torques_of(force.data(), trial_torques_);
         for (int j = 0; j < tree->joints(); ++j)
-            if (!(std::abs(trial_[j]) <= part * tree->links[j].torque_limit)) return false;
+            if (!(std::abs(trial_torques_[j]) <= part * tree->links[j].torque_limit)) return false;
         return true;
     }
-    // Adds as much of `extra_` to the torques as their limits leave room for.
+    // Add as much of `extra_torques_` to the torques as their limits allow.
     void add_within() {
         double share = 1.0;
         for (int j = 0; j < tree->joints(); ++j) {
-            if (extra_[j] == 0.0) continue;
-            const double room = tree->links[j].torque_limit - std::copysign(torques[j], torques[j] * extra_[j]);
-            share = std::min(share, std::max(room, 0.0) / std::abs(extra_[j]));
+            if (extra_torques_[j] == 0.0) continue;
+            const double room = tree->links[j].torque_limit - std::copysign(torques[j], torques[j] * extra_torques_[j]);
+            share = std::min(share, std::max(room, 0.0) / std::abs(extra_torques_[j]));
         }
-        for (int j = 0; j < tree->joints(); ++j) torques[j] += share * extra_[j];
+        for (int j = 0; j < tree->joints(); ++j) torques[j] += share * extra_torques_[j];
     }
-    // Torques within the motors' limits.
-    void cut() {
+    // Clip the torques to the motors' limits.
+    void clip_torques() {
         for (int j = 0; j < tree->joints(); ++j) {
             if (tree->links[j].coupled()) continue;
             const double limit = tree->links[j].torque_limit, asked = std::abs(torques[j]);
@@ -543,8 +505,8 @@ private:
         }
     }
 
-    // Spring and damper that bring tip i to its place inside the surface at its goal: the target's where nothing is optimised,
-    // else carried by the object. World frame [N].
+    // Spring and damper force [N], world frame, that draws tip i to its place inside the surface at its goal: at the target while
+    // nothing is optimised, otherwise carried by the object.
     Point reach(int i) const {
         const Snapshot& s = seen();
         const bool anchored = hold == Hold::place;
@@ -560,7 +522,8 @@ private:
         return size > spring.limit ? (spring.limit / size) * pull : pull;
     }
 
-    // Adds what keeps a redundant hand near its rest posture without moving the tips: the null space of all tip Jacobians.
+    // Add the torques that keep a redundant hand near its rest posture without moving the tips, in the null space of all tip
+    // Jacobians.
     void keep_posture() {
         const Snapshot& s = seen();
         const int m = tree->joints(), rows = 3 * tree->fingers();
@@ -568,20 +531,20 @@ private:
             const Spring& spring = settings.posture[j];
             pull_[j] = tree->links[j].coupled() ? 0.0 : -spring.gain * (s.angles[j] - home[j]) - spring.damping * s.rates[j];
         }
-        for (int i = 0; i < tree->fingers(); ++i) s.posture.jacobian(tree->tips[i].link, s.tips[i], &posture_[3 * m * i]);
+        for (int i = 0; i < tree->fingers(); ++i) s.posture.jacobian(tree->tips[i].link, s.tips[i], &tip_jacobian_[3 * m * i]);
         for (int a = 0; a < rows; ++a) {
-            push_[a] = 0.0;
-            for (int j = 0; j < m; ++j) push_[a] += posture_[m * a + j] * pull_[j];
+            tip_push_[a] = 0.0;
+            for (int j = 0; j < m; ++j) tip_push_[a] += tip_jacobian_[m * a + j] * pull_[j];
             for (int b = 0; b <= a; ++b) {
-                normal_(a, b) = a == b ? 1e-10 : 0.0;
-                for (int j = 0; j < m; ++j) normal_(a, b) += posture_[m * a + j] * posture_[m * b + j];
+                gram_(a, b) = a == b ? 1e-10 : 0.0;
+                for (int j = 0; j < m; ++j) gram_(a, b) += tip_jacobian_[m * a + j] * tip_jacobian_[m * b + j];
             }
         }
-        if (!normal_.factor()) return;
-        normal_.solve(push_.data());
+        if (!gram_.factor()) return;
+        gram_.solve(tip_push_.data());
         for (int j = 0; j < m; ++j) {
-            extra_[j] = pull_[j];
-            for (int a = 0; a < rows; ++a) extra_[j] -= posture_[m * a + j] * push_[a];
+            extra_torques_[j] = pull_[j];
+            for (int a = 0; a < rows; ++a) extra_torques_[j] -= tip_jacobian_[m * a + j] * tip_push_[a];
         }
         add_within();
     }

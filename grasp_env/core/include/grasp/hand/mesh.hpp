@@ -1,7 +1,7 @@
-// Closed meshes of triangles, convex or not: the nearest point of the surface, and on which side of it a point is.
+// Closed triangle meshes, convex or not: the nearest point of the surface, and the side of it on which a point lies.
 //
-// A tree of boxes over the faces finds the face (about 1 us for 16,000 of them). The side is that of the normal there; on edges and
-// corners that of the sum of the faces' normals, on corners weighted by their angles (Baerentzen and Aanaes 2005).
+// A tree of boxes over the faces finds the face (about 1 us for 16,000 of them). The side follows from the normal there; on edges
+// and corners, from the sum of the faces' normals, weighted by their angles on corners (Baerentzen and Aanaes 2005).
 #pragma once
 #include <algorithm>
 #include <array>
@@ -13,13 +13,14 @@
 
 namespace grasp {
 
-// Where several points are as near, as at the centre of a ball, it is one of them; on edges the normal is the direction to them.
+// One of the nearest points if several are equally near, as at the centre of a ball. On edges the normal is the direction to the
+// point.
 struct Nearest {
-    Point point, inward;  // [m] and unit normal
-    double distance;  // [m], below 0 inside
+    Point point, inward;  // [m], unit normal
+    double distance;  // [m], negative inside
 };
 
-// A convex piece of a solid: corners [m] about a point inside.
+// A convex piece of a solid: corners [m] relative to a point inside.
 struct Piece {
     Point center;
     std::shared_ptr<const std::vector<Point>> corners;
@@ -28,18 +29,18 @@ struct Piece {
 class Mesh {
 public:
     using Corners = std::array<int, 3>;
-    std::vector<Piece> pieces;  // together they hold the solid
+    std::vector<Piece> pieces;  // their union is the solid
 
-    // corners: (V,) [m]; faces: their numbers, from outside counterclockwise. Throws std::invalid_argument.
+    // corners: (V,) [m]; faces: indices of corners, counterclockwise from outside. Throws std::invalid_argument.
     Mesh(std::vector<Point> corners, std::vector<Corners> faces, std::vector<Piece> parts)
         : pieces(std::move(parts)), corners_(std::move(corners)), faces_(std::move(faces)) {
-        if (faces_.empty() || pieces.empty()) throw std::invalid_argument("a mesh has faces and pieces");
+        if (faces_.empty() || pieces.empty()) throw std::invalid_argument("a mesh needs faces and pieces");
         for (const Corners& face : faces_)
             for (int k : face)
                 if (k < 0 || k >= int(corners_.size())) throw std::invalid_argument("a corner of a face does not exist");
-        measure();
-        weigh_edges();
-        weigh_corners();
+        compute_faces();
+        compute_edge_normals();
+        compute_corner_normals();
         std::vector<int> order(faces_.size());
         std::iota(order.begin(), order.end(), 0);
         triangles_.reserve(order.size());
@@ -47,19 +48,19 @@ public:
     }
 
     Nearest nearest(const Point& center) const {
-        constexpr double SHARP = 1e-9;  // [m]; nearer to an edge than this, rounding decides the direction
+        constexpr double SHARP = 1e-9;  // [m]; closer to an edge, rounding decides the direction
         const Hit hit = find(center);
         const Point way = hit.point - center;
         const double distance = length(way);
         const Point& out = hit.feature == INNER ? normals_[hit.face]
-                           : hit.feature < 3    ? around_[faces_[hit.face][hit.feature]]
-                                                : along_[3 * hit.face + hit.feature - 3];
+                           : hit.feature < 3    ? corner_normals_[faces_[hit.face][hit.feature]]
+                                                : edge_normals_[3 * hit.face + hit.feature - 3];
         const double side = dot(way, out) > 0.0 ? -1.0 : 1.0;
         if (hit.feature != INNER && distance > SHARP) return {hit.point, (side / distance) * way, side * distance};
         return {hit.point, -out, side * distance};
     }
 
-    // A point of the surface and the outward normal there, by three numbers in [0, 1): as many on each piece of area.
+    // A point of the surface, uniformly distributed by area, and its outward normal, from three numbers in [0, 1).
     std::pair<Point, Point> sample(double which, double u, double v) const {
         const auto found = std::upper_bound(areas_.begin(), areas_.end(), which * areas_.back());
         const int face = int(std::min<std::ptrdiff_t>(found - areas_.begin(), faces_.size() - 1));
@@ -69,13 +70,13 @@ public:
     }
 
 private:
-    static constexpr int INNER = 6;  // features: the corners of a face, the edges from each to the next, its inside
+    static constexpr int INNER = 6;  // features: corners of a face, edges from each to the next, interior
     static constexpr int LEAF = 4;  // triangles
 
     struct Triangle {
-        Point corner, b, c;  // [m], and the edges to the other two corners
-        Point to_b, to_c;  // gradients of the coordinates of a point along b and c
-        std::array<double, 3> shorter;  // one over the squared lengths of the edges from each corner to the next
+        Point corner, b, c;  // [m]; edges to the other two corners
+        Point to_b, to_c;  // gradients of a point's coordinates along b and c
+        std::array<double, 3> shorter;  // inverse squared lengths of the edges from each corner to the next
         int face;
     };
     struct Box {
@@ -95,7 +96,7 @@ private:
     };
     struct Branch {
         Box box;
-        int first = 0, count = 0;  // of its triangles; without any, of its node
+        int first = 0, count = 0;  // of its triangles; if it has none, index of its node
     };
     using Node = std::array<Branch, 2>;
     struct Hit {
@@ -106,9 +107,10 @@ private:
 
     std::vector<Point> corners_;
     std::vector<Corners> faces_;
-    std::vector<Point> normals_;  // (F,) outward unit normals; of faces without area 0
-    std::vector<double> areas_;  // (F,) twice the areas of the faces up to each
-    std::vector<Point> along_, around_;  // (F, 3) normals on the edges from each corner to the next; (V,) on corners
+    std::vector<Point> normals_;  // (F,) outward unit normals; 0 for faces without area
+    std::vector<double> areas_;  // (F,) cumulative double areas of the faces
+    // (F, 3) normals on the edges from each corner to the next; (V,) on corners.
+    std::vector<Point> edge_normals_, corner_normals_;
     std::vector<Triangle> triangles_;  // in the order of the leaves
     std::vector<Node> nodes_;
     Branch root_;
@@ -133,7 +135,7 @@ private:
             const Open next = open[--count];
             if (next.square >= best.square) continue;
             if (next.branch->count > 0) {
-                for (int k = 0; k < next.branch->count; ++k) look(triangles_[next.branch->first + k], center, best);
+                for (int k = 0; k < next.branch->count; ++k) test_triangle(triangles_[next.branch->first + k], center, best);
                 continue;
             }
             const Node& node = nodes_[next.branch->first];
@@ -144,7 +146,7 @@ private:
         return best;
     }
 
-    static void look(const Triangle& t, const Point& center, Hit& best) {
+    static void test_triangle(const Triangle& t, const Point& center, Hit& best) {
         const Point arm = center - t.corner;
         const double v = dot(arm, t.to_b), w = dot(arm, t.to_c), u = 1.0 - v - w;
         const auto take = [&](const Point& from_corner, int feature) {
@@ -153,7 +155,7 @@ private:
                 best = {t.corner + from_corner, square, t.face, feature};
         };
         if (u >= 0.0 && v >= 0.0 && w >= 0.0) return take(v * t.b + w * t.c, INNER);
-        // nearest on an edge that the point is beyond; of a face without area on any
+        // nearest on an edge that the point is beyond; on any edge for a face without area
         const auto edge = [&](const Point& from, const Point& way, int k) {
             const double part = dot(arm - from, way) * t.shorter[k];
             if (part <= 0.0) take(from, k);
@@ -167,26 +169,26 @@ private:
 
     // --- set up
 
-    void measure() {
+    void compute_faces() {
         double total = 0.0;
         for (int f = 0; f < int(faces_.size()); ++f) {
             const auto [a, b, c] = points(f);
             const Point across = cross(b - a, c - a);
             const double area = length(across);
-            normals_.push_back(flat(f, area) ? Point{0.0, 0.0, 0.0} : across / area);
+            normals_.push_back(is_degenerate(f, area) ? Point{0.0, 0.0, 0.0} : across / area);
             areas_.push_back(total += area);
         }
-        if (!(total > 0.0)) throw std::invalid_argument("a mesh has area");
+        if (!(total > 0.0)) throw std::invalid_argument("the faces of a mesh must have area");
     }
-    // Whether a face of twice that area is as good as a line.
-    bool flat(int face, double area) const {
-        constexpr double THIN = 1e-10;  // of its longest edge
+    // True if a face with this double area is degenerate.
+    bool is_degenerate(int face, double area) const {
+        constexpr double THIN = 1e-10;  // of the square of its longest edge
         const int k = longest(face);
         const auto p = points(face);
         const Point way = p[(k + 1) % 3] - p[k];
         return area <= THIN * dot(way, way);
     }
-    bool flat(int face) const { return dot(normals_[face], normals_[face]) == 0.0; }
+    bool is_degenerate(int face) const { return dot(normals_[face], normals_[face]) == 0.0; }
     int longest(int face) const {
         const auto p = points(face);
         int best = 0;
@@ -198,15 +200,15 @@ private:
         return best;
     }
 
-    // Sides of faces in the order of their edges: sides of one edge stand together.
+    // Sides of faces, sorted by edge: the sides of one edge are adjacent.
     struct Side {
         int low, high, face, edge;
         bool same(const Side& other) const { return low == other.low && high == other.high; }
     };
-    std::vector<Side> sides_;  // while the normals are made
-    std::vector<std::pair<int, int>> group_;  // (F, 3) the first side of the edge, and the first of the next one
+    std::vector<Side> sides_;  // used while the normals are computed
+    std::vector<std::pair<int, int>> group_;  // (F, 3) first side of the edge, and first side of the next edge
 
-    void weigh_edges() {
+    void compute_edge_normals() {
         for (int f = 0; f < int(faces_.size()); ++f)
             for (int k = 0; k < 3; ++k) {
                 const int i = faces_[f][k], j = faces_[f][(k + 1) % 3];
@@ -220,50 +222,51 @@ private:
             while (last < int(sides_.size()) && sides_[last].same(sides_[first])) ++last;
             for (int s = first; s < last; ++s) group_[3 * sides_[s].face + sides_[s].edge] = {first, last};
         }
-        along_.resize(sides_.size());
+        edge_normals_.resize(sides_.size());
         for (const Side& side : sides_) {
             Point sum{0.0, 0.0, 0.0};
             const auto [first, last] = group_[3 * side.face + side.edge];
-            for (int s = first; s < last; ++s) sum += seen(sides_[s].face, sides_[s].edge, DEEPEST);
-            along_[3 * side.face + side.edge] = unit(sum, side.face);
+            for (int s = first; s < last; ++s) sum += normal_seen_from(sides_[s].face, sides_[s].edge, MAX_FOLDS);
+            edge_normals_[3 * side.face + side.edge] = normal_or_default(sum, side.face);
         }
     }
-    static constexpr int DEEPEST = 6;  // faces without area side by side
+    static constexpr int MAX_FOLDS = 6;  // largest number of adjacent faces without area
 
-    // The normal of a face as seen from one of its edges. One without area is a fold of what lies across its longest edge, and seen
-    // from there of what lies across the others, where an edge has two faces.
-    Point seen(int face, int edge, int deep) const {
-        if (!flat(face) || deep == 0) return normals_[face];
+    // The normal of a face as seen from one of its edges. A face without area is a fold: seen from its longest edge it has the
+    // normals across the others, and vice versa, if an edge has two faces.
+    Point normal_seen_from(int face, int edge, int deep) const {
+        if (!is_degenerate(face) || deep == 0) return normals_[face];
         Point sum{0.0, 0.0, 0.0};
         const int through = longest(face);
         for (int k = 0; k < 3; ++k) {
             if ((k == through) == (edge == through)) continue;
             const auto [first, last] = group_[3 * face + k];
             for (int s = first; s < last && last - first == 2; ++s)
-                if (sides_[s].face != face) sum += seen(sides_[s].face, sides_[s].edge, deep - 1);
+                if (sides_[s].face != face) sum += normal_seen_from(sides_[s].face, sides_[s].edge, deep - 1);
         }
         const double size = length(sum);
         return size > 0.0 ? sum / size : sum;
     }
-    void weigh_corners() {
-        around_.assign(corners_.size(), Point{0.0, 0.0, 0.0});
+    void compute_corner_normals() {
+        corner_normals_.assign(corners_.size(), Point{0.0, 0.0, 0.0});
         std::vector<int> some(corners_.size(), 0);
         for (int f = 0; f < int(faces_.size()); ++f) {
             const auto p = points(f);
-            const Point normal = seen(f, (longest(f) + 1) % 3, DEEPEST);
+            const Point normal = normal_seen_from(f, (longest(f) + 1) % 3, MAX_FOLDS);
             for (int k = 0; k < 3; ++k) {
                 const Point one = p[(k + 1) % 3] - p[k], other = p[(k + 2) % 3] - p[k];
-                around_[faces_[f][k]] += std::atan2(length(cross(one, other)), dot(one, other)) * normal;
-                if (!flat(f)) some[faces_[f][k]] = f;
+                corner_normals_[faces_[f][k]] += std::atan2(length(cross(one, other)), dot(one, other)) * normal;
+                if (!is_degenerate(f)) some[faces_[f][k]] = f;
             }
         }
-        for (std::size_t v = 0; v < around_.size(); ++v) around_[v] = unit(around_[v], some[v]);
+        for (std::size_t v = 0; v < corner_normals_.size(); ++v)
+            corner_normals_[v] = normal_or_default(corner_normals_[v], some[v]);
         sides_ = {}, group_ = {};
     }
-    Point unit(const Point& sum, int face) const {
+    Point normal_or_default(const Point& sum, int face) const {
         const double size = length(sum);
         if (size > 1e-9) return sum / size;
-        return flat(face) ? Point{1.0, 0.0, 0.0} : normals_[face];  // faces back to back
+        return is_degenerate(face) ? Point{1.0, 0.0, 0.0} : normals_[face];  // faces back to back
     }
 
     Triangle triangle(int face) const {
@@ -271,8 +274,8 @@ private:
         const Point b = second - a, c = third - a, across = cross(b, c);
         Triangle out{a, b, c, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {}, face};
         const double area = dot(across, across), none = std::numeric_limits<double>::quiet_NaN();
-        out.to_b = flat(face) ? Point{none, none, none} : cross(c, across) / area;
-        out.to_c = flat(face) ? Point{none, none, none} : cross(across, b) / area;
+        out.to_b = is_degenerate(face) ? Point{none, none, none} : cross(c, across) / area;
+        out.to_c = is_degenerate(face) ? Point{none, none, none} : cross(across, b) / area;
         const Point ways[] = {b, c - b, c};
         for (int k = 0; k < 3; ++k) {
             const double square = dot(ways[k], ways[k]);
@@ -281,7 +284,7 @@ private:
         return out;
     }
 
-    // Halves of the faces, by their middles along the axis on which these spread most, until few are left.
+    // Halve the faces by their centres along the axis of largest spread, until few are left.
     Branch build(int* order, int count) {
         Branch out;
         Box middles;

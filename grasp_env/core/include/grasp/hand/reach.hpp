@@ -1,16 +1,16 @@
 // Inverse kinematics: damped least squares within the joint limits.
 //
 // Fingers that share a joint form a group and are solved together; for most hands every finger is a group. With J the Jacobian of a
-// group's tips, e what they still miss and f the joints that may move, a step is J_f^T (J_f J_f^T + d I)^-1 e, of all steps that do
-// as much the shortest, so fingers with more joints than they need stay near where they start. The damping d shrinks with |e|^2, so
-// the last steps are Newton's. A joint that would pass its limit stops there and the rest make up for it.
+// group's tips, e their remaining error and f the joints that may move, a step is J_f^T (J_f J_f^T + d I)^-1 e. It is the shortest
+// of all steps with the same effect, so fingers with redundant joints stay near their start. The damping d shrinks with |e|^2, so
+// the last steps are Newton's. A joint that would pass its limit stops there and the others compensate.
 #pragma once
 #include <grasp/math/cholesky.hpp>
 #include <grasp/hand/tree.hpp>
 
 namespace grasp {
 
-inline constexpr double REACHED = 1e-9;  // [m] that a tip may miss its target by
+inline constexpr double REACHED = 1e-9;  // [m] accepted distance of a tip from its target
 
 struct FingerGroup { std::vector<int> fingers, joints; };
 
@@ -18,7 +18,7 @@ class Reach {
 public:
     std::vector<FingerGroup> groups;
 
-    // limited: within the joint limits
+    // limited: true to stay within the joint limits
     explicit Reach(std::shared_ptr<const Tree> tree, bool limited = true)
         : groups(groups_of(*tree)), tree_(tree), posture_(tree), trial_(tree->joints()), best_(trial_) {
         for (const Link& link : tree->links) {
@@ -29,8 +29,8 @@ public:
 
     const Tree& tree() const { return *tree_; }
 
-    // The angles (M,) at which the tips are nearest to their targets (N,) [m], from `starts` (S, M), tried in this order. missed: (G,)
-    // what the worst tip of each group misses [m]. Joints that move no finger stay as in the first start.
+    // Find the angles (M,) at which the tips are nearest to their targets (N,) [m]. Starts (S, M) are tried in order. missed: (G,)
+    // distance of the worst tip of each group from its target [m]. Joints that move no finger stay as in the first start.
     void solve(const Point* targets, const double* starts, int count, double* angles, double* missed) {
         const int joints = tree_->joints();
         std::copy(starts, starts + joints, angles);
@@ -38,7 +38,7 @@ public:
             missed[g] = infinity;
             for (int s = 0; s < count && missed[g] > REACHED; ++s) {
                 std::copy(starts + joints * s, starts + joints * (s + 1), best_.begin());
-                const double distance = approach(groups[g], work_[g], targets);
+                const double distance = move_to_targets(groups[g], work_[g], targets);
                 if (!(distance < missed[g])) continue;
                 missed[g] = distance;
                 for (int j : groups[g].joints) angles[j] = best_[j];
@@ -49,13 +49,13 @@ public:
 
 private:
     static constexpr double EXACT = 1e-14;  // [m]; rounding of positions of 0.1 m
-    static constexpr double LARGEST_STEP =
-        0.6;  // [rad] that a joint turns in one step, so that it does not leap past the near solution
+    static constexpr double LARGEST_STEP = 0.6;  // [rad] of a joint in one step, so that it does not skip the nearest solution
     static constexpr double SLOW = 0.98;  // a step that leaves more of |e|^2 than this is slow
-    static constexpr int MOST_STEPS = 80, MOST_SLOW = 3, MOST_REFUSED = 8;  // slow, or no nearer, in a row: a dead end
+    // Slow steps, or steps that come no nearer, in a row that mean a dead end.
+    static constexpr int MOST_STEPS = 80, MOST_SLOW = 3, MOST_REFUSED = 8;
 
     struct Work {
-        std::vector<double> jacobian, error, rest, vector, step;  // (3 tips, joints), (3 tips,) thrice, (joints,)
+        std::vector<double> jacobian, error, rest, vector, step;  // (3 tips, joints), (3 tips,) each, (joints,)
         std::vector<char> free;
         Cholesky matrix;
 
@@ -68,8 +68,8 @@ private:
     std::vector<double> trial_, best_, lower_, upper_;  // (M,)
     std::vector<Work> work_;
 
-    // Moves the joints of a group in `best_` until its tips are at their targets; returns what the worst misses [m].
-    double approach(const FingerGroup& group, Work& work, const Point* targets) {
+    // Move the joints of a group in `best_` until its tips are at their targets. Return the distance of the worst tip [m].
+    double move_to_targets(const FingerGroup& group, Work& work, const Point* targets) {
         trial_ = best_;
         double missed = infinity, best = infinity, factor = 0.5;
         for (int round = 0, slow = 0, refused = 0; round < MOST_STEPS; ++round) {
@@ -107,14 +107,14 @@ private:
         std::fill(work.jacobian.begin(), work.jacobian.end(), 0.0);
         for (std::size_t i = 0; i < group.fingers.size(); ++i) {
             const int finger = group.fingers[i];
-            posture_.carriers(tree_->tips[finger].link, posture_.tip(finger), [&](int j, const Point& moves) {
+            posture_.each_moving_joint(tree_->tips[finger].link, posture_.tip(finger), [&](int j, const Point& moves) {
                 const auto a = std::lower_bound(group.joints.begin(), group.joints.end(), j) - group.joints.begin();
                 for (int k = 0; k < 3; ++k) work.jacobian[(3 * i + k) * joints + a] += moves[k];
             });
         }
     }
 
-    // The damped step of the free joints into work.step; returns its largest turn. Joints stop at their limits.
+    // Write the damped step of the free joints into work.step. Joints stop at their limits. Return the largest turn.
     double write_step(const FingerGroup& group, Work& work, double damping) {
         const int rows = int(work.error.size()), joints = int(group.joints.size());
         const auto entry = [&](int i, int a) { return work.jacobian[i * joints + a]; };

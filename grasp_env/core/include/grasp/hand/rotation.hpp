@@ -1,4 +1,4 @@
-// Rotations of space.
+// Rotations in space.
 #pragma once
 #include <grasp/contacts/geometry.hpp>
 
@@ -24,7 +24,7 @@ struct Rotation {
     Rotation transposed() const { return {{column(0), column(1), column(2)}}; }
     Point column(int a) const { return {rows[0][a], rows[1][a], rows[2][a]}; }
 
-    // This after a turn by an angle [rad] about a unit axis in its own frame (Rodrigues).
+    // This rotation after a turn by an angle [rad] about a unit axis in its own frame (Rodrigues).
     Rotation turned(const Point& axis, double angle) const {
         const double sine = std::sin(angle), cosine = std::cos(angle), rest = 1.0 - cosine;
         Rotation out;

@@ -1,19 +1,19 @@
-// What the controller sees of a scene: late and noisy where that is asked for, and the external wrench as far as it is known.
+// The controller's view of a scene: delayed and noisy if requested, and the external wrench as far as known.
 #pragma once
 #include <grasp/hand/balance.hpp>
 
 namespace grasp {
 
-// The external wrench from what moved the object besides contacts and gravity, filtered: force = d(m v)/dt - sum f - m g and
-// moment = d(R I R^T omega)/dt - sum p x f over one tick, in the object frame at its end. The forces must be means over that tick, as
-// the change of momentum is: those of its last physics step ring where contacts are stiff, and the hand would answer them. A mass
-// that differs from the believed one shows up as a wrench, as does gravity that is not the one known.
+// Estimates the external wrench from the object's motion, less contacts and gravity, with a filter: force = d(m v)/dt - sum f - m g
+// and moment = d(R I R^T omega)/dt - sum p x f over one tick, in the object frame at its end. The forces must be means over that
+// tick, as the change of momentum is: those of the last physics step ring if contacts are stiff, and the hand would react. Errors
+// of the modelled mass or gravity appear as a wrench.
 class WrenchEstimator {
 public:
-    double tick = 1.0, keep = 0.0;  // [s]; the share of its last value that the filter keeps over a tick
-    Vec6 estimate{};                // [N, N m], object frame
+    double tick = 1.0, keep = 0.0;  // [s]; fraction of its value that the filter keeps over a tick
+    Vec6 estimate{};  // [N, N m], object frame
 
-    // The first call after it only takes the momentum.
+    // After a reset, the first call only records the momentum.
     void reset() { *this = {tick, keep}; }
     WrenchEstimator() = default;
     WrenchEstimator(double tick, double keep) : tick(tick), keep(keep) {}
@@ -44,9 +44,9 @@ enum class WrenchSource { measured, estimated, none };
 
 struct SensorSettings {
     WrenchSource wrench = WrenchSource::measured;
-    double tick = 0.0, keep = 0.0;  // [s]; of the estimate: see `WrenchEstimator`
-    int delay = 0, wrench_delay = 0;  // ticks by which everything, and measured wrenches besides, come late
-    double pose_noise = 0.0, tactile_noise = 0.0;  // standard deviations: [m] per axis, part of the force per axis
+    double tick = 0.0, keep = 0.0;  // [s]; filter of the estimate: see `WrenchEstimator`
+    int delay = 0, wrench_delay = 0;  // ticks of delay of everything, and of measured wrenches in addition
+    double pose_noise = 0.0, tactile_noise = 0.0;  // standard deviations: [m] per axis, fraction of the force per axis
 };
 
 class Sensors {
@@ -54,34 +54,34 @@ public:
     const SensorSettings settings;
 
     Sensors(std::shared_ptr<const Scene> given, const SensorSettings& settings)
-        : settings(settings), scene_(std::move(given)), estimator_(settings.tick, settings.keep), own_(scene_->now),
-          told_(settings.delay + settings.wrench_delay + 1) {
-        if (!exact()) late_.assign(settings.delay + 1, own_);  // `perfect` is not set yet
+        : settings(settings), scene_(std::move(given)), estimator_(settings.tick, settings.keep), seen_(scene_->now),
+          reported_(settings.delay + settings.wrench_delay + 1) {
+        if (!exact()) delayed_.assign(settings.delay + 1, seen_);  // `perfect` is not set yet
     }
     Sensors(const Sensors&) = delete;
 
-    bool perfect = false;  // seen as it is, whatever the settings: while the hand takes over the object
-    // Whether the scene is seen as it is.
+    bool perfect = false;  // ignore delay and noise, while the hand takes over the object
+    // True if the scene is seen without delay and noise.
     bool exact() const { return perfect || !(settings.delay || settings.pose_noise > 0.0 || settings.tactile_noise > 0.0); }
-    const Snapshot& seen() const { return exact() ? scene_->now : own_; }
-    Vec6 external{};                  // wrench on the object as it is known [N, N m], object frame
+    const Snapshot& seen() const { return exact() ? scene_->now : seen_; }
+    Vec6 external{};  // known wrench on the object [N, N m], object frame
 
-    // As before the first tick: the scene stood still.
+    // Return to the state before the first tick: the scene stands still.
     void reset() {
         estimator_.reset();
-        std::fill(late_.begin(), late_.end(), scene_->now);
-        std::fill(told_.begin(), told_.end(), Vec6{});
+        std::fill(delayed_.begin(), delayed_.end(), scene_->now);
+        std::fill(reported_.begin(), reported_.end(), Vec6{});
         tick_ = 0;
     }
 
-    // The scene of this tick. wrench: (6,) the external one as a perfect sensor would tell it. noise: (3 + 3N,) standard normal
-    // numbers where anything is noisy. gravity: as far as known.
+    // Observe the scene of this tick. wrench: (6,) the external wrench that a perfect sensor reports. noise: (3 + 3N,) standard
+    // normal numbers if anything is noisy. gravity: as far as known.
     void see(const double* wrench, const double* noise, const Body& body, const Point& gravity) {
-        if (!exact()) look(noise);
-        std::copy(wrench, wrench + 6, told_[tick_ % told_.size()].begin());
+        if (!exact()) observe_with_delay(noise);
+        std::copy(wrench, wrench + 6, reported_[tick_ % reported_.size()].begin());
         ++tick_;
         switch (settings.wrench) {
-            case WrenchSource::measured: external = told_[tick_ % told_.size()]; break;
+            case WrenchSource::measured: external = reported_[tick_ % reported_.size()]; break;
             case WrenchSource::estimated: external = estimator_(seen(), body, gravity); break;
             case WrenchSource::none: external = {}; break;
         }
@@ -90,18 +90,18 @@ public:
 private:
     std::shared_ptr<const Scene> scene_;
     WrenchEstimator estimator_;
-    std::vector<Snapshot> late_;
-    Snapshot own_;  // what is seen where that is not the scene's
-    std::vector<Vec6> told_;
+    std::vector<Snapshot> delayed_;
+    Snapshot seen_;  // what is seen, unless it is the scene itself
+    std::vector<Vec6> reported_;
     std::size_t tick_ = 0;
 
-    void look(const double* noise) {
-        late_[tick_ % late_.size()] = scene_->now;
-        own_ = late_[(tick_ + 1) % late_.size()];
-        own_.position += settings.pose_noise * point(noise);
-        for (std::size_t i = 0; i < own_.forces.size(); ++i)
-            own_.forces[i] += settings.tactile_noise * length(own_.forces[i]) * point(noise + 3 + 3 * i);
-        if (settings.delay) own_.advance(*scene_->tree, scene_->surface, scene_->gravity, settings.delay * settings.tick);
+    void observe_with_delay(const double* noise) {
+        delayed_[tick_ % delayed_.size()] = scene_->now;
+        seen_ = delayed_[(tick_ + 1) % delayed_.size()];
+        seen_.position += settings.pose_noise * point(noise);
+        for (std::size_t i = 0; i < seen_.forces.size(); ++i)
+            seen_.forces[i] += settings.tactile_noise * length(seen_.forces[i]) * point(noise + 3 + 3 * i);
+        if (settings.delay) seen_.advance(*scene_->tree, scene_->surface, scene_->gravity, settings.delay * settings.tick);
     }
 };
 

@@ -1,7 +1,7 @@
-// What a scene looks like after a step of a simulator.
+// The state of a scene after a step of a simulator.
 //
 // The geometry is that of spherical tips and the object's surface, computed from the current poses: an engine's own contact points
-// belong to the start of the last step, and a finger that does not touch has none. Only the forces are the engine's.
+// belong to the start of the last step, and a finger that does not touch has none. Only the forces come from the engine.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -18,7 +18,7 @@ struct BodyRow {
 };
 // A contact of the hand with the object, world frame.
 struct ContactRow {
-    double link;  // of the hand, -1: the palm
+    double link;  // of the hand; -1: the palm
     Point place;  // [m]
     Point force;  // ON the object [N]
 };
@@ -43,23 +43,24 @@ private:
     int joints_, contacts_;
 };
 
-// A hand, an object, and where both are; N tips, M joints. Copies of one hand's snapshots allocate nothing.
+// A hand, an object, and their state; N tips, M joints. Copying between snapshots of one hand allocates nothing.
 class Snapshot {
 public:
-    static constexpr double LOST_DISTANCE = 10.0;  // [m]; an object beyond it has long left the hand
-    static constexpr double STRAY_DISTANCE = 5e-3;  // [m] from the tip's contact point beyond which a contact is its link's
+    static constexpr double LOST_DISTANCE = 10.0;  // [m]; an object farther away has left the hand
+    // [m] from the tip's contact point; a contact farther away belongs to the link
+    static constexpr double STRAY_DISTANCE = 5e-3;
 
     Point position{}, linear{}, angular{};  // the object's centre [m], its velocity [m/s], [rad/s], world
     Rotation rotation;  // object frame to world frame
     double stray = 0.0;  // total force of other parts of the hand on the object [N]
     std::vector<double> angles, rates;  // (M,) [rad], [rad/s]
     std::vector<Point> points, normals;  // (N,) surface point nearest to each tip [m], inward unit normal there, object frame
-    std::vector<Point> touch, tips;  // (N,) point of the tip nearest to the object, centre of the tip [m], world
+    std::vector<Point> touch, tips;  // (N,) point of each tip nearest to the object, centre of the tip [m], world
     std::vector<double> gaps, slip;  // (N,) distance of tip and object [m], tangential speed of the tip on the object [m/s]
-    std::vector<Point> sliding;  // (N,) that velocity [m/s], object frame
-    std::vector<double> touching;  // (N,) 1 where the tip carried force in the last step
+    std::vector<Point> sliding;  // (N,) tangential velocity [m/s], object frame
+    std::vector<double> touching;  // (N,) 1 if the tip carried force in the last step
     std::vector<Point> forces;  // (N,) measured force of each tip ON the object [N], object frame
-    std::vector<double> gravity_torques;  // (M,) that carry the hand's links [N m]
+    std::vector<double> gravity_torques;  // (M,) torques that carry the hand's links [N m]
     Posture posture;
 
     explicit Snapshot(const std::shared_ptr<const Tree>& tree)
@@ -67,7 +68,7 @@ public:
           gaps(tree->fingers()), slip(gaps), sliding(points), touching(gaps), forces(points), gravity_torques(angles),
           posture(tree) {}
 
-    // gravity: [m/s^2], world. False where a number is not finite or the object far: what was seen before then stays.
+    // gravity: [m/s^2], world. Return false, with nothing changed, if a number is not finite or the object is far away.
     bool read(const Tree& tree, const Surface& surface, const Point& gravity, const Reading& reading) {
         const BodyRow& body = reading.body();
         double total = 0.0;
@@ -85,8 +86,8 @@ public:
         return true;
     }
 
-    // Joints and object moved on by a time [s] at their velocities, and all geometry with them; forces stay. Without it a delay takes
-    // damping away: forces that press on a turned object as it was turn it further.
+    // Move joints and object on by a time [s] at their velocities, and update the geometry; forces stay. Without this a delay
+    // removes damping: forces that press on a turned object as it was turn it further.
     void advance(const Tree& tree, const Surface& surface, const Point& gravity, double time) {
         for (int j = 0; j < tree.joints(); ++j)
             angles[j] = std::min(std::max(angles[j] + time * rates[j], tree.links[j].lower), tree.links[j].upper);
@@ -97,9 +98,9 @@ public:
     }
 
     Point to_object(const Point& world) const { return rotation.transposed(world); }
-    // The velocity of a point that moves with the object [m/s], world frame.
+    // Velocity of a point that moves with the object [m/s], world frame.
     Point object_velocity(const Point& world) const { return linear + cross(angular, world - position); }
-    // Which tips touch: the sum of 2^i over them.
+    // Bits of the tips that touch.
     std::uint64_t mask() const {
         std::uint64_t out = 0;
         for (std::size_t i = 0; i < touching.size(); ++i) out |= std::uint64_t(touching[i] > 0.0) << i;
@@ -111,7 +112,7 @@ private:
         return std::abs(a.u) < LOST_DISTANCE && std::abs(a.o) < LOST_DISTANCE && std::abs(a.t) < LOST_DISTANCE;
     }
 
-    // All that follows from angles, rates and the object's state.
+    // Everything that follows from angles, rates and the object's state.
     void place(const Tree& tree, const Surface& surface, const Point& gravity) {
         posture.trace(angles.data());
         posture.support(gravity, gravity_torques.data());
@@ -143,7 +144,7 @@ private:
     }
 };
 
-// A hand and an object in a simulator, as they were last read.
+// A hand and an object in a simulator, as last read.
 struct Scene {
     std::shared_ptr<const Tree> tree;
     Surface surface;

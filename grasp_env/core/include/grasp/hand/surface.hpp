@@ -1,5 +1,5 @@
-// Surfaces of objects: the point nearest to a given one. A spherical fingertip of radius r whose centre is at distance d touches
-// where d = r, at the point nearest to the centre. Body frame; the axis of cylinders and capsules is y.
+// Surfaces of objects and their nearest point to a given one. A spherical fingertip of radius r with its centre at distance d
+// touches if d = r, at the point nearest to the centre. Body frame; the axis of cylinders and capsules is y.
 #pragma once
 #include <variant>
 #include <grasp/hand/mesh.hpp>
@@ -7,10 +7,10 @@
 namespace grasp {
 
 struct Cuboid {
-    Point half;  // sides [m]
+    Point half;  // half the side lengths [m]
 
     Nearest nearest(const Point& center) const {
-        constexpr double LOST = 1e-280;  // a squared length below it has lost its digits
+        constexpr double LOST = 1e-280;  // a smaller squared length has lost its digits
         Point point, normal{0.0, 0.0, 0.0};
         double depth = -infinity;
         int axis = 0;
@@ -29,7 +29,7 @@ struct Cuboid {
 };
 
 struct Cylinder {
-    double radius, half;  // [m], of its height
+    double radius, half;  // [m], half its height
 
     Nearest nearest(const Point& center) const {
         const Point across{center[0], 0.0, center[2]};
@@ -48,9 +48,9 @@ struct Cylinder {
     }
 };
 
-// Also a ball, whose axis has no length.
+// Also a ball, with an axis of length zero.
 struct Capsule {
-    double radius, half;  // [m], of its axis
+    double radius, half;  // [m], half the length of its axis
 
     Nearest nearest(const Point& center) const {
         const Point axis{0.0, std::min(std::max(center[1], -half), half), 0.0}, arm = center - axis;
@@ -60,7 +60,7 @@ struct Capsule {
     }
 };
 
-// A mesh that copies of a surface share.
+// A mesh, shared by copies of a surface.
 struct Faces {
     std::shared_ptr<const Mesh> mesh;
 
@@ -70,11 +70,11 @@ struct Faces {
 struct Surface {
     std::variant<Cuboid, Cylinder, Capsule, Faces> shape;
 
-    // The centre must be finite.
+    // Nearest point of the surface; the centre must be finite.
     Nearest nearest(const Point& center) const {
         return std::visit([&](const auto& kind) { return kind.nearest(center); }, shape);
     }
-    // None of the simple shapes.
+    // The mesh; null for the simple shapes.
     const Mesh* mesh() const {
         const Faces* faces = std::get_if<Faces>(&shape);
         return faces ? faces->mesh.get() : nullptr;

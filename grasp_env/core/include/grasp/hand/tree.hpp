@@ -1,4 +1,5 @@
-// A hand as a tree of links, each moved by a joint: where the links are, how points of them move, what pushes with them.
+// A hand as a tree of links, each moved by a joint: positions of the links, motion of their points, and the torques of forces on
+// them.
 #pragma once
 #include <array>
 #include <algorithm>
@@ -10,17 +11,17 @@
 namespace grasp {
 
 struct Link {
-    int parent;         // the link that carries it, of a smaller number; -1: the palm
-    Point offset;       // of its joint in the parent's frame [m]
-    Rotation rotation;  // its frame at angle 0 to the parent's
-    Point axis;         // of its joint, unit, its own frame
-    double mass;        // [kg]
-    Point center;       // of mass, its own frame [m]
-    double lower, upper, torque_limit;  // [rad], [rad], [N m]; of a sliding joint [m], [m], [N]
-    bool sliding = false;               // along its axis
-    int driver = -1;  // the joint that it is coupled to, not coupled itself: angle = ratio * its angle + shift
+    int parent;  // link that carries it, with a smaller index; -1: the palm
+    Point offset;  // of its joint in the parent's frame [m]
+    Rotation rotation;  // of its frame at angle 0 relative to the parent's
+    Point axis;  // of its joint, unit vector in its own frame
+    double mass;  // [kg]
+    Point center;  // of mass, in its own frame [m]
+    double lower, upper, torque_limit;  // [rad], [rad], [N m]; for a sliding joint [m], [m], [N]
+    bool sliding = false;  // moves along its axis
+    int driver = -1;  // joint that it is coupled to, which is not coupled itself: angle = ratio * its angle + shift
     double ratio = 1.0, shift = 0.0;
-    std::array<double, 6> inertia{};    // xx, xy, xz, yy, yz, zz about the centre of mass [kg m^2], its own frame
+    std::array<double, 6> inertia{};  // xx, xy, xz, yy, yz, zz about the centre of mass [kg m^2], in its own frame
 
     bool coupled() const { return driver >= 0; }
 };
@@ -33,31 +34,31 @@ struct Tip {
 };
 
 struct Tree {
-    std::vector<Link> links;  // M, joint j moves link j
+    std::vector<Link> links;  // M; joint j moves link j
     std::vector<Tip> tips;  // N
 
     int joints() const { return int(links.size()); }
     int fingers() const { return int(tips.size()); }
-    // What is wrong with its order, as a sentence; none: nothing is.
+    // The rule that the tree breaks, as a sentence; null: none.
     const char* fault() const {
         for (int j = 0; j < joints(); ++j) {
             const Link& link = links[j];
-            if (link.parent >= j || link.parent < -1) return "parents come before their links";
+            if (link.parent >= j || link.parent < -1) return "parents must come before their links";
             if (link.driver >= joints() || (link.coupled() && links[link.driver].coupled()))
-                return "a joint is coupled to one that is not";
+                return "a joint must be coupled to one that is not coupled itself";
         }
         for (const Tip& tip : tips)
-            if (tip.link < 0 || tip.link >= joints()) return "a tip is on a link";
+            if (tip.link < 0 || tip.link >= joints()) return "a tip must be on a link";
         return nullptr;
     }
-    // Coupled joints follow theirs; angles: (M,)
+    // Set the coupled joints from their drivers; angles: (M,).
     void couple(double* angles) const {
         for (int j = 0; j < joints(); ++j)
             if (const Link& link = links[j]; link.coupled()) angles[j] = link.ratio * angles[link.driver] + link.shift;
     }
-    // The joint with a motor that moves a joint.
+    // The joint whose motor moves a joint.
     int mover(int joint) const { return links[joint].coupled() ? links[joint].driver : joint; }
-    // The joints with motors that move a fingertip, ascending: the driver of a coupled joint may lie in another finger.
+    // The joints whose motors move a fingertip, ascending. The driver of a coupled joint may be in another finger.
     std::vector<int> movers(int finger) const {
         std::vector<int> out;
         for (int j = tips[finger].link; j >= 0; j = links[j].parent) out.push_back(mover(j));
@@ -65,8 +66,8 @@ struct Tree {
         out.erase(std::unique(out.begin(), out.end()), out.end());
         return out;
     }
-    // How many of some fingers the motor of each joint moves, (M,).
-    std::vector<int> users(const std::vector<int>& fingers) const {
+    // Number of the given fingers that the motor of each joint moves, (M,).
+    std::vector<int> fingers_per_motor(const std::vector<int>& fingers) const {
         std::vector<int> out(joints());
         for (int i : fingers)
             for (int j : movers(i)) ++out[j];
@@ -84,8 +85,8 @@ struct Tree {
         return -1;
     }
 
-    // What one finger needs: its joints alone, which `joints` tells. Of those that are coupled to a joint of another finger the first
-    // is free here, with the limits and the motor of that joint, and the others follow it.
+    // The tree of one finger: only its own joints, whose indices are written to `joints`. Of the joints coupled to a joint of
+    // another finger, the first becomes free, with that joint's limits and motor, and the others follow it.
     Tree chain(int finger, std::vector<int>& joints) const {
         joints.clear();
         for (int j = tips[finger].link; j >= 0; j = links[j].parent) joints.insert(joints.begin(), j);
@@ -115,7 +116,7 @@ struct Tree {
     }
 };
 
-// Where all links are, world frame.
+// Positions of all links, world frame.
 class Posture {
 public:
     std::vector<Rotation> frames;  // link frame to world frame
@@ -137,12 +138,13 @@ public:
         }
     }
 
-    // A point of a link's frame; -1: of the palm's, which is the world's.
+    // World position of a point in a link's frame; -1: the palm's frame, which is the world's.
     Point at(int link, const Point& local) const { return link < 0 ? local : origins[link] + frames[link] * local; }
     Point tip(int finger) const { return at(tree_->tips[finger].link, tree_->tips[finger].center); }
 
-    // f(j, how a point of the link moves per speed of joint j): parts of the Jacobian's columns; a coupled joint's are its driver's.
-    template <class F> void carriers(int link, const Point& place, F&& f) const {
+    // Call f(j, velocity of a point of the link per speed of joint j): contributions to the Jacobian's columns; those of a coupled
+    // joint go to its driver.
+    template <class F> void each_moving_joint(int link, const Point& place, F&& f) const {
         for (int j = link; j >= 0; j = tree_->links[j].parent) {
             const Link& joint = tree_->links[j];
             const Point moves = joint.sliding ? axes[j] : cross(axes[j], place - origins[j]);
@@ -150,36 +152,36 @@ public:
             else f(j, moves);
         }
     }
-    // f(j, how the link turns per speed of joint j), world frame
-    template <class F> void turners(int link, F&& f) const {
+    // Call f(j, angular velocity of the link per speed of joint j), world frame.
+    template <class F> void each_turning_joint(int link, F&& f) const {
         for (int j = link; j >= 0; j = tree_->links[j].parent) {
             const Link& joint = tree_->links[j];
             if (!joint.sliding) f(tree_->mover(j), joint.coupled() ? joint.ratio * axes[j] : axes[j]);
         }
     }
-    // (3, M) into `out`
+    // Write the Jacobian (3, M) of a point into `out`.
     void jacobian(int link, const Point& place, double* out) const {
         const int count = tree_->joints();
         std::fill(out, out + 3 * count, 0.0);
-        carriers(link, place, [&](int j, const Point& moves) {
+        each_moving_joint(link, place, [&](int j, const Point& moves) {
             for (int k = 0; k < 3; ++k) out[count * k + j] += moves[k];
         });
     }
-    // [m/s], of a point fixed to the link; rates: (M,) [rad/s]
+    // Velocity [m/s] of a point fixed to the link; rates: (M,) [rad/s].
     Point velocity(int link, const Point& place, const double* rates) const {
         Point out{0.0, 0.0, 0.0};
-        carriers(link, place, [&](int j, const Point& moves) { out += rates[j] * moves; });
+        each_moving_joint(link, place, [&](int j, const Point& moves) { out += rates[j] * moves; });
         return out;
     }
-    // torques (M,) += J^T force: that with which the link pushes there
+    // torques (M,) += J^T force: the torques with which the link pushes at that point.
     void push(int link, const Point& place, const Point& force, double* torques) const {
-        carriers(link, place, [&](int j, const Point& moves) { torques[j] += dot(moves, force); });
+        each_moving_joint(link, place, [&](int j, const Point& moves) { torques[j] += dot(moves, force); });
     }
-    // torques (M,) += that with which the link turns by a moment [N m]
+    // torques (M,) += those with which the link applies a moment [N m].
     void twist(int link, const Point& moment, double* torques) const {
-        turners(link, [&](int j, const Point& turns) { torques[j] += dot(turns, moment); });
+        each_turning_joint(link, [&](int j, const Point& turns) { torques[j] += dot(turns, moment); });
     }
-    // torques (M,) that carry the weight of all links [N m]; gravity [m/s^2]
+    // torques (M,) that carry the weight of all links [N m]; gravity [m/s^2].
     void support(const Point& gravity, double* torques) const {
         std::fill(torques, torques + tree_->joints(), 0.0);
         for (int j = 0; j < tree_->joints(); ++j) {
@@ -187,7 +189,8 @@ public:
             push(j, at(j, link.center), -link.mass * gravity, torques);
         }
     }
-    // What a control tick needs at angles (M,): where links are, the Jacobian of the points (N, 3) with which tips touch, and that support.
+    // Compute at angles (M,): positions of the links, the Jacobian of the points (N, 3) where the tips touch, and the supporting
+    // torques.
     void statics(const double* angles, std::span<const double> points, const Point& gravity, std::span<double> jacobian,
                  std::span<double> torques) {
         const int count = tree_->joints();
@@ -197,7 +200,8 @@ public:
         support(gravity, torques.data());
     }
 
-    // (M, M) into `out` [kg m^2]: kinetic energy = 1/2 rates^T out rates; rows and columns of coupled joints are zero.
+    // Write the mass matrix (M, M) into `out` [kg m^2]: kinetic energy = 1/2 rates^T out rates. Rows and columns of coupled joints
+    // are zero.
     void mass_matrix(double* out) const {
         const int count = tree_->joints();
         std::vector<Point> moves(count), turns(count);
@@ -206,8 +210,8 @@ public:
             const Link& link = tree_->links[l];
             std::fill(moves.begin(), moves.end(), Point{0.0, 0.0, 0.0}),
                 std::fill(turns.begin(), turns.end(), Point{0.0, 0.0, 0.0});
-            carriers(l, at(l, link.center), [&](int j, const Point& a) { moves[j] += a; });
-            turners(l, [&](int j, const Point& a) { turns[j] += frames[l].transposed(a); });
+            each_moving_joint(l, at(l, link.center), [&](int j, const Point& a) { moves[j] += a; });
+            each_turning_joint(l, [&](int j, const Point& a) { turns[j] += frames[l].transposed(a); });
             const auto& i = link.inertia;
             const Sym3<double> inertia{i[0], i[1], i[2], i[3], i[4], i[5]};
             for (int j = 0; j < count; ++j)

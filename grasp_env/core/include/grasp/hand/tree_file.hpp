@@ -1,7 +1,8 @@
-// A hand as one file, written by Python (`HandKinematics.export`), which reads URDFs and meshes; read without it.
+// A hand as one file. Python writes it from URDFs and meshes (`HandKinematics.export`); C++ reads it without Python.
 //
-// A file of numbers of the kind "GRASPH1\n": how many links and tips; the numbers of each `Link` in their order, 1e300 for a limit that
-// is none; the numbers of each `Tip`.
+// Kind "GRASPH1
+// " of `number_file.hpp`: numbers of links and tips; the numbers of each `Link` in their order, with 1e300 for a missing limit; the
+// numbers of each `Tip`.
 #pragma once
 #include <stdexcept>
 #include <grasp/hand/tree.hpp>
@@ -11,7 +12,7 @@ namespace grasp {
 
 class TreeFile {
 public:
-    static constexpr int MOST_LINKS = 4096, MOST_TIPS = 64;  // a solver has a bit for each contact
+    static constexpr int MOST_LINKS = 4096, MOST_TIPS = 64;  // a solver has one bit per contact
 
     static std::string write(const Tree& tree) {
         NumberWriter file;
@@ -28,13 +29,13 @@ public:
         return file.file(KIND);
     }
 
-    // None where the bytes are not those of a whole hand.
+    // Return nothing unless the bytes are those of a whole hand.
     static std::optional<Tree> read(std::string_view bytes) {
         const auto numbers = NumberReader::body(bytes, KIND);
         return numbers ? body(*numbers) : std::nullopt;
     }
 
-    // What follows the hash, by itself: for fuzzing.
+    // Parse the part after the hash; separate for fuzzing.
     static std::optional<Tree> body(std::string_view bytes) {
         NumberReader file(bytes);
         Tree tree;
@@ -56,10 +57,10 @@ public:
         return tree;
     }
 
-    // Throws std::invalid_argument where there is no such hand.
+    // Throws std::invalid_argument if the file holds no such hand.
     static std::shared_ptr<const Tree> load(const std::string& path) {
         std::optional<Tree> tree = read(NumberReader::bytes(path));
-        if (!tree) throw std::invalid_argument(path + " is no whole file of a hand: HandKinematics.export writes one");
+        if (!tree) throw std::invalid_argument(path + " is not a complete hand file: HandKinematics.export writes one");
         return std::make_shared<const Tree>(*std::move(tree));
     }
 

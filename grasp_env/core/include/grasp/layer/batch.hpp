@@ -1,4 +1,4 @@
-// Many problems as arrays, one row of each array per problem, and one problem of them as solvers take it.
+// Many problems as arrays, one row of each array per problem, and one of these problems in the form that solvers take.
 #pragma once
 #include <span>
 #include <vector>
@@ -7,17 +7,17 @@
 
 namespace grasp {
 
-// The rows of an array, one per problem. step: numbers from one to the next; 0: one row serves all problems.
+// The rows of an array, one per problem. step: numbers between rows; 0: one row serves all problems.
 struct Slices {
-    const double* data = nullptr;  // none: the array is not given
+    const double* data = nullptr;  // null: the array is not given
     std::ptrdiff_t step = 0;
 
     const double* operator[](std::ptrdiff_t k) const { return data ? data + step * k : nullptr; }
     explicit operator bool() const { return data; }
 };
 
-// Everything is given in one frame of the caller's choice. Positions, normals, friction, wrenches and weights are needed; without the others
-// contacts are hard, have no limits, and have the tangents of the default rule.
+// All quantities share one frame of the caller's choice. Positions, normals, friction, wrenches and weights are required. By
+// default contacts are hard, have no limits, and have the tangents of the default rule.
 struct ForceBatch {
     std::ptrdiff_t size = 0;
     int contacts = 0, joints = 0;
@@ -29,13 +29,13 @@ struct ForceBatch {
     Slices jacobian, torque_limit, torque_bias;  // (N, rows, J), (J,) [N m], (J,) [N m]
     Slices min_normal, max_normal;  // (N,) [N]
     Slices force_weight, barrier_weight;  // (N,) omega, lambda
-    Slices start;  // (N, 3) forces to begin with [N]
+    Slices start;  // (N, 3) forces to start from [N]
 
     bool limited() const { return torque_limit || min_normal || max_normal; }
     ForceBatch part(std::ptrdiff_t from, std::ptrdiff_t to) const;
 };
 
-// The arrays in the order in which programs give them.
+// The arrays in the order in which programs pass them.
 inline constexpr Slices ForceBatch::* FORCE_INPUTS[] = {
     &ForceBatch::positions,      &ForceBatch::normals,    &ForceBatch::friction,   &ForceBatch::tangents,
     &ForceBatch::torsion,        &ForceBatch::wrench,     &ForceBatch::jacobian,   &ForceBatch::torque_limit,
@@ -50,16 +50,16 @@ inline ForceBatch ForceBatch::part(std::ptrdiff_t from, std::ptrdiff_t to) const
     return made;
 }
 
-// The contacts of one problem of a batch: directions of unit length, scales and weights.
-struct Posed {
-    std::vector<double> normals, tangents, scale, weights,
-        lengths;  // (N, 3), (N, 3), (N, 3), (N, 2) omega and lambda, (N,) of the normals
+// The contacts of one problem of a batch: unit directions, scales and weights.
+struct PosedProblem {
+    // (N, 3), (N, 3), (N, 3), (N, 2) omega and lambda, (N,) of the normals
+    std::vector<double> normals, tangents, scale, weights, lengths;
     std::vector<double> start;  // (N, 3) [N], contact frames
 
-    explicit Posed(int count = 0)
+    explicit PosedProblem(int count = 0)
         : normals(3 * count), tangents(3 * count), scale(3 * count), weights(2 * count), lengths(count), start(3 * count) {}
 
-    // False: numbers that are not finite or not possible.
+    // Load problem k. Return false if numbers are not finite or not possible.
     bool take(const ForceBatch& batch, std::ptrdiff_t k) {
         const int count = batch.contacts;
         const auto within = [](const double* from, int many, double low, double high) {
@@ -95,7 +95,7 @@ struct Posed {
         }
         return true;
     }
-    // The start in contact frames; false where there is none or its numbers are none.
+    // Load the start, in contact frames. Return false if there is none or its numbers are not finite.
     bool take_start(const ForceBatch& batch, std::ptrdiff_t k) {
         if (!batch.start) return false;
         double total = 0.0;
@@ -110,7 +110,7 @@ struct Posed {
     }
 
 private:
-    static constexpr double LEAST = 1e-150;  // of lengths and weights
+    static constexpr double LEAST = 1e-150;  // smallest length or weight
     static constexpr double ALONG = 1e-6;  // sine of the angle between a tangent and its normal
 };
 

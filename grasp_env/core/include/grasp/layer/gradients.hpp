@@ -1,4 +1,4 @@
-// Gradients of a loss by everything that problems are made of, by the adjoint system of `SmoothLanes`.
+// Gradients of a loss with respect to all inputs of the problems, by the adjoint system of `SmoothLanes`.
 #pragma once
 #include <grasp/layer/system.hpp>
 
@@ -39,7 +39,7 @@ template <int W> void SmoothLanes<W>::gradients(Mask wanted, const double* by_fo
     const Six<V> qu = solve(pull_, pull_v_, hu, step_, step_v_, allowed);  // p in step_
     V total = size(qu);
     for (int i = 0; i < n; ++i) total += abs(step_[i].u) + abs(step_[i].o) + abs(step_[i].t) + abs(step_v_[i]);
-    wanted &= total < LARGEST * LARGEST;  // where digits are lost there is no gradient
+    wanted &= total < LARGEST * LARGEST;  // no gradient if digits are lost
     // multipliers as twists about the contacts' centre
     const V per_length = cones_.unit.scale();
     const Vec y_turn = per_length * Vec{y_[3], y_[4], y_[5]}, y_move{y_[0], y_[1], y_[2]};
@@ -53,8 +53,8 @@ template <int W> void SmoothLanes<W>::gradients(Mask wanted, const double* by_fo
     const V by_length = 2.0 * softness_ * cones_.unit.length * dot(q_turn, y_turn);
     const V share = 1.0 / double(n), stretch = select(cones_.unit.length > 0.0, share * by_length / cones_.unit.length, V(0.0));
 
-    // limits of torques: T_j = price (torque of p), which bias, limit, length, weight and edge change
-    struct OfRow { V by_force, by_p, by_size; };  // of J . F, of J . P, of the row's length
+    // torque limits: T_j = price (torque of p), which depends on bias, limit, length, weight and edge
+    struct OfRow { V by_force, by_p, by_size; };  // derivatives by J . F, by J . P, by the row's length
     std::vector<OfRow> of(joints_);
     std::vector<V> lambda_share(joints_), omega_share(joints_);
     for (int j = 0; j < joints_; ++j) {
@@ -64,7 +64,7 @@ template <int W> void SmoothLanes<W>::gradients(Mask wanted, const double* by_fo
         for (int i = 0; i < n; ++i) along += dot(column(i, j).c, step_[i]) + column(i, j).cv * step_v_[i];
         const V per = 1.0 / row.size, bends = high.bend + low.bend;
         const V high_slack = high.bound - row.along, low_slack = low.bound + row.along;
-        // there may be no limit: its slack is without meaning and its bend zero
+        // without a limit the slack is meaningless and the bend zero
         const V uneven =
             select(high.weight > 0.0, high.bend * high_slack, V(0.0)) - select(low.weight > 0.0, low.bend * low_slack, V(0.0));
         of[j] = {-along * bends * per, -row.price * per, select(row.empty > 0.0, V(0.0), -along * (uneven - row.price) * per)};
@@ -83,7 +83,7 @@ template <int W> void SmoothLanes<W>::gradients(Mask wanted, const double* by_fo
         const Vec force = object_force(i, x_[i]), other = object_force(i, p);
         const V turn = v_[i] / c.divisor_v, other_turn = pv / c.divisor_v;
         Vec by_f = gather3(by_force, 3 * n, 3 * i) - q_move - cross(q_turn, c.arm), by_p = -y_move - cross(y_turn, c.arm);
-        Vec by_turn = -q_turn, by_other_turn = -y_turn;  // of the moments along the normal
+        Vec by_turn = -q_turn, by_other_turn = -y_turn;  // derivatives by the moments along the normal
         Vec by_frame[3] = {};
         Vec by_divisor{};
         V by_divisor_v{}, by_lambda{}, by_omega = -3.0 * p.u;
@@ -126,7 +126,7 @@ template <int W> void SmoothLanes<W>::gradients(Mask wanted, const double* by_fo
         const V along_normal = gather(by_torsion, n, i);
         by_divisor_v -=
             (turn * (dot(by_turn, c.frame[0]) + along_normal) + other_turn * dot(by_other_turn, c.frame[0])) / c.divisor_v;
-        // limits of the normal force, bounds of u
+        // limits of the normal force: bounds of u
         const V low_there = select(c.low.weight > 0.0, V(1.0), V(0.0)), high_there = select(c.high.weight > 0.0, V(1.0), V(0.0));
         const V by_low = p.u * c.low.bend * low_there, by_high = p.u * c.high.bend * high_there;
         if (to.min_normal) scatter(to.min_normal, n, i, by_low * block.scale.u);

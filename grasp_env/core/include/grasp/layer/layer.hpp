@@ -1,5 +1,5 @@
-// Optimal forces of many problems, none of which shares anything with another, and their gradients: what layers of learning programs call.
-// An answer is the same bits whatever stands beside its problem.
+// Optimal forces of many independent problems, and their gradients, for layers of learning programs. An answer has the same bits
+// whatever problems stand beside it.
 #pragma once
 #include <grasp/layer/gradients.hpp>
 #include <grasp/layer/optima.hpp>
@@ -7,12 +7,12 @@
 
 namespace grasp {
 
-// What is written of each problem, one row each.
+// Output arrays, one row per problem.
 struct BatchForces {
     double* force;  // (N, 3) [N], the frame of the positions
     double* torsion;  // (N,) [N m]
     double* multipliers;  // (6,) nu
-    double* facts;  // (4,) a `Code`, relative certified gap (inf: none), missed balance [N] in the unit frame, iterations
+    double* facts;  // (4,) `Code`, relative certified gap (inf: none), balance residual [N] in the unit frame, iterations
     double* state;  // (4N + 7,) for the gradients
 };
 constexpr int layer_state_size(int contacts) { return 4 * contacts + 7; }
@@ -21,7 +21,7 @@ inline constexpr int LAYER_FACTS = 4;
 class LayerSolver {
 public:
     LayerSolver(const ForceBatch& batch, const Stop& options) : batch_(batch), options_(options), smooth_(batch) {
-        for (Posed& each : posed_) each = Posed(batch.contacts);
+        for (PosedProblem& each : posed_) each = PosedProblem(batch.contacts);
     }
     void solve(const BatchForces& to) {
         for (std::ptrdiff_t from = 0; from < batch_.size; from += W)
@@ -32,9 +32,9 @@ private:
     static constexpr int W = REGISTER;
     static constexpr int USUAL = 60, MOST = 300;  // steps of an ordinary descent; of one to an elastic force
     using Mask = typename SmoothLanes<W>::Mask;
-    struct Front {
+    struct CachedSolver {
         std::optional<ForceOptimizer> solver;
-        std::vector<double> constants;  // what a call cannot change
+        std::vector<double> constants;  // the data that a call cannot change
     };
     struct Answer {
         Code code = REFUSED;
@@ -44,13 +44,14 @@ private:
     const ForceBatch& batch_;
     Stop options_;
     SmoothLanes<W> smooth_;
-    Posed posed_[W];
-    Front within_, free_;  // with the limits, and without
+    PosedProblem posed_[W];
+    CachedSolver within_, free_;  // with the limits; without them
     std::vector<double> row_;  // a solution of theirs
 
     int count() const { return batch_.contacts; }
 
-    // Problems `from` on, side by side. What is not ordinary there is solved by the front; then its force, or an elastic one, is made exact.
+    // Solve problems `from` on, side by side. `ForceOptimizer` solves the problems that need more than an ordinary descent; the
+    // lanes then refine its force, or an elastic one.
     void solve(std::ptrdiff_t from, int many, const BatchForces& to) {
         Answer answers[W];
         Mask sound{};
@@ -62,7 +63,7 @@ private:
         if (filler < 0) return;
         const double* starts[W] = {};
         for (int lane = 0; lane < W; ++lane) {
-            const int shown = sound[lane] ? lane : filler;  // something must stand there
+            const int shown = sound[lane] ? lane : filler;  // the lane needs valid data
             smooth_.load(lane, from + shown, posed_[shown], Regime::optimum);
             if (sound[lane] && posed_[lane].take_start(batch_, from + lane)) starts[lane] = posed_[lane].start.data();
         }
@@ -78,7 +79,7 @@ private:
             Answer& answer = answers[lane];
             answer = {CONVERGED, Regime::optimum, get(gaps, lane), get(smooth_.iterations, lane)};
             if (close[lane] && answer.gap <= options_.tolerance && balanced[lane]) continue;
-            answer = alone(from + lane, lane);
+            answer = solve_with_optimizer(from + lane, lane);
             (answer.regime == Regime::optimum ? late : elastic)[lane] = -1;
         }
         if (any(elastic)) {
@@ -90,8 +91,8 @@ private:
         for (int lane = 0; lane < many; ++lane)
             if (sound[lane]) write(lane, from + lane, answers[lane], to);
     }
-    // The front's answer, which is where the lane goes on from.
-    Answer alone(std::ptrdiff_t k, int lane) {
+    // Solve by `ForceOptimizer`; the lane continues from its answer.
+    Answer solve_with_optimizer(std::ptrdiff_t k, int lane) {
         Answer answer{.code = solve_alone(k, posed_[lane])};
         const bool force = has_force(answer.code);
         if (!row_.empty()) answer.iterations = Record(row_.data()).summary().iterations;
@@ -118,7 +119,7 @@ private:
         if (finite(to.force + 3 * count() * k, 3 * count()) && finite(to.torsion + count() * k, count()) &&
             finite(to.multipliers + 6 * k, 6) && finite(state, layer_state_size(count())) && finite(facts + 2, 1))
             return;
-        clear(k, to);  // numbers that no double can bear
+        clear(k, to);  // numbers outside the range of double
         facts[0] = UNDECIDED;
     }
     void clear(std::ptrdiff_t k, const BatchForces& to) const {
@@ -130,57 +131,59 @@ private:
     }
     static bool has_force(Code code) { return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED; }
 
-    // By the front, into row_: the optimum, or where no force keeps the limits that without them, LIMITS_EXCEEDED.
-    Code solve_alone(std::ptrdiff_t k, Posed& posed) {
-        Code code = made(within_, k, posed, batch_.limited());
-        if (code == CONVERGED) code = call(*within_.solver, k, posed, batch_.limited());
+    // Solve by `ForceOptimizer` into row_: the optimum or, if no force keeps the limits, the optimum without them and
+    // LIMITS_EXCEEDED.
+    Code solve_alone(std::ptrdiff_t k, PosedProblem& posed) {
+        Code code = prepare(within_, k, posed, batch_.limited());
+        if (code == CONVERGED) code = solve_with(*within_.solver, k, posed, batch_.limited());
         if (!batch_.limited() || (code != INFEASIBLE && code != UNDECIDED)) return code;
-        Code free = made(free_, k, posed, false);
-        if (free == CONVERGED) free = call(*free_.solver, k, posed, false);
+        Code free = prepare(free_, k, posed, false);
+        if (free == CONVERGED) free = solve_with(*free_.solver, k, posed, false);
         return has_force(free) ? LIMITS_EXCEEDED : free;
     }
-    // The front of a problem; it is made again where what a call cannot change is different. CONVERGED: there is one.
-    Code made(Front& front, std::ptrdiff_t k, const Posed& posed, bool limited) {
+    // Make the optimiser of a problem, unless the data that a call cannot change is the same as before. Return CONVERGED if there
+    // is one.
+    Code prepare(CachedSolver& cached, std::ptrdiff_t k, const PosedProblem& posed, bool limited) {
         row_.clear();
         std::vector<double> constants = this->constants(k, posed);
-        if (front.solver && constants == front.constants) return CONVERGED;
-        front.solver.reset();
+        if (cached.solver && constants == cached.constants) return CONVERGED;
+        cached.solver.reset();
         Contacts contacts(count(), posed.scale.data(), posed.weights.data(), posed.tangents.data(), batch_.torsion[k]);
         const Placing placed = contacts.place(batch_.positions[k], posed.normals.data());
         if (placed == Placing::refused) return REFUSED;
         if (placed == Placing::rank_lost) return RANK_LOST;
         ForceLimits limits;
         if (limited) {
-            limits = {some(batch_.min_normal, k, count()), some(batch_.max_normal, k, count()), jacobian(k),
-                      some(batch_.torque_limit, k, batch_.joints), some(batch_.torque_bias, k, batch_.joints)};
+            limits = {slice(batch_.min_normal, k, count()), slice(batch_.max_normal, k, count()), jacobian(k),
+                      slice(batch_.torque_limit, k, batch_.joints), slice(batch_.torque_bias, k, batch_.joints)};
         }
-        front.solver.emplace(Problem{contacts, limits}, Options{.tolerance = options_.tolerance, .limit = options_.limit});
-        front.constants = std::move(constants);
+        cached.solver.emplace(Problem{contacts, limits}, Options{.tolerance = options_.tolerance, .limit = options_.limit});
+        cached.constants = std::move(constants);
         return CONVERGED;
     }
-    Code call(ForceOptimizer& solver, std::ptrdiff_t k, Posed& posed, bool limited) {
+    Code solve_with(ForceOptimizer& solver, std::ptrdiff_t k, PosedProblem& posed, bool limited) {
         row_.assign(solver.size(), 0.0);
-        Now now{.positions = some(batch_.positions, k, 3 * count()),
+        Now now{.positions = slice(batch_.positions, k, 3 * count()),
                 .normals = posed.normals,
-                .friction = some(batch_.friction, k, 2 * count())};
-        if (limited) now.jacobian = jacobian(k), now.torque_bias = some(batch_.torque_bias, k, batch_.joints);
+                .friction = slice(batch_.friction, k, 2 * count())};
+        if (limited) now.jacobian = jacobian(k), now.torque_bias = slice(batch_.torque_bias, k, batch_.joints);
         Ask ask{.wrench = batch_.wrench[k], .now = now};
         if (posed.take_start(batch_, k)) ask.start = Start::previous, ask.force = posed.start;
         return solver.solve(ask, row_.data());
     }
-    static Doubles some(const Slices& from, std::ptrdiff_t k, int size) { return from ? Doubles(from[k], size) : Doubles{}; }
-    Doubles jacobian(std::ptrdiff_t k) const { return some(batch_.jacobian, k, count() * batch_.jacobian_rows * batch_.joints); }
-    // What the front is made of and a call cannot change.
-    std::vector<double> constants(std::ptrdiff_t k, const Posed& posed) const {
-        std::vector<double> made(posed.weights);
+    static Doubles slice(const Slices& from, std::ptrdiff_t k, int size) { return from ? Doubles(from[k], size) : Doubles{}; }
+    Doubles jacobian(std::ptrdiff_t k) const { return slice(batch_.jacobian, k, count() * batch_.jacobian_rows * batch_.joints); }
+    // The data of an optimiser that a call cannot change.
+    std::vector<double> constants(std::ptrdiff_t k, const PosedProblem& posed) const {
+        std::vector<double> out(posed.weights);
         const auto add = [&](const double* from, int size) {
-            if (from) made.insert(made.end(), from, from + size);
+            if (from) out.insert(out.end(), from, from + size);
         };
         add(posed.tangents.data(), 3 * count());
         add(batch_.torsion[k], count()), add(batch_.min_normal[k], count()), add(batch_.max_normal[k], count());
         add(batch_.torque_limit[k], batch_.joints);
-        for (int i = 0; i < count(); ++i) made.push_back(posed.scale[3 * i + 1] > 0.0);
-        return made;
+        for (int i = 0; i < count(); ++i) out.push_back(posed.scale[3 * i + 1] > 0.0);
+        return out;
     }
 };
 
@@ -188,16 +191,17 @@ inline void optimal_forces(const ForceBatch& batch, const Stop& options, const B
     LayerSolver(batch, options).solve(to);
 }
 
-// Gradients of a loss by everything that the forces were made of, from its derivatives by force (N, 3), torsion (N,) and multipliers
-// (6,) (null: zero), one row per problem. elastic: also of problems that have no optimum. The rows of others are zero.
+// Compute gradients of a loss with respect to all inputs from its derivatives with respect to force (N, 3), torsion (N,) and
+// multipliers (6,) (null: zero), one row per problem. elastic: also for problems without an optimum. Rows of other problems are
+// zero.
 inline void optimal_forces_gradients(const ForceBatch& batch, const double* state, const double* by_force,
                                      const double* by_torsion, const double* by_multipliers, bool elastic,
                                      const BatchGradients& to) {
     constexpr int W = REGISTER;
     const int size = layer_state_size(batch.contacts);
     SmoothLanes<W> smooth(batch);
-    Posed posed[W];
-    for (Posed& each : posed) each = Posed(batch.contacts);
+    PosedProblem posed[W];
+    for (PosedProblem& each : posed) each = PosedProblem(batch.contacts);
     std::ptrdiff_t waiting[W];
     int filled = 0;
     const auto finish = [&] {

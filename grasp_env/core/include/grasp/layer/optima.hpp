@@ -1,13 +1,13 @@
-// How `SmoothLanes` finds optima: descent, last digits, certificate.
+// The solution part of `SmoothLanes`: descent, polishing, certificate.
 #pragma once
 #include <grasp/layer/system.hpp>
 
 namespace grasp {
 
-// Limits begin softened: the edge below which their barriers are parabolas is lowered until all
-// slacks are above it, or to that of elastic forces.
+// Start with a large edge, below which the barriers of limits are parabolas. Lower it until all slacks are above it, or to the edge
+// of elastic forces.
 template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
-    edge_ = select(live, V(SOFTEST), edge_), place_edges();
+    edge_ = select(live, V(LARGEST_EDGE), edge_), place_edges();
     V value = energy();
     iterations = select(live, V(0.0), iterations);
     live &= value < infinity;
@@ -16,9 +16,9 @@ template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
         const Six<V> next = newton_step(value);
         for (int r = 0; r < 6; ++r) y_[r] = select(live, next[r], y_[r]);
         const auto [decrement, reach] = judged_step();
-        const Mask whole = (edge_ <= last_) | (tightest_ >= edge_);  // the barriers are what they shall be
+        const Mask whole = (edge_ <= last_) | (tightest_ >= edge_);  // the barriers have their final form
         Mask harder = live & ~whole & !(decrement > CLOSE * value);
-        const Mask lost = harder & (last_ == 0.0) & (edge_ < HARDEST), done = live & whole & !(decrement > SETTLED * value);
+        const Mask lost = harder & (last_ == 0.0) & (edge_ < LEAST_EDGE), done = live & whole & !(decrement > SETTLED * value);
         found |= done, live &= ~(done | lost), harder &= ~lost;
         V alpha = min(V(1.0), LONG / reach), taken{};
         Mask open = live & ~harder;
@@ -27,11 +27,11 @@ template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
             const Mask good = open & (after < value - 1e-4 * alpha * decrement);
             taken = select(good, alpha, taken), value = select(good, after, value), open &= ~good;
         }
-        found |= open & whole, live &= ~(open & whole), harder |= open & ~whole;  // where rounding alone is left
+        found |= open & whole, live &= ~(open & whole), harder |= open & ~whole;  // only rounding is left
         for (int i = 0; i < count(); ++i) x_[i] += taken * step_[i], v_[i] += taken * step_v_[i];
         iterations += select(taken > 0.0, V(1.0), V(0.0));
         if (!any(harder)) continue;
-        edge_ = select(harder, max(HARDENING * edge_, last_), edge_), place_edges();
+        edge_ = select(harder, max(EDGE_FACTOR * edge_, last_), edge_), place_edges();
         value = select(harder, energy(), value);
     }
     edge_ = last_, place_edges();
@@ -44,18 +44,18 @@ template <int W> void SmoothLanes<W>::polish(const Mask& which) {
     residual = select(which, left(y_), residual);
     Mask open = which;
     for (int round = 0; round < WHOLE_STEPS; ++round) {
-        if (round == 2) open &= last_ > 0.0;  // an elastic E is so large that it is close to its least sooner than its force
+        if (round == 2) open &= last_ > 0.0;  // an elastic E is so large that it converges before its force does
         if (!any(open)) break;
         Six<V> found = newton_step(value);
         for (int i = 0; i < count(); ++i) pull_[i] = Vec{}, pull_v_[i] = V{};
-        // what rounding leaves of balance is taken off in the same metric
+        // remove the rounding left in the balance, in the same metric
         Six<V> rest = softness_ * found - missed();
         for (int i = 0; i < count(); ++i)
             for (int r = 0; r < 6; ++r) rest[r] -= dot(cones_.blocks[i].g[r], step_[i]) + at_[i].gv[r] * step_v_[i];
         found = found + solve_once(pull_, pull_v_, rest, back_, back_v_);
         for (int i = 0; i < count(); ++i) {
             step_[i] += back_[i], step_v_[i] += back_v_[i];
-            back_[i] = x_[i], back_v_[i] = v_[i];  // where it was
+            back_[i] = x_[i], back_v_[i] = v_[i];  // the previous point
         }
         const V after = energy_along(V(1.0));
         for (int i = 0; i < count(); ++i) x_[i] += step_[i], v_[i] += step_v_[i];
@@ -65,7 +65,7 @@ template <int W> void SmoothLanes<W>::polish(const Mask& which) {
         y_ = select(open, found, y_);
         value = select(open, after, value), residual = select(open, missing, residual);
     }
-    // of a missed balance that is a penalty, all of it
+    // if missed balance is a penalty, report all of it
     residual = select(which & (softness_ > 0.0), size(missed()), residual);
 }
 
@@ -76,7 +76,7 @@ template <int W> auto SmoothLanes<W>::gap() const -> V {
     std::fill(along_.begin(), along_.end(), V{});
     for (int i = 0; i < count(); ++i)
         for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, x_[i], v_[i]);
-    const auto conjugate = [&](const Limit& side, const V& slack) {  // least of weight / s + price s over s, and -price bound
+    const auto conjugate = [&](const Limit& side, const V& slack) {  // minimum of weight / s + price s over s, less price * bound
         const V price = side.weight / (slack * slack);
         bound += 2.0 * side.weight / slack - price * side.bound;
         return price;

@@ -1,10 +1,12 @@
-// The optimum of Phi as a smooth function of everything that a problem is made of, W problems side by side: Newton's system with torsion
-// and limits, the last step of a solve, the elastic force where no force exists, and gradients by the adjoint system.
+// The optimum of Phi as a smooth function of all inputs, W problems side by side: Newton's system with torsion and limits, the last
+// step of a solve, the elastic force if no force exists, and gradients by the adjoint system. The file is the class alone;
+// system.hpp, optima.hpp and gradients.hpp hold its longer functions.
 //
-// Variables of a contact are z = (u, o, t, v) in cone coordinates, v the torsion of a soft contact in units of its limit. The optimum has
+// Variables of a contact are z = (u, o, t, v) in cone coordinates, with v the torsion of a soft contact in units of its limit. The
+// optimum satisfies
 //     grad E(z) + A^T y = 0,    A z + w - softness y = 0,
-// E = Phi with the barriers of torsion and limits, A the wrenches of z in the unit frame, softness 0 unless balance is a penalty. For a loss
-// with derivatives g by z and h by y, the adjoint system
+// with E = Phi plus the barriers of torsion and limits, A the map from z to the wrench in the unit frame, and softness 0 unless
+// balance is a penalty. For a loss with derivatives g with respect to z and h with respect to y, the adjoint system
 //     H p + A^T q = g,    A p - softness q = h
 // has the matrix of Newton's step, and d loss / d theta = -(p . d_theta (grad E + A^T y) + q . d_theta (A z + w - softness y)).
 #pragma once
@@ -14,19 +16,19 @@
 
 namespace grasp {
 
-// Which problem a force is the optimum of: the problem itself; with limits that may be exceeded; with balance that may be missed, too.
+// The problem whose optimum a force is: the problem itself; with limits that may be exceeded; with balance that may be missed as
+// well.
 enum class Regime { none, optimum, exceeding, unbalanced };
 
-inline constexpr double ELASTIC_EDGE =
-    0.1;  // slack in parts of sqrt(lambda / omega): below it the barrier of a limit is a parabola
-inline constexpr double ELASTIC_SOFTNESS = 1e-2;  // [N^2] per unit of Phi: what missed balance costs is |missed|^2 / (2 softness)
+inline constexpr double ELASTIC_EDGE = 0.1;  // fraction of sqrt(lambda / omega): smaller slacks have a quadratic barrier
+inline constexpr double ELASTIC_SOFTNESS = 1e-2;  // [N^2] per unit of Phi: missed balance costs |missed|^2 / (2 softness)
 
-// Gradients by every array of a batch, one row per problem; null: not wanted.
+// Gradients for every array of a batch, one row per problem; null: not wanted.
 struct BatchGradients {
     double *positions, *normals, *friction, *tangents, *torsion, *wrench, *jacobian, *torque_limit, *torque_bias, *min_normal,
         *max_normal, *force_weight, *barrier_weight;
 };
-// In the order of `FORCE_INPUTS`; a start has no gradient.
+// In the order of `FORCE_INPUTS`, of which a start has no gradient.
 inline constexpr double* BatchGradients::* FORCE_GRADIENTS[] = {
     &BatchGradients::positions,     &BatchGradients::normals,    &BatchGradients::friction,   &BatchGradients::tangents,
     &BatchGradients::torsion,       &BatchGradients::wrench,     &BatchGradients::jacobian,   &BatchGradients::torque_limit,
@@ -38,7 +40,7 @@ public:
     using V = Each<W>;
     using Mask = typename V::Mask;
     using Vec = Vec3<V>;
-    V residual{}, iterations{};  // of the last `polish` what balance misses [N]; of the last descent
+    V residual{}, iterations{};  // balance residual of the last `polish` [N]; iterations of the last descent
 
     explicit SmoothLanes(const ForceBatch& batch)
         : x_(batch.contacts), v_(batch.contacts), batch_(batch), joints_(batch.torque_limit ? batch.joints : 0),
@@ -46,8 +48,8 @@ public:
           columns_(std::size_t(joints_ * batch.contacts)), scaled_(columns_.size()), step_(batch.contacts), back_(batch.contacts),
           pull_(batch.contacts), step_v_(batch.contacts), back_v_(batch.contacts), pull_v_(batch.contacts), along_(joints_) {}
 
-    // Problem k into a lane, before `place`. posed is read until then.
-    void load(int lane, std::ptrdiff_t k, const Posed& posed, Regime regime) {
+    // Load problem k into a lane, before `place`, which still reads `posed`.
+    void load(int lane, std::ptrdiff_t k, const PosedProblem& posed, Regime regime) {
         problems_[lane] = {
             {batch_.positions[k], posed.normals.data(), posed.scale.data(), posed.tangents.data(), posed.weights.data()}, k};
         for (int r = 0; r < 6; ++r) set(wrench_[r], lane, batch_.wrench[k][r]);
@@ -67,12 +69,12 @@ public:
         }
         choose(lane, regime);
     }
-    // Which optimum of its problem a lane is about.
+    // Choose the optimum that a lane stands for.
     void choose(int lane, Regime regime) {
         set(softness_, lane, regime == Regime::unbalanced ? ELASTIC_SOFTNESS : 0.0);
         set(last_, lane, regime == Regime::optimum ? 0.0 : ELASTIC_EDGE);
     }
-    // Frames, columns and rows of what is loaded; which problems are ordinary.
+    // Compute frames, columns and rows of the loaded problems. Return the ordinary ones.
     Mask place() {
         const Mask good = placed_.place(problems_, cones_);
         w_ = cones_.unit.of(wrench_);
@@ -89,9 +91,9 @@ public:
         return good;
     }
 
-    // --- where a descent begins
+    // --- start of a descent
 
-    // From an internal force; which problems have one.
+    // Start from an internal force. Return the problems that have one.
     Mask begin() {
         const Mask found = placed_.internal_force(cones_, rest_);
         const V scale = squeeze(cones_, rest_);
@@ -100,16 +102,16 @@ public:
         std::fill(v_.begin(), v_.end(), V{});
         return found & (cones_.phi(x_) < infinity);
     }
-    // From forces (N, 3) [N] in contact frames where they have less Phi than the start that is there, once they are balanced; null: none.
+    // Replace the start by forces (N, 3) [N] in contact frames if they, once balanced, have less Phi; null: no force.
     void take_starts(const double* const (&starts)[W]) {
         if (std::none_of(starts, starts + W, [](const double* each) { return each; })) return;
         rest_ = x_;
         for (int lane = 0; lane < W; ++lane)
             if (starts[lane]) cones_.load_force(starts[lane], rest_, lane);
         cones_.balance(rest_, w_);
-        keep(cones_.phi(rest_) < cones_.phi(x_), rest_, x_);
+        copy_where(cones_.phi(rest_) < cones_.phi(x_), rest_, x_);
     }
-    // From a force (N, 3) [N] in contact frames with its torsion (N,) [N m] and multipliers (6,) nu of the given wrench.
+    // Start from a force (N, 3) [N] in contact frames with its torsion (N,) [N m] and the multipliers (6,) nu of the given wrench.
     void begin(int lane, const double* force, const double* torsion, const Vec6& nu) {
         for (int i = 0; i < count(); ++i) {
             const double per = get(at_[i].divisor_v, lane);
@@ -122,13 +124,13 @@ public:
         const Point move = Point{nu[0], nu[1], nu[2]} + cross(turn, centre);
         for (int a = 0; a < 3; ++a) set(y_[a], lane, -move[a]), set(y_[3 + a], lane, -turn[a] * get(unit.length, lane));
     }
-    // Along the axes of the cones.
+    // Start along the axes of the cones.
     void begin(int lane) {
         for (int i = 0; i < count(); ++i) {
             set(x_[i].u, lane, get(at_[i].unit, lane)), set(x_[i].o, lane, 0.0), set(x_[i].t, lane, 0.0), set(v_[i], lane, 0.0);
         }
     }
-    // The state of a problem: (N, 4) z and the multipliers of the unit frame.
+    // The state of a problem: z (N, 4) and the multipliers in the unit frame.
     void save(int lane, double* state) const {
         for (int i = 0; i < count(); ++i) {
             for (int a = 0; a < 3; ++a) state[4 * i + a] = get(x_[i][a], lane);
@@ -146,17 +148,18 @@ public:
 
     // --- optima
 
-    // Damped Newton of those that are live, from any force inside the cones, in at most so many steps; which of them are close to their
-    // optimum, or their elastic force, then.
+    // Damped Newton for the live lanes, from any force inside the cones, in at most `most` steps. Return the lanes that are then
+    // close to their optimum, or elastic force.
     Mask descend(Mask live, int most);
-    // Whole Newton steps from close to an optimum to its last digits, where they do not raise E.
+    // Take full Newton steps close to an optimum to reach its last digits, as long as they do not raise E.
     void polish(const Mask& which);
-    // (E - bound) / bound, bound the dual value at the multipliers and the limits' prices: no balanced force has less; inf: it says nothing.
+    // (E - bound) / bound, where bound is the dual value at the multipliers and the limits' prices: no balanced force has less.
+    // inf: no bound.
     V gap() const;
-    // Whether the last `polish` left them balanced.
+    // True if the last `polish` left a lane balanced.
     Mask balanced() const { return cones_.balanced(x_, w_, residual); }
 
-    // Forces (N, 3) [N] in the frame of the positions, torsion (N,) [N m], multipliers (6,) nu = -y of the given wrench.
+    // Write forces (N, 3) [N] in the frame of the positions, torsion (N,) [N m], and multipliers (6,) nu = -y of the given wrench.
     void write(int lane, double* force, double* torsion, double* multipliers) const {
         const Six<V> y = cones_.unit.pull_back(y_);
         for (int r = 0; r < 6; ++r) multipliers[r] = -get(y[r], lane);
@@ -167,12 +170,13 @@ public:
         }
     }
 
-    // Gradients of a loss at what is restored and placed; wanted: the problems whose rows are written.
+    // Gradients of a loss at the restored and placed problems. wanted: problems whose rows are written.
     void gradients(Mask wanted, const double* by_force, const double* by_torsion, const double* by_multipliers,
                    const BatchGradients& to);
 
 private:
-    // One limit a . z <= bound: the barrier weight / slack of its normalised slack, below `edge` as its parabola; weight 0: there is none.
+    // One limit a . z <= bound, with the barrier weight / slack of its normalised slack and its quadratic extension below `edge`.
+    // weight 0: no limit.
     struct Limit {
         V bound, weight, price, bend;
 
@@ -185,18 +189,18 @@ private:
             const V slack = bound - along, c = max(slack, edge), i = 1.0 / c, first = weight * i * i;
             bend = 2.0 * first * i, price = first - bend * (slack - c);
         }
-        // d price / d edge at a fixed slack
+        // d price / d edge at a fixed slack.
         V by_edge(const V& along, const V& edge) const {
             const V below = min(bound - along - edge, V(0.0)), i = 1.0 / max(edge, V(1e-100));
             return select((edge > 0.0) & (below < 0.0), 6.0 * weight * below * i * i * i * i, V(0.0));
         }
     };
     struct Contact {
-        Vec along, frame[3], arm;  // the direction of o that is given; (n, o, t); from the contacts' centre [m]
-        V gv[6], divisor_v, lambda_v;  // of torsion: its column, v / torsion (inf: hard), lambda (0: hard)
-        Limit low, high;  // of u
-        V unit, edge;  // sqrt(lambda / omega); the slack below which the barrier of a limit is its parabola
-        // at z: its inverse Hessian with the rows that are its own, (inverse, across; across, turn), and the gradient of all terms
+        Vec along, frame[3], arm;  // given direction of o; (n, o, t); position relative to the contacts' centre [m]
+        V gv[6], divisor_v, lambda_v;  // torsion: its column, v / torsion (inf: hard), lambda (0: hard)
+        Limit low, high;  // limits of u
+        V unit, edge;  // sqrt(lambda / omega); slack below which the barrier is quadratic
+        // at z: inverse Hessian with the contact's own rows, (inverse, across; across, turn), and the gradient of all terms
         Sym3<V> inverse;
         Vec across, gradient;
         V turn, gradient_v;
@@ -204,24 +208,23 @@ private:
     struct Row {
         Limit low, high;
         V size, unit, edge, along, price;
-        V touches, lambda, omega;  // how many contacts it touches, and their means
-        V empty, own;  // 1: no force changes it; it touches one contact at most
-        V bend, root;  // of an own row; the square root of that of a shared one
+        V touches, lambda, omega;  // number of contacts it acts on, and their means
+        V empty, own;  // 1: no force changes it; it acts on at most one contact
+        V bend, root;  // bend of an own row; square root of that of a shared row
     };
     struct Column {
         Vec c;
         V cv, touched;
-        bool any;  // whether it touches in any lane; what touches nowhere changes nothing
+        bool any;  // true if it is non-zero in any lane
     };
-    static constexpr double ROUNDED = 1e-13;  // part of E that what a step misses of balance may be worth
-    static constexpr double RAISED = 1e-11;  // the same, by which a whole step back to balance may raise it
-    static constexpr double SOFTEST = 8.0, HARDENING = 1.0 / 16.0;  // the first edge of a descent, and what each is multiplied by
-    static constexpr double HARDEST = 1e-6;  // nearly infeasible: another solver's
-    static constexpr double CLOSE = 0.03;  // squared decrement, part of E, from which the edge is lowered
-    static constexpr double SETTLED = 1e-9;  // the same, from which `polish` ends
-    static constexpr double MISSES =
-        1e-13;  // part of an adjoint force and of its right side, by which the one may miss the other
-    static constexpr double LONG = 0.95;  // part of the way to the boundary
+    static constexpr double ROUNDED = 1e-13;  // fraction of E: largest value of a step's balance residual
+    static constexpr double RAISED = 1e-11;  // fraction of E: largest rise by a full step that restores balance
+    static constexpr double LARGEST_EDGE = 8.0, EDGE_FACTOR = 1.0 / 16.0;  // first edge of a descent, and its factor
+    static constexpr double LEAST_EDGE = 1e-6;  // below it the problem is nearly infeasible and left to another solver
+    static constexpr double CLOSE = 0.03;  // squared decrement, as a fraction of E, below which the edge is lowered
+    static constexpr double SETTLED = 1e-9;  // the same, below which `polish` takes over
+    static constexpr double MISSES = 1e-13;  // fraction of an adjoint force and of its right-hand side: allowed residual
+    static constexpr double LONG = 0.95;  // fraction of the way to the boundary
     static constexpr int HALVINGS = 40, REFINEMENTS = 2, WHOLE_STEPS = 3;
 
     typename Cones<V, 0>::Field x_;  // (u, o, t)
@@ -234,15 +237,15 @@ private:
     typename Cones<V, 0>::Field rest_;
     std::vector<Contact> at_;
     std::vector<Row> rows_;
-    std::vector<Column> columns_, scaled_;  // of rows in parts of their length; of shared rows, times their roots
-    bool shared_ = false;  // whether any row is
+    std::vector<Column> columns_, scaled_;  // rows divided by their length; shared rows times their roots
+    bool shared_ = false;  // true if any row is shared
     typename Cones<V, 0>::Field step_, back_, pull_;
     std::vector<V> step_v_, back_v_, pull_v_, both_;
     mutable std::vector<V> along_;
     AnyLdl<V> schur_;
     Six<V> wrench_{}, w_{};
-    V softness_{}, last_{}, edge_{}, tightest_{};  // edges: in the units of the limits; tightest_: least slack at the last system
-    Case problems_[W] = {};
+    V softness_{}, last_{}, edge_{}, tightest_{};  // edges: in units of the limits; tightest_: smallest slack at the last system
+    LaneProblem problems_[W] = {};
 
     int count() const { return batch_.contacts; }
     std::ptrdiff_t number(int lane) const { return problems_[lane].number; }
@@ -258,7 +261,7 @@ private:
         const Vec& divisor = cones_.blocks[i].divisor;
         return (z.u / divisor.u) * c.frame[0] + (z.o / divisor.o) * c.frame[1] + (z.t / divisor.t) * c.frame[2];
     }
-    // A motion (3,) of contact i by joint j of every lane, from row `from` of the Jacobian on.
+    // Motion (3,) of contact i per speed of joint j in every lane, from row `from` of the Jacobian on.
     Vec motion(int i, int j, int from) const {
         Vec made{};
         for (int lane = 0; lane < W; ++lane)
@@ -273,7 +276,7 @@ private:
         for (Row& row : rows_) row.edge = edge_ * row.unit;
     }
 
-    // E with the penalty of what is missed of balance; +inf unless strictly inside. at(i, v): (u, o, t) of contact i, and v.
+    // E with the penalty of missed balance; +inf unless strictly inside. at(i, v): (u, o, t) of contact i, and v.
     template <class F> V energy_at(F&& at) const {
         V total{}, room = infinity;
         Six<V> missed = w_;
@@ -322,7 +325,7 @@ private:
     const Column& scaled(int i, int r) const { return scaled_[joints_ * i + r - 6]; }
 
     // (inverse^-1 + bend a a^T)^-1 with h = inverse a, square = a . h
-    static void soften(Contact& c, const V& bend, const Vec& h, const V& hv, const V& square) {
+    static void subtract_rank_one(Contact& c, const V& bend, const Vec& h, const V& hv, const V& square) {
         const V part = bend / (1.0 + bend * square);
         const Vec f = part * h;
         Sym3<V>& m = c.inverse;
@@ -335,9 +338,9 @@ private:
         if (batch_.torsion) out += gv * c.across, out_v = dot(c.across, g) + c.turn * gv;
     }
 
-    // H p + A^T q = g, A p - softness q = h, with H of all terms; g is overwritten. The barriers of limits may be far stiffer than the rest, so
-    // that the system loses digits: what p then misses of h is taken off by the same system.
-    // allowed(q): how much of h may be missed
+    // Solve H p + A^T q = g, A p - softness q = h, with H of all terms; g is overwritten. The barriers of limits may be far stiffer
+    // than the rest, so the system loses digits: the residual of p in h is removed by the same system. allowed(q): largest residual
+    // of h.
     template <class F> Six<V> solve(typename Cones<V, 0>::Field& g, std::vector<V>& gv, const Six<V>& h,
                                     typename Cones<V, 0>::Field& p, std::vector<V>& pv, F&& allowed) {
         Six<V> q = solve_once(g, gv, h, p, pv);
@@ -371,7 +374,7 @@ private:
         for (int r = 0; r < 6; ++r) q[r] = both_[r];
         return q;
     }
-    // Into step_ and step_v_, where E is `value`; returns the new multipliers.
+    // Newton step into step_ and step_v_, where E is `value`. Return the new multipliers.
     Six<V> newton_step(const V& value) {
         assemble();
         for (int i = 0; i < count(); ++i) pull_[i] = -at_[i].gradient, pull_v_[i] = -at_[i].gradient_v;
@@ -379,7 +382,7 @@ private:
         for (V& each : left) each = -each;
         return solve(pull_, pull_v_, left, step_, step_v_, [&](const Six<V>& y) { return ROUNDED * value / size(y); });
     }
-    // The squared decrement of the step, and 1 / (the largest step inside the cones).
+    // Squared decrement of the step, and 1 / (largest step inside the cones).
     struct Judged { V decrement, reach; };
     Judged judged_step() const {
         Judged made{V{}, V(1e-300)};

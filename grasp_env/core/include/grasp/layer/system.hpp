@@ -1,10 +1,10 @@
-// The Newton system of `SmoothLanes`: rows of limits and blocks of the inverse Hessian.
+// The Newton system of `SmoothLanes`: rows of limits, and blocks of the inverse Hessian.
 #pragma once
 #include <grasp/layer/smooth.hpp>
 
 namespace grasp {
 
-// Row j of the limits of torques, in parts of its length: `LimitTable` and `General` take them so.
+// Row j of the torque limits, divided by its length, as in `LimitTable` and `General`.
 template <int W> void SmoothLanes<W>::place_row(int j) {
     Row& row = rows_[j];
     V square{}, all_lambda{}, all_omega{};
@@ -44,7 +44,7 @@ template <int W> void SmoothLanes<W>::place_row(int j) {
     }
 }
 
-// Blocks of the inverse Hessian, gradients, the limits' prices and the factored system at z.
+// Blocks of the inverse Hessian, gradients, prices of the limits and the factored system at z.
 template <int W> void SmoothLanes<W>::assemble() {
     tightest_ = V(infinity);
     for (Row& row : rows_) row.along = V{};
@@ -82,7 +82,8 @@ template <int W> void SmoothLanes<W>::assemble() {
     schur_.factor();
 }
 
-// A contact's own terms: v is eliminated first, dv = lever du + free (what pulls at v), then each row changes the block by rank one.
+// Terms of one contact: v is eliminated first, dv = lever du + free (gradient along v), then each row changes the block by rank
+// one.
 template <int W> void SmoothLanes<W>::bind(int i) {
     Contact& c = at_[i];
     const auto& weights = cones_.blocks[i].weights;
@@ -106,7 +107,7 @@ template <int W> void SmoothLanes<W>::bind(int i) {
     }
     if (batch_.torsion || batch_.min_normal || batch_.max_normal) {
         const Vec h{c.inverse.uu, c.inverse.uo, c.inverse.ut};
-        soften(c, bend, h, V(0.0), h.u);
+        subtract_rank_one(c, bend, h, V(0.0), h.u);
     }
     if (batch_.torsion) {
         c.across = lever * Vec{c.inverse.uu, c.inverse.uo, c.inverse.ut};
@@ -119,7 +120,7 @@ template <int W> void SmoothLanes<W>::bind(int i) {
         Vec h;
         V hv;
         applied(i, col.c, col.cv, h, hv);
-        soften(c, rows_[j].bend, h, hv, dot(h, col.c) + hv * col.cv);
+        subtract_rank_one(c, rows_[j].bend, h, hv, dot(h, col.c) + hv * col.cv);
     }
 }
 

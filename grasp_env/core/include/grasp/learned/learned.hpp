@@ -1,19 +1,19 @@
-// Starts that a network predicts. Whatever the weights say, the engine balances them and brings them inside the cones, with no more Phi than
-// the method's own start has.
+// Starts predicted by a network. For any weights, the solver balances them and brings them inside the cones, with Phi no larger
+// than at the method's default start.
 #pragma once
 #include <grasp/learned/network.hpp>
 #include <grasp/contacts/cones.hpp>
 
 namespace grasp {
 
-// Numbers that a network reads besides lengths: the wrench's direction, its logarithm, the friction.
+// Number of a network's inputs besides lengths: direction and logarithm of the wrench, friction.
 inline constexpr int PLAIN_FEATURES = 8;
 
-// How a network's features are made, as policies/features.py says.
+// Scaling of a network's features, as in policies/features.py.
 struct Normalisation {
     double floor, smoothing, log_mean, log_scale, friction_mean, friction_scale;
 
-    // Whether what is divided by may be.
+    // True if all divisors are positive and all numbers finite.
     bool good() const {
         for (const double positive : {floor, log_scale, friction_scale})
             if (!(positive > 0.0 && positive < infinity)) return false;
@@ -21,18 +21,18 @@ struct Normalisation {
     }
 };
 
-// A trained model on contacts as they are now: a network from the wrench to internal forces.
+// A trained model for given contacts: a network from the wrench to internal forces.
 struct Model {
     Network network;
-    Network
-        pairs;  // one stage, 6 to 2 M numbers: of the wrench's direction M vectors along the surfaces, whose lengths are features
+    // One stage, 6 to 2 M numbers: M vectors along the surfaces from the wrench's direction; their lengths are features.
+    Network pairs;
     Normalisation normalisation{};
     double friction = 0.0;  // of the contacts
-    double scale = 1.0;  // sqrt(lambda / omega) over that of training: Phi knows forces in that unit only
-    std::vector<double> null_space;  // (3N, 3N - 6) the internal forces [N] that the network's outputs stand for
-    double largest = -1.0;  // size of the training's wrenches [N], unit frame; negative: none is covered
+    double scale = 1.0;  // sqrt(lambda / omega) relative to that of training: the only unit of force in Phi
+    std::vector<double> null_space;  // (3N, 3N - 6) internal forces [N], the basis of the network's outputs
+    double largest = -1.0;  // size of the largest training wrench [N], unit frame; negative: none is covered
 
-    // Whether the parts belong together, and to so many contacts.
+    // True if the parts fit together and to this number of contacts.
     bool fits(int count) const {
         const std::size_t size = 3 * count, outputs = network.outputs();
         return whole() && size >= 6 && outputs == size - 6 && null_space.size() == size * outputs && scale > 0.0;
@@ -40,9 +40,9 @@ struct Model {
     bool whole() const {
         return pairs.sizes().size() == 2 && pairs.inputs() == 6 && 2 * (network.inputs() - PLAIN_FEATURES) == pairs.outputs();
     }
-    // Whether a wrench (unit frame) is no larger than those of training, and contacts and friction are like them.
+    // True if training covered a wrench (unit frame) of this size, and contacts and friction like these.
     bool covers(const Vec6& w) const { return dot(w, w) <= largest * std::abs(largest); }
-    // The internal force that the network predicts for a wrench (unit frame), as coordinates (3N - 6,) [N] of `null_space`.
+    // Predict the internal force for a wrench (unit frame), as coordinates (3N - 6,) [N] in `null_space`.
     template <class Out> void predict(const Vec6& w, Out&& coordinates) {
         const Normalisation& by = normalisation;
         const double unit = 1.0 / scale, square = unit * unit * dot(w, w) + by.floor * by.floor, size = std::sqrt(square);
@@ -59,7 +59,7 @@ struct Model {
     }
 };
 
-// What a model says of wrenches on contacts in one place.
+// The predictions of a model for wrenches on fixed contacts.
 template <class V, int B> class Prediction {
 public:
     using Field = typename Cones<V, B>::Field;
@@ -72,13 +72,13 @@ public:
             for (int j = 0; j < size; ++j) column[j] = model.null_space[columns * j + k];
             for (auto& v : space_[k] = cones.field()) v = {V{}, V{}, V{}};
             cones.load_force(column.data(), space_[k]);
-            cones.balance(space_[k], Vec6{});  // nothing at all where the model's are internal forces
+            cones.balance(space_[k], Vec6{});  // no change if the model's columns are internal forces
         }
     }
 
     bool covers(const Vec6& w) const { return model_.covers(w); }
 
-    // x += the internal force that the network predicts for w (unit frame)
+    // x += the internal force predicted for w (unit frame).
     void add(const Vec6& w, Field& x) {
         model_.predict(w, weights_);
         for (int b = 0; b < int(x.size()); ++b) {

@@ -1,7 +1,9 @@
-// A trained model for the contacts of one grasp as one file, written by Python (`LearnedInitialForce.export`), read without it.
+// A trained model for the contacts of one grasp as one file. Python writes it (`LearnedInitialForce.export`); C++ reads it without
+// Python.
 //
-// A file of numbers of the kind "GRASPM3\n": how many sizes and the sizes of the network, the other numbers of `Model`, the null space's
-// length and its numbers; then the weights of the network and of `pairs` as floats.
+// Kind "GRASPM3
+// " of `number_file.hpp`: number of sizes and sizes of the network, the other numbers of `Model`, length and numbers of the null
+// space, then the weights of the network and of `pairs` as floats.
 #pragma once
 #include <stdexcept>
 #include <grasp/learned/learned.hpp>
@@ -25,13 +27,13 @@ public:
         return file.file(KIND);
     }
 
-    // None where the bytes are not those of a whole model.
+    // Return nothing unless the bytes are those of a whole model.
     static std::optional<Model> read(std::string_view bytes) {
         const auto numbers = NumberReader::body(bytes, KIND);
         return numbers ? body(*numbers) : std::nullopt;
     }
 
-    // What follows the hash, by itself: for fuzzing.
+    // Parse the part after the hash; separate for fuzzing.
     static std::optional<Model> body(std::string_view bytes) {
         NumberReader file(bytes);
         std::vector<int> sizes(std::size_t(file.whole(MOST_STAGES + 1)));
@@ -56,7 +58,7 @@ public:
         return model;
     }
 
-    // Throws std::invalid_argument where there is no such model.
+    // Throws std::invalid_argument if the file holds no such model.
     static Model load(const std::string& path) {
         std::optional<Model> model = read(NumberReader::bytes(path));
         if (!model) throw std::invalid_argument(path + " is no whole model file: LearnedInitialForce.export writes one");
@@ -67,7 +69,7 @@ private:
     static constexpr std::string_view KIND = "GRASPM3\n";
     static constexpr std::size_t MOST_NULL = LARGEST_FILE / sizeof(double);
 
-    // The numbers of a model besides its weights, in their order.
+    // The numbers of a model besides its weights, in file order.
     static std::array<double, 9> packed(const Model& m) {
         const Normalisation& by = m.normalisation;
         return {by.floor,          by.smoothing, by.log_mean, by.log_scale, by.friction_mean,

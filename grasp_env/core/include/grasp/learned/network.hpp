@@ -7,10 +7,10 @@
 
 namespace grasp {
 
-inline constexpr int FLOATS = 2 * REGISTER;  // of one register
+inline constexpr int FLOATS = 2 * REGISTER;  // floats in a register
 typedef float Floats __attribute__((vector_size(4 * FLOATS)));
 
-// Bounds of what a file may ask for.
+// Largest accepted sizes of a network from a file.
 inline constexpr int MOST_STAGES = 8, WIDEST = 1024;
 
 inline Floats activation(Floats v) {
@@ -20,7 +20,7 @@ inline Floats activation(Floats v) {
     return 0.5f * v * (1.0f + v / root);
 }
 
-// to = f(from W + bias); W (inputs x outputs) in rows of whole registers.
+// to = f(from W + bias); the rows of W (inputs x outputs) are padded to whole registers.
 class Dense {
 public:
     Dense() = default;
@@ -31,7 +31,7 @@ public:
         spread(bias, outputs, bias_.data());
     }
 
-    // Appends the weights and the bias to `flat`.
+    // Append the weights and the bias to `flat`.
     void write(std::vector<float>& flat) const {
         for (int i = 0; i < inputs_; ++i) write(&weights_[std::size_t(i) * row_], flat);
         write(bias_.data(), flat);
@@ -39,7 +39,7 @@ public:
 
     int padded() const { return FLOATS * row_; }  // outputs rounded up to whole registers
 
-    // hidden: whether the activation follows.
+    // hidden: true if the activation follows.
     template <bool hidden> void operator()(const float* from, float* to) const {
         int b = 0;
         for (; b + 8 <= row_; b += 8) tile<8, hidden>(from, b, to);
@@ -61,7 +61,8 @@ private:
         __builtin_memcpy(to, from, sizeof(float) * count);
     }
 
-    // K registers of outputs, which stay in registers throughout; few take turns, as a sum waits for the one before.
+    // K registers of outputs, kept in registers throughout. Few outputs use several partial sums, since each addition waits for the
+    // one before.
     template <int K, bool hidden> void tile(const float* from, int first, float* to) const {
         constexpr int TURNS = 8 / K;
         Floats sums[TURNS][K] = {};
@@ -87,7 +88,8 @@ private:
 class Network {
 public:
     Network() = default;
-    // sizes: inputs, hidden ..., outputs, for which `numbers` is not 0; flat: of each stage (inputs x outputs), then its bias
+    // sizes: inputs, hidden ..., outputs, accepted by `numbers`. flat: for each stage the weights (inputs x outputs), then the
+    // bias.
     Network(std::span<const int> sizes, const float* flat) {
         for (std::size_t stage = 0; stage + 1 < sizes.size(); ++stage) {
             const int inputs = sizes[stage], outputs = sizes[stage + 1];
@@ -101,7 +103,7 @@ public:
         one_.resize(widest), other_.resize(widest);
     }
 
-    // Weights and biases of a network of these sizes; 0: more or wider stages than the bounds, or none.
+    // Number of weights and biases of a network of these sizes; 0 if the sizes are empty or out of range.
     static std::size_t numbers(std::span<const int> sizes) {
         if (sizes.size() < 2 || sizes.size() > MOST_STAGES + 1) return 0;
         std::size_t total = 0;
@@ -118,7 +120,7 @@ public:
         for (const Dense& stage : stages_) stage.write(flat);
     }
 
-    // features: (inputs,); the outputs stay until the next call.
+    // features: (inputs,); the outputs stay valid until the next call.
     const float* operator()(const float* features) {
         const float* from = features;
         for (std::size_t stage = 0; stage < stages_.size(); ++stage) {

@@ -1,6 +1,6 @@
-// Problems on many grasps. Those of a grasp that has many are solved as such; of all others a register holds W, each on the contacts
-// of its own grasp, from these to the record. What is not ordinary there is solved again by itself, from the beginning. What a lane
-// does hangs on no other.
+// Problems on many grasps. A grasp with many problems is solved alone. For all others a register holds W problems, each on the
+// contacts of its own grasp, from placing the contacts to the record. Problems that need more than an ordinary descent are solved
+// again alone. Lanes are independent.
 #pragma once
 #include <grasp/phi/basis.hpp>
 #include <grasp/math/dispatch.hpp>
@@ -8,37 +8,38 @@
 
 namespace grasp {
 
-// The contacts of one problem, (N, 3) each but weights (N, 2) omega and lambda. apart: from one coordinate of a tangent to the next.
+// The contacts of one problem, (N, 3) each, but weights (N, 2) omega and lambda. apart: stride between the coordinates of a
+// tangent.
 struct ContactArrays {
     const double *positions, *normals, *scale, *tangents, *weights;
     int apart = 1;
 };
-// One problem: its contacts, its number.
-struct Case {
+// One problem: its contacts and its index.
+struct LaneProblem {
     ContactArrays at;
     std::ptrdiff_t number;
 };
 
-// Hard contacts of U grasps, N each; problems first[u] to first[u + 1] - 1 are those of grasp u.
+// Hard contacts of U grasps, N each; grasp u has the problems first[u] to first[u + 1] - 1.
 class Grasps {
 public:
     int contacts;
     std::ptrdiff_t count;
     const double *weights, *first;  // (N, 2) omega, lambda; (U + 1,)
 
-    // (U,) contacts in their place, whose own weights are not read; soft ones are not solved.
+    // placed: (U,) placed contacts, whose own weights are ignored; grasps with soft contacts are not solved.
     Grasps(int contacts, std::ptrdiff_t count, const Contacts* const* placed, const double* weights, const double* first)
         : contacts(contacts), count(count), weights(weights), first(first), placed_(placed) {}
 
-    // Whether they are those of a hard grasp.
-    bool sound(std::ptrdiff_t u) const { return placed_[u]->placing == Placing::good && !placed_[u]->soft(); }
-    Case problem(std::ptrdiff_t u, std::ptrdiff_t k) const {
+    // True if the grasp has hard contacts of full rank.
+    bool is_solvable(std::ptrdiff_t u) const { return placed_[u]->placing == Placing::good && !placed_[u]->soft(); }
+    LaneProblem problem(std::ptrdiff_t u, std::ptrdiff_t k) const {
         const Contacts& at = *placed_[u];
         return {{at.positions.data(), at.normals.data(), at.scale.data(), at.frames.data() + 1, weights, 3}, k};
     }
-    Contacts weighed(std::ptrdiff_t u) const {
+    Contacts with_weights(std::ptrdiff_t u) const {
         Contacts made = *placed_[u];
-        made.weigh(weights);
+        made.set_weights(weights);
         return made;
     }
 
@@ -46,7 +47,7 @@ private:
     const Contacts* const* placed_;
 };
 
-// The contacts of W grasps, a lane for each, as `Contacts` places those of one.
+// The contacts of W grasps, one lane each, placed as by `Contacts`.
 template <int W> class PlacedLanes {
 public:
     using V = Each<W>;
@@ -57,8 +58,8 @@ public:
         : points_(count), normals_(count), scales_(count), tangents_(count), x_(count), step_(count),
           system_(Cones<V, 0>(count)) {}
 
-    // Into the cones; which are ordinary: finite numbers, normals of unit length, rank 6 beyond doubt.
-    Mask place(const Case (&problems)[W], Cones<V, 0>& cones) {
+    // Place the contacts into the cones. Return the ordinary lanes: finite numbers, normals of unit length, rank 6 beyond doubt.
+    Mask place(const LaneProblem (&problems)[W], Cones<V, 0>& cones) {
         const int count = cones.count;
         for (int lane = 0; lane < W; ++lane) {
             const ContactArrays& at = problems[lane].at;
@@ -100,10 +101,10 @@ public:
                 row = factor.solve(row);
                 for (int r = 0; r < 6; ++r) block.inverse[r][a] = block.scale[a] * row[r];
             }
-        return (total < infinity) & (off == 0.0) & (rank_bound(s, factor) > Contacts::WELL);
+        return (total < infinity) & (off == 0.0) & (rank_bound(s, factor) > Contacts::WELL_CONDITIONED);
     }
 
-    // `NewtonOn::internal_force`, where few plain steps find one.
+    // The same as `NewtonOn::internal_force`, for grasps where a few plain steps find one.
     Mask internal_force(const Cones<V, 0>& cones, Field& rest) {
         return balance_inside(cones, x_, step_, rest, FEW_STEPS,
                               [&](Six<V>& missed) { return system_.internal_step(cones, x_, missed, step_); });
@@ -113,7 +114,7 @@ private:
     Field points_, normals_, scales_, tangents_, x_, step_;
     System<V, 0> system_;
 
-    // stride: from one coordinate of a triple to the next
+    // stride: distance between the coordinates of a triple
     static void gather(const double* from, int stride, int lane, Field& to) {
         for (auto& triple : to) {
             set(triple.u, lane, from[0]), set(triple.o, lane, from[stride]), set(triple.t, lane, from[2 * stride]);
@@ -122,38 +123,38 @@ private:
     }
 };
 
-// What W problems, each on a grasp of its own, are given and end with.
+// Inputs and results of W problems, each on its own grasp.
 template <int W> struct GraspLanes {
     using V = Each<W>;
     using Mask = typename V::Mask;
     using Field = typename Cones<V, 0>::Field;
 
-    const Many& many;
+    const SolveBatch& many;
     PlacedLanes<W> placed;
     Six<V> w{}, nu{};  // wrenches and multipliers, unit frame
     Field rest, first, force;  // internal force, start, answer: cone coordinates
     V iterations{}, trials{}, objective{}, bound{}, residual{}, margin{};
 
-    GraspLanes(int contacts, const Many& many) : many(many), placed(contacts), rest(contacts), first(rest), force(rest) {}
+    GraspLanes(int contacts, const SolveBatch& many) : many(many), placed(contacts), rest(contacts), first(rest), force(rest) {}
 
-    // The contacts into the cones; which problems are ordinary.
-    Mask place(const Case (&problems)[W], Cones<V, 0>& cones) {
+    // Place the contacts into the cones. Return the ordinary problems.
+    Mask place(const LaneProblem (&problems)[W], Cones<V, 0>& cones) {
         const Mask good = placed.place(problems, cones) & placed.internal_force(cones, rest);
         for (int lane = 0; lane < W; ++lane)
             for (int r = 0; r < 6; ++r) set(w[r], lane, many.wrench(problems[lane].number)[r]);
-        const Mask sane = size(w) <= LARGEST;
+        const Mask is_in_range = size(w) <= LARGEST;
         w = cones.unit.of(w);
-        return good & sane;
+        return good & is_in_range;
     }
 
-    // Of the answers; which are balanced.
+    // Compute residuals and margins of the answers. Return the balanced ones.
     Mask check(const Cones<V, 0>& cones) {
         residual = cones.residual(force, w), margin = cones.margin(force);
         return cones.balanced(force, w, residual);
     }
 
-    // The records of those that converged.
-    void write(const Case (&problems)[W], const Mask& good, const Cones<V, 0>& cones) {
+    // Write the records of those that converged.
+    void write(const LaneProblem (&problems)[W], const Mask& good, const Cones<V, 0>& cones) {
         nu = cones.unit.pull_back(nu);
         cones.to_force(first), cones.to_force(force);
         for (int lane = 0; lane < W; ++lane) {
@@ -175,10 +176,10 @@ public:
     using V = Each<W>;
     using Mask = typename V::Mask;
 
-    NewtonGrasps(int contacts, const Stop& options, const Many& many) : group_(contacts, many), lanes_(contacts, options) {}
+    NewtonGrasps(int contacts, const Stop& options, const SolveBatch& many) : group_(contacts, many), lanes_(contacts, options) {}
 
-    // Solves the problems that are `wanted` and ordinary; returns which those are.
-    Mask solve(const Case (&problems)[W], const Mask& wanted) {
+    // Solve the problems that are `wanted` and ordinary. Return the solved ones.
+    Mask solve(const LaneProblem (&problems)[W], const Mask& wanted) {
         auto& g = group_;
         Mask live = wanted & g.place(problems, lanes_.cones);
         const auto& cones = lanes_.cones;
@@ -191,15 +192,15 @@ public:
             const auto [closed, alone] = lanes_.step(live);
             live &= ~(closed | alone), good |= closed;
             if (!any(closed)) continue;
-            keep(closed, lanes_.x, g.force), g.nu = select(closed, lanes_.nu, g.nu);
+            copy_where(closed, lanes_.x, g.force), g.nu = select(closed, lanes_.nu, g.nu);
             g.objective = select(closed, lanes_.value, g.objective), g.bound = select(closed, lanes_.bound, g.bound);
             g.iterations = select(closed, lanes_.iterations, g.iterations), g.trials = select(closed, lanes_.trials, g.trials);
         }
         lanes_.x = g.force;
-        cones.balance(lanes_.x, g.w);  // what rounding left of G x + w
-        keep(g.iterations > 0.0, lanes_.x, g.force);
+        cones.balance(lanes_.x, g.w);  // rounding of G x + w
+        copy_where(g.iterations > 0.0, lanes_.x, g.force);
         good &= g.check(cones) & (g.margin > 0.0);
-        g.objective = Rules<V>::again(cones.phi(g.force), g.objective);
+        g.objective = Rules<V>::unless_rounding(cones.phi(g.force), g.objective);
         good &= Rules<V>::certified(g.objective, g.bound, lanes_.options.tolerance);
         g.write(problems, good, cones);
         return good;
@@ -215,15 +216,15 @@ public:
     using V = Each<W>;
     using Mask = typename V::Mask;
 
-    ConicGrasps(int contacts, const Stop& options, const Many& many) : group_(contacts, many), lanes_(contacts, options) {}
+    ConicGrasps(int contacts, const Stop& options, const SolveBatch& many) : group_(contacts, many), lanes_(contacts, options) {}
 
-    Mask solve(const Case (&problems)[W], const Mask& wanted) {
+    Mask solve(const LaneProblem (&problems)[W], const Mask& wanted) {
         auto& g = group_;
         auto& steps = lanes_.steps;
         Mask live = wanted & g.place(problems, steps.cones);
         const auto& cones = steps.cones;
         const V scale = size(g.w);
-        live &= (scale >= NOTHING) & cones.sane(g.rest) & (cones.margin(g.rest) > 0.0);
+        live &= (scale >= NOTHING) & cones.is_in_range(g.rest) & (cones.margin(g.rest) > 0.0);
         steps.rest = g.rest, lanes_.minus = (-1.0 / scale) * g.w;
         live &= lanes_.begin();
         for (int b = 0; b < cones.count; ++b) g.first[b] = scale * steps.at[b].x;
@@ -249,18 +250,18 @@ private:
     ConicLanes<W> lanes_;
 };
 
-// All problems: those of a grasp that has many by one(contacts, problems), which is false where no internal force is quickly found. What is
-// left says REFUSED, for `ForceOptimizer` to solve.
-template <class Group, class F> void solve_grasps(const Grasps& grasps, const Many& many, Group& group, F&& one) {
+// Solve all problems. one(contacts, problems) solves a grasp that has many; it returns false if no internal force is found quickly.
+// The remaining records are REFUSED, to be solved by `ForceOptimizer`.
+template <class Group, class F> void solve_grasps(const Grasps& grasps, const SolveBatch& many, Group& group, F&& one) {
     constexpr int W = REGISTER;
     const auto refuse = [&](std::ptrdiff_t k) { many.record(k, grasps.contacts).summary().code = REFUSED; };
-    Case problems[W];
+    LaneProblem problems[W];
     int waiting = 0;
     const auto solve = [&] {
         typename Group::Mask wanted{};
         for (int lane = 0; lane < W; ++lane) {
             if (lane < waiting) wanted[lane] = -1;
-            else problems[lane] = problems[0];  // something must stand there
+            else problems[lane] = problems[0];  // the lane needs valid data
         }
         const auto good = group.solve(problems, wanted);
         for (int lane = 0; lane < waiting; ++lane)
@@ -269,9 +270,9 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const Ma
     };
     for (std::ptrdiff_t u = 0; u < grasps.count; ++u) {
         const auto from = std::ptrdiff_t(grasps.first[u]), until = std::ptrdiff_t(grasps.first[u + 1]);
-        if (until - from >= W || !grasps.sound(u)) {
-            const Many part{until - from, many.wrench(from), many.rows + record_size(grasps.contacts) * from};
-            if (!grasps.sound(u) || !one(grasps.weighed(u), part))
+        if (until - from >= W || !grasps.is_solvable(u)) {
+            const SolveBatch part{until - from, many.wrench(from), many.rows + record_size(grasps.contacts) * from};
+            if (!grasps.is_solvable(u) || !one(grasps.with_weights(u), part))
                 for (std::ptrdiff_t k = from; k < until; ++k) refuse(k);
             continue;
         }
@@ -283,13 +284,13 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const Ma
     if (waiting > 0) solve();
 }
 
-// Newton, each grasp from an internal force of its own. REFUSED: no force closure in floating point.
-inline void newton_grasps(const Grasps& grasps, const Stop& options, const Many& many) {
+// Newton, each grasp from its own internal force. REFUSED: no force closure in floating point.
+inline void newton_grasps(const Grasps& grasps, const Stop& options, const SolveBatch& many) {
     NewtonGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {
         NewtonOn<V, B> one(grasps.contacts, options);
         auto rest = one.cones.field();
-        solve_grasps(grasps, many, group, [&](const Contacts& contacts, const Many& part) {
+        solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& part) {
             one.cones.pack(contacts);
             const bool found = one.find_rest(rest, true);
             if (found) newton_many(one, rest, part);
@@ -298,13 +299,13 @@ inline void newton_grasps(const Grasps& grasps, const Stop& options, const Many&
     });
 }
 
-// The least sum of normal forces.
-inline void conic_grasps(const Grasps& grasps, const Stop& options, const Many& many) {
+// Minimise the sum of normal forces.
+inline void conic_grasps(const Grasps& grasps, const Stop& options, const SolveBatch& many) {
     ConicGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {
         NewtonOn<V, B> newton(grasps.contacts, options);
-        ConicOn<V, B> one(grasps.contacts, options);
-        solve_grasps(grasps, many, group, [&](const Contacts& contacts, const Many& part) {
+        ConicSolver<V, B> one(grasps.contacts, options);
+        solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& part) {
             newton.cones.pack(contacts), one.cones.pack(contacts);
             if (!newton.find_rest(one.rest, true)) return false;
             conic_many(one, part);

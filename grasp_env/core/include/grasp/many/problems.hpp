@@ -1,20 +1,20 @@
-// Many problems side by side: a register holds one contact of W problems, and a problem that ends makes room for the next. What a
-// lane does hangs on no other lane: an answer is the same whatever stands beside it. A problem begins and ends by itself, in the
-// registers of one (`NewtonOn`, `ConicOn`), and what is not an ordinary descent is solved there from its start on.
+// Many problems side by side: a register holds one contact of W problems, and the next problem takes the lane of one that ends.
+// Lanes are independent: an answer does not depend on the problems beside it. A problem starts and finishes alone, in the registers
+// of one problem (`NewtonOn`, `ConicSolver`), which also solve anything but an ordinary descent from the start.
 #pragma once
 #include <grasp/conic/conic.hpp>
 
 namespace grasp {
 
-// The numbers of one problem.
+// The numbers of one lane.
 template <int W> inline Vec6 of(const Six<Each<W>>& a, int lane) {
     Vec6 out;
     for (int r = 0; r < 6; ++r) out[r] = get(a[r], lane);
     return out;
 }
 
-// Which problems have reached their tolerance, and which must be solved by themselves.
-template <class Mask> struct Ended { Mask closed, alone; };
+// Problems that have reached their tolerance, and problems that must be solved alone.
+template <class Mask> struct LaneOutcome { Mask closed, alone; };
 
 template <int W> class NewtonLanes {
 public:
@@ -25,24 +25,24 @@ public:
     Cones<V, 0> cones;
     Field x;  // the iterates
     V value{}, bound{}, iterations{}, trials{};
-    Six<V> wrench{}, nu{};  // unit frame: what is balanced; multipliers
+    Six<V> wrench{}, nu{};  // unit frame: the wrench to balance; the multipliers
 
     NewtonLanes(int count, const Stop& options, double fraction = SHORT)
         : options(options), cones(count), x(cones.field()), fraction_(fraction), system_(cones), step_(cones.field()) {}
-    // All on the contacts of one.
+    // All lanes on the contacts of one grasp.
     template <class C, int B> NewtonLanes(const Cones<C, B>& contacts, const Stop& options, double fraction = SHORT)
         : NewtonLanes(contacts.count, options, fraction) {
         cones.spread(contacts);
     }
 
-    // A problem: its start (3N,), balanced and strictly inside, in cone coordinates, its wrench, Phi there.
+    // Load a problem: its start (3N,) in cone coordinates, balanced and strictly inside, its wrench, and Phi at the start.
     void begin(int lane, const double* start, const Vec6& w, double phi) {
         cones.load(start, x, lane);
         for (int r = 0; r < 6; ++r) set(wrench[r], lane, w[r]);
         set(value, lane, phi), set(bound, lane, -infinity), set(iterations, lane, 0.0), set(trials, lane, 0.0);
     }
 
-    // All of them at once; which have a start.
+    // Load all lanes at once. Return a mask of those with a valid start.
     Mask begin(const Field& start, const Six<V>& w) {
         x = start, wrench = w;
         value = cones.phi(x), bound = V(-infinity), iterations = trials = V{};
@@ -58,27 +58,27 @@ public:
                 .nu = of(nu, lane)};
     }
 
-    // One step of those that are `live`, as `NewtonOn::descend` takes it.
-    Ended<Mask> step(const Mask& live) {
+    // Take one step of the `live` lanes, as in `NewtonOn::descend`.
+    LaneOutcome<Mask> step(const Mask& live) {
         const double tolerance = options.tolerance;
         Mask open = live & system_.assemble(cones, x) & (iterations < double(std::min(options.limit, PATIENCE)));
         const Six<V> left = system_.made + wrench;
         nu = system_.multipliers(left);
         NoRows none;
         const auto [decrement, reach] = system_.step(cones, x, nu, left, value, step_, none);
-        if (const Mask look = open & By::close(value, decrement, tolerance); any(look))
+        if (const Mask look = open & By::promises_tolerance(value, decrement, tolerance); any(look))
             raise(look, cones.lower_bound(nu, wrench));
         Mask certified = open & By::certified(value, bound, tolerance);
         open &= ~certified;
         if (!any(open)) return {certified, live & ~certified};
 
-        V alpha = By::longest(reach, fraction_);
+        V alpha = By::longest_step(reach, fraction_);
         const Mask moved = search(open, decrement, alpha);
         for (int b = 0; b < int(x.size()); ++b) x[b] += alpha * step_[b];
         iterations += select(moved, V(1.0), V(0.0));
-        const Mask look = moved & (alpha == V(1.0)) & By::small(value, decrement, tolerance);
+        const Mask look = moved & (alpha == V(1.0)) & By::is_small_step(value, decrement, tolerance);
         if (any(look)) {
-            raise(look, cones.lower_bound(nu, wrench, x, By::tight(tolerance)));
+            raise(look, cones.lower_bound(nu, wrench, x, By::dual_precision(tolerance)));
             certified |= look & By::certified(value, bound, tolerance);
         }
         return {certified, live & ~(certified | moved)};
@@ -86,22 +86,23 @@ public:
 
 private:
     using By = Rules<V>;
-    static constexpr int PATIENCE = 40;  // steps that an ordinary descent never takes
-    double fraction_;  // of the way to the boundary
+    static constexpr int PATIENCE = 40;  // steps; ordinary descents take fewer
+    double fraction_;  // largest fraction of the way to the boundary
     System<V, 0> system_;
     Field step_;
 
     void raise(const Mask& which, const V& found) { bound = select(which, max(bound, found), bound); }
 
-    // Halves the alpha of those that are open until Phi falls, and with it `value`; those of others become 0. Which have moved.
+    // Halve alpha in the open lanes until Phi decreases; `value` follows, and alpha becomes 0 elsewhere. Return the lanes that
+    // moved.
     Mask search(Mask open, const V& decrement, V& alpha) {
-        const Mask flat = By::flat(value, decrement);
+        const Mask flat = By::is_within_rounding(value, decrement);
         Mask moved{};
         V taken{};
         for (int halving = 0; halving < By::HALVINGS; ++halving, alpha = 0.5 * alpha) {
             trials += select(open, V(1.0), V(0.0));
             const V found = cones.phi_along(x, step_, alpha);
-            Mask good = open & (By::falls(found, value, alpha, decrement) | (flat & (found <= value)));
+            Mask good = open & (By::decreases(found, value, alpha, decrement) | (flat & (found <= value)));
             if (const Mask suspect = halving > 0 ? good : good & flat; any(suspect)) {
                 const Mask far = alpha * cones.largest_normal(step_) > By::SHORTEST * cones.largest_normal(x);
                 open &= ~(suspect & ~far), good &= ~(suspect & ~far);
@@ -122,20 +123,20 @@ public:
     Stop options;
     ConicSteps<V, 0> steps;
     V iterations{};
-    Six<V> minus{};  // of the wrenches, unit frame, of size 1
+    Six<V> minus{};  // minus the wrenches, unit frame, size 1
 
     ConicLanes(int count, const Stop& options) : options(options), steps(count) {}
     template <class C, int B> ConicLanes(const Cones<C, B>& contacts, const Stop& options) : ConicLanes(contacts.count, options) {
         steps.cones.spread(contacts);
     }
 
-    // All of them at once, each from its own internal force; which are not solved by that.
+    // Start all lanes at once, each from its own internal force. Return those not yet solved.
     Mask begin() {
         steps.start(minus), iterations = V{};
         return steps.gap > options.tolerance * steps.price;
     }
 
-    // The start of a problem; its last iterate, returning how many it took.
+    // Load the start of a problem; write back its last iterate and return its number of iterations.
     template <class C, int B> void begin(int lane, const ConicSteps<C, B>& from, const Vec6& w) {
         each(from, [&](int b, int c, int n, int a) {
             set(steps.at[c].x[a], lane, get(from.at[b].x[a], n)), set(steps.at[c].s[a], lane, get(from.at[b].s[a], n));
@@ -149,7 +150,7 @@ public:
         return int(get(iterations, lane));
     }
 
-    Ended<Mask> step(const Mask& live) {
+    LaneOutcome<Mask> step(const Mask& live) {
         const Mask sound = live & (steps.system() > 0.0) & (iterations < double(options.limit));
         const auto solve = [&](const Six<V>& pull) { return steps.schur.solve(pull); };
         const Mask moved = sound & steps.template step<false>(solve(minus), solve);
@@ -158,19 +159,19 @@ public:
     }
 
 private:
-    // f(block, contact, its lane there, coordinate)
+    // Call f(block, contact, its lane there, coordinate).
     template <class C, int B, class F> static void each(const ConicSteps<C, B>& one, F&& f) {
         for (int c = 0; c < one.cones.count; ++c)
             for (int a = 0; a < 3; ++a) f(c / width<C>, c, c % width<C>, a);
     }
 };
 
-// Solves problems 0 .. many - 1 in the lanes. begin(lane, k): puts problem k into a lane, or deals with it otherwise and returns
-// false; end(lane, k, closed): takes it out.
-template <class Many, class Begin, class End> void run(Many& lanes, std::ptrdiff_t many, Begin&& begin, End&& end) {
-    constexpr int W = sizeof(typename Many::V) / sizeof(double);
+// Solve problems 0 .. many - 1 in the lanes. begin(lane, k): loads problem k into a lane, or handles it otherwise and returns
+// false. end(lane, k, closed): takes it out.
+template <class SolveBatch, class Begin, class End> void run(SolveBatch& lanes, std::ptrdiff_t many, Begin&& begin, End&& end) {
+    constexpr int W = sizeof(typename SolveBatch::V) / sizeof(double);
     std::ptrdiff_t next = 0, problem[W] = {};
-    typename Many::Mask live{};
+    typename SolveBatch::Mask live{};
     const auto fill = [&](int lane) {
         live[lane] = 0;
         while (next < many && !live[lane])
@@ -185,10 +186,10 @@ template <class Many, class Begin, class End> void run(Many& lanes, std::ptrdiff
     }
 }
 
-inline constexpr int FEW = REGISTER / 2;  // problems that are not worth the lanes
+inline constexpr int FEW_PROBLEMS = REGISTER / 2;  // fewer problems are solved one by one
 
-// What many calls of a solver read and write, a row of each for a problem.
-struct Many {
+// Input and output of many solves, one row per problem.
+struct SolveBatch {
     std::ptrdiff_t count;
     const double* wrenches;  // (M, 6) [N, N m]
     double* rows;  // (M, record_size(N))
@@ -196,12 +197,12 @@ struct Many {
     Record record(std::ptrdiff_t k, int contacts) const { return {rows + record_size(contacts) * k, contacts}; }
 };
 
-// Newton on many wrenches of one grasp, from an internal force strictly inside the cones.
-template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const Many& many) {
+// Solve many wrenches of one grasp by Newton, from an internal force strictly inside the cones.
+template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const SolveBatch& many) {
     auto& cones = one.cones;
     const int count = cones.count;
     const auto alone = [&](std::ptrdiff_t k, const Record& record) { one.solve_from(rest, {.wrench = many.wrench(k)}, record); };
-    if (many.count < FEW) {
+    if (many.count < FEW_PROBLEMS) {
         for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
         return;
     }
@@ -210,7 +211,7 @@ template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename C
     const auto enter = [&](int lane, std::ptrdiff_t k) {
         const Record record = many.record(k, count);
         const Vec6 w = cones.unit.of(many.wrench(k));
-        if (!sane_wrench(many.wrench(k))) {
+        if (!is_valid_wrench(many.wrench(k))) {
             record.summary().code = REFUSED;
             return false;
         }
@@ -236,20 +237,20 @@ template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename C
     run(lanes, many.count, enter, leave);
 }
 
-// The least sum of normal forces, for many wrenches of one grasp.
-template <class V, int B> void conic_many(ConicOn<V, B>& one, const Many& many) {
+// Minimise the sum of normal forces for many wrenches of one grasp.
+template <class V, int B> void conic_many(ConicSolver<V, B>& one, const SolveBatch& many) {
     const int count = one.cones.count;
-    if (many.count < FEW) {
+    if (many.count < FEW_PROBLEMS) {
         for (std::ptrdiff_t k = 0; k < many.count; ++k) one.solve(many.wrench(k), many.record(k, count));
         return;
     }
     ConicLanes<REGISTER> lanes(one.cones, one.options);
-    typename ConicOn<V, B>::Posed posed[REGISTER];
+    typename ConicSolver<V, B>::UnitWrench posed[REGISTER];
     const auto enter = [&](int lane, std::ptrdiff_t k) {
         const Record record = many.record(k, count);
-        if (!one.pose(many.wrench(k), posed[lane], record)) return false;
+        if (!one.begin_record(many.wrench(k), posed[lane], record)) return false;
         one.start(posed[lane].minus);
-        if (one.gap <= one.options.tolerance * one.price) {  // a start that is good enough
+        if (one.gap <= one.options.tolerance * one.price) {  // the start is good enough
             one.solve(many.wrench(k), record);
             return false;
         }
@@ -259,7 +260,7 @@ template <class V, int B> void conic_many(ConicOn<V, B>& one, const Many& many) 
     const auto leave = [&](int lane, std::ptrdiff_t k, bool closed) {
         const Record record = many.record(k, count);
         if (closed) {
-            one.start(posed[lane].minus);  // for the record
+            one.start(posed[lane].minus);  // restores what the record needs
             const int iterations = lanes.end(lane, one);
             closed = one.conclude(posed[lane], iterations, record) <= one.options.tolerance;
         }

@@ -1,11 +1,11 @@
-// A symmetric positive definite system of any size for a register of problems.
+// Symmetric positive definite systems of any size, for a register of problems.
 #pragma once
 #include <vector>
 #include <grasp/math/linear6.hpp>
 
 namespace grasp {
 
-// Its factors L D L^T.
+// Factors L D L^T of a matrix.
 template <class V> class AnyLdl {
 public:
     void resize(int size) { size_ = size, l_.assign(std::size_t(size * (size + 1) / 2), V{}); }

@@ -1,4 +1,4 @@
-// Memory for what is made anew at every use, so that real-time code allocates nothing: taken one after the other, given back all at once.
+// Memory for objects rebuilt at every use, so that real-time code allocates nothing: taken piece by piece, returned all at once.
 #pragma once
 #include <cstddef>
 #include <functional>
@@ -8,7 +8,7 @@
 
 namespace grasp {
 
-// While it is in `Use`, what this thread holds in `Kept` is taken from here; what does not fit comes from the heap.
+// While an arena is in `Use`, this thread's `Kept` arrays take their memory from it; what does not fit comes from the heap.
 class Arena {
 public:
     explicit Arena(std::size_t bytes = 0)
@@ -16,17 +16,17 @@ public:
     Arena(Arena&&) = delete;
 
     std::size_t size() const { return size_; }
-    // Everything is given back: nothing that was taken may live.
+    // Return all memory; nothing that uses it may be alive.
     void clear() { used_ = 0; }
-    // The same with at least so much room.
+    // Clear, and make room for at least `bytes`.
     void reserve(std::size_t bytes) {
         clear();
         if (bytes <= size_) return;
         memory_.reset(), size_ = 0;
         memory_.reset(new std::byte[bytes]), size_ = bytes;
     }
-    // What an array takes.
-    template <class T> static constexpr std::size_t room(std::size_t many) { return whole(many * sizeof(T)); }
+    // Bytes of an array.
+    template <class T> static constexpr std::size_t bytes_needed(std::size_t many) { return whole(many * sizeof(T)); }
 
     class Use {
     public:
@@ -37,7 +37,7 @@ public:
     private:
         Arena* before_;
     };
-    // What is taken in its life is given back at its end; it stands before whatever takes.
+    // Returns at its end all memory taken since its start. Declare it before whatever takes memory.
     class Scope {
     public:
         Scope() : arena_(current()), used_(arena_ ? arena_->used_ : 0) {}
@@ -51,7 +51,7 @@ public:
         std::size_t used_;
     };
 
-    // For containers, by the arena that was in use when they were made.
+    // Allocator for containers; uses the arena that was in use at construction.
     template <class T> struct Allocator {
         using value_type = T;
         Arena* arena = current();

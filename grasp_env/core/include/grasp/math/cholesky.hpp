@@ -1,4 +1,4 @@
-// A symmetric positive definite system of any size; nothing is allocated after construction.
+// A symmetric positive definite system of any size; allocates only in the constructor.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -11,11 +11,12 @@ public:
     explicit Cholesky(int size) : size_(size), lower_(std::size_t(size) * size) {}
 
     int size() const { return size_; }
-    // Of the lower triangle, i >= j: the matrix before `factor`, the factor after it.
+    // Entry of the lower triangle, i >= j: of the matrix before `factor`, of the factor after it.
     double& operator()(int i, int j) { return lower_[std::size_t(size_) * i + j]; }
     double operator()(int i, int j) const { return lower_[std::size_t(size_) * i + j]; }
 
-    // False where the matrix is not positive definite. floor: what smaller squares of pivots are taken for.
+    // Factor. Return false if the matrix is not positive definite. floor: smallest square of a pivot; smaller ones are raised to
+    // it.
     bool factor(double floor = 0.0) {
         for (int j = 0; j < size_; ++j) {
             double pivot = (*this)(j, j);

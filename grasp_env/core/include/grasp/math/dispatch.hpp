@@ -1,11 +1,11 @@
-// The instance of a solver for a number of contacts: N <= 4, N <= 8, and any N, in the registers of this build.
+// Instances of a solver by number of contacts: N <= 4, N <= 8, and any N, in the registers of this build.
 #pragma once
 #include <memory>
 #include <grasp/math/lanes.hpp>
 
 namespace grasp {
 
-// f.template operator()<V, B>()
+// Call f.template operator()<V, B>().
 template <class F> auto dispatch(int count, F&& f) {
     constexpr int L = REGISTER, FOUR = L < 4 ? L : 4;
     if (count <= 4) return f.template operator()<Lanes<FOUR>, 4 / FOUR>();
@@ -13,7 +13,7 @@ template <class F> auto dispatch(int count, F&& f) {
     return f.template operator()<Lanes<L>, 0>();
 }
 
-// What every instance derives from is `Base`, made as On<V, B>(arguments).
+// Make On<V, B>(arguments), which derives from `Base`.
 template <class Base, template <class, int> class On, class... Arguments>
 std::unique_ptr<Base> instance(int count, Arguments&&... arguments) {
     return dispatch(count, [&]<class V, int B>() -> std::unique_ptr<Base> {

@@ -1,5 +1,5 @@
-// Registers with the operators of numbers: `Lanes` of W contacts of one problem (a double is the register of one), `Each` of one
-// contact of W problems.
+// Registers with the operators of numbers: `Lanes` holds W contacts of one problem (a double is the register of one contact),
+// `Each` one contact of W problems.
 #pragma once
 #include <array>
 #include <limits>
@@ -13,7 +13,7 @@
 
 namespace grasp {
 
-// What one register of this build holds. Wider vectors than the machine's go through memory: twelve times as slow.
+// Doubles in a register of this build. Wider vectors than the machine's go through memory: twelve times as slow.
 #if defined(__AVX512F__)
 inline constexpr int REGISTER = 8;
 #elif defined(__AVX__)
@@ -27,9 +27,9 @@ template <> struct LaneType<1> { typedef double type; };
 template <int W> using Lanes = typename LaneType<W>::type;
 template <class V> inline constexpr int width = int(sizeof(V) / sizeof(double));
 template <int W> struct Each;
-template <class V> inline constexpr bool many = false;  // problems in a register
+template <class V> inline constexpr bool many = false;  // true for a register of problems
 template <int W> inline constexpr bool many<Each<W>> = true;
-template <int W> inline constexpr int width<Each<W>> = 1;  // contacts in it
+template <int W> inline constexpr int width<Each<W>> = 1;  // contacts in a register
 inline constexpr double infinity = std::numeric_limits<double>::infinity();
 
 template <class V> [[gnu::always_inline]] inline V select(decltype(V{} < V{}) which, V a, V b) { return which ? a : b; }
@@ -66,7 +66,7 @@ template <class V> [[gnu::always_inline]] inline V sqrt(V a) {
     }
 }
 
-// W problems side by side, a contact of each at a time: what is summed or compared over the contacts of a `Lanes` stays apart.
+// W problems side by side, one contact at a time: sums and comparisons over the contacts stay separate for each problem.
 template <int W> struct Each {
     using Register = Lanes<W>;
     using Mask = decltype(Register{} < Register{});  // of problems
@@ -110,7 +110,7 @@ template <class V> inline double sum(V a) {
 template <class V> inline double least(V a) {
     return reduce(a, [](auto p, auto q) {
         if constexpr (width<decltype(p)> > 1) return min(p, q);
-        else return min(Lanes<2>{p}, Lanes<2>{q})[0];  // of plain numbers it may become a branch, and trials guess that wrong
+        else return min(Lanes<2>{p}, Lanes<2>{q})[0];  // scalars might become a branch, which trials mispredict
     });
 }
 template <class V> inline double largest(V a) {
@@ -120,7 +120,7 @@ template <class V> inline double largest(V a) {
 template <int W> inline const Each<W>& sum(const Each<W>& a) { return a; }
 template <int W> inline const Each<W>& least(const Each<W>& a) { return a; }
 template <int W> inline const Each<W>& largest(const Each<W>& a) { return a; }
-// What is left of a register when its contacts are reduced: one number, or one for each problem.
+// The result of reducing a register over its contacts: one number, or one for each problem.
 template <class V> using Reduced = std::remove_cvref_t<decltype(sum(V{}))>;
 
 inline bool any(bool which) { return which; }
@@ -128,7 +128,7 @@ template <class M> inline bool any(const M& which) {
     return reduce(which, [](auto p, auto q) { return p | q; }) != 0;
 }
 
-// B registers' worth of T, or as many as the contacts need where B = 0.
+// B registers of T, or as many as the contacts need if B = 0.
 template <class T, int B> struct BlocksType { using type = std::array<T, B>; };
 template <class T> struct BlocksType<T, 0> { using type = std::vector<T>; };
 template <class T, int B> using Blocks = typename BlocksType<T, B>::type;

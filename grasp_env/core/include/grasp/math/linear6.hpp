@@ -1,4 +1,4 @@
-// Six equations, whatever the number of contacts: packed lower triangles and their factors L D L^T.
+// Systems of six equations, for any number of contacts: packed lower triangles and their factors L D L^T.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -29,11 +29,11 @@ template <class S> inline S dot(const Six<S>& a, const Six<S>& b) {
 // Largest magnitude.
 template <class S> inline S size(const Six<S>& a) {
     S most{};
-    for (const S& v : a) most = select(abs(v) <= most, most, abs(v));  // keeps what is not a number
+    for (const S& v : a) most = select(abs(v) <= most, most, abs(v));  // keeps nan
     return most;
 }
 
-// Entry by entry.
+// Componentwise.
 template <class S, class Which> inline Six<S> select(const Which& which, Six<S> a, const Six<S>& b) {
     for (int r = 0; r < 6; ++r) a[r] = select(which, a[r], b[r]);
     return a;
@@ -46,7 +46,7 @@ using Packed6 = Packed<double>;
 template <class S> struct Ldl {
     Packed<S> l;  // L below, 1 / D on the diagonal
 
-    // Factors a packed lower triangle; returns the least pivot: positive where the matrix is positive definite.
+    // Factor a packed lower triangle. Return the smallest pivot, which is positive if the matrix is positive definite.
     S factor(const Packed<S>& s) {
         S smallest = infinity;
 #pragma GCC unroll 8

@@ -1,13 +1,12 @@
-// Least squares in six unknowns whose rows may differ in size by all digits of a number.
+// Least squares in six unknowns, with rows that may differ in size by all digits of a number.
 #pragma once
 #include <cstring>
 #include <grasp/math/linear6.hpp>
 
 namespace grasp {
 
-// A (n, 6) = Q R by Householder's reflections, columns and rows taken by size: each row is then as good as its own digits,
-// however small it is beside the others (Cox, Higham 1998, "Stability of Householder QR factorization for weighted least
-// squares problems").
+// A (n, 6) = Q R by Householder reflections, with columns and rows ordered by size. Each row keeps its own digits, however small it
+// is beside the others (Cox, Higham 1998, "Stability of Householder QR factorization for weighted least squares problems").
 class Qr6 {
 public:
     explicit Qr6(int rows) : rows_(rows), a_(6 * rows), place_(rows), work_(rows) {}
@@ -15,7 +14,7 @@ public:
     int rows() const { return rows_; }
     double& operator()(int row, int column) { return a_[rows_ * column + row]; }
 
-    // False where A has not rank 6 in floating point.
+    // Factor. Return false if A does not have rank 6 in floating point.
     bool factor() {
         for (int i = 0; i < rows_; ++i) place_[i] = i;
         for (int k = 0; k < 6; ++k) order_[k] = k;
@@ -45,7 +44,7 @@ public:
         return true;
     }
 
-    // g -> g - A (A^T A)^-1 A^T g, what A does not reach of it; returns the (A^T A)^-1 A^T g of it
+    // g -> g - A (A^T A)^-1 A^T g, the part orthogonal to A's columns; returns (A^T A)^-1 A^T g.
     Vec6 reject(std::vector<double>& g) {
         take(g);
         for (int k = 0; k < 6; ++k) reflect(k, work_.data());
@@ -56,7 +55,7 @@ public:
     }
     // (A^T A)^-1 b
     Vec6 solve(const Vec6& b) const { return back(forward(b)); }
-    // z = the least z with A^T z = b; returns the n of z = A n
+    // z = the least-norm z with A^T z = b; returns the n of z = A n.
     Vec6 least(const Vec6& b, std::vector<double>& z) {
         const Vec6 n = forward(b);
         std::fill(work_.begin(), work_.end(), 0.0);
@@ -67,10 +66,10 @@ public:
 
 private:
     int rows_;
-    std::vector<double> a_;     // columns: R above the diagonal, the reflections from it on
-    std::vector<int> place_;    // the row that stands here
+    std::vector<double> a_;  // columns: R above the diagonal, the reflections on and below it
+    std::vector<int> place_;  // original index of each row
     std::vector<double> work_;  // (rows)
-    int order_[6];              // the column that stands here
+    int order_[6];  // original index of each column
     double diagonal_[6], scale_[6];
 
     double* column(int j) { return a_.data() + rows_ * j; }
@@ -92,7 +91,7 @@ private:
         for (int k = 5; k >= 0; --k) reflect(k, work_.data());
         for (int i = 0; i < rows_; ++i) g[place_[i]] = work_[i];
     }
-    Vec6 forward(const Vec6& b) const {  // R^-T b, b in the order that was given
+    Vec6 forward(const Vec6& b) const {  // R^-T b, with b in the original order
         Vec6 n;
         for (int k = 0; k < 6; ++k) {
             n[k] = b[order_[k]];
@@ -101,7 +100,7 @@ private:
         }
         return n;
     }
-    Vec6 back(Vec6 n) const {  // R^-1 n, in the order that was given
+    Vec6 back(Vec6 n) const {  // R^-1 n, in the original order
         Vec6 out;
         for (int k = 5; k >= 0; --k) {
             for (int j = k + 1; j < 6; ++j) n[k] -= column(j)[k] * n[j];
@@ -111,7 +110,7 @@ private:
     }
 };
 
-// The same of contacts in lanes, three rows to each: row k of all contacts of block b at once, and z with a number for each row.
+// The same for contacts in lanes, three rows each: row k of all contacts of block b at once, and z with a number for each row.
 template <class V> class LaneQr6 : public Qr6 {
 public:
     explicit LaneQr6(int blocks) : Qr6(ROWS * blocks) {}
@@ -125,7 +124,7 @@ public:
     }
 
 private:
-    static constexpr int ROWS = 3 * width<V>;  // of a block
+    static constexpr int ROWS = 3 * width<V>;  // rows of a block
     static constexpr int first(int b, int k) { return ROWS * b + width<V> * k; }
 };
 

@@ -26,7 +26,7 @@ template <class T> inline Vec3<T> cross(const Vec3<T>& a, const Vec3<T>& b) {
     return {a.o * b.t - a.t * b.o, a.t * b.u - a.u * b.t, a.u * b.o - a.o * b.u};
 }
 
-// Triple by triple.
+// Componentwise.
 template <class T, class Which> inline Vec3<T> select(const Which& which, const Vec3<T>& a, const Vec3<T>& b) {
     return {select(which, a.u, b.u), select(which, a.o, b.o), select(which, a.t, b.t)};
 }

@@ -1,4 +1,4 @@
-// The offline part: the optima of Phi for the 12 unit wrenches, and for none (paper, Sec. III).
+// The offline part: the optima of Phi for the 12 unit wrenches and for the zero wrench (paper, Sec. III).
 #pragma once
 #include <grasp/many/problems.hpp>
 
@@ -6,10 +6,10 @@ namespace grasp {
 
 inline constexpr double BASIS_TOLERANCE = 1e-10;
 inline constexpr int BASIS_ITERATIONS = 200;
-// Basis forces are starts: where floating point ends before 1e-10 (tiny lambda), one within a hundredth still serves.
+// Basis forces serve as starts: if floating point stops short of 1e-10 (tiny lambda), a gap of a hundredth is good enough.
 inline constexpr double ACCEPTED_GAP = 1e-2;
 
-// Makes the basis of a Newton for its contacts: the optimum at rest (12) first, as the others start from it.
+// Computes the basis for the contacts of a `NewtonOn`: first the optimum at rest (12), from which the others start.
 template <class V, int B> class BasisMaker {
 public:
     explicit BasisMaker(NewtonOn<V, B>& newton) : newton_(newton), kept_(newton.options) {
@@ -17,16 +17,16 @@ public:
     }
     ~BasisMaker() { newton_.options = kept_; }
 
-    // From those of nearby contacts, which the basis holds; returns the worst relative gap, inf: failed.
+    // Start from the basis of nearby contacts. Return the worst relative gap; inf: failed.
     double warm() {
         for (int k = 12; k >= 0 && worst_ < infinity; --k) {
             if (begin_warm(k)) descend(k);
-            else if (k < 12) alone(k);
+            else if (k < 12) solve_alone(k);
             else worst_ = infinity;
         }
         return made();
     }
-    // From nothing; newton.x is an internal force strictly inside. Allocates.
+    // Start from newton.x, an internal force strictly inside. Allocates.
     double cold() {
         auto& x = newton_.x;
         const double scale = squeeze(newton_.cones, x);
@@ -43,11 +43,11 @@ public:
             return value < infinity;
         };
         const auto leave = [&](int lane, std::ptrdiff_t k, bool closed) {
-            if (!closed) return alone(int(k));
+            if (!closed) return solve_alone(int(k));
             w_ = lanes.wrench_of(lane);
             lanes.cones.store(lanes.x, flat.data(), lane), newton_.cones.load(flat.data(), x);
             const Progress at = lanes.progress(lane);
-            keep(int(k), at.value, at.bound);
+            store_optimum(int(k), at.value, at.bound);
         };
         run(lanes, 12, enter, leave);
         return made();
@@ -58,20 +58,20 @@ private:
     const Stop kept_;
     double worst_ = 0.0;
     double wrench_[6];
-    Vec6 w_;  // the wrench of an optimum, given frame and unit frame
+    Vec6 w_;  // wrench of an optimum: in the given frame, in the unit frame
 
-    void pose(int k) {
+    void set_wrench(int k) {
         std::fill(wrench_, wrench_ + 6, 0.0);
         if (k < 12) wrench_[k % 6] = k < 6 ? 1.0 : -1.0;
         w_ = newton_.cones.unit.of(wrench_);
     }
-    // The start of k < 12, in x: the least force with as much of the rest as it needs.
+    // Write the start of optimum k < 12 into x: the least-norm force plus as much of the optimum at rest as it needs.
     void begin(int k) {
-        pose(k);
+        set_wrench(k);
         grasp::begin(newton_.cones, newton_.starter.basis[12], w_, newton_.x);
     }
-    bool begin_warm(int k) {  // twice: the second correction takes the rounding of the first out of the balance
-        pose(k);
+    bool begin_warm(int k) {  // the second correction removes the rounding that the first left in the balance
+        set_wrench(k);
         newton_.x = newton_.starter.basis[k];
         const auto follows = [&] {
             return newton_.starter.tangent(newton_.cones, newton_.system, w_, newton_.x) &&
@@ -79,18 +79,18 @@ private:
         };
         return follows() && follows();
     }
-    void alone(int k) { begin(k), descend(k); }
+    void solve_alone(int k) { begin(k), descend(k); }
     void descend(int k) {
-        pose(k);
+        set_wrench(k);
         const Record record(newton_.row.data(), newton_.cones.count);
         if (!(newton_.cones.phi(newton_.x) < infinity)) {
             worst_ = infinity;
             return;
         }
         newton_.descend_from(newton_.starter.safe() = newton_.x, {.wrench = wrench_, .start = From::given}, w_, record, LONG);
-        keep(k, record.summary().objective, record.summary().lower_bound);
+        store_optimum(k, record.summary().objective, record.summary().lower_bound);
     }
-    void keep(int k, double value, double bound) {
+    void store_optimum(int k, double value, double bound) {
         newton_.polish(w_);
         newton_.cones.balance(newton_.x, w_);
         newton_.starter.basis[k] = newton_.x;
@@ -102,8 +102,8 @@ private:
     }
 };
 
-// Fills the basis of `newton` for its contacts; returns the worst relative gap, inf: failed.
-// warm: the basis holds the optima of nearby contacts to start from; else newton.x is an internal force strictly inside.
+// Fill the basis of `newton` for its contacts. Return the worst relative gap; inf: failed.
+// warm: start from the optima of nearby contacts in the basis; otherwise newton.x must be an internal force strictly inside.
 template <class V, int B> double make_basis(NewtonOn<V, B>& newton, bool warm) {
     BasisMaker<V, B> maker(newton);
     return warm ? maker.warm() : maker.cold();

@@ -1,21 +1,23 @@
-// The force inside the cones for contacts that cannot balance the wrench: any number of hard contacts, one included.
+// A force inside the cones for contacts that cannot balance the wrench; any number of hard contacts, even one.
 #pragma once
 #include <grasp/contacts/contacts.hpp>
 #include <grasp/phi/phi.hpp>
 
 namespace grasp {
 
-// argmin Phi(x) + |G x + w|^2 / (2 SOFTNESS) by damped Newton, in the unit frame. With nu = -(G x + w) / SOFTNESS at the optimum the step is
-// that of Newton under balance with SOFTNESS on the diagonal of its 6 x 6 system: (G H^-1 G^T + SOFTNESS I) nu = G H^-1 grad - (G x + w).
+// argmin Phi(x) + |G x + w|^2 / (2 SOFTNESS) by damped Newton, in the unit frame. With nu = -(G x + w) / SOFTNESS at the optimum,
+// the step is Newton's under balance with SOFTNESS on the diagonal of its 6 x 6 system: (G H^-1 G^T + SOFTNESS I) nu = G H^-1 grad
+// - (G x + w).
 class ElasticBalance {
 public:
-    static constexpr double SOFTNESS = 1e-2;  // [N^2] per unit of Phi: where a force exists, it misses balance by about that much
+    static constexpr double SOFTNESS = 1e-2;  // [N^2] per unit of Phi: roughly the balance residual where a balanced force exists
     int iterations = 0;  // of the last solve
 
     explicit ElasticBalance(int count) : x_(count), step_(count), gradient_(count), inverse_(count), columns_(count) {}
 
-    // contacts: their cones and weights; where they are is given: positions (N, 3) [m], frames (N, 3, 3) with columns (n, o, t). force:
-    // (N, 3) [N], contact frames, of those that touch (bits) a guess, then the answer. All in the frame of the wrench [N, N m].
+    // contacts: gives cones and weights; the current places are positions (N, 3) [m] and frames (N, 3, 3) with columns (n, o, t).
+    // force: (N, 3) [N], contact frames; for the contacts that touch (bits) a guess on entry and the answer on return. Positions,
+    // frames and the wrench [N, N m] share one frame.
     void solve(const Contacts& contacts, std::uint64_t touching, const double* positions, const double* frames,
                const Vec6& wrench, int limit, double* force) {
         gather(contacts, touching, positions);
@@ -38,9 +40,9 @@ public:
     }
 
 private:
-    static constexpr double LONG = 0.9;  // part of the way to a cone's surface
+    static constexpr double LONG = 0.9;  // fraction of the way to a cone's surface
     static constexpr double PRECISION = 1e-9;  // squared decrement over the value
-    static constexpr double LEAST = 0.1;  // [N] of the guess's normal forces
+    static constexpr double LEAST = 0.1;  // [N] smallest normal force of the guess
     static constexpr int HALVINGS = 40;
     int count_ = 0, index_[64];
     UnitFrame unit_;
@@ -83,7 +85,7 @@ private:
         for (int k = 0; k < count_; ++k) most = std::max(most, Boundary<double>(x_[k]).per(step_[k]));
         return most;
     }
-    // The Newton step; its squared decrement.
+    // Compute the Newton step; return its squared decrement.
     double find_step(const Vec6& w) {
         Packed6 schur{};
         Vec6 missed = w, pull{};
@@ -104,7 +106,7 @@ private:
         for (int k = 0; k < count_; ++k) {
             const Point turned{dot(columns_[k][0], nu), dot(columns_[k][1], nu), dot(columns_[k][2], nu)};
             step_[k] = inverse_[k] * (turned - gradient_[k]);
-            // gradient of the merit: that of Phi and G^T (G x + w) / SOFTNESS
+            // gradient of the merit: grad Phi + G^T (G x + w) / SOFTNESS
             const Point push =
                 (1.0 / SOFTNESS) * Point{dot(columns_[k][0], missed), dot(columns_[k][1], missed), dot(columns_[k][2], missed)};
             decrement -= dot(step_[k], gradient_[k] + push);

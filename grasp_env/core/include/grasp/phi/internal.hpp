@@ -1,20 +1,21 @@
-// Internal forces strictly inside the cones, and the start that one of them gives any wrench; of one problem or a register of them.
+// Internal forces strictly inside the cones, and the start for any wrench that one of them gives; for one problem or a register of
+// them.
 #pragma once
 #include <grasp/phi/system.hpp>
 
 namespace grasp {
 
-// The largest k at which point + k ray crosses the cone or its opposite, for a ray inside one of the two.
+// Largest k at which point + k ray crosses the cone or its opposite, for a ray inside one of the two.
 template <class T> inline T crossing(const Vec3<T>& point, const Vec3<T>& ray) {
     const T a = lorentz(ray, ray), b = lorentz(point, ray), c = lorentz(point, point);
-    const T root = sqrt(max(b * b - a * c, T{}));  // b^2 >= a c but for rounding
+    const T root = sqrt(max(b * b - a * c, T{}));  // b^2 >= a c up to rounding
     return select(b > 0.0, -c / (root + b), select(root - b > 0.0, (root - b) / a, T{}));
 }
 
-// The k >= 0 with point + k ray inside the cone: from `low` to `high`; none where low >= high.
+// The k >= 0 with point + k ray inside the cone lie between `low` and `high`; none if low >= high.
 struct Interval { double low, high; };
 inline Interval inside(const Vec3<double>& point, const Vec3<double>& ray) {
-    // q(k) = a k^2 + 2 b k + c > 0 and u(k) > 0; {q > 0, u > 0} is convex: one interval
+    // q(k) = a k^2 + 2 b k + c > 0 and u(k) > 0; {q > 0, u > 0} is convex, so the solution is one interval
     const double a = lorentz(ray, ray), b = lorentz(point, ray), c = lorentz(point, point);
     const double discriminant = b * b - a * c;
     const Interval none{0.0, -1.0};
@@ -26,7 +27,7 @@ inline Interval inside(const Vec3<double>& point, const Vec3<double>& ray) {
         const double first = q / a, second = c / q, one = std::min(first, second), two = std::max(first, second);
         return point.u + 0.5 * (one + two) * ray.u > 0.0 ? Interval{std::max(one, 0.0), two} : none;
     }
-    if (b > 0.0) return ray.u > 0.0 ? Interval{std::max(-c / (2.0 * b), 0.0), infinity} : none;  // along the cone's surface
+    if (b > 0.0) return ray.u > 0.0 ? Interval{std::max(-c / (2.0 * b), 0.0), infinity} : none;  // parallel to the cone's surface
     if (b < 0.0) return ray.u < 0.0 ? Interval{0.0, -c / (2.0 * b)} : none;
     return c > 0.0 && point.u > 0.0 ? Interval{0.0, infinity} : none;
 }
@@ -44,7 +45,7 @@ template <class V, int B> inline Interval inside(const Cones<V, B>& cones, const
     return found;
 }
 
-// k > 0 of least Phi(k x) for x strictly inside: Phi(k x) = k a + b / k.
+// k > 0 that minimises Phi(k x) = k a + b / k, for x strictly inside.
 template <class V, int B> Reduced<V> squeeze(const Cones<V, B>& cones, const typename Cones<V, B>::Field& x) {
     V force{}, barrier{};
     for (int b = 0; b < int(x.size()); ++b) {
@@ -54,8 +55,8 @@ template <class V, int B> Reduced<V> squeeze(const Cones<V, B>& cones, const typ
     return sqrt(sum(barrier) / sum(force));
 }
 
-// The start of a wrench w (unit frame), into x: the least force, and of an internal force strictly inside, `rest`, a tenth and a half
-// more than brings it inside, or all.
+// Write the start for a wrench w (unit frame) into x: the least-norm force plus a multiple of `rest`, an internal force strictly
+// inside: 1.1 times what brings it inside plus a half, and at least once.
 template <class V, int B> void begin(const Cones<V, B>& cones, const typename Cones<V, B>::Field& rest, const Six<Reduced<V>>& w,
                                      typename Cones<V, B>::Field& x) {
     using S = Reduced<V>;
@@ -68,19 +69,19 @@ template <class V, int B> void begin(const Cones<V, B>& cones, const typename Co
     for (int b = 0; b < int(x.size()); ++b) x[b] += part * rest[b];
 }
 
-// `to` becomes `from`: all of it, or the lanes of some problems.
-template <class Field> inline void keep(bool which, const Field& from, Field& to) {
+// Copy `from` to `to`: everything, or the lanes of some problems.
+template <class Field> inline void copy_where(bool which, const Field& from, Field& to) {
     if (which) to = from;
 }
-template <class Mask, class Field> inline void keep(const Mask& which, const Field& from, Field& to) {
+template <class Mask, class Field> inline void copy_where(const Mask& which, const Field& from, Field& to) {
     for (int b = 0; b < int(to.size()); ++b) to[b] = select(which, from[b], to[b]);
 }
 
-inline constexpr int FEW_STEPS = 20, MANY_STEPS = 200;  // towards an internal force, which five find, and eleven of 99 %
+inline constexpr int FEW_STEPS = 20, MANY_STEPS = 200;  // towards an internal force: 5 are typical, 11 suffice in 99 % of cases
 
-// An internal force strictly inside the cones, into `rest`, by at most so many steps of infeasible-start Newton from the axes;
-// whether there is one.
-// find(missed): makes the step at x, and what x misses of balance; false where there is none.
+// Find an internal force strictly inside the cones and store it in `rest`. Infeasible-start Newton from the axes, with at most
+// `most` steps. Return true if one was found.
+// find(missed): computes the step at x and the residual of balance; returns false if there is no step.
 template <class V, int B, class Field, class F>
 auto balance_inside(const Cones<V, B>& cones, Field& x, const Field& step, Field& rest, int most, F&& find) {
     using S = Reduced<V>;
@@ -94,7 +95,7 @@ auto balance_inside(const Cones<V, B>& cones, Field& x, const Field& step, Field
         auto there = decltype(open)(open & (size(missed) < 1e-9 * force));
         if (any(there)) {
             there = there & (cones.largest_normal(step) < 1e-2 * force);
-            keep(there, x, rest), found = found | there, open = open & !there;
+            copy_where(there, x, rest), found = found | there, open = open & !there;
         }
         if (!any(open)) break;
         const S reach = cones.reach(x, step), alpha = min(S(1.0), 0.9 / max(reach, S(1e-300)));

@@ -2,125 +2,42 @@
 #pragma once
 #include <grasp/phi/internal.hpp>
 #include <grasp/terms/limits.hpp>
-#include <grasp/phi/start.hpp>
-#include <grasp/phi/steep.hpp>
+#include <grasp/phi/descent.hpp>
+#include <grasp/phi/qr_system.hpp>
 
 namespace grasp {
 
-// Parts of the way to the boundary that a step goes at most: with the shorter one it takes a fifth fewer steps.
-inline constexpr double SHORT = 0.7, LONG = 0.95;
-
-// The rules of a descent, for one problem and for a register of them.
-template <class S> struct Rules {
-    static constexpr int HALVINGS = 60;
-    static constexpr double SHORTEST = 1e-10;  // a step moves x by at least this part of its length
-    static constexpr double ROUNDED = 1e-13;   // part of Phi
-    static constexpr double BELOW = -1e-9;  // rounding by which Phi may fall short of its bound
-
-    // Whether a value of Phi is certified by a lower bound. Far below it is a force that misses balance: steps restore that.
-    static auto certified(const S& value, const S& bound, double tolerance) {
-        const S above = value - bound;
-        return (bound > 0.0) & (above <= tolerance * bound) & (above >= BELOW * bound);
-    }
-    // Whether alpha of a step takes Phi down from `value` to `found`; `flat`: as far as rounding can tell.
-    static auto falls(const S& found, const S& value, const S& alpha, const S& decrement) {
-        return found < value - 1e-4 * alpha * decrement;
-    }
-    static auto flat(const S& value, const S& decrement) { return decrement < 1e-9 * value; }
-    // A value of Phi that was made again: the first where rounding alone tells them apart.
-    static S again(const S& found, const S& value) { return select(abs(found - value) <= ROUNDED * value, value, found); }
-    // Whether the decrement promises the tolerance: Phi - min Phi is half of it to third order. A bound costs a quarter of an
-    // iteration, so it waits for that.
-    static auto close(const S& value, const S& decrement, double tolerance) { return decrement < 4.0 * tolerance * value; }
-    // Whether a step is small, so that its multipliers certify where a whole one went to, without another system.
-    static auto small(const S& value, const S& decrement, double tolerance) { return decrement < std::sqrt(tolerance) * value; }
-    // How near the end of an `Inner` iteration must be, see `dual_near`.
-    static double tight(double tolerance) { return std::min(1e-2, 0.1 * std::sqrt(std::sqrt(tolerance))); }
-    // alpha of a step that goes `fraction` of the way to the boundary
-    static S longest(const S& reach, double fraction) { return min(S(1.0), fraction / max(reach, S(1e-300))); }
-};
-
-struct Stop {
-    double tolerance = 1e-4;  // relative certified gap
-    int limit = 20000;        // most accepted steps
-};
-
-// One problem: what to balance, where to begin, what to tell.
-struct Call {
-    const double* wrench;                                       // (6,) [N, N m]
-    From start = From::combination;
-    const double* force = nullptr;                              // (3N,) [N] unless `start` is the combination
-    const double* torsion = nullptr;                            // (N,) [N m] with it, or none
-    double optimum = std::numeric_limits<double>::quiet_NaN();  // a known min Phi to take the gap to, instead of the bound
-    double* trace = nullptr;                                    // receives Phi of iterates 0 .. traced - 1
-    int traced = 0;
-    bool exceeding = false;  // the force was the least excess over limits of another wrench, and so may be the answer
-};
-
-// How far a descent has come.
-struct Progress {
-    double value, bound;
-    bool known = false;  // whether the bound is an optimum that the caller knows
-    int iterations = 0, trials = 0;
-    Vec6 nu{};
-};
-
-// The loop of every descent on one problem, whatever makes its steps. find(code): the next step and what it proves; closed(): whether the
-// tolerance is reached; advance(code): goes the step, false where it cannot. Problems side by side turn in one of their own
-// (many/problems.hpp): there a problem that ends makes room for the next.
-enum class Next { go, again, ended };
-template <class At, class Find, class Closed, class Advance>
-[[gnu::always_inline]] inline Code drive(At& at, const Call& call, int limit, int patience, Find&& find, Closed&& closed,
-                                         Advance&& advance) {
-    for (Code code = STALLED;; ++at.iterations) {
-        if (at.iterations < call.traced) call.trace[at.iterations] = double(at.value);
-        const Next next = find(code);
-        if (next == Next::again) continue;
-        if (next == Next::ended) return code;
-        if (closed()) return CONVERGED;
-        if (at.iterations >= limit) return LIMIT;
-        if (at.iterations >= patience) return STALLED;
-        if (!advance(code)) return code;
-    }
-}
-
-inline bool sane_wrench(const double* wrench) {
-    for (int r = 0; r < 6; ++r)
-        if (!(std::abs(wrench[r]) <= LARGEST)) return false;
-    return true;
-}
-
-// Rows: what Phi has besides the cones' terms.
+// Rows: further terms of Phi besides the cones'.
 template <class V, int B, class Rows = NoRows> class NewtonOn {
 public:
     using Field = typename Cones<V, B>::Field;
     Stop options;
     Cones<V, B> cones;
     System<V, B> system;
-    Steep<V, B> steep;
+    QrSystem<V, B> qr_system;
     Starter<V, B> starter;
     Rows rows;
     Field x;  // the start, then the iterate
-    std::vector<double> row;  // a record to work with
+    std::vector<double> row;  // work space for a record
 
     NewtonOn(int count, const Stop& options)
-        : options(options), cones(count), system(cones), steep(cones), starter(cones), x(cones.field()), row(record_size(count)),
-          step_(cones.field()), begun_(cones.field()), best_(cones.field()), centring_(cones.field()) {}
+        : options(options), cones(count), system(cones), qr_system(cones), starter(cones), x(cones.field()),
+          row(record_size(count)), step_(cones.field()), begun_(cones.field()), best_(cones.field()), centring_(cones.field()) {}
 
-    // Start, descent, certificates, from the start that an internal force gives. REFUSED: numbers that are not finite, or no start that is
-    // balanced and strictly inside.
+    // Solve from the start that the internal force `rest` gives. REFUSED: numbers that are not finite, or no balanced start
+    // strictly inside.
     Code solve_from(const Field& rest, const Call& call, const Record& record) {
         record.summary().code = REFUSED;
-        if (!sane_wrench(call.wrench)) return REFUSED;
+        if (!is_valid_wrench(call.wrench)) return REFUSED;
         const Vec6 w = cones.unit.of(call.wrench);
         grasp::begin(cones, rest, w, x);
         begun_ = x;
         return descend_from(begun_, call, w, record);
     }
 
-    // From the start in x, of which `begun` is a copy, to the record: with steps that reach `fraction` of the way to the
-    // boundary, and where those stall along the central path. leaping: the start is an optimum of another wrench, from where the
-    // first step goes all of Newton's way, to balance and down at once; REFUSED where that leaves the cones.
+    // Descend from the start in x, of which `begun` is a copy, and write the record. Steps reach `fraction` of the way to the
+    // boundary; if they stall, the descent follows the central path. leaping: the start is the optimum of another wrench, and the
+    // first step is a full Newton step that restores balance and descends at once; REFUSED if it leaves the cones.
     Code descend_from(const Field& begun, const Call& call, const Vec6& w, const Record& record, double fraction = SHORT,
                       bool leaping = false) {
         cones.store_force(x, record.initial_force());
@@ -129,25 +46,27 @@ public:
         if (!(at.value < infinity)) return REFUSED;
         Code code = descend(call, w, at, fraction, leaping);
         if (code == REFUSED) return REFUSED;
-        if constexpr (!Rows::any) {  // the path knows no rows: what stalls with them is the general program's
+        // the central path knows only the cones; if other terms stall, the general program takes over
+        if constexpr (!Rows::has_terms) {
             if (code == STALLED) {
                 const double value = at.value;
                 best_ = x;
                 x = begun;
-                code = follow(call, w, at);
+                code = follow_central_path(call, w, at);
                 if (code == STALLED && value < at.value) x = best_;
             }
         }
         return finish(code, begun, call, w, at, record);
     }
 
-    // Whether x is balanced and strictly inside.
+    // True if x is balanced and strictly inside.
     bool is_start(const Vec6& w) const {
-        if (!cones.sane(x) || !(cones.phi(x, rows) < infinity)) return false;
-        return size(cones.wrench(x) + turned(w)) <= MISSED * (cones.largest_normal(x) + size(w));
+        if (!cones.is_in_range(x) || !(cones.phi(x, rows) < infinity)) return false;
+        return size(cones.wrench(x) + with_torsion(w)) <= MISSED * (cones.largest_normal(x) + size(w));
     }
 
-    // The Newton step at x into `out`, its multipliers in the unit frame, its squared decrement; negative: S is not definite.
+    // The Newton step at x into `out`, with its multipliers in the unit frame. Return the squared decrement; negative: S is not
+    // definite.
     double newton_step(const Vec6& w, Field& out, Vec6& nu) {
         if (!system.assemble(cones, x)) return -1.0;
         const Vec6 left = system.made + w;
@@ -157,7 +76,7 @@ public:
         return decrement;
     }
 
-    // One more whole step from a converged x, where it does not raise Phi: from the tolerance to the last digits.
+    // Take one more full step from a converged x if it does not raise Phi, to reach the last digits.
     void polish(const Vec6& w) {
         if (!system.assemble(cones, x)) return;
         const Vec6 left = system.made + w;
@@ -167,20 +86,20 @@ public:
             for (int b = 0; b < int(x.size()); ++b) x[b] += step_[b];
     }
 
-    // An internal force strictly inside the cones, in x: infeasible-start Newton from the axes; false without force closure.
-    // `few`: only as many steps as it nearly always takes.
+    // Find an internal force strictly inside the cones, in x, by infeasible-start Newton from the axes. Return false without force
+    // closure. few: use only as many steps as are nearly always enough.
     bool internal_force(bool few = false) {
         const auto plain = [&](Vec6& missed) { return system.internal_step(cones, x, missed, step_); };
         const auto careful = [&](Vec6& missed) {  // the barrier and any part of the price
-            if (!steep.assemble(cones, x, missed = cones.wrench(x), step_, centring_)) return false;
-            const double part = reachable(0.0);
+            if (!qr_system.assemble(cones, x, missed = cones.wrench(x), step_, centring_)) return false;
+            const double part = reachable_part(0.0);
             for (int b = 0; b < int(x.size()); ++b) step_[b] = all<V>(part) * step_[b] + centring_[b];
             return true;
         };
         return balance_inside(cones, x, step_, x, few ? FEW_STEPS : MANY_STEPS, plain) ||
                (!few && balance_inside(cones, x, step_, x, MANY_STEPS, careful));
     }
-    // The same as long as costs least, into `rest`.
+    // The same, scaled to least Phi, into `rest`.
     bool find_rest(Field& rest, bool few = false) {
         if (!internal_force(few)) return false;
         const V scale = all<V>(squeeze(cones, x));
@@ -188,19 +107,19 @@ public:
         return true;
     }
 
-    // What is claimed of x is checked of the force that is returned: balance, cones, gap.
+    // Check the claims about x on the force that is returned: balance, cones, gap.
     Code finish(Code code, const Field& safe, const Call& call, const Vec6& w, const Progress& at, const Record& record) {
         Summary& s = record.summary();
-        const Vec6 left = turned(w);
-        if (at.iterations > 0) cones.balance(x, left);  // what rounding left of G x + w
+        const Vec6 left = with_torsion(w);
+        if (at.iterations > 0) cones.balance(x, left);  // rounding of G x + w
         cones.certify(x, left, record);
-        if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual)) && !Rows::turns) mend(safe, w, record);
-        s.objective = By::again(cones.phi(x, rows), at.value), s.lower_bound = at.bound,
+        if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual)) && !Rows::has_torsion) repair(safe, w, record);
+        s.objective = By::unless_rounding(cones.phi(x, rows), at.value), s.lower_bound = at.bound,
         s.multipliers = cones.unit.pull_back(at.nu);
         if (!cones.balanced(x, w, s.residual) || (code == CONVERGED && !certified(s.objective, at))) code = STALLED;
         s.code = code, s.iterations = at.iterations, s.trials = at.trials, s.limit_excess = 0.0;
         std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
-        if constexpr (Rows::turns) rows.store(cones, record.torsion());
+        if constexpr (Rows::has_torsion) rows.store(cones, record.torsion());
         else std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
         return code;
     }
@@ -208,10 +127,11 @@ public:
 private:
     using By = Rules<double>;
     static constexpr int REFINEMENTS = 3;
-    static constexpr int PATIENCE = Rows::any ? 80 : 40;  // whole descents take half, unless they crawl along a surface
-    static constexpr int LONGEST = 400;        // the same along the central path: 40 but where hardly any force is inside
-    static constexpr double AHEAD = 3.0;       // times the part of the price to which x is nearest
-    static constexpr double MISSED = 1e-8;     // part of wrench and force by which a given start may miss balance
+    // Whole descents take half of it, unless they crawl along a surface.
+    static constexpr int PATIENCE = Rows::has_terms ? 80 : 40;
+    static constexpr int LONGEST = 400;  // the same along the central path: 40 unless hardly any force is inside
+    static constexpr double AHEAD = 3.0;  // factor on the part of the price to which x is nearest
+    static constexpr double MISSED = 1e-8;  // fraction of wrench and force: largest balance residual of a given start
     Field step_, begun_, best_, centring_;
 
     typename System<V, B>::Step find_step(const Vec6& nu, const Vec6& left, double value) {
@@ -222,12 +142,12 @@ private:
         const double tolerance = options.tolerance;
         const bool closed =
             at.known ? at.bound > 0.0 && value - at.bound <= tolerance * at.bound : By::certified(value, at.bound, tolerance);
-        if constexpr (Rows::any) return closed && rows.within(x);
+        if constexpr (Rows::has_terms) return closed && rows.within(x);
         else return closed;
     }
 
     bool assemble() {
-        if constexpr (Rows::any) {
+        if constexpr (Rows::has_terms) {
             const auto bend = [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) { rows.bend(b, x[b], gradient, inverse); };
             return system.assemble(cones, x, bend, rows);
         } else {
@@ -237,46 +157,46 @@ private:
 
     void move(double alpha) {
         for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
-        if constexpr (Rows::turns) rows.move(alpha);
+        if constexpr (Rows::has_torsion) rows.move(alpha);
     }
-    // The wrench with what torsion makes of it.
-    Vec6 turned(const Vec6& w) const {
-        if constexpr (Rows::turns) return w + rows.wrench(cones);
+    // The wrench plus that of the torsion.
+    Vec6 with_torsion(const Vec6& w) const {
+        if constexpr (Rows::has_torsion) return w + rows.wrench(cones);
         else return w;
     }
 
-    // Damped Newton from x, its system factored as it is: where forces exceed their distance to the cones by 1e4 digits are lost.
+    // Damped Newton from x. Digits are lost if forces exceed their distance to the cones by 1e4.
     [[gnu::noinline]] Code descend(const Call& call, const Vec6& w, Progress& at, double fraction, bool leaping) {
-        const double tolerance = options.tolerance, tight = By::tight(tolerance);
+        const double tolerance = options.tolerance, tight = By::dual_precision(tolerance);
         typename System<V, B>::Step step{};
         const auto closed = [&] { return certified(at.value, at); };
         const auto find = [&](Code& code) {
-            if (!assemble()) return Next::ended;
+            if (!assemble()) return Next::stop;
             const Vec6 left = system.made + w;
             at.nu = system.multipliers(left);
             step = find_step(at.nu, left, at.value);
             if (leaping) {
                 leaping = false, ++at.trials;
                 at.value = step.reach < 0.99 ? cones.phi_along(x, step_, 1.0, rows) : infinity;
-                if (!(at.value < infinity)) return code = REFUSED, Next::ended;
+                if (!(at.value < infinity)) return code = REFUSED, Next::stop;
                 move(1.0);
                 at.bound = cones.lower_bound(at.nu, w, x, tight, rows);
-                if (!closed()) return Next::again;
-                return ++at.iterations, code = CONVERGED, Next::ended;
+                if (!closed()) return Next::repeat;
+                return ++at.iterations, code = CONVERGED, Next::stop;
             }
-            if constexpr (Rows::any) {
+            if constexpr (Rows::has_terms) {
                 const Verdict now = rows.judge(cones, at.nu, w, step.decrement / at.value, at.iterations);
-                if (now == Verdict::harder) at.value = cones.phi(x, rows), at.bound = -infinity;
-                if (now == Verdict::harder && at.iterations < options.limit) return Next::again;
-                if (now == Verdict::hopeless) return code = INFEASIBLE, Next::ended;
-                if (now != Verdict::on) return Next::ended;
+                if (now == Verdict::sharpened) at.value = cones.phi(x, rows), at.bound = -infinity;
+                if (now == Verdict::sharpened && at.iterations < options.limit) return Next::repeat;
+                if (now == Verdict::infeasible) return code = INFEASIBLE, Next::stop;
+                if (now != Verdict::proceed) return Next::stop;
             }
-            if (!at.known && (By::close(at.value, step.decrement, tolerance) || at.iterations >= options.limit))
+            if (!at.known && (By::promises_tolerance(at.value, step.decrement, tolerance) || at.iterations >= options.limit))
                 at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, rows));
-            return Next::go;
+            return Next::step;
         };
         const auto advance = [&](Code& code) {
-            double alpha = By::longest(step.reach, fraction);
+            double alpha = By::longest_step(step.reach, fraction);
             const auto along = [&] { return cones.phi_along(x, step_, alpha, rows); };
             if (!search(at.value, step.decrement, alpha, at.trials, along)) {
                 if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, rows));
@@ -284,58 +204,58 @@ private:
                 return false;
             }
             move(alpha);
-            if (!(alpha == 1.0 && By::small(at.value, step.decrement, tolerance))) return true;
+            if (!(alpha == 1.0 && By::is_small_step(at.value, step.decrement, tolerance))) return true;
             if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, x, tight, rows));
             if (!closed()) return true;
             if (++at.iterations < call.traced) call.trace[at.iterations] = at.value;
             code = CONVERGED;
             return false;
         };
-        return drive(at, call, options.limit, PATIENCE, find, closed, advance);
+        return run_descent(at, call, options.limit, PATIENCE, find, closed, advance);
     }
 
-    // Newton along the central path from x: every step goes to the optimum of the barrier and the largest part of the price of
-    // squeezing for which that is within reach. Forces then come close to the cones no sooner than they must, where steps along a
-    // curved surface are short, and the system keeps its digits.
-    [[gnu::cold, gnu::noinline]] Code follow(const Call& call, const Vec6& w, Progress& at) {
+    // Newton along the central path from x. Every step aims at the optimum of the barrier plus the largest part of the squeezing
+    // price for which that optimum is within reach. So forces approach the cones as late as possible: near a curved surface steps
+    // are short and the system loses digits.
+    [[gnu::cold, gnu::noinline]] Code follow_central_path(const Call& call, const Vec6& w, Progress& at) {
         double part = 0.0;
         Vec6 left;
         const auto find = [&](Code&) {
             left = cones.wrench(x) + w;
-            if (!steep.assemble(cones, x, left, step_, centring_)) return Next::ended;
-            part = reachable(part);
-            Vec6 nu = steep.multipliers(part);
+            if (!qr_system.assemble(cones, x, left, step_, centring_)) return Next::stop;
+            part = reachable_part(part);
+            Vec6 nu = qr_system.multipliers(part);
             cones.scale_inside(nu);
             if (const double bound = at.known ? at.bound : cones.lower_bound(nu, w); bound >= at.bound)
                 at.bound = bound, at.nu = nu;
-            return Next::go;
+            return Next::step;
         };
         const auto advance = [&](Code&) {
             for (int b = 0; b < int(x.size()); ++b) step_[b] = all<V>(part) * step_[b] + centring_[b];
-            for (int round = 0; round < REFINEMENTS; ++round) steep.restore(left + cones.wrench(step_), step_);
+            for (int round = 0; round < REFINEMENTS; ++round) qr_system.restore(left + cones.wrench(step_), step_);
             cones.subtract(step_, left + cones.wrench(step_));
             const double reach = cones.reach(x, step_);
             double alpha = reach > 0.0 ? std::min(1.0, LONG / reach) : 1.0, merit = cones.phi_along(x, step_, 0.0, part);
             const auto along = [&] { return cones.phi_along(x, step_, alpha, part); };
-            if (!search(merit, steep.decrement(part), alpha, at.trials, along)) return false;
+            if (!search(merit, qr_system.decrement(part), alpha, at.trials, along)) return false;
             for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
             at.value = cones.phi(x);
             return true;
         };
         at.value = cones.phi(x), at.iterations = 0;
-        return drive(at, call, options.limit, LONGEST, find, [&] { return certified(at.value, at); }, advance);
+        return run_descent(at, call, options.limit, LONGEST, find, [&] { return certified(at.value, at); }, advance);
     }
 
-    // The largest part of the price that a whole step of `follow` may go to: no less than that to which x is nearest, nor far
-    // ahead of it, where x would crawl along a surface again.
-    double reachable(double before) const {
+    // The largest part of the price that a full step of `follow_central_path` may aim at: at least the part to which x is nearest, and not far
+    // beyond it, where x would crawl along a surface again.
+    double reachable_part(double before) const {
         const auto reach = [&](double part) {
             V most{};
             for (int b = 0; b < int(x.size()); ++b)
                 most = max(most, Boundary<V>(x[b]).per(all<V>(part) * step_[b] + centring_[b]));
             return largest(most);
         };
-        const double nearest = std::max(steep.nearest(), std::max(1e-3 * before, 1e-30));
+        const double nearest = std::max(qr_system.nearest_part(), std::max(1e-3 * before, 1e-30));
         double low = std::min(nearest, 1.0), high = std::min(AHEAD * nearest, 1.0);
         if (reach(high) <= LONG) return high;
         if (reach(low) > LONG) return low;
@@ -347,22 +267,22 @@ private:
         return low;
     }
 
-    // What misses balance is balanced; what rounding took out of a cone goes back, on the way to `safe`.
-    [[gnu::cold, gnu::noinline]] void mend(const Field& safe, const Vec6& w, const Record& record) {
+    // Restore balance; a force that rounding moved out of its cone moves back towards `safe`.
+    [[gnu::cold, gnu::noinline]] void repair(const Field& safe, const Vec6& w, const Record& record) {
         cones.balance(x, w);
         for (double part = 1e-15; part < 1.0 && !(cones.margin(x) > 0.0); part *= 4.0)
             for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(part) * (safe[b] - x[b]);
         cones.certify(x, w, record);
     }
 
-    // Halves alpha until what `along` it falls, and with it `value`; false where no step that moves x does.
+    // Halve alpha until the function `along` decreases; `value` follows it. Return false if no step that moves x decreases it.
     template <class F> bool search(double& value, double decrement, double& alpha, int& trials, F&& along) {
         for (int halving = 0; halving < By::HALVINGS; ++halving, alpha *= 0.5) {
             ++trials;
             const double found = along();
-            const bool falls = By::falls(found, value, alpha, decrement), flat = By::flat(value, decrement);
+            const bool falls = By::decreases(found, value, alpha, decrement), flat = By::is_within_rounding(value, decrement);
             if (falls || (flat && found <= value)) {
-                // far from the optimum steps are as long as Phi is straight: what counts is how far x moves
+                // far from the optimum Phi is nearly straight and steps are long, so the criterion is how far x moves
                 const bool suspect = flat || halving > 0;
                 if (suspect && !(alpha * cones.largest_normal(step_) > By::SHORTEST * cones.largest_normal(x))) return false;
                 value = found;

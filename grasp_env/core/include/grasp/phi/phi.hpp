@@ -1,18 +1,18 @@
-// Phi = sum_i 3 omega u + lambda (1/u + 2u/d), d = u^2 - o^2 - t^2 (Eqs. 10, 30, 31): each formula once, contact by contact,
+// Phi = sum_i 3 omega u + lambda (1/u + 2u/d), d = u^2 - o^2 - t^2 (Eqs. 10, 30, 31). Each formula stands here once, per contact,
 // for a number or for a register of contacts.
 #pragma once
 #include <grasp/math/vec3.hpp>
 
 namespace grasp {
 
-// omega and lambda: the price of squeezing, and of coming close to a cone [N^2].
+// omega and lambda: the price of squeezing, and of approaching a cone [N^2].
 template <class T> struct Weights { T omega, lambda; };
 
 template <class T> inline T phi(const Vec3<T>& x, const Weights<T>& w) {
     return 3.0 * w.omega * x.u + w.lambda * (1.0 / x.u + 2.0 * x.u / lorentz(x, x));
 }
 
-// Phi from the same two divisions as its gradient, which is written.
+// Phi and its gradient, from the same two divisions.
 template <class T> inline T phi(const Vec3<T>& x, const Weights<T>& w, Vec3<T>& gradient) {
     const T u2 = x.u * x.u, s2 = x.o * x.o + x.t * x.t, d = u2 - s2;
     const T i = 1.0 / d, i2 = i * i, iu = 1.0 / x.u, k = 4.0 * w.lambda * i2 * x.u;
@@ -35,8 +35,8 @@ template <class T> inline T curvature(const Vec3<T>& x, const Vec3<T>& move, con
                        4.0 * x.u * j2 * (move.o * move.o + move.t * move.t + 4.0 * j * along * along));
 }
 
-// Inverse of the Hessian, in closed form, without differences that cancel close to a cone: with p = u + s, q = u - s the part of
-// Phi in the plane of u and s is lambda (2/(p+q) + 1/p + 1/q), whose Hessian is diag(2/p^3, 2/q^3) + 4/(p+q)^3 (1, 1)(1, 1)^T.
+// Inverse Hessian in closed form, without differences that cancel close to a cone. With p = u + s and q = u - s, the part of Phi in
+// the plane of u and s is lambda (2/(p+q) + 1/p + 1/q), with Hessian diag(2/p^3, 2/q^3) + 4/(p+q)^3 (1, 1)(1, 1)^T.
 template <class T> inline Sym3<T> inverse_hessian(const Vec3<T>& x, const Weights<T>& w) {
     const auto [u, o, t] = x;
     const T u2 = u * u, s2 = o * o + t * t, d = u2 - s2, iu = 1.0 / u;
@@ -47,9 +47,9 @@ template <class T> inline Sym3<T> inverse_hessian(const Vec3<T>& x, const Weight
     return {scale * u2 * u * (u2 + 3.0 * s2), along * o, along * t, across + bend * o * o, bend * o * t, across + bend * t * t};
 }
 
-// The same inverse as a sum of three a a^T, and the gradient along each a, that of the price of squeezing and of the barrier
-// apart; across has none. In p = u - s and q = u + s, where neither loses digits to the other: one axis lies along q, close to
-// the force, one along p, towards the surface, one across both.
+// The same inverse as a sum of three terms a a^T, with the gradient along each a, separately for the price of squeezing and for the
+// barrier (zero along `across`). Written in p = u - s and q = u + s, so neither loses digits to the other. One axis lies along q,
+// close to the force, one along p, towards the surface, one across both.
 template <class T> struct Axes {
     Vec3<T> along, inward, across;
     struct Pull { T along, inward; } price, barrier;
@@ -70,7 +70,7 @@ template <class T> struct Axes {
     const Vec3<T>& operator[](int k) const { return k == 0 ? along : k == 1 ? inward : across; }
 };
 
-// How far a ray from x inside the cone goes before it leaves: what depends on x alone is made once.
+// Distance from x inside the cone to its boundary along a ray. The parts that depend on x alone are computed once.
 template <class T> struct Boundary {
     Vec3<T> x;
     T root, share;  // 1 / sqrt(x . J x) and 1 / (1 + u / sqrt(x . J x))
@@ -78,23 +78,23 @@ template <class T> struct Boundary {
     explicit Boundary(const Vec3<T>& x) : x(x), root(1.0 / sqrt(lorentz(x, x))), share(1.0 / (1.0 + x.u * root)) {}
     Boundary(const Vec3<T>& x, const T& root, const T& share) : x(x), root(root), share(share) {}
 
-    // 1 / (largest step inside the cone) along a move is away - along, and along its opposite away + along.
+    // 1 / (largest step inside the cone) is away - along for a move, and away + along for its opposite.
     struct Way { T away, along; };
     [[gnu::always_inline]] Way way(const Vec3<T>& move) const {
         const T along = lorentz(x, move) * root * root, k = (move.u * root + along) * share;
         const T a = move.o - k * x.o, b = move.t - k * x.t;
         return {root * sqrt(a * a + b * b), along};
     }
-    // <= 0: all of the ray is inside
+    // <= 0: the whole ray is inside
     T per(const Vec3<T>& move) const {
         const Way found = way(move);
         return found.away - found.along;
     }
 };
 
-// One contact's part of the Lagrangian, min_x phi(x) - y . x with y = G^T nu, as a problem in r = (u - s)/(u + s): least over r
-// of 2 sqrt(lambda c1 c2), c1 = (low + high r)/2, c2 = 1 + 1/r + 2/(1 + r), low = a - |y_t|, high = a + |y_t|, a = 3 omega - y_u.
-// Its stationary r is the root of high r^2 ((1 + r)^2 + 2) = low ((1 + r)^2 + 2 r^2).
+// One contact's part of the Lagrangian, min_x phi(x) - y . x with y = G^T nu, as a problem in r = (u - s)/(u + s): minimise 2
+// sqrt(lambda c1 c2) over r, with c1 = (low + high r)/2, c2 = 1 + 1/r + 2/(1 + r), low = a - |y_t|, high = a + |y_t|, a = 3 omega -
+// y_u. The stationary r is the root of high r^2 ((1 + r)^2 + 2) = low ((1 + r)^2 + 2 r^2).
 template <class T> struct Inner {
     T low, high;
 
@@ -102,7 +102,7 @@ template <class T> struct Inner {
         const T a = 3.0 * w.omega - y.u, t = sqrt(y.o * y.o + y.t * y.t);
         low = a - t, high = a + t;
     }
-    // Newton's step on the root.
+    // Newton step towards the root.
     T change(const T& r) const {
         const T q = 1.0 + r, p = q * q + 2.0;
         return (high * r * r * p - low * (q * q + 2.0 * r * r)) /
@@ -114,19 +114,20 @@ template <class T> struct Inner {
     }
 };
 
-// Least of one contact's part of the Lagrangian at y = G^T nu; a bound where room = a - |y_t| is positive.
+// Minimum of one contact's part of the Lagrangian at y = G^T nu. It is a bound if room = a - |y_t| is positive.
 template <class T> inline T dual(const Vec3<T>& y, const Weights<T>& w, T& room) {
     const Inner<T> inner(y, w);
     const T k = inner.low / inner.high;
     room = inner.low;
-    T r = sqrt(k);  // two contractions (factor below 0.16), then two Newton steps: the value's error is quadratic in that of r
+    T r = sqrt(k);  // two contractions (factor below 0.16), then two Newton steps; the value's error is quadratic in that of r
     for (int n = 0; n < 2; ++n) r = sqrt(k / (1.0 + 2.0 * (1.0 - k) / ((1.0 + r) * (1.0 + r))));
     for (int n = 0; n < 2; ++n) r -= inner.change(r);
     return inner.value(r, w);
 }
 
-// The same from the r of a nearby force x, no contraction. Where the second Newton step is not a small part (`tight`) of r
-// nothing is claimed (room < 0); what it may leave, of the fourth order, is taken off: above the least would be no bound.
+// The same minimum, starting from the r of a nearby force x, without contraction. If the second Newton step is not a small fraction
+// (`tight`) of r, no bound is claimed (room < 0). The possible error, of fourth order, is subtracted, since a value above the
+// minimum is not a bound.
 template <class T> inline T dual_near(const Vec3<T>& y, const Weights<T>& w, const Vec3<T>& x, double tight, T& room) {
     const Inner<T> inner(y, w);
     const T s = sqrt(x.o * x.o + x.t * x.t);
@@ -136,7 +137,7 @@ template <class T> inline T dual_near(const Vec3<T>& y, const Weights<T>& w, con
     r -= last;
     const T part = last / r, part2 = part * part;
     room = select(abs(last) < tight * r, inner.low, all<T>(-1.0));
-    return (1.0 - 0.25 * part2 * part2) * inner.value(r, w);  // r is off by the square of `last`, the value by the square of that
+    return (1.0 - 0.25 * part2 * part2) * inner.value(r, w);  // of fourth order in `last`
 }
 
 }  // namespace grasp

@@ -1,19 +1,20 @@
-// ONE way to make an initial force: balanced, strictly inside the cones, never worse in Phi than the paper's combination.
+// Initial forces: balanced, strictly inside the cones, and never worse in Phi than the paper's combination.
 #pragma once
 #include <grasp/phi/system.hpp>
 
 namespace grasp {
 
-inline constexpr double FAR = 2.0;  // where carrying the combination to moved contacts makes Phi grow by more, the basis is old
+// If Phi grows by this factor when the combination moves to new contacts, the basis is outdated.
+inline constexpr double MAX_GROWTH = 2.0;
 
 enum class From {
     combination,  // of the 12 offline optima (the paper, Sec. III)
-    given,  // a force as it is
-    tangent,  // a previous optimum: the change that is least in the Hessian of Phi, which follows it to first order
+    given,  // a force, used unchanged
+    tangent,  // a previous optimum, balanced by the smallest change in the metric of the Hessian of Phi; exact to first order
 };
 
-// sum E_k f_k + max(0, 1 - sum E_k) f_rest, E_k = max(0, +-w_k) (Eqs. 33, 34): which of the 13 offline optima (+e_1..+e_6,
-// -e_1..-e_6, rest), and how much of each. As `printed` without the rest, which keeps it away from P = 0 at small wrenches.
+// sum E_k f_k + max(0, 1 - sum E_k) f_rest, E_k = max(0, +-w_k) (Eqs. 33, 34): indices and weights of the 13 offline optima
+// (+e_1..+e_6, -e_1..-e_6, rest). printed: without f_rest, which avoids P = 0 at small wrenches.
 struct Combination {
     int rows[7];
     double weights[7];
@@ -28,7 +29,7 @@ struct Combination {
     }
 };
 
-// The tangents that a force is written in.
+// Tangent vectors of the contact frames in which a force is written.
 template <class V, int B> struct Tangents {
     using Field = typename Cones<V, B>::Field;
     Field o, t;
@@ -47,16 +48,16 @@ template <class V, int B> struct Tangents {
 template <class V, int B> class Starter {
 public:
     using Field = typename Cones<V, B>::Field;
-    std::array<Field, 13> basis;  // argmin Phi for +e_1..+e_6, -e_1..-e_6 and for no wrench, cone coordinates
-    Tangents<V, B> basis_tangents, tangents;  // those the basis is written in, and the current ones
-    bool has_basis = false, moved = false;  // moved: the contacts are not those of the basis any more
+    std::array<Field, 13> basis;  // argmin Phi for +e_1..+e_6, -e_1..-e_6 and the zero wrench, cone coordinates
+    Tangents<V, B> basis_tangents, tangents;  // tangents of the basis, and the current ones
+    bool has_basis = false, moved = false;  // moved: the contacts are no longer those of the basis
 
     explicit Starter(const Cones<V, B>& cones)
         : basis_tangents(cones), tangents(cones), there_(cones.field()), safe_(cones.field()), step_(cones.field()) {
         for (auto& row : basis) row = cones.field();
     }
 
-    // rows: (13, 3N) cone coordinates; frames: (N, 3, 3) that they are written in, where the contacts may move.
+    // rows: (13, 3N) cone coordinates. frames: (N, 3, 3) contact frames of the basis, needed if the contacts may move.
     void set_basis(const Cones<V, B>& cones, const double* rows, const double* frames = nullptr) {
         for (int k = 0; k < 13; ++k) cones.load(rows + 3 * cones.count * k, basis[k]);
         if (frames) basis_tangents.load(frames, cones.count);
@@ -72,7 +73,8 @@ public:
         }
     }
 
-    // The combination on the current contacts, w the wrench in their unit frame; false where it is outside the cones, or far.
+    // The combination on the current contacts; w is the wrench in their unit frame. Return false if it lies outside the cones or
+    // its Phi is too large.
     bool combination(const Cones<V, B>& cones, System<V, B>& system, const double* wrench, const Vec6& w, Field& out) {
         if (!moved) {
             combine(wrench, out);
@@ -82,13 +84,13 @@ public:
         turn(cones, there_, basis_tangents, out);
         if (!tangent(cones, system, w, out)) return false;
         const double value = cones.phi(out);
-        return value < infinity && value <= FAR * cones.phi(there_);
+        return value < infinity && value <= MAX_GROWTH * cones.phi(there_);
     }
 
-    // x = the force of least Phi on the segment from `safe` (strictly inside) to x; returns how far along. Phi is convex there:
-    // its slope is driven to zero by bisection inside the cones, to a thousandth. Never worse than either end.
+    // Set x to the force of least Phi on the segment from `safe` (strictly inside) to x. Return the fraction of the way. Phi is
+    // convex there: bisection drives its slope to zero, to a thousandth. Never worse than either end.
     double segment(const Cones<V, B>& cones, const Field& safe, Field& x) {
-        if (!cones.sane(x)) {
+        if (!cones.is_in_range(x)) {
             x = safe;
             return 0.0;
         }
@@ -121,15 +123,15 @@ public:
         return best;
     }
 
-    // x += the tangent correction to G x + w = 0, then what rounding left of balance by the least change
+    // x += the tangent correction to G x + w = 0; the least-norm change then removes the rounding error of balance.
     bool tangent(const Cones<V, B>& cones, System<V, B>& system, const Vec6& w, Field& x) {
         if (!system.assemble(cones, x)) return false;
         cones.subtract(x, system.restore(cones, system.made + w, x) + w);
         return true;
     }
 
-    // out = x with its tangential parts turned from the tangents `from` into the current ones. What the frames' tilt takes off a
-    // tangential force is left out, so that out is inside the cones where x is (round cones).
+    // out = x with its tangential parts turned from the tangents `from` to the current ones. The component that the frames' tilt
+    // takes off a tangential force is dropped, so out is inside the cones if x is (round cones).
     void turn(const Cones<V, B>& cones, const Field& x, const Tangents<V, B>& from, Field& out) const {
         for (int b = 0; b < int(out.size()); ++b) {
             const auto& c = cones.blocks[b];

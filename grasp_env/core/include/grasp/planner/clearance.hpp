@@ -1,11 +1,11 @@
-// How far a hand's links are from an object and from one another.
+// Distances of a hand's links from an object and from one another.
 #pragma once
 #include <grasp/planner/convex.hpp>
 #include <grasp/hand/tree.hpp>
 
 namespace grasp {
 
-// An object, in the world frame: its surface, and the convex solids that together hold it.
+// An object in the world frame: its surface, and convex solids whose union is the object.
 struct Obstacle {
     Surface surface;
     std::vector<Solid> solids;
@@ -13,7 +13,7 @@ struct Obstacle {
     explicit Obstacle(Surface given) : surface(std::move(given)), solids(Solid::of(surface)) {}
 };
 
-// Of a placed limb from the object; a lower bound where it is above `enough` [m].
+// Distance of a placed limb from the object [m]; above `enough`, a lower bound.
 inline double gap(const Obstacle& object, const Placed& limb, double enough = infinity) {
     const double radius = limb.solid->radius;
     if (limb.solid->is_line() && !object.surface.mesh()) return gap(object.surface, limb.axis, enough + radius) - radius;
@@ -21,18 +21,18 @@ inline double gap(const Obstacle& object, const Placed& limb, double enough = in
     for (const Solid& solid : object.solids) least = std::min(least, gap(Placed(solid), limb, std::min(enough, least)));
     return least;
 }
-// Whether a limb is nearer to the object than that [m].
-inline bool nearer(const Obstacle& object, const Placed& limb, double distance) {
+// True if a limb is closer to the object than `distance` [m].
+inline bool is_closer(const Obstacle& object, const Placed& limb, double distance) {
     if (limb.solid->is_line() && !object.surface.mesh()) return gap(object, limb, distance) < distance;
     return std::any_of(object.solids.begin(), object.solids.end(),
-                       [&](const Solid& solid) { return nearer(Placed(solid), limb, distance); });
+                       [&](const Solid& solid) { return is_closer(Placed(solid), limb, distance); });
 }
 
 // A solid that is fixed to a link.
 struct Limb {
-    int link;     // -1: the palm
+    int link;  // -1: the palm
     Solid solid;  // link frame
-    bool tip;     // part of a fingertip, which is there to touch
+    bool tip;  // part of a fingertip, which may touch
 
     bool is_sphere_of_tip() const { return tip && solid.is_line(); }
     Placed at(const Posture& posture) const {
@@ -40,16 +40,16 @@ struct Limb {
     }
 };
 
-// Links of which nobody asks how far they are apart: those of one joint, and what always touches.
-class Together {
+// Pairs of links whose distance is not checked: those of one joint, and those that always touch.
+class IgnoredPairs {
 public:
-    explicit Together(const Tree& tree, const std::vector<std::pair<int, int>>& pairs = {})
+    explicit IgnoredPairs(const Tree& tree, const std::vector<std::pair<int, int>>& pairs = {})
         : count_(tree.joints() + 1), pairs_(count_ * count_, 0) {
         for (int j = -1; j < tree.joints(); ++j) add(j, j);
         for (int j = 0; j < tree.joints(); ++j) add(j, tree.links[j].parent);
         for (const auto& [a, b] : pairs) add(a, b);
     }
-    // -1: the palm
+    // a, b: links; -1: the palm
     bool operator()(int a, int b) const { return pairs_[count_ * (a + 1) + b + 1]; }
 
 private:

@@ -1,8 +1,8 @@
-// Convex solids: how far apart two of them are, and how deep in one another.
+// Convex solids: distance and overlap of two of them.
 //
-// A solid is all points within a radius of its core: a box (also a line or a point), a cylinder or the hull of corners. What
-// parts two cores is the point nearest to the origin of their difference {a - b}, of which support points are all that is asked:
-// Gilbert, Johnson and Keerthi's descent over simplices where they are apart, an expanding polytope where they overlap.
+// A solid is all points within a radius of its core: a box (also a line or a point), a cylinder or the hull of corners. The
+// distance of two cores is that of the origin from their difference {a - b}, which the algorithms see only through support points:
+// Gilbert, Johnson and Keerthi's descent over simplices if they are apart, an expanding polytope if they overlap.
 #pragma once
 #include <array>
 #include <memory>
@@ -19,18 +19,18 @@ struct Segment {
 
 struct Solid {
     enum class Core { box, cylinder, hull };
-    using Corners = std::shared_ptr<const std::vector<Point>>;  // about a point inside
+    using Corners = std::shared_ptr<const std::vector<Point>>;  // relative to a point inside
 
     Core core = Core::box;
-    Point half{0.0, 0.0, 0.0};  // [m] of the core's sides; a cylinder about z: radius, radius, half its height
+    Point half{0.0, 0.0, 0.0};  // [m] half the core's sides; for a cylinder about z: radius, radius, half its height
     double radius = 0.0;  // [m] around the core
     Point center{0.0, 0.0, 0.0};  // of the core [m]
-    Rotation frame;  // of the core to that of the solid
-    Corners corners;  // of a hull [m], about its centre, which is inside
-    double size = 0.0;  // [m] that no point of the core is further from its centre
-    Segment axis;  // [m] of a line
+    Rotation frame;  // rotation of the core relative to the solid's frame
+    Corners corners;  // of a hull [m], relative to its centre, which is inside
+    double size = 0.0;  // [m] largest distance of a core's point from its centre
+    Segment axis;  // [m] if the core is a line
 
-    // half: see above; a line along z where the first two are 0.
+    // half: see above; a line along z if the first two are 0.
     static Solid of(Core core, const Point& half, double radius, const Point& center, const Rotation& frame) {
         Solid out{core, half, radius, center, frame, nullptr, 0.0, {}};
         out.size = core == Core::box ? length(half) : std::hypot(half[0], half[2]);
@@ -47,7 +47,7 @@ struct Solid {
         out.size = out.half[2];
         return out;
     }
-    // Convex solids that together hold an object. Its axis is along z where it has one, that of objects along y.
+    // Convex solids whose union is an object. Solids have their axis along z, objects along y.
     static std::vector<Solid> of(const Surface& surface) {
         static constexpr double FROM_Z[9] = {1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0};
         const Point middle{0.0, 0.0, 0.0};
@@ -61,7 +61,7 @@ struct Solid {
         return out;
     }
 
-    // Turned about the origin, then shifted [m].
+    // Rotated about the origin, then shifted [m].
     Solid moved(const Rotation& turn, const Point& shift) const {
         Solid out = *this;
         out.center = shift + turn * center, out.frame = turn * frame;
@@ -75,11 +75,11 @@ struct Solid {
 // A solid at a place.
 struct Placed {
     const Solid* solid;
-    Segment axis;  // of a line [m]
+    Segment axis;  // if it is a line [m]
     Point center;  // of the core [m]
-    Rotation frame;  // of the core; not of a line
+    Rotation frame;  // of the core; unused for a line
 
-    // origin [m] and frame of what the solid is fixed to
+    // origin [m] and rotation of the frame that the solid is fixed to
     Placed(const Solid& solid, const Point& origin, const Rotation& from) : solid(&solid) {
         if (solid.is_line()) {
             axis = {origin + from * solid.axis.start, origin + from * solid.axis.end}, center = axis.at(0.5);
@@ -89,7 +89,7 @@ struct Placed {
     }
     explicit Placed(const Solid& solid) : solid(&solid), axis(solid.axis), center(solid.center), frame(solid.frame) {}
 
-    // The point of the core that is furthest along a direction.
+    // The point of the core furthest along a direction.
     Point support(const Point& along) const {
         if (solid->is_line()) return dot(along, axis.end - axis.start) > 0.0 ? axis.end : axis.start;
         const Point way = frame.transposed(along), &half = solid->half;
@@ -109,7 +109,7 @@ struct Placed {
     }
 };
 
-// The least distance of two segments [m] (Ericson 2005, 5.1.9).
+// Distance of two segments [m] (Ericson 2005, 5.1.9).
 inline double gap(const Segment& a, const Segment& b) {
     constexpr double PARALLEL = 1e-12;  // of the squared sine between them
     const auto within = [](double part) { return std::min(std::max(part, 0.0), 1.0); };
@@ -126,14 +126,15 @@ inline double gap(const Segment& a, const Segment& b) {
     return length(r + s * u - t * v);
 }
 
-// The least signed distance of a segment from the surface of a simple shape [m], by golden sections; stops where it is surely `enough`.
+// Signed distance of a segment from the surface of a simple shape [m], by golden sections; stops once it is certainly above
+// `enough`.
 inline double gap(const Surface& surface, const Segment& a, double enough = infinity) {
     constexpr double GOLDEN = 0.6180339887498949;
     constexpr int SECTIONS = 14;  // leave a thousandth of the segment
     const auto at = [&](double part) { return surface.nearest(a.at(part)).distance; };
     const double size = length(a.end - a.start);
     double low = 0.0, high = 1.0, left = 1.0 - GOLDEN, right = GOLDEN, at_left = at(left), at_right = at(right);
-    // no point of the bracket is further from one of the two than the bracket is long
+    // no point of the bracket is further from either of the two than the bracket's length
     for (int k = 1; k < SECTIONS && size > 0.0 && !(std::min(at_left, at_right) - (high - low) * size > enough); ++k) {
         if (at_left < at_right) {
             high = right, right = left, at_right = at_left;
@@ -146,15 +147,15 @@ inline double gap(const Surface& surface, const Segment& a, double enough = infi
     return std::min(at_left, at_right);
 }
 
-// Up to four points of a difference of cores.
+// Up to four points of the difference of two cores.
 struct Simplex {
     std::array<Point, 4> at;
     int count = 0;
 
-    // The point of their hull that is nearest to the origin, which is in the hull of the last one with some others; keeps those
-    // alone. False where the origin is inside all four.
+    // Find the point of the hull nearest to the origin, and keep only the points that span it, the last one among them. Return
+    // false if the origin is inside all four.
     bool nearest(Point& best) {
-        constexpr double FLAT = 1e-24;  // [m^2, m^4] that is no edge, no triangle
+        constexpr double FLAT = 1e-24;  // [m^2, m^4] below which there is no edge, no triangle
         const int last = count - 1;
         double least = infinity;
         std::array<int, 3> kept{};
@@ -194,7 +195,7 @@ struct Simplex {
     }
 };
 
-// The least distance of two cores [m], 0 where they overlap; a lower bound of it where that is above `enough`.
+// Distance of two cores [m], 0 if they overlap; above `enough`, a lower bound.
 inline double separation(const Placed& a, const Placed& b, double enough = infinity) {
     constexpr double TOUCHING = 1e-10, EXACT = 1e-9;  // [m]; of the squared distance
     constexpr int STEPS = 64;
@@ -214,7 +215,7 @@ inline double separation(const Placed& a, const Placed& b, double enough = infin
     return length(away);
 }
 
-// The shortest way that parts two overlapping cores [m], to 1 um; below 0 the distance to a plane between them.
+// Shortest translation that separates two overlapping cores [m], to 1 um; negative: minus the distance to a plane between them.
 inline double overlap(const Placed& a, const Placed& b) {
     constexpr double EXACT = 1e-6, FLAT = 1e-12;  // [m], [m^2]
     constexpr int MOST = 120;
@@ -222,9 +223,9 @@ inline double overlap(const Placed& a, const Placed& b) {
         int a, b, c;
         Point normal;
         double height;
-    };  // normal outward, height of its plane over the origin
+    };  // outward normal, height of the plane above the origin
     const auto support = [&](const Point& along) { return a.support(along) - b.support(-along); };
-    double least = infinity;  // height over the origin of a plane that all of the difference is below
+    double least = infinity;  // height above the origin of a plane that bounds the difference
     const auto bound = [&](const Point& normal) {
         const Point found = support(normal);
         least = std::min(least, dot(found, normal));
@@ -234,7 +235,7 @@ inline double overlap(const Placed& a, const Placed& b) {
     std::vector<Side> sides;
     std::vector<std::pair<int, int>> edges;
     Point across{0.0, 0.0, 0.0};
-    for (int k = 0; k < 3; ++k) {  // the two that are furthest apart
+    for (int k = 0; k < 3; ++k) {  // the two points furthest apart
         Point axis{0.0, 0.0, 0.0};
         axis[k] = 1.0;
         const Point high = bound(axis), low = bound(-axis);
@@ -290,7 +291,7 @@ inline double overlap(const Placed& a, const Placed& b) {
     return least;
 }
 
-// The least distance of two solids [m], below 0 the depth of the overlap; a lower bound where that is above `enough`.
+// Distance of two solids [m], negative the depth of their overlap; above `enough`, a lower bound.
 inline double gap(const Placed& a, const Placed& b, double enough = infinity) {
     const double around = a.solid->radius + b.solid->radius;
     if (a.solid->is_line() && b.solid->is_line()) return gap(a.axis, b.axis) - around;
@@ -300,8 +301,8 @@ inline double gap(const Placed& a, const Placed& b, double enough = infinity) {
     return (apart > 0.0 ? apart : -overlap(a, b)) - around;
 }
 
-// Whether two solids are nearer to one another than that [m].
-inline bool nearer(const Placed& a, const Placed& b, double distance) {
+// True if two solids are closer than `distance` [m].
+inline bool is_closer(const Placed& a, const Placed& b, double distance) {
     const double needed = distance + a.solid->radius + b.solid->radius;
     if (length(a.center - b.center) - a.solid->size - b.solid->size > needed) return false;
     return needed > 0.0 ? separation(a, b, needed) < needed : gap(a, b, distance) < distance;

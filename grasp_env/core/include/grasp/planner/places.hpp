@@ -1,77 +1,30 @@
 // Places on an object that one finger of a hand can touch on its own.
 //
-// A finger whose tip goes anywhere reaches them by inverse kinematics. One with fewer joints, or in a plane, meets the object
-// where it does: from a posture of its joints one of them closes until the tip touches. Joints that move several fingers stay
-// where they are, but for fingers that nothing else moves, such as jaws with one motor: the motor of their last joint closes them.
+// A finger whose tip can go anywhere reaches them by inverse kinematics. A finger with fewer joints, or in a plane, finds them by
+// closing: from a drawn posture one of its joints closes until the tip touches. Joints that move several fingers stay fixed, unless
+// a finger has no others, such as jaws with one motor: then the motor of its last joint closes it.
+//
+// Both ways share the checks of a place, so the file is long.
 #pragma once
 #include <utility>
-#include <grasp/planner/clearance.hpp>
+#include <grasp/planner/place.hpp>
 #include <grasp/hand/reach.hpp>
 
 namespace grasp {
 
-// What a place must keep.
-struct Margins {
-    double flat;  // [m] of flat surface around it
-    double joints;  // [rad] from the joints' limits
-    double clearance;  // [m] of the links from the object
-    double pieces;  // [m] of a mesh's convex pieces over it where the tip touches, at most
-};
-
-// What a grasp must do. Wrenches are (force, moment / length) [N].
-struct Demand {
-    double friction;
-    double length;  // [m]
-    std::vector<Vec6> loads;  // that the contacts make; 0 is inside their convex hull
-    double space;  // between fingers [m]
-    double torsion = 0.0;  // moment about the normal over its force, of soft contacts [m]
-    double start = 0.0;  // [m] between tip and object before the fingers close
-    Point gravity{0.0, 0.0, 0.0};  // [m/s^2]
-};
-
-inline constexpr double BEHIND =
-    1e-3;  // [m] from the object that is enough for the rest of a fingertip, which moves with its sphere
-inline constexpr double PI = 3.14159265358979323846;
-inline constexpr double FULL = 30.0;  // [N] that weigh as much as a joint at its torque limit
-
-// Where to begin inside the object [m], and what to add to the direction towards the finger; on meshes, and for fingers that only
-// close, the six numbers in [0, 1) of which these were made count.
-struct Ray {
-    Point start, aside;
-    Vec6 draws;
-};
-
-struct Place {
-    Point point, normal;  // [m], inward
-    std::vector<Placed> limbs;  // of the finger, when it is there
-    std::vector<double> replies;  // see `grasp_search.hpp`
-    std::vector<double> angles, start;  // of the finger's joints there, and before it closes where that is known [rad]
-    std::vector<Point> efforts;  // of the joints that can be the limit: what 1 N takes of the torque that is left, times `FULL`
-
-    // Of a force [N]: 1 for each newton of it along the normal, or what the joint nearest to its limit feels.
-    double cost(const Point& force) const {
-        double most = 1.0;
-        for (const Point& effort : efforts) most = std::max(most, std::abs(dot(effort, force)));
-        return most;
-    }
-};
-
-// How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to start, without
-// push.
-struct Misses { int edge = 0, far = 0, limit = 0, touching = 0, start = 0, weak = 0; };
-
 // One finger of a hand: its joints as a tree of their own, and the limbs that they carry.
 class Finger {
 public:
-    std::vector<int> joints;  // numbers in the hand
-    std::vector<int> carried;  // numbers of its limbs in the hand
-    std::vector<Limb> limbs;  // links as numbered in the finger
-    bool free = false;  // its tip goes anywhere near
-    int closer = -1;  // the motor in the hand that closes it where none is its own; it may close others, too
+    std::vector<int> joints;  // indices in the hand
+    std::vector<int> carried;  // indices of its limbs in the hand
+    std::vector<Limb> limbs;  // links indexed as in the finger
+    bool free = false;  // its tip can go anywhere nearby
+    int closer = -1;  // motor in the hand that closes it if it has none of its own; may close other fingers as well
 
-    // home: (M,) [rad] of the hand, where the inverse kinematics starts; users: (M,) how many fingers each motor moves
-    Finger(const Tree& hand, int number, const std::vector<Limb>& all, const double* home, const std::vector<int>& users)
-        : tree_(made(hand, number, home, users)), reach_(tree_), posture_(tree_) {
+    // home: (M,) [rad] of the hand, start of the inverse kinematics; users: (M,) number of fingers that each motor moves
+    Finger(const Tree& hand, int number, const std::vector<Limb>& all, const double* home,
+           const std::vector<int>& fingers_per_motor)
+        : tree_(make_tree(hand, number, home, fingers_per_motor)), reach_(tree_), posture_(tree_) {
         for (int j : joints) home_.push_back(home[j]);
         for (std::size_t c = 0; c < all.size(); ++c) {
             const auto at = std::find(joints.begin(), joints.end(), all[c].link);
@@ -80,7 +33,7 @@ public:
             limbs.back().link = int(at - joints.begin());
         }
         angles_ = home_;
-        free = own_.size() >= 3 && spatial();
+        free = own_joints_.size() >= 3 && is_spatial();
         posture_.trace(home_.data());
         const Point tip = posture_.tip(0);
         direction_ = (1.0 / std::max(length(tip), 1e-9)) * tip;
@@ -88,18 +41,18 @@ public:
 
     bool carries(int limb) const { return std::binary_search(carried.begin(), carried.end(), limb); }
 
-    // The angle of `closer` at angles of the finger's joints.
+    // The angle of `closer` for given angles of the finger's joints.
     double closed(const std::vector<double>& angles) const {
-        const Link& link = tree_->links[own_[0]];
-        return (angles[own_[0]] - link.shift) / link.ratio;
+        const Link& link = tree_->links[own_joints_[0]];
+        return (angles[own_joints_[0]] - link.shift) / link.ratio;
     }
 
-    // Up to `most` places that it reaches with its links clear of the object.
+    // Find up to `most` places that the finger reaches with its links clear of the object.
     void find(const Obstacle& object, const Demand& demand, const std::vector<Ray>& rays, const Margins& margins,
               std::size_t most, std::vector<Place>& places, Misses& misses) {
         places.clear();
-        // one joint meets the object in few ways, two do so along lines
-        const std::size_t tries = free || own_.size() > 2 ? rays.size() : own_.size() == 2 ? 40 : 4;
+        // one joint meets the object in few ways, two joints along lines
+        const std::size_t tries = free || own_joints_.size() > 2 ? rays.size() : own_joints_.size() == 2 ? 40 : 4;
         for (std::size_t r = 0; r < std::min(rays.size(), tries); ++r) {
             const Ray& ray = rays[r];
             if (places.size() == most) return;
@@ -107,32 +60,32 @@ public:
             Place made;
             if (free) {
                 const Mesh* mesh = object.surface.mesh();
-                if (!(mesh ? land(*mesh, ray, place) : walk(object.surface, ray, place))) continue;
-                if (!flat(object.surface, place, margins.flat)) {
+                if (!(mesh ? touch_mesh(*mesh, ray, place) : walk_to_surface(object.surface, ray, place))) continue;
+                if (!is_flat(object.surface, place, margins.flat)) {
                     ++misses.edge;
                     continue;
                 }
-                if (!reaches(place, margins.joints, misses)) continue;
-            } else if (!closes(object.surface, demand, ray.draws, r % 2 == 0 ? AROUND : 1.0, margins, place, made.start,
-                               misses)) {
+                if (!solve_reach(place, margins.joints, misses)) continue;
+            } else if (!close_joint(object.surface, demand, ray.draws, r % 2 == 0 ? AROUND : 1.0, margins, place, made.start,
+                                    misses)) {
                 continue;
             }
-            if (!agrees(object, place, margins.pieces)) {
+            if (!pieces_agree(object, place, margins.pieces)) {
                 ++misses.edge;
                 continue;
             }
-            if (!clear(object, margins.clearance, made.limbs)) {
+            if (!keeps_clear(object, margins.clearance, made.limbs)) {
                 ++misses.touching;
                 continue;
             }
             made.point = place.point, made.normal = place.inward, made.angles = angles_;
-            weigh(demand, made.efforts);
+            write_efforts(demand, made.efforts);
             places.push_back(std::move(made));
         }
     }
 
-    // Angles of the finger's joints where its tip is `away` from a place [m]; false where it cannot be there, as where the object is
-    // on the other side, too.
+    // Find the joint angles with the tip `away` from a place [m]. Return false if the tip cannot be there, or if the object is on
+    // the other side as well.
     bool stand_off(const Surface& surface, const Place& place, double away, std::vector<double>& angles) {
         if (!free) {
             angles = place.start;
@@ -152,26 +105,27 @@ public:
     }
 
 private:
-    static constexpr double AROUND = 0.15;  // of the joints' ranges, about the rest posture
-    std::vector<int> own_;  // joints with a motor that moves no other finger, or of `closer`, as numbered in the finger
+    static constexpr double AROUND = 0.15;  // fraction of the joints' ranges, around the rest posture
+    std::vector<int> own_joints_;  // joints with a motor that moves no other finger, or of `closer`; indexed as in the finger
     std::shared_ptr<const Tree> tree_;
     Reach reach_;
     Posture posture_;
     std::vector<double> home_, angles_;
     Point direction_;  // from the object to the finger
 
-    std::shared_ptr<const Tree> made(const Tree& hand, int number, const double* home, const std::vector<int>& users) {
+    std::shared_ptr<const Tree> make_tree(const Tree& hand, int number, const double* home,
+                                          const std::vector<int>& fingers_per_motor) {
         auto out = std::make_shared<Tree>(hand.chain(number, joints));
         const auto motor = [&](int k) { return hand.mover(joints[k]); };
-        const auto alone = [&](int k) { return !hand.links[joints[k]].coupled() && users[motor(k)] == 1; };
+        const auto alone = [&](int k) { return !hand.links[joints[k]].coupled() && fingers_per_motor[motor(k)] == 1; };
         const int count = int(joints.size());
         for (int k = 0; k < count; ++k)
-            if (alone(k)) own_.push_back(k);
-        if (own_.empty()) closer = motor(count - 1);
+            if (alone(k)) own_joints_.push_back(k);
+        if (own_joints_.empty()) closer = motor(count - 1);
         for (int k = 0; k < count; ++k) {
             Link& link = out->links[k];
             if (link.coupled() || alone(k)) continue;
-            if (motor(k) == closer) own_.push_back(k), link.torque_limit /= users[closer];
+            if (motor(k) == closer) own_joints_.push_back(k), link.torque_limit /= fingers_per_motor[closer];
             else link.lower = link.upper = home[joints[k]];
         }
         for (Link& link : out->links)
@@ -187,20 +141,20 @@ private:
         posture_.trace(angles_.data());
     }
 
-    // Whether the tip moves in all directions, at one of some postures.
-    bool spatial() {
-        constexpr double LEAST = 1e-4;  // of the determinant of J J^T over its mean eigenvalue's cube
+    // True if the tip can move in all directions in at least one of several postures.
+    bool is_spatial() {
+        constexpr double LEAST = 1e-4;  // of the determinant of J J^T over the cube of its mean eigenvalue
         const int count = int(joints.size());
         std::vector<double> jacobian(3 * count);
         double best = 0.0;
         for (double part : {-1.0, 0.35, 0.5, 0.65}) {
-            for (int j : own_) angles_[j] = part < 0.0 ? home_[j] : low(j) + part * (high(j) - low(j));
+            for (int j : own_joints_) angles_[j] = part < 0.0 ? home_[j] : low(j) + part * (high(j) - low(j));
             trace();
             posture_.jacobian(count - 1, posture_.tip(0), jacobian.data());
             Point rows[3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}};
             for (int r = 0; r < 3; ++r)
                 for (int c = 0; c < 3; ++c)
-                    for (int j : own_) rows[r][c] += jacobian[count * r + j] * jacobian[count * c + j];
+                    for (int j : own_joints_) rows[r][c] += jacobian[count * r + j] * jacobian[count * c + j];
             const double mean = (rows[0][0] + rows[1][1] + rows[2][2]) / 3.0;
             if (mean > 0.0) best = std::max(best, dot(rows[0], cross(rows[1], rows[2])) / (mean * mean * mean));
         }
@@ -208,9 +162,9 @@ private:
         return best > LEAST;
     }
 
-    // From inside along a ray to the surface; false where the start is not inside.
-    bool walk(const Surface& surface, const Ray& ray, Nearest& place) const {
-        constexpr int STEPS = 8;  // exactly along the ray does not matter
+    // Walk from inside along a ray to the surface. Return false if the start is not inside.
+    bool walk_to_surface(const Surface& surface, const Ray& ray, Nearest& place) const {
+        constexpr int STEPS = 8;  // the exact direction does not matter
         const Point way = direction_ + ray.aside;
         const double size = length(way);
         Point center = ray.start;
@@ -224,9 +178,9 @@ private:
         return true;
     }
 
-    // Where the tip touches a mesh near a point of it that is drawn and faces the finger; false where the tip finds no place there.
-    bool land(const Mesh& mesh, const Ray& ray, Nearest& place) const {
-        constexpr double FACING = 0.1, FITS = 1e-6;  // least cosine; [m] of the tip in the object
+    // Find where the tip touches a mesh near a drawn point that faces the finger. Return false if the tip finds no place there.
+    bool touch_mesh(const Mesh& mesh, const Ray& ray, Nearest& place) const {
+        constexpr double FACING = 0.1, FITS = 1e-6;  // smallest cosine; [m] of the tip in the object
         constexpr int STEPS = 6;
         const auto [from, outward] = mesh.sample(ray.draws[0], ray.draws[1], ray.draws[2]);
         const Point way = direction_ + ray.aside;
@@ -240,9 +194,9 @@ private:
         return false;
     }
 
-    // Whether the pieces of a mesh are as near to the tip at a place as the mesh, and face it alike.
-    bool agrees(const Obstacle& object, const Nearest& place, double most) const {
-        constexpr double ASIDE = 3e-3;  // [m] over which their slope is measured; it may be `most` over this way
+    // True if the convex pieces of a mesh are as near to the tip as the mesh itself, and face it alike.
+    bool pieces_agree(const Obstacle& object, const Nearest& place, double most) const {
+        constexpr double ASIDE = 3e-3;  // [m] over which their slope is measured; it may deviate by `most` over this distance
         if (!object.surface.mesh() || object.solids.size() == 1) return true;
         const double radius = tree_->tips[0].radius;
         const auto above = [&](const Point& aside) {
@@ -254,7 +208,7 @@ private:
                std::abs(above(ASIDE * other) - above(-ASIDE * other)) < 2.0 * most;
     }
 
-    // Two unit vectors across a unit normal.
+    // Two unit vectors orthogonal to a unit normal.
     static std::pair<Point, Point> tangents(const Point& n) {
         int least = 0;
         for (int k = 1; k < 3; ++k)
@@ -265,8 +219,9 @@ private:
         return {side, cross(n, side)};
     }
 
-    // Whether the normal turns by less than 20 degrees up to `size` away. On a mesh it is that of a ball of this size, as faces are rough.
-    static bool flat(const Surface& surface, const Nearest& place, double size) {
+    // True if the normal turns by less than 20 degrees up to `size` away. On a mesh, whose faces are rough, the normal is that of a
+    // ball of this size.
+    static bool is_flat(const Surface& surface, const Nearest& place, double size) {
         const double above = (surface.mesh() ? 1.0 : 0.1) * size;
         const Point& n = place.inward;
         const auto [side, other] = tangents(n);
@@ -275,7 +230,7 @@ private:
         return true;
     }
 
-    bool reaches(const Nearest& place, double margin, Misses& misses) {
+    bool solve_reach(const Nearest& place, double margin, Misses& misses) {
         const Point tip = place.point - tree_->tips[0].radius * place.inward;
         double missed;
         reach_.solve(&tip, home_.data(), 1, angles_.data(), &missed);
@@ -283,7 +238,7 @@ private:
             ++misses.far;
             return false;
         }
-        for (int j : own_)
+        for (int j : own_joints_)
             if (angles_[j] < tree_->links[j].lower + margin || angles_[j] > tree_->links[j].upper - margin) {
                 ++misses.limit;
                 return false;
@@ -291,25 +246,25 @@ private:
         return true;
     }
 
-    // One joint closes from a drawn posture until the tip touches: there into `angles_`, `start` with the tip clear.
-    // spread: of the postures around that at rest, of the joints' ranges.
-    bool closes(const Surface& surface, const Demand& demand, const Vec6& draws, double spread, const Margins& margins,
-                Nearest& place, std::vector<double>& start, Misses& misses) {
+    // Close one joint from a drawn posture until the tip touches; that posture is in `angles_`, `start` is the one with the tip
+    // clear. spread: range of the drawn postures around the rest posture, as a fraction of the joints' ranges.
+    bool close_joint(const Surface& surface, const Demand& demand, const Vec6& draws, double spread, const Margins& margins,
+                     Nearest& place, std::vector<double>& start, Misses& misses) {
         constexpr int STEPS = 24, HALVES = 40;
-        constexpr double PUSH = 0.4;  // of the tip's largest motion, along the normal
-        if (own_.empty()) {
+        constexpr double PUSH = 0.4;  // of the tip's largest motion: smallest part along the normal
+        if (own_joints_.empty()) {
             ++misses.far;
             return false;
         }
-        const int count = int(own_.size());
+        const int count = int(own_joints_.size());
         for (int k = 0; k < count; ++k) {
-            const double from = low(own_[k]) + margins.joints, to = high(own_[k]) - margins.joints;
-            const double middle = std::min(std::max(home_[own_[k]], from), to),
+            const double from = low(own_joints_[k]) + margins.joints, to = high(own_joints_[k]) - margins.joints;
+            const double middle = std::min(std::max(home_[own_joints_[k]], from), to),
                          least = std::max(from, middle - spread * (to - from));
             const double most = std::min(to, middle + spread * (to - from));
-            angles_[own_[k]] = least + draws[k % 5] * (most - least);
+            angles_[own_joints_[k]] = least + draws[k % 5] * (most - least);
         }
-        const int joint = own_[std::min(int(draws[5] * count), count - 1)];
+        const int joint = own_joints_[std::min(int(draws[5] * count), count - 1)];
         const double radius = tree_->tips[0].radius, first = low(joint), size = high(joint) - first;
         const auto distance = [&](double part) {
             angles_[joint] = first + part * size;
@@ -317,14 +272,14 @@ private:
             place = surface.nearest(posture_.tip(0));
             return place.distance - radius;
         };
-        // between a part of the range where the tip is more than `away` off, and one where it is less
+        // bisect between a part of the range where the tip is more than `away` off, and one where it is closer
         const auto between = [&](double off, double on, double away) {
             for (int k = 0; k < HALVES; ++k) (distance(0.5 * (off + on)) > away ? off : on) = 0.5 * (off + on);
             return off;
         };
         std::array<double, STEPS + 1> found;
         for (int k = 0; k <= STEPS; ++k) found[k] = distance(double(k) / STEPS);
-        std::array<int, 2 * STEPS> meets;  // k > 0: the tip meets it on its way up to step k; k < 0: down to step -k - 1
+        std::array<int, 2 * STEPS> meets;  // k > 0: the tip meets the object on the way up to step k; k < 0: down to step -k - 1
         int ways = 0;
         for (int k = 1; k <= STEPS; ++k) {
             if (found[k - 1] > 0.0 && found[k] <= 0.0) meets[ways++] = k;
@@ -351,7 +306,7 @@ private:
         }
         start = angles_;
         distance(touching);
-        if (!flat(surface, place, margins.flat)) {
+        if (!is_flat(surface, place, margins.flat)) {
             ++misses.edge;
             return false;
         }
@@ -361,9 +316,11 @@ private:
             return false;
         }
         std::vector<Point> moves(joints.size(), Point{0.0, 0.0, 0.0});
-        posture_.carriers(int(joints.size()) - 1, posture_.tip(0), [&](int j, const Point& along) { moves[j] += along; });
+        posture_.each_moving_joint(int(joints.size()) - 1, posture_.tip(0),
+                                   [&](int j, const Point& along) { moves[j] += along; });
         double push = 0.0, most = 0.0;
-        for (int j : own_) push = std::max(push, std::abs(dot(moves[j], place.inward))), most = std::max(most, length(moves[j]));
+        for (int j : own_joints_)
+            push = std::max(push, std::abs(dot(moves[j], place.inward))), most = std::max(most, length(moves[j]));
         if (push < PUSH * most) {
             ++misses.weak;
             return false;
@@ -371,96 +328,32 @@ private:
         return true;
     }
 
-    // Whether the limbs are that far from the object at `angles_`; writes where they are.
-    bool clear(const Obstacle& object, double margin, std::vector<Placed>& there) {
+    // True if the limbs are `margin` away from the object at `angles_`; writes their positions.
+    bool keeps_clear(const Obstacle& object, double margin, std::vector<Placed>& there) {
         posture_.trace(angles_.data());
         for (const Limb& limb : limbs) {
             there.push_back(limb.at(posture_));
             if (limb.is_sphere_of_tip()) continue;
-            if (nearer(object, there.back(), limb.tip ? std::min(margin, BEHIND) : margin)) return false;
+            if (is_closer(object, there.back(), limb.tip ? std::min(margin, TIP_CLEARANCE) : margin)) return false;
         }
         return true;
     }
 
-    // What forces on the tip take of the torques that the links' weight leaves, where that can be what limits them.
-    void weigh(const Demand& demand, std::vector<Point>& efforts) const {
-        constexpr double LEAST = 0.05;  // of its limit that is left of a torque
+    // Write the fractions of the torques, after the links' weight, that forces on the tip use, for joints that may reach their
+    // limit.
+    void write_efforts(const Demand& demand, std::vector<Point>& efforts) const {
+        constexpr double LEAST = 0.05;  // fraction of its limit that a torque keeps at least
         const int count = int(joints.size());
         std::vector<double> weight(count);
         std::vector<Point> moves(count, Point{0.0, 0.0, 0.0});
         posture_.support(demand.gravity, weight.data());
-        posture_.carriers(count - 1, posture_.tip(0), [&](int j, const Point& along) { moves[j] += along; });
-        const double largest = std::sqrt(1.0 + demand.friction * demand.friction);  // of a force over its normal part
+        posture_.each_moving_joint(count - 1, posture_.tip(0), [&](int j, const Point& along) { moves[j] += along; });
+        const double largest = std::sqrt(1.0 + demand.friction * demand.friction);  // ratio of a force to its normal component
         for (int j = 0; j < count; ++j) {
             const double limit = tree_->links[j].torque_limit;
-            const Point effort = (FULL / std::max(limit - std::abs(weight[j]), LEAST * limit)) * moves[j];
+            const Point effort = (FORCE_AT_LIMIT / std::max(limit - std::abs(weight[j]), LEAST * limit)) * moves[j];
             if (length(effort) * largest > 1.0) efforts.push_back(effort);
         }
-    }
-};
-
-// The limbs of a hand, and its fingers one by one.
-struct HandLimbs {
-    std::shared_ptr<const Tree> tree;
-    std::vector<Limb> all;
-    Together together;
-    std::vector<double> home;  // (M,) [rad]
-    std::vector<Finger> fingers;
-
-    HandLimbs(std::shared_ptr<const Tree> hand, std::vector<Limb> limbs, Together pairs, const double* rest)
-        : tree(std::move(hand)), all(std::move(limbs)), together(std::move(pairs)), home(rest, rest + tree->joints()) {
-        const std::vector<int> users = tree->users(tree->all_fingers());
-        for (int i = 0; i < tree->fingers(); ++i) fingers.emplace_back(*tree, i, all, rest, users);
-    }
-
-    // The same hand with its palm turned, then shifted [m], and another rest posture.
-    HandLimbs moved(const Rotation& turn, const Point& shift, const double* rest) const {
-        auto hand = std::make_shared<Tree>(*tree);
-        for (Link& link : hand->links)
-            if (link.parent < 0) link.offset = shift + turn * link.offset, link.rotation = turn * link.rotation;
-        std::vector<Limb> limbs = all;
-        for (Limb& limb : limbs)
-            if (limb.link < 0) limb.solid = limb.solid.moved(turn, shift);
-        return {hand, std::move(limbs), together, rest};
-    }
-
-    // Least distances [m]: of the links, without the spheres of fingertips, from the object; of links and tips from one another.
-    // Above `enough` a lower bound.
-    std::pair<double, double> clearance(const Obstacle& object, const double* angles, double enough = infinity) const {
-        Posture posture(tree);
-        posture.trace(angles);
-        double away = enough, apart = enough;
-        std::vector<Placed> there;
-        there.reserve(all.size());
-        for (const Limb& limb : all) {
-            const Placed placed = limb.at(posture);
-            if (!limb.is_sphere_of_tip()) {
-                const double least = gap(object, placed, away);
-                if (!limb.tip || least < BEHIND) away = std::min(away, least);
-            }
-            for (std::size_t e = 0; e < there.size(); ++e)
-                if (!together(limb.link, all[e].link)) apart = std::min(apart, gap(placed, there[e], apart));
-            there.push_back(placed);
-        }
-        return {away, apart};
-    }
-    // How far the rest of a finger and the palm are from a ball about a point that touches the tip, in a posture; at most
-    // `enough` [m].
-    double beside(int finger, const Posture& posture, const Point& middle, double enough) const {
-        const double radius = length(posture.tip(finger) - middle) - tree->tips[finger].radius;
-        const Solid ball = Solid::of(Segment{middle, middle}, std::max(radius, 0.0));
-        double least = enough;
-        for (std::size_t c = 0; c < all.size(); ++c)
-            if ((all[c].link < 0 || fingers[finger].carries(int(c))) && !all[c].is_sphere_of_tip())
-                least = std::min(least, gap(Placed(ball), all[c].at(posture), least));
-        return least;
-    }
-    // Of the palm from the object [m].
-    double palm_gap(const Obstacle& object) const {
-        double least = infinity;
-        for (const Limb& limb : all)
-            if (limb.link < 0) least = std::min(least, gap(object, Placed(limb.solid), least));
-        return least;
     }
 };
 

@@ -1,21 +1,22 @@
-// The contacts with which a hand holds an object best.
+// Search for the contacts with which a hand holds an object best.
 //
-// Every finger has a pool of places that it reaches on its own. A choice of one place per finger is rated by the total normal
-// force, or by what that takes of the joints' torques where it is more, that the worst of some wrenches needs. That is a maximum
-// over directions y in wrench space,
+// Every finger has a pool of places that it reaches on its own. A choice of one place per finger is rated by the largest force that
+// any of the given wrenches needs: the total normal force, or its use of the joints' torques if that is more. This rating is a
+// maximum over directions y in wrench space,
 //
 //     max_y  max_w (-w . y) / h(y),  h(y) = max_i max {f . v_i(y) : f in cone i, cost 1},
 //
-// in which each place enters on its own: its part of h, its reply, is tabulated for a few hundred y, so that a choice takes a
-// microsecond. The choices that do best by the table are solved exactly, by linear programming whose columns, rays of the round
-// cones, are made as they are needed; the multipliers of that are further directions y for the table, the ones that matter.
+// to which each place contributes separately. Its contribution to h, its reply, is tabulated for a few hundred y, so that rating a
+// choice takes a microsecond. The best choices by the table are solved exactly by linear programming, with rays of the round cones
+// generated as columns when needed. The multipliers of these programs become further directions y of the table, the ones that
+// matter.
 #pragma once
-#include <grasp/planner/places.hpp>
+#include <grasp/planner/hand_limbs.hpp>
 
 namespace grasp {
 
-// Most work that a contact force of cost 1 does along y, and its wrench. A soft contact turns about its normal too, within the
-// ellipsoid (slip / friction)^2 + (moment / torsion)^2 <= (normal force)^2.
+// Largest work along y of a contact force of cost 1, and the wrench of that force. A soft contact also transmits a moment about its
+// normal, within the ellipsoid (slip / friction)^2 + (moment / torsion)^2 <= (normal force)^2.
 struct Reply {
     double work;
     Vec6 wrench;
@@ -46,13 +47,13 @@ struct Reply {
     }
 };
 
-// Least cost [N] of contact forces whose wrench is `load`, by the rays that `Reply` names at most 2 % above it; inf: none was
-// found. y: multipliers; load . y over the largest reply is a lower bound.
+// Smallest cost [N] of contact forces whose wrench is `load`, at most 2 % above the optimum, by the rays from `Reply`; inf: none
+// was found. y: multipliers; load . y over the largest reply is a lower bound.
 inline double least_force(const std::vector<const Place*>& places, const Demand& demand, const Vec6& load, Vec6& y) {
-    constexpr double PENALTY = 1e6;  // [N] of what no contact force balances
+    constexpr double PENALTY = 1e6;  // [N] price of what no contact force balances
     constexpr double EXACT = 0.02;
     constexpr int PIVOTS = 120;
-    Six<Vec6> inverse{};  // of the basis: six rays, or what stands for them at a penalty
+    Six<Vec6> inverse{};  // of the basis: six rays, or artificial columns at the penalty
     Vec6 amount, cost, column;
     for (int r = 0; r < 6; ++r) inverse[r][r] = std::copysign(1.0, load[r]), amount[r] = std::abs(load[r]), cost[r] = PENALTY;
     for (int pivot = 0; pivot < PIVOTS; ++pivot) {
@@ -89,20 +90,20 @@ inline double least_force(const std::vector<const Place*>& places, const Demand&
 
 class GraspSearch {
 public:
-    using Choice = std::vector<int>;  // the number of a place per finger
+    using Choice = std::vector<int>;  // index of a place per finger
     struct Found {
         double force;
         Choice choice;
     };  // [N] in the worst case
 
-    std::vector<std::vector<Place>> pools;  // of each finger
+    std::vector<std::vector<Place>> pools;  // for each finger
     std::vector<Misses> misses;
 
     GraspSearch(std::shared_ptr<HandLimbs> hand, Surface surface, Demand demand, std::vector<Vec6> directions)
         : pools(hand->fingers.size()), misses(pools.size()), hand_(std::move(hand)), object_(std::move(surface)),
-          demand_(std::move(demand)), given_(std::move(directions)) {}
+          demand_(std::move(demand)), directions_(std::move(directions)) {}
 
-    // Makes the pool of a finger anew, of up to `most` places; their number.
+    // Refill the pool of a finger with up to `most` places. Return their number.
     int fill(int finger, const std::vector<Ray>& rays, const Margins& margins, int most) {
         hand_->fingers[finger].find(object_, demand_, rays, margins, most, pools[finger], misses[finger]);
         return int(pools[finger].size());
@@ -110,16 +111,16 @@ public:
 
     enum Fault { none, near_object, near_itself, no_start, start_near_object, start_near_itself, not_together };
 
-    // Angles (M,) at which the whole hand is at its places, and before it closes, and what is wrong with them. clearance: of the
-    // links from the object at the places [m].
+    // Compute the angles (M,) at which the whole hand is at its places, and before it closes; return what is wrong with them.
+    // clearance: of the links from the object at the places [m].
     Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
-        constexpr double TOGETHER = 2e-5;  // [m] that fingers of one motor are off the object when the first touches
-        constexpr double EASIER = 0.9,
-                         OWN = 1.0 / 3.0;  // of the clearance: from the object, as the places have it; of links from links
+        constexpr double TOGETHER = 2e-5;  // [m] distance of fingers of one motor from the object when the first touches
+        // fractions of the clearance: from the object, which the places already keep; between links
+        constexpr double EASIER = 0.9, OWN = 1.0 / 3.0;
         std::copy(hand_->home.begin(), hand_->home.end(), angles), std::copy(angles, angles + hand_->home.size(), start);
         std::vector<double> there;
         bool starts = true;
-        std::vector<int> shut;  // fingers before that motors of several close
+        std::vector<int> shut;  // fingers so far that are closed by a shared motor
         for (std::size_t i = 0; i < choice.size(); ++i) {
             Finger& finger = hand_->fingers[i];
             const Place& place = pools[i][choice[i]];
@@ -144,23 +145,23 @@ public:
                     std::abs(object_.surface.nearest(tip).distance - hand_->tree->tips[i].radius) > TOGETHER)
                     return not_together;
         }
-        const auto [away, apart] = hand_->clearance(object_, angles, 2.0 * clearance);
+        const auto [away, keeps_apart] = hand_->clearance(object_, angles, 2.0 * clearance);
         if (away < EASIER * clearance) return near_object;
-        if (!(apart > OWN * clearance)) return near_itself;
+        if (!(keeps_apart > OWN * clearance)) return near_itself;
         if (!starts) return no_start;
         const auto [first_away, first_apart] = hand_->clearance(object_, start, 2.0 * clearance);
         if (!(first_away > OWN * clearance)) return start_near_object;
         return first_apart > OWN * clearance ? none : start_near_itself;
     }
 
-    // The best choice of each round, in which the last one's multipliers count too; no pool may be empty. picks: random numbers
-    // >= 0 for the choices to begin with, taken in turn: half of them in the first round.
+    // Return the best choice of each round; each round adds the multipliers of the last. No pool may be empty. picks: random
+    // numbers >= 0 for the initial choices, used in turn, half of them in the first round.
     std::vector<Found> choose(const std::vector<Choice>& picks, int rounds) {
         constexpr int SWEEPS = 8;
         needs_.clear();
         for (auto& pool : pools)
             for (Place& place : pool) place.replies.clear();
-        for (const Vec6& y : given_) learn(y);
+        for (const Vec6& y : directions_) add_direction(y);
         std::vector<Found> out;
         Choice best, choice;
         std::size_t begun = 0;
@@ -168,7 +169,7 @@ public:
             double rating = best.empty() ? infinity : rate(best);
             const auto improve = [&] {
                 double found = rate(choice);
-                for (int sweep = 0; sweep < SWEEPS && better(choice, found); ++sweep) {}
+                for (int sweep = 0; sweep < SWEEPS && improve_each_finger(choice, found); ++sweep) {}
                 if (found < rating || best.empty()) rating = found, best = choice;
             };
             for (std::size_t share = picks.size() / (round == 0 ? 2 : 2 * rounds); share > 0; --share)
@@ -181,7 +182,7 @@ public:
             std::vector<Vec6> multipliers(demand_.loads.size());
             for (std::size_t m = 0; m < multipliers.size(); ++m)
                 worst = std::max(worst, least_force(places, demand_, demand_.loads[m], multipliers[m]));
-            for (const Vec6& y : multipliers) learn(y);
+            for (const Vec6& y : multipliers) add_direction(y);
             out.push_back({worst, best});
         }
         return out;
@@ -191,11 +192,11 @@ private:
     std::shared_ptr<HandLimbs> hand_;
     Obstacle object_;
     Demand demand_;
-    std::vector<Vec6> given_;
-    std::vector<double> needs_, rest_;  // per direction: the largest load . y; the largest reply of all fingers but one
+    std::vector<Vec6> directions_;
+    std::vector<double> needs_, rest_;  // per direction: the largest load . y; the largest reply of the other fingers
 
-    // A further direction for the table.
-    void learn(const Vec6& y) {
+    // Add a direction to the table.
+    void add_direction(const Vec6& y) {
         double most = -infinity;
         for (const Vec6& load : demand_.loads) most = std::max(most, dot(load, y));
         needs_.push_back(most);
@@ -203,21 +204,21 @@ private:
             for (Place& place : pool) place.replies.push_back(Reply(place, demand_, y).work);
     }
 
-    // The places of a choice in a random order each, the first that keeps apart from those of the fingers before.
+    // Begin with the picked places: for each finger the first, from its pick on, that keeps apart from those of the fingers before.
     bool begin(const Choice& picks, Choice& choice) const {
         choice.clear();
         for (std::size_t i = 0; i < pools.size(); ++i) {
             const int count = int(pools[i].size());
             int tried = 0, k = picks[i] % count;
-            for (; tried < count && !apart(choice, i, k); ++tried) k = (k + 1) % count;
+            for (; tried < count && !keeps_apart(choice, i, k); ++tried) k = (k + 1) % count;
             if (tried == count) return false;
             choice.push_back(k);
         }
         return true;
     }
 
-    // Gives each finger in turn its best place; false where none changed.
-    bool better(Choice& choice, double& found) {
+    // Give each finger in turn its best place. Return false if none changed.
+    bool improve_each_finger(Choice& choice, double& found) {
         bool changed = false;
         for (std::size_t i = 0; i < choice.size(); ++i) {
             rest_.assign(needs_.size(), 0.0);
@@ -225,7 +226,7 @@ private:
                 if (j != i) raise(rest_, pools[j][choice[j]]);
             for (int k = 0; k < int(pools[i].size()); ++k) {
                 const double rated = rate(rest_, pools[i][k], found);
-                if (rated < found && apart(choice, i, k)) found = rated, choice[i] = k, changed = true;
+                if (rated < found && keeps_apart(choice, i, k)) found = rated, choice[i] = k, changed = true;
             }
         }
         return changed;
@@ -234,13 +235,13 @@ private:
     static void raise(std::vector<double>& most, const Place& place) {
         for (std::size_t d = 0; d < most.size(); ++d) most[d] = std::max(most[d], place.replies[d]);
     }
-    // The lower bound of a choice [N] by the table.
+    // Lower bound of a choice [N] by the table.
     double rate(const Choice& choice) {
         rest_.assign(needs_.size(), 0.0);
         for (std::size_t i = 0; i < choice.size(); ++i) raise(rest_, pools[i][choice[i]]);
         return rate(rest_, pools[0][choice[0]], infinity);
     }
-    // The same where `rest` holds the largest replies of the others; stops at `limit`.
+    // The same, with `rest` the largest replies of the others; stops at `limit`.
     double rate(const std::vector<double>& rest, const Place& place, double limit) const {
         double worst = 0.0;
         for (std::size_t d = 0; d < needs_.size() && worst < limit; ++d) {
@@ -250,8 +251,8 @@ private:
         return worst;
     }
 
-    // Whether finger i at its place k keeps apart from the others at their chosen places. Limbs that both carry do not count.
-    bool apart(const Choice& choice, std::size_t i, int k) const {
+    // True if finger i at its place k keeps apart from the others at their chosen places. Limbs that both carry do not count.
+    bool keeps_apart(const Choice& choice, std::size_t i, int k) const {
         const Finger& one = hand_->fingers[i];
         const Place& here = pools[i][k];
         for (std::size_t j = 0; j < choice.size(); ++j) {
@@ -267,7 +268,7 @@ private:
                     if (first.solid.is_line() && second.solid.is_line()) {
                         const double needed = first.solid.radius + second.solid.radius + demand_.space;
                         if (gap(here.limbs[c].axis, there.limbs[e].axis) < needed) return false;
-                    } else if (nearer(here.limbs[c], there.limbs[e], demand_.space)) {
+                    } else if (is_closer(here.limbs[c], there.limbs[e], demand_.space)) {
                         return false;
                     }
                 }

@@ -1,19 +1,19 @@
-// Where no force keeps the limits: the balanced force in the cones that exceeds them least. For limits on one contact each; others are the
-// general program's, which takes 80 us where this takes 9.
+// The balanced force in the cones that exceeds the limits least, if no force keeps them. For limits that each act on one contact;
+// other limits go to the general program, which takes 80 us where this takes 9.
 //
-//     min t  s.t.  G x = -w,  x_i in the cone,  a . x <= b + t share      max -sum y b - nu . w  s.t.  sum y share = 1,
-//                                                                              s_i = sum y a - G_i^T nu in the cone,  y >= 0
+//     min t  s.t.  G x = -w,  x_i in the cone,  a . x <= b + t share
+//     max -sum y b - nu . w  s.t.  sum y share = 1,  s_i = sum y a - G_i^T nu in the cone,  y >= 0
 //
-// A primal-dual interior point as in conic.hpp. The rows are rank-one changes of a contact's scaling, t is one border of the 6 x
-// 6 system; x is balanced throughout, and the multipliers of every iterate bound t (`LimitTerms::farkas`), dual feasible or not.
+// A primal-dual interior point as in conic.hpp. The rows are rank-one changes of a contact's scaling; t is one border of the 6 x 6
+// system. x stays balanced, and the multipliers of every iterate bound t (`LimitTerms::farkas`), dual feasible or not.
 #pragma once
 #include <grasp/conic/conic.hpp>
 #include <grasp/terms/limits.hpp>
 
 namespace grasp {
 
-inline constexpr double EXCESS_WITHIN = 1e-2;  // part of the least excess by which the found one may be above it
-inline constexpr double EXCESS_FLOOR = 1e-6;  // and by how much anyway: part of a limit
+inline constexpr double EXCESS_WITHIN = 1e-2;  // relative distance allowed above the least excess
+inline constexpr double EXCESS_FLOOR = 1e-6;  // absolute distance allowed, as a fraction of a limit
 
 template <class V, int B> class LeastExcess {
 public:
@@ -28,7 +28,7 @@ public:
 
     explicit LeastExcess(const Cones<V, B>& cones) { resize(at_, cones.blocks.size()); }
 
-    // From x in the cones, balanced, outside the limits; it is overwritten.
+    // Solve from x, balanced, in the cones and outside the limits; x is overwritten.
     Found solve(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, const Vec6& w, Field& x) {
         const int blocks = int(x.size());
         double t = BEGIN * rows.excess(x) + EXCESS_FLOOR;
@@ -43,7 +43,7 @@ public:
             if (!good) return out;
             const Border border = bordered(cones, system, curvature);
             const Vec6 left = system.made + w;
-            // predictor: all products to nothing
+            // predictor: aims at zero products
             Step step = direct(cones, rows, system, border, left, -1.0, x);
             const double after = reached(cones, rows, x, step);
             const double part = std::clamp(after / gap, 0.0, 1.0), enough = ENOUGH * allowed(out.bound);
@@ -71,23 +71,23 @@ public:
 
 private:
     static constexpr int MOST = 50;
-    static constexpr double BEGIN = 1.5;  // of the excess at the start: how much limits are raised there
-    static constexpr double REACH = 0.95;  // part of the way to the boundary
-    static constexpr double CENTRE = 0.1;  // least part of the gap that a step aims at: iterates far off the centre jam
-    static constexpr double ENOUGH = 0.5;  // of the gap that may be left: no step aims below it
-    static constexpr double AIM = 0.9;  // what the last digits of balance may take from the certificate is not spent
+    static constexpr double BEGIN = 1.5;  // factor of the excess at the start: initial value of t
+    static constexpr double REACH = 0.95;  // fraction of the way to the boundary
+    static constexpr double CENTRE = 0.1;  // smallest fraction of the gap that a step aims at: iterates far off the centre jam
+    static constexpr double ENOUGH = 0.5;  // fraction of the allowed gap: no step aims below it
+    static constexpr double AIM = 0.9;  // the rest is reserved for restoring the last digits of balance
 
     static double allowed(double bound) { return std::max(EXCESS_WITHIN * bound, EXCESS_FLOOR); }
 
     struct At {
-        Vec3<V> s, l, mixed;  // dual slack; the scaled point; sum bend share a
+        Vec3<V> s, l, mixed;  // dual slack; scaled point; sum bend share a
         Scaling<V> m;
         Sym3<V> inverse;  // (M^-1 + sum bend a a^T)^-1
-        Vec3<V> dx, ds, d;  // steps; the scaled right side
+        Vec3<V> dx, ds, d;  // steps; scaled right-hand side
     };
     Blocks<At, B> at_;
 
-    // Everything central: s = mu J x / (x . J x), y = mu / slack, mu so that sum y share = 1.
+    // A central point: s = mu J x / (x . J x), y = mu / slack, with mu such that sum y share = 1.
     void begin(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
         V total{};
         for (int b = 0; b < int(x.size()); ++b)
@@ -106,7 +106,7 @@ private:
         }
     }
 
-    // Slacks, scalings and blocks at x and t; the gap and the second derivative by t.
+    // Slacks, scalings and blocks at x and t. Return the gap and the second derivative with respect to t.
     struct Scaled { double gap, curvature; };
     Scaled scale(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
         V gap{}, curvature{};
@@ -124,7 +124,7 @@ private:
                 V mixed{};
                 p.sides([&](Side<V>& side, double sign) {
                     side.at(sign * along, t), side.bend = side.price / side.slack;
-                    side.dslack = side.dprice = V{};  // of the predictor, whose right side they are: none
+                    side.dslack = side.dprice = V{};  // right-hand side of the predictor: zero
                     const V share = side.bend * side.share;
                     mixed += sign * share, curvature += share * side.share, gap += side.price * side.slack;
                 });
@@ -136,7 +136,7 @@ private:
         return {sum(gap), sum(curvature)};
     }
 
-    // t's border of the system: what S does not know.
+    // The border of t that extends S.
     struct Border {
         Vec6 side, across;
         double pivot;
@@ -151,7 +151,8 @@ private:
         return {side, across, curvature - sum(square) + dot(side, across)};
     }
 
-    // The whole step for the gradients in `system` and `slope`, that of t: new multipliers nu, dt, and how far x and s may go.
+    // The whole step for the gradients in `system` and `slope`, the gradient of t: new multipliers nu, dt, and the largest steps of
+    // x and s.
     struct Step {
         Vec6 nu;
         double dt, primal, dual;
@@ -174,7 +175,7 @@ private:
                 const V along = dot(p.a, at.dx);
                 V price{};
                 p.sides([&](Side<V>& side, double sign) {
-                    // dprice holds the right side: what the price would be without a change of slack
+                    // dprice holds the right-hand side: the price for an unchanged slack
                     const V there = side.dprice;
                     side.dslack = all<V>(dt) * side.share - sign * along;
                     side.dprice = there - side.bend * side.dslack - side.price;
@@ -205,8 +206,8 @@ private:
         return sum(gap);
     }
 
-    // The corrector's right sides, from the predictor's steps: gradients into `system`, prices without a change of slack into
-    // dprice; returns the slope of t.
+    // Right-hand sides of the corrector, from the predictor's steps: gradients go into `system`, prices for an unchanged slack into
+    // dprice. Return the slope of t.
     double correct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, double target) {
         V slope{}, pull[6] = {};
         for (int b = 0; b < int(at_.size()); ++b) {

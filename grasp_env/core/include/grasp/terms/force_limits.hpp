@@ -1,28 +1,28 @@
-// Limits of a hand on its contacts' forces: least and largest normal forces, joint torques |J^T f + tau_0| <= tau_max. As rows
-// a . f <= b, and as the rows of length one on one contact's force that `LimitTerms` takes.
+// Limits of a hand on its contact forces: smallest and largest normal forces, joint torques |J^T f + tau_0| <= tau_max. They appear
+// as rows a . f <= b, and as rows of length one on one contact's force for `LimitTerms`.
 #pragma once
 #include <span>
 #include <grasp/terms/limits.hpp>
 
 namespace grasp {
 
-// Each may be left out; the numbers are the caller's. inf: no limit.
+// Empty members mean no limit, as does inf. The caller owns the numbers.
 struct ForceLimits {
-    std::span<const double> min_normal{};    // (N,) >= 0 [N]
-    std::span<const double> max_normal{};    // (N,) [N]
-    std::span<const double> jacobian{};      // (N, 3, J) joint speeds -> velocities of the contact points, contact frames [m]
+    std::span<const double> min_normal{};  // (N,) >= 0 [N]
+    std::span<const double> max_normal{};  // (N,) [N]
+    std::span<const double> jacobian{};  // (N, 3, J) joint speeds -> velocities of the contact points, contact frames [m]
     std::span<const double> torque_limit{};  // (J,) > 0 [N m]
-    std::span<const double> torque_bias{};  // (J,) tau_0: torques that act besides the grasp's, such as the hand's weight [N m]
+    std::span<const double> torque_bias{};  // (J,) tau_0: torques in addition to the grasp's, such as the hand's weight [N m]
 
-    // How many rows there are.
+    // Number of finite limits, counted as rows.
     int many() const {
         const auto count = [](std::span<const double> limits, auto& is) {
             return int(std::count_if(limits.begin(), limits.end(), is));
         };
         return count(min_normal, limits_normal) + count(max_normal, limits_normal) + 2 * count(torque_limit, limits_torque);
     }
-    // f(row, b, limit) for least normal forces above 0, largest normal forces, then the upper and lower torque of each joint.
-    // row: (N, each) numbers to work with, each = 3; of a Jacobian with the torsion's row besides, 4.
+    // Call f(row, b, limit) for smallest normal forces above 0, largest normal forces, then the upper and the lower torque of each
+    // joint. row: (N, each) work space; each = 3, or 4 if the Jacobian has a row for the torsion.
     template <class F> void rows(int count, int each, std::span<double> row, F&& f) const {
         const auto normal = [&](std::span<const double> limits, double sign) {
             for (int i = 0; i < int(limits.size()); ++i) {
@@ -48,18 +48,18 @@ private:
     static bool limits_torque(double limit) { return limit < infinity; }
 };
 
-// Rows on one contact's force each, cone coordinates. Once filled it is filled again without allocating.
+// Rows that each act on one contact's force, in cone coordinates. Refilling does not allocate.
 class LimitTable {
 public:
     static constexpr int MOST_ROWS = 64;  // on one contact
-    std::vector<double> normals, bounds, shares, weights, sizes;  // as `LimitRows`; sizes: (M,) what rows were divided by
+    std::vector<double> normals, bounds, shares, weights, sizes;  // as in `LimitRows`; sizes: (M,) divisors of the rows
     std::vector<int> owners;
 
-    // False where a row touches several contacts, or numbers are none or beyond what solvers can bear.
+    // Fill the table. Return false if a row acts on several contacts, or if numbers are not finite or too large for the solvers.
     // The Jacobian is (N, each, J) in contact frames.
     bool fill(const Contacts& contacts, const ForceLimits& limits, int each = 3) {
         const int count = contacts.count;
-        clear(), reserve(limits.many());  // also for rows that are not reached now
+        clear(), reserve(limits.many());  // includes rows that are not reached now
         row_.resize(each * count);
         bool good = true;
         limits.rows(count, each, row_, [&](std::span<const double> row, double bound, double limit) {
@@ -67,7 +67,7 @@ public:
         });
         return good;
     }
-    // One more row (N, each) on forces, which touches one contact or none. limit: by how much b grows where all of it grows.
+    // Add a row (N, each) on forces that acts on at most one contact. limit: growth of b if the limit grows by all of itself.
     bool add(int count, const double* row, const double* divisor, const double* lambda, double bound, double limit,
              int each = 3) {
         int owner = -1;

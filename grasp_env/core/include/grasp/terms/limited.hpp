@@ -1,54 +1,54 @@
-// Newton on Phi within limits, in one call: the optimum, a proof that there is none, or the force that exceeds limits least.
+// Newton on Phi within limits, in one call: the optimum, a proof that no force exists, or the force that exceeds the limits least.
 #pragma once
 #include <grasp/terms/excess.hpp>
 
 namespace grasp {
 
-template <class V, int B> class LimitedOn {
+template <class V, int B> class LimitedNewton {
 public:
     NewtonOn<V, B, LimitTerms<V, B>> newton;
-    bool elastic = false;  // where no force keeps the limits: the one that exceeds them least
-    double per = 0.0;  // of a proof: what its prices, those of `newton.rows`, are multiplied by to go with the twist
+    bool elastic = false;  // if no force keeps the limits, find the one that exceeds them least
+    double proof_scale = 0.0;  // factor that scales the prices in `newton.rows` of a proof to its twist
 
-    LimitedOn(int count, const Stop& options) : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
+    LimitedNewton(int count, const Stop& options) : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
 
-    // From a previous optimum, or any balanced force inside the cones.
-    // REFUSED: numbers that are not finite, no start, or a problem for the general program, nearly infeasible or out of digits.
-    // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`LimitTerms::farkas`): v . w > max -v . G f within
-    // the limits. LIMITS_EXCEEDED: objective and bound are those of the excess.
-    // begin(w, previous): makes the start in newton.x, that of the call or, `previous`, the optimum of another wrench balanced; whether
-    // there is one.
+    // Solve from a previous optimum, or from any balanced force inside the cones.
+    // REFUSED: numbers that are not finite, no start, or a problem for the general program: nearly infeasible, or out of digits.
+    // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`LimitTerms::farkas`): v . w > max -v . G f within the
+    // limits. LIMITS_EXCEEDED: objective and bound are those of the excess.
+    // begin(w, previous): writes the start into newton.x: that of the call, or if `previous` the balanced optimum of another
+    // wrench. Returns true if there is one.
     template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
         Summary& s = record.summary();
         s.code = REFUSED;
-        if (!sane_wrench(call.wrench)) return REFUSED;
+        if (!is_valid_wrench(call.wrench)) return REFUSED;
         const Vec6 w = newton.cones.unit.of(call.wrench);
-        if (elastic && call.exceeding && begin(w, true) && again(call, w, record)) return LIMITS_EXCEEDED;
-        Code code = call.start == From::tangent ? follow(call, w, record) : REFUSED;
-        if (unusable(code)) code = begin(w, false) ? descend(call, w, record) : REFUSED;
+        if (elastic && call.exceeding && begin(w, true) && follow_excess(call, w, record)) return LIMITS_EXCEEDED;
+        Code code = call.start == From::tangent ? descend_from_previous(call, w, record) : REFUSED;
+        if (is_unusable(code)) code = begin(w, false) ? descend(call, w, record) : REFUSED;
         if (code == INFEASIBLE) {
-            per = 1.0 / size(s.multipliers);
-            code = elastic ? exceed(w, record) : record.refute(-per * s.multipliers, size(w));
+            proof_scale = 1.0 / size(s.multipliers);
+            code = elastic ? minimise_excess(w, record) : record.refute(-proof_scale * s.multipliers, size(w));
         }
-        if (unusable(code)) code = REFUSED;
+        if (is_unusable(code)) code = REFUSED;
         s.code = code;
         return code;
     }
 
 private:
-    static constexpr double FIRM = 0.5;  // of the least slack of a previous force: there the parabola begins
+    static constexpr double FIRM = 0.5;  // of the least slack of a previous force: edge of the parabola
     typename Cones<V, B>::Field begun_;
     LeastExcess<V, B> least_;
 
-    bool unusable(Code code) const {
+    bool is_unusable(Code code) const {
         return code == REFUSED || code == STALLED || (code == LIMIT && !newton.rows.within(newton.x));
     }
 
-    // From a previous optimum.
-    Code follow(const Call& call, const Vec6& w, const Record& record) {
+    // Descend from a previous optimum.
+    Code descend_from_previous(const Call& call, const Vec6& w, const Record& record) {
         newton.cones.load_force(call.force, newton.x);
-        const double room = newton.rows.tightest(newton.x);
-        newton.rows.soften(room > 0.0 ? std::min(newton.rows.SOFTEST, FIRM * room) : newton.rows.SOFTEST);
+        const double room = newton.rows.least_slack(newton.x);
+        newton.rows.set_edge(room > 0.0 ? std::min(newton.rows.LARGEST_EDGE, FIRM * room) : newton.rows.LARGEST_EDGE);
         begun_ = newton.x;
         return newton.descend_from(begun_, call, w, record, SHORT, true);
     }
@@ -58,27 +58,27 @@ private:
         Code code = STALLED;
         for (double fraction : {SHORT, LONG}) {
             newton.x = begun_;
-            newton.rows.soften(newton.rows.SOFTEST);
+            newton.rows.set_edge(newton.rows.LARGEST_EDGE);
             code = newton.descend_from(begun_, call, w, record, fraction);
             if (code != STALLED) break;
         }
         return code;
     }
 
-    // Whether the least excess follows from a previous one in newton.x, without the proof that there is any.
-    bool again(const Call& call, const Vec6& w, const Record& record) {
+    // True if the least excess follows from a previous one in newton.x, without a proof that the limits must be exceeded.
+    bool follow_excess(const Call& call, const Vec6& w, const Record& record) {
         if (!(newton.rows.excess(newton.x) > EXCESS_FLOOR)) return false;
         newton.cones.store_force(newton.x, record.initial_force());
         std::fill(record.torsion(), record.torsion() + newton.cones.count, 0.0);
         Summary& s = record.summary();
         s.iterations = s.trials = 0.0;
         std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
-        const bool found = exceed(w, record) == LIMITS_EXCEEDED && s.lower_bound > EXCESS_FLOOR;
+        const bool found = minimise_excess(w, record) == LIMITS_EXCEEDED && s.lower_bound > EXCESS_FLOOR;
         s.code = found ? LIMITS_EXCEEDED : REFUSED;
         return found;
     }
 
-    Code exceed(const Vec6& w, const Record& record) {
+    Code minimise_excess(const Vec6& w, const Record& record) {
         const auto& cones = newton.cones;
         const auto found = least_.solve(cones, newton.rows, newton.system, w, newton.x);
         cones.balance(newton.x, w);

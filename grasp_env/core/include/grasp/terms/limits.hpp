@@ -1,31 +1,21 @@
-// Limits that are linear in one contact's force, a . x <= b, as terms of Phi: joint torques of a finger, least and largest normal
-// forces. Phi gains lambda / slack for each row of length one; a row is a rank-one change of its contact's 3 x 3 inverse Hessian.
+// Limits that are linear in one contact's force, a . x <= b, as terms of Phi: joint torques of a finger, smallest and largest
+// normal forces. Phi gains lambda / slack for each row of length one. A row is a rank-one change of its contact's 3 x 3 inverse
+// Hessian.
 //
-// Below a small slack the barrier goes on as its parabola (C2), so any force inside the cones is a start. That edge is lowered
-// until every slack is above it: then the optimum is that of lambda / slack, and so is its bound. Or Newton's multipliers prove
-// that no force keeps the limits (Farkas).
+// Below a small slack, the edge, the barrier is replaced by its quadratic extension (C2), so any force inside the cones is a valid
+// start. The edge is lowered until every slack is above it: then the optimum is that of lambda / slack, and so is its bound.
+// Alternatively, Newton's multipliers prove that no force keeps the limits (Farkas).
 #pragma once
 #include <grasp/contacts/cones.hpp>
+#include <grasp/terms/normal_bound.hpp>
 
 namespace grasp {
 
-inline constexpr double UNBOUNDED = 1e30;  // [N] of what no row bounds: finite, so that nothing times it is nothing
-
-// Rows on the force of one contact each, cone coordinates.
-struct LimitRows {
-    int count = 0;
-    const double* normal = nullptr;  // (M, 3) of length one; zero: no force changes it
-    const double* bound = nullptr;  // (M,) b [N]
-    const double* share = nullptr;  // (M,) by how much b grows where the limit grows by all of itself [N]
-    const double* weight = nullptr;  // (M,) lambda > 0
-    const int* contact = nullptr;  // (M,)
-};
-
-// a . x <= bound + t share, or for the other side of a pair -a . x; where it is not there weight and share are zero.
+// a . x <= bound + t share, or -a . x for the other side of a pair. Weight and share of a missing side are zero.
 template <class V> struct Side {
     V bound, share, weight;
-    V slack, price, bend;  // at x; price >= 0: its multiplier, bend: how that grows as the slack shrinks
-    V dslack, dprice;  // of a step
+    V slack, price, bend;  // at x; price >= 0: its multiplier, bend: growth of the price as the slack shrinks
+    V dslack, dprice;  // change by a step
 
     void at(const V& along, double t) { slack = bound + all<V>(t) * share - along; }
 };
@@ -36,7 +26,7 @@ template <class V> struct Pair {
     Side<V> high, low;
 
     V price() const { return high.price - low.price; }
-    // f(side, sign) for both
+    // call f(side, sign) for both
     template <class F> void sides(F&& f) { f(high, 1.0), f(low, -1.0); }
     template <class F> void sides(F&& f) const { f(high, 1.0), f(low, -1.0); }
     // inverse = (inverse^-1 + (bends) a a^T)^-1
@@ -48,49 +38,49 @@ template <class V> struct Pair {
     }
 };
 
-// What to do after a Newton step was found: go on; the edge was lowered; no force keeps the limits; neither is known.
-enum class Verdict { on, harder, hopeless, lost };
+// Decision after a Newton step was computed: continue; the edge was lowered; no force keeps the limits; neither is known.
+enum class Verdict { proceed, sharpened, infeasible, inconclusive };
 
-// All rows; to each contact as many pairs as one needs.
+// All rows. Every contact gets as many pairs as the contact with most rows needs.
 template <class V, int B> class LimitTerms {
 public:
-    static constexpr bool any = true, turns = false;
+    static constexpr bool has_terms = true, has_torsion = false;
     static constexpr int W = width<V>;
     using Field = typename Cones<V, B>::Field;
-    int sides = 0;  // how many rows
+    int sides = 0;  // number of rows
 
-    // From now on `pack` allocates nothing for as many rows, whichever contacts they are of.
+    // Make `pack` free of allocations for up to this many rows, on any contacts.
     void reserve(const Cones<V, B>& cones, int rows) {
         const int blocks = int(cones.blocks.size());
-        of_.resize(W * blocks);
-        for (auto& mine : of_) mine.reserve(rows);
-        pairs_.reserve(size_t(rows) * blocks), extra_.reserve(W * blocks * size_t(rows));
-        make_room(blocks);
+        pairs_of_.resize(W * blocks);
+        for (auto& mine : pairs_of_) mine.reserve(rows);
+        pairs_.reserve(size_t(rows) * blocks), extra_prices_.reserve(W * blocks * size_t(rows));
+        resize_blocks(blocks);
     }
-    // Allocates nothing where the contacts had as many rows before.
+    // Load the rows. Does not allocate if the contacts had as many rows before.
     void pack(const Cones<V, B>& cones, const LimitRows& rows) {
         const int blocks = int(cones.blocks.size());
-        of_.resize(W * blocks);
-        for (auto& mine : of_) mine.clear();
-        sides = rows.count, each_ = 1;
+        pairs_of_.resize(W * blocks);
+        for (auto& mine : pairs_of_) mine.clear();
+        sides = rows.count, pairs_per_contact_ = 1;
         for (int m = 0; m < rows.count; ++m) {
-            auto& mine = of_[rows.contact[m]];
+            auto& mine = pairs_of_[rows.contact[m]];
             auto at = mine.begin();
             while (at != mine.end() && !(at->low < 0 && opposite(rows.normal + 3 * at->high, rows.normal + 3 * m))) ++at;
             if (at != mine.end()) at->low = m;
             else mine.push_back({m, -1});
-            each_ = std::max(each_, int(mine.size()));
+            pairs_per_contact_ = std::max(pairs_per_contact_, int(mine.size()));
         }
-        pairs_.assign(size_t(each_) * blocks, none());
-        extra_.assign(rows.count, 0.0);
-        make_room(blocks);
+        pairs_.assign(size_t(pairs_per_contact_) * blocks, no_pair());
+        extra_prices_.assign(rows.count, 0.0);
+        resize_blocks(blocks);
         for (int b = 0; b < blocks; ++b) {
             const auto& w = cones.blocks[b].weights;
             scale_[b] = sqrt(w.lambda / w.omega);
             for (int n = 0; n < W; ++n) {
-                const auto& mine = of_[W * b + n];
+                const auto& mine = pairs_of_[W * b + n];
                 for (int k = 0; k < int(mine.size()); ++k) {
-                    auto& pair = pairs_[each_ * b + k];
+                    auto& pair = pairs_[pairs_per_contact_ * b + k];
                     for (int a = 0; a < 3; ++a) set(pair.a[a], n, rows.normal[3 * mine[k].high + a]);
                     pair.sides([&](Side<V>& side, double sign) {
                         const int m = sign > 0.0 ? mine[k].high : mine[k].low;
@@ -98,18 +88,19 @@ public:
                         set(side.bound, n, rows.bound[m]), set(side.share, n, rows.share[m]), set(side.weight, n, rows.weight[m]);
                     });
                 }
-                const Room room(rows, mine);
-                set(room_[b], n, room.most), set(more_[b], n, room.more);
-                bounding_[W * b + n] = room.by;
+                const NormalBound room(rows, mine);
+                set(u_bound_[b], n, room.most), set(u_growth_[b], n, room.more);
+                bounding_rows_[W * b + n] = room.by;
             }
         }
-        lean(cones);
+        find_shift(cones);
     }
 
-    // Where the parabola begins, in parts of the contacts' own scales sqrt(lambda / omega), which slacks are of where limits
-    // bind. From the softest on any force is a start: a harder one takes more steps to come inside, a softer one to be hardened.
-    static constexpr double SOFTEST = 8.0;
-    void soften(double edge) { edge_ = edge; }
+    // The parabola begins at `edge` times the contact's own scale sqrt(lambda / omega), the scale of slacks at active limits. From
+    // LARGEST_EDGE on, any force is a start. A smaller first edge takes more steps to come inside, a larger one more steps to be
+    // lowered.
+    static constexpr double LARGEST_EDGE = 8.0;
+    void set_edge(double edge) { edge_ = edge; }
 
     // --- as terms of Phi, block by block
 
@@ -122,15 +113,15 @@ public:
         });
         return total;
     }
-    // Gradient and inverse Hessian at x: those of the cones, to which the rows' are added.
+    // Add the rows' terms to the cones' gradient and inverse Hessian at x.
     void bend(int b, const Vec3<V>& x, Vec3<V>& gradient, Sym3<V>& inverse) {
         const V edge = all<V>(edge_) * scale_[b];
-        if (b == 0) tightest_ = all<V>(infinity);
+        if (b == 0) least_slack_ = all<V>(infinity);
         for_each(b, [&](Pair<V>& p) {
             const V along = dot(p.a, x);
             p.sides([&](Side<V>& side, double sign) {
                 side.at(sign * along, 0.0);
-                tightest_ = min(tightest_, side.slack / scale_[b]);
+                least_slack_ = min(least_slack_, side.slack / scale_[b]);
                 const V c = max(side.slack, edge), i = 1.0 / c, price = side.weight * i * i;
                 side.bend = 2.0 * price * i;
                 side.price = price - side.bend * (side.slack - c);
@@ -140,13 +131,14 @@ public:
         });
     }
     // The multipliers of Newton's model after a step.
-    void follow(int b, const Vec3<V>& step) {
+    void predict_prices(int b, const Vec3<V>& step) {
         for_each(b, [&](Pair<V>& p) {
             const V along = dot(p.a, step);
             p.sides([&](Side<V>& side, double sign) { side.price = max(V{}, side.price + sign * side.bend * along); });
         });
     }
-    // Takes the rows off y = G^T nu; returns their part of the dual value, the least of barrier(slack) + price (slack - bound).
+    // Subtract the rows from y = G^T nu. Return their part of the dual value, the minimum of barrier(slack) + price (slack -
+    // bound).
     V dual(int b, const Vec6&, Vec3<V>& y) const {
         V total{};
         const V edge = all<V>(edge_) * scale_[b];
@@ -159,10 +151,10 @@ public:
         return total;
     }
 
-    // --- all of them
+    // --- over all contacts
 
-    // Least slack, in parts of the contacts' scales.
-    double tightest(const Field& x) const {
+    // Smallest slack, relative to the contacts' scales.
+    double least_slack(const Field& x) const {
         V out = all<V>(infinity);
         for (int b = 0; b < int(x.size()); ++b)
             for_each(b, [&](const Pair<V>& p) {
@@ -171,10 +163,10 @@ public:
             });
         return least(out);
     }
-    // Whether the terms are lambda / slack at x.
-    bool within(const Field& x) const { return tightest(x) >= edge_; }
+    // True if all terms are lambda / slack at x.
+    bool within(const Field& x) const { return least_slack(x) >= edge_; }
 
-    // Largest excess of a limit at x, as a part of it; 0 within. One that does not grow (share 0) is never exceeded by a part.
+    // Largest excess of a limit at x, as a fraction of the limit; 0 within. A limit with share 0 counts as never exceeded.
     double excess(const Field& x) const {
         V most{};
         for (int b = 0; b < int(x.size()); ++b)
@@ -185,33 +177,33 @@ public:
         return largest(most);
     }
 
-    // After the Newton step from the x of the last `bend`: nu its multipliers, decrement its squared decrement as a part of Phi. Where they
-    // prove that no force keeps the limits nu becomes that proof.
+    // Judge the Newton step from the x of the last `bend`. nu: its multipliers; decrement: its squared decrement as a fraction of
+    // Phi. If the multipliers prove that no force keeps the limits, nu becomes that proof.
     Verdict judge(const Cones<V, B>& cones, Vec6& nu, const Vec6& w, double decrement, int iterations) {
-        const double slack = least(tightest_);
-        if (slack >= edge_) return Verdict::on;
-        // the optimum of a parabola need not be exact; but where rows are far below its edge, it is what multipliers are found at
+        const double slack = least(least_slack_);
+        if (slack >= edge_) return Verdict::proceed;
+        // the optimum with a parabola need not be exact, unless rows are far below the edge: then the multipliers depend on it
         const bool settled = decrement < (slack < -BROKEN * edge_ ? CLOSER : SETTLED);
         if (slack <= 0.0 && (settled || (iterations >= 2 && iterations % 2 == 1)) && hopeless(cones, nu, w))
-            return Verdict::hopeless;
-        if (!settled) return Verdict::on;
-        if (edge_ < HARDEST) return Verdict::lost;
-        edge_ *= HARDENING;
-        return Verdict::harder;
+            return Verdict::infeasible;
+        if (!settled) return Verdict::proceed;
+        if (edge_ < LEAST_EDGE) return Verdict::inconclusive;
+        edge_ *= EDGE_FACTOR;
+        return Verdict::sharpened;
     }
 
     // With prices y >= 0 and q = sum y a - G^T nu, every balanced force has sum q . x = sum y a . x + nu . w. In the cones and
-    // within limits raised by t this is at least -sum delta u_max, delta what q lacks of the dual cone, and at most
-    // sum y (b + t share) + nu . w: so value + t share >= 0, value < 0 is a proof that no force keeps the limits, and
-    // -value / share a bound of t. Where no row bounds u_max nu is leant over (see `lean`) until delta is nothing there.
+    // within limits raised by t this is at least -sum delta u_max, where delta is the distance of q from the dual cone, and at most
+    // sum y (b + t share) + nu . w. So value + t share >= 0: value < 0 proves that no force keeps the limits, and -value / share is
+    // a lower bound on t. Contacts whose u_max no row bounds have nu changed (see `find_shift`) until their delta is zero.
     struct Farkas {
         double value, share, size;
         Vec6 nu;
-    };  // size: what the terms of value add up to
+    };  // size: sum of the absolute terms of value
     Farkas farkas(const Cones<V, B>& cones, const Vec6& given, const Vec6& w, double t = 0.0) const {
-        const Vec6 nu = leant(cones, given);
+        const Vec6 nu = shifted(cones, given);
         V total{}, share{}, size{};
-        const V pushed = all<V>(-dot(lean_, w));
+        const V pushed = all<V>(-dot(shift_, w));
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             Vec3<V> q = -cones.blocks[b].transposed(nu);
             for_each(b, [&](const Pair<V>& p) {
@@ -221,7 +213,7 @@ public:
                     total += cost, size += abs(cost), share += side.price * side.share;
                 });
             });
-            const V room = max(V{}, room_[b] + all<V>(t) * more_[b] + leans_[b] * pushed);
+            const V room = max(V{}, u_bound_[b] + all<V>(t) * u_growth_[b] + unbounded_[b] * pushed);
             const V lacking = cones.blocks[b].mask * max(V{}, -slack(q)) * room;
             total += lacking, size += lacking;
         }
@@ -231,123 +223,120 @@ public:
     }
     bool hopeless(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) {
         const Farkas found = farkas(cones, nu, w);
-        if (!(found.value < -SURE * found.size)) return false;
+        if (!(found.value < -PROOF_MARGIN * found.size)) return false;
         nu = found.nu;
-        std::fill(extra_.begin(), extra_.end(), 0.0);
+        std::fill(extra_prices_.begin(), extra_prices_.end(), 0.0);
         for (int i = 0; i < cones.count; ++i) {
             Vec3<V> q = -cones.blocks[i / W].transposed(nu);
             for_each(i / W, [&](const Pair<V>& p) { q += p.price() * p.a; });
             const double lacking = -get(slack(q), i % W);
             for (int k = 0; k < 3 && lacking > 0.0; ++k)
-                if (const int m = bounding_[i].row[k]; m >= 0) extra_[m] += lacking * bounding_[i].part[k];
+                if (const int m = bounding_rows_[i].row[k]; m >= 0) extra_prices_[m] += lacking * bounding_rows_[i].part[k];
         }
         return true;
     }
 
-    // f(row, price) for all rows of the last proof: G^T v + sum price a, v = -nu, is in every dual cone; what the multipliers lack of that the
-    // rows that bound u make up for.
+    // Call f(row, price) for all rows of the last proof: G^T v + sum price a, v = -nu, lies in every dual cone. The rows that bound
+    // u provide what the multipliers lack.
     template <class F> void prices(F&& f) const {
-        for (int i = 0; i < int(of_.size()); ++i)
-            for (int k = 0; k < int(of_[i].size()); ++k) {
-                const auto& pair = pairs_[each_ * (i / W) + k];
-                const int high = of_[i][k].high, low = of_[i][k].low;
-                f(high, get(pair.high.price, i % W) + extra_[high]);
-                if (low >= 0) f(low, get(pair.low.price, i % W) + extra_[low]);
+        for (int i = 0; i < int(pairs_of_.size()); ++i)
+            for (int k = 0; k < int(pairs_of_[i].size()); ++k) {
+                const auto& pair = pairs_[pairs_per_contact_ * (i / W) + k];
+                const int high = pairs_of_[i][k].high, low = pairs_of_[i][k].low;
+                f(high, get(pair.high.price, i % W) + extra_prices_[high]);
+                if (low >= 0) f(low, get(pair.low.price, i % W) + extra_prices_[low]);
             }
     }
 
     template <class F> void for_each(int b, F&& f) {
-        for (int k = 0; k < each_; ++k) f(pairs_[each_ * b + k]);
+        for (int k = 0; k < pairs_per_contact_; ++k) f(pairs_[pairs_per_contact_ * b + k]);
     }
     template <class F> void for_each(int b, F&& f) const {
-        for (int k = 0; k < each_; ++k) f(pairs_[each_ * b + k]);
+        for (int k = 0; k < pairs_per_contact_; ++k) f(pairs_[pairs_per_contact_ * b + k]);
     }
 
 private:
-    static constexpr double SETTLED = 0.03;  // squared decrement, as a part of Phi, from which the edge is lowered
-    static constexpr double CLOSER = 3e-4;  // the same where a row is BROKEN edges outside
+    static constexpr double SETTLED = 0.03;  // squared decrement, as a fraction of Phi, below which the edge is lowered
+    static constexpr double CLOSER = 3e-4;  // the same if a row is BROKEN edges outside
     static constexpr double BROKEN = 10.0;
-    static constexpr double HARDENING = 1.0 / 16.0;
-    static constexpr double HARDEST = 1e-6;  // nearly infeasible: another method's
-    static constexpr double SURE = 1e-9;  // of what the terms of a proof add up to: far above their rounding
-    static constexpr double DAMPED = 1e-12;  // of the trace: contacts that least squares know too little of
-    static constexpr double INSIDE = 0.1;  // of e_u: how deep in the dual cones its answer must be
-    static constexpr double PARALLEL = 1e-12;  // by which opposite rows may differ
-    struct Both { int high, low; };  // the rows of a pair; -1: none
-    struct Bounding {
-        int row[3] = {-1, -1, -1};
-        double part[3] = {};
-    };  // u <= sum part * row's bound, for forces in the cone
-    double edge_ = SOFTEST;
-    int each_ = 1;
-    std::vector<std::vector<Both>> of_;  // those of each contact
+    static constexpr double EDGE_FACTOR = 1.0 / 16.0;
+    static constexpr double LEAST_EDGE = 1e-6;  // below it the problem is nearly infeasible and left to the general program
+    static constexpr double PROOF_MARGIN = 1e-9;  // fraction of the terms of a proof: far above their rounding
+    // Of the trace: regularises contacts that the least squares leave undetermined.
+    static constexpr double REGULARISATION = 1e-12;
+    static constexpr double INSIDE = 0.1;  // of e_u: required depth of the answer in the dual cones
+    static constexpr double PARALLEL = 1e-12;  // allowed difference of opposite rows
+    double edge_ = LARGEST_EDGE;
+    int pairs_per_contact_ = 1;
+    std::vector<std::vector<RowPair>> pairs_of_;  // pairs of each contact
     std::vector<Pair<V>> pairs_;  // (blocks, each)
-    std::vector<Bounding> bounding_;  // of each contact
-    std::vector<double> extra_;  // (M,) of a proof: prices besides those of the pairs
-    Blocks<V, B> scale_, room_, more_;  // u is at most room + t more within limits raised by t
-    Blocks<V, B> leans_;  // 1 of a contact that no row bounds, whose u is at most room + t more - lean . w
-    Vec6 lean_{};
-    bool leaning_ = false;
-    V tightest_{};
+    std::vector<BoundingRows> bounding_rows_;  // for each contact
+    std::vector<double> extra_prices_;  // (M,) prices of a proof beyond those of the pairs
+    Blocks<V, B> scale_, u_bound_, u_growth_;  // u is at most u_bound + t u_growth within limits raised by t
+    Blocks<V, B> unbounded_;  // 1 for a contact that no row bounds, with u at most u_bound + t u_growth - shift . w
+    Vec6 shift_{};
+    bool has_shift_ = false;
+    V least_slack_{};
 
-    // Contacts that no row bounds: a twist nu with G_i^T nu - e_u in the dual cone of each of them, by least squares. It takes multipliers into
-    // their dual cones, and with what the others can bear it bounds what is left there of rounding: their u add up to at most
-    // nu . sum G_i x_i = -nu . w - sum (G_j^T nu) . x_j over the others. Contacts that can squeeze the object by themselves have none.
-    void lean(const Cones<V, B>& cones) {
+    // For contacts that no row bounds: find by least squares a twist nu with G_i^T nu - e_u in the dual cone of each. Adding it
+    // takes multipliers into their dual cones. Together with the bounds of the other contacts it bounds the rounding left there:
+    // the u add up to at most nu . sum G_i x_i = -nu . w - sum (G_j^T nu) . x_j over the others. Contacts that can squeeze the
+    // object by themselves have no such twist.
+    void find_shift(const Cones<V, B>& cones) {
         const int blocks = int(cones.blocks.size());
         Packed6 square{};
         Vec6 side{};
         for (int b = 0; b < blocks; ++b) {
             const auto& c = cones.blocks[b];
-            leans_[b] = room_[b] < UNBOUNDED ? V{} : c.mask;
+            unbounded_[b] = u_bound_[b] < UNBOUNDED ? V{} : c.mask;
             for (int r = 0; r < 6; ++r) {
-                side[r] += sum(leans_[b] * c.g[r].u);
-                for (int s = 0; s <= r; ++s) square[packed(r, s)] += sum(leans_[b] * dot(c.g[r], c.g[s]));
+                side[r] += sum(unbounded_[b] * c.g[r].u);
+                for (int s = 0; s <= r; ++s) square[packed(r, s)] += sum(unbounded_[b] * dot(c.g[r], c.g[s]));
             }
         }
         double trace = 0.0;
         for (int r = 0; r < 6; ++r) trace += square[packed(r, r)];
-        for (int r = 0; r < 6; ++r) square[packed(r, r)] += DAMPED * trace;
+        for (int r = 0; r < 6; ++r) square[packed(r, r)] += REGULARISATION * trace;
         Ldl6 factor;
         const Vec6 nu = factor.factor(square) > 0.0 ? factor.solve(side) : Vec6{};
         V nearest = all<V>(infinity), most{}, more{};
         for (int b = 0; b < blocks; ++b)
-            nearest = min(nearest, leans_[b] > 0.0 ? slack(cones.blocks[b].transposed(nu)) : all<V>(infinity));
+            nearest = min(nearest, unbounded_[b] > 0.0 ? slack(cones.blocks[b].transposed(nu)) : all<V>(infinity));
         const double inside = least(nearest);
-        leaning_ = inside > INSIDE && inside < infinity;
-        if (!leaning_) {
-            lean_ = {};
-            for (auto& each : leans_) each = V{};
+        has_shift_ = inside > INSIDE && inside < infinity;
+        if (!has_shift_) {
+            shift_ = {};
+            for (auto& each : unbounded_) each = V{};
             return;
         }
-        lean_ = (1.0 / inside) * nu;
+        shift_ = (1.0 / inside) * nu;
         for (int b = 0; b < blocks; ++b) {
             const auto& c = cones.blocks[b];
-            const V borne = (c.mask - leans_[b]) * max(V{}, -slack(c.transposed(lean_)));
-            most += borne * room_[b], more += borne * more_[b];
+            const V borne = (c.mask - unbounded_[b]) * max(V{}, -slack(c.transposed(shift_)));
+            most += borne * u_bound_[b], more += borne * u_growth_[b];
         }
         for (int b = 0; b < blocks; ++b) {
-            room_[b] = leans_[b] > 0.0 ? all<V>(sum(most)) : room_[b];
-            more_[b] = leans_[b] > 0.0 ? all<V>(sum(more)) : more_[b];
+            u_bound_[b] = unbounded_[b] > 0.0 ? all<V>(sum(most)) : u_bound_[b];
+            u_growth_[b] = unbounded_[b] > 0.0 ? all<V>(sum(more)) : u_growth_[b];
         }
     }
 
-    Vec6 leant(const Cones<V, B>& cones, const Vec6& nu) const {
-        if (!leaning_) return nu;
+    Vec6 shifted(const Cones<V, B>& cones, const Vec6& nu) const {
+        if (!has_shift_) return nu;
         V lacking{};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             Vec3<V> q = -cones.blocks[b].transposed(nu);
             for_each(b, [&](const Pair<V>& p) { q += p.price() * p.a; });
-            lacking = max(lacking, leans_[b] * -slack(q));
+            lacking = max(lacking, unbounded_[b] * -slack(q));
         }
-        return nu - (1.0 + SURE) * largest(lacking) * lean_;
+        return nu - (1.0 + PROOF_MARGIN) * largest(lacking) * shift_;
     }
 
-    void make_room(int blocks) {
-        resize(scale_, blocks), resize(room_, blocks), resize(more_, blocks), resize(leans_, blocks);
-        bounding_.resize(W * blocks);
+    void resize_blocks(int blocks) {
+        resize(scale_, blocks), resize(u_bound_, blocks), resize(u_growth_, blocks), resize(unbounded_, blocks);
+        bounding_rows_.resize(W * blocks);
     }
-    static Pair<V> none() {
+    static Pair<V> no_pair() {
         Pair<V> out{};
         out.high.bound = out.low.bound = all<V>(UNBOUNDED);
         return out;
@@ -359,82 +348,17 @@ private:
     }
     static V part(const V& excess, const V& share) { return share > 0.0 ? excess / share : V{}; }
 
-    // lambda / slack, below `edge` its expansion to second order there
+    // lambda / slack; below `edge` its second-order expansion there
     static V barrier(const V& slack, const V& edge, const V& weight) {
         const V c = max(slack, edge), i = 1.0 / c, e = (slack - c) * i;
         return weight * i * (1.0 - e + e * e);
     }
-    // least over s of barrier(s) + price s
+    // minimum over s of barrier(s) + price s
     static V conjugate(const V& price, const V& edge, const V& weight) {
         const V most = weight / (edge * edge), inside = min(price, most), over = price - inside;
         const V bend = weight > 0.0 ? 0.25 * edge * edge * edge / weight : V{};
         return 2.0 * sqrt(weight * inside) + over * edge - bend * over * over;
     }
-
-    // Largest u within the rows of a contact and its cone, and how it grows with the limits: u <= sum z b for any z >= 0 with
-    // sum z a - e_u in the dual cone, of which one, two and three pairs are tried.
-    class Room {
-    public:
-        double most = UNBOUNDED, more = 0.0;
-        Bounding by;
-
-        Room(const LimitRows& rows, const std::vector<Both>& pairs) : rows_(rows) {
-            const int count = std::min(int(pairs.size()), TRIED);
-            for (int i = 0; i < count; ++i) {
-                one(pairs[i]);
-                for (int j = 0; j < i; ++j) {
-                    two(pairs[i], pairs[j]);
-                    for (int k = 0; k < j; ++k) three(pairs[i], pairs[j], pairs[k]);
-                }
-            }
-        }
-
-    private:
-        static constexpr int TRIED = 8;
-        static constexpr double CLEAR = 1e-3;  // from where on a combination is no matter of rounding
-        const LimitRows& rows_;
-
-        Vec3<double> normal(const Both& p) const {
-            const double* a = rows_.normal + 3 * p.high;
-            return {a[0], a[1], a[2]};
-        }
-        // z of either sign: that of the pair's first row
-        void take(std::initializer_list<Both> pairs, std::initializer_list<double> z) {
-            double bound = 0.0, share = 0.0;
-            auto part = z.begin();
-            Bounding made;
-            int used = 0;
-            for (const Both& p : pairs) {
-                const int m = *part > 0.0 ? p.high : p.low;
-                if (m < 0 && *part != 0.0) return;
-                if (m >= 0) {
-                    bound += std::abs(*part) * std::max(rows_.bound[m], 0.0), share += std::abs(*part) * rows_.share[m];
-                    made.row[used] = m, made.part[used++] = std::abs(*part);
-                }
-                ++part;
-            }
-            if (bound < most) most = bound, more = share, by = made;
-        }
-        void one(const Both& p) {
-            const Vec3<double> a = normal(p);
-            if (slack(a) > CLEAR) take({p}, {1.0 / slack(a)});
-            if (slack(-a) > CLEAR) take({p}, {-1.0 / slack(-a)});
-        }
-        // e_u + r in their plane with r on the dual cone, where what is normal to the plane is outside the cone
-        void two(const Both& p, const Both& q) {
-            const Vec3<double> a = normal(p), b = normal(q), n = cross(a, b);
-            const double across = std::sqrt(n.o * n.o + n.t * n.t), clear = across - std::abs(n.u), square = dot(n, n);
-            if (!(clear > CLEAR * across && square > CLEAR * CLEAR)) return;
-            const double size = std::abs(n.u) / clear, turn = (n.u > 0.0 ? -size : size) / across;
-            const Vec3<double> e{1.0 + size, turn * n.o, turn * n.t};
-            take({p, q}, {dot(cross(e, b), n) / square, dot(cross(a, e), n) / square});
-        }
-        void three(const Both& p, const Both& q, const Both& r) {  // e_u itself
-            const Vec3<double> a = normal(p), b = normal(q), c = normal(r), bc = cross(b, c), ca = cross(c, a), ab = cross(a, b);
-            const double volume = dot(a, bc);
-            if (std::abs(volume) > CLEAR * CLEAR) take({p, q, r}, {bc.u / volume, ca.u / volume, ab.u / volume});
-        }
-    };
 };
 
 }  // namespace grasp

@@ -1,8 +1,8 @@
-// Soft contacts: torsion as variables of Phi's own, eliminated contact by contact, and Newton with them.
+// Soft contacts: torsions as variables of Phi, eliminated contact by contact, and Newton with them.
 //
-// v is the torsion in units of its limit, abs(v) <= u; with p = u - v and q = u + v Phi gains lambda (1/p + 1/q). For any step du
-// the best dv is k du + delta, so a contact keeps its 3 x 3 block: e_u gains curvature and slope, its column of G gains k times
-// that of v, and delta adds a term of rank one to S. In p and q none of it cancels.
+// v is the torsion in units of its limit, abs(v) <= u; with p = u - v and q = u + v, Phi gains lambda (1/p + 1/q). For any step du
+// the best dv is k du + delta. So a contact keeps its 3 x 3 block: e_u gains curvature and slope, its column of G gains k times
+// that of v, and delta adds a rank-one term to S. In p and q nothing cancels.
 #pragma once
 #include <grasp/phi/newton.hpp>
 
@@ -10,20 +10,21 @@ namespace grasp {
 
 template <class V, int B> class SoftTerms {
 public:
-    static constexpr bool any = true, turns = true;
+    static constexpr bool has_terms = true, has_torsion = true;
     static constexpr int W = width<V>;
     using Field = typename Cones<V, B>::Field;
 
     explicit SoftTerms(int count = 0) {
         const int blocks = (count + W - 1) / W;
-        resize(contacts_, blocks), resize(now_, blocks);
+        resize(contacts_, blocks), resize(states_, blocks);
     }
 
-    // divisor: (N,) v = divisor * torsion [N / N m]; inf where none is transmitted
+    // divisor: (N,) v = divisor * torsion [N / N m]; inf: no torsion is transmitted
     void pack(const Cones<V, B>& cones, const Contacts& c, const double* divisor) {
         for (int b = 0; b < int(contacts_.size()); ++b) {
-            contacts_[b] = Contact{}, now_[b] = Now{};
-            for (int r = 0; r < 6; ++r) now_[b].columns[r] = cones.blocks[b].g[r], contacts_[b].hard[r] = cones.blocks[b].g[r].u;
+            contacts_[b] = Contact{}, states_[b] = State{};
+            for (int r = 0; r < 6; ++r)
+                states_[b].columns[r] = cones.blocks[b].g[r], contacts_[b].hard[r] = cones.blocks[b].g[r].u;
         }
         for (int i = 0; i < c.count; ++i) {
             if (!(divisor[i] > 0.0 && divisor[i] < infinity)) continue;
@@ -37,32 +38,32 @@ public:
         for (int b = 0; b < int(contacts_.size()); ++b) contacts_[b].root = sqrt(2.0 * contacts_[b].lambda);
     }
 
-    // (N,) torsions [N m], none: zero; and back
+    // (N,) torsions [N m], null: zero; and back
     void load(const Cones<V, B>& cones, const double* torsion) {
-        for (auto& now : now_) now.v = now.step = V{};
+        for (auto& now : states_) now.v = now.step = V{};
         for (int i = 0; torsion && i < cones.count; ++i) {
             const double per = get(contacts_[i / W].divisor, i % W);
-            if (per > 0.0) set(now_[i / W].v, i % W, per * torsion[i]);
+            if (per > 0.0) set(states_[i / W].v, i % W, per * torsion[i]);
         }
     }
     void store(const Cones<V, B>& cones, double* torsion) const {
         for (int i = 0; i < cones.count; ++i) {
             const double per = get(contacts_[i / W].divisor, i % W);
-            torsion[i] = per > 0.0 ? get(now_[i / W].v, i % W) / per : 0.0;
+            torsion[i] = per > 0.0 ? get(states_[i / W].v, i % W) / per : 0.0;
         }
     }
 
     // --- as terms of Phi, block by block
 
-    // of x and the torsion alpha steps ahead; +inf unless inside
+    // Terms at x and at the torsion after alpha steps; +inf unless inside.
     V value(int b, const Vec3<V>& x, double alpha) const {
-        const V v = now_[b].v + all<V>(alpha) * now_[b].step, p = x.u - v, q = x.u + v;
+        const V v = states_[b].v + all<V>(alpha) * states_[b].step, p = x.u - v, q = x.u + v;
         return min(p, q) > 0.0 ? contacts_[b].lambda * (p + q) / (p * q) : all<V>(infinity);
     }
-    // Gradient and inverse Hessian at x with v eliminated.
+    // Add to the gradient and inverse Hessian at x, with v eliminated.
     void bend(int b, const Vec3<V>& x, Vec3<V>& gradient, Sym3<V>& inverse) {
         const Contact& c = contacts_[b];
-        Now& n = now_[b];
+        State& n = states_[b];
         const V u2 = x.u * x.u, v2 = n.v * n.v, p = x.u - n.v, q = x.u + n.v, d = p * q;
         // m = 1 / (u^2 + 3 v^2), per = 1 / (p q)
         const V i = 1.0 / (x.u * (u2 + 3.0 * v2) * d), m = i * x.u * d, per = i * x.u * (u2 + 3.0 * v2);
@@ -70,7 +71,7 @@ public:
         n.free = c.flat * d * d * d * i * d;
         n.pull = d * n.v * m;
         n.slope = 4.0 * c.lambda * x.u * n.v * per * per;
-        n.p = per * q, n.q = per * p;  // their inverses
+        n.p = per * q, n.q = per * p;  // 1 / p and 1 / q
         gradient.u -= 2.0 * c.lambda * m;
         const V bend = 4.0 * c.lambda * i * d;
         const Vec3<V> h{inverse.uu, inverse.uo, inverse.ut}, f = (bend / (1.0 + bend * h.u)) * h;
@@ -82,52 +83,52 @@ public:
 
     // --- for `System`, after bend
 
-    const Vec3<V>* columns(int b) const { return now_[b].columns; }
-    // to S, G H^-1 grad and G x
+    const Vec3<V>* columns(int b) const { return states_[b].columns; }
+    // add to S, G H^-1 grad and G x
     void add(int b, V (&s)[21], V (&q)[6], V (&l)[6]) const {
         const Contact& c = contacts_[b];
 #pragma GCC unroll 8
         for (int r = 0; r < 6; ++r) {
-            q[r] += now_[b].pull * c.g[r], l[r] += now_[b].v * c.g[r];
-            const V scaled = now_[b].free * c.g[r];
+            q[r] += states_[b].pull * c.g[r], l[r] += states_[b].v * c.g[r];
+            const V scaled = states_[b].free * c.g[r];
 #pragma GCC unroll 8
             for (int k = 0; k <= r; ++k) s[packed(r, k)] += scaled * c.g[k];
         }
     }
-    // the torsion's part of the step with multipliers nu
+    // The torsion's part of the step with multipliers nu.
     void turn(int b, const Vec6& nu, const V& du, V (&moved)[6]) {
-        now_[b].step = now_[b].free * along(b, nu) - now_[b].pull + now_[b].lever * du;
+        states_[b].step = states_[b].free * along(b, nu) - states_[b].pull + states_[b].lever * du;
         push(b, moved);
     }
-    // what `System::restore` takes off it
+    // Subtract what `System::restore` takes off the torsion's step.
     void restore(int b, const Vec6& n, const V& du, V (&moved)[6]) {
-        now_[b].step -= now_[b].free * along(b, n) + now_[b].lever * du;
+        states_[b].step -= states_[b].free * along(b, n) + states_[b].lever * du;
         push(b, moved);
     }
 
-    // --- of the step
+    // --- the step
 
-    // d Phi besides what the gradient says of the force
-    V slope(int b, const Vec3<V>& step) const { return now_[b].slope * (now_[b].step - now_[b].lever * step.u); }
+    // d Phi beyond the gradient of the force
+    V slope(int b, const Vec3<V>& step) const { return states_[b].slope * (states_[b].step - states_[b].lever * step.u); }
     // 1 / (largest step inside)
     V reach(int b, const Vec3<V>& step) const {
-        const Now& n = now_[b];
+        const State& n = states_[b];
         return max((n.step - step.u) * n.p, -(n.step + step.u) * n.q);
     }
     // The price of u after the step, in Newton's model: -d (lambda/p + lambda/q) / du.
-    void follow(int b, const Vec3<V>& step) {
-        Now& n = now_[b];
+    void predict_prices(int b, const Vec3<V>& step) {
+        State& n = states_[b];
         const V dp = (step.u - n.step) * n.p, dq = (step.u + n.step) * n.q;
         n.price = contacts_[b].lambda * (max(V{}, n.p * n.p * (1.0 - 2.0 * dp)) + max(V{}, n.q * n.q * (1.0 - 2.0 * dq)));
     }
     void move(double alpha) {
-        for (auto& now : now_) now.v += all<V>(alpha) * now.step;
+        for (auto& now : states_) now.v += all<V>(alpha) * now.step;
     }
 
-    // Takes torsion off y = G^T nu; returns its part of the dual value, the least of lambda/p + lambda/q + price u - y_v v over p
-    // and q. Any price from abs(y_v) on makes a bound; that of the optimum the largest.
+    // Subtract the torsion from y = G^T nu. Return its part of the dual value, the minimum of lambda/p + lambda/q + price u - y_v v
+    // over p and q. Any price >= abs(y_v) gives a bound; the price of the optimum gives the largest.
     V dual(int b, const Vec6& nu, Vec3<V>& y) const {
-        const V turn = along(b, nu), price = max(now_[b].price, abs(turn));
+        const V turn = along(b, nu), price = max(states_[b].price, abs(turn));
         y.u += price;
         return contacts_[b].root * (sqrt(price + turn) + sqrt(price - turn));
     }
@@ -135,25 +136,25 @@ public:
     Vec6 wrench(const Cones<V, B>& cones) const {
         V out[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b)
-            for (int r = 0; r < 6; ++r) out[r] += now_[b].v * contacts_[b].g[r];
+            for (int r = 0; r < 6; ++r) out[r] += states_[b].v * contacts_[b].g[r];
         return sums(out);
     }
     bool within(const Field&) const { return true; }
-    Verdict judge(const Cones<V, B>&, const Vec6&, const Vec6&, double, int) const { return Verdict::on; }
+    Verdict judge(const Cones<V, B>&, const Vec6&, const Vec6&, double, int) const { return Verdict::proceed; }
 
 private:
-    // hard: the column of u; g, that of v, lambda, flat = 1 / (4 lambda) and root = sqrt(2 lambda) are zero where a contact is
-    // not soft
+    // hard: the column of u. g (the column of v), lambda, flat = 1 / (4 lambda) and root = sqrt(2 lambda) are zero for contacts
+    // that are not soft.
     struct Contact { V hard[6], g[6], lambda, flat, root, divisor; };
-    struct Now {
+    struct State {
         V v, step;
-        V lever, free, pull, slope;  // k, 1 / psi_vv, psi_v / psi_vv, psi_v; psi the terms of torsion
+        V lever, free, pull, slope;  // k, 1 / psi_vv, psi_v / psi_vv, psi_v, with psi the terms of torsion
         V p, q;  // 1 / (u - v), 1 / (u + v)
         V price;
-        Vec3<V> columns[6];  // G of the force with the torsion that follows it
+        Vec3<V> columns[6];  // G of the force together with the torsion that follows it
     };
     Blocks<Contact, B> contacts_{};
-    Blocks<Now, B> now_{};
+    Blocks<State, B> states_{};
 
     [[gnu::always_inline]] V along(int b, const Vec6& nu) const {
         const V* g = contacts_[b].g;
@@ -162,16 +163,16 @@ private:
     }
     void push(int b, V (&moved)[6]) const {
 #pragma GCC unroll 8
-        for (int r = 0; r < 6; ++r) moved[r] += now_[b].step * contacts_[b].g[r];
+        for (int r = 0; r < 6; ++r) moved[r] += states_[b].step * contacts_[b].g[r];
     }
 };
 
-// From a previous optimum, or from any balanced force inside the cones.
-template <class V, int B> class SoftOn {
+// Newton from a previous optimum, or from any balanced force inside the cones.
+template <class V, int B> class SoftNewton {
 public:
     NewtonOn<V, B, SoftTerms<V, B>> newton;
 
-    SoftOn(const Contacts& contacts, const Stop& options, const double* divisor)
+    SoftNewton(const Contacts& contacts, const Stop& options, const double* divisor)
         : newton(contacts.count, options), begun_(newton.cones.field()) {
         newton.cones.pack(contacts);
         newton.rows = SoftTerms<V, B>(contacts.count);
@@ -179,11 +180,11 @@ public:
     }
 
     // REFUSED: numbers that are not finite, no start, or a problem for the general program, out of digits.
-    // begin(w): makes the start in newton.x, with the torsion in newton.rows; whether there is one.
+    // begin(w): writes the start into newton.x, and its torsion into newton.rows; returns true if there is one.
     template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
         Summary& s = record.summary();
         s.code = REFUSED;
-        if (!sane_wrench(call.wrench)) return REFUSED;
+        if (!is_valid_wrench(call.wrench)) return REFUSED;
         const Vec6 w = newton.cones.unit.of(call.wrench);
         Code code = REFUSED;
         if (call.start == From::tangent) {

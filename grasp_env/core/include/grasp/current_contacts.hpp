@@ -1,14 +1,14 @@
-// The contacts and limits of a call: those of the problem, and what the call itself says of them.
+// The contacts and limits of one call: those of the problem, with the changes that the call brings.
 #pragma once
 #include <grasp/problem.hpp>
 
 namespace grasp::detail {
 
-// Limits with numbers of their own.
+// Limits that own their numbers.
 class OwnLimits {
 public:
     std::vector<double> min_normal, max_normal, jacobian, torque_limit, torque_bias;
-    int rows = 0;  // how many are finite
+    int rows = 0;  // number of finite limits
 
     OwnLimits() = default;
     // Throws std::invalid_argument.
@@ -37,27 +37,27 @@ public:
     ForceLimits view() const { return {min_normal, max_normal, jacobian, torque_limit, torque_bias}; }
 };
 
-class Current {
+class CurrentContacts {
 public:
-    Contacts home, now;  // those of the problem; those of this call that touch
+    Contacts home, now;  // of the problem; of this call, without those that do not touch
     OwnLimits limits;
     int joints;
-    LimitTable table;             // the limits in place, where each touches one contact
+    LimitTable table;  // limits of the current contacts, if each acts on one contact
     std::vector<double> divisor;  // (n,) torsion in units of its limit / torsion [1 / m]; inf: not soft
-    std::vector<int> chosen;      // numbers of the contacts that touch
-    bool separate = true;         // whether each limit touches one contact
+    std::vector<int> chosen;  // indices of the contacts that touch
+    bool separate = true;  // true if each limit acts on one contact
 
-    explicit Current(const Problem& problem)
+    explicit CurrentContacts(const Problem& problem)
         : home(problem.contacts), now(home), limits(problem.limits, home.count), joints(int(limits.joints())),
-          divisor(home.count, infinity), chosen(home.count), turned_(4 * home.count * joints), gathered_(6 * home.count),
-          least_(home.count), most_(home.count) {}
+          divisor(home.count, infinity), chosen(home.count), contact_jacobian_(4 * home.count * joints),
+          gathered_(6 * home.count), min_normal_(home.count), max_normal_(home.count) {}
 
-    // All contacts' bits of a mask.
+    // The bits of a mask that belong to contacts.
     std::uint64_t touching(std::uint64_t mask) const {
         return home.count < 64 ? mask & ((std::uint64_t(1) << home.count) - 1) : mask;
     }
-    // The contacts of a call in their place. CONVERGED, REFUSED or RANK_LOST.
-    Code take(const Now& given) {
+    // Take over the contacts and limits of a call. Return CONVERGED, REFUSED or RANK_LOST.
+    Code load_call(const Now& given) {
         const int all = home.count;
         const std::size_t triples = std::size_t(3 * all);
         if ((!given.positions.empty() && given.positions.size() != triples) ||
@@ -94,10 +94,10 @@ public:
         if (placed == Placing::refused) return REFUSED;
         if (placed == Placing::rank_lost) return RANK_LOST;
         for (int i = 0; i < now.count; ++i) divisor[i] = now.torsion[i] > 0.0 ? now.scale[3 * i] / now.torsion[i] : infinity;
-        return limit(given) ? CONVERGED : REFUSED;
+        return load_limits(given) ? CONVERGED : REFUSED;
     }
 
-    // The limits of the contacts in place, with the Jacobian (n, 4, J) in contact frames.
+    // Limits of the current contacts, with the Jacobian (n, 4, J) in contact frames.
     ForceLimits limits_in_place() {
         const auto of = [&](const std::vector<double>& from, std::vector<double>& to) {
             if (from.empty()) return Doubles{};
@@ -105,19 +105,19 @@ public:
             for (int i = 0; i < now.count; ++i) to[i] = from[chosen[i]];
             return Doubles(to);
         };
-        return {of(limits.min_normal, least_), of(limits.max_normal, most_),
-                Doubles(turned_).first(std::size_t(4) * now.count * joints), limits.torque_limit, bias_};
+        return {of(limits.min_normal, min_normal_), of(limits.max_normal, max_normal_),
+                Doubles(contact_jacobian_).first(std::size_t(4) * now.count * joints), limits.torque_limit, bias_};
     }
-    // (J,) of a force in place, a record of `now`'s contacts.
+    // Joint torques (J,) [N m] of a force, a record of the contacts `now`.
     void torques(const Record& from, double* to) const {
         for (int j = 0; j < joints; ++j) to[j] = bias_[j];
         for (int i = 0; i < now.count; ++i)
             for (int a = 0; a < 4; ++a) {
                 const double force = a < 3 ? from.force()[3 * i + a] : from.torsion()[i];
-                for (int j = 0; j < joints; ++j) to[j] += turned_[joints * (4 * i + a) + j] * force;
+                for (int j = 0; j < joints; ++j) to[j] += contact_jacobian_[joints * (4 * i + a) + j] * force;
             }
     }
-    // The prices of all limits: of(row) of a row among those of the contacts in place, 0 where its contact does not touch.
+    // Write the prices of all limits: `of(row)` for a row of the current contacts, 0 if its contact does not touch.
     template <class F> void fill_prices(double* to, F&& of) const {
         int row = 0;
         for (const auto* limits : {&limits.min_normal, &limits.max_normal})
@@ -129,11 +129,11 @@ public:
         for (double limit : limits.torque_limit)
             if (limit < infinity) *to++ = of(row++), *to++ = of(row++);
     }
-    // The largest excess of a limit by the force that is returned, as a part of it.
+    // Largest excess of a limit by the final force, as a fraction of the limit.
     double excess(const Record& out) const {
         double most = 0.0;
         const auto exceeds = [&](double by, double limit) {
-            if (by > 0.0) most = std::max(most, by / limit);  // a limit of zero is exceeded by all of it
+            if (by > 0.0) most = std::max(most, by / limit);  // infinite for a limit of zero
         };
         for (int k = 0; k < now.count; ++k) {
             const int i = chosen[k];
@@ -148,12 +148,12 @@ public:
     }
 
 private:
-    std::vector<double> turned_, gathered_, least_,
-        most_;  // the Jacobian (n, 4, J) in contact frames; what is chosen of the call's numbers
+    // The Jacobian (n, 4, J) in contact frames; the call's numbers of the contacts that touch.
+    std::vector<double> contact_jacobian_, gathered_, min_normal_, max_normal_;
     Doubles jacobian_{}, bias_{};
 
-    // False: numbers that are none.
-    bool limit(const Now& given) {
+    // Return false if the numbers are not finite.
+    bool load_limits(const Now& given) {
         jacobian_ = given.jacobian.empty() ? Doubles(limits.jacobian) : given.jacobian;
         bias_ = given.torque_bias.empty() ? Doubles(limits.torque_bias) : given.torque_bias;
         separate = true;
@@ -165,12 +165,12 @@ private:
         separate = table.fill(now, limits_in_place(), 4);
         return true;
     }
-    // (n, 4, J) along (normal, o, t), and about the normal.
+    // Jacobian (n, 4, J): velocities along (normal, o, t), and the angular velocity about the normal.
     void turn_jacobian() {
         const int rows = int(jacobian_.size()) / (home.count * joints);
         for (int i = 0; i < now.count; ++i) {
             const double *from = jacobian_.data() + std::size_t(rows) * joints * chosen[i], *f = &now.frames[9 * i];
-            double* to = &turned_[4 * joints * i];
+            double* to = &contact_jacobian_[4 * joints * i];
             for (int a = 0; a < 3; ++a)
                 for (int j = 0; j < joints; ++j)
                     to[joints * a + j] = f[a] * from[j] + f[3 + a] * from[joints + j] + f[6 + a] * from[2 * joints + j];

@@ -1,5 +1,5 @@
-// Numbers of twice a double's digits, for the few problems that lose all of those: the unevaluated sum of two doubles (Dekker
-// 1971; Hida, Li, Bailey 2001). A dozen times slower.
+// Numbers with twice a double's digits, for the few problems that lose all of a double's: the unevaluated sum of two doubles
+// (Dekker 1971; Hida, Li, Bailey 2001). A dozen times slower.
 #pragma once
 #include <cmath>
 
@@ -52,11 +52,11 @@ private:
         const double s = a + b, c = s - a;
         return {s, (a - (s - c)) + (b - c)};
     }
-    static Twice ordered(double a, double b) {  // exact where |a| >= |b|
+    static Twice ordered(double a, double b) {  // exact if |a| >= |b|
         const double s = a + b;
         return {s, b - (s - a)};
     }
-    // Never part of a sum: compilers may round a product and a sum at once, which the error terms above do not know.
+    // Never fused with a sum: compilers may round a product and a sum at once, which the error terms above do not allow for.
     static double product(double a, double b) { return std::fma(a, b, 0.0); }
 };
 

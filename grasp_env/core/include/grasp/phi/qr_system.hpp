@@ -1,25 +1,26 @@
-// Newton's step where forces are very large beside their distance to the cones, or the contacts hardly span the wrenches.
+// Newton's step by QR, for forces that are very large compared with their distance to the cones, and for contacts that hardly span
+// the wrench space.
 #pragma once
 #include <grasp/contacts/cones.hpp>
 #include <grasp/math/qr6.hpp>
 
 namespace grasp {
 
-// The step in scaled coordinates z, H^-1 = M M^T: least |z + M^T grad| over G M z = -left. No digit of a small eigenvalue of H^-1
-// is lost beside a large one, and S, whose condition number is the square of that of G M, is never formed.
+// The step in scaled coordinates z, H^-1 = M M^T: minimise |z + M^T grad| subject to G M z = -left. Small eigenvalues of H^-1 keep
+// their digits beside large ones, and S, whose condition number is the square of that of G M, is never formed.
 //
-// The price of squeezing is linear, so that H is the barrier's alone: with a barrier t times as strong the step is
-// centring + part * descent, part = 1 / t, of one factorisation.
-template <class V, int B> class Steep {
+// The price of squeezing is linear, so H is the barrier's alone. With a barrier t times as strong the step is centring + part *
+// descent, part = 1 / t, from the same factorisation.
+template <class V, int B> class QrSystem {
 public:
     using Field = typename Cones<V, B>::Field;
 
-    explicit Steep(const Cones<V, B>& cones)
+    explicit QrSystem(const Cones<V, B>& cones)
         : qr_(int(cones.blocks.size())), descent_(qr_.rows()), centring_(qr_.rows()), change_(qr_.rows()) {
         resize(axes_, cones.blocks.size());
     }
 
-    // Both directions at x, which misses balance by `left`; false where G M has not rank 6 in floating point.
+    // Both directions at x with the balance residual `left`. Return false if G M does not have rank 6 in floating point.
     bool assemble(const Cones<V, B>& cones, const Field& x, const Vec6& left, Field& descent, Field& centring) {
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             const auto& c = cones.blocks[b];
@@ -42,13 +43,13 @@ public:
         return true;
     }
 
-    // The squared decrement, and the multipliers of Phi, of the step for a part of the price.
+    // Squared decrement, and multipliers of Phi, of the step for a part of the price.
     double decrement(double part) const { return (part * square_ + 2.0 * slope_) * part + rest_; }
     Vec6 multipliers(double part) const { return nu_descent_ + (1.0 / part) * nu_centring_; }
     // The part of the price at which the step is shortest; may be negative.
-    double nearest() const { return -slope_ / square_; }
+    double nearest_part() const { return -slope_ / square_; }
 
-    // step += the least change in the metric of Phi that takes `missed` off G step
+    // step += the smallest change in the metric of Phi that removes `missed` from G step.
     void restore(const Vec6& missed, Field& step) {
         qr_.least(-1.0 * missed, change_);
         add(change_, step);

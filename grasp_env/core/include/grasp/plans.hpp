@@ -1,0 +1,38 @@
+// The algorithm for each method and kind of problem.
+#pragma once
+#include <grasp/problem.hpp>
+
+namespace grasp::detail {
+
+// Classes of problems with an algorithm of their own.
+enum class Kind {
+    hard,  // hard, elliptic and frictionless contacts
+    limited,  // the same, with limits on one contact each: normal forces, joints of one finger
+    soft,  // some contacts are soft, and the normal and tangential forces alone give force closure
+    other,  // everything else: joints that several fingers share, soft contacts within limits, force closure by torsion only
+};
+enum class Algorithm { newton, limited, soft, flow, conic, general };
+
+// The algorithm for each method and kind of problem. If Newton, its variants or `conic` give up, the general program takes over. A
+// flow has no fallback.
+struct Plan {
+    Method method;
+    Kind kind;
+    Algorithm algorithm;
+};
+inline constexpr Plan PLANS[] = {
+    {Method::newton, Kind::hard, Algorithm::newton},     {Method::newton, Kind::limited, Algorithm::limited},
+    {Method::newton, Kind::soft, Algorithm::soft},       {Method::newton, Kind::other, Algorithm::general},
+    {Method::reduced_flow, Kind::hard, Algorithm::flow}, {Method::full_flow, Kind::hard, Algorithm::flow},
+    {Method::conic, Kind::hard, Algorithm::conic},       {Method::conic, Kind::limited, Algorithm::general},
+    {Method::conic, Kind::soft, Algorithm::general},     {Method::conic, Kind::other, Algorithm::general},
+};
+inline std::optional<Algorithm> algorithm_for(const Options& options, Kind kind) {
+    for (const Plan& plan : PLANS)
+        if (plan.method == options.method && plan.kind == kind)
+            return plan.algorithm == Algorithm::conic && options.criterion != Criterion::sum ? Algorithm::general
+                                                                                             : plan.algorithm;
+    return {};
+}
+
+}  // namespace grasp::detail
