@@ -14,6 +14,19 @@
 
 namespace grasp {
 
+namespace detail {
+
+// A program of many files compiles the solvers once: all of them define GRASP_COMPILED_ENGINE, and one includes grasp/compiled_engine.hpp.
+#ifdef GRASP_COMPILED_ENGINE
+std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options);
+#else
+inline std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options) {
+    return instance<Engine, EngineOn>(problem.contacts.count, problem, options);
+}
+#endif
+
+}  // namespace detail
+
 class ForceOptimizer {
 public:
     // Throws std::invalid_argument.
@@ -77,7 +90,7 @@ private:
 
     Record now() { return Record(rows_[0].data()); }
     static std::unique_ptr<detail::Engine> make(const Problem& problem, const Options& options) {
-        return instance<detail::Engine, detail::EngineOn>(problem.contacts.count, problem, options);
+        return detail::make_engine(problem, options);
     }
 };
 
