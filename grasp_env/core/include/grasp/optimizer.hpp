@@ -33,20 +33,21 @@ public:
     explicit ForceOptimizer(const Problem& problem, const Options& options = {})
         : engine_(make(problem, options)), rows_{std::vector<double>(engine_->size()), std::vector<double>(engine_->size())} {}
     ForceOptimizer(const ForceOptimizer& other)
-        : engine_(other.engine_->clone()), rows_{other.rows_[0], other.rows_[1]}, known_(other.known_), record_(now()) {}
+        : engine_(other.engine_->clone()), rows_{other.rows_[0], other.rows_[1]}, has_previous_(other.has_previous_),
+          record_(last_record()) {}
     ForceOptimizer(ForceOptimizer&&) = default;
 
     // Solve for the force that balances a wrench. The next call overwrites the record. now: what differs in this call only.
     const Record& solve(Wrench wrench, const Now& now = {}) { return solve(Ask{.wrench = wrench.data(), .now = now}); }
     // Solve with a start for this call, or with the options for studies.
-    const Record& solve(const Ask& asked) {
-        Ask ask = asked;
-        if (known_ && !ask.previous) ask.previous = rows_[0].data();
+    const Record& solve(const Ask& request) {
+        Ask ask = request;
+        if (has_previous_ && !ask.previous) ask.previous = rows_[0].data();
         engine_->solve(ask, rows_[1].data());
         const Record made(rows_[1].data());
         if (made.has_force()) {  // without a force, the previous solution stays
-            std::swap(rows_[0], rows_[1]), known_ = true;
-            record_ = this->now();
+            std::swap(rows_[0], rows_[1]), has_previous_ = true;
+            record_ = last_record();
         } else {
             record_ = made;
         }
@@ -75,9 +76,9 @@ public:
     }
 
     // Last solution that holds a force.
-    std::optional<Record> previous() { return known_ ? std::optional<Record>(now()) : std::nullopt; }
+    std::optional<Record> previous() { return has_previous_ ? std::optional<Record>(last_record()) : std::nullopt; }
     // Forget the last solution, so that the next call does not start from it.
-    void forget() { known_ = false; }
+    void forget() { has_previous_ = false; }
 
     const Contacts& contacts() const { return engine_->home(); }
     int size() const { return engine_->size(); }
@@ -85,10 +86,10 @@ public:
 private:
     std::unique_ptr<detail::Engine> engine_;
     std::vector<double> rows_[2];  // last solution with a force, and space for the next
-    bool known_ = false;
+    bool has_previous_ = false;
     Record record_{rows_[0].data(), 0};
 
-    Record now() { return Record(rows_[0].data()); }
+    Record last_record() { return Record(rows_[0].data()); }
     static std::unique_ptr<detail::Engine> make(const Problem& problem, const Options& options) {
         return detail::make_engine(problem, options);
     }

@@ -127,10 +127,10 @@ public:
         };
         int spent = 0, trials = 0;
         // descend on Phi with lambda multiplied by `raised`
-        const auto descend = [&](auto& engine, const Call& asked, double raised, double tolerance, int limit) {
+        const auto descend = [&](auto& engine, const Call& stage_call, double raised, double tolerance, int limit) {
             for (int i = 0; i < count; ++i) engine.weights[i] = {weights[2 * i], raised * weights[2 * i + 1]};
             for (int k = 0; k < limits; ++k) engine.row_weights[k] = raised * row_weights[k];
-            const Code code = engine.run(asked, tolerance, limit, LONG);
+            const Code code = engine.run(stage_call, tolerance, limit, LONG);
             spent += engine.iterations, trials += engine.trials;
             return code;
         };

@@ -10,7 +10,6 @@ class Cholesky {
 public:
     explicit Cholesky(int size) : size_(size), lower_(std::size_t(size) * size) {}
 
-    int size() const { return size_; }
     // Entry of the lower triangle, i >= j: of the matrix before `factor`, of the factor after it.
     double& operator()(int i, int j) { return lower_[std::size_t(size_) * i + j]; }
     double operator()(int i, int j) const { return lower_[std::size_t(size_) * i + j]; }

@@ -53,8 +53,6 @@ public:
         give(g);
         return back(n);
     }
-    // (A^T A)^-1 b
-    Vec6 solve(const Vec6& b) const { return back(forward(b)); }
     // z = the least-norm z with A^T z = b; returns the n of z = A n.
     Vec6 least(const Vec6& b, std::vector<double>& z) {
         const Vec6 n = forward(b);

@@ -65,17 +65,6 @@ public:
         return size(cones.wrench(x) + with_torsion(w)) <= MISSED * (cones.largest_normal(x) + size(w));
     }
 
-    // The Newton step at x into `out`, with its multipliers in the unit frame. Return the squared decrement; negative: S is not
-    // definite.
-    double newton_step(const Vec6& w, Field& out, Vec6& nu) {
-        if (!system.assemble(cones, x)) return -1.0;
-        const Vec6 left = system.made + w;
-        nu = system.multipliers(left);
-        const double decrement = find_step(nu, left, cones.phi(x)).decrement;
-        out = step_;
-        return decrement;
-    }
-
     // Take one more full step from a converged x if it does not raise Phi, to reach the last digits.
     void polish(const Vec6& w) {
         if (!system.assemble(cones, x)) return;

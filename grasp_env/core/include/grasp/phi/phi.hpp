@@ -95,10 +95,10 @@ template <class T> struct Boundary {
 // One contact's part of the Lagrangian, min_x phi(x) - y . x with y = G^T nu, as a problem in r = (u - s)/(u + s): minimise 2
 // sqrt(lambda c1 c2) over r, with c1 = (low + high r)/2, c2 = 1 + 1/r + 2/(1 + r), low = a - |y_t|, high = a + |y_t|, a = 3 omega -
 // y_u. The stationary r is the root of high r^2 ((1 + r)^2 + 2) = low ((1 + r)^2 + 2 r^2).
-template <class T> struct Inner {
+template <class T> struct ContactLagrangian {
     T low, high;
 
-    Inner(const Vec3<T>& y, const Weights<T>& w) {
+    ContactLagrangian(const Vec3<T>& y, const Weights<T>& w) {
         const T a = 3.0 * w.omega - y.u, t = sqrt(y.o * y.o + y.t * y.t);
         low = a - t, high = a + t;
     }
@@ -116,7 +116,7 @@ template <class T> struct Inner {
 
 // Minimum of one contact's part of the Lagrangian at y = G^T nu. It is a bound if room = a - |y_t| is positive.
 template <class T> inline T dual(const Vec3<T>& y, const Weights<T>& w, T& room) {
-    const Inner<T> inner(y, w);
+    const ContactLagrangian<T> inner(y, w);
     const T k = inner.low / inner.high;
     room = inner.low;
     T r = sqrt(k);  // two contractions (factor below 0.16), then two Newton steps; the value's error is quadratic in that of r
@@ -129,7 +129,7 @@ template <class T> inline T dual(const Vec3<T>& y, const Weights<T>& w, T& room)
 // (`tight`) of r, no bound is claimed (room < 0). The possible error, of fourth order, is subtracted, since a value above the
 // minimum is not a bound.
 template <class T> inline T dual_near(const Vec3<T>& y, const Weights<T>& w, const Vec3<T>& x, double tight, T& room) {
-    const Inner<T> inner(y, w);
+    const ContactLagrangian<T> inner(y, w);
     const T s = sqrt(x.o * x.o + x.t * x.t);
     T r = (x.u - s) / (x.u + s);
     r -= inner.change(r);
