@@ -251,7 +251,7 @@ def test_contacts_from_friction_and_torsion() -> None:
         np.testing.assert_allclose(made.arrays["scale"], scale, rtol=4 * EPS)
         np.testing.assert_array_equal(made.arrays["torsion"], [0.0, 0.01, 0.0, 0.02])
         other = insides.contacts_from(s.positions, s.normals, np.array([0.7]), np.zeros(0))
-        other.rub(mu)
+        other.set_friction(mu)
         assert other.place(s.positions, s.normals) == GOOD
         for name in ("scale", "divisor", "rows", "inverse"):
             np.testing.assert_array_equal(other.arrays[name], made.arrays[name])

@@ -17,22 +17,22 @@ PLACES = {
     "on a page": [CORE / "README.md", ROOT / "grasp_env/force/solution.py", ROOT / "docs/choosing.md"],
 }  # fmt: skip
 IN_PYTHON = {
-    "Options.limit": "max_iterations", "Options.step_rule": "rule", "Problem.limits": "min_normal", "Ask.previous": "before",
+    "Options.limit": "max_iterations", "Options.step_rule": "rule", "Problem.limits": "min_normal", "Request.previous": "before",
     "ForceOptimizer.forget": "previous", "Code.LIMIT": "iteration_limit", "Summary.residual": "equilibrium_residual",
     "Summary.margin": "cone_margin", "Summary.replaced": "start_replaced", "Record.prices": "limit_multipliers",
 }  # fmt: skip
 """What is called otherwise there."""
 CPP_ALONE = {
     "Options.gap": "the tolerance that holds, from the options",
-    "Now.empty": "whether a call has anything of its own",
+    "Changes.empty": "whether a call has anything of its own",
     "Record.clear": "writes a record",
     "Record.refute": "writes a record",
     "Record.has_force": "Python raises where there is none",
     "Record.summary": "Python's solutions have its fields as attributes",
     "Summary.joints": "Python's arrays know their lengths",
     "Summary.limits": "Python's arrays know their lengths",
-    "Ask.adjustment": "an action of the environment",
-    "Ask.now": "Python's keywords are its fields",
+    "Request.adjustment": "an action of the environment",
+    "Request.now": "Python's keywords are its fields",
     "Start.central": "names where conic begins; nobody asks for it",
     "Start.standard": "initial=None",
     "Start.guess": "`Repair`",
@@ -83,7 +83,7 @@ def test_every_public_name_is(place: str) -> None:
 
 def test_the_lists_name_what_is_there() -> None:
     assert set(IN_PYTHON) | set(CPP_ALONE) <= set(names())
-    assert {"ForceOptimizer.solve", "Options.elastic", "Now.friction", "Summary.margin", "Method.conic"} <= set(names())
+    assert {"ForceOptimizer.solve", "Options.elastic", "Changes.friction", "Summary.margin", "Method.conic"} <= set(names())
 
 
 def test_a_new_name_is_seen() -> None:

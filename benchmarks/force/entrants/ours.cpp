@@ -34,7 +34,7 @@ void* make(const force_problem* p, grasp::Options options, bool remembers = fals
 int solve(void* context, const force_problem* p, const double* start, double* force, double* multipliers, int* iterations) {
     auto& [optimizer, remembers] = *static_cast<Solver*>(context);
     const int n = p->contacts;
-    grasp::Ask ask{.wrench = p->wrench};
+    grasp::Request ask{.wrench = p->wrench};
     if (p->moved)
         ask.now = {.positions = numbers(p->positions, 3 * n), .normals = numbers(p->normals, 3 * n), .friction = numbers(p->friction, n),
                    .jacobian = numbers(p->jacobian, 6 * n * p->joints), .torque_bias = numbers(p->torque_bias, p->joints),

@@ -29,7 +29,7 @@ int descend(const Contacts& contacts, const char* name, nb::handle rule, double 
     const Call call{.wrench = load.data(), .optimum = optimum, .trace = values.data(), .traced = int(values.length(0))};
     Code code = REFUSED;
     dispatch(count, [&]<class V, int B>() {
-        NewtonOn<V, B> on(count, {tolerance, limit});
+        NewtonSolver<V, B> on(count, {tolerance, limit});
         on.cones.pack(contacts);
         on.cones.load_force(start.data(), on.x);
         const Vec6 w = on.cones.unit.of(load.data());

@@ -7,7 +7,7 @@ using namespace grasp;
 
 namespace {
 
-using Solve = void (*)(const Grasps&, const Stop&, const SolveBatch&);
+using Solve = void (*)(const Grasps&, const StopRule&, const SolveBatch&);
 
 void check_first(const Numbers& first, Py_ssize_t grasps, Py_ssize_t many) {
     bool rises = first.data()[0] == 0.0 && first.data()[grasps] == double(many);

@@ -57,7 +57,7 @@ public:
     nb::object solve(nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
                      nb::handle torque_bias, nb::handle contacts) {
         ended = nb::none();
-        Ask ask{};
+        Request ask{};
         if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts)) return nb::none();
         if (remembers_ && !previous.is_none()) ask.previous = row_of(previous.ptr());
         return made(ask, asked_, nb::handle());
@@ -67,7 +67,7 @@ public:
                           nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
                           nb::handle torque_bias, nb::handle contacts) {
         ended = nb::none();
-        Ask ask{};
+        Request ask{};
         if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts))
             throw nb::type_error("expected C-contiguous float64 arrays");
         from(ask, start, force, before);
@@ -78,7 +78,7 @@ public:
     // Return the start alone, as the force of a record with code LIMIT, or the reason why there is none.
     nb::object start(int start, nb::handle force, nb::handle before, nb::handle wrench, nb::handle positions, nb::handle normals,
                      nb::handle friction, nb::handle jacobian, nb::handle torque_bias, nb::handle contacts) {
-        Ask ask{};
+        Request ask{};
         if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts))
             throw nb::type_error("expected C-contiguous float64 arrays");
         from(ask, start, force, before);
@@ -87,7 +87,7 @@ public:
         return row;
     }
     bool update(nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian, nb::handle torque_bias) {
-        Ask ask{};
+        Request ask{};
         if (!now(ask, positions, normals, friction, jacobian, torque_bias, nb::none()))
             throw nb::type_error("expected C-contiguous float64 arrays");
         return on.update(ask.now);
@@ -109,8 +109,8 @@ private:
         return row;
     }
 
-    bool now(Ask& ask, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian, nb::handle torque_bias,
-             nb::handle contacts) {
+    bool now(Request& ask, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
+             nb::handle torque_bias, nb::handle contacts) {
         const auto take = [](const ArrayArgument& given, std::initializer_list<npy_intp> shape, Doubles& to) {
             if (!given.given()) return true;
             if (!given.has(shape)) return false;
@@ -144,14 +144,14 @@ private:
             ask.now.contacts |= std::uint64_t(*static_cast<npy_bool*>(PyArray_GETPTR1(which, i)) != 0) << i;
         return true;
     }
-    bool read(Ask& ask, nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
+    bool read(Request& ask, nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
               nb::handle torque_bias, nb::handle contacts) {
         const ArrayArgument load(wrench);
         if (!load.has({6})) return false;
         ask.wrench = load.data();
         return now(ask, positions, normals, friction, jacobian, torque_bias, contacts);
     }
-    void from(Ask& ask, int start, nb::handle force, nb::handle before) const {
+    void from(Request& ask, int start, nb::handle force, nb::handle before) const {
         if (start < 0 || start > int(Start::central)) throw nb::value_error("no such start");
         ask.start = Start(start);
         if (const ArrayArgument given(force); given.given()) {
@@ -160,7 +160,7 @@ private:
         }
         if (!before.is_none()) ask.previous = row_of(before.ptr());
     }
-    nb::object made(const Ask& ask, Start asked, nb::handle initial) {
+    nb::object made(const Request& ask, Start asked, nb::handle initial) {
         nb::object row = new_row();
         double* numbers = data(row.ptr());
         on.solve(ask, numbers);
@@ -238,7 +238,7 @@ void solve_many(const Solver& solver, nb::handle wrenches, nb::handle rows) {
 
 void times(Solver& solver, nb::handle wrenches, int passes, nb::handle rows, nb::handle best) {
     time_calls(wrenches, passes, solver.on.size(), rows, best, [&](const double* wrench, double* row) {
-        Ask ask{};
+        Request ask{};
         ask.wrench = wrench;
         solver.on.solve(ask, row);
     });

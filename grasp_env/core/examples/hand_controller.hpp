@@ -126,7 +126,7 @@ private:
         for (int i = 0; i < n_; ++i) touching |= std::uint64_t(now_.touching[i] != 0.0) << i;
         for (int k = 0; k < 3 * n_; ++k) pushes_[k] = now_.touching[k / 3] != 0.0 ? 0.0 : s_.push * now_.normals[k];
         push(pushes_, wanted_);
-        const grasp::Now contacts{now_.positions, now_.normals, {}, jacobian_, wanted_, touching};
+        const grasp::Changes contacts{now_.positions, now_.normals, {}, jacobian_, wanted_, touching};
         const grasp::Record* found = now_.age[0] <= s_.stale ? &solver_->solve(grasp::Wrench(now_.wrench), contacts) : nullptr;
         if (found && found->has_force()) {
             blind_ = 0.0, status = found->code() == grasp::LIMITS_EXCEEDED ? overloaded : holding;

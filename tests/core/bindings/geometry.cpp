@@ -95,7 +95,8 @@ void bind_geometry(nb::module_& m) {
         .def_prop_ro("arrays", &arrays_of)
         .def("place", &move, "positions"_a, "normals"_a)
         .def(
-            "rub", [](Placement& p, In friction) { p.contacts.rub({friction.data(), friction.size()}); }, "friction"_a)
+            "set_friction", [](Placement& p, In friction) { p.contacts.set_friction({friction.data(), friction.size()}); },
+            "friction"_a)
         .def("select", &choose, "all"_a, "chosen"_a)
         .def("allocations", &allocations_of, "parts"_a, "calls"_a);
     m.def("contacts_from", &from, "positions"_a, "normals"_a, "friction"_a, "torsion"_a,

@@ -13,7 +13,7 @@ template <class V> class Insides {
 public:
     using Field = typename Cones<V, 0>::Field;
 
-    explicit Insides(const Placement& p) : contacts_(p.contacts), newton_(contacts_.count, Stop{}) {
+    explicit Insides(const Placement& p) : contacts_(p.contacts), newton_(contacts_.count, StopRule{}) {
         newton_.cones.pack(contacts_);
         starter().tangents.load(contacts_.frames.data(), contacts_.count);
     }
@@ -58,7 +58,7 @@ public:
         const Vec6 made = newton_.system.restore(cones(), six(missed), changed);
         return nb::make_tuple(out(changed), array(made));
     }
-    double squeezed(const In& x) const { return squeeze(cones(), field(x)); }
+    double squeezed(const In& x) const { return best_scale(cones(), field(x)); }
     nb::tuple inside(const In& point, const In& ray) const {
         const Interval found = grasp::inside(cones(), field(point), field(ray));
         return nb::make_tuple(found.low, found.high);
@@ -101,7 +101,7 @@ public:
         }
         const auto found = terms.farkas(cones(), six(nu), six(w));
         Vec6 proof = six(nu);
-        const bool hopeless = terms.hopeless(cones(), proof, six(w));
+        const bool hopeless = terms.proves_infeasible(cones(), proof, six(w));
         return nb::make_tuple(hopeless, found.value, found.share, found.size, array(found.nu), out(slope));
     }
 
@@ -136,7 +136,7 @@ public:
     }
 private:
     Contacts contacts_;
-    NewtonOn<V, 0> newton_;
+    NewtonSolver<V, 0> newton_;
 
     const Cones<V, 0>& cones() const { return newton_.cones; }
     Starter<V, 0>& starter() { return newton_.starter; }

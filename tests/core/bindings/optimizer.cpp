@@ -62,7 +62,7 @@ public:
         if (const Doubles r = all(rule); !r.empty()) options.step_rule = {int(r[0]), r[1], r[2], r[3], r[4]};
         if (predicts) options.model = predicts->model;
         const Problem problem{p.contacts, {all(min_normal), all(max_normal), all(jacobian), all(torque_limit), all(torque_bias)}};
-        return std::make_unique<AnyOptimizer>(instance_of<detail::EngineOn, detail::Engine>(lanes, blocks, problem, options));
+        return std::make_unique<AnyOptimizer>(instance_of<detail::LaneEngine, detail::Engine>(lanes, blocks, problem, options));
     }
     std::unique_ptr<AnyOptimizer> clone() const { return std::make_unique<AnyOptimizer>(on_->clone()); }
 
@@ -70,7 +70,7 @@ public:
     nb::tuple solve(const In& wrench, int start, const Some& force, const Some& torsion, const Some& previous, double optimum,
                     int traced, const Some& positions, const Some& normals, const Some& jacobian, const Some& friction) {
         std::vector<double> row(on_->size()), trace(traced, -1.0);
-        Ask ask{
+        Request ask{
             .wrench = numbers(wrench, 6),
             .now = {.positions = all(positions), .normals = all(normals), .friction = all(friction), .jacobian = all(jacobian)},
             .start = Start(start),
@@ -84,7 +84,7 @@ public:
     }
     nb::object start(const In& wrench, int start, const Some& force, const Some& previous) {
         std::vector<double> row(on_->size());
-        Ask ask{.wrench = numbers(wrench, 6), .start = Start(start), .force = all(force)};
+        Request ask{.wrench = numbers(wrench, 6), .start = Start(start), .force = all(force)};
         if (previous) ask.previous = numbers(*previous, row.size());
         on_->start(ask, row.data());
         return array(row);
@@ -111,7 +111,7 @@ public:
         return counted([&] {
             for (int k = 0; k < calls; ++k) {
                 const int j = k % many;
-                Ask ask{.wrench = w + 6 * j, .now = {.positions = of(positions, j), .normals = of(normals, j)}};
+                Request ask{.wrench = w + 6 * j, .now = {.positions = of(positions, j), .normals = of(normals, j)}};
                 if (k % 2) ask.previous = before.data(), ask.start = Start::previous;
                 on_->solve(ask, row.data());
                 if (Record(row.data()).has_force()) std::swap(row, before);

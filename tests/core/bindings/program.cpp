@@ -42,10 +42,10 @@ template <class R, int T> struct Dense {
             place[rows.own[k].label] = {true, k}, rows.own[k].right = right.data()[rows.own[k].label];
         for (int r = 0; r < rows.joint; ++r) place[rows.label[r]] = {false, r}, rows.right[r] = right.data()[rows.label[r]];
     }
-    void put(const In& from, Kept<R>& own, Kept<R>& joint) const {
+    void put(const In& from, ArenaVector<R>& own, ArenaVector<R>& joint) const {
         for (std::size_t r = 0; r < place.size(); ++r) (place[r].first ? own : joint)[place[r].second] = from.data()[r];
     }
-    nb::object get(const Kept<R>& own, const Kept<R>& joint) const {
+    nb::object get(const ArenaVector<R>& own, const ArenaVector<R>& joint) const {
         std::vector<double> out;
         for (const auto& [mine, k] : place) out.push_back(double((mine ? own : joint)[k]));
         return array(out);
@@ -69,11 +69,11 @@ private:
     }
 };
 
-template <class R> void put(const In& from, Kept<Tuple<R, D>>& to) {
+template <class R> void put(const In& from, ArenaVector<Tuple<R, D>>& to) {
     for (std::size_t i = 0; i < to.size(); ++i)
         for (int a = 0; a < D; ++a) to[i][a] = from.data()[D * i + a];
 }
-template <class R> nb::object get(const Kept<Tuple<R, D>>& from) {
+template <class R> nb::object get(const ArenaVector<Tuple<R, D>>& from) {
     std::vector<double> out;
     for (const auto& z : from)
         for (const R& value : z) out.push_back(double(value));
@@ -86,9 +86,9 @@ template <class R, std::size_t T> nb::object get(const std::array<R, T>& from) {
 }
 std::vector<char> flags(const In& soft) { return {soft.data(), soft.data() + soft.size()}; }
 
-// f with the number of shared variables, and double or Twice, as types.
+// f with the number of shared variables, and double or DoubleDouble, as types.
 template <class F> nb::object with(int shared, bool twice, F&& f) {
-    const auto number = [&]<int T>(std::integral_constant<int, T> t) { return twice ? f(Twice(), t) : f(double(), t); };
+    const auto number = [&]<int T>(std::integral_constant<int, T> t) { return twice ? f(DoubleDouble(), t) : f(double(), t); };
     if (shared == 0) return number(std::integral_constant<int, 0>());
     if (shared == 1) return number(std::integral_constant<int, 1>());
     if (shared == 2) return number(std::integral_constant<int, 2>());
@@ -156,11 +156,11 @@ nb::object phi_rows(const In& given, const In& right, int equal, const In& weigh
     });
 }
 
-// (high, low) of a o b, and of the root of a, in `Twice`; a, b (2,)
+// (high, low) of a o b, and of the root of a, in `DoubleDouble`; a, b (2,)
 nb::object twice(const In& a, const In& b, const std::string& what) {
-    const auto read = [](const In& x) { return Twice(numbers(x, 2)[0]) + Twice(x.data()[1]); };
-    const Twice p = read(a), q = read(b);
-    const Twice made = what == "+" ? p + q : what == "-" ? p - q : what == "*" ? p * q : what == "/" ? p / q : sqrt(p);
+    const auto read = [](const In& x) { return DoubleDouble(numbers(x, 2)[0]) + DoubleDouble(x.data()[1]); };
+    const DoubleDouble p = read(a), q = read(b);
+    const DoubleDouble made = what == "+" ? p + q : what == "-" ? p - q : what == "*" ? p * q : what == "/" ? p / q : sqrt(p);
     return nb::make_tuple(made.high, made.low);
 }
 

@@ -131,7 +131,7 @@ int main(int given, char** arguments) {
         ForceOptimizer other({contacts}, newton);
         std::vector<double> row(other.size());
         other.solve({.wrench = wrench}, row.data()), other.solve(std::span(press).first<6>());
-        const Record& record = other.solve(Ask{.wrench = wrench, .start = Start::previous, .previous = row.data()});
+        const Record& record = other.solve(Request{.wrench = wrench, .start = Start::previous, .previous = row.data()});
         std::printf("own previous: %g\n", record.summary().iterations);
     }
     print("no model", ForceOptimizer({contacts}, {.start = Start::learned, .tolerance = exact}).solve(wrench));
@@ -158,7 +158,7 @@ int main(int given, char** arguments) {
     const std::vector<double> weight(12, 0.01);
     const auto points = point(50), directions = turned(50);
     const auto levers = lever(50);
-    const Now there{.positions = points, .normals = directions, .friction = two, .jacobian = levers, .torque_bias = weight};
+    const Changes there{.positions = points, .normals = directions, .friction = two, .jacobian = levers, .torque_bias = weight};
     ForceLimits limits_there = limits;
     limits_there.jacobian = levers, limits_there.torque_bias = weight;
     ForceOptimizer limited({contacts, limits}, newton);
@@ -271,14 +271,14 @@ int main(int given, char** arguments) {
             const auto at = point(k), inward = turned(k);
             const auto now = load(k);
             const auto arms = lever(k);
-            Now given_now{.contacts = k % 7 == 3 ? 0b0111u : k % 7 == 5 ? 0b1011u : ~0ull};
+            Changes given_now{.contacts = k % 7 == 3 ? 0b0111u : k % 7 == 5 ? 0b1011u : ~0ull};
             if (k % 3 > 0) given_now.positions = at;
             if (k % 3 > 1 && one.load != press) given_now.normals = inward;
             if (k % 5 == 1) given_now.friction = two;
             if (many_rows && k % 4 == 1) given_now.jacobian = arms;
             if (many_rows && k % 4 == 2) given_now.torque_bias = weight;
             const Record& record =
-                mine.solve(Ask{.wrench = k % 11 == 10 ? one.load : now.data(), .now = given_now, .start = starts[k % 8]});
+                mine.solve(Request{.wrench = k % 11 == 10 ? one.load : now.data(), .now = given_now, .start = starts[k % 8]});
             const bool ended = record.has_force() || record.code() == INFEASIBLE || record.code() == UNDECIDED;
             if (k % 13 == 0) mine.start({.wrench = one.load, .now = given_now}, row.data());
             if (k % 50 == 49) mine.solve(wrong), mine.solve(wrench, {.contacts = 1}), mine.forget();

@@ -321,7 +321,7 @@ struct Made {
             tilt(from, &g.normals[3 * i], 0.3);
             if (wild && from.one_in(64)) g.normals[3 * i + from.whole(0, 2)] = from.number(1.0);
         }
-        g.friction = rub(from);
+        g.friction = set_friction(from);
         if (from.one_in(3))
             for (int i = 0; i < g.count; ++i) g.gamma.push_back(from.one_in(2) ? 0.0 : from.decades(1e-3, 0.1));
         if (from.one_in(4)) g.along = numbers(from, 3 * g.count, 1.0);
@@ -344,7 +344,7 @@ struct Made {
         if (g.count >= 3 && from.one_in(4)) learn(from);
     }
 
-    std::vector<double> rub(Bytes& from) const {
+    std::vector<double> set_friction(Bytes& from) const {
         std::vector<double> friction;
         for (int i = 0; i < (from.one_in(2) ? 1 : from.one_in(2) ? given.count : 2 * given.count); ++i)
             friction.push_back(wild && from.one_in(8) ? std::abs(from.number(1.0))
@@ -428,10 +428,10 @@ struct Load {
     }
 };
 
-// Contacts and limits of a call, and what `Now` has of them.
+// Contacts and limits of a call, and what `Changes` has of them.
 struct Moved {
     Given given;
-    Now now;
+    Changes now;
     bool torn = false;  // numbers of another size: refused
 
     Moved(Bytes& from, const Made& made, const Given& home, bool some) : given(home) {
@@ -445,7 +445,7 @@ struct Moved {
             now.normals = g.normals;
         }
         if (from.one_in(6)) {
-            auto other = made.rub(from);
+            auto other = made.set_friction(from);
             const auto of = [&](int i, int axis) {
                 const std::size_t n = g.count;
                 return other.size() == 1 ? other[0] : other.size() == n ? other[i] : other[2 * i + axis];
@@ -504,7 +504,7 @@ void run(Bytes& from) {
         }
         const Load load(from);
         const Moved moved(from, made, home, true);
-        Ask ask{.wrench = load.w, .now = moved.now};
+        Request ask{.wrench = load.w, .now = moved.now};
         if (from.one_in(2)) ask.start = Start(from.whole(0, int(Start::learned)));
         std::vector<double> force;
         if (ask.start == Start::given || ask.start == Start::guess) {
@@ -519,7 +519,7 @@ void run(Bytes& from) {
         if (record.code() == REFUSED && !made.wild && ask.start != Start::given) fail("refused", record, 0.0);
         if (from.one_in(4)) {  // another start, another solver, the same problem
             ForceOptimizer copy(*std::as_const(on));
-            Ask again = ask;
+            Request again = ask;
             again.start = Start(from.whole(0, int(Start::phase_one)));
             asked = "again";
             copy.solve(again, other.data());

@@ -6,7 +6,7 @@
 namespace grasp::detail {
 
 std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options) {
-    return instance<Engine, EngineOn>(problem.contacts.count, problem, options);
+    return instance<Engine, LaneEngine>(problem.contacts.count, problem, options);
 }
 
 }  // namespace grasp::detail

@@ -57,7 +57,7 @@ public:
         return home.count < 64 ? mask & ((std::uint64_t(1) << home.count) - 1) : mask;
     }
     // Take over the contacts and limits of a call. Return CONVERGED, REFUSED or RANK_LOST.
-    Code load_call(const Now& given) {
+    Code load_call(const Changes& given) {
         const int all = home.count;
         const std::size_t triples = std::size_t(3 * all);
         if ((!given.positions.empty() && given.positions.size() != triples) ||
@@ -88,7 +88,7 @@ public:
             if (many != 1 && many != std::size_t(all) && many != 2 * std::size_t(all)) return REFUSED;
             for (double mu : given.friction)
                 if (!(mu >= 0.0 && mu <= LARGEST)) return REFUSED;
-            now.rub(given.friction, {chosen.data(), std::size_t(now.count)}, all);
+            now.set_friction(given.friction, {chosen.data(), std::size_t(now.count)}, all);
         }
         const Placing placed = now.place(positions, normals);
         if (placed == Placing::refused) return REFUSED;
@@ -153,7 +153,7 @@ private:
     Doubles jacobian_{}, bias_{};
 
     // Return false if the numbers are not finite.
-    bool load_limits(const Now& given) {
+    bool load_limits(const Changes& given) {
         jacobian_ = given.jacobian.empty() ? Doubles(limits.jacobian) : given.jacobian;
         bias_ = given.torque_bias.empty() ? Doubles(limits.torque_bias) : given.torque_bias;
         separate = true;

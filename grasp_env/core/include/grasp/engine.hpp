@@ -14,11 +14,11 @@ class alignas(64) Engine {
 public:
     virtual ~Engine() = default;
     virtual std::unique_ptr<Engine> clone() const = 0;
-    virtual Code solve(const Ask& ask, double* row) = 0;
+    virtual Code solve(const Request& ask, double* row) = 0;
     // Write the start alone into a record. Return LIMIT, since a descent would continue from it.
-    virtual Code start(const Ask& ask, double* row) = 0;
+    virtual Code start(const Request& ask, double* row) = 0;
     virtual void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) = 0;
-    virtual bool update(const Now& now) = 0;
+    virtual bool update(const Changes& now) = 0;
     virtual Deepest deepest(const double* wrench, double* force, double* torsion) = 0;
     // Set the offline optima of the problem's contacts, (13, 3N) in cone coordinates.
     virtual void set_basis(const double* basis) = 0;
@@ -27,11 +27,11 @@ public:
     virtual int size() const = 0;  // numbers in a row
 };
 
-template <class V, int B> class EngineOn final : public Engine {
+template <class V, int B> class LaneEngine final : public Engine {
 public:
     using Field = typename Cones<V, B>::Field;
 
-    EngineOn(const Problem& problem, const Options& options)
+    LaneEngine(const Problem& problem, const Options& options)
         : options_(options), current_(problem), newton_(current_.home.count, {options.gap(), options.limit}),
           conic_(current_.home.count, {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}),
           home_tangents_(newton_.cones), internal_force_(newton_.cones.field()), descent_start_(internal_force_),
@@ -65,7 +65,7 @@ public:
         if (needs_basis()) fill_basis();
     }
     std::unique_ptr<Engine> clone() const override {
-        auto made = std::make_unique<EngineOn>(*this);
+        auto made = std::make_unique<LaneEngine>(*this);
         made->place_home();  // space for all contacts, and no numbers of this object's last call
         return made;
     }
@@ -90,14 +90,14 @@ public:
         return ready ? general_.deepest(wrench, 1e-7, force, torsion) : Deepest{};
     }
 
-    Code solve(const Ask& ask, double* row) override {
+    Code solve(const Request& ask, double* row) override {
         const Record out = open_row(ask, row);
         Code code = place(ask.now);
         if (code == CONVERGED) code = is_valid_wrench(ask.wrench) ? run(ask, current_record()) : REFUSED;
         return write_answer(code, out);
     }
 
-    Code start(const Ask& ask, double* row) override {
+    Code start(const Request& ask, double* row) override {
         const Record out = open_row(ask, row);
         Code code = place(ask.now);
         if (code == CONVERGED) code = is_valid_wrench(ask.wrench) ? write_start(ask, current_record()) : REFUSED;
@@ -136,8 +136,8 @@ public:
         }
     }
 
-    bool update(const Now& now) override {
-        if (now.contacts != Now{}.contacts) return false;  // a call says which contacts touch, an update cannot
+    bool update(const Changes& now) override {
+        if (now.contacts != Changes{}.contacts) return false;  // a call says which contacts touch, an update cannot
         if (place(now) == REFUSED) {
             place_home();
             return false;
@@ -157,7 +157,7 @@ private:
     static constexpr double CLOSE = 2.0;
     Options options_;
     CurrentContacts current_;
-    NewtonOn<V, B> newton_;
+    NewtonSolver<V, B> newton_;
     std::optional<LimitedNewton<V, B>> limited_;
     std::optional<SoftNewton<V, B>> soft_;
     ConicSolver<V, B> conic_;
@@ -186,7 +186,7 @@ private:
     Record current_record() { return Record(current_row_.data(), current_.now.count); }
     bool torsional() const { return kind_ == Kind::soft || (kind_ == Kind::other && current_.now.soft()); }
 
-    Record open_row(const Ask& ask, double* row) const {
+    Record open_row(const Request& ask, double* row) const {
         Summary& s = *reinterpret_cast<Summary*>(row);
         s = Summary{};
         s.contacts = current_.home.count, s.joints = current_.joints, s.limits = current_.limits.rows;
@@ -228,15 +228,15 @@ private:
     }
 
     // Load the contacts and limits of a call. Return CONVERGED if that succeeds.
-    Code place(const Now& now) {
-        Now given = now;
+    Code place(const Changes& now) {
+        Changes given = now;
         if (current_.touching(now.contacts) == current_.touching(~std::uint64_t(0))) given.contacts = ~std::uint64_t(0);
         const bool plain = given.empty();
         if (plain && is_home_) return placed_code_;
         is_home_ = plain;
         return placed_code_ = load_call(given);
     }
-    Code load_call(const Now& now) {
+    Code load_call(const Changes& now) {
         conic_ready_ = general_ready_ = flow_ready_ = internal_force_searched_ = has_internal_force_ = false;
         const Code code = current_.load_call(now);
         if (code != CONVERGED) return code;
@@ -297,14 +297,14 @@ private:
 
     // --- starts
 
-    Start start_of(const Ask& ask) const {
+    Start start_of(const Request& ask) const {
         const Start start = ask.start == Start::standard ? options_.start : ask.start;
         if (start != Start::standard) return start;
         return flow_ ? Start::linear_combination : Start::internal_force;
     }
 
     // Write the start of a call, balanced and strictly inside the cones, into newton_.x. Otherwise return the reason.
-    Code begin(const Ask& ask, const Vec6& w) {
+    Code begin(const Request& ask, const Vec6& w) {
         const Code code = find_start(ask, w);
         if (code != CONVERGED) return code;
         newton_.cones.reset_unused_lanes(newton_.x);
@@ -324,7 +324,7 @@ private:
         newton_.starter.segment(newton_.cones, work_, newton_.x);
         return true;
     }
-    Code find_start(const Ask& ask, const Vec6& w) {
+    Code find_start(const Request& ask, const Vec6& w) {
         start_replaced_ = outside_training_ = false;
         const Start start = used_start_ = start_of(ask);
         switch (start) {
@@ -355,12 +355,12 @@ private:
         return code;
     }
     // The method's default start, or any force inside if the contacts have no force closure.
-    Code default_start(const Ask& ask, const Vec6& w) {
+    Code default_start(const Request& ask, const Vec6& w) {
         const bool combines = flow_ || options_.start == Start::linear_combination;
         if (combines && combine(ask.wrench, w, used_start_ = Start::linear_combination)) return CONVERGED;
         return start_from_internal_force(ask, w);
     }
-    Code start_from_internal_force(const Ask& ask, const Vec6& w) {
+    Code start_from_internal_force(const Request& ask, const Vec6& w) {
         if (!find_internal_force()) return find_interior_or_deepest(ask, w);
         used_start_ = Start::internal_force;
         grasp::begin(newton_.cones, internal_force_, w, newton_.x);
@@ -379,7 +379,7 @@ private:
         return found == Inside::found ? CONVERGED : found == Inside::none ? INFEASIBLE : UNDECIDED;
     }
     // Like `find_interior`; if that is undecided, find the deepest force.
-    Code find_interior_or_deepest(const Ask& ask, const Vec6& w) {
+    Code find_interior_or_deepest(const Request& ask, const Vec6& w) {
         if (const Code code = find_interior(w); code != UNDECIDED) return code;
         if (kind_ != Kind::hard || !prepare_general()) return UNDECIDED;
         const Deepest deep = general_.deepest(ask.wrench, 1e-7, force_.data(), nullptr);
@@ -442,7 +442,7 @@ private:
     }
 
     // Turn a previous solution into the current frames and balance it by the smallest change in the metric of the Hessian.
-    bool carry_previous(const Ask& ask, const Vec6& w) {
+    bool carry_previous(const Request& ask, const Vec6& w) {
         if (!load_previous(ask)) return false;
         Field& x = newton_.x;
         const double before = newton_.cones.phi(x);
@@ -464,7 +464,7 @@ private:
         return true;
     }
     // Load the previous solution of the touching contacts, in their current frames, into newton_.x, force_ and torsion_.
-    bool load_previous(const Ask& ask) {
+    bool load_previous(const Request& ask) {
         if (!ask.previous) return load_force(ask.force) && newton_.cones.is_in_range(newton_.x);
         const Record before(const_cast<double*>(ask.previous));  // only read
         if (before.contacts() != current_.home.count || !before.has_force()) return false;
@@ -489,7 +489,7 @@ private:
     }
 
     // Load a given force into force_ and torsion_. Return true if it is balanced and strictly inside the cones.
-    bool load_given(const Ask& ask) {
+    bool load_given(const Request& ask) {
         const std::size_t all = current_.home.count;
         if (ask.force.size() != 3 * all || (!ask.torsion.empty() && ask.torsion.size() != all)) return false;
         double most = 0.0;
@@ -521,7 +521,7 @@ private:
         if (!start_replaced_) used_start_ = start;
     }
     // Start from a caller's force, with the default start in newton_.x.
-    bool guess(const Ask& ask, const Vec6& w) {
+    bool guess(const Request& ask, const Vec6& w) {
         work_ = newton_.x;
         load_force(ask.force);
         newton_.cones.balance(newton_.x, w);
@@ -531,7 +531,7 @@ private:
 
     // Start from the model's prediction. Phi is never above that of the default start. If a previous solution is given, the better
     // of the two is used.
-    bool start_from_prediction(const Ask& ask, const Vec6& w) {
+    bool start_from_prediction(const Request& ask, const Vec6& w) {
         if (current_.now.count != current_.home.count) return false;
         const auto& cones = newton_.cones;
         auto& starter = newton_.starter;
@@ -562,7 +562,7 @@ private:
     }
 
     // Write the start that a solve would use as a record.
-    Code write_start(const Ask& ask, const Record& record) {
+    Code write_start(const Request& ask, const Record& record) {
         record.clear();
         const Vec6 w = newton_.cones.unit.of(ask.wrench);
         answered_by_general_ = false;
@@ -584,7 +584,7 @@ private:
 
     // --- algorithms
 
-    Code run(const Ask& ask, const Record& record) {
+    Code run(const Request& ask, const Record& record) {
         Summary& s = record.summary();
         s = Summary{};
         std::copy_n(ask.wrench, 6, s.wrench.begin());
@@ -601,8 +601,8 @@ private:
             default: return general(ask, record);
         }
     }
-    static bool is_study(const Ask& ask) { return ask.optimum == ask.optimum || !ask.trace.empty(); }
-    static Call call_of(const Ask& ask, From from = From::given) {
+    static bool is_study(const Request& ask) { return ask.optimum == ask.optimum || !ask.trace.empty(); }
+    static Call call_of(const Request& ask, From from = From::given) {
         return {.wrench = ask.wrench,
                 .start = from,
                 .optimum = ask.optimum,
@@ -615,7 +615,7 @@ private:
         return record.refute((1.0 / grasp::size(twist_)) * twist_, grasp::size(w));
     }
 
-    Code newton(const Ask& ask, const Vec6& w, const Record& record) {
+    Code newton(const Request& ask, const Vec6& w, const Record& record) {
         const Code begun = begin(ask, w);
         if (begun == INFEASIBLE) return write_proof(w, record);
         if (begun == REFUSED) return REFUSED;
@@ -629,7 +629,7 @@ private:
         return code;
     }
 
-    Code flow(const Ask& ask, const Vec6& w, const Record& record) {
+    Code flow(const Request& ask, const Vec6& w, const Record& record) {
         const Code begun = begin(ask, w);
         if (begun == INFEASIBLE) return write_proof(w, record);
         if (begun != CONVERGED) return begun;
@@ -637,7 +637,7 @@ private:
         return flow_ready_ ? flow_->descend(newton_, call_of(ask), w, record) : REFUSED;
     }
 
-    Code within_limits(const Ask& ask, const Vec6& w, const Record& record) {
+    Code within_limits(const Request& ask, const Vec6& w, const Record& record) {
         auto& on = limited_->newton;
         Call call = call_of(ask);
         Code begun = CONVERGED;
@@ -664,7 +664,7 @@ private:
         return general(ask, record);
     }
 
-    Code soft(const Ask& ask, const Vec6& w, const Record& record) {
+    Code soft(const Request& ask, const Vec6& w, const Record& record) {
         Call call = call_of(ask);
         used_start_ = start_of(ask), start_replaced_ = outside_training_ = false;
         if (used_start_ == Start::given) return general(ask, record);
@@ -682,7 +682,7 @@ private:
         return code == REFUSED ? general(ask, record) : code;
     }
 
-    Code conic(const Ask& ask, const Vec6& w, const Record& record) {
+    Code conic(const Request& ask, const Vec6& w, const Record& record) {
         used_start_ = Start::central, start_replaced_ = outside_training_ = false;
         if (!find_internal_force()) {
             const Code found = find_interior(w);
@@ -697,8 +697,8 @@ private:
     }
 
     // Run the general program from its own centre, a given force or the previous solution.
-    Code general(const Ask& ask, const Record& record) { return general(ask, record, newton_.options); }
-    Code general(const Ask& ask, const Record& record, const Stop& stop) {
+    Code general(const Request& ask, const Record& record) { return general(ask, record, newton_.options); }
+    Code general(const Request& ask, const Record& record, const StopRule& stop) {
         if (!prepare_general()) return UNDECIDED;
         answered_by_general_ = true;
         if (options_.method == Method::conic) {
@@ -718,7 +718,7 @@ private:
                              (start == Start::previous && !ask.previous && ask.force.empty());
             start_replaced_ = !own && (used_start_ == Start::phase_one || !general_.starts_from(call));
             if (start_replaced_) used_start_ = Start::phase_one, call.start = From::combination;
-            Stop left = stop;
+            StopRule left = stop;
             int spent = 0;
             if (used_start_ == Start::phase_one && start != Start::phase_one && unlimited_optimum(ask, options_.limit, spent)) {
                 left.limit = std::max(0, left.limit - spent);
@@ -733,7 +733,7 @@ private:
 
     // Solve without limits into force_ and torsion_. Return true if that optimum is well within the limits: such a start costs a tenth
     // of the deepest force. spent: number of steps.
-    bool unlimited_optimum(const Ask& ask, int limit, int& spent) {
+    bool unlimited_optimum(const Request& ask, int limit, int& spent) {
         if (kind_ != Kind::other || current_.now.placing != Placing::good || !find_internal_force()) return false;
         const Record record(newton_.row.data(), current_.now.count);
         const Vec6 w = newton_.cones.unit.of(ask.wrench);

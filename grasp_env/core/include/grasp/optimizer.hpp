@@ -21,7 +21,7 @@ namespace detail {
 std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options);
 #else
 inline std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options) {
-    return instance<Engine, EngineOn>(problem.contacts.count, problem, options);
+    return instance<Engine, LaneEngine>(problem.contacts.count, problem, options);
 }
 #endif
 
@@ -38,10 +38,10 @@ public:
     ForceOptimizer(ForceOptimizer&&) = default;
 
     // Solve for the force that balances a wrench. The next call overwrites the record. now: what differs in this call only.
-    const Record& solve(Wrench wrench, const Now& now = {}) { return solve(Ask{.wrench = wrench.data(), .now = now}); }
+    const Record& solve(Wrench wrench, const Changes& now = {}) { return solve(Request{.wrench = wrench.data(), .now = now}); }
     // Solve with a start for this call, or with the options for studies.
-    const Record& solve(const Ask& request) {
-        Ask ask = request;
+    const Record& solve(const Request& request) {
+        Request ask = request;
         if (has_previous_ && !ask.previous) ask.previous = rows_[0].data();
         engine_->solve(ask, rows_[1].data());
         const Record made(rows_[1].data());
@@ -54,9 +54,9 @@ public:
         return record_;
     }
     // Solve into a row of `size()` numbers that the caller owns; the previous solution is the caller's as well.
-    Code solve(const Ask& ask, double* row) { return engine_->solve(ask, row); }
+    Code solve(const Request& ask, double* row) { return engine_->solve(ask, row); }
     // Write only the start of a call, in place of the force. Return LIMIT, or the reason why there is no start.
-    Code start(const Ask& ask, double* row) { return engine_->start(ask, row); }
+    Code start(const Request& ask, double* row) { return engine_->start(ask, row); }
     // Set the offline optima that the paper's starts combine, (13, 3N) in cone coordinates, for the problem's contacts. Not needed
     // otherwise: if the options call for a flow or such a start, the constructor computes them.
     void set_basis(Doubles basis) { engine_->set_basis(basis.data()); }
@@ -69,7 +69,7 @@ public:
         return engine_->deepest(wrench.data(), force.data(), torsion.data());
     }
     // Replace contacts and limits for all later calls. Return false, with nothing changed, if the numbers are not possible.
-    bool update(const Now& now) { return engine_->update(now); }
+    bool update(const Changes& now) { return engine_->update(now); }
     // Solve (M, 6) wrenches into M rows of `size()` numbers, each as `solve` without a previous solution. Allocates.
     void solve_many(Doubles wrenches, std::span<double> rows) const {
         engine_->clone()->solve_many(std::ptrdiff_t(wrenches.size() / 6), wrenches.data(), rows.data());

@@ -40,7 +40,7 @@ struct Options {
 };
 
 // Changes of the problem in a call or an update. Empty members stay as in the problem.
-struct Now {
+struct Changes {
     Doubles positions{}, normals{};  // (N, 3) [m], inward unit normals
     Doubles friction{};  // one coefficient, N coefficients, or two for each contact
     Doubles jacobian{};  // same shape as in the limits
@@ -54,9 +54,9 @@ struct Now {
 };
 
 // One call: the wrench to balance, what differs from the problem, and the start.
-struct Ask {
+struct Request {
     const double* wrench;
-    Now now{};
+    Changes now{};
     Start start = Start::standard;
     Doubles force{}, torsion{};  // for Start::given, guess and previous: (N, 3) [N] and (N,) [N m], current contact frames
     const double* previous = nullptr;  // for Start::previous, used before `force`: row of a solution of as many contacts

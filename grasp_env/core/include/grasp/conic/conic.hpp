@@ -23,9 +23,9 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
 public:
     using Steps::cones, Steps::rest, Steps::at, Steps::y;
     using typename Steps::Field;
-    Stop options;
+    StopRule options;
 
-    ConicSolver(int count, const Stop& options)
+    ConicSolver(int count, const StopRule& options)
         : Steps(count), options(options), force_(cones.field()), first_(cones.field()), qr_(Steps::blocks()),
           fitted_(qr_.rows()) {}
 

@@ -55,7 +55,7 @@ public:
     Contacts(int count, std::span<const double> friction, const Objective& objective = {}, const double* along = nullptr,
              const double* gamma = nullptr) {
         make_room(count);
-        set_weights(objective), rub(friction), set_tangents_and_torsion(along, gamma);
+        set_weights(objective), set_friction(friction), set_tangents_and_torsion(along, gamma);
     }
 
     // Place contacts; throws std::invalid_argument with a message about the wrong argument unless solvers can use them. Numbers are
@@ -95,7 +95,7 @@ public:
 
     // Replace the friction, given as for the constructor, from the next `place` on. chosen: indices of these contacts if `friction`
     // covers more of them; frictionless contacts then stay so.
-    void rub(std::span<const double> friction, std::span<const int> chosen = {}, int of = 0) {
+    void set_friction(std::span<const double> friction, std::span<const int> chosen = {}, int of = 0) {
         const std::size_t given = friction.size(), all = chosen.empty() ? count : of;
         for (int k = 0; k < count; ++k) {
             const std::size_t i = chosen.empty() ? k : chosen[k];

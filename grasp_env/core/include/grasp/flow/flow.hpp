@@ -43,7 +43,7 @@ public:
     }
 
     // Descend from the start in on.x, which must be balanced and strictly inside, and write the record.
-    Code descend(NewtonOn<V, B>& on, const Call& call, const Vec6& w, const Record& record) {
+    Code descend(NewtonSolver<V, B>& on, const Call& call, const Vec6& w, const Record& record) {
         const auto& cones = on.cones;
         const int blocks = int(cones.blocks.size());
         cones.store_force(on.x, record.initial_force());
@@ -202,7 +202,7 @@ private:
     }
 
     // Lower bound of min Phi from the Newton multipliers at on.x; -inf: no bound.
-    [[gnu::noinline]] static Bound bound_at(NewtonOn<V, B>& on, const Vec6& w) {
+    [[gnu::noinline]] static Bound bound_at(NewtonSolver<V, B>& on, const Vec6& w) {
         if (!on.system.assemble(on.cones, on.x)) return {-infinity, {}};
         const Vec6 nu = on.system.multipliers(on.system.made + w);
         return {on.cones.lower_bound(nu, w), nu};
@@ -237,7 +237,7 @@ private:
     }
 
     // Remove rounding from the balance and write the certificates. CONVERGED requires that the final force meets them.
-    Code finish(NewtonOn<V, B>& on, const Vec6& w, Code code, bool known, const Record& record) {
+    Code finish(NewtonSolver<V, B>& on, const Vec6& w, Code code, bool known, const Record& record) {
         const auto& cones = on.cones;
         Summary& s = record.summary();
         if (s.iterations > 0.0) {

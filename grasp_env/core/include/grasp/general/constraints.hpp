@@ -34,7 +34,7 @@ inline double least_of(std::span<const double> values) {
 
 template <int D> struct Constraints {
     using Row = std::span<const Tuple<double, D>>;  // z, or its coefficients
-    using Field = Kept<Tuple<double, D>>;
+    using Field = ArenaVector<Tuple<double, D>>;
     // Rows of coefficients.
     class Matrix {
     public:
@@ -47,11 +47,11 @@ template <int D> struct Constraints {
         std::size_t count_;
     };
     int count, limits, torsions = 0;  // N, M; the first rows belong to torsion
-    Kept<char> soft;
-    Kept<double> price, divisor, bound, shares;  // price: normal force = price u
-    Kept<int> torsion_row;  // (N,) -1: not soft
-    Kept<int> owner;  // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
-    Kept<int> own;  // rows that act on at most one contact, by contact
+    ArenaVector<char> soft;
+    ArenaVector<double> price, divisor, bound, shares;  // price: normal force = price u
+    ArenaVector<int> torsion_row;  // (N,) -1: not soft
+    ArenaVector<int> owner;  // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
+    ArenaVector<int> own;  // rows that act on at most one contact, by contact
     Matrix balance, limit, turn;  // (6,) G, (M,), (6,) Q
     double frame[6][6], lower[6][6] = {};  // L
 
@@ -97,7 +97,7 @@ template <int D> struct Constraints {
         return out;
     }
     // Storage for the results of `write_slacks`.
-    Kept<double> slacks() const { return Kept<double>(2 * count + limits); }
+    ArenaVector<double> slacks() const { return ArenaVector<double>(2 * count + limits); }
     static double product(Row a, Row b) {
         double total = 0.0;
         for (std::size_t i = 0; i < a.size(); ++i) total += inner(a[i], b[i]);
@@ -214,7 +214,7 @@ template <int D> struct Constraints {
     double inward(int i, const Tuple<double, D>& row) const { return row[0] + (D == 4 && soft[i] ? row[D - 1] : 0.0); }
 
     // Slack of every cone, of w and of every limit, less an allowance for rounding.
-    template <class Bound> void write_slacks(const Field& z, int many, Kept<double>& out, Bound&& right) const {
+    template <class Bound> void write_slacks(const Field& z, int many, ArenaVector<double>& out, Bound&& right) const {
         int next = 0;
         for (int i = 0; i < count; ++i) {
             out[next++] = slack(cone(z[i])) - PAD * z[i][0];

@@ -26,17 +26,17 @@ public:
     // Write the force into z [N]. If CONVERGED, it is strictly inside and balances the wrench.
     Deepest find(const double* wrench, double tolerance, Field& z) {
         const Deepest found = find<double>(wrench, tolerance, z);
-        return found.code == CONVERGED || found.code == INFEASIBLE ? found : find<Twice>(wrench, tolerance, z);
+        return found.code == CONVERGED || found.code == INFEASIBLE ? found : find<DoubleDouble>(wrench, tolerance, z);
     }
     // Prices of the limits if no force is inside. With the twist v they prove it: G^T v + sum price row lies in every dual cone, v
     // . w > sum price bound.
-    const Kept<double>& prices() const { return prices_; }
+    const ArenaVector<double>& prices() const { return prices_; }
 
 private:
     static constexpr double ROUNDING = 1e-14;  // of the terms of a proof, per term: far above rounding
     const Constraints<D>* in_;
     int many_;
-    Kept<double> slacks_, prices_;
+    ArenaVector<double> slacks_, prices_;
 
     template <class R> Deepest find(const double* wrench, double tolerance, Field& z) {
         const Arena::Scope scope;

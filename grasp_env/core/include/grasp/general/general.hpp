@@ -59,7 +59,7 @@ public:
 
     // Minimise the sum or the largest of the normal forces. INFEASIBLE: the record holds the twist that proves it. UNDECIDED:
     // neither found.
-    Code conic(const double* wrench, Criterion criterion, const Stop& options, const Record& record) {
+    Code conic(const double* wrench, Criterion criterion, const StopRule& options, const Record& record) {
         const Arena::Use use(arena_);
         const Code code = least(wrench, criterion, {options.tolerance, CONIC_ITERATIONS}, options.limit, record);
         const Summary& s = record.summary();
@@ -69,7 +69,7 @@ public:
     }
     // Minimise the sum, continuing the record of a solver that stopped short of the tolerance. The better result stays; iterations
     // add up.
-    Code conic_from(const Stop& options, const Record& record) {
+    Code conic_from(const StopRule& options, const Record& record) {
         const Arena::Use use(arena_);
         Summary& before = record.summary();
         const int left = options.limit - int(before.iterations);
@@ -99,7 +99,7 @@ public:
     // Minimise Phi. From::given: from the call's force and torsion, if they are balanced and strictly inside. From::tangent: from
     // the nearest balanced force, if it is strictly inside. Otherwise from the deepest force. INFEASIBLE, UNDECIDED: as for
     // `conic`.
-    Code phi(const Call& call, const Stop& options, const Record& record) {
+    Code phi(const Call& call, const StopRule& options, const Record& record) {
         const Arena::Use use(arena_);
         record.clear();
         record.summary().code = REFUSED;
@@ -114,7 +114,7 @@ public:
         return code;
     }
     // Continue a record that stalled with more than rounding left, with at most MORE_STEPS further steps. The better result stays.
-    Code phi_from(const Stop& options, const Record& record) {
+    Code phi_from(const StopRule& options, const Record& record) {
         const Arena::Use use(arena_);
         Summary& before = record.summary();
         const int left = options.limit - int(before.iterations);
@@ -129,13 +129,13 @@ public:
 
     // If a record is INFEASIBLE, replace it by the balanced force inside the cones that exceeds the limits least, LIMITS_EXCEEDED,
     // if one exists.
-    Code excess(const Stop& options, const Record& record) {
+    Code excess(const StopRule& options, const Record& record) {
         const Arena::Use use(arena_);
         Summary& before = record.summary();
         const int left = options.limit - int(before.iterations);
         if (record.code() != INFEASIBLE || left <= 0 || inputs_->limits == inputs_->torsions) return record.code();
         const Record made(inputs_->record.data(), inputs_->count);
-        const Stop elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
+        const StopRule elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
         if (least(before.wrench.data(), Criterion::excess, elastic, left, made) != LIMITS_EXCEEDED) {
             deepest(before.wrench.data());  // restore the prices of the proof
             return record.code();
@@ -178,9 +178,9 @@ private:
     // Contacts and limits in the form of `ProgramData`.
     struct Inputs {
         int count, limits, torsions;
-        Kept<double> balance, rows, bound, shares, divisor;
-        Kept<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
-        Kept<double> z, row, record, prices;
+        ArenaVector<double> balance, rows, bound, shares, divisor;
+        ArenaVector<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
+        ArenaVector<double> z, row, record, prices;
 
         Inputs(int count, int limits, int torsions)
             : count(count), limits(limits), torsions(torsions), balance(24 * count), rows(4 * count * limits), bound(limits),
@@ -276,10 +276,10 @@ private:
     static bool gap_exceeds_rounding(const Summary& of, double tolerance) {
         return !(of.lower_bound > 0.0 && gap(of) <= std::max(tolerance, LAST_DIGITS) * of.lower_bound);
     }
-    Code least(const double* wrench, Criterion criterion, const Stop& options, int budget, const Record& record) {
+    Code least(const double* wrench, Criterion criterion, const StopRule& options, int budget, const Record& record) {
         return unscale_prices(program_->least(wrench, criterion, options, record, inputs_->prices.data(), budget));
     }
-    Code least_phi(const Call& call, const Stop& options, const Record& record) {
+    Code least_phi(const Call& call, const StopRule& options, const Record& record) {
         Inputs& inputs = *inputs_;
         return unscale_prices(program_->least_phi(call, inputs.weights.data(), inputs.row_weights.data(), inputs.z.data(),
                                                   options, record, inputs.prices.data()));

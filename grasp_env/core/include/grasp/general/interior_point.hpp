@@ -18,13 +18,13 @@ namespace grasp {
 template <class R, int D, int T> class InteriorPoint {
 public:
     struct State {
-        Kept<Tuple<R, D>> z, s;  // primal and dual, strictly inside
+        ArenaVector<Tuple<R, D>> z, s;  // primal and dual, strictly inside
         Tuple<R, T> t{};
-        Kept<R> own, joint;  // multipliers; > 0 for limits
-        Kept<R> own_slack, joint_slack;  // > 0 for limits
+        ArenaVector<R> own, joint;  // multipliers; > 0 for limits
+        ArenaVector<R> own_slack, joint_slack;  // > 0 for limits
     };
     Rows<R, D, T> rows;
-    Kept<Tuple<R, D>> cost;
+    ArenaVector<Tuple<R, D>> cost;
     Tuple<R, T> shared_cost{};
     std::span<const char> soft;  // true if w is a variable; otherwise it stays 1 and no row acts on it
     State at;  // the start, then the answer
@@ -108,9 +108,9 @@ private:
     RowSystem<R, D, T> system_;
     Space<R, D, T> f_, d_, left_, more_, residual_;  // d_.z is the scaled direction W^-1 dz
     State best_;
-    Kept<Tuple<R, D>> ds_, dz_;
-    Kept<Scaling<R>> scaling_;
-    Kept<R> kappa_own_, dslack_own_, kappa_joint_, dslack_joint_;
+    ArenaVector<Tuple<R, D>> ds_, dz_;
+    ArenaVector<Scaling<R>> scaling_;
+    ArenaVector<R> kappa_own_, dslack_own_, kappa_joint_, dslack_joint_;
 
     struct Measured {
         R gap, size, primal, dual;

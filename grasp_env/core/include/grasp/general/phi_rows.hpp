@@ -1,7 +1,7 @@
 // Damped Newton on Phi with soft contacts and further rows: each adds lambda / slack, the order of tr P^-1. Balance and rows are as
 // in `rows.hpp`; a contact's block is written in the axes of its inverse Hessian, H^-1 = F F^T (`Axes`).
 //
-// The loop is the common one (`run_descent`). The steps are separate from those of `NewtonOn`, which stay in registers: four hard
+// The loop is the common one (`run_descent`). The steps are separate from those of `NewtonSolver`, which stay in registers: four hard
 // contacts take 1.1 us there and 7 here.
 #pragma once
 #include <climits>
@@ -14,10 +14,10 @@ namespace grasp {
 template <class R, int D> class PhiRows {
 public:
     Rows<R, D, 0> rows;
-    Kept<Weights<R>> weights;
-    Kept<R> row_weights;  // (M,) lambda of each limit
+    ArenaVector<Weights<R>> weights;
+    ArenaVector<R> row_weights;  // (M,) lambda of each limit
     std::span<const char> soft;
-    Kept<Tuple<R, D>> z;  // the start, strictly inside, then the answer
+    ArenaVector<Tuple<R, D>> z;  // the start, strictly inside, then the answer
     Space<R, D, 0> y, proof;  // multipliers, and those of the bound
     int iterations = 0, trials = 0;
     R value = 0.0, bound = 0.0;
@@ -73,10 +73,10 @@ private:
     static constexpr double BELOW = -1e-9;  // rounding by which Phi may lie below its bound
     RowSystem<R, D, 0> system_;
     Space<R, D, 0> f_, left_, more_;
-    Kept<R> own_slack_, own_trial_, joint_slack_, joint_trial_;
-    Kept<Tuple<R, D>> step_, trial_;
+    ArenaVector<R> own_slack_, own_trial_, joint_slack_, joint_trial_;
+    ArenaVector<Tuple<R, D>> step_, trial_;
 
-    void slacks(const Kept<Tuple<R, D>>& at, Kept<R>& own, Kept<R>& joint) const {
+    void slacks(const ArenaVector<Tuple<R, D>>& at, ArenaVector<R>& own, ArenaVector<R>& joint) const {
         joint = rows.right;
         for (int i = 0; i < rows.count; ++i) {
             for (int r = 0; r < rows.joint; ++r) joint[r] -= inner(rows.columns[rows.joint * i + r], at[i]);
@@ -86,7 +86,7 @@ private:
     }
 
     // +inf unless strictly inside
-    R phi(const Kept<Tuple<R, D>>& at, const Kept<R>& own, const Kept<R>& joint) const {
+    R phi(const ArenaVector<Tuple<R, D>>& at, const ArenaVector<R>& own, const ArenaVector<R>& joint) const {
         R total = 0.0;
         const auto barrier = [&](const R& weight, const R& slack) { total += slack > 0.0 ? weight / slack : R(infinity); };
         for (int i = 0; i < rows.count; ++i) {

@@ -29,7 +29,7 @@ public:
     static std::size_t bytes_needed(int count, int limits, int joints) {
         const auto most = [&](int joint) {
             const int owns = limits - joint + count + 1, rows = joint + 7;
-            const std::size_t depth = InteriorPoint<Twice, D, 2>::bytes_needed(count, rows, owns);
+            const std::size_t depth = InteriorPoint<DoubleDouble, D, 2>::bytes_needed(count, rows, owns);
             const std::size_t least = InteriorPoint<double, D, 1>::bytes_needed(count, rows, owns);
             return depth + std::max(least, PhiRows<double, D>::bytes_needed(count, rows, owns, limits));
         };
@@ -39,7 +39,8 @@ public:
     }
 
     // See `Program`.
-    Code least(const double* wrench, Criterion criterion, const Stop& options, const Record& record, double* prices, int budget) {
+    Code least(const double* wrench, Criterion criterion, const StopRule& options, const Record& record, double* prices,
+               int budget) {
         const Arena::Scope scope;
         record.clear();
         std::fill(prices, prices + limits, 0.0);
@@ -110,7 +111,7 @@ public:
     double unit_size(const double* wrench) const { return grasp::size(in_.in_frame(wrench)); }
     bool full() const { return in_.full(); }
 
-    Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const Stop& options,
+    Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const StopRule& options,
                    const Record& record, double* prices) {
         const Arena::Scope scope;
         record.clear();
@@ -145,7 +146,7 @@ public:
         // if steps along curved surfaces are short: follow the central path, which stays away from the surfaces
         double raised = 1.0;
         for (int i = 0; i < count; ++i) raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
-        PhiRows<Twice, D> careful(in_.template rows<Twice, 0>(limits), in_.soft, limits);
+        PhiRows<DoubleDouble, D> careful(in_.template rows<DoubleDouble, 0>(limits), in_.soft, limits);
         take_start(careful);
         const Call path{.wrench = call.wrench};
         while ((raised /= FALL) > 1.0 && spent < options.limit)
@@ -174,7 +175,7 @@ private:
     Field internal_force_, inside_, z_, best_;
     std::optional<bool> has_internal_force_;  // empty: not searched yet
     bool has_inside_ = false;
-    Kept<double> slacks_, slacks_inside_, prices_, best_prices_;
+    ArenaVector<double> slacks_, slacks_inside_, prices_, best_prices_;
     Vec6 unit_{}, turned_{}, best_nu_{};  // wrench of this call, scaled to size one; L^-1 of it
     Criterion criterion_ = Criterion::sum;
     int budget_ = INT_MAX;  // iterations of all attempts together
@@ -192,7 +193,7 @@ private:
     bool elastic() const { return criterion_ == Criterion::excess; }
     int kept() const { return elastic() ? in_.torsions : limits; }  // limits that no force may exceed
 
-    template <int T> Code solve(const double* wrench, const Stop& options, Summary& out) {
+    template <int T> Code solve(const double* wrench, const StopRule& options, Summary& out) {
         int spent = 0;
         // start from a strictly feasible z if one is known; first in double, then in higher precision
         const auto attempt = [&](auto& engine, bool known) {
@@ -226,14 +227,16 @@ private:
             else if (options.limit > 0) code = attempt(quick, true);
         }
         if (code == STALLED) {
-            auto careful = in_.template engine<Twice, T>(limits, criterion_);
+            auto careful = in_.template engine<DoubleDouble, T>(limits, criterion_);
             code = attempt(careful, has_inside_);
         }
         out.iterations = out.trials = spent;
         return code;
     }
     // True if the last iterate strictly inside in doubles is kept, to be mixed with the next ones.
-    template <class R, int T> static constexpr bool keeps_interior(const Engine<R, T>&) { return std::is_same_v<R, Twice>; }
+    template <class R, int T> static constexpr bool keeps_interior(const Engine<R, T>&) {
+        return std::is_same_v<R, DoubleDouble>;
+    }
     template <class Engine> void set_right(Engine& engine) const {
         auto& joint = engine.rows.right;
         for (int r = 0; r < engine.rows.joint; ++r) joint[r] = r < 6 ? -turned_[r] : in_.bound[engine.rows.label[r]] / size_;
@@ -533,7 +536,7 @@ public:
     // Minimise a criterion, into a record, with prices (M,) >= 0 of the limits. INFEASIBLE: the record's multipliers are the twist
     // that proves it. REFUSED: numbers that are not finite, or neither a force nor a proof was found. LIMITS_EXCEEDED: outcome for
     // Criterion::excess, to EXCESS_WITHIN. budget: iterations of all attempts together.
-    Code least(const double* wrench, Criterion criterion, const Stop& options, const Record& record, double* prices,
+    Code least(const double* wrench, Criterion criterion, const StopRule& options, const Record& record, double* prices,
                int budget = INT_MAX) {
         return std::visit([&](auto& on) { return on.least(wrench, criterion, options, record, prices, budget); }, on_);
     }
@@ -544,7 +547,7 @@ public:
     }
     // Minimise Phi from z (N, 4), balanced and strictly inside, into a record; weights (N, 2) omega and lambda, row_weights (M,).
     // Uses wrench, optimum and trace of the call. REFUSED: no such start.
-    Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const Stop& options,
+    Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const StopRule& options,
                    const Record& record, double* prices) {
         return std::visit([&](auto& on) { return on.least_phi(call, weights, row_weights, z, options, record, prices); }, on_);
     }

@@ -9,8 +9,8 @@ namespace grasp {
 // e + F^T C^T dy = f.z,   g^T dy = f.t,   C F e + g dt - diagonal dy = f.rows         (dy: own and joint rows alike)
 template <class R, int D, int T> class RowSystem {
 public:
-    Kept<Shape<R, D>> shapes;  // (N,)
-    Kept<R> own_diagonal, joint_diagonal;  // >= 0; own > 0
+    ArenaVector<Shape<R, D>> shapes;  // (N,)
+    ArenaVector<R> own_diagonal, joint_diagonal;  // >= 0; own > 0
 
     explicit RowSystem(const Rows<R, D, T>& rows)
         : shapes(rows.count), own_diagonal(rows.own.size()), joint_diagonal(rows.joint), own_(rows.own.size()),
@@ -236,12 +236,12 @@ private:
                 for (int k = j + 1; k < D; ++k) b[j] -= l[k][j] * b[k];
         }
     };
-    Kept<Own> own_;
-    Kept<Block> blocks_;
-    Kept<Tuple<R, D>> turned_, reduced_;  // leading joint rows (N, leads) in the blocks' coordinates, and L^-1 of them
-    Kept<R> schur_;  // Schur complement of the leading joint rows, factored: L below, 1 / D on the diagonal
-    Kept<R> y_;  // multipliers of the leading joint rows
-    Kept<Tuple<R, T>> coupled_, solved_;
+    ArenaVector<Own> own_;
+    ArenaVector<Block> blocks_;
+    ArenaVector<Tuple<R, D>> turned_, reduced_;  // leading joint rows (N, leads) in the blocks' coordinates, and L^-1 of them
+    ArenaVector<R> schur_;  // Schur complement of the leading joint rows, factored: L below, 1 / D on the diagonal
+    ArenaVector<R> y_;  // multipliers of the leading joint rows
+    ArenaVector<Tuple<R, T>> coupled_, solved_;
     std::array<Tuple<R, T>, T> corner_;
 
     // Right-hand side of two rows that mirror each other, as one row with the weight of both: 1 / up + 1 / down.
@@ -294,10 +294,10 @@ private:
             for (int k = j + 1; k < size; ++k) b(j) -= schur_[at(k, j)] * b(k);
         }
     }
-    template <class J> void schur_solve(const J size, Kept<R>& b) const {
+    template <class J> void schur_solve(const J size, ArenaVector<R>& b) const {
         eliminate(size, [&](int j) -> R& { return b[j]; });
     }
-    template <class J> void schur_solve(const J size, Kept<Tuple<R, T>>& b, int k) const {
+    template <class J> void schur_solve(const J size, ArenaVector<Tuple<R, T>>& b, int k) const {
         eliminate(size, [&](int j) -> R& { return b[j][k]; });
     }
 };

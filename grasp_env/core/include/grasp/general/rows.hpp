@@ -7,7 +7,7 @@
 
 namespace grasp {
 
-// R is a number: double, or `Twice` if that has too few digits.
+// R is a number: double, or `DoubleDouble` if that has too few digits.
 template <class R, int K> using Tuple = std::array<R, K>;
 template <class R, std::size_t K> inline R inner(const std::array<R, K>& a, const std::array<R, K>& b) {
     R total = 0.0;
@@ -72,14 +72,14 @@ template <class R, int D, int T> struct Rows {
     };
     int count, joint, equal;
     int doubtful = -1;  // an equation that may be independent of the others only through t
-    Kept<Tuple<R, D>> columns;  // (N, joint) coefficients of the joint rows, by contact
-    Kept<Tuple<R, T>> coupling;  // (joint,)
-    Kept<R> right;  // (joint,)
-    Kept<Own> own;  // by contact; those of no contact (only t) last
-    Kept<int> first;  // (N + 2,) own[first[i]] is the first of contact i
-    Kept<int> label;  // (joint,) label of a joint row; -1: an equation
-    Kept<int> lead;  // the joint rows that are not `mirrored`
-    Kept<char> mirrored;  // (joint + 1,) true if it is the negative of the row before it: the other limit of a torque
+    ArenaVector<Tuple<R, D>> columns;  // (N, joint) coefficients of the joint rows, by contact
+    ArenaVector<Tuple<R, T>> coupling;  // (joint,)
+    ArenaVector<R> right;  // (joint,)
+    ArenaVector<Own> own;  // by contact; those of no contact (only t) last
+    ArenaVector<int> first;  // (N + 2,) own[first[i]] is the first of contact i
+    ArenaVector<int> label;  // (joint,) label of a joint row; -1: an equation
+    ArenaVector<int> lead;  // the joint rows that are not `mirrored`
+    ArenaVector<char> mirrored;  // (joint + 1,) true if it is the negative of the row before it: the other limit of a torque
 
     // joints, owns: number of rows that will be added
     Rows(int contacts, int equations, int joints, int owns)
@@ -130,7 +130,7 @@ template <class R, int D, int T> struct Rows {
         }
     }
     // Force that the multipliers of row k, or of it and its mirror image, exert along the row.
-    static R pulled(const Kept<R>& multipliers, int k, bool paired) {
+    static R pulled(const ArenaVector<R>& multipliers, int k, bool paired) {
         return paired ? multipliers[k] - multipliers[k + 1] : multipliers[k];
     }
     static std::size_t bytes_needed(int count, int joints, int owns) {
@@ -151,8 +151,8 @@ private:
 
 // A point of the program's space, a direction or a right-hand side.
 template <class R, int D, int T> struct Space {
-    Kept<Tuple<R, D>> z;  // (N,)
-    Kept<R> own, joint;  // multipliers or residuals of rows
+    ArenaVector<Tuple<R, D>> z;  // (N,)
+    ArenaVector<R> own, joint;  // multipliers or residuals of rows
     Tuple<R, T> t{};
 
     explicit Space(const Rows<R, D, T>& rows) : z(rows.count), own(rows.own.size()), joint(rows.joint) {}

@@ -278,12 +278,12 @@ private:
         }
     }
     // The current contacts for the solvers.
-    Now contacts() const {
+    Changes contacts() const {
         const std::size_t size = 3 * seen().points.size();
         return {.positions = {&seen().points[0].u, size}, .normals = {&seen().normals[0].u, size}, .contacts = mask};
     }
     // The current contacts with the motors' Jacobian and the torques of the links' weight.
-    Now limited_contacts() {
+    Changes limited_contacts() {
         const Snapshot& s = seen();
         const std::size_t joints = motors_.limit.size(), rows = joints ? jacobian_.size() / (joints * tree->fingers()) : 0;
         std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
@@ -297,7 +297,7 @@ private:
         });
         for (int j = 0; j < tree->joints(); ++j)
             if (motors_.of[j] >= 0) motors_.bias[motors_.of[j]] = s.gravity_torques[j];
-        Now now = contacts();
+        Changes now = contacts();
         now.jacobian = jacobian_, now.torque_bias = motors_.bias;
         return now;
     }
@@ -331,7 +331,7 @@ private:
     }
     // Solve by the method on the current contacts.
     Record by_method(const Step& step) {
-        Ask ask{.wrench = wrench.data(), .now = contacts(), .start = step.start};
+        Request ask{.wrench = wrench.data(), .now = contacts(), .start = step.start};
         if (step.start == Start::given) ask.force = step.force;
         if (settings.remembers && has_last_) ask.previous = last_row_.data();
         if (!step.adjustment.empty()) adjust(step.adjustment), ask.adjustment = adjustment_;
@@ -347,7 +347,7 @@ private:
         effort.followed += int(row.summary().iterations);
         return row;
     }
-    Ask from_last() const {
+    Request from_last() const {
         return {.wrench = wrench.data(),
                 .now = contacts(),
                 .start = Start::previous,

@@ -20,7 +20,7 @@ inline constexpr int LAYER_FACTS = 4;
 
 class LayerSolver {
 public:
-    LayerSolver(const ForceBatch& batch, const Stop& options) : batch_(batch), options_(options), smooth_(batch) {
+    LayerSolver(const ForceBatch& batch, const StopRule& options) : batch_(batch), options_(options), smooth_(batch) {
         for (PosedProblem& each : posed_) each = PosedProblem(batch.contacts);
     }
     void solve(const BatchForces& to) {
@@ -42,7 +42,7 @@ private:
         double gap = infinity, iterations = 0.0;
     };
     const ForceBatch& batch_;
-    Stop options_;
+    StopRule options_;
     SmoothLanes<W> smooth_;
     PosedProblem posed_[W];
     CachedSolver within_, free_;  // with the limits; without them
@@ -163,11 +163,11 @@ private:
     }
     Code solve_with(ForceOptimizer& solver, std::ptrdiff_t k, PosedProblem& posed, bool limited) {
         row_.assign(solver.size(), 0.0);
-        Now now{.positions = slice(batch_.positions, k, 3 * count()),
-                .normals = posed.normals,
-                .friction = slice(batch_.friction, k, 2 * count())};
+        Changes now{.positions = slice(batch_.positions, k, 3 * count()),
+                    .normals = posed.normals,
+                    .friction = slice(batch_.friction, k, 2 * count())};
         if (limited) now.jacobian = jacobian(k), now.torque_bias = slice(batch_.torque_bias, k, batch_.joints);
-        Ask ask{.wrench = batch_.wrench[k], .now = now};
+        Request ask{.wrench = batch_.wrench[k], .now = now};
         if (posed.take_start(batch_, k)) ask.start = Start::previous, ask.force = posed.start;
         return solver.solve(ask, row_.data());
     }
@@ -187,7 +187,7 @@ private:
     }
 };
 
-inline void optimal_forces(const ForceBatch& batch, const Stop& options, const BatchForces& to) {
+inline void optimal_forces(const ForceBatch& batch, const StopRule& options, const BatchForces& to) {
     LayerSolver(batch, options).solve(to);
 }
 

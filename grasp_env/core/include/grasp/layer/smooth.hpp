@@ -96,7 +96,7 @@ public:
     // Start from an internal force. Return the problems that have one.
     Mask begin() {
         const Mask found = placed_.internal_force(cones_, rest_);
-        const V scale = squeeze(cones_, rest_);
+        const V scale = best_scale(cones_, rest_);
         for (auto& each : rest_) each = scale * each;
         grasp::begin(cones_, rest_, w_, x_);
         std::fill(v_.begin(), v_.end(), V{});

@@ -104,7 +104,7 @@ public:
         return (total < infinity) & (off == 0.0) & (rank_bound(s, factor) > Contacts::WELL_CONDITIONED);
     }
 
-    // The same as `NewtonOn::internal_force`, for grasps where a few plain steps find one.
+    // The same as `NewtonSolver::internal_force`, for grasps where a few plain steps find one.
     Mask internal_force(const Cones<V, 0>& cones, Field& rest) {
         return balance_inside(cones, x_, step_, rest, FEW_STEPS,
                               [&](Six<V>& missed) { return system_.internal_step(cones, x_, missed, step_); });
@@ -176,14 +176,15 @@ public:
     using V = Each<W>;
     using Mask = typename V::Mask;
 
-    NewtonGrasps(int contacts, const Stop& options, const SolveBatch& many) : group_(contacts, many), lanes_(contacts, options) {}
+    NewtonGrasps(int contacts, const StopRule& options, const SolveBatch& many)
+        : group_(contacts, many), lanes_(contacts, options) {}
 
     // Solve the problems that are `wanted` and ordinary. Return the solved ones.
     Mask solve(const LaneProblem (&problems)[W], const Mask& wanted) {
         auto& g = group_;
         Mask live = wanted & g.place(problems, lanes_.cones);
         const auto& cones = lanes_.cones;
-        const V scale = squeeze(cones, g.rest);
+        const V scale = best_scale(cones, g.rest);
         for (auto& x : g.rest) x = scale * x;
         begin(cones, g.rest, g.w, g.first);
         live &= lanes_.begin(g.first, g.w);
@@ -216,7 +217,8 @@ public:
     using V = Each<W>;
     using Mask = typename V::Mask;
 
-    ConicGrasps(int contacts, const Stop& options, const SolveBatch& many) : group_(contacts, many), lanes_(contacts, options) {}
+    ConicGrasps(int contacts, const StopRule& options, const SolveBatch& many)
+        : group_(contacts, many), lanes_(contacts, options) {}
 
     Mask solve(const LaneProblem (&problems)[W], const Mask& wanted) {
         auto& g = group_;
@@ -285,10 +287,10 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const So
 }
 
 // Newton, each grasp from its own internal force. REFUSED: no force closure in floating point.
-inline void newton_grasps(const Grasps& grasps, const Stop& options, const SolveBatch& many) {
+inline void newton_grasps(const Grasps& grasps, const StopRule& options, const SolveBatch& many) {
     NewtonGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {
-        NewtonOn<V, B> one(grasps.contacts, options);
+        NewtonSolver<V, B> one(grasps.contacts, options);
         auto rest = one.cones.field();
         solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& part) {
             one.cones.pack(contacts);
@@ -300,10 +302,10 @@ inline void newton_grasps(const Grasps& grasps, const Stop& options, const Solve
 }
 
 // Minimise the sum of normal forces.
-inline void conic_grasps(const Grasps& grasps, const Stop& options, const SolveBatch& many) {
+inline void conic_grasps(const Grasps& grasps, const StopRule& options, const SolveBatch& many) {
     ConicGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {
-        NewtonOn<V, B> newton(grasps.contacts, options);
+        NewtonSolver<V, B> newton(grasps.contacts, options);
         ConicSolver<V, B> one(grasps.contacts, options);
         solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& part) {
             newton.cones.pack(contacts), one.cones.pack(contacts);

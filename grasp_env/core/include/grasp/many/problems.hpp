@@ -1,6 +1,6 @@
 // Many problems side by side: a register holds one contact of W problems, and the next problem takes the lane of one that ends.
 // Lanes are independent: an answer does not depend on the problems beside it. A problem starts and finishes alone, in the registers
-// of one problem (`NewtonOn`, `ConicSolver`), which also solve anything but an ordinary descent from the start.
+// of one problem (`NewtonSolver`, `ConicSolver`), which also solve anything but an ordinary descent from the start.
 #pragma once
 #include <grasp/conic/conic.hpp>
 
@@ -21,16 +21,16 @@ public:
     using V = Each<W>;
     using Mask = typename V::Mask;
     using Field = typename Cones<V, 0>::Field;
-    Stop options;
+    StopRule options;
     Cones<V, 0> cones;
     Field x;  // the iterates
     V value{}, bound{}, iterations{}, trials{};
     Six<V> wrench{}, nu{};  // unit frame: the wrench to balance; the multipliers
 
-    NewtonLanes(int count, const Stop& options, double fraction = SHORT)
+    NewtonLanes(int count, const StopRule& options, double fraction = SHORT)
         : options(options), cones(count), x(cones.field()), fraction_(fraction), system_(cones), step_(cones.field()) {}
     // All lanes on the contacts of one grasp.
-    template <class C, int B> NewtonLanes(const Cones<C, B>& contacts, const Stop& options, double fraction = SHORT)
+    template <class C, int B> NewtonLanes(const Cones<C, B>& contacts, const StopRule& options, double fraction = SHORT)
         : NewtonLanes(contacts.count, options, fraction) {
         cones.spread(contacts);
     }
@@ -58,7 +58,7 @@ public:
                 .nu = of(nu, lane)};
     }
 
-    // Take one step of the `live` lanes, as in `NewtonOn::descend`.
+    // Take one step of the `live` lanes, as in `NewtonSolver::descend`.
     LaneOutcome<Mask> step(const Mask& live) {
         const double tolerance = options.tolerance;
         Mask open = live & system_.assemble(cones, x) & (iterations < double(std::min(options.limit, PATIENCE)));
@@ -120,13 +120,14 @@ template <int W> class ConicLanes {
 public:
     using V = Each<W>;
     using Mask = typename V::Mask;
-    Stop options;
+    StopRule options;
     ConicSteps<V, 0> steps;
     V iterations{};
     Six<V> minus{};  // minus the wrenches, unit frame, size 1
 
-    ConicLanes(int count, const Stop& options) : options(options), steps(count) {}
-    template <class C, int B> ConicLanes(const Cones<C, B>& contacts, const Stop& options) : ConicLanes(contacts.count, options) {
+    ConicLanes(int count, const StopRule& options) : options(options), steps(count) {}
+    template <class C, int B> ConicLanes(const Cones<C, B>& contacts, const StopRule& options)
+        : ConicLanes(contacts.count, options) {
         steps.cones.spread(contacts);
     }
 
@@ -198,7 +199,8 @@ struct SolveBatch {
 };
 
 // Solve many wrenches of one grasp by Newton, from an internal force strictly inside the cones.
-template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const SolveBatch& many) {
+template <class V, int B>
+void newton_many(NewtonSolver<V, B>& one, const typename Cones<V, B>::Field& rest, const SolveBatch& many) {
     auto& cones = one.cones;
     const int count = cones.count;
     const auto alone = [&](std::ptrdiff_t k, const Record& record) { one.solve_from(rest, {.wrench = many.wrench(k)}, record); };

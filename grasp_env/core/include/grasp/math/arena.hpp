@@ -8,7 +8,7 @@
 
 namespace grasp {
 
-// While an arena is in `Use`, this thread's `Kept` arrays take their memory from it; what does not fit comes from the heap.
+// While an arena is in `Use`, this thread's `ArenaVector` arrays take their memory from it; what does not fit comes from the heap.
 class Arena {
 public:
     explicit Arena(std::size_t bytes = 0)
@@ -91,6 +91,6 @@ private:
     }
 };
 
-template <class T> using Kept = std::vector<T, Arena::Allocator<T>>;
+template <class T> using ArenaVector = std::vector<T, Arena::Allocator<T>>;
 
 }  // namespace grasp

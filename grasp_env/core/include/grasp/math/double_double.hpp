@@ -5,54 +5,58 @@
 
 namespace grasp {
 
-struct Twice {
+struct DoubleDouble {
     double high = 0.0, low = 0.0;
 
-    Twice() = default;
-    Twice(double value) : high(value) {}
+    DoubleDouble() = default;
+    DoubleDouble(double value) : high(value) {}
     explicit operator double() const { return high; }
 
-    friend Twice operator+(const Twice& a, const Twice& b) {
-        Twice s = sum(a.high, b.high);
-        const Twice t = sum(a.low, b.low);
+    friend DoubleDouble operator+(const DoubleDouble& a, const DoubleDouble& b) {
+        DoubleDouble s = sum(a.high, b.high);
+        const DoubleDouble t = sum(a.low, b.low);
         s = ordered(s.high, s.low + t.high);
         return ordered(s.high, s.low + t.low);
     }
-    friend Twice operator-(const Twice& a) { return {-a.high, -a.low}; }
-    friend Twice operator-(const Twice& a, const Twice& b) { return a + -b; }
-    friend Twice operator*(const Twice& a, const Twice& b) {
+    friend DoubleDouble operator-(const DoubleDouble& a) { return {-a.high, -a.low}; }
+    friend DoubleDouble operator-(const DoubleDouble& a, const DoubleDouble& b) { return a + -b; }
+    friend DoubleDouble operator*(const DoubleDouble& a, const DoubleDouble& b) {
         const double p = product(a.high, b.high);
         return ordered(p, std::fma(a.high, b.high, -p) + (a.high * b.low + a.low * b.high));
     }
-    friend Twice operator/(const Twice& a, const Twice& b) {
+    friend DoubleDouble operator/(const DoubleDouble& a, const DoubleDouble& b) {
         const double first = a.high / b.high;
         if (!std::isfinite(first)) return first;
-        Twice left = a - first * b;
+        DoubleDouble left = a - first * b;
         const double second = left.high / b.high;
         left = left - second * b;
-        return ordered(first, second) + Twice(left.high / b.high);
+        return ordered(first, second) + DoubleDouble(left.high / b.high);
     }
-    friend Twice sqrt(const Twice& a) {
+    friend DoubleDouble sqrt(const DoubleDouble& a) {
         const double root = std::sqrt(a.high);
         if (!(root > 0.0)) return root;
-        return Twice(root) + (a - Twice(root) * Twice(root)) / Twice(2.0 * root);
+        return DoubleDouble(root) + (a - DoubleDouble(root) * DoubleDouble(root)) / DoubleDouble(2.0 * root);
     }
-    Twice& operator+=(const Twice& b) { return *this = *this + b; }
-    Twice& operator-=(const Twice& b) { return *this = *this - b; }
-    Twice& operator*=(const Twice& b) { return *this = *this * b; }
-    Twice& operator/=(const Twice& b) { return *this = *this / b; }
-    friend bool operator<(const Twice& a, const Twice& b) { return a.high < b.high || (a.high == b.high && a.low < b.low); }
-    friend bool operator>(const Twice& a, const Twice& b) { return b < a; }
-    friend bool operator<=(const Twice& a, const Twice& b) { return a.high < b.high || (a.high == b.high && a.low <= b.low); }
-    friend bool operator>=(const Twice& a, const Twice& b) { return b <= a; }
+    DoubleDouble& operator+=(const DoubleDouble& b) { return *this = *this + b; }
+    DoubleDouble& operator-=(const DoubleDouble& b) { return *this = *this - b; }
+    DoubleDouble& operator*=(const DoubleDouble& b) { return *this = *this * b; }
+    DoubleDouble& operator/=(const DoubleDouble& b) { return *this = *this / b; }
+    friend bool operator<(const DoubleDouble& a, const DoubleDouble& b) {
+        return a.high < b.high || (a.high == b.high && a.low < b.low);
+    }
+    friend bool operator>(const DoubleDouble& a, const DoubleDouble& b) { return b < a; }
+    friend bool operator<=(const DoubleDouble& a, const DoubleDouble& b) {
+        return a.high < b.high || (a.high == b.high && a.low <= b.low);
+    }
+    friend bool operator>=(const DoubleDouble& a, const DoubleDouble& b) { return b <= a; }
 
 private:
-    Twice(double high, double low) : high(high), low(low) {}
-    static Twice sum(double a, double b) {  // exact
+    DoubleDouble(double high, double low) : high(high), low(low) {}
+    static DoubleDouble sum(double a, double b) {  // exact
         const double s = a + b, c = s - a;
         return {s, (a - (s - c)) + (b - c)};
     }
-    static Twice ordered(double a, double b) {  // exact if |a| >= |b|
+    static DoubleDouble ordered(double a, double b) {  // exact if |a| >= |b|
         const double s = a + b;
         return {s, b - (s - a)};
     }
@@ -61,6 +65,6 @@ private:
 };
 
 inline bool finite(double a) { return std::isfinite(a); }
-inline bool finite(const Twice& a) { return std::isfinite(a.high); }
+inline bool finite(const DoubleDouble& a) { return std::isfinite(a.high); }
 
 }  // namespace grasp

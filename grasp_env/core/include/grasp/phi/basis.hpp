@@ -9,10 +9,10 @@ inline constexpr int BASIS_ITERATIONS = 200;
 // Basis forces serve as starts: if floating point stops short of 1e-10 (tiny lambda), a gap of a hundredth is good enough.
 inline constexpr double ACCEPTED_GAP = 1e-2;
 
-// Computes the basis for the contacts of a `NewtonOn`: first the optimum at rest (12), from which the others start.
+// Computes the basis for the contacts of a `NewtonSolver`: first the optimum at rest (12), from which the others start.
 template <class V, int B> class BasisMaker {
 public:
-    explicit BasisMaker(NewtonOn<V, B>& newton) : newton_(newton), kept_(newton.options) {
+    explicit BasisMaker(NewtonSolver<V, B>& newton) : newton_(newton), kept_(newton.options) {
         newton.options = {BASIS_TOLERANCE, BASIS_ITERATIONS};
     }
     ~BasisMaker() { newton_.options = kept_; }
@@ -29,7 +29,7 @@ public:
     // Start from newton.x, an internal force strictly inside. Allocates.
     double cold() {
         auto& x = newton_.x;
-        const double scale = squeeze(newton_.cones, x);
+        const double scale = best_scale(newton_.cones, x);
         for (auto& v : x) v = all<V>(scale) * v;
         descend(12);
         if (!(worst_ < infinity)) return made();
@@ -54,8 +54,8 @@ public:
     }
 
 private:
-    NewtonOn<V, B>& newton_;
-    const Stop kept_;
+    NewtonSolver<V, B>& newton_;
+    const StopRule kept_;
     double worst_ = 0.0;
     double wrench_[6];
     Vec6 w_;  // wrench of an optimum: in the given frame, in the unit frame
@@ -104,7 +104,7 @@ private:
 
 // Fill the basis of `newton` for its contacts. Return the worst relative gap; inf: failed.
 // warm: start from the optima of nearby contacts in the basis; otherwise newton.x must be an internal force strictly inside.
-template <class V, int B> double make_basis(NewtonOn<V, B>& newton, bool warm) {
+template <class V, int B> double make_basis(NewtonSolver<V, B>& newton, bool warm) {
     BasisMaker<V, B> maker(newton);
     return warm ? maker.warm() : maker.cold();
 }

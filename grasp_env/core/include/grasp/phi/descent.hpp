@@ -44,7 +44,7 @@ template <class S> struct Rules {
     static S longest_step(const S& reach, double fraction) { return min(S(1.0), fraction / max(reach, S(1e-300))); }
 };
 
-struct Stop {
+struct StopRule {
     double tolerance = 1e-4;  // relative certified gap
     int limit = 20000;  // largest number of accepted steps
 };

@@ -46,7 +46,7 @@ template <class V, int B> inline Interval inside(const Cones<V, B>& cones, const
 }
 
 // k > 0 that minimises Phi(k x) = k a + b / k, for x strictly inside.
-template <class V, int B> Reduced<V> squeeze(const Cones<V, B>& cones, const typename Cones<V, B>::Field& x) {
+template <class V, int B> Reduced<V> best_scale(const Cones<V, B>& cones, const typename Cones<V, B>::Field& x) {
     V force{}, barrier{};
     for (int b = 0; b < int(x.size()); ++b) {
         const auto& c = cones.blocks[b];

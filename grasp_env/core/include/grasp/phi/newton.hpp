@@ -8,10 +8,10 @@
 namespace grasp {
 
 // Rows: further terms of Phi besides the cones'.
-template <class V, int B, class Rows = NoRows> class NewtonOn {
+template <class V, int B, class Rows = NoRows> class NewtonSolver {
 public:
     using Field = typename Cones<V, B>::Field;
-    Stop options;
+    StopRule options;
     Cones<V, B> cones;
     System<V, B> system;
     QrSystem<V, B> qr_system;
@@ -20,7 +20,7 @@ public:
     Field x;  // the start, then the iterate
     std::vector<double> row;  // work space for a record
 
-    NewtonOn(int count, const Stop& options)
+    NewtonSolver(int count, const StopRule& options)
         : options(options), cones(count), system(cones), qr_system(cones), starter(cones), x(cones.field()),
           row(record_size(count)), step_(cones.field()), begun_(cones.field()), best_(cones.field()), centring_(cones.field()) {}
 
@@ -91,7 +91,7 @@ public:
     // The same, scaled to least Phi, into `rest`.
     bool find_rest(Field& rest, bool few = false) {
         if (!internal_force(few)) return false;
-        const V scale = all<V>(squeeze(cones, x));
+        const V scale = all<V>(best_scale(cones, x));
         for (int b = 0; b < int(x.size()); ++b) rest[b] = scale * x[b];
         return true;
     }

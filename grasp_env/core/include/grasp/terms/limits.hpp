@@ -184,7 +184,7 @@ public:
         if (slack >= edge_) return Verdict::proceed;
         // the optimum with a parabola need not be exact, unless rows are far below the edge: then the multipliers depend on it
         const bool settled = decrement < (slack < -BROKEN * edge_ ? CLOSER : SETTLED);
-        if (slack <= 0.0 && (settled || (iterations >= 2 && iterations % 2 == 1)) && hopeless(cones, nu, w))
+        if (slack <= 0.0 && (settled || (iterations >= 2 && iterations % 2 == 1)) && proves_infeasible(cones, nu, w))
             return Verdict::infeasible;
         if (!settled) return Verdict::proceed;
         if (edge_ < LEAST_EDGE) return Verdict::inconclusive;
@@ -221,7 +221,7 @@ public:
         for (int r = 0; r < 6; ++r) value += nu[r] * w[r], of += std::abs(nu[r] * w[r]);
         return {value, sum(share), of, nu};
     }
-    bool hopeless(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) {
+    bool proves_infeasible(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) {
         const Farkas found = farkas(cones, nu, w);
         if (!(found.value < -PROOF_MARGIN * found.size)) return false;
         nu = found.nu;

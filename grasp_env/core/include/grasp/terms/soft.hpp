@@ -170,9 +170,9 @@ private:
 // Newton from a previous optimum, or from any balanced force inside the cones.
 template <class V, int B> class SoftNewton {
 public:
-    NewtonOn<V, B, SoftTerms<V, B>> newton;
+    NewtonSolver<V, B, SoftTerms<V, B>> newton;
 
-    SoftNewton(const Contacts& contacts, const Stop& options, const double* divisor)
+    SoftNewton(const Contacts& contacts, const StopRule& options, const double* divisor)
         : newton(contacts.count, options), begun_(newton.cones.field()) {
         newton.cones.pack(contacts);
         newton.rows = SoftTerms<V, B>(contacts.count);
