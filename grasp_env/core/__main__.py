@@ -10,9 +10,9 @@ from pathlib import Path
 def main() -> None:
     """Print a folder."""
     parser = argparse.ArgumentParser(prog="python -m grasp_env.core", description="Print a folder of the C++ core.")
-    asked = parser.add_mutually_exclusive_group(required=True)
+    group = parser.add_mutually_exclusive_group(required=True)
     folder = Path(__file__).resolve().parent
-    for option, path, said in (
+    for option, path, text in (
         (
             "--cmake-dir",
             folder / "cmake",
@@ -20,7 +20,7 @@ def main() -> None:
         ),
         ("--include-dir", folder / "include", "of <grasp/optimizer.hpp>"),
     ):
-        asked.add_argument(option, dest="path", action="store_const", const=path, help=said)
+        group.add_argument(option, dest="path", action="store_const", const=path, help=text)
     sys.stdout.write(f"{parser.parse_args().path}\n")
 
 

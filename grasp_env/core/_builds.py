@@ -22,18 +22,18 @@ def folders(here: Path = _HERE) -> list[str]:
     Raises:
         ImportError: the wheel holds no build for this processor, or not the one that the variable selects.
     """
-    held = sorted(path.name for path in here.glob("x86-64-v*"))
-    if not held:
+    available = sorted(path.name for path in here.glob("x86-64-v*"))
+    if not available:
         return []
-    asked = os.environ.get(VARIABLE)
-    if asked:
-        if asked not in held:
-            raise ImportError(f"{VARIABLE}={asked}: this wheel holds {', '.join(held)}")
-        return [str(here / asked)]
+    selected = os.environ.get(VARIABLE)
+    if selected:
+        if selected not in available:
+            raise ImportError(f"{VARIABLE}={selected}: this wheel holds {', '.join(available)}")
+        return [str(here / selected)]
     level = processor_level(here)
-    fitting = [name for name in held if int(name.removeprefix("x86-64-v")) <= level]
+    fitting = [name for name in available if int(name.removeprefix("x86-64-v")) <= level]
     if not fitting:
         raise ImportError(
-            f"this wheel needs a processor of level {held[0]}, and this one is older: build from source with `pip install .`"
+            f"this wheel needs a processor of level {available[0]}, and this one is older: build from source with `pip install .`"
         )
     return [str(here / fitting[-1])]

@@ -51,7 +51,7 @@ public:
     Solver(const Problem& problem, const Options& options, nb::object kind, nb::object method, nb::tuple starts, nb::object name,
            bool remembers)
         : on(problem, options), count(problem.contacts.count), joints(int(problem.limits.torque_limit.size())),
-          remembers_(remembers), asked_(options.start), kind_(kind), method_(method), name_(name), starts_(starts) {}
+          remembers_(remembers), default_start_(options.start), kind_(kind), method_(method), name_(name), starts_(starts) {}
 
     // Return a solution; None if an argument cannot be read in place, or if there is no force, with its row in `ended`.
     nb::object solve(nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
@@ -60,7 +60,7 @@ public:
         Request ask{};
         if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts)) return nb::none();
         if (remembers_ && !previous.is_none()) ask.previous = row_of(previous.ptr());
-        return made(ask, asked_, nb::handle());
+        return made(ask, default_start_, nb::handle());
     }
     // The same from a start of this call. initial: name of the start for the solution; None: its own.
     nb::object solve_from(int start, nb::handle initial, nb::handle force, nb::handle before, double optimum, nb::handle trace,
@@ -96,7 +96,7 @@ public:
 
 private:
     const bool remembers_;
-    const Start asked_;
+    const Start default_start_;
     nb::object kind_, method_, name_;
     nb::tuple starts_;
 
@@ -160,7 +160,7 @@ private:
         }
         if (!before.is_none()) ask.previous = row_of(before.ptr());
     }
-    nb::object made(const Request& ask, Start asked, nb::handle initial) {
+    nb::object made(const Ask& ask, Start requested, nb::handle initial) {
         nb::object row = new_row();
         double* numbers = data(row.ptr());
         on.solve(ask, numbers);
@@ -173,14 +173,14 @@ private:
         const int used = int(s.start);
         const bool named = initial.is_valid() && !initial.is_none();  // the start of this call has a name
         nb::handle name = named && used == int(Start::given) ? initial : starts_[used];
-        nb::object told;
+        nb::object noted_name;
         if (s.replaced != 0.0 || s.outside != 0.0) {
-            const nb::handle wanted = named                                         ? initial
-                                      : asked == asked_ || asked == Start::standard ? nb::handle(name_)
-                                                                                    : starts_[int(asked)];
-            told = nb::module_::import_("grasp_env.force.solution")
-                       .attr("start_name")(name, wanted, s.replaced != 0.0, s.outside != 0.0);
-            name = told;
+            const nb::handle wanted = named                                                         ? initial
+                                      : requested == default_start_ || requested == Start::standard ? nb::handle(name_)
+                                                                                                    : starts_[int(requested)];
+            noted_name = nb::module_::import_("grasp_env.force.solution")
+                             .attr("start_name")(name, wanted, s.replaced != 0.0, s.outside != 0.0);
+            name = noted_name;
         }
         nb::object solution = nb::steal(new_solution(kind_.ptr(), row.ptr(), method_.ptr(), name.ptr()));
         if (!solution) throw nb::python_error();
@@ -210,11 +210,11 @@ Solver* make(const Contacts& given, nb::handle weights, double force_weight, dou
     const std::vector<double> least = copied(min_normal, count), most = copied(max_normal, count),
                               torques = copied(torque_limit, -1), bias = copied(torque_bias, torques.size()),
                               moves = copied(jacobian, count, -1, torques.size());
-    const std::string asked = method;
-    Options options{.method = asked == "newton"         ? Method::newton
-                              : asked == "reduced_flow" ? Method::reduced_flow
-                              : asked == "full_flow"    ? Method::full_flow
-                                                        : Method::conic,
+    const std::string method_name = method;
+    Options options{.method = method_name == "newton"         ? Method::newton
+                              : method_name == "reduced_flow" ? Method::reduced_flow
+                              : method_name == "full_flow"    ? Method::full_flow
+                                                              : Method::conic,
                     .criterion = largest ? Criterion::largest : Criterion::sum,
                     .start = Start(start),
                     .tolerance = tolerance,

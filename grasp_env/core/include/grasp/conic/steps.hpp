@@ -26,7 +26,7 @@ template <class T> struct Scaling {
         const T z = v.o * d.o + v.t * d.t, k = z * shrink - d.u;
         return {v.u * d.u - z, d.o + k * v.o, d.t + k * v.t};
     }
-    Vec3<T> times(const Vec3<T>& d) const {  // M d
+    Vec3<T> twice(const Vec3<T>& d) const {  // M d
         const T z = 2.0 * dot(v, d);
         return {eta * (z * v.u - d.u), eta * (z * v.o + d.o), eta * (z * v.t + d.t)};
     }
@@ -199,7 +199,7 @@ private:
                 const Vec3<V> e = here.m.scaled(d);
                 const Boundary<V> edge = here.boundary();
                 dual = max(dual, edge.per(e)), primal = max(primal, edge.per(here.d - e));
-                here.q -= here.m.times(d);
+                here.q -= here.m.twice(d);
             }
             here.d = d;
         }

@@ -496,8 +496,8 @@ private:
     void clip_torques() {
         for (int j = 0; j < tree->joints(); ++j) {
             if (tree->links[j].coupled()) continue;
-            const double limit = tree->links[j].torque_limit, asked = std::abs(torques[j]);
-            effort.saturated = effort.saturated || asked > limit * (1.0 + ROUNDED);
+            const double limit = tree->links[j].torque_limit, wanted = std::abs(torques[j]);
+            effort.saturated = effort.saturated || wanted > limit * (1.0 + ROUNDED);
             torques[j] = std::min(std::max(torques[j], -limit), limit);
             const double used = std::abs(torques[j]);
             peak = std::max(peak, used), effort.margin = std::min(effort.margin, limit - used);

@@ -5,6 +5,8 @@
 // Below a small slack, the edge, the barrier is replaced by its quadratic extension (C2), so any force inside the cones is a valid
 // start. The edge is lowered until every slack is above it: then the optimum is that of lambda / slack, and so is its bound.
 // Alternatively, Newton's multipliers prove that no force keeps the limits (Farkas).
+//
+// The file is long because the terms, the edge and the proof use the same rows.
 #pragma once
 #include <grasp/contacts/cones.hpp>
 #include <grasp/terms/normal_bound.hpp>
@@ -262,7 +264,7 @@ private:
     static constexpr double EDGE_FACTOR = 1.0 / 16.0;
     static constexpr double LEAST_EDGE = 1e-6;  // below it the problem is nearly infeasible and left to the general program
     static constexpr double PROOF_MARGIN = 1e-9;  // fraction of the terms of a proof: far above their rounding
-    // Of the trace: regularises contacts that the least squares leave undetermined.
+    // Fraction of the trace: regularises contacts that the least squares leave undetermined.
     static constexpr double REGULARISATION = 1e-12;
     static constexpr double INSIDE = 0.1;  // of e_u: required depth of the answer in the dual cones
     static constexpr double PARALLEL = 1e-12;  // allowed difference of opposite rows
