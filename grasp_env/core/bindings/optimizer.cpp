@@ -160,7 +160,7 @@ private:
         }
         if (!before.is_none()) ask.previous = row_of(before.ptr());
     }
-    nb::object made(const Ask& ask, Start requested, nb::handle initial) {
+    nb::object made(const Request& ask, Start requested, nb::handle initial) {
         nb::object row = new_row();
         double* numbers = data(row.ptr());
         on.solve(ask, numbers);
