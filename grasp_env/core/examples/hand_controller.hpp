@@ -1,4 +1,4 @@
-// A controller for a torque-controlled hand: joint state, contacts and a wrench go in, commands in the units of the motors come out.
+// A controller for a torque-controlled hand: joint state, contacts and a wrench go in, commands in units of the motors come out.
 // It has the life cycle of robot middleware, but needs none: copy and adapt it. In Python: examples/hand_controller.py.
 #pragma once
 #include <grasp/hand/tree_file.hpp>
@@ -53,7 +53,7 @@ class HandController {
 public:
     enum Status { inactive, holding, overloaded, coasting, released } status = inactive;
     Numbers torques, commands;  // (M,) [N m], device units
-    double duration = 0.0;  // [s] duration of the last update
+    double duration = 0.0;  // [s] of the last update
     int late = 0, over_budget = 0;  // number of updates after a missed deadline; number longer than the budget
 
     void configure(std::shared_ptr<const grasp::Tree> hand, const Settings& settings, const Calibration& calibration) {
