@@ -208,7 +208,7 @@ THUMB = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
                 ([], (TIP,), {}, "links=.. is empty"),
                 ([GOOD], (), {}, "fingertips=.. is empty"),
                 ([NEXT, GOOD], (TIP,), {}, "parent 'a' of link 'b' stands after it"),
-                ([GOOD, link("b", "c")], (TIP,), {}, "parent 'c' of link 'b' is no link; known are palm, a"),
+                ([GOOD, link("b", "c")], (TIP,), {}, "parent 'c' of link 'b' is not a link; known are palm, a"),
                 ([GOOD, GOOD], (TIP,), {}, "two links are called 'a'"),
                 ([link("palm")], (TIP,), {}, "two links are called 'palm'"),
                 ([GOOD, link("b", joint="a_joint")], (TIP,), {}, "two joints are called 'a_joint'"),
