@@ -240,7 +240,7 @@ def test_every_end_of_a_branch_is_a_finger(tmp_path: Path) -> None:
             ("blade", "finger", ""),
         )
     )  # fmt: skip
-    with pytest.warns(UserWarning, match="that have no shape are no fingertips: 'blade'"):
+    with pytest.warns(UserWarning, match="end links without a shape are not fingertips: 'blade'"):
         hand = read(tmp_path, urdf("", more))
     assert hand.finger_names == ("thumb", "last")
     assert hand.fingertips[0].radius == 0.011

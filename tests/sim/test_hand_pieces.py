@@ -101,7 +101,7 @@ def test_all_missing_meshes_are_told_before_any_is_read(tmp_path: Path, monkeypa
     finger = shape("collision", "package://hand/b.obj") + shape("collision", "meshes/a.stl")
     with pytest.raises(InvalidInputError) as told:
         read(tmp_path, palm, finger)
-    assert "'meshes/a.stl' (palm, finger), 'package://hand/b.obj' (finger). Fetch" in str(told.value)
+    assert "'meshes/a.stl' (palm, finger), 'package://hand/b.obj' (finger). Download" in str(told.value)
     assert "c.stl" not in str(told.value)  # one to look at is left out
 
 

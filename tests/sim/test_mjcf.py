@@ -118,7 +118,7 @@ def test_a_scene_is_read_without_its_floor_and_objects(tmp_path: Path) -> None:
         tmp_path, CROOKED.replace('quat="0.9 0.1 0.3 0.2">', 'quat="0.9 0.1 0.3 0.2"><freejoint name="float"/>')
     )
     assert free.joint_names == hand.joint_names
-    assert "joints without a motor hold still where the file has them: 'float'" in told
+    assert "joints without a motor hold still in the file's posture: 'float'" in told
 
 
 FINGERS = """<mujoco><compiler angle="radian"/><option gravity="-300 0 0"/><worldbody><body name="palm"><geom type="box" size="0.03 0.03 0.01"/>
@@ -240,7 +240,7 @@ def test_rods_on_ball_joints_are_left_out(tmp_path: Path) -> None:
     )
     with pytest.raises(
         InvalidInputError,
-        match="has no motor and carries joints that motors move: such parallel mechanisms are not read",
+        match="has no motor and carries joints that motors move: such parallel mechanisms are not supported",
     ):
         read(tmp_path, FINGERS.format(one="", two="", more="").replace('<body name="q1"', f'{inside}<body name="q1"'))
 
@@ -254,7 +254,7 @@ def test_a_closed_loop_is_coupled_and_its_rod_left_out(tmp_path: Path) -> None:
     bar = '<geom type="capsule" size="0.003" fromto="0 0 0 0.02 0 0"/>'
     text = text.replace('fromto="0 0 0 0 0 0.03"/>', f'fromto="0 0 0 0 0 0.03"/>{bar}')
     hand, told = read(tmp_path, text.replace('range="0 1.5"', 'range="-0.6 0.6"'))
-    assert "rods that only move a finger are no fingertips: 'rod'" in told
+    assert "rods that only move a finger are not fingertips: 'rod'" in told
     (second,) = (link for link in hand.links if link.joint == "j2")
     assert second.mimic is not None
     # rod and first link are a parallelogram: the second keeps its direction
@@ -304,7 +304,7 @@ def test_meshes_in_a_folder_above_and_other_names_of_the_file(tmp_path: Path) ->
     [
         ("<mujoco><worldbody>", "hand.xml is not XML"),
         ("<sdf/>", "the first element is <sdf>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"),
-        ("<mujoco><worldbody><body><geom size='0.1'/></body></worldbody></mujoco>", "no joint is in the file; a part that other files include"),
+        ("<mujoco><worldbody><body><geom size='0.1'/></body></worldbody></mujoco>", "the file has no joint; a part that other files include"),
         (FINGERS.format(one="", two="", more="<actuator><motor site='s'/></actuator>").replace("<worldbody>", "<worldbody><site name='s'/>"),
          "no actuator moves a hinge or slide joint; add <position joint=.../>"),
         (CROOKED.replace('type="plane" size="1 1 0.1"', 'type="mesh" mesh="m"').replace("<worldbody>", "<asset><mesh name='m' file='gone.stl'/></asset><worldbody>"),

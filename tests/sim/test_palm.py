@@ -79,13 +79,13 @@ def test_one_hand_of_a_robot_is_read_and_the_rest_left_out(tmp_path: Path) -> No
     made, told = read(tmp_path, text, palm="rpalm")
     assert made.joint_names == ("ria", "rib", "rma", "rmb", "rta", "rtb")
     assert "'rpalm' hold still, their links are left out: 'waist_1', 'rarm_1'" in told
-    assert "limbs that do not hang on the palm 'rpalm' are left out, with the joints 'leg_1'" in told
+    assert "limbs that the palm 'rpalm' does not carry are left out, with the joints 'leg_1'" in told
     assert "'larm_5'" in told
     assert "'lta'" in told
     thumb, _ = read(tmp_path, text, palm="rpalm", fingertips=["rt2", "rm2"])
     assert thumb.finger_names == ("rt2", "rm2")
     with pytest.raises(
-        InvalidInputError, match="fingertips 'lt2' do not hang on the palm 'rpalm'; links that do are 'rarm5', 'rpalm'"
+        InvalidInputError, match="the palm 'rpalm' does not carry the fingertips 'lt2'; its links are 'rarm5', 'rpalm'"
     ):
         read(tmp_path, text, palm="rpalm", fingertips=["rt2", "lt2"])
 

@@ -98,7 +98,7 @@ def test_links_without_mass_and_centres_outside_are_replaced(tmp_path: Path) -> 
     made, told = read(tmp_path, text)
     assert "without mass get that of their shapes at 1 g/cm^3: 'one' (1 g); give the true ones as inertials=" in told
     assert (
-        "centres of mass that lie outside their links by more than these measure are put into the middle of their shapes: 'two' (0.26 m)"
+        "centres of mass farther outside their link than its size are moved to the middle of its shapes: 'two' (0.26 m)"
         in told
     )
     assert made.links[0].mass == 1e-3
@@ -168,7 +168,7 @@ def test_a_motor_of_two_jaws_has_the_force_of_both(tmp_path: Path) -> None:
     text = BOX + jaw("l", 0.03) + jaw("r", -0.03, "l")
     made, told = read(tmp_path, text)
     assert made.torque_limits[0] == 40.0
-    assert "push with what the file says of each jaw together: 'l' (40 N); give the true ones as torque_limit=" in told
+    assert "get the sum of the jaws' forces in the file: 'l' (40 N); give the true ones as torque_limit=" in told
     assert HandDescription.from_urdf(tmp_path / "hand.urdf", torque_limit=20.0).torque_limits[0] == 20.0
 
 
@@ -179,12 +179,12 @@ def test_wide_ranges_are_told_and_left(tmp_path: Path) -> None:
         ((-1.35, 4.49), "'ia' (-1.35 to 4.49 rad)"),
     ):
         made, told = read(tmp_path, hand(limits=limits))
-        assert f"ranges that no finger's joint has are taken as they are: {words}" in told
+        assert f"ranges too wide for a finger's joint are kept: {words}" in told
         assert "give the true ones as joint_limits=" in told
         assert (made.links[0].lower, made.links[0].upper) == limits
     endless = hand() + finger("e", "palm", "0 0 -0.03", kind="continuous")
     _, told = read(tmp_path, endless)
-    assert "as they are: 'ea' (without end), 'eb' (without end);" in told
+    assert "are kept: 'ea' (unlimited), 'eb' (unlimited);" in told
     made, told = read(tmp_path, endless, joint_limits={"ea": (-math.inf, math.inf), "eb": (0.0, 1.2)})
     assert told == ""
     limits = {each.joint: (each.lower, each.upper) for each in made.links}
@@ -211,7 +211,7 @@ def test_degrees_are_read_as_degrees(tmp_path: Path) -> None:
 
 def test_sizes_in_millimetres_are_told(tmp_path: Path) -> None:
     text = BOX + joint("a", "palm", "one") + link("one", 40.0)
-    assert "'one' are larger than 1 m: a file has metres, not millimetres" in read(tmp_path, text)[1]
+    assert "'one' are larger than 1 m: a file is in metres, not millimetres" in read(tmp_path, text)[1]
 
 
 def test_a_robot_without_a_hand_is_told_by_its_mass(tmp_path: Path) -> None:
@@ -229,7 +229,9 @@ def test_a_joint_whose_limits_are_equal_holds_still(tmp_path: Path) -> None:
         + link("end")
     )
     made, told = read(tmp_path, text)
-    assert "joints without a range, lower = upper, hold still: 'n', 'o'; give the true ranges as joint_limits=" in told
+    assert (
+        "joints with equal limits, lower = upper, hold still: 'n', 'o'; give the true ranges as joint_limits=" in told
+    )
     assert made.joint_count == 6
     last = next(each for each in made.links if each.name == "i2")
     tilt = last.collision[1].rotation[1]

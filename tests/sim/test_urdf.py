@@ -203,7 +203,9 @@ def test_all_repairs_are_told_at_once(tmp_path: Path) -> None:
 
 def test_what_turns_too_easily_gets_a_rotor(tmp_path: Path) -> None:
     light = SMALL.replace("1e-5", "1e-7")
-    with pytest.warns(UserWarning, match="turn more easily than any geared motor: finger get a rotor's 0.0001 kg m"):
+    with pytest.warns(
+        UserWarning, match="end links have less inertia than any geared motor: finger get a rotor of 0.0001 kg m"
+    ):
         hand = read(tmp_path, light)
     np.testing.assert_allclose(np.diag(inertia_matrix(hand.links[0].inertia)), 1.001e-4)
     whole = read(tmp_path, SMALL, rotor_inertia=3e-4)
@@ -221,7 +223,9 @@ def test_what_turns_too_easily_gets_a_rotor(tmp_path: Path) -> None:
 def test_inertias_of_no_body_become_the_nearest_of_one(tmp_path: Path, given: tuple[float, ...]) -> None:
     names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     row = " ".join(f'{name}="{value}"' for name, value in zip(names, given, strict=True))
-    with pytest.warns(UserWarning, match="inertias that no body has are replaced by the nearest possible: 'finger'"):
+    with pytest.warns(
+        UserWarning, match="physically impossible inertias are replaced by the nearest possible ones: 'finger'"
+    ):
         hand = read(tmp_path, SMALL.replace('ixx="1e-5" iyy="1e-5" izz="1e-5"', row), rotor_inertia=0.0)
     found = inertia_matrix(hand.links[0].inertia)
     distance = np.linalg.norm(found - inertia_matrix(given))
@@ -258,7 +262,7 @@ END, MESH, DRIVE, RATIO = "</robot>", '<sphere radius="0.01"', '<mimic joint="dr
         (END, f'<link name="spare"/>{END}', "2 links are carried by no joint, 'palm', 'spare'"),
         (END, f'<link name="palm"/>{END}', "two links are called 'palm'"),
         (END, f"{JOINT.replace('finger', 'palm')}{END}", "the joints form a cycle|two joints"),
-        (END, f"{EXTRA.replace('finger_2', 'finger')}{END}", "'finger' hangs on two joints, 'bend' and"),
+        (END, f"{EXTRA.replace('finger_2', 'finger')}{END}", "'finger' is the child of two joints, 'bend' and"),
         (END, f"{EXTRA}{END}", "joint 'bend_2' names the link 'finger_2', which is not in the file"),
         (END, f"{EXTRA.replace('palm', 'finger_2')}{LINK_2}{END}", "joints 'bend_2' form a cycle apart"),
         ("revolute", "floating", "is of type 'floating'"),
@@ -280,13 +284,13 @@ END, MESH, DRIVE, RATIO = "</robot>", '<sphere radius="0.01"', '<mimic joint="dr
             r"neither beside the URDF nor in the 5 folders above it: 'no.stl' \(finger\)",
         ),
         (SPHERE, "", "fingertip 'finger' has no shape to lie in; pass tip_radius="),
-        ("<sphere", "<cone", "the shape <cone> is none of"),
+        ("<sphere", "<cone", "the shape <cone> is not one of"),
         (f"{MESH}/>", "", "has no shape in its <geometry>"),
         ('radius="0.01"', 'radius="0"', "size=.* must be above 0"),
         ('link name="finger"', "link", "<link> has no name"),
         (DRIVE, '<mimic joint="tip"', "the joints 'mid', 'tip' mimic each other in a loop"),
         (DRIVE, '<mimic joint="mid"', "the joints 'mid' mimic each other in a loop"),
-        (DRIVE, '<mimic joint="none"', "'mid' mimics 'none', which is no joint of the file; joints are"),
+        (DRIVE, '<mimic joint="none"', "'mid' mimics 'none', which is not a joint of the file; joints are"),
         (DRIVE, "<mimic", "joint 'mid', <mimic> lacks joint="),
         (RATIO, 'multiplier="0"', "ratio=0.0 does not move the joint"),
         (RATIO, 'multiplier="x"', "joint 'mid', <mimic>: multiplier="),

@@ -1,4 +1,7 @@
-"""The elements of a URDF file as numbers, each checked where it is read; what is wrong with them is told together."""
+"""Read a URDF file. Each element is checked where it is read, and all faults are reported together.
+
+Longer than most modules: the reader and the functions that turn elements into numbers share their error messages.
+"""
 
 from __future__ import annotations
 
@@ -24,30 +27,32 @@ from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
 MOST = 500
-"""Of links and of joints in a file."""
+"""Largest number of links, and of joints, in a file."""
 MOST_SHAPES = 2000
-"""Of collision and visual shapes together."""
+"""Largest number of collision and visual shapes together."""
 _MOST_ABSENT = 40  # missing meshes that a message names
 
 _TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
 
 
 class UrdfReader:
-    """Reads one file.
+    """A reader of one URDF or xacro file.
 
     Args:
-        path: Of the URDF.
+        path: Path of the file.
         robot: Its first element.
 
     Attributes:
-        name: Of the robot.
-        names: Of its links; ends: name, parent and child of its joints: what else is wrong with them is told by `elements`.
-        mimics: The joint that each coupled joint names; fixed: names of joints that do not move.
-        unseen: Visual meshes that are left out, and why.
-        said: What was assumed or left out, a sentence each.
+        name: Name of the robot.
+        names: Names of its links.
+        ends: Name, parent and child of its joints; other faults of the joints are raised by `elements`.
+        mimics: The driver that each coupled joint names.
+        fixed: Names of fixed joints.
+        unseen: Visual meshes that are left out, with the reason.
+        said: A sentence for each thing that was assumed or left out.
 
     Raises:
-        InvalidInputError: No links, or too many; or xacro refuses the file.
+        InvalidInputError: There are no links, or too many; or xacro refuses the file.
     """
 
     def __init__(self, path: str | os.PathLike[str], robot: Element) -> None:
@@ -84,15 +89,15 @@ class UrdfReader:
         self.unseen: dict[str, str] = {}
 
     def elements(self, wanted: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
-        """Links by name, and the joints between them in the order of the file; others are not looked at.
+        """Return links by name, and the joints between them in file order; others are not read.
 
-        Meshes are found, and not read before `shaped`.
+        Mesh files are looked for here, and read by `shaped`.
 
         Args:
             wanted: Names of the links.
 
         Raises:
-            InvalidInputError: Elements that a hand cannot have, and meshes that are missing, all of them.
+            InvalidInputError: Elements are invalid or meshes are missing; the message lists all of them.
         """
         self._palette = {
             material.get("name", ""): color
@@ -146,20 +151,20 @@ class UrdfReader:
         return _color(material, where) or self._palette.get(material.get("name", ""))
 
     def _all_found(self) -> None:
-        """Refuses collision meshes that are missing."""
+        """Raise InvalidInputError if collision meshes are missing."""
         if self._absent:
             each = [f"{shown(name)} ({', '.join(dict.fromkeys(links))})" for name, links in self._absent.items()]
             more = f" and {len(each) - _MOST_ABSENT} more" if len(each) > _MOST_ABSENT else ""
             raise InvalidInputError(
                 f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: "
-                f"{', '.join(each[:_MOST_ABSENT])}{more}. Fetch the whole package, and keep its folders as they are"
+                f"{', '.join(each[:_MOST_ABSENT])}{more}. Download the whole package and keep its folder structure"
             )
 
     def shaped(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
-        """The links with their shapes: collision meshes as their convex pieces, and visual meshes that can be drawn.
+        """Return the links with their shapes: convex pieces of collision meshes, and visual meshes that can be drawn.
 
         Raises:
-            InvalidInputError: Files that are no mesh of a hand, all of them.
+            InvalidInputError: Files are not meshes of a hand; the message lists all of them.
         """
         solids = solids_of({name: self._shapes[name][0] for name in links}, self.path.name)
         shaped = dict[str, FileLink]()
@@ -169,7 +174,7 @@ class UrdfReader:
         return shaped
 
     def _placed(self, element: Element, link: str, color: Vector3 | None = None) -> Geometry | MeshUse | None:
-        """The shape of a <collision> or <visual>; None for a mesh whose file is missing, which is noted."""
+        """Return the shape of a <collision> or <visual>; None for a mesh whose file is missing, which is recorded."""
         where = f"link {link!r}, <{element.tag}>"
         shape = _shape(element, where)
         if shape.tag != "mesh":
@@ -183,7 +188,7 @@ class UrdfReader:
         except InvalidInputError as error:
             if element.tag == "collision":
                 raise InvalidInputError(f"{where}: {error}") from None
-            self.unseen[name] = "are missing" if path is None else "name no unit"
+            self.unseen[name] = "are missing" if path is None else "have an invalid unit"
             return None
         if path is not None:
             x, y, z = (unit * factor for factor in scale)
@@ -195,7 +200,7 @@ class UrdfReader:
         return None
 
     def _seen(self, use: MeshUse) -> Geometry | None:
-        """A mesh to look at; None where there is no picture of it, which is noted."""
+        """Return a visual mesh; None if it cannot be drawn, which is recorded."""
         if use.path not in self._looks:
             self._looks[use.path] = why_not_drawn(use.path)
         why = self._looks[use.path] or ("are mirrored by a scale below 0" if min(use.scale) < 0.0 else "")
@@ -213,13 +218,13 @@ def _name(element: Element, where: str) -> str:
 
 
 def _end(element: Element, role: str) -> str:
-    """The link that a joint names as its parent or child, "" for none."""
+    """Return the link that a joint names as its parent or child, "" if it names none."""
     end = element.find(role)
     return "" if end is None else end.get("link", "")
 
 
 def _row(element: Element | None, key: str, count: int, default: str | None, where: str) -> tuple[float, ...]:
-    """An attribute of `count` numbers; `default` stands for a missing element or attribute."""
+    """Return an attribute of `count` numbers; `default` replaces a missing element or attribute."""
     text = default if element is None else element.get(key, default)
     if text is None:
         raise InvalidInputError(f"{where} lacks {key}=")
@@ -235,7 +240,7 @@ def _number(element: Element | None, key: str, default: str | None, where: str) 
 
 
 def _origin(element: Element, where: str) -> tuple[Vector3, Vector3]:
-    """Position [m] and roll, pitch, yaw [rad] of an <origin>, zero where there is none."""
+    """Return position [m] and roll, pitch, yaw [rad] of an <origin>, zero without one."""
     origin = element.find("origin")
     x, y, z = _row(origin, "xyz", 3, "0 0 0", f"{where}, <origin>")
     roll, pitch, yaw = _row(origin, "rpy", 3, "0 0 0", f"{where}, <origin>")
@@ -251,7 +256,7 @@ def _color(material: Element, where: str) -> Vector3 | None:
 
 
 def _inertial(inertial: Element | None, where: str) -> tuple[float, Frame, Inertia]:
-    """Mass, frame and inertia of an <inertial>, whether a body can have them or not."""
+    """Return mass, frame and inertia of an <inertial>; they may be physically impossible."""
     frame = Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     if inertial is None:
         return 0.0, frame, NO_INERTIA
@@ -271,7 +276,7 @@ def _inertial(inertial: Element | None, where: str) -> tuple[float, Frame, Inert
 
 
 def _shape(element: Element, where: str) -> Element:
-    """What stands in the <geometry> of a <visual> or <collision>."""
+    """Return the element inside the <geometry> of a <visual> or <collision>."""
     geometry = element.find("geometry")
     shape = None if geometry is None else next(iter(geometry), None)
     if shape is None:
@@ -282,7 +287,7 @@ def _shape(element: Element, where: str) -> Element:
 
 
 def _mesh(shape: Element, where: str) -> tuple[str, Vector3]:
-    """File name and factors of a <mesh>."""
+    """Return file name and scale factors of a <mesh>."""
     name = shape.get("filename", "").strip()
     if not name:
         raise InvalidInputError(f"{where}, <mesh> lacks filename=")
@@ -301,7 +306,7 @@ def _primitive(element: Element, shape: Element, where: str, color: Vector3 | No
         size = tuple(_number(shape, key, None, f"{where}, <{shape.tag}>") for key in ("radius", "length"))
     else:
         raise InvalidInputError(
-            f"{where}: the shape <{shape.tag[:40]}> is none of sphere, capsule, box, cylinder and mesh"
+            f"{where}: the shape <{shape.tag[:40]}> is not one of sphere, capsule, box, cylinder and mesh"
         )
     try:
         origin, rotation = _origin(element, where)
@@ -349,7 +354,7 @@ def _limits(limit: Element | None, kind: str, where: str) -> tuple[float, float]
         raise InvalidInputError(f"{where} has no <limit>; write lower, upper [rad] and effort [N m]")
     lower, upper = (_number(limit, key, "0", f"{where}, <limit>") for key in ("lower", "upper"))
     if lower == upper:
-        return lower, upper  # it holds still
+        return lower, upper  # `arrange` makes it a fixed joint
     return limits(lower, upper, f"{where}, <limit> [{'m' if kind == _SLIDING else 'rad'}]")
 
 
