@@ -2,6 +2,8 @@
 
 The URDF that PyBullet loads (`urdf.hand_urdf`) and the arrays of the kinematics (`kinematics.HandKinematics`) are
 derived from this one record.
+
+Longer than most modules: `from_file` documents each of its arguments.
 """
 
 from __future__ import annotations
@@ -19,7 +21,16 @@ from grasp_env.sim.hand import presets
 from grasp_env.sim.hand.check import Vector3, inertia_matrix, numbers, parts, positive, with_rotor, word
 from grasp_env.sim.hand.fingers import FingerDescription
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
+from grasp_env.sim.hand.tree import (
+    Fingertip,
+    Geometry,
+    Link,
+    Mimic,
+    Palm,
+    check_fingertips,
+    check_mimics,
+    check_tree,
+)
 
 __all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescription", "Link", "Mimic", "Palm", "Vector3"]
 
@@ -76,9 +87,9 @@ class HandDescription:
         instance(self.palm, Palm, f"{name}: palm")
         positive(self.tip_friction, f"{name}: tip_friction")
         object.__setattr__(self, "placed", flag(self.placed, f"{name}: placed"))
-        _check_tree(name, self.palm, self.links)
-        _check_mimics(name, self.links)
-        _check_fingertips(name, self.links, self.fingertips)
+        check_tree(name, self.palm, self.links)
+        check_mimics(name, self.links)
+        check_fingertips(name, self.links, self.fingertips)
         home = tuple(_middle(link) for link in self.links) if as_list(self.home) == [] else self.home
         object.__setattr__(self, "home", self._coupled(numbers(home, len(self.links), f"{name}: home [rad]")))
         for link, angle in zip(self.links, self.home, strict=True):
@@ -397,51 +408,3 @@ def _vector(values: tuple[float, ...]) -> Vector3:
 
 def _middle(link: Link) -> float:
     return 0.5 * (link.lower + link.upper) if np.isfinite(link.lower) else 0.0
-
-
-def _check_tree(name: str, palm: Palm, links: tuple[Link, ...]) -> None:
-    """Check that names differ and that every link stands after its parent."""
-    if not links:
-        raise InvalidInputError(f"{name}: links=() is empty; describe at least one moving link")
-    known, joints, all_names = [palm.name], set[str](), {link.name for link in links}
-    for link in links:
-        if link.name in known:
-            raise InvalidInputError(f"{name}: two links are called {link.name!r}; give each its own name")
-        if link.joint in joints:
-            raise InvalidInputError(f"{name}: two joints are called {link.joint!r}; give each its own name")
-        if link.parent not in known:
-            hint = (
-                "stands after it in `links`, or is the link itself; order parents before children"
-                if link.parent in all_names
-                else f"is not a link; known are {', '.join(known)}"
-            )
-            raise InvalidInputError(f"{name}: the parent {link.parent!r} of link {link.name!r} {hint}")
-        known.append(link.name)
-        joints.add(link.joint)
-
-
-def _check_mimics(name: str, links: tuple[Link, ...]) -> None:
-    """Check that coupled joints follow joints that exist and are not coupled themselves."""
-    free = [link.joint for link in links if link.mimic is None]
-    for link in links:
-        if link.mimic is not None and link.mimic.joint not in free:
-            raise InvalidInputError(
-                f"{name}: joint {link.joint!r} is coupled to {link.mimic.joint!r}, which is not a joint with a motor of its "
-                f"own; these are {', '.join(free) or 'none'}"
-            )
-
-
-def _check_fingertips(name: str, links: tuple[Link, ...], tips: tuple[Fingertip, ...]) -> None:
-    """Check that there is a fingertip, that names differ, and that every fingertip is on a moving link."""
-    if not tips:
-        raise InvalidInputError(f"{name}: fingertips=() is empty; name at least one, as a hand only touches with them")
-    names, known = set[str](), [link.name for link in links]
-    for tip in tips:
-        if tip.name in names:
-            raise InvalidInputError(f"{name}: two fingertips are called {tip.name!r}; give each its own name")
-        if tip.link not in known:
-            raise InvalidInputError(
-                f"{name}: fingertip {tip.name!r} is on link {tip.link!r}, which does not move or does not exist; "
-                f"moving links are {', '.join(known)}"
-            )
-        names.add(tip.name)

@@ -1,4 +1,4 @@
-"""Parts of a hand: links with their joints, geometries, fingertips and the palm."""
+"""Parts of a hand, links with their joints, geometries, fingertips and the palm, and checks that they fit together."""
 
 from __future__ import annotations
 
@@ -228,3 +228,51 @@ class Palm:
             visual=parts(self.visual, Geometry, f"palm {self.name!r}: visual"),
             color=numbers(self.color, 3, f"palm {self.name!r}: color"),
         )
+
+
+def check_tree(name: str, palm: Palm, links: tuple[Link, ...]) -> None:
+    """Check that names differ and that every link stands after its parent."""
+    if not links:
+        raise InvalidInputError(f"{name}: links=() is empty; describe at least one moving link")
+    known, joints, all_names = [palm.name], set[str](), {link.name for link in links}
+    for link in links:
+        if link.name in known:
+            raise InvalidInputError(f"{name}: two links are called {link.name!r}; give each its own name")
+        if link.joint in joints:
+            raise InvalidInputError(f"{name}: two joints are called {link.joint!r}; give each its own name")
+        if link.parent not in known:
+            hint = (
+                "stands after it in `links`, or is the link itself; order parents before children"
+                if link.parent in all_names
+                else f"is not a link; known are {', '.join(known)}"
+            )
+            raise InvalidInputError(f"{name}: the parent {link.parent!r} of link {link.name!r} {hint}")
+        known.append(link.name)
+        joints.add(link.joint)
+
+
+def check_mimics(name: str, links: tuple[Link, ...]) -> None:
+    """Check that coupled joints follow joints that exist and are not coupled themselves."""
+    free = [link.joint for link in links if link.mimic is None]
+    for link in links:
+        if link.mimic is not None and link.mimic.joint not in free:
+            raise InvalidInputError(
+                f"{name}: joint {link.joint!r} is coupled to {link.mimic.joint!r}, which is not a joint with a motor of its "
+                f"own; these are {', '.join(free) or 'none'}"
+            )
+
+
+def check_fingertips(name: str, links: tuple[Link, ...], tips: tuple[Fingertip, ...]) -> None:
+    """Check that there is a fingertip, that names differ, and that every fingertip is on a moving link."""
+    if not tips:
+        raise InvalidInputError(f"{name}: fingertips=() is empty; name at least one, as a hand only touches with them")
+    names, known = set[str](), [link.name for link in links]
+    for tip in tips:
+        if tip.name in names:
+            raise InvalidInputError(f"{name}: two fingertips are called {tip.name!r}; give each its own name")
+        if tip.link not in known:
+            raise InvalidInputError(
+                f"{name}: fingertip {tip.name!r} is on link {tip.link!r}, which does not move or does not exist; "
+                f"moving links are {', '.join(known)}"
+            )
+        names.add(tip.name)

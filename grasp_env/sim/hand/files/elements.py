@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
-from grasp_env.errors import shown
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Inertia, Vector3
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
+_MOST_LISTED = 20
 NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Inertia of a link without one in the file."""
 
@@ -76,3 +77,14 @@ class HandFile(Protocol):
 def names_of(values: Sequence[Any]) -> str:
     """Return at most 60 names for a message, and the number of the others."""
     return ", ".join(map(shown, values[:60])) + (f" and {len(values) - 60} more" if len(values) > 60 else "")
+
+
+def listed(rows: Sequence[str]) -> str:
+    """Return at most 20 texts for a message, and the number of the others."""
+    more = f" and {len(rows) - _MOST_LISTED} more" if len(rows) > _MOST_LISTED else ""
+    return ", ".join(rows[:_MOST_LISTED]) + more
+
+
+def refuse(fault: str) -> NoReturn:
+    """Raise InvalidInputError with the message `fault`."""
+    raise InvalidInputError(fault)

@@ -11,23 +11,20 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from grasp_env._check import Array, together
-from grasp_env._extras import need
-from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, inertia_numbers, with_rotor
-from grasp_env.sim.hand.files.elements import FileJoint, FileLink, HandFile, names_of
+from grasp_env.sim.hand.files.elements import FileJoint, HandFile, names_of
+from grasp_env.sim.hand.files.joint_ranges import judge_ranges
 from grasp_env.sim.hand.files.linkages import find_rods, free_ranges
 from grasp_env.sim.hand.files.options import HandOptions, Inertial
-from grasp_env.sim.hand.files.part import Part, arrange, check_mimics, find_part, find_root
+from grasp_env.sim.hand.files.part import arrange
 from grasp_env.sim.hand.files.pieces import hull_of_file
-from grasp_env.sim.hand.files.plausible import Body, Judge, judge_ranges
-from grasp_env.sim.hand.files.urdf import UrdfReader
+from grasp_env.sim.hand.files.plausible import Body, Judge
+from grasp_env.sim.hand.files.reading import open_file, read_part
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
@@ -70,24 +67,10 @@ def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
     """
     _, tips, _ = together(options.checked_palm, options.tips, options.radius)
     try:
-        return _Importer(_reader(path, tuple(tips or ())), options).hand
+        return _Importer(open_file(path, tuple(tips or ())), options).hand
     except InvalidInputError as error:
         message = str(error)
         raise InvalidInputError(message if message.startswith("cannot read") else f"{path}: {message}") from None
-
-
-def _reader(path: str | os.PathLike[str], tips: tuple[str, ...]) -> HandFile:
-    """Return the reader of a file, chosen by its first element."""
-    first: Element = parsed(path, read_xml, InvalidInputError, f"the file {shown_path(path)}", "XML")
-    if first.tag == "robot":
-        return UrdfReader(path, first)
-    if first.tag == "mujoco":
-        with need("mujoco"):
-            from grasp_env.sim.hand.files.mjcf import MjcfReader
-        return MjcfReader(path, tips)
-    raise InvalidInputError(
-        f"the first element is <{first.tag[:40]}>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"
-    )
 
 
 class _Importer:
@@ -96,7 +79,7 @@ class _Importer:
     def __init__(self, file: HandFile, options: HandOptions) -> None:
         self._corners: dict[str, Array] = {}  # hulls of visual meshes
         given_tips = options.tips()
-        part, self.links, joints = _read(file, options.checked_palm(), given_tips or {})
+        part, self.links, joints = read_part(file, options.checked_palm(), given_tips or {})
         ranges = options.ranges([joint.name for joint in joints if not joint.fixed])
         joints, held = arrange(part, [_ranged(joint, ranges.get(joint.name)) for joint in joints])
         joints, wide = judge_ranges(joints, ranges)
@@ -161,7 +144,7 @@ class _Importer:
         before = self.places[joint.parent]
         place, _ = before.frame.carry(joint.origin, joint.rotation)
         collision, _ = self._shapes(joint.child, joint.child)
-        points = np.vstack([*self._points(self._group(joint.child), True), np.empty((0, 3))])
+        points = np.vstack([*self._points(self._group(joint.child)), np.empty((0, 3))])
         return Body(joint, *self._inertial(joint.child), collision, points, before.carrier, place)
 
     def _judged(
@@ -229,7 +212,7 @@ class _Importer:
             )
         parents = {self.places[joint.parent].carrier for joint in self.moving}
         ends = [joint.child for joint in self.moving if joint.child not in parents]
-        bare = [end for end in ends if not self._points(self._group(end), True)]
+        bare = [end for end in ends if not self._points(self._group(end))]
         if bare and len(bare) < len(ends):
             self.repairs.append(f"end links without a shape are not fingertips: {names_of(bare)}")
             ends = [end for end in ends if end not in bare]
@@ -243,10 +226,10 @@ class _Importer:
                 group.append(joint.child)
         return group
 
-    def _points(self, group: Sequence[str], looks: bool) -> list[Array]:
-        """Return convex pieces (K, 3) [m] of the links' collision shapes, carrier's frame; with `looks` of their visuals if there are none."""
+    def _points(self, group: Sequence[str]) -> list[Array]:
+        """Return convex pieces (K, 3) [m] of the links' collision shapes, or else of their visuals, carrier's frame."""
         solids = [(self.places[name].frame, shape) for name in group for shape in self.links[name].collision]
-        if not solids and looks:
+        if not solids:
             solids = [(self.places[name].frame, shape) for name in group for shape in self.links[name].visual]
         pieces = list[Array]()
         for frame, shape in solids:
@@ -267,8 +250,8 @@ class _Importer:
         joint = next(joint for joint in self.moving if joint.child == place.carrier)
         axis = np.array(joint.axis)
         group = self._group(name)
-        own = self._points(group, True)
-        pieces = own or self._points(self._group(place.carrier), True)
+        own = self._points(group)
+        pieces = own or self._points(self._group(place.carrier))
         ball = None if given is None else Ball(_moved(place.frame, given.center), given.radius)
         # a link ends where its shapes are farthest, or at the given tip
         ends = (
@@ -340,50 +323,5 @@ def _carried(frame: Frame, shape: Geometry) -> Geometry:
     return replace(shape, origin=origin, rotation=angles)
 
 
-def _read(
-    file: HandFile, palm: str | None, tips: Mapping[str, Any]
-) -> tuple[Part, dict[str, FileLink], list[FileJoint]]:
-    """Return the part of a file that is the hand, its links by name and its joints.
-
-    Raises:
-        InvalidInputError: The file or the palm is not a hand; or the part is faulty, with a list of all faults.
-    """
-    root, fault = "", None
-    try:
-        root = find_root(file.names, file.ends)
-    except InvalidInputError as error:
-        fault = error
-    part = Part(root, tuple(file.names))
-    if fault is None:
-        part = find_part(root, file.ends, file.fixed, file.mimics, palm)
-    kept = set(part.links)
-    inside = {joint for joint, parent, child in file.ends if parent in kept and child in kept}
-    mimics = {joint: other for joint, other in file.mimics.items() if joint in inside}
-    (links, joints), *_ = together(
-        lambda: file.elements(kept),
-        lambda: _raise(fault),
-        lambda: _known(tips, file.names, part),
-        lambda: check_mimics(file.ends, file.fixed, mimics),
-    )
-    return part, links, joints
-
-
 def _ranged(joint: FileJoint, limits: tuple[float, float] | None) -> FileJoint:
     return joint if limits is None else replace(joint, lower=limits[0], upper=limits[1])
-
-
-def _known(tips: Mapping[str, Any], links: Sequence[str], part: Part) -> None:
-    """Check that every fingertip is a link of the hand."""
-    missing = [tip for tip in tips if tip not in links]
-    if missing:
-        raise InvalidInputError(f"no link is called {', '.join(map(repr, missing))}; links are {names_of(links)}")
-    left = [tip for tip in tips if tip not in part.links]
-    if left:
-        raise InvalidInputError(
-            f"the palm {part.root!r} does not carry the fingertips {names_of(left)}; its links are {names_of(part.links)}"
-        )
-
-
-def _raise(fault: InvalidInputError | None) -> None:
-    if fault is not None:
-        raise fault

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
 
 from grasp_env._check import Array, together
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim.hand.files.elements import refuse
 from grasp_env.sim.hand.files.pieces import pieces_of_file
 from grasp_env.sim.hand.solids import hull_shape
 from grasp_env.sim.hand.tree import Geometry, Vector3
@@ -57,8 +57,3 @@ def _solids(shape: Geometry | MeshUse, pieces: Mapping[tuple[Path, Vector3], lis
     if isinstance(shape, Geometry):
         return [shape]
     return [hull_shape(piece, shape.origin, shape.rotation) for piece in pieces[shape.path, shape.scale]]
-
-
-def refuse(fault: str) -> NoReturn:
-    """Raise InvalidInputError with the message `fault`."""
-    raise InvalidInputError(fault)

@@ -1,4 +1,4 @@
-"""Judge masses, inertias, efforts and ranges in a hand's file. Implausible values are replaced, and a sentence gives both values.
+"""Judge masses, inertias and efforts in a hand's file. Implausible values are replaced, and a sentence gives both values.
 
 The bounds come from some 200 public files of hands and robots: values that makers measured or took from CAD lie within them.
 """
@@ -6,16 +6,15 @@ The bounds come from some 200 public files of hands and robots: values that make
 from __future__ import annotations
 
 import math
-import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from grasp_env._check import Array, is_a
 from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, nearest_inertia
-from grasp_env.sim.hand.files.elements import FileJoint, names_of
+from grasp_env.sim.hand.files.elements import FileJoint, listed, names_of
 from grasp_env.sim.hand.files.options import Inertial
 from grasp_env.sim.hand.solids import hull_of, outline
 from grasp_env.sim.hand.tree import Geometry
@@ -34,15 +33,6 @@ LARGEST_JAW_FORCE = 1000.0
 """Effort from which on that of a sliding joint is implausible [N]; grippers on arms have 20 N to 235 N."""
 SHORTEST_FINGER = 0.03
 """Smallest distance assumed from a joint to its fingertip [m]. A smaller one means that shapes are missing."""
-
-LARGEST_TURN = 3.3
-"""Largest plausible range of a joint [rad]: a hinge between two links folds by half a turn."""
-HALF_TURN = 3.1
-"""Smallest one-sided range [rad], such as 0 to pi, that counts as a placeholder if three joints or more share it."""
-DEGREES = 4.0 * math.pi
-"""Median range [rad] above which all ranges are taken as degrees."""
-LARGEST_STROKE = 0.5
-"""Largest plausible range of a sliding joint [m]."""
 
 LARGEST_LINK = 1.0
 """Largest plausible size of a moving link [m]; larger sizes are probably millimetres."""
@@ -63,7 +53,6 @@ LEAST_GYRATION = 0.02
 
 ASSUMED_DENSITY, LEAST_MASS, LEAST_SIDE = 1000.0, 1e-3, 0.01
 """Density of links without a plausible mass [kg/m^3], their smallest mass [kg], and the smallest side of the box for an inertia [m]."""
-_MOST_LISTED = 20
 
 _NO_MASS = "moving links without mass get that of their shapes at 1 g/cm^3"
 _WRONG_MASS = "masses that links of this size cannot have are replaced by those of their shapes at 1 g/cm^3"
@@ -183,7 +172,7 @@ class Judge:
                 own = self._possible(number, own if value is None else _scaled(own, value / body.mass), changed)
             found.append(own)
         for what, rows in changed.items():
-            self.said.append(f"{what}: {_listed(rows)}; give the true ones as inertials=")
+            self.said.append(f"{what}: {listed(rows)}; give the true ones as inertials=")
         if (total := sum(body.mass for body in found)) > LARGEST_HAND:
             self.said.append(
                 f"the moving links weigh {total:.3g} kg together: a file is in kilograms, not grams (inertials=), and for a whole robot "
@@ -303,61 +292,10 @@ class Judge:
         return Inertial(mass, (x, y, z), (b + c, 0.0, 0.0, a + c, 0.0, a + b))
 
 
-def judge_ranges(
-    joints: Sequence[FileJoint], given: Mapping[str, tuple[float, float]]
-) -> tuple[list[FileJoint], list[str]]:
-    """Return the joints with ranges in radians, and sentences on implausible ranges.
-
-    Args:
-        joints: All joints of a hand, fixed joints included.
-        given: Ranges that a caller gave; they are not judged.
-    """
-    judged = [joint for joint in joints if not joint.fixed and joint.name not in given]
-    spans = [joint.upper - joint.lower for joint in judged if not joint.sliding and math.isfinite(joint.lower)]
-    said, true = list[str](), "; give the true ones as joint_limits="
-    if spans and statistics.median(spans) > DEGREES:
-        turned = {joint.name: _in_radians(joint) for joint in judged if not joint.sliding}
-        joints = [turned.get(joint.name, joint) for joint in joints]
-        shown = _listed([_range(joint) for joint in turned.values()])
-        said.append(f"ranges of more than two turns are taken as degrees: {shown}{true}")
-        judged = [turned.get(joint.name, joint) for joint in judged]
-    driven = [joint for joint in judged if joint.mimic is None]
-    wide = [_range(joint) for joint in driven if _is_wide(joint, driven)]
-    if wide:
-        said.append(f"ranges too wide for a finger's joint are kept: {_listed(wide)}{true}")
-    return list(joints), said
-
-
-def _is_wide(joint: FileJoint, others: Sequence[FileJoint]) -> bool:
-    """Return True if a range is too wide for a hinge, or a one-sided half turn shared by several joints."""
-    span = joint.upper - joint.lower
-    if joint.sliding:
-        return span > LARGEST_STROKE
-    alike = sum((other.lower, other.upper) == (joint.lower, joint.upper) for other in others)
-    one_side = max(-joint.lower, joint.upper) > 0.75 * span
-    return span > LARGEST_TURN or (span > HALF_TURN and one_side and alike >= 3)
-
-
-def _range(joint: FileJoint) -> str:
-    if not math.isfinite(joint.lower):
-        return f"{joint.name!r} (unlimited)"
-    return f"{joint.name!r} ({joint.lower:.3g} to {joint.upper:.3g} {'m' if joint.sliding else 'rad'})"
-
-
-def _in_radians(joint: FileJoint) -> FileJoint:
-    return replace(joint, lower=math.radians(joint.lower), upper=math.radians(joint.upper))
-
-
 def _scaled(own: Inertial, factor: float) -> Inertial:
     """Scale the mass and inertia of a body by a factor."""
     xx, xy, xz, yy, yz, zz = (factor * value for value in own.inertia)
     return Inertial(factor * own.mass, own.center, (xx, xy, xz, yy, yz, zz))
-
-
-def _listed(rows: Sequence[str]) -> str:
-    return ", ".join(rows[:_MOST_LISTED]) + (
-        f" and {len(rows) - _MOST_LISTED} more" if len(rows) > _MOST_LISTED else ""
-    )
 
 
 def _largest(inertia: Inertia) -> float:
