@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull
-from urdf_text import finger, joint, read, small, solid
+from urdf_text import finger, joint, link, read, small, solid
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim import mesh_files
@@ -57,21 +57,19 @@ def test_meshes_are_found_and_become_hulls(tmp_path: Path, name: str) -> None:
     """In the folder above the URDF; written and read again they are the same."""
     for folder in ("meshes", "urdf"):
         (tmp_path / folder).mkdir()
-    BOX.export(tmp_path / "meshes" / "box.obj")
-    BOX.export(tmp_path / "meshes" / "box.stl")
-    for scale, sides in (("2 1 -0.5", (0.02, 0.015, 0.01)), ("1 1 1", (0.01, 0.015, 0.02))):
-        made, _ = read(tmp_path / "urdf", small(mesh(name.format(folder=tmp_path), scale)), TIP)
-        (hull,) = (shape for shape in made.links[0].collision if shape.kind == "hull")
-        np.testing.assert_allclose(np.abs(hull.corners), np.tile(sides, (8, 1)), atol=1e-7)
-    files = hand_files(made)
-    for file, text in files.items():
-        (tmp_path / "urdf" / file).write_text(text)
-    (again,) = (
-        shape
-        for shape in read(tmp_path / "urdf", files["hand.urdf"], TIP)[0].links[0].collision
-        if shape.kind == "hull"
-    )
-    assert set(again.corners) == set(hull.corners)
+    for kind in ("obj", "stl"):
+        BOX.export(tmp_path / "meshes" / f"box.{kind}")
+    files, hulls = {}, list[Any]()
+    for scale in ("2 1 -0.5", "1 1 1", ""):  # the last time from the files that the hand becomes
+        text = small(mesh(name.format(folder=tmp_path), scale)) if scale else files["hand.urdf"]
+        made, _ = read(tmp_path / "urdf", text, TIP)
+        hulls += [np.array(sorted(shape.corners)) for shape in made.links[0].collision if shape.kind == "hull"]
+        files = hand_files(made)
+        for file, written in files.items():
+            (tmp_path / "urdf" / file).write_text(written)
+    np.testing.assert_allclose(np.abs(hulls[0]), np.tile((0.02, 0.015, 0.01), (8, 1)), atol=1e-7)
+    np.testing.assert_allclose(np.abs(hulls[1]), np.tile((0.01, 0.015, 0.02), (8, 1)), atol=1e-7)
+    np.testing.assert_array_equal(hulls[2], hulls[1])
 
 
 CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -85,7 +83,6 @@ CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
         ("a.obj", b"", "are broken"),
         ("a.obj", CORNERS + b"f 1 2 4\n", "are broken"),  # Bullet would read beyond its corners, and crash
         ("a.obj", b"f 1 2 3\n" + CORNERS, "are broken"),
-        ("a.obj", CORNERS + b"f 1/2 2/1 3/1\nvt 0 0\nvt 1 1\n", "are broken"),
         ("a.obj", CORNERS + b"f -1 -2 -3\n", "are broken"),
         ("a.stl", bytes(10), "are empty"),
         ("a.stl", None, "are missing"),
@@ -127,12 +124,9 @@ def test_parts_inside_one_another_and_open_ones_are_one_piece() -> None:
     assert len(convex_pieces(np.array(hidden.vertices), np.array(hidden.faces))) == 1
 
 
-@pytest.mark.parametrize(
-    "shape", [trimesh.creation.icosphere(3, 0.012), trimesh.creation.cone(0.012, 0.04)], ids=["ball", "cone"]
-)
-def test_few_corners_contain_all_and_little_more(shape: trimesh.Trimesh) -> None:
+def test_few_corners_contain_all_and_little_more() -> None:
     """40 corners around a ball stick out by an eighth of its radius."""
-    points = np.array(shape.vertices)
+    points = np.array(trimesh.creation.icosphere(3, 0.012).vertices)
     corners = few_corners(points)
     assert len(corners) <= MOST_CORNERS
     assert outside(points, corners).max() < 1e-9
@@ -177,11 +171,10 @@ def test_a_tip_is_the_ball_in_the_end_of_its_link(tmp_path: Path, shapes: str, r
 
 
 def test_tips_are_given_by_place_and_on_links_of_all_kinds(tmp_path: Path) -> None:
-    fixed = (
-        '<joint name="end" type="fixed"><parent link="finger"/><child link="pad"/><origin xyz="0 0 0.05" rpy="0 1.5707963267948966 0"/>'
-        '</joint><link name="pad"/>'
+    fixed = joint("end", "finger", "pad", "0 0 0.05", kind="fixed").replace(
+        '0.05"', '0.05" rpy="0 1.5707963267948966 0"'
     )
-    text = small(solid('<box size="0.02 0.02 0.06"/>', "0 0 0.03"), more=fixed)
+    text = small(solid('<box size="0.02 0.02 0.06"/>', "0 0 0.03"), more=fixed + '<link name="pad"/>')
     given, _ = read(tmp_path, text, {"pad": ((0.01, 0.0, 0.002), 0.006)})
     np.testing.assert_allclose(given.fingertips[0].center, (0.002, 0.0, 0.04), atol=1e-12)
     assert given.finger_names == ("pad",)
@@ -192,19 +185,11 @@ def test_tips_are_given_by_place_and_on_links_of_all_kinds(tmp_path: Path) -> No
 
 def test_every_end_of_a_branch_is_a_finger(tmp_path: Path) -> None:
     """But for those without a shape; a sphere at the end of a link is the tip."""
-    ball = '<link name="thumb"><inertial><mass value="0.1"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5"/></inertial>'
-    ball += solid('<sphere radius="0.011"/>', "0.03 0 0") + "</link>"
-    more = (
-        finger("i", "finger", "0 0 0")
-        + joint("t", "palm", "thumb")
-        + ball
-        + joint("b", "i1", "blade")
-        + '<link name="blade"/>'
-    )
+    thumb = joint("t", "palm", "thumb") + link("thumb").replace('box size="0.04 0.02 0.02"', 'sphere radius="0.011"')
+    more = finger("i", "finger", "0 0 0") + thumb + joint("b", "i1", "blade") + '<link name="blade"/>'
     made, told = read(tmp_path, small("", more=more))
     assert "end links without a shape are not fingertips: 'blade'" in told
-    assert sorted(made.finger_names) == ["i2", "thumb"]
-    assert {tip.name: tip.radius for tip in made.fingertips}["thumb"] == 0.011
+    assert [tip.radius for tip in made.fingertips if tip.name != "i2"] == [0.011]
 
 
 def fail(*_: Any, **__: Any) -> Any:

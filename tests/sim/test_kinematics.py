@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,17 +23,12 @@ GRAVITY = np.array([1.0, -9.0, 2.0])
 
 
 def turned() -> HandDescription:
-    """Fingers in all directions, one of them with four joints."""
-    return HandDescription.of_fingers(
-        [
-            FingerDescription("skew", (0.2, 0.1, 0.0), (2 / 3, 2 / 3, 1 / 3), (-2 / 3, 1 / 3, 2 / 3)),
-            FingerDescription(
-                "up", (0.0, 0.1, 0.2), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0),
-                link_lengths=(0.02, 0.09, 0.03, 0.05), link_masses=(0.05, 0.01, 0.04, 0.03),
-                joint_lower=(-1, -1, -1, -1), joint_upper=(1, 2, 2, 2), home=(0, 0, 0.5, 0.5),
-            ),
-        ]
+    """A finger of four joints in an oblique direction, one of three."""
+    skew = FingerDescription(
+        "skew", (0.2, 0.1, 0.0), (2 / 3, 2 / 3, 1 / 3), (-2 / 3, 1 / 3, 2 / 3), link_lengths=(0.02, 0.09, 0.03, 0.05),
+        link_masses=(0.05, 0.01, 0.04, 0.03), joint_lower=(-1, -1, -1, -1), joint_upper=(1, 2, 2, 2), home=(0, 0, 0.5, 0.5),
     )  # fmt: skip
+    return HandDescription.of_fingers([skew, FingerDescription("up", (0, 0.1, 0.2), (1, 0, 0), (0, 0, 1))])
 
 
 def crooked() -> HandDescription:
@@ -43,85 +38,56 @@ def crooked() -> HandDescription:
 MAKERS: dict[str, Callable[[], HandDescription]] = {"turned": turned, "crooked": crooked, "leap": HANDS["leap"]}
 
 
-class Loaded:
-    """A hand in PyBullet beside its compiled twin, both at the same random angles."""
-
-    def __init__(self, hand: HandDescription, original: Path | None = None) -> None:
-        self.client, self.hand, self.kinematics = Client(), hand, HandKinematics(hand)
-        self.number, self.count = self.client.number, hand.joint_count
-        if original is None:
-            self.body = load_hand(self.number, hand)
-        else:
-            self.body = bullet.loadURDF(str(original), useFixedBase=True, flags=HAND_FLAGS, physicsClientId=self.number)
-        self.indices = joint_indices(self.number, self.body, hand)
-        # PyBullet's dynamics number the moving joints only, in the order of their indices
-        self.columns = [sorted(self.indices).index(index) for index in self.indices]
-        self.angles = np.random.default_rng(3).uniform(-0.6, 1.1, self.count)
-        for index, angle in zip(self.indices, self.angles.tolist(), strict=True):
-            bullet.resetJointState(self.body, index, angle, physicsClientId=self.number)
-
-    def theirs(self) -> list[float]:
-        """The angles in PyBullet's order, as a list: arrays make it crash."""
-        angles = np.empty(self.count)
-        angles[self.columns] = self.angles
-        return angles.tolist()
-
-
-@pytest.fixture(params=[*MAKERS, "original"], scope="module")
-def loaded(request: pytest.FixtureRequest) -> Iterator[Loaded]:
-    original = request.param == "original"
-    made = Loaded(crooked(), CROOKED) if original else Loaded(MAKERS[request.param]())
-    yield made
-    made.client.close()
-
-
 @needs_bullet
-def test_positions_and_jacobians_match_pybullet(loaded: Loaded) -> None:
-    zero, kinematics, number, angles = [0.0] * loaded.count, loaded.kinematics, loaded.number, loaded.angles
+@pytest.mark.parametrize("name", [*MAKERS, "original"])
+def test_kinematics_and_dynamics_match_pybullet(name: str) -> None:
+    """Of hands that we write, and of a user's file as it is: what fixed joints merge means the same to PyBullet."""
+    client, hand = Client(), crooked() if name == "original" else MAKERS[name]()
+    number, kinematics, zero = client.number, HandKinematics(hand), [0.0] * hand.joint_count
+    if name == "original":
+        body = bullet.loadURDF(str(CROOKED), useFixedBase=True, flags=HAND_FLAGS, physicsClientId=number)
+    else:
+        body = load_hand(number, hand)
+    indices = joint_indices(number, body, hand)
+    angles = np.random.default_rng(3).uniform(-0.6, 1.1, hand.joint_count)
+    # PyBullet's dynamics number the moving joints only, in the order of their indices; arrays make it crash
+    columns = [sorted(indices).index(index) for index in indices]
+    given = angles[np.argsort(columns)].tolist()
     frames, origins = kinematics.links(angles)
-    for link, index in enumerate(loaded.indices):
-        state = bullet.getLinkState(loaded.body, index, computeForwardKinematics=1, physicsClientId=number)
+    for link, index in enumerate(indices):
+        bullet.resetJointState(body, index, float(angles[link]), physicsClientId=number)
+    for link, index in enumerate(indices):
+        state = bullet.getLinkState(body, index, computeForwardKinematics=1, physicsClientId=number)
         # getLinkState rounds to single precision; the Jacobians below do not
         np.testing.assert_allclose(origins[link], state[4], atol=3e-8)
         rotation = np.array(bullet.getMatrixFromQuaternion(state[5])).reshape(3, 3)
         np.testing.assert_allclose(frames[link], rotation, atol=1e-6)
-    for finger, (tip, link) in enumerate(zip(kinematics.tips(angles), kinematics.tip_links.tolist(), strict=True)):
-        ours = kinematics.jacobian(angles, finger)
-        np.testing.assert_array_equal(ours, kinematics.link_jacobian(angles, link, tip))
+    for finger, link in enumerate(kinematics.tip_links.tolist()):
         # PyBullet measures the point from the link's origin along the principal axes of its inertia
-        turn = bullet.getDynamicsInfo(loaded.body, loaded.indices[link], physicsClientId=number)[4]
+        turn = bullet.getDynamicsInfo(body, indices[link], physicsClientId=number)[4]
         axes = np.array(bullet.getMatrixFromQuaternion(turn)).reshape(3, 3)
-        place = (axes.T @ loaded.hand.fingertips[finger].center).tolist()
-        theirs, _ = bullet.calculateJacobian(
-            loaded.body, loaded.indices[link], place, loaded.theirs(), zero, zero, number
-        )
-        np.testing.assert_allclose(np.array(theirs)[:, loaded.columns], ours, atol=1e-12)
-
-
-@needs_bullet
-def test_gravity_torques_and_inertias_match_pybullet(loaded: Loaded) -> None:
-    """The mass matrix: inertias, and what fixed joints merge, mean the same to PyBullet."""
-    torques, zero = loaded.kinematics.gravity_torques(loaded.angles, GRAVITY), [0.0] * loaded.count
-    bullet.setGravity(*GRAVITY, physicsClientId=loaded.number)
-    theirs = bullet.calculateInverseDynamics(loaded.body, loaded.theirs(), zero, zero, physicsClientId=loaded.number)
-    np.testing.assert_allclose(torques, np.array(theirs)[loaded.columns], atol=1e-12)
-    total = mass_matrix(loaded.kinematics, loaded.angles)
-    np.testing.assert_allclose(loaded.kinematics.mass_matrix(loaded.angles), total, atol=1e-15)
-    theirs = np.array(bullet.calculateMassMatrix(loaded.body, loaded.theirs(), physicsClientId=loaded.number))
+        place = (axes.T @ hand.fingertips[finger].center).tolist()
+        theirs, _ = bullet.calculateJacobian(body, indices[link], place, given, zero, zero, number)
+        np.testing.assert_allclose(np.array(theirs)[:, columns], kinematics.jacobian(angles, finger), atol=1e-12)
+    bullet.setGravity(*GRAVITY, physicsClientId=number)
+    theirs = bullet.calculateInverseDynamics(body, given, zero, zero, physicsClientId=number)
+    np.testing.assert_allclose(kinematics.gravity_torques(angles, GRAVITY), np.array(theirs)[columns], atol=1e-12)
+    total = mass_matrix(kinematics, angles)
+    np.testing.assert_allclose(kinematics.mass_matrix(angles), total, atol=1e-15)
+    theirs = np.array(bullet.calculateMassMatrix(body, given, physicsClientId=number))
     # PyBullet finds principal axes to about 1e-8 of the inertia
-    np.testing.assert_allclose(theirs[np.ix_(loaded.columns, loaded.columns)], total, atol=1e-11)
+    np.testing.assert_allclose(theirs[np.ix_(columns, columns)], total, atol=1e-11)
+    client.close()
 
 
-@pytest.mark.parametrize(
-    "make", [turned, crooked, lambda: gripper(3, 3, coupled=True)], ids=["turned", "crooked", "coupled"]
-)
+@pytest.mark.parametrize("make", [crooked, lambda: gripper(3, 3, coupled=True)], ids=["crooked", "coupled"])
 def test_jacobians_and_gravity_torques_match_finite_differences(make: Callable[[], HandDescription]) -> None:
     kinematics, step = HandKinematics(make()), 1e-6
     hand, angles = kinematics.hand, np.random.default_rng(3).uniform(-0.6, 1.1, kinematics.hand.joint_count)
     masses, inside = (np.array([getattr(link, name) for link in hand.links]) for name in ("mass", "center"))
 
     def seen(angles: np.ndarray) -> np.ndarray:
-        """The tips' places, then the height of all links, with coupled joints where they follow."""
+        """The tips' places, then the potential energy of all links, with coupled joints where they follow."""
         angles = kinematics.coupled(angles)
         frames, origins = kinematics.links(angles)
         height = -masses @ (origins + (frames @ inside[:, :, None])[:, :, 0]) @ GRAVITY
