@@ -77,12 +77,14 @@ def robot(text: str) -> str:
     return f'<robot name="robot">{text}</robot>'
 
 
-def read(folder: Path, text: str, fingertips: Any = None, **options: Any) -> tuple[HandDescription, str]:
+def read(
+    folder: Path, text: str, fingertips: Any = None, name: str = "hand.urdf", **options: Any
+) -> tuple[HandDescription, str]:
     """The hand of a file, or of links and joints, without rotors unless given, and its warning, "" for none."""
-    path = folder / "hand.urdf"
-    path.write_text(text if "<robot" in text or "<sdf" in text else robot(text), encoding="utf-8")
+    path = folder / name
+    path.write_text(robot(text) if text.startswith(("<link", "<joint")) else text, encoding="utf-8")
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        made = HandDescription.from_urdf(path, fingertips, **{"rotor_inertia": 0.0, **options})
+        made = HandDescription.from_file(path, fingertips, **{"rotor_inertia": 0.0, **options})
     assert len(told) <= 1
     return made, str(told[0].message) if told else ""

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import mujoco as compiled
 import numpy as np
 import pytest
+import trimesh
+from urdf_text import read
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim import HandDescription, HandKinematics
+from grasp_env.sim import HandKinematics
 from grasp_env.sim.hand.frames import Frame
 
 mujoco: Any = compiled  # it has no types
@@ -45,21 +46,9 @@ PLAIN = FINGERS.format(one="", two="", rod="", more="")
 MOTORS = '<actuator><motor joint="j1" ctrlrange="-3 3"/><motor joint="k1"/></actuator>'
 
 
-def read(
-    folder: Path, text: str, *arguments: Any, name: str = "hand.xml", **options: Any
-) -> tuple[HandDescription, str]:
-    """A hand from a text, and its warning."""
-    path = folder / name
-    path.write_text(text)
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        hand = HandDescription.from_mjcf(path, *arguments, **options)
-    return hand, str(told[0].message) if told else ""
-
-
 def test_a_scene_is_the_hand_that_mujoco_simulates(tmp_path: Path) -> None:
     """The base floats, and the floor and a free ball are left out; the first element says what the file is."""
-    hand, told = read(tmp_path, CROOKED, ["pad", "touch", "c"], name="hand.urdf")
+    hand, told = read(tmp_path, CROOKED, ["pad", "touch", "c"], rotor_inertia=None)
     assert (hand.name, hand.palm.name, hand.joint_names) == ("crooked", "base", ("turn", "slide", "side", "bend"))
     assert [(shape.kind, shape.size) for shape in hand.palm.collision] == [("box", (0.06, 0.08, 0.02))]
     assert [(link.lower, link.upper) for link in hand.links] == [(-0.5, 1.2), (-0.01, 0.02), (-0.4, 0.4), (-1.0, 1.0)]
@@ -188,11 +177,9 @@ def test_wrists_names_and_motors_that_a_file_does_not_give(tmp_path: Path) -> No
 def test_meshes_lie_where_their_files_have_them(tmp_path: Path) -> None:
     """The mesh is in a folder above the model."""
     corners = np.array([[0, 0, 0], [40, 0, 0], [0, 30, 0], [0, 0, 60], [10, 10, 50]], dtype=float)
-    faces = [(1, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 5), (2, 5, 4), (3, 4, 5)]
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4)]
+    trimesh.Trimesh(corners, faces, process=False).export(tmp_path / "wedge.obj")
     (tmp_path / "models").mkdir()
-    (tmp_path / "wedge.obj").write_text(
-        "".join(f"v {x} {y} {z}\n" for x, y, z in corners.tolist()) + "".join(f"f {a} {b} {c}\n" for a, b, c in faces)
-    )
     asset = '<asset><mesh name="wedge" file="wedge.obj" scale="0.001 0.001 0.001"/></asset><worldbody>'
     text = PLAIN.replace("<worldbody>", asset, 1)
     text = text.replace(
@@ -215,7 +202,7 @@ CARRIED = '<body name="r2"><joint name="r" axis="0 1 0"/><geom size="0.005" pos=
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("<mujoco><worldbody>", "hand.xml is not XML"),
+        ("<mujoco><worldbody>", "hand.urdf is not XML"),
         ("<sdf/>", "the first element is <sdf>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"),
         ("<mujoco><worldbody><body><geom size='0.1'/></body></worldbody></mujoco>", "the file has no joint; a part that other files include"),
         (FINGERS.format(one="", two="", rod="<site name='s'/>", more="<actuator><motor site='s'/></actuator>"),
