@@ -44,7 +44,7 @@ def outside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return (points @ faces[:, :3].T + faces[:, 3]).max(axis=1)
 
 
-def bent() -> trimesh.Trimesh:
+def bent() -> Any:
     """An L of two boxes that share no corner."""
     long, short = trimesh.creation.box((0.01, 0.01, 0.06)), trimesh.creation.box((0.03, 0.01, 0.01))
     return trimesh.util.concatenate([long, short.apply_translation((0.019, 0.0, -0.024))])
@@ -253,8 +253,8 @@ def test_the_unit_of_a_dae_counts_where_a_hand_touches_and_is_seen(tmp_path: Pat
 
 def write_dae(folder: Path, asset: str) -> None:
     """A box of 20 x 30 x 40 with elements in its <asset>."""
-    text = trimesh.creation.box((20.0, 30.0, 40.0)).export(file_type="dae").decode()
-    text = re.sub(r"<unit[^>]*/>|<up_axis>.*?</up_axis>", "", text)
+    written: Any = trimesh.creation.box((20.0, 30.0, 40.0)).export(file_type="dae")
+    text = re.sub(r"<unit[^>]*/>|<up_axis>.*?</up_axis>", "", written.decode())
     assert "</asset>" in text
     (folder / "a.dae").write_text(text.replace("</asset>", f"{asset}</asset>"))
 

@@ -374,7 +374,7 @@ HANDS: dict[str, Callable[[], HandDescription]] = {
     "allegro": HandDescription.allegro,
     "leap": HandDescription.leap,
 }
-"""Built-in hands by name."""
+"""The built-in hands by name."""
 
 _COLORS = ((0.85, 0.33, 0.24), (0.20, 0.50, 0.80), (0.95, 0.69, 0.20), (0.27, 0.65, 0.42), (0.55, 0.40, 0.70))
 _FOUR_JOINTS = {
