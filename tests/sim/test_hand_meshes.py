@@ -1,4 +1,4 @@
-"""Meshes of hands: where files are sought, their convex pieces and the cache of these, fingertips in links of any shape, files that are no mesh."""
+"""Meshes of hands: finding files, convex pieces and their cache, fitted fingertips, and wrong files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.sim import mesh_files
 from grasp_env.sim.hand.files import meshes, pieces
 from grasp_env.sim.hand.files.pieces import convex_pieces
-from grasp_env.sim.hand.solids import MOST_CORNERS, beneath, few_corners, inset, outline
+from grasp_env.sim.hand.solids import MAX_CORNERS, cut_below, few_corners, outline, shrunk
 from grasp_env.sim.hand.tree import Geometry
 from grasp_env.sim.hand.urdf import hand_files
 from training.cli import main
@@ -30,7 +30,7 @@ TIP = {"finger": ((0.0, 0.0, 0.005), 0.001)}
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A cache folder for the test alone."""
+    """Use a cache folder of the test's own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
@@ -39,13 +39,13 @@ def mesh(name: str, scale: str = "1 1 1", role: str = "collision") -> str:
 
 
 def outside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Distances by which points stick out of the hull of corners [m]."""
+    """Return the distances by which points stick out of the hull of corners [m]."""
     faces = ConvexHull(corners).equations
     return (points @ faces[:, :3].T + faces[:, 3]).max(axis=1)
 
 
 def bent() -> Any:
-    """An L of two boxes that share no corner."""
+    """Return an L of two boxes that share no corner."""
     long, short = trimesh.creation.box((0.01, 0.01, 0.06)), trimesh.creation.box((0.03, 0.01, 0.01))
     return trimesh.util.concatenate([long, short.apply_translation((0.019, 0.0, -0.024))])
 
@@ -54,7 +54,7 @@ def bent() -> Any:
     "name", ["meshes/box.obj", "file://meshes/box.stl", "package://any_name/meshes/box.obj", "{folder}/meshes/box.stl"]
 )
 def test_meshes_are_found_and_become_hulls(tmp_path: Path, name: str) -> None:
-    """In the folder above the URDF; written and read again they are the same."""
+    """The meshes are in a folder above the URDF; their hulls are written and read without a change."""
     for folder in ("meshes", "urdf"):
         (tmp_path / folder).mkdir()
     for kind in ("obj", "stl"):
@@ -103,10 +103,10 @@ def test_looks_that_cannot_be_drawn_are_left_out(tmp_path: Path, name: str, cont
     ids=["bent", "ring"],
 )
 def test_a_mesh_that_is_not_convex_falls_into_pieces(shape: trimesh.Trimesh, counts: Any) -> None:
-    """All of it is in them, and a hole stays one."""
+    """The pieces contain all of the mesh, and a hole stays open."""
     found = convex_pieces(np.array(shape.vertices), np.array(shape.faces))
     assert len(found) in counts
-    assert all(len(piece) <= MOST_CORNERS for piece in found)
+    assert all(len(piece) <= MAX_CORNERS for piece in found)
     samples = np.vstack([trimesh.sample.sample_surface(shape, 500, seed=0)[0], shape.vertices])
     assert np.min([outside(samples, piece) for piece in found], axis=0).max() < 1e-6
     if len(found) == 2:
@@ -116,7 +116,7 @@ def test_a_mesh_that_is_not_convex_falls_into_pieces(shape: trimesh.Trimesh, cou
 
 
 def test_parts_inside_one_another_and_open_ones_are_one_piece() -> None:
-    """A cylinder whose caps and side are meshes of their own, and a box around it that hides half of it."""
+    """A cylinder with unconnected triangles; and a cylinder half inside a box."""
     side = trimesh.creation.cylinder(0.01, 0.04)
     loose = trimesh.Trimesh(side.triangles.reshape(-1, 3), np.arange(3 * len(side.faces)).reshape(-1, 3), process=False)
     assert len(convex_pieces(np.array(loose.vertices).round(9), np.array(loose.faces))) == 1
@@ -128,7 +128,7 @@ def test_few_corners_contain_all_and_little_more() -> None:
     """40 corners around a ball stick out by an eighth of its radius."""
     points = np.array(trimesh.creation.icosphere(3, 0.012).vertices)
     corners = few_corners(points)
-    assert len(corners) <= MOST_CORNERS
+    assert len(corners) <= MAX_CORNERS
     assert outside(points, corners).max() < 1e-9
     assert outside(corners, points).max() < 0.135 * 0.012
     assert few_corners(np.array(BOX.vertices)).shape == (8, 3)
@@ -136,12 +136,12 @@ def test_few_corners_contain_all_and_little_more() -> None:
 
 def test_cut_and_inset_boxes_are_boxes() -> None:
     points, up = np.array(BOX.vertices), np.array([0.0, 0.0, 1.0])
-    left, inner = beneath(points, up, 0.005), inset(points, 1e-3)
+    left, inner = cut_below(points, up, 0.005), shrunk(points, 1e-3)
     bounds = [(left.min(axis=0), left.max(axis=0)), (inner.min(axis=0), inner.max(axis=0))]
     np.testing.assert_allclose(bounds[0], [(-0.01, -0.015, -0.02), (0.01, 0.015, 0.005)], atol=1e-12)
     np.testing.assert_allclose(bounds[1], [(-0.009, -0.014, -0.019), (0.009, 0.014, 0.019)], atol=1e-9)
-    assert len(beneath(points, up, -0.02)) == 0
-    thin = inset(points * (1.0, 1.0, 0.03), 1e-3)  # 1.2 mm: a third of the ball of 0.6 mm goes
+    assert len(cut_below(points, up, -0.02)) == 0
+    thin = shrunk(points * (1.0, 1.0, 0.03), 1e-3)  # 1.2 mm: a third of the ball of 0.6 mm goes
     np.testing.assert_allclose(np.ptp(thin, axis=0), (0.0196, 0.0296, 0.0008), atol=1e-6)
 
 
@@ -184,7 +184,7 @@ def test_tips_are_given_by_place_and_on_links_of_all_kinds(tmp_path: Path) -> No
 
 
 def test_every_end_of_a_branch_is_a_finger(tmp_path: Path) -> None:
-    """But for those without a shape; a sphere at the end of a link is the tip."""
+    """Ends without a shape are left out; a sphere at the end of a link is the tip."""
     thumb = joint("t", "palm", "thumb") + link("thumb").replace('box size="0.04 0.02 0.02"', 'sphere radius="0.011"')
     more = finger("i", "finger", "0 0 0") + thumb + joint("b", "i1", "blade") + '<link name="blade"/>'
     made, told = read(tmp_path, small("", more=more))
@@ -241,7 +241,7 @@ def test_all_missing_meshes_are_told_before_any_is_read(tmp_path: Path, monkeypa
     ("unit", "scale"), [("<unit name='centimetre' meter='0.01'/>", "0.1 0.1 0.1"), ("<unit/>", "0.001 0.001 0.001")]
 )
 def test_the_unit_of_a_dae_counts_where_a_hand_touches_and_is_seen(tmp_path: Path, unit: str, scale: str) -> None:
-    """In ROS, too; the axis that points up does not."""
+    """ROS applies the unit, too; the up axis is ignored."""
     write_dae(tmp_path, f"{unit}<up_axis>Y_UP</up_axis>")
     made, _ = read(tmp_path, small(BALL, mesh("a.dae", scale) + mesh("a.dae", scale, "visual")))
     (hull,), (look,) = made.palm.collision, made.palm.visual
@@ -252,7 +252,7 @@ def test_the_unit_of_a_dae_counts_where_a_hand_touches_and_is_seen(tmp_path: Pat
 
 
 def write_dae(folder: Path, asset: str) -> None:
-    """A box of 20 x 30 x 40 with elements in its <asset>."""
+    """Write a box of 20 x 30 x 40 with elements in its <asset>."""
     written: Any = trimesh.creation.box((20.0, 30.0, 40.0)).export(file_type="dae")
     text = re.sub(r"<unit[^>]*/>|<up_axis>.*?</up_axis>", "", written.decode())
     assert "</asset>" in text

@@ -19,7 +19,7 @@ _OTHER_STARTS = 11
 _LIMIT = 1e-6  # [rad] by which angles may exceed a limit
 
 
-NO_LEVER = 0.01
+_SMALLEST_LEVER = 0.01
 """Singular value of a Jacobian, relative to the largest, up to which motors count as unable to push along its direction."""
 
 
@@ -313,7 +313,7 @@ class HandKinematics:
 def motor_span(jacobian: Array) -> Array:
     """Return orthonormal columns (K, R) that span the forces the motors can make, given their Jacobian (K, J)."""
     ways, levers, _ = np.linalg.svd(jacobian, full_matrices=False)
-    return ways[:, levers > NO_LEVER * levers[0]]
+    return ways[:, levers > _SMALLEST_LEVER * levers[0]]
 
 
 def _ranges(hand: HandDescription) -> tuple[Array, Array]:

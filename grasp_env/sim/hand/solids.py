@@ -12,7 +12,7 @@ from grasp_env._check import Array
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry, Vector3
 
-MOST_CORNERS = 40
+MAX_CORNERS = 40
 """Largest number of corners of a hull. A larger hull is replaced by one that contains it: around a round end its corners stick
 out by an eighth of the radius."""
 _FLAT = 3e-8  # [m] volume over area, about half of the thickness, up to which a shape is flat
@@ -72,7 +72,7 @@ def principal_axes(points: Array) -> Array:
     return np.linalg.eigh(away.T @ away)[1].T
 
 
-def few_corners(points: Array, most: int = MOST_CORNERS) -> Array:
+def few_corners(points: Array, most: int = MAX_CORNERS) -> Array:
     """Return at most `most` corners (K, 3) whose hull contains all points (K, 3); the hull's own corners if they are few.
 
     The point farthest outside is added until `most` is reached. Then all corners move outward until no point is outside.
@@ -110,7 +110,7 @@ def few_corners(points: Array, most: int = MOST_CORNERS) -> Array:
     return middle + max(1.0, float((needed / inner).max())) * (corners - middle)
 
 
-def beneath(points: Array, normal: Array, offset: float) -> Array:
+def cut_below(points: Array, normal: Array, offset: float) -> Array:
     """Return corners of the part of the hull of points (K, 3) with normal @ x <= offset; none if that part is empty or flat."""
     hull = hull_of(points)
     heights = hull.points @ normal - offset
@@ -125,7 +125,7 @@ def beneath(points: Array, normal: Array, offset: float) -> Array:
     return hull_of(left).points
 
 
-def inset(points: Array, depth: float) -> Array:
+def shrunk(points: Array, depth: float) -> Array:
     """Return corners of the hull of points (K, 3) [m] shrunk by `depth`, at most by a third of its largest inner ball's radius."""
     faces = np.unique(hull_of(points).equations.round(12), axis=0)
     rows = np.column_stack([faces[:, :3], np.ones(len(faces))])

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from grasp_env._check import Array
-from grasp_env.sim.hand.solids import beneath, few_corners, hull_of, hull_shape, outline
+from grasp_env.sim.hand.solids import cut_below, few_corners, hull_of, hull_shape, outline
 from grasp_env.sim.hand.tree import Geometry, Link, Vector3
 
 SMALLEST, LARGEST = 0.004, 0.015
@@ -29,7 +29,7 @@ class Ball(NamedTuple):
     radius: float
 
 
-def distal(points: Array, axis: Array, outward: Array) -> Array:
+def end_direction(points: Array, axis: Array, outward: Array) -> Array:
     """Return the unit direction (3,) in which a link ends: towards the points farthest from the axis of its joint.
 
     Args:
@@ -55,7 +55,7 @@ def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
     wide, the sphere lies in its middle along `axis`. A thinner link gets a sphere of 4 mm radius that sticks out.
     """
     far = max(float((piece @ direction).max()) for piece in pieces)
-    ends = [end for piece in pieces if len(end := beneath(piece, -direction, _END - far))]
+    ends = [end for piece in pieces if len(end := cut_below(piece, -direction, _END - far))]
     faces = hull_of(np.vstack(ends if ends else list(pieces))).equations
     normals, offsets = faces[:, :3], -faces[:, 3]
     best: tuple[float, Array, float, Array, Array] | None = None
@@ -81,7 +81,7 @@ def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
     return Ball((x, y, z), min(max(radius, SMALLEST), LARGEST))
 
 
-def freed(link: Link, ball: Ball, direction: Array) -> Link:
+def cut_back(link: Link, ball: Ball, direction: Array) -> Link:
     """Return the link with shapes that cover or surround the front of its tip's sphere cut off behind the sphere."""
     center, back = np.array(ball.center), float(np.dot(ball.center, direction)) - ball.radius
     shapes: list[Geometry] = []
@@ -90,14 +90,14 @@ def freed(link: Link, ball: Ball, direction: Array) -> Link:
             shapes.append(shape)
             continue
         points = outline(shape)
-        front = beneath(points, -direction, -float(center @ direction))
+        front = cut_below(points, -direction, -float(center @ direction))
         if len(front) == 0 or np.linalg.norm(front - center, axis=1).max() <= 0.9 * ball.radius:
             shapes.append(shape)
             continue
         if (points @ direction).max() > float(center @ direction) + 3.0 * ball.radius:
             shapes.append(shape)  # the sphere is not at this shape's end
             continue
-        left = beneath(points, direction, back)
+        left = cut_below(points, direction, back)
         if len(left):
             shapes.append(hull_shape(few_corners(left), color=shape.color))
     return replace(link, collision=tuple(shapes))

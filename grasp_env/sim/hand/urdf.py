@@ -128,9 +128,9 @@ def _hull_name(role: str, corners: tuple[Vector3, ...]) -> str:
 @lru_cache(maxsize=512)
 def _hull_obj(corners: tuple[Vector3, ...], margin: float) -> str:
     """Return a hull as a Wavefront file, shrunk by a margin [m], with faces counterclockwise from outside."""
-    from grasp_env.sim.hand.solids import inset
+    from grasp_env.sim.hand.solids import shrunk
 
-    points, faces = hull_faces(inset(np.array(corners), margin) if margin > 0.0 else np.array(corners))
+    points, faces = hull_faces(shrunk(np.array(corners), margin) if margin > 0.0 else np.array(corners))
     lines = [f"v {_text(corner)}" for corner in points] + [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in faces.tolist()]
     return "\n".join(lines) + "\n"
 

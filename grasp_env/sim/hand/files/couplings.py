@@ -19,7 +19,7 @@ _STATIONS = 7
 """Number of positions of a motor at which the joints are measured."""
 _TRAVEL, _REST = 0.2, 0.8
 """Time from one position to the next, and waiting time before the joints are measured [s]."""
-_MOST_STEPS, _LONGEST_STEP = 4000, 0.005
+_MAX_STEPS, _LONGEST_STEP = 4000, 0.005
 """Largest number of simulation steps for one motor, and longest time step [s]; the time step of the file is adjusted to these."""
 _HELD = 1e6
 """Armature that freezes a joint against constraints [kg m^2]."""
@@ -213,7 +213,7 @@ class _Bench:
         model = mujoco.MjModel.from_binary_path("bench.mjb", {"bench.mjb": _binary(self.model)})
         model.opt.gravity[:] = 0.0
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        model.opt.timestep = max(float(model.opt.timestep), _STATIONS * (_TRAVEL + _REST) / _MOST_STEPS)
+        model.opt.timestep = max(float(model.opt.timestep), _STATIONS * (_TRAVEL + _REST) / _MAX_STEPS)
         model.opt.timestep = min(float(model.opt.timestep), _LONGEST_STEP)
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         model.dof_frictionloss[:] = model.tendon_frictionloss[:] = model.tendon_damping[:] = 0.0

@@ -14,14 +14,14 @@ from grasp_env.sim.hand.check import Inertia, Vector3
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
-_MOST_LISTED = 20
+_MAX_LISTED = 20
 NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Inertia of a link without one in the file."""
 
 
 @dataclass(frozen=True)
 class FileLink:
-    """A link of a file: mass 0 if the file has none; `color` is that of its first visual; `HandFile.shaped` adds the shapes."""
+    """A link of a file: mass 0 if the file has none; `color` is that of its first visual; `HandFile.with_shapes` adds the shapes."""
 
     name: str
     mass: float = 0.0
@@ -62,14 +62,14 @@ class HandFile(Protocol):
     ends: list[tuple[str, str, str]]
     mimics: dict[str, str]
     fixed: set[str]
-    unseen: dict[str, str]
-    said: list[str]
+    undrawn: dict[str, str]
+    notes: list[str]
 
     def elements(self, links: Collection[str], /) -> tuple[dict[str, FileLink], list[FileJoint]]:
         """Return some of the links by name, and the joints between them in file order."""
         ...
 
-    def shaped(self, links: dict[str, FileLink], /) -> dict[str, FileLink]:
+    def with_shapes(self, links: dict[str, FileLink], /) -> dict[str, FileLink]:
         """Return the links with their shapes."""
         ...
 
@@ -81,8 +81,8 @@ def names_of(values: Sequence[Any]) -> str:
 
 def listed(rows: Sequence[str]) -> str:
     """Return at most 20 texts for a message, and the number of the others."""
-    more = f" and {len(rows) - _MOST_LISTED} more" if len(rows) > _MOST_LISTED else ""
-    return ", ".join(rows[:_MOST_LISTED]) + more
+    more = f" and {len(rows) - _MAX_LISTED} more" if len(rows) > _MAX_LISTED else ""
+    return ", ".join(rows[:_MAX_LISTED]) + more
 
 
 def refuse(fault: str) -> NoReturn:

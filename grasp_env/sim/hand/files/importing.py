@@ -27,7 +27,7 @@ from grasp_env.sim.hand.files.plausible import Body, Judge
 from grasp_env.sim.hand.files.reading import open_file, read_part
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.solids import outline
-from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
+from grasp_env.sim.hand.tips import Ball, cut_back, end_direction, inscribed
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
 
 _NEAR = 1e-3  # [m] from a joint, below which points give no direction
@@ -86,17 +86,17 @@ class _Importer:
         self.joints, uncoupled = free_ranges(joints, ranges)
         self.root = part.root
         self.own_rotors = options.rotor_inertia is None
-        self.repairs = [*file.said, *part.left, *held, *wide, *uncoupled]
+        self.repairs = [*file.notes, *part.left, *held, *wide, *uncoupled]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
             why = "".join(f"; {sentence}" for sentence in held)
             raise InvalidInputError(
                 f"no joint moves; a hand needs joints of type revolute, continuous or prismatic{why}"
             )
-        self.links = file.shaped(self.links)  # may take seconds, but meshes are cached by content
+        self.links = file.with_shapes(self.links)  # may take seconds, but meshes are cached by content
         self.places = self._placed()
-        for why in dict.fromkeys(file.unseen.values()):
-            left = [name for name, reason in file.unseen.items() if reason == why]
+        for why in dict.fromkeys(file.undrawn.values()):
+            left = [name for name, reason in file.undrawn.items() if reason == why]
             self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
         bodies = [self._body(joint) for joint in self.moving]
         drivers = {joint.name: joint.mimic.joint for joint in self.moving if joint.mimic is not None}
@@ -179,7 +179,7 @@ class _Importer:
                     mimic=joint.mimic,
                 )
             )
-        self.repairs += judge.said
+        self.repairs += judge.notes
         return links
 
     def _inertial(self, name: str) -> tuple[float, Vector3, Inertia]:
@@ -259,7 +259,7 @@ class _Importer:
         )
         if np.linalg.norm(ends, axis=1).max() < _NEAR and pieces:
             ends = np.vstack(pieces)
-        direction = distal(ends, axis, self._outward(place.carrier, ends))
+        direction = end_direction(ends, axis, self._outward(place.carrier, ends))
         if ball is None:
             ball = self._sphere(name, group, pieces, direction)
         if ball is None and radius is not None:
@@ -304,7 +304,7 @@ class _Importer:
         """Return the link with a sphere for each fingertip, its other shapes cut back behind them."""
         for tip, direction in tips:
             sphere = Geometry("sphere", (tip.radius,), tip.center)
-            link = freed(link, Ball(tip.center, tip.radius), direction)
+            link = cut_back(link, Ball(tip.center, tip.radius), direction)
             there = any(
                 shape.kind == "sphere" and math.dist(shape.origin, tip.center) < 1e-12 for shape in link.collision
             )

@@ -33,18 +33,18 @@ def judge_ranges(
     """
     judged = [joint for joint in joints if not joint.fixed and joint.name not in given]
     spans = [joint.upper - joint.lower for joint in judged if not joint.sliding and math.isfinite(joint.lower)]
-    said, true = list[str](), "; give the true ones as joint_limits="
+    notes, true = list[str](), "; give the true ones as joint_limits="
     if spans and statistics.median(spans) > DEGREES:
         turned = {joint.name: _in_radians(joint) for joint in judged if not joint.sliding}
         joints = [turned.get(joint.name, joint) for joint in joints]
         shown = listed([_range(joint) for joint in turned.values()])
-        said.append(f"ranges of more than two turns are taken as degrees: {shown}{true}")
+        notes.append(f"ranges of more than two turns are taken as degrees: {shown}{true}")
         judged = [turned.get(joint.name, joint) for joint in judged]
     driven = [joint for joint in judged if joint.mimic is None]
     wide = [_range(joint) for joint in driven if _is_wide(joint, driven)]
     if wide:
-        said.append(f"ranges too wide for a finger's joint are kept: {listed(wide)}{true}")
-    return list(joints), said
+        notes.append(f"ranges too wide for a finger's joint are kept: {listed(wide)}{true}")
+    return list(joints), notes
 
 
 def _is_wide(joint: FileJoint, others: Sequence[FileJoint]) -> bool:

@@ -24,8 +24,8 @@ DRAWN = (".obj", ".stl", ".dae")
 
 PARENTS = 5
 """Number of folders above a hand's file in which its meshes are looked for."""
-_MOST_LOOKS = 20 * MEGABYTE  # largest visual mesh [bytes]
-_MOST_BLOCKS = 10_000
+_MAX_VISUAL_BYTES = 20 * MEGABYTE  # largest visual mesh [bytes]
+_MAX_BLOCKS = 10_000
 _LONGEST_HEAD = 65_536  # head of a .dae in which its unit is looked for [bytes]
 _UNIT = re.compile(rb"""<(?:\w+:)?unit\s(?:[^<>]*\s)?meter\s*=\s*["']([^"'<>]*)["']""")
 _MADE = "1"  # version of the check; change it when the check changes, so that older cache entries are not used
@@ -108,7 +108,7 @@ def why_not_drawn(path: Path) -> str:
     if kind not in DRAWN:
         return f"are none of {', '.join(DRAWN)}"
     try:
-        blob = read_bytes(path, _MOST_LOOKS)
+        blob = read_bytes(path, _MAX_VISUAL_BYTES)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
     if kind != ".obj":
@@ -130,7 +130,7 @@ def _corners_exist(blob: bytes) -> bool:
     known = np.stack([np.searchsorted(other, faces) for other in others], axis=1)
     # blocks of faces behind the same number of corners; most files have one block
     cuts = (np.flatnonzero((np.diff(known, axis=0) != 0).any(axis=1)) + 1).tolist()
-    if len(faces) == 0 or len(cuts) > _MOST_BLOCKS:
+    if len(faces) == 0 or len(cuts) > _MAX_BLOCKS:
         return False
     rows = key_lines(text, b"f")
     for begin, end in zip([0, *cuts], [*cuts, len(rows)], strict=True):

@@ -25,7 +25,7 @@ from grasp_env.sim.progress import counted
 
 _LEAST_SPAN = 0.1
 """Smallest plausible median range of the hinges [rad]."""
-_MOST_BODIES = 500
+_MAX_BODIES = 500
 """Largest number of bodies in a file."""
 _LIGHT = 1e-3
 """Mass of the link between two joints of one body [kg], which is massless in MuJoCo."""
@@ -54,11 +54,11 @@ class MjcfReader:
         model = self.model
         self.name = model_name(model, self.path)
         self._shapes = MjcfShapes(model, self.path)
-        self.unseen = self._shapes.unseen
-        self.said: list[str] = []
-        if model.nbody - 1 > _MOST_BODIES:
+        self.undrawn = self._shapes.undrawn
+        self.notes: list[str] = []
+        if model.nbody - 1 > _MAX_BODIES:
             raise InvalidInputError(
-                f"there are {model.nbody - 1} bodies, allowed are up to {_MOST_BODIES}; take the hand out"
+                f"there are {model.nbody - 1} bodies, allowed are up to {_MAX_BODIES}; take the hand out"
             )
         if model.njnt == 0:
             raise InvalidInputError(
@@ -84,7 +84,7 @@ class MjcfReader:
         links = {link.name: link for link in self._links if link.name in wanted}
         return links, [joint for joint in self._ends if not {joint.parent, joint.child} - set(wanted)]
 
-    def shaped(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
+    def with_shapes(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
         """See `urdf.UrdfReader`."""
         bodies = {name: body for body, name in self._names.items()}
         own = {geom for _, geom in self._tips.values() if geom is not None}
@@ -116,7 +116,7 @@ class MjcfReader:
         model.jnt_range[hinges] *= 180.0 / math.pi
         addresses = model.jnt_qposadr[hinges]
         model.qpos0[addresses] *= 180.0 / math.pi
-        self.said.append(
+        self.notes.append(
             f"without angle='radian' in <compiler> ranges are degrees, but their median would then be {np.median(spans):.2g} rad: "
             "radians are assumed"
         )
@@ -130,7 +130,7 @@ class MjcfReader:
         acting = {motor.actuator for motor in self.motors}
         idle = [name_of(model, "actuator", number) for number in range(model.nu) if number not in acting]
         if idle:
-            self.said.append(f"actuators that move no joint of their own are left out: {names_of(idle)}")
+            self.notes.append(f"actuators that move no joint of their own are left out: {names_of(idle)}")
         lines = list[str]()
         for motor in self.motors:
             for other, (ratio, offset) in motor.followers.items():
@@ -140,7 +140,7 @@ class MjcfReader:
                     f"{name_of(model, 'joint', other)} = {ratio:g} * {name_of(model, 'joint', motor.joint)}{shift}{bend}"
                 )
         if lines:
-            self.said.append(f"joints that share a motor are coupled as MuJoCo moves them: {', '.join(lines)}")
+            self.notes.append(f"joints that share a motor are coupled as MuJoCo moves them: {', '.join(lines)}")
 
     def _joints_of(self, body: int) -> list[int]:
         first, count = int(self.model.body_jntadr[body]), int(self.model.body_jntnum[body])
@@ -181,9 +181,9 @@ class MjcfReader:
             still += [name_of(model, "joint", joint) for joint in passive]
             bodies.append(body)
         if left:
-            self.said.append(f"bodies that move freely, and rods on ball joints, are left out: {names_of(left)}")
+            self.notes.append(f"bodies that move freely, and rods on ball joints, are left out: {names_of(left)}")
         if still:
-            self.said.append(f"joints without a motor hold still in the file's posture: {names_of(still)}")
+            self.notes.append(f"joints without a motor hold still in the file's posture: {names_of(still)}")
         return bodies, root
 
     def _named_tips(self, tips: Sequence[str]) -> dict[str, tuple[int, int | None]]:

@@ -19,7 +19,7 @@ from grasp_env.sim.objects.apart import apart
 
 _SECONDS = 30.0
 """Longest time to compile a file [s]."""
-_MOST_MEMORY = 8 << 30
+_MAX_MEMORY = 8 << 30
 """Largest memory to compile a file [bytes]."""
 _UNNAMED = "MuJoCo Model"
 """Name that MuJoCo gives to a model without one."""
@@ -60,7 +60,7 @@ def compile_mjcf(path: Any) -> dict[str, Any]:
     try:
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, _MOST_MEMORY))
+        resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY, _MAX_MEMORY))
     except (ImportError, ValueError, OSError):  # not on Windows
         pass
     file = Path(str(path))

@@ -20,12 +20,12 @@ class MjcfShapes:
     """The geometries of a model from the file `path`.
 
     Attributes:
-        unseen: Meshes that cannot be drawn, with the reason.
+        undrawn: Meshes that cannot be drawn, with the reason.
     """
 
     def __init__(self, model: Any, path: Path) -> None:
         self._model, self._path = model, path
-        self.unseen: dict[str, str] = {}
+        self.undrawn: dict[str, str] = {}
 
     def of_body(
         self, body: int, shift: Frame, without: set[int]
@@ -86,7 +86,7 @@ class MjcfShapes:
         if file is None:
             return self.solids(geom, shift)
         if why := why_not_drawn(file) or ("are mirrored by a scale below 0" if min(scale) < 0.0 else ""):
-            self.unseen[file.name] = why
+            self.undrawn[file.name] = why
             return self.solids(geom, shift)
         # MuJoCo moved the mesh to its centre and principal axes
         moved = frame_of(model.mesh_pos[mesh], model.mesh_quat[mesh])

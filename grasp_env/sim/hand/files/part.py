@@ -31,13 +31,13 @@ class Part:
     Attributes:
         root: Name of the palm's link.
         links: Names of the palm, of links fixed to it, and of all their descendants.
-        turned: Names of the fixed joints that carry the palm; they are read from child to parent.
+        reversed_joints: Names of the fixed joints that carry the palm; they are read from child to parent.
         left: Sentences on what is left out.
     """
 
     root: str
     links: tuple[str, ...]
-    turned: frozenset[str] = frozenset()
+    reversed_joints: frozenset[str] = frozenset()
     left: tuple[str, ...] = ()
 
 
@@ -141,10 +141,10 @@ class _Robot:
             raise InvalidInputError(
                 f"palm: no link is called {shown(palm)}; joints branch at {names_of(self._palms())}; links are {names_of(self.links)}"
             )
-        top, turned = palm, list[str]()
+        top, reversed_joints = palm, list[str]()
         while top in self._above and self._above[top][0] in self._fixed:
             joint, top = self._above[top]
-            turned.append(joint)
+            reversed_joints.append(joint)
         links = self._down(top)
         kept = set(links)
         moving = [joint for joint, _, child in self._ends if joint not in self._fixed]
@@ -166,7 +166,7 @@ class _Robot:
             )
         if limbs:
             left.append(f"limbs that the palm {palm!r} does not carry are left out, with the joints {names_of(limbs)}")
-        return Part(palm, tuple(links), frozenset(turned), tuple(left))
+        return Part(palm, tuple(links), frozenset(reversed_joints), tuple(left))
 
 
 def find_root(links: Sequence[str], ends: Ends) -> str:
@@ -237,7 +237,7 @@ def arrange(part: Part, joints: Sequence[FileJoint]) -> tuple[list[FileJoint], l
     Chains of coupled joints are resolved to the joint with the motor. Joints that mimic a joint outside the part are fixed, and so
     are joints with equal limits.
     """
-    joints = [_upside_down(joint) if joint.name in part.turned else joint for joint in joints]
+    joints = [_reversed(joint) if joint.name in part.reversed_joints else joint for joint in joints]
     by_name = {joint.name: joint for joint in joints}
     driven, alone, stuck = list[FileJoint](), list[str](), list[str]()
     for joint in joints:
@@ -246,23 +246,23 @@ def arrange(part: Part, joints: Sequence[FileJoint]) -> tuple[list[FileJoint], l
             mimic = Mimic(before.joint, mimic.ratio * before.ratio, mimic.angle(before.offset))
         if mimic is not None and mimic.joint not in by_name:
             alone.append(joint.name)
-            driven.append(_held(joint, mimic.offset))
+            driven.append(_frozen(joint, mimic.offset))
         elif not joint.fixed and joint.lower == joint.upper:
             stuck.append(joint.name)
-            driven.append(_held(joint, joint.lower))
+            driven.append(_frozen(joint, joint.lower))
         elif mimic is not None and (other := by_name[mimic.joint]).lower == other.upper:
             stuck.append(joint.name)
-            driven.append(_held(joint, mimic.angle(other.lower)))
+            driven.append(_frozen(joint, mimic.angle(other.lower)))
         else:
             driven.append(replace(joint, mimic=mimic))
-    said = list[str]()
+    notes = list[str]()
     if alone:
-        said.append(f"joints that mimic others that are left out hold still: {names_of(alone)}")
+        notes.append(f"joints that mimic others that are left out hold still: {names_of(alone)}")
     if stuck:
-        said.append(
+        notes.append(
             f"joints with equal limits, lower = upper, hold still: {names_of(stuck)}; give the true ranges as joint_limits="
         )
-    return _ordered(part.root, driven), said
+    return _ordered(part.root, driven), notes
 
 
 def _ordered(root: str, joints: list[FileJoint]) -> list[FileJoint]:
@@ -276,14 +276,14 @@ def _ordered(root: str, joints: list[FileJoint]) -> list[FileJoint]:
     return ordered
 
 
-def _upside_down(joint: FileJoint) -> FileJoint:
+def _reversed(joint: FileJoint) -> FileJoint:
     """Return a fixed joint with parent and child exchanged."""
     frame = Frame.of(joint.origin, joint.rotation)
     origin, rotation = Frame(frame.rotation.T, -frame.rotation.T @ frame.origin).numbers()
     return replace(joint, parent=joint.child, child=joint.parent, origin=origin, rotation=rotation)
 
 
-def _held(joint: FileJoint, angle: float) -> FileJoint:
+def _frozen(joint: FileJoint, angle: float) -> FileJoint:
     """Return a joint fixed at an angle [rad], a sliding one at a length [m]."""
     axis = np.array(joint.axis)
     moved = Frame(np.eye(3), angle * axis) if joint.sliding else Frame(axis_rotation(axis, angle), np.zeros(3))

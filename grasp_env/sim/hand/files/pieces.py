@@ -29,7 +29,7 @@ from grasp_env.sim.mesh_shape import (
 from grasp_env.sim.objects.cache import kept
 
 _FULL = 0.9  # share of its hull's volume from which on a mesh counts as convex
-_MOST_PIECES = 8
+_MAX_PIECES = 8
 _WORTH = 0.03  # share of the whole hull's volume that a cut must remove, or that joining two pieces may add
 _CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # positions of cuts within a piece's extent
 _DEEPEST = 4  # cuts one after another
@@ -37,9 +37,9 @@ _FINE = 5000  # number of faces above which a mesh is simplified before it is cu
 _GRAINS = 150.0  # number of grid cells along the extent of a simplified mesh
 _SMALLEST, _LARGEST = 1e-5, 5.0  # [m] extent of a mesh
 _CRUMBS = 40  # number of parts above which a mesh is cut as a whole
-MOST_SEEN = 256
+MAX_VISUAL_CORNERS = 256
 """Largest number of corners of the hull of a visual mesh in which a fingertip is fitted."""
-_FINE_SEEN = 2e-4  # relative error of that hull
+_VISUAL_ERROR = 2e-4  # relative error of that hull
 
 _MADE = "1"
 """Version of the pieces. Change it when they change, so that older cache entries are not used."""
@@ -67,7 +67,7 @@ def pieces_of_file(path: Path, scale: Vector3) -> list[Array]:
 
 
 def hull_of_file(path: Path) -> Array:
-    """Return at most `MOST_SEEN` corners (K, 3) of the hull of a mesh file, in its units, from the cache if possible.
+    """Return at most `MAX_VISUAL_CORNERS` corners (K, 3) of the hull of a mesh file, in its units, from the cache if possible.
 
     Raises:
         InvalidInputError: The file is not a mesh, or too large.
@@ -77,7 +77,7 @@ def hull_of_file(path: Path) -> Array:
 
     def make() -> list[Array]:
         hull = hull_of(read_mesh_bytes(blob, kind, name)[0])
-        return [outermost(hull.points[hull.vertices], MOST_SEEN, _FINE_SEEN)]
+        return [outermost(hull.points[hull.vertices], MAX_VISUAL_CORNERS, _VISUAL_ERROR)]
 
     return _kept(digest(_MADE.encode(), b"hull", kind.encode(), blob), path.name, make)[0]
 
@@ -108,10 +108,10 @@ def _kept(key: str, name: str, make: Callable[[], list[Array]]) -> list[Array]:
 
 
 def convex_pieces(corners: Array, faces: Any) -> list[Array]:
-    """Return convex pieces that together contain a mesh, each as at most `solids.MOST_CORNERS` corners (K, 3).
+    """Return convex pieces that together contain a mesh, each as at most `solids.MAX_CORNERS` corners (K, 3).
 
     A mesh that fills nine tenths of its hull, or is too fine to be cut, is one piece. Otherwise its parts are cut by planes that
-    reduce the volume of the hulls. Pieces whose common hull adds little are joined, until at most `_MOST_PIECES` are left.
+    reduce the volume of the hulls. Pieces whose common hull adds little are joined, until at most `_MAX_PIECES` are left.
 
     Args:
         corners: Corners (V, 3) [m].
@@ -216,7 +216,7 @@ def _joined(pieces: list[Array], worth: float) -> list[Array]:
         for i, j in ((i, j) for i in alive for j in alive if i < j and (i, j) not in added):
             added[i, j] = _hull_volume(np.vstack([pieces[i], pieces[j]])) - volumes[i] - volumes[j]
         (i, j), least = min(((pair, more) for pair, more in added.items()), key=lambda entry: entry[1])
-        if least > worth and len(alive) <= _MOST_PIECES:
+        if least > worth and len(alive) <= _MAX_PIECES:
             break
         together = hull_of(np.vstack([pieces[i], pieces[j]]))
         pieces.append(together.points[together.vertices])

@@ -56,7 +56,7 @@ ASSUMED_DENSITY, LEAST_MASS, LEAST_SIDE = 1000.0, 1e-3, 0.01
 
 _NO_MASS = "moving links without mass get that of their shapes at 1 g/cm^3"
 _WRONG_MASS = "masses that links of this size cannot have are replaced by those of their shapes at 1 g/cm^3"
-_ASTRAY = "centres of mass farther outside their link than its size are moved to the middle of its shapes"
+_CENTER_OUTSIDE = "centres of mass farther outside their link than its size are moved to the middle of its shapes"
 _WRONG_INERTIA = "inertias that links of this size cannot have are replaced by those of boxes around them"
 _NO_INERTIA = "physically impossible inertias are replaced by the nearest possible ones"
 
@@ -98,12 +98,12 @@ class Judge:
         bodies: The moving links, parents before children.
 
     Attributes:
-        said: A sentence for each kind of implausible value.
+        notes: A sentence for each kind of implausible value.
     """
 
     def __init__(self, bodies: Sequence[Body]) -> None:
         self._bodies = list(bodies)
-        self.said: list[str] = []
+        self.notes: list[str] = []
         at = {body.joint.child: number for number, body in enumerate(bodies)}
         self._carrier = [-1 if body.carrier is None else at[body.carrier] for body in bodies]
         own = [np.vstack([np.zeros((1, 3)), body.points]) for body in bodies]
@@ -126,7 +126,7 @@ class Judge:
         large = [body.joint.child for body, size in zip(bodies, self._sizes, strict=True) if size > LARGEST_LINK]
         self._scaled = not large
         if large:
-            self.said.append(
+            self.notes.append(
                 f"{names_of(large)} are larger than {LARGEST_LINK:g} m: a file is in metres, not millimetres (sizes, scale of meshes); check it"
             )
 
@@ -149,13 +149,13 @@ class Judge:
 
     def inertials(self, given: Mapping[str, float | Inertial]) -> list[Inertial]:
         """Return mass, centre and inertia of each body: as given, else as in the file if plausible."""
-        told = [given.get(body.joint.child) for body in self._bodies]
+        given_values = [given.get(body.joint.child) for body in self._bodies]
         weighed = [body for body in self._bodies if body.mass > 0.0 and body.volume > 0.0]
         heavy, volume = sum(body.mass for body in weighed), sum(body.volume for body in weighed)
-        lead = self._scaled and heavy > max(LEAST_HEAVY_HAND, 1e3 * LARGEST_MEAN_DENSITY * volume)
+        heavier_than_lead = self._scaled and heavy > max(LEAST_HEAVY_HAND, 1e3 * LARGEST_MEAN_DENSITY * volume)
         changed: dict[str, list[str]] = {}
         found = list[Inertial]()
-        for number, (body, value) in enumerate(zip(self._bodies, told, strict=True)):
+        for number, (body, value) in enumerate(zip(self._bodies, given_values, strict=True)):
             own = Inertial(body.mass, body.center, body.inertia)
             if is_a(value, Inertial):
                 own = value
@@ -163,7 +163,7 @@ class Judge:
                 own = self._box(number, value)
                 if value is None:
                     changed.setdefault(_NO_MASS, []).append(f"{body.joint.child!r} ({1e3 * own.mass:.2g} g)")
-            elif value is None and ((lead and body.volume > 0.0) or self._weighs_wrong(number)):
+            elif value is None and ((heavier_than_lead and body.volume > 0.0) or self._mass_is_wrong(number)):
                 own = self._box(number)
                 changed.setdefault(_WRONG_MASS, []).append(
                     f"{body.joint.child!r} ({body.mass:.3g} kg, assumed {own.mass:.2g} kg)"
@@ -172,9 +172,9 @@ class Judge:
                 own = self._possible(number, own if value is None else _scaled(own, value / body.mass), changed)
             found.append(own)
         for what, rows in changed.items():
-            self.said.append(f"{what}: {listed(rows)}; give the true ones as inertials=")
+            self.notes.append(f"{what}: {listed(rows)}; give the true ones as inertials=")
         if (total := sum(body.mass for body in found)) > LARGEST_HAND:
-            self.said.append(
+            self.notes.append(
                 f"the moving links weigh {total:.3g} kg together: a file is in kilograms, not grams (inertials=), and for a whole robot "
                 "palm= names the hand; check it"
             )
@@ -183,10 +183,10 @@ class Judge:
     def _possible(self, number: int, own: Inertial, changed: dict[str, list[str]]) -> Inertial:
         """Return a link's mass with a plausible centre and inertia; changes are added to `changed` by their kind."""
         body = self._bodies[number]
-        if away := _astray(own.center, body.points):
-            changed.setdefault(_ASTRAY, []).append(f"{body.joint.child!r} ({away:.2g} m)")
+        if away := _distance_outside(own.center, body.points):
+            changed.setdefault(_CENTER_OUTSIDE, []).append(f"{body.joint.child!r} ({away:.2g} m)")
             own = self._box(number, own.mass)
-        wrong = self._turns_wrong(number, own)
+        wrong = self._inertia_is_wrong(number, own)
         inertia = self._box(number, own.mass).inertia if wrong else nearest_inertia(own.inertia, own.mass)
         if inertia is None:
             return own
@@ -222,7 +222,7 @@ class Judge:
                 cause = f"effort {effort:g} of {names} is no motor's limit{force}"
             span = f"{least:g}" if least == most else f"{least:g} to {most:g}"
             unit = "N" if sliding else f"N m, {TIP_FORCE:g} N at the tip of a straight finger"
-            self.said.append(f"{cause}: assumed is {span} {unit}; give the true one as torque_limit=")
+            self.notes.append(f"{cause}: assumed is {span} {unit}; give the true one as torque_limit=")
         return limits
 
     def _add_jaws(self, limits: list[float], given: Mapping[str, float], assumed: set[str]) -> None:
@@ -240,7 +240,7 @@ class Judge:
             shared[mimic.joint] = limits[driver]
         if shared:
             forces = ", ".join(f"{joint!r} ({force:g} N)" for joint, force in shared.items())
-            self.said.append(
+            self.notes.append(
                 f"motors that move several jaws get the sum of the jaws' forces in the file: {forces}; give the true ones as "
                 "torque_limit="
             )
@@ -262,7 +262,7 @@ class Judge:
             most[fingers[0]] = LARGEST_ROUND_TIP_FORCE
         return {effort: max(each) for effort, each in forces.items() if max(each) > most[effort]}
 
-    def _weighs_wrong(self, number: int) -> bool:
+    def _mass_is_wrong(self, number: int) -> bool:
         """Return True if the mass does not fit the size of the link."""
         body = self._bodies[number]
         if not self._scaled or body.volume <= 0.0:
@@ -271,7 +271,7 @@ class Judge:
         light = body.mass < 1e3 * LEAST_DENSITY * body.volume
         return light or body.mass > max(LEAST_HEAVY, 1e3 * LARGEST_DENSITY * box)
 
-    def _turns_wrong(self, number: int, own: Inertial) -> bool:
+    def _inertia_is_wrong(self, number: int, own: Inertial) -> bool:
         """Return True if the inertia does not fit the size and mass of the link."""
         size = self._sizes[number] if len(self._bodies[number].points) else self._length
         if not self._scaled or size <= 0.0:
@@ -303,7 +303,7 @@ def _largest(inertia: Inertia) -> float:
     return float(np.linalg.eigvalsh(inertia_matrix(inertia))[2])
 
 
-def _astray(center: Vector3, points: Array) -> float:
+def _distance_outside(center: Vector3, points: Array) -> float:
     """Return the distance of a point from the box around others (K, 3) [m] if it exceeds the size of the box; else 0."""
     if len(points) == 0:
         return 0.0

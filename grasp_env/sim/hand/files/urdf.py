@@ -26,11 +26,11 @@ from grasp_env.sim.hand.files.xacro import expanded, is_xacro
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
-MOST = 500
+MAX_ELEMENTS = 500
 """Largest number of links, and of joints, in a file."""
-MOST_SHAPES = 2000
+MAX_SHAPES = 2000
 """Largest number of collision and visual shapes together."""
-_MOST_ABSENT = 40  # missing meshes that a message names
+_MAX_MISSING = 40  # missing meshes that a message names
 
 _TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
 
@@ -48,8 +48,8 @@ class UrdfReader:
         ends: Name, parent and child of its joints; other faults of the joints are raised by `elements`.
         mimics: The driver that each coupled joint names.
         fixed: Names of fixed joints.
-        unseen: Visual meshes that are left out, with the reason.
-        said: A sentence for each thing that was assumed or left out.
+        undrawn: Visual meshes that are left out, with the reason.
+        notes: A sentence for each thing that was assumed or left out.
 
     Raises:
         InvalidInputError: There are no links, or too many; or xacro refuses the file.
@@ -57,24 +57,24 @@ class UrdfReader:
 
     def __init__(self, path: str | os.PathLike[str], robot: Element) -> None:
         self.path = Path(os.fsdecode(path))
-        self.said: list[str] = []
+        self.notes: list[str] = []
         if is_xacro(path, robot):
             robot = expanded(path)
         self.name: str = robot.get("name") or "hand"
         self._links, self._joints = robot.findall("link"), robot.findall("joint")
         if not self._links:
             raise InvalidInputError("there is no <link>; a hand has a palm and moving links")
-        if max(len(self._links), len(self._joints)) > MOST:
+        if max(len(self._links), len(self._joints)) > MAX_ELEMENTS:
             raise InvalidInputError(
-                f"there are {len(self._links)} links and {len(self._joints)} joints, allowed are up to {MOST}; take the hand out"
+                f"there are {len(self._links)} links and {len(self._joints)} joints, allowed are up to {MAX_ELEMENTS}; take the hand out"
             )
         shapes = sum(len(link.findall(role)) for link in self._links for role in ("collision", "visual"))
-        if shapes > MOST_SHAPES:
-            raise InvalidInputError(f"there are {shapes} shapes, allowed are up to {MOST_SHAPES}; take the hand out")
+        if shapes > MAX_SHAPES:
+            raise InvalidInputError(f"there are {shapes} shapes, allowed are up to {MAX_SHAPES}; take the hand out")
         self._materials = list(robot.iter("material"))
         self._palette: dict[str, Vector3] = {}
-        self._looks: dict[Path, str] = {}
-        self._absent: dict[str, list[str]] = {}
+        self._faults_of_visuals: dict[Path, str] = {}
+        self._missing: dict[str, list[str]] = {}
         self._shapes: dict[str, tuple[list[Geometry | MeshUse], list[Geometry | MeshUse]]] = {}
         self.names = [element.get("name", "") for element in self._links]
         self.ends = [
@@ -86,12 +86,12 @@ class UrdfReader:
             if element.find("mimic") is not None and element.get("type") != _FIXED
         }
         self.fixed = {element.get("name", "") for element in self._joints if element.get("type") == _FIXED}
-        self.unseen: dict[str, str] = {}
+        self.undrawn: dict[str, str] = {}
 
     def elements(self, wanted: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
         """Return links by name, and the joints between them in file order; others are not read.
 
-        Mesh files are looked for here, and read by `shaped`.
+        Mesh files are looked for here, and read by `with_shapes`.
 
         Args:
             wanted: Names of the links.
@@ -123,7 +123,7 @@ class UrdfReader:
                     if count > 1
                 )
             ),
-            self._all_found,
+            self._check_meshes,
         )
         return {link.name: link for link in links}, joints
 
@@ -133,7 +133,7 @@ class UrdfReader:
         color: Vector3 | None = None
         looks: list[tuple[Element, Vector3 | None]] = []
         for shape in element.findall("visual"):
-            own = self._look(shape, f"{where}, <visual>")
+            own = self._color_of_visual(shape, f"{where}, <visual>")
             color = color or own
             looks.append((shape, None if own == color else own))
         (mass, frame, inertia), collision, visual = together(
@@ -144,23 +144,23 @@ class UrdfReader:
         self._shapes[name] = list(filter(None, collision)), list(filter(None, visual))
         return FileLink(name, mass, frame, inertia, color=color)
 
-    def _look(self, element: Element, where: str) -> Vector3 | None:
+    def _color_of_visual(self, element: Element, where: str) -> Vector3 | None:
         material = element.find("material")
         if material is None:
             return None
         return _color(material, where) or self._palette.get(material.get("name", ""))
 
-    def _all_found(self) -> None:
+    def _check_meshes(self) -> None:
         """Raise InvalidInputError if collision meshes are missing."""
-        if self._absent:
-            each = [f"{shown(name)} ({', '.join(dict.fromkeys(links))})" for name, links in self._absent.items()]
-            more = f" and {len(each) - _MOST_ABSENT} more" if len(each) > _MOST_ABSENT else ""
+        if self._missing:
+            each = [f"{shown(name)} ({', '.join(dict.fromkeys(links))})" for name, links in self._missing.items()]
+            more = f" and {len(each) - _MAX_MISSING} more" if len(each) > _MAX_MISSING else ""
             raise InvalidInputError(
                 f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: "
-                f"{', '.join(each[:_MOST_ABSENT])}{more}. Download the whole package and keep its folder structure"
+                f"{', '.join(each[:_MAX_MISSING])}{more}. Download the whole package and keep its folder structure"
             )
 
-    def shaped(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
+    def with_shapes(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
         """Return the links with their shapes: convex pieces of collision meshes, and visual meshes that can be drawn.
 
         Raises:
@@ -169,7 +169,7 @@ class UrdfReader:
         solids = solids_of({name: self._shapes[name][0] for name in links}, self.path.name)
         shaped = dict[str, FileLink]()
         for name, link in links.items():
-            visual = [look if isinstance(look, Geometry) else self._seen(look) for look in self._shapes[name][1]]
+            visual = [look if isinstance(look, Geometry) else self._visual_mesh(look) for look in self._shapes[name][1]]
             shaped[name] = replace(link, collision=tuple(solids[name]), visual=tuple(filter(None, visual)))
         return shaped
 
@@ -188,24 +188,24 @@ class UrdfReader:
         except InvalidInputError as error:
             if element.tag == "collision":
                 raise InvalidInputError(f"{where}: {error}") from None
-            self.unseen[name] = "are missing" if path is None else "have an invalid unit"
+            self.undrawn[name] = "are missing" if path is None else "have an invalid unit"
             return None
         if path is not None:
             x, y, z = (unit * factor for factor in scale)
             return MeshUse(name, path, (x, y, z), origin, rotation, color)
         if element.tag == "collision":
-            self._absent.setdefault(name, []).append(link)
+            self._missing.setdefault(name, []).append(link)
         else:
-            self.unseen[name] = "are missing"
+            self.undrawn[name] = "are missing"
         return None
 
-    def _seen(self, use: MeshUse) -> Geometry | None:
+    def _visual_mesh(self, use: MeshUse) -> Geometry | None:
         """Return a visual mesh; None if it cannot be drawn, which is recorded."""
-        if use.path not in self._looks:
-            self._looks[use.path] = why_not_drawn(use.path)
-        why = self._looks[use.path] or ("are mirrored by a scale below 0" if min(use.scale) < 0.0 else "")
+        if use.path not in self._faults_of_visuals:
+            self._faults_of_visuals[use.path] = why_not_drawn(use.path)
+        why = self._faults_of_visuals[use.path] or ("are mirrored by a scale below 0" if min(use.scale) < 0.0 else "")
         if why:
-            self.unseen[use.name] = why
+            self.undrawn[use.name] = why
             return None
         return Geometry("mesh", use.scale, use.origin, use.rotation, use.color, file=str(use.path))
 
