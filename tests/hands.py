@@ -1,4 +1,4 @@
-"""Hands and scenes without the rest: in a PyBullet server alone, in the core without a simulator."""
+"""Hands, and scenes without a simulator, for tests."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def load_hand(client: int, hand: HandDescription) -> int:
 
 
 def scene_alone(item: ObjectDescription | None = None, fingers: int = 4) -> tuple[core.Scene, Snapshot]:
-    """A scene of the core without a simulator, and what it is made to look like: write into the views."""
+    """Return a scene of the core without a simulator, and views of its state to write into."""
     hand = HandDescription.of_fingers(
         [FingerDescription(f"f{k}", (0.1 * k, 0.2, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)) for k in range(fingers)]
     )
@@ -45,7 +45,7 @@ def controller_alone(
     sensors: core.SensorSettings | None = None,
     **options: Any,
 ) -> core.Controller:
-    """A control loop of such a scene, with Newton on soft contacts around its object unless options say otherwise."""
+    """Return a control loop of such a scene, by default with Newton on soft contacts around its object."""
     angles = np.arange(fingers) * 2.0 * np.pi / fingers
     outwards = np.column_stack([np.cos(angles), 0.0 * angles, np.sin(angles)])
     grasp = Grasp.from_contacts(0.05 * outwards, -outwards, 0.4, contact_model="soft", torsional_friction=0.01)
@@ -57,7 +57,7 @@ def controller_alone(
 
 
 def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:
-    """(M, M) of the hand's links, from their masses and inertias; coupled joints weigh on the joint that drives them."""
+    """Return the mass matrix (M, M) from the links' masses and inertias; coupled joints load their driver."""
     hand, (frames, origins) = kinematics.hand, kinematics.links(angles)
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     turning, total = np.zeros((hand.joint_count, 3, hand.joint_count)), np.zeros((hand.joint_count,) * 2)
@@ -75,7 +75,7 @@ def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:
 
 
 def grasp_torques(scene: Scene, forces: np.ndarray) -> np.ndarray:
-    """Torques (M,) with which the tips push with `forces` (N, 3), object frame, and that carry the links."""
+    """Return torques (M,) with which the tips push with `forces` (N, 3), object frame, and carry the links' weight."""
     s = scene.look()
     torques = s.gravity_torques.copy()
     for finger, force in enumerate(forces @ s.rotation.T):
@@ -85,12 +85,12 @@ def grasp_torques(scene: Scene, forces: np.ndarray) -> np.ndarray:
 
 
 def numbers(scene: Scene) -> np.ndarray:
-    """Everything that can be read of a scene now, in one row."""
+    """Return all readings of a scene in one row."""
     return np.concatenate([part.reshape(-1) for part in scene.look()])
 
 
 def make_link(name: str = "a", parent: str = "palm", **fields: Any) -> Link:
-    """A light link on a joint about z, unless fields say otherwise."""
+    """Return a light link, by default on a joint about z."""
     given: dict[str, Any] = {
         "origin": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0), "axis": (0.0, 0.0, 1.0), "lower": -1.0, "upper": 1.0, "torque_limit": 2.0,
         "mass": 0.03, "center": (0.0, 0.0, 0.0), "inertia": (1e-5, 0.0, 0.0, 1e-5, 0.0, 1e-5),
@@ -99,7 +99,7 @@ def make_link(name: str = "a", parent: str = "palm", **fields: Any) -> Link:
 
 
 def gripper(fingers: int, joints: int, coupled: bool = False, torque: float = 2.0) -> HandDescription:
-    """Fingers around a round palm that bend towards its axis in one plane each; the last joint of `coupled` ones follows."""
+    """Return fingers around a round palm that bend towards its axis; with `coupled`, the last joint of each follows the one before."""
     links: list[Link] = []
     tips: list[Fingertip] = []
     length = 0.12 / joints

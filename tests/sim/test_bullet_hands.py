@@ -1,4 +1,4 @@
-"""Coupled joints and hulls in Bullet: they hold, pass on their load, and lie where they should."""
+"""Coupled joints, hulls and overlapping links in Bullet."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ CUBE = tuple((x, y, z) for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (-
 
 
 def one_link(link: Link, tip: float) -> HandDescription:
-    """A hand whose tip is at height `tip` on its link [m]."""
+    """Return a hand of one link with its tip at height `tip` [m]."""
     return HandDescription("one", Palm(), (link,), (Fingertip("f", "a", (0.0, 0.0, tip), 0.001),))
 
 
 def coupled_finger(mass: float, count: int, heavy_end: float) -> HandDescription:
-    """Links of one motor about -y: the second turns 1.3 q + 0.2, the third 0.7 q - 0.1; the last with more inertia."""
+    """Return links of one motor about -y: the second turns 1.3 q + 0.2, the third 0.7 q - 0.1; the last has more inertia."""
     shape = Geometry("capsule", (0.006, 0.02), (0.02, 0.0, 0.0), (0.0, np.pi / 2, 0.0))
     links = list[Link]()
     for name, mimic in (("a", None), ("b", Mimic("a_joint", 1.3, 0.2)), ("c", Mimic("a_joint", 0.7, -0.1)))[:count]:
@@ -42,7 +42,7 @@ def coupled_finger(mass: float, count: int, heavy_end: float) -> HandDescription
 
 
 def loaded(hand: HandDescription) -> Bullet:
-    """The hand around a ball, without gravity."""
+    """Load the hand around a ball, without gravity."""
     made, points = Bullet(hand), ((0.0, 0.0, 0.03), (0.0, 0.0, -0.03))[: hand.finger_count]
     ball, engine = ObjectDescription("sphere", (0.06,)), BulletEngine(rate=RATE)
     made.load(SceneConfig(hand, ball, points, engine=engine, gravity=(0.0, 0.0, 0.0)), np.array(hand.home))
@@ -50,14 +50,14 @@ def loaded(hand: HandDescription) -> Bullet:
 
 
 def states(simulator: Bullet) -> np.ndarray:
-    """Angles and speeds of the joints, (M, 2)."""
+    """Return angles and speeds of the joints, (M, 2)."""
     rows = bullet.getJointStates(simulator.world.hand, simulator.world.joints, simulator.client.number)
     return np.array([row[:2] for row in rows])
 
 
 @pytest.mark.parametrize(("mass", "count", "heavy_end"), [(0.02, 3, 0.0), (0.002, 2, 1e-4)])
 def test_coupled_joints_hold_and_their_load_reaches_the_motor(mass: float, count: int, heavy_end: float) -> None:
-    """0.5 N m on the last link; the motor holds it with 1 + 1.3, or 1 + 1.3 + 0.7 times as much, the virtual work."""
+    """By virtual work the motor needs 1 + 1.3, or 1 + 1.3 + 0.7, times the 0.5 N m on the last link."""
     hand = coupled_finger(mass, count, heavy_end)
     simulator, kinematics = loaded(hand), HandKinematics(hand)
     worst, held, load = 0.0, [], {2: 0.5 * 2.3, 3: 0.5 * 3.0}[count]
@@ -76,7 +76,7 @@ def test_coupled_joints_hold_and_their_load_reaches_the_motor(mass: float, count
 
 
 def test_hulls_lie_where_they_should() -> None:
-    """Bullet adds 1 mm around hulls; those it is given are as much smaller, so that their faces are right."""
+    """Bullet adds 1 mm around hulls, so they are shrunk by that much."""
     shapes = Geometry("hull", (), corners=CUBE), Geometry("sphere", (0.001,), (0.0, 0.0, 0.3))
     cube = loaded(one_link(make_link(origin=(0.0, 0.0, 0.2), collision=shapes), 0.3))
     number, finger = cube.client.number, cube.world.joints[0]
@@ -92,7 +92,7 @@ def test_hulls_lie_where_they_should() -> None:
 
 
 def test_links_that_always_overlap_do_not_push_each_other_apart() -> None:
-    """Two fingers whose first links share a place: nothing moves without torque."""
+    """Two fingers with overlapping first links do not move without torque."""
     shapes = Geometry("sphere", (0.01,)), Geometry("sphere", (0.005,), (0.0, 0.1, 0.0))
     places = {"a": (-0.004, 0.0, 0.2), "b": (0.004, 0.0, 0.2)}
     links = tuple(make_link(name, origin=places[name], center=(0.0, 0.01, 0.0), collision=shapes) for name in places)

@@ -1,18 +1,18 @@
-"""Descriptions of hands: what they refuse, what the built-in ones can do, and the public ones of dexsuite/dex-urdf."""
+"""Descriptions of hands, the built-in hands, and public hands of dexsuite/dex-urdf."""
 
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hands import make_link
+from urdf_text import read_file
 
 from grasp_env import core
 from grasp_env.errors import GraspError
@@ -46,7 +46,7 @@ def test_real_hands_have_their_published_measures(name: str, tip: tuple[float, .
 
 
 def test_links_of_fingers_have_the_inertia_of_solid_rods() -> None:
-    """By numerical integrals along the rods; the tip is a solid ball."""
+    """Compare with numerical integrals along the rods; the tip is a solid ball."""
     finger, grid = FingerDescription("f", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), np.linspace(0.0, 1.0, 501)
     for link, length, mass in zip(finger.links("palm"), finger.link_lengths, finger.link_masses, strict=True):
         across = np.trapezoid((length * (grid - 0.5)) ** 2, grid) * mass + 0.25 * mass * finger.link_radius**2
@@ -59,7 +59,7 @@ def test_links_of_fingers_have_the_inertia_of_solid_rods() -> None:
 
 @pytest.mark.parametrize("name", FRONT)
 def test_built_in_hands_reach_around_cuboids_without_touching_themselves(name: str) -> None:
-    """Far from the joints' limits."""
+    """The postures are far from the joint limits."""
     kinematics = HandKinematics(HANDS[name]())
     limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)
     for side in (0.07, 0.12):
@@ -156,14 +156,8 @@ FILES = {
 }  # fmt: skip
 
 
-@cache
 def read(name: str) -> tuple[HandDescription, str]:
-    """The hand and its warning."""
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        hand = HandDescription.from_urdf(Path(os.environ["GRASP_HANDS"], f"{name}.urdf"))
-    assert len(told) <= 1
-    return hand, str(told[0].message) if told else ""
+    return read_file(Path(os.environ["GRASP_HANDS"], f"{name}.urdf"))
 
 
 @needs_files
@@ -202,7 +196,7 @@ def test_presets_move_as_the_files_do(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_public_hands_are_placed(name: str) -> None:
-    """With a grasp that `plan_grasp` finds."""
+    """`plan_grasp` finds a grasp in the chosen place."""
     ball = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
     kinematics = HandKinematics(place_hand(read(name)[0], ball))
     assert len(plan_grasp(ball, kinematics).points) == kinematics.hand.finger_count >= 3

@@ -23,7 +23,7 @@ BALL = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
 
 
 def jaws(motors: int = 1, force: float = 40.0) -> HandDescription:
-    """Two jaws that slide apart along y, with flat faces beside the spheres of their tips; the second one may follow the first."""
+    """Return jaws that slide apart along y, with flat faces beside the spheres of their tips; with one motor the second is coupled."""
     links, tips = list[Link](), list[Fingertip]()
     for name, side in (("jaw0", 1.0), ("jaw1", -1.0)):
         ball = Geometry("sphere", (0.008,), (0.0, 0.008 * side, 0.045))
@@ -44,7 +44,7 @@ def jaws(motors: int = 1, force: float = 40.0) -> HandDescription:
 
 
 def claw() -> HandDescription:
-    """Two fingers that one motor swings against each other."""
+    """Return two fingers that one motor swings against each other."""
     hand = gripper(2, 1, torque=8.0)
     return replace(hand, links=(hand.links[0], replace(hand.links[1], mimic=Mimic("f0_0_joint"))))
 
@@ -63,7 +63,7 @@ def test_both_jaws_touch_at_once(hand: HandDescription, item: ObjectDescription)
 
 
 def test_a_motor_that_moves_both_jaws_makes_both_forces() -> None:
-    """A grasp takes twice as much of it as of the motors that move one jaw each."""
+    """A grasp takes twice the force of one motor that it takes of two."""
     soft = softened(BALL, jaws())
     placed = place_hand(jaws(1, 10.0), soft)
     free = replace(placed, links=tuple(replace(link, mimic=None) for link in placed.links))

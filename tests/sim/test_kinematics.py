@@ -1,4 +1,4 @@
-"""Kinematics against PyBullet's own and against finite differences, and the inverse kinematics."""
+"""Compare kinematics and dynamics with PyBullet and finite differences; inverse kinematics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GRAVITY = np.array([1.0, -9.0, 2.0])
 
 
 def turned() -> HandDescription:
-    """A finger of four joints in an oblique direction, one of three."""
+    """Return a hand with an oblique finger of four joints and an upright one of three."""
     skew = FingerDescription(
         "skew", (0.2, 0.1, 0.0), (2 / 3, 2 / 3, 1 / 3), (-2 / 3, 1 / 3, 2 / 3), link_lengths=(0.02, 0.09, 0.03, 0.05),
         link_masses=(0.05, 0.01, 0.04, 0.03), joint_lower=(-1, -1, -1, -1), joint_upper=(1, 2, 2, 2), home=(0, 0, 0.5, 0.5),
@@ -41,7 +41,7 @@ MAKERS: dict[str, Callable[[], HandDescription]] = {"turned": turned, "crooked":
 @needs_bullet
 @pytest.mark.parametrize("name", [*MAKERS, "original"])
 def test_kinematics_and_dynamics_match_pybullet(name: str) -> None:
-    """Of hands that we write, and of a user's file as it is: what fixed joints merge means the same to PyBullet."""
+    """PyBullet loads hands that we write, and the original of a user's file with fixed joints."""
     client, hand = Client(), crooked() if name == "original" else MAKERS[name]()
     number, kinematics, zero = client.number, HandKinematics(hand), [0.0] * hand.joint_count
     if name == "original":
@@ -87,7 +87,7 @@ def test_jacobians_and_gravity_torques_match_finite_differences(make: Callable[[
     masses, inside = (np.array([getattr(link, name) for link in hand.links]) for name in ("mass", "center"))
 
     def seen(angles: np.ndarray) -> np.ndarray:
-        """The tips' places, then the potential energy of all links, with coupled joints where they follow."""
+        """Return the positions of the tips, then the potential energy, with coupled joints set by their drivers."""
         angles = kinematics.coupled(angles)
         frames, origins = kinematics.links(angles)
         height = -masses @ (origins + (frames @ inside[:, :, None])[:, :, 0]) @ GRAVITY
@@ -105,7 +105,7 @@ def test_jacobians_and_gravity_torques_match_finite_differences(make: Callable[[
 
 
 def test_mobility_is_the_largest_acceleration_of_tips() -> None:
-    """And a bound for joints under springs."""
+    """For joints under springs it is a bound."""
     kinematics = HandKinematics(turned())
     tips, joints = kinematics.mobility(kinematics.home)
     mass = kinematics.mass_matrix(kinematics.home)

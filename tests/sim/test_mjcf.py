@@ -1,4 +1,4 @@
-"""Hands from MuJoCo models, compared with MuJoCo: where links are, how heavy they are and what moves them."""
+"""Compare hands from MuJoCo models with MuJoCo: poses, masses, motors and couplings."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ MOTORS = '<actuator><motor joint="j1" ctrlrange="-3 3"/><motor joint="k1"/></act
 
 
 def test_a_scene_is_the_hand_that_mujoco_simulates(tmp_path: Path) -> None:
-    """The base floats, and the floor and a free ball are left out; the first element says what the file is."""
+    """The base floats, the floor and a free ball are left out, and the file has the suffix of a URDF."""
     hand, told = read(tmp_path, CROOKED, ["pad", "touch", "c"], rotor_inertia=None)
     assert (hand.name, hand.palm.name, hand.joint_names) == ("crooked", "base", ("turn", "slide", "side", "bend"))
     assert [(shape.kind, shape.size) for shape in hand.palm.collision] == [("box", (0.06, 0.08, 0.02))]
@@ -75,7 +75,7 @@ def test_a_scene_is_the_hand_that_mujoco_simulates(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("before", "upper"), [("", 1.5), ('angle="radian"', 0.04)])
 def test_radians_that_mujoco_takes_for_degrees(tmp_path: Path, before: str, upper: float) -> None:
-    """Ranges of 1.5 degrees are radians; small ranges stay where the file says that it has radians."""
+    """Ranges of 1.5 degrees become radians; small ranges in a file with angle="radian" stay."""
     meant = FINGERS.format(one="", two='ref="0.5"', rod="", more="").replace('range="0 1.5"', f'range="0 {upper}"')
     meant = meant.replace('range="-1 1"', f'range="{-upper} {upper}"')
     hand, told = read(tmp_path, meant.replace('angle="radian"', before))
@@ -149,7 +149,7 @@ WIDE = 'range="0 0.04"'
 def test_equalities_of_jaws_are_read_exactly(
     tmp_path: Path, option: str, a: str, b: str, motor: str, equality: str, lines: dict[str, tuple[float, float]]
 ) -> None:
-    """Whatever the time step; and jaws end away from the palm though their frames are in their middle."""
+    """A long time step changes nothing, and tips are at the far ends of jaws whose frames are in their middle."""
     hand, _ = read(tmp_path, JAWS.format(option=option, a=a, b=b, motor=motor, equality=equality))
     found = {link.joint: link.mimic for link in hand.links if link.mimic is not None}
     assert set(found) == set(lines)
@@ -162,7 +162,7 @@ ROD = '<body name="rod" pos="0 0.03 0.02"><joint name="ball" type="ball"/><geom 
 
 
 def test_wrists_names_and_motors_that_a_file_does_not_give(tmp_path: Path) -> None:
-    """The palm turns, so the world is the palm; bodies get free names; without actuators all joints have motors; rods on balls go."""
+    """The world becomes the palm of a hand on a wrist, bodies get unused names, all joints get motors, and rods on ball joints are left out."""
     text = FINGERS.format(one="", two="", rod=ROD.format(""), more="").replace('name="p2" ', "")
     wrist = '<body name="body3"><joint name="wrist" axis="1 0 0" range="-0.5 0.5"/>'
     hand, told = read(tmp_path, text.replace('<body name="palm">', wrist))

@@ -1,4 +1,4 @@
-"""The hand in a file: arms and whole robots are read by naming the palm; joints that hold still; rods of linkages, and their limits."""
+"""Find the hand in a file: arms and whole robots, frozen joints, rods of linkages and their limits."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MESH, SOLID = '<mesh filename="none.stl"/>', '<sphere radius="0.01"/>'
 
 
 def chain(name: str, parent: str, count: int, shape: str = MESH, step: float = 0.2) -> str:
-    """A chain of links `name`1, ... on the joints `name`_1, ...; their shapes are meshes that do not exist, the last has none."""
+    """Return a chain of links `name`1, ... on the joints `name`_1, ... with missing meshes; the last has no shape."""
     text = ""
     for number in range(1, count + 1):
         body = f"<collision><geometry>{shape}</geometry></collision>" if number < count or shape != MESH else ""
@@ -45,7 +45,7 @@ for side in "lr":
 
 
 def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path: Path) -> None:
-    """The meshes of what is left out are not looked for; any link that is fixed to the palm may name it."""
+    """Meshes of the arm are not looked for; any link fixed to the palm may be named instead."""
     made, told = read(tmp_path, ARM, palm="palm")
     alone, nothing = read(tmp_path, hand())
     assert nothing == ""
@@ -129,7 +129,7 @@ def test_the_hand_of_a_file_and_the_joints_that_hold_still(
 
 
 def rods(name: str, *ends: tuple[float, float]) -> str:
-    """A link with rods of 6 x 6 mm from its origin to points (x, z) [m]."""
+    """Return a link with rods of 6 x 6 mm from its origin to points (x, z) [m]."""
     shapes = "".join(
         f'<collision><origin xyz="{x / 2} 0 {z / 2}" rpy="0 {np.arctan2(x, z)} 0"/><geometry><box size="0.006 0.006 {np.hypot(x, z)}"/>'
         "</geometry></collision>"
@@ -141,13 +141,13 @@ def rods(name: str, *ends: tuple[float, float]) -> str:
 def pivot(
     parent: str, child: str, x: float, z: float, ratio: float = 0.0, limits: tuple[float, float] = (-0.5, 0.5)
 ) -> str:
-    """A joint at (x, z) [m] that `left_crank` may drive."""
+    """Return a joint at (x, z) [m], coupled to that of `left_crank` unless the ratio is 0."""
     text = joint(f"{child}_joint", parent, child, f"{x} 0 {z}", limits, mimic="left_crank_joint" if ratio else "")
     return text.replace("<mimic ", f'<mimic multiplier="{ratio}" ')
 
 
 def gripper(limits: tuple[float, float]) -> str:
-    """Two fingers, each a parallelogram of a crank, a rod and a fingertip that keeps its direction."""
+    """Return two fingers, each a parallelogram of a crank, a rod and a fingertip that keeps its direction."""
     text = link("palm", 0.01)
     for side, x, sign in (("left", -0.04, 1.0), ("right", 0.04, -1.0)):
         text += pivot("palm", f"{side}_crank", x, 0.01, min(0.0, sign)) + rods(f"{side}_crank", (0.0, 0.04))

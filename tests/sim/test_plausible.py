@@ -1,4 +1,4 @@
-"""Values of a file, masses, inertias, motors and ranges, are believed where a hand can have them, and otherwise replaced and told."""
+"""Plausible masses, inertias, motors and ranges of a file are kept; others are replaced, and a warning gives both values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from grasp_env.sim.hand.description import Link
 
 BOX = link("palm", 0.06, 0.2)
 MASS, MOMENT, TORQUE = 0.016, 0.03 * (0.04**2 + 0.02**2) / 12.0, 15.0 * (0.04 + math.hypot(0.04, 0.01, 0.01))
-"""Of a finger's link at 1 g/cm^3 [kg]; of its box with the mass of the file [kg m^2]; 15 N at the corner of the last box [N m]."""
+"""Mass of a finger's link at 1 g/cm^3 [kg]; moment of its box with the file's mass [kg m^2]; torque of 15 N at the end of a finger [N m]."""
 ALL, SIZE = "'ia', 'ib', 'ma', 'mb', 'ta', 'tb'", "that links of this size cannot have"
 ENDLESS = (
     hand()
@@ -42,7 +42,7 @@ def jaws(effort: float | None, mimic: str = "") -> str:
 
 
 def moment(made: Link) -> float:
-    """The largest principal moment [kg m^2]."""
+    """Return the largest principal moment [kg m^2]."""
     return float(np.linalg.eigvalsh(inertia_matrix(made.inertia))[2])
 
 

@@ -1,4 +1,4 @@
-"""Hands written as URDF and read again, a user's hand, xacro files, arguments, and files that are no hand."""
+"""Hands written as URDF and read again, a user's hand, xacro files, wrong arguments and wrong files."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_written_hand_reads_as_itself(tmp_path: Path, name: str) -> None:
 
 
 def test_a_users_hand_is_that_of_its_file() -> None:
-    """test_kinematics compares it with the same file in PyBullet."""
+    """Frames and masses are compared with PyBullet in test_kinematics."""
     made = crooked()
     assert made.joint_names == (
         "c_swing", "palm_fold", "b_root", "b_curl", "a_root", "a_curl", "c_curl", "c_hook", "b_hook",
@@ -150,7 +150,7 @@ def test_links_with_too_little_inertia_get_a_rotor(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("given", [(1e-5, 0, 0, 1e-5, 0, 9e-5), (1e-5, 5e-5, 0, 1e-5, 0, 1e-5)])
 def test_inertias_of_no_body_become_the_nearest_of_one(tmp_path: Path, given: tuple[float, ...]) -> None:
-    """The largest moment is above the sum of the others, or one is below 0; those of the palm do not count."""
+    """The largest moment exceeds the sum of the others, or one is negative; the palm's inertia is not judged."""
     row = " ".join(
         f'{name}="{value}"' for name, value in zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), given, strict=True)
     )
