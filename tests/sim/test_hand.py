@@ -151,7 +151,7 @@ FILES = {
     "dclaw_gripper/dclaw_gripper": (9, 3, 0, ()),
     "schunk_hand/schunk_svh_hand_right": (20, 5, 11, ("effort 1000 of", "without mass", "physically impossible inertias")),
     "shadow_hand/shadow_hand_right": (24, 5, 0, ()),
-    "inspire_hand/inspire_hand_right": (12, 5, 6, ("are none of .obj, .stl, .dae",)),
+    "inspire_hand/inspire_hand_right": (12, 5, 6, ("are not one of .obj, .stl, .dae",)),
     "ability_hand/ability_hand_right": (10, 5, 4, ()),
 }  # fmt: skip
 

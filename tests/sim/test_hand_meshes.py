@@ -79,7 +79,7 @@ CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
     ("name", "content", "why"),
     [
         ("a.obj", CORNERS + b"f 1 2 3\n", ""),
-        ("a.glb", b"glTF", "are none of .obj, .stl, .dae"),
+        ("a.glb", b"glTF", "are not one of .obj, .stl, .dae"),
         ("a.obj", b"", "are broken"),
         ("a.obj", CORNERS + b"f 1 2 4\n", "are broken"),  # Bullet would read beyond its corners, and crash
         ("a.obj", b"f 1 2 3\n" + CORNERS, "are broken"),

@@ -132,7 +132,7 @@ def test_all_repairs_are_told_at_once(tmp_path: Path) -> None:
     for repair in (
         "effort 0 of 'bend'",
         "get that of their shapes at 1 g/cm^3: 'finger'",
-        "none of .obj, .stl, .dae are left out: 'a.glb'",
+        "not one of .obj, .stl, .dae are left out: 'a.glb'",
     ):
         assert repair in told
     volume = 4.0 / 3.0 * np.pi * 0.01**3  # the ball's outline is a little larger

@@ -86,7 +86,7 @@ class _Importer:
         self.joints, uncoupled = free_ranges(joints, ranges)
         self.root = part.root
         self.own_rotors = options.rotor_inertia is None
-        self.repairs = [*file.notes, *part.left, *held, *wide, *uncoupled]
+        self.repairs = [*file.notes, *part.notes, *held, *wide, *uncoupled]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
             why = "".join(f"; {sentence}" for sentence in held)

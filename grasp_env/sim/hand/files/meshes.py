@@ -106,7 +106,7 @@ def why_not_drawn(path: Path) -> str:
     """Return the reason why Bullet cannot draw a mesh, "" if it can: it would crash if faces name missing corners."""
     kind = path.suffix.lower()
     if kind not in DRAWN:
-        return f"are none of {', '.join(DRAWN)}"
+        return f"are not one of {', '.join(DRAWN)}"
     try:
         blob = read_bytes(path, _MAX_VISUAL_BYTES)
     except OSError as error:

@@ -32,13 +32,13 @@ class Part:
         root: Name of the palm's link.
         links: Names of the palm, of links fixed to it, and of all their descendants.
         reversed_joints: Names of the fixed joints that carry the palm; they are read from child to parent.
-        left: Sentences on what is left out.
+        notes: Sentences on what is left out.
     """
 
     root: str
     links: tuple[str, ...]
     reversed_joints: frozenset[str] = frozenset()
-    left: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def find_part(root: str, ends: Ends, fixed: Collection[str], mimics: Mapping[str, str], palm: str | None) -> Part:
@@ -159,14 +159,14 @@ class _Robot:
             joint, link = self._above[link]
             arm += [joint] if joint not in self._fixed else []
         limbs = [joint for joint in moving if joint not in inside and joint not in arm]
-        left = list[str]()
+        notes = list[str]()
         if arm:
-            left.append(
+            notes.append(
                 f"the joints that carry the palm {palm!r} hold still, their links are left out: {names_of(arm[::-1])}"
             )
         if limbs:
-            left.append(f"limbs that the palm {palm!r} does not carry are left out, with the joints {names_of(limbs)}")
-        return Part(palm, tuple(links), frozenset(reversed_joints), tuple(left))
+            notes.append(f"limbs that the palm {palm!r} does not carry are left out, with the joints {names_of(limbs)}")
+        return Part(palm, tuple(links), frozenset(reversed_joints), tuple(notes))
 
 
 def find_root(links: Sequence[str], ends: Ends) -> str:
