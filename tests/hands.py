@@ -1,4 +1,4 @@
-"""Hands and scenes without the rest: in a PyBullet server alone, in the core without a simulator."""
+"""Hands, and scenes without a simulator, for tests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from grasp_env.sim.hand.urdf import hand_urdf
 
 
 def load_hand(client: int, hand: HandDescription) -> int:
-    """Loads a hand, its palm fixed; the body's number."""
+    """Load a hand with a fixed palm, and return the body's number."""
     with tempfile.TemporaryDirectory() as folder:
         path = os.path.join(folder, "hand.urdf")
         with open(path, "w", encoding="utf-8") as file:
@@ -27,16 +27,8 @@ def load_hand(client: int, hand: HandDescription) -> int:
         return bullet.loadURDF(path, useFixedBase=True, flags=HAND_FLAGS, physicsClientId=client)
 
 
-def links_of_indices(indices: list[int]) -> list[int]:
-    """The number of our link for each of PyBullet's link indices, -1 for the palm and its parts; the last entry answers -1."""
-    links = [-1] * (max(indices) + 2)
-    for link, index in enumerate(indices):
-        links[index] = link
-    return links
-
-
 def scene_alone(item: ObjectDescription | None = None, fingers: int = 4) -> tuple[core.Scene, Snapshot]:
-    """A scene of the core without a simulator, and what it is made to look like: write into the views."""
+    """Return a scene of the core without a simulator, and views of its state to write into."""
     hand = HandDescription.of_fingers(
         [FingerDescription(f"f{k}", (0.1 * k, 0.2, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)) for k in range(fingers)]
     )
@@ -53,7 +45,7 @@ def controller_alone(
     sensors: core.SensorSettings | None = None,
     **options: Any,
 ) -> core.Controller:
-    """A control loop of such a scene, with Newton on soft contacts around its object unless options say otherwise."""
+    """Return a control loop of such a scene, by default with Newton on soft contacts around its object."""
     angles = np.arange(fingers) * 2.0 * np.pi / fingers
     outwards = np.column_stack([np.cos(angles), 0.0 * angles, np.sin(angles)])
     grasp = Grasp.from_contacts(0.05 * outwards, -outwards, 0.4, contact_model="soft", torsional_friction=0.01)
@@ -65,7 +57,7 @@ def controller_alone(
 
 
 def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:
-    """(M, M) of the hand's links, from their masses and inertias; coupled joints weigh on the joint that drives them."""
+    """Return the mass matrix (M, M) from the links' masses and inertias; coupled joints load their driver."""
     hand, (frames, origins) = kinematics.hand, kinematics.links(angles)
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     turning, total = np.zeros((hand.joint_count, 3, hand.joint_count)), np.zeros((hand.joint_count,) * 2)
@@ -83,7 +75,7 @@ def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:
 
 
 def grasp_torques(scene: Scene, forces: np.ndarray) -> np.ndarray:
-    """Torques (M,) with which the tips push with `forces` (N, 3), object frame, and that carry the links."""
+    """Return torques (M,) with which the tips push with `forces` (N, 3), object frame, and carry the links' weight."""
     s = scene.look()
     torques = s.gravity_torques.copy()
     for finger, force in enumerate(forces @ s.rotation.T):
@@ -93,39 +85,47 @@ def grasp_torques(scene: Scene, forces: np.ndarray) -> np.ndarray:
 
 
 def numbers(scene: Scene) -> np.ndarray:
-    """Everything that can be read of a scene now, in one row."""
+    """Return all readings of a scene in one row."""
     return np.concatenate([part.reshape(-1) for part in scene.look()])
 
 
+def make_link(name: str = "a", parent: str = "palm", **fields: Any) -> Link:
+    """Return a light link, by default on a joint about z."""
+    given: dict[str, Any] = {
+        "origin": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0), "axis": (0.0, 0.0, 1.0), "lower": -1.0, "upper": 1.0, "torque_limit": 2.0,
+        "mass": 0.03, "center": (0.0, 0.0, 0.0), "inertia": (1e-5, 0.0, 0.0, 1e-5, 0.0, 1e-5),
+    }  # fmt: skip
+    return Link(name, parent, **(given | fields))
+
+
 def gripper(fingers: int, joints: int, coupled: bool = False, torque: float = 2.0) -> HandDescription:
-    """Fingers around a round palm that bend towards its axis in one plane each; the last joint of `coupled` ones follows."""
+    """Return fingers around a round palm that bend towards its axis; with `coupled`, the last joint of each follows the one before."""
     links: list[Link] = []
     tips: list[Fingertip] = []
     length = 0.12 / joints
+    bone = Geometry("capsule", (0.006, length - 0.012), (0.0, 0.0, 0.5 * length - 0.004))
+    ball = Geometry("sphere", (0.01,), (0.0, 0.0, length))
+    common: dict[str, Any] = {
+        "axis": (0.0, -1.0, 0.0),
+        "upper": 1.2,
+        "torque_limit": torque,
+        "center": (0.0, 0.0, 0.5 * length),
+    }
     for finger in range(fingers):
         turn = 2.0 * np.pi * finger / fingers
         for joint in range(joints):
-            last = joint == joints - 1
-            bone = Geometry("capsule", (0.006, length - 0.012), (0.0, 0.0, 0.5 * length - 0.004))
-            ball = Geometry("sphere", (0.01,), (0.0, 0.0, length))
-            name = f"f{finger}_{joint}"
-            follows = coupled and last and joint > 0
+            last, before = joint == joints - 1, f"f{finger}_{joint - 1}"
+            if joint == 0:
+                place = {
+                    "origin": (0.06 * np.cos(turn), 0.06 * np.sin(turn), 0.01),
+                    "rotation": (0.0, 0.0, turn),
+                    "lower": -0.6,
+                }
+            else:
+                follows = Mimic(f"{before}_joint") if coupled and last else None
+                place = {"parent": before, "origin": (0.0, 0.0, length), "lower": 0.0, "mimic": follows}
             links.append(
-                Link(
-                    name=name,
-                    parent=f"f{finger}_{joint - 1}" if joint else "palm",
-                    origin=(0.0, 0.0, length) if joint else (0.06 * np.cos(turn), 0.06 * np.sin(turn), 0.01),
-                    rotation=(0.0, 0.0, 0.0) if joint else (0.0, 0.0, turn),
-                    axis=(0.0, -1.0, 0.0),
-                    lower=-0.6 if joint == 0 else 0.0,
-                    upper=1.2,
-                    torque_limit=torque,
-                    mass=0.03,
-                    center=(0.0, 0.0, 0.5 * length),
-                    inertia=(1e-5, 0.0, 0.0, 1e-5, 0.0, 1e-5),
-                    collision=(bone, ball) if last else (bone,),
-                    mimic=Mimic(f"f{finger}_{joint - 1}_joint") if follows else None,
-                )
+                make_link(f"f{finger}_{joint}", collision=(bone, ball) if last else (bone,), **common, **place)
             )
         tips.append(Fingertip(f"f{finger}", links[-1].name, (0.0, 0.0, length), 0.01))
     palm = Palm(collision=(Geometry("cylinder", (0.07, 0.01)),))

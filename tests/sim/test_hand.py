@@ -1,22 +1,27 @@
-"""Descriptions of hands: what they refuse, and what the built-in ones can do."""
+"""Descriptions of hands, the built-in hands, and public hands of dexsuite/dex-urdf."""
 
 from __future__ import annotations
 
-import pickle
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from engines import Client, bullet, joint_indices, needs_bullet
-from hands import links_of_indices, load_hand
+from hands import make_link
+from urdf_text import read_file
 
-from grasp_env.errors import GraspError, SimulationError
-from grasp_env.sim.hand.description import HANDS, FingerDescription, Fingertip, Geometry, HandDescription, Link, Palm
+from grasp_env import core
+from grasp_env.errors import GraspError
+from grasp_env.sim import ObjectDescription, place_hand
+from grasp_env.sim.grasping import plan_grasp
+from grasp_env.sim.hand.description import HANDS, FingerDescription, Fingertip, Geometry, HandDescription, Palm
 from grasp_env.sim.hand.kinematics import HandKinematics
-from grasp_env.sim.hand.limbs import touching_pairs
+from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
+from grasp_env.sim.hand.solids import outline
 
 # where the fingers press on the faces of a cuboid at z = -side / 2 (the thumb) and z = side / 2 [m]
 FRONT = {
@@ -25,133 +30,49 @@ FRONT = {
     "four_finger_4dof": [(0.0, 0.03), (-0.03, -0.02), (0.03, -0.02)],
     "five_finger": [(-0.0125, 0.025), (0.0125, 0.025), (-0.028, -0.01), (0.028, -0.01)],
 }
-OBJECT_SIDES = (0.07, 0.1, 0.12)
 
 
-def tips_on_cuboid(name: str, side: float) -> np.ndarray:
-    """Centres of tips that rest on a cuboid at the origin, (N, 3)."""
-    away = 0.5 * side + 0.01
-    return np.array([(0.0, 0.0, -away), *((x, y, away) for x, y in FRONT[name])])
-
-
-OF_FINGERS = sorted(name for name, make in HANDS.items() if make().placed)
-"""Hands that stand around an object at the origin; the others have no place of their own."""
-
-
-class Posed:
-    """A built-in hand in PyBullet."""
-
-    def __init__(self, hand: HandDescription) -> None:
-        self.hand, self.kinematics, self.client = hand, HandKinematics(hand), Client()
-        self.number = self.client.number
-        self.body = load_hand(self.number, hand)
-        self.indices = joint_indices(self.number, self.body, hand)
-        self.names = [link.name for link in hand.links] + ["palm"]
-
-    def pose(self, angles: np.ndarray) -> None:
-        for index, angle in zip(self.indices, angles.tolist(), strict=True):
-            bullet.resetJointState(self.body, index, angle, physicsClientId=self.number)
-
-    def collisions(self) -> set[tuple[str, str]]:
-        """Names of the links that overlap, as the running simulation would find them."""
-        bullet.performCollisionDetection(physicsClientId=self.number)
-        links = links_of_indices(self.indices)
-        rows = bullet.getContactPoints(self.body, self.body, physicsClientId=self.number)
-        pairs = [(self.names[links[row[3]]], self.names[links[row[4]]]) for row in rows if row[8] < 0.0]
-        return {(min(pair), max(pair)) for pair in pairs}
-
-    def distance(self, other: int, link: int, other_link: int = -1) -> float:
-        """Between one of our links and a link of a body [m], 0.05 where it is more."""
-        rows = bullet.getClosestPoints(
-            self.body, other, 0.05, linkIndexA=self.indices[link], linkIndexB=other_link, physicsClientId=self.number
-        )
-        return min((row[8] for row in rows), default=0.05)
-
-
-@pytest.fixture(params=OF_FINGERS)
-def posed(request: pytest.FixtureRequest) -> Iterator[Posed]:
-    made = Posed(HANDS[request.param]())
-    yield made
-    made.client.close()
-
-
-@pytest.mark.parametrize(
-    ("name", "fingers", "joints", "torque"),
-    [
-        ("four_finger", 4, 12, 12.0), ("three_finger", 3, 9, 12.0), ("five_finger", 5, 15, 12.0), ("four_finger_4dof", 4, 16, 12.0),
-        ("allegro", 4, 16, 0.7), ("leap", 4, 16, 0.95),
-    ],
-)  # fmt: skip
-def test_built_in_hands(name: str, fingers: int, joints: int, torque: float) -> None:
-    hand = HANDS[name]()
-    assert (hand.name, hand.finger_count, hand.joint_count) == (name, fingers, joints)
-    assert hand.torque_limits.tolist() == [torque] * joints
-    assert len(set(hand.joint_names)) == joints
-    assert hand == HANDS[name]() == pickle.loads(pickle.dumps(hand))
-    assert hash(hand) == hash(HANDS[name]())
-
-
-def test_real_hands_have_their_published_measures() -> None:
+@pytest.mark.parametrize(("name", "tip"), [("allegro", (0.0, 0.0, 0.1362)), ("leap", (0.0019, -0.0149, 0.1284))])
+def test_real_hands_have_their_published_measures(name: str, tip: tuple[float, ...]) -> None:
     """Straight middle fingers along z; the links of a finger overlap only their neighbours."""
-    straight = {"allegro": (0.0, 0.0, 0.1362), "leap": (0.0019, -0.0149, 0.1284)}
-    for name, tip in straight.items():
-        hand = HANDS[name]()
-        assert not hand.placed
-        assert hand.finger_names == ("index", "middle", "ring", "thumb")
-        np.testing.assert_allclose(HandKinematics(hand).tips(np.zeros(16))[1], tip, atol=1e-9)
-        assert touching_pairs(hand, at_home=False) == ()
-        heaviest = max(link.mass for link in hand.links)
-        assert 0.04 < heaviest < 0.07
-        assert 0.45 < sum(link.mass for link in hand.links) < 0.65
+    hand = HANDS[name]()
+    assert (hand.name, hand.placed, hand.joint_count) == (name, False, 16)
+    assert hand.finger_names == ("index", "middle", "ring", "thumb")
+    assert set(hand.torque_limits) == {{"allegro": 0.7, "leap": 0.95}[name]}
+    np.testing.assert_allclose(HandKinematics(hand).tips(np.zeros(16))[1], tip, atol=1e-9)
+    assert touching_pairs(hand, at_home=False) == ()
+    assert 0.04 < max(link.mass for link in hand.links) < 0.07
+    assert 0.45 < sum(link.mass for link in hand.links) < 0.65
 
 
-@needs_bullet
-@pytest.mark.parametrize("side", OBJECT_SIDES)
-def test_links_clear_one_another_and_the_object(posed: Posed, side: float) -> None:
-    kinematics, tips = posed.kinematics, tips_on_cuboid(posed.hand.name, side)
-    angles = kinematics.solve(tips)
-    assert np.minimum(angles - kinematics.lower, kinematics.upper - angles).min() > 0.4
-    for finger in range(len(tips)):  # far from singular
-        jacobian = kinematics.jacobian(angles, finger)
-        assert side != 0.1 or np.linalg.cond(jacobian[:, kinematics.carries[finger]]) < 4.5
-    posed.pose(angles)
-    assert posed.collisions() == set()
-    halves = [0.5 * side] * 3
-    shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=halves, physicsClientId=posed.number)
-    box = bullet.createMultiBody(0.2, shape, physicsClientId=posed.number)
-    tip_links = kinematics.tip_links.tolist()
-    frames, origins = kinematics.links(angles)
-    for link in tip_links:  # only the tip of a distal link is near the object
-        capsule = next(shape for shape in posed.hand.links[link].collision if shape.kind == "capsule")
-        along = np.linspace(-0.5, 0.5, 41) * capsule.size[1] + capsule.origin[0]
-        outside = np.maximum(np.abs(origins[link] + np.outer(along, frames[link][:, 0])) - 0.5 * side, 0.0)
-        assert np.linalg.norm(outside, axis=1).min() > capsule.size[0] + 0.007
-    for link in range(posed.hand.joint_count):
-        gap = posed.distance(box, link)
-        assert abs(gap) < 1e-6 if link in tip_links else gap > 0.03, (link, gap)
-        for other in range(link):
-            finger, other_finger = kinematics.carries[:, link].argmax(), kinematics.carries[:, other].argmax()
-            if finger != other_finger:
-                assert posed.distance(posed.body, link, posed.indices[other]) > 0.004
-    with pytest.raises(SimulationError, match="lacks the joints thumb_knuckle_joint"):
-        joint_indices(posed.number, box, posed.hand)
+def test_links_of_fingers_have_the_inertia_of_solid_rods() -> None:
+    """Compare with numerical integrals along the rods; the tip is a solid ball."""
+    finger, grid = FingerDescription("f", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), np.linspace(0.0, 1.0, 501)
+    for link, length, mass in zip(finger.links("palm"), finger.link_lengths, finger.link_masses, strict=True):
+        across = np.trapezoid((length * (grid - 0.5)) ** 2, grid) * mass + 0.25 * mass * finger.link_radius**2
+        if link.name == "f_distal":
+            ball, arm = finger.tip_mass, 0.5 * length
+            across += mass * ball / (mass + ball) * arm**2 + 0.4 * ball * finger.tip_radius**2
+            assert link.center[0] == pytest.approx((mass * arm + ball * length) / (mass + ball))
+        assert link.inertia[5] == pytest.approx(across, rel=1e-4)
 
 
-@needs_bullet
-def test_a_finger_meets_itself_nowhere_and_the_palm_only_with_its_folded_tip(posed: Posed) -> None:
-    rng, hand, (lower, upper) = np.random.default_rng(5), posed.hand, (posed.kinematics.lower, posed.kinematics.upper)
-    posed.pose(posed.kinematics.home)
-    assert posed.collisions() == set()
-    for trial in range(400):
-        own = posed.kinematics.carries[trial % hand.finger_count]
-        angles = np.where(own, rng.uniform(lower, upper), posed.kinematics.home)
-        posed.pose(angles)
-        for first, second in posed.collisions():
-            fingers = {name.split("_")[0] for name in (first, second)}
-            if len(fingers) == 1:
-                pytest.fail(f"{first} meets {second} at {angles.tolist()}")
-            if "palm" in fingers:
-                assert "distal" in first + second
+@pytest.mark.parametrize("name", FRONT)
+def test_built_in_hands_reach_around_cuboids_without_touching_themselves(name: str) -> None:
+    """The postures are far from the joint limits."""
+    kinematics = HandKinematics(HANDS[name]())
+    limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)
+    for side in (0.07, 0.12):
+        away = 0.5 * side + 0.01
+        angles = kinematics.solve([(0.0, 0.0, -away), *((x, y, away) for x, y in FRONT[name])])
+        assert np.minimum(angles - kinematics.lower, kinematics.upper - angles).min() > 0.4
+        assert all(gap > 0.004 for _, _, gap in limbs.link_gaps(angles, 0.02))
+    rng = np.random.default_rng(5)
+    for own in 25 * list(kinematics.carries):  # a finger never meets itself, and the palm only with its folded tip
+        angles = np.where(own, rng.uniform(kinematics.lower, kinematics.upper), kinematics.home)
+        for first, second, gap in limbs.link_gaps(angles, 0.0):
+            if gap < 0.0 and own[second]:
+                assert second in kinematics.tip_links if first < 0 else not own[first]
 
 
 def test_a_moved_hand_moves_as_a_whole() -> None:
@@ -164,14 +85,6 @@ def test_a_moved_hand_moves_as_a_whole() -> None:
     assert hand.moved((0.0, 0.0, 0.0)) == hand
 
 
-def link(name: str = "a", parent: str = "palm", **changes: Any) -> Link:
-    fields: dict[str, Any] = {
-        "origin": (0, 0, 0), "rotation": (0, 0, 0), "axis": (0, 0, 1), "lower": -1, "upper": 1, "torque_limit": 2, "mass": 0.1,
-        "center": (0, 0, 0), "inertia": (1e-5, 0, 0, 1e-5, 0, 1e-5),
-    }  # fmt: skip
-    return Link(name, parent, **(fields | changes))
-
-
 TIP = Fingertip("a", "a", (0, 0, 0), 0.01)
 
 
@@ -179,61 +92,45 @@ def hand(links: Any, tips: Any = (TIP,), **fields: Any) -> HandDescription:
     return HandDescription("test", Palm(), links, tips, **fields)
 
 
-GOOD, NEXT = link(), link("b", "a")
+def of_thumb(**fields: Any) -> HandDescription:
+    return HandDescription.of_fingers([replace(THUMB, **fields)])
+
+
+GOOD, NEXT = make_link(), make_link("b", "a")
 THUMB = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        *(
-            (partial(link, **changes), message)
-            for changes, message in (
-                ({"mass": 0.0}, r"link 'a': mass \[kg\]=0.0 must be above 0"),
-                ({"mass": "heavy"}, "must be 1 numbers"),
-                ({"axis": (0, 0, 2)}, "axis=.* must have length 1, not 2; normalise it"),
-                ({"axis": (0, 1)}, "must be 3 numbers, not 2"),
-                ({"lower": 1.0, "upper": -1.0}, "lower=1.0 must be below upper=-1.0"),
-                ({"lower": -np.inf}, "must be finite"),
-                ({"origin": (np.nan, 0, 0)}, "origin=.* must be finite"),
-                ({"inertia": (1e-5, 0, 0, 1e-5, 0, -1e-5)}, "all must be above 0"),
-                ({"inertia": (1e-5, 2e-5, 0, 1e-5, 0, 1e-5)}, "all must be above 0"),
-                ({"inertia": (1e-5, 0, 0, 1e-5, 0, 3e-5)}, "the largest is below the sum of the other two"),
-                ({"name": ""}, "must be a name"),
-            )
-        ),
-        *(
-            (partial(hand, links, tips, **fields), message)
-            for links, tips, fields, message in (
-                ([], (TIP,), {}, "links=.. is empty"),
-                ([GOOD], (), {}, "fingertips=.. is empty"),
-                ([NEXT, GOOD], (TIP,), {}, "parent 'a' of link 'b' stands after it"),
-                ([GOOD, link("b", "c")], (TIP,), {}, "parent 'c' of link 'b' is no link; known are palm, a"),
-                ([GOOD, GOOD], (TIP,), {}, "two links are called 'a'"),
-                ([link("palm")], (TIP,), {}, "two links are called 'palm'"),
-                ([GOOD, link("b", joint="a_joint")], (TIP,), {}, "two joints are called 'a_joint'"),
-                ([GOOD], (TIP, TIP), {}, "two fingertips are called 'a'"),
-                ([GOOD], (Fingertip("a", "palm", (0, 0, 0), 0.01),), {}, "is on link 'palm', which does not move .*moving links are a"),
-                ([GOOD], (TIP,), {"home": (2.0,)}, "home=2.0 rad of joint 'a_joint' must be within its limits"),
-                ([GOOD], (TIP,), {"home": (0.0, 0.0)}, "must be 1 numbers, not 2"),
-                ([GOOD], (TIP,), {"tip_friction": 0.0}, "tip_friction=0.0 must be above 0"),
-            )
-        ),
-        (partial(Fingertip, "a", "a", (0, 0, 0), 0.0), r"radius .* must be above 0"),
+        (partial(make_link, mass=0.0), r"link 'a': mass \[kg\]=0.0 must be above 0"),
+        (partial(make_link, axis=(0, 0, 2)), "axis=.* must have length 1, not 2; normalise it"),
+        (partial(make_link, axis=(0, 1)), "must be 3 numbers, not 2"),
+        (partial(make_link, lower=1.0, upper=-1.0), "lower=1.0 must be below upper=-1.0"),
+        (partial(make_link, lower=-np.inf), "must be finite"),
+        (partial(make_link, inertia=(1e-5, 2e-5, 0, 1e-5, 0, 1e-5)), "all must be above 0"),
+        (partial(make_link, inertia=(1e-5, 0, 0, 1e-5, 0, 3e-5)), "the largest is below the sum of the other two"),
+        (partial(make_link, name=""), "must be a name"),
+        (partial(hand, []), "links=.. is empty"),
+        (partial(hand, [GOOD], ()), "fingertips=.. is empty"),
+        (partial(hand, [NEXT, GOOD]), "parent 'a' of link 'b' stands after it"),
+        (partial(hand, [GOOD, make_link("b", "c")]), "parent 'c' of link 'b' is not a link; known are palm, a"),
+        (partial(hand, [GOOD, GOOD]), "two links are called 'a'"),
+        (partial(hand, [GOOD, make_link("b", joint="a_joint")]), "two joints are called 'a_joint'"),
+        (partial(hand, [GOOD], (TIP, TIP)), "two fingertips are called 'a'"),
+        (partial(hand, [GOOD], (replace(TIP, link="palm"),)), "is on link 'palm', which does not move .*moving links are a"),
+        (partial(hand, [GOOD], home=(2.0,)), "home=2.0 rad of joint 'a_joint' must be within its limits"),
+        (partial(hand, [GOOD], tip_friction=0.0), "tip_friction=0.0 must be above 0"),
         (partial(Geometry, "cone", (1.0,)), "unknown kind of geometry 'cone': choose one of 'sphere'"),
         (partial(Geometry, "capsule", (1.0,)), r"size \(radius, length\).* must be 2 numbers"),
         (partial(Geometry, "box", (1.0, 0.0, 1.0)), "m must be above 0"),
-        (partial(replace, THUMB, press=(0.0, -1.0, 0.1)), r"press=.* must have length 1"),
-        (partial(replace, THUMB, press=(0.0, -1.0, 0.0)), "must be orthogonal"),
-        *(
-            (lambda field=field, value=value: HandDescription.of_fingers([replace(THUMB, **{field: value})]), field)
-            for field, value in (
-                ("link_lengths", (0.1, 0.1)), ("link_masses", (0.02, 0.03, 0.0)), ("joint_lower", (2.0, 0.0, 0.0)),
-                ("joint_upper", (1.0, 1.0, 1.0, 1.0)), ("tip_radius", -0.01), ("home", (0.0, 5.0, 0.1)),
-            )
-        ),
+        (partial(of_thumb, press=(0.0, -1.0, 0.1)), r"press=.* must have length 1"),
+        (partial(of_thumb, press=(0.0, -1.0, 0.0)), "must be orthogonal"),
+        (partial(of_thumb, link_lengths=(0.1, 0.1)), "link_lengths"),
+        (partial(of_thumb, joint_lower=(2.0, 0.0, 0.0)), "joint_lower"),
+        (partial(of_thumb, joint_upper=(1.0, 1.0, 1.0, 1.0)), "joint_upper"),
+        (partial(of_thumb, home=(0.0, 5.0, 0.1)), "home"),
         (partial(HandDescription.of_fingers, []), "is empty"),
-        (partial(HandDescription.of_fingers, [THUMB, THUMB]), "two links are called 'good_knuckle'"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
@@ -241,3 +138,65 @@ def test_impossible_parts_and_hands_are_refused(make: Callable[[], object], mess
     assert hand([GOOD, NEXT]).joint_count == 2
     with pytest.raises(GraspError, match=message):
         make()
+
+
+needs_files = pytest.mark.skipif(
+    "GRASP_HANDS" not in os.environ, reason="set GRASP_HANDS to the folder of hands of dexsuite/dex-urdf"
+)
+# joints, fingertips, coupled joints, words of the one warning
+FILES = {
+    "allegro_hand/allegro_hand_right": (16, 4, 0, ("physically impossible inertias",)),
+    "leap_hand/leap_hand_right": (16, 4, 0, ()),  # some copies lack meshes to look at
+    "barrett_hand/bhand_model": (8, 3, 0, ("effort 0 of 'finger_1_prox_joint'",)),
+    "dclaw_gripper/dclaw_gripper": (9, 3, 0, ()),
+    "schunk_hand/schunk_svh_hand_right": (20, 5, 11, ("effort 1000 of", "without mass", "physically impossible inertias")),
+    "shadow_hand/shadow_hand_right": (24, 5, 0, ()),
+    "inspire_hand/inspire_hand_right": (12, 5, 6, ("are not one of .obj, .stl, .dae",)),
+    "ability_hand/ability_hand_right": (10, 5, 4, ()),
+}  # fmt: skip
+
+
+def read(name: str) -> tuple[HandDescription, str]:
+    return read_file(Path(os.environ["GRASP_HANDS"], f"{name}.urdf"))
+
+
+@needs_files
+@pytest.mark.parametrize("name", FILES)
+def test_public_hands_read_as_they_are(name: str) -> None:
+    joints, fingers, coupled, repairs = FILES[name]
+    hand, told = read(name)
+    assert (hand.joint_count, hand.finger_count) == (joints, fingers)
+    assert sum(link.mimic is not None for link in hand.links) == coupled
+    assert all(repair in told for repair in repairs)
+    assert all(1e-3 <= link.mass < 1.0 for link in hand.links)
+    assert HandKinematics(hand).carries.any(axis=1).all()
+    for tip in hand.fingertips:
+        link = next(link for link in hand.links if link.name == tip.link)
+        away = float(np.linalg.norm(tip.center))
+        assert 0.004 <= tip.radius <= 0.015
+        assert 0.01 < away < 0.1
+        for shape in link.collision:  # nothing else of the link lies before its tip
+            assert shape.kind == "sphere" or (outline(shape) @ tip.center).max() < away**2
+
+
+@needs_files
+@pytest.mark.parametrize("name", ["allegro", "leap"])
+def test_presets_move_as_the_files_do(name: str) -> None:
+    """Their palm frames differ by a shift; tips fitted to meshes of few corners lie within 1.5 mm."""
+    theirs, ours = HandKinematics(read(f"{name}_hand/{name}_hand_right")[0]), HandKinematics(HANDS[name]())
+    np.testing.assert_allclose((ours.lower, ours.upper), (theirs.lower, theirs.upper), atol=1e-3)
+    masses = [[link.mass for link in each.hand.links] for each in (ours, theirs)]
+    np.testing.assert_allclose(masses[0], masses[1], rtol=1e-6)
+    postures = np.random.default_rng(0).uniform(ours.lower, ours.upper, (200, 16))
+    off = np.array([ours.tips(angles) - theirs.tips(angles) for angles in postures])
+    assert np.linalg.norm(off - off.mean(axis=(0, 1)), axis=2).max() < 1.5e-3
+
+
+@needs_files
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILES)
+def test_public_hands_are_placed(name: str) -> None:
+    """`plan_grasp` finds a grasp in the chosen place."""
+    ball = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
+    kinematics = HandKinematics(place_hand(read(name)[0], ball))
+    assert len(plan_grasp(ball, kinematics).points) == kinematics.hand.finger_count >= 3

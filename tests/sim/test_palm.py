@@ -1,4 +1,4 @@
-"""Arms and whole robots are read by naming the palm: what carries it holds still, other limbs are left out."""
+"""Find the hand in a file: arms and whole robots, frozen joints, rods of linkages and their limits."""
 
 from __future__ import annotations
 
@@ -7,164 +7,185 @@ from typing import Any
 
 import numpy as np
 import pytest
-from urdf_text import finger, hand, joint, link, read
+from urdf_text import INERTIAL, finger, hand, joint, link, read
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.kinematics import HandKinematics
 
+MESH, SOLID = '<mesh filename="none.stl"/>', '<sphere radius="0.01"/>'
 
-def chain(name: str, start: str, count: int, kind: str = "revolute") -> str:
-    """A chain of links `name`1, ... on the joints `name`_1, ...; its shapes are meshes that do not exist."""
-    text, parent = "", start
+
+def chain(name: str, parent: str, count: int, shape: str = MESH, step: float = 0.2) -> str:
+    """Return a chain of links `name`1, ... on the joints `name`_1, ... with missing meshes; the last has no shape."""
+    text = ""
     for number in range(1, count + 1):
-        child = f"{name}{number}"
-        text += joint(f"{name}_{number}", parent, child, "0.2 0 0", kind=kind)
-        text += f'<link name="{child}"><collision><geometry><mesh filename="none.stl"/></geometry></collision></link>'
-        parent = child
+        body = f"<collision><geometry>{shape}</geometry></collision>" if number < count or shape != MESH else ""
+        text += (
+            joint(f"{name}_{number}", parent, f"{name}{number}", f"{step} 0 0")
+            + f'<link name="{name}{number}">{body}</link>'
+        )
+        parent = f"{name}{number}"
     return text
 
 
-FLANGE = joint("flange", "arm7", "wrist", "0.1 0 0", kind="fixed") + link("wrist")
-MOUNT = joint("mount", "wrist", "palm", "0.02 0.01 0", kind="fixed")
-ARM = link("base") + chain("arm", "base", 7) + FLANGE + MOUNT + hand()
-ROBOT = (
-    link("pelvis")
-    + chain("leg", "pelvis", 6)
-    + chain("waist", "pelvis", 1, "continuous")
-    + "".join(
-        chain(f"{side}arm", "waist1", 5) + joint(f"{side}mount", f"{side}arm5", f"{side}palm", kind="fixed")
-        for side in "lr"
-    )
-    + hand("lpalm", "l")
-    + hand("rpalm", "r")
+MOUNT = joint("mount", "wrist", "palm", "0.02 0.01 0", kind="fixed").replace('0.01 0"', '0.01 0" rpy="0.3 -0.2 0.5"')
+ARM = (
+    link("base")
+    + chain("arm", "base", 7)
+    + joint("flange", "arm7", "wrist", "0.1 0 0", kind="fixed")
+    + link("wrist")
+    + MOUNT
+    + hand()
 )
+ROBOT = link("pelvis") + chain("leg", "pelvis", 6, SOLID) + chain("waist", "pelvis", 1)
+for side in "lr":
+    fixed = joint(f"{side}mount", f"{side}arm5", f"{side}palm", kind="fixed")
+    ROBOT += chain(f"{side}arm", "waist1", 5) + fixed + hand(f"{side}palm", side)
 
 
 def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path: Path) -> None:
-    """The meshes of what is left out are not looked for; the link that carries the palm without a joint belongs to it."""
-    text = ARM.replace(
-        ' name="arm7"><collision><geometry><mesh filename="none.stl"/></geometry></collision>', ' name="arm7">'
-    )
-    made, told = read(tmp_path, text, palm="palm")
+    """Meshes of the arm are not looked for; any link fixed to the palm may be named instead."""
+    made, told = read(tmp_path, ARM, palm="palm")
     alone, nothing = read(tmp_path, hand())
     assert nothing == ""
     joints = ", ".join(f"'arm_{number}'" for number in range(1, 8))
     assert told.endswith(f"the joints that carry the palm 'palm' hold still, their links are left out: {joints}")
-    assert (made.links, made.fingertips) == (alone.links, alone.fingertips)
-    assert made.palm.name == "palm"
-    assert [shape.origin for shape in made.palm.collision] == [
-        (0.03, 0.0, 0.0),
-        (0.0, -0.01, 0.0),
-    ]  # the wrist's after its own
-
-
-def test_any_fixed_link_may_name_the_palm(tmp_path: Path) -> None:
-    text = ARM.replace('<mesh filename="none.stl"/>', '<sphere radius="0.02"/>').replace(
-        'xyz="0.02 0.01 0"', 'xyz="0.02 0.01 0" rpy="0.3 -0.2 0.5"'
-    )
-    here, there = (read(tmp_path, text, palm=name)[0] for name in ("palm", "arm7"))
+    assert (made.links, made.fingertips, made.palm.name) == (alone.links, alone.fingertips, "palm")
+    there, _ = read(tmp_path, ARM, palm="arm7")
     place = Frame.of((0.1, 0.0, 0.0), (0.0, 0.0, 0.0)) @ Frame.of((0.02, 0.01, 0.0), (0.3, -0.2, 0.5))
     angles = np.linspace(0.0, 1.0, 6)
-    tips = HandKinematics(here).tips(angles) @ place.rotation.T + place.origin
+    tips = HandKinematics(made).tips(angles) @ place.rotation.T + place.origin
     np.testing.assert_allclose(HandKinematics(there).tips(angles), tips, atol=1e-15)
-    assert len(here.palm.collision) == len(there.palm.collision) == 3
+    wrist = made.palm.collision[1]  # part of the palm, wherever that is seen from
+    np.testing.assert_allclose(place.rotation @ wrist.origin + place.origin, (0.12, 0.0, 0.0), atol=1e-15)
+    assert any(shape.origin == pytest.approx((0.12, 0.0, 0.0)) for shape in there.palm.collision)
 
 
 def test_one_hand_of_a_robot_is_read_and_the_rest_left_out(tmp_path: Path) -> None:
-    text = ROBOT.replace("none.stl", "also_none.stl").replace(
-        '<link name="rarm5"><collision><geometry><mesh filename="also_none.stl"/></geometry></collision></link>',
-        '<link name="rarm5"/>',
-    )
-    made, told = read(tmp_path, text, palm="rpalm")
+    made, told = read(tmp_path, ROBOT, ["rt2", "rm2"], palm="rpalm")
     assert made.joint_names == ("ria", "rib", "rma", "rmb", "rta", "rtb")
+    assert made.finger_names == ("rt2", "rm2")
     assert "'rpalm' hold still, their links are left out: 'waist_1', 'rarm_1'" in told
-    assert "limbs that do not hang on the palm 'rpalm' are left out, with the joints 'leg_1'" in told
-    assert "'larm_5'" in told
-    assert "'lta'" in told
-    thumb, _ = read(tmp_path, text, palm="rpalm", fingertips=["rt2", "rm2"])
-    assert thumb.finger_names == ("rt2", "rm2")
+    assert "limbs that the palm 'rpalm' does not carry are left out, with the joints 'leg_1'" in told
     with pytest.raises(
-        InvalidInputError, match="fingertips 'lt2' do not hang on the palm 'rpalm'; links that do are 'rarm5', 'rpalm'"
+        InvalidInputError, match="'rpalm' does not carry the fingertips 'lt2'; its links are 'rarm5', 'rpalm'"
     ):
-        read(tmp_path, text, palm="rpalm", fingertips=["rt2", "lt2"])
+        read(tmp_path, ROBOT, ["rt2", "lt2"], palm="rpalm")
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "palm", "words"),
     [
-        (
-            ARM,
-            (
-                "'arm_6', 'arm_7' has 7 motors and leads to a branching. Name the hand's palm, palm='palm'; palm='base' reads all",
-            ),
-        ),
-        (
-            ROBOT,
-            (
-                "has 5 motors and leads to a branching",
-                "palm='lpalm' or palm='rpalm'; palm='pelvis' reads all of it as one hand",
-            ),
-        ),
-        (link("base") + chain("arm", "base", 7), ("has 7 motors. No link carries several chains",)),
+        (ARM, None, "'arm_7' has 7 motors and leads to a branching. Name the hand's palm, palm='palm'; palm='base' reads all of it as one hand"),
+        (ROBOT, None, "has 5 motors and leads to a branching. Name the hand's palm, palm='lpalm' or palm='rpalm'; palm='pelvis' reads all"),
+        (link("base") + chain("arm", "base", 7), None, "has 7 motors. No link carries several chains"),
+        (ARM, "hand", "palm: no link is called 'hand'; joints branch at 'palm'; links are 'base', 'arm1'"),
+        (ARM, "i2", "the palm 'i2' carries no joint that moves; links that do are 'base', 'arm1'"),
     ],
-)
+)  # fmt: skip
 def test_arms_and_robots_are_refused_at_once_with_the_names_of_palms(
-    tmp_path: Path, text: str, words: tuple[str, ...]
+    tmp_path: Path, text: str, palm: str | None, words: str
 ) -> None:
     with pytest.raises(InvalidInputError) as told:
-        read(tmp_path, text)
-    for each in ("this is an arm or a whole robot", *words):
-        assert each in str(told.value)
+        read(tmp_path, text, palm=palm)
+    assert words in str(told.value)
     assert "none.stl" not in str(told.value)
 
 
-def test_hands_with_wrists_and_long_fingers_are_no_arms(tmp_path: Path) -> None:
-    solid = '<sphere radius="0.01"/>'
-    wrist = link("base") + chain("w", "base", 3) + joint("mount", "w3", "palm", kind="fixed") + hand()
-    made, _ = read(tmp_path, wrist.replace('<mesh filename="none.stl"/>', solid).replace("0.2 0 0", "0.03 0 0"))
-    assert made.joint_count == 9
-    fingers = link("base") + "".join(chain(name, "base", 6) for name in "abc")
-    made, _ = read(tmp_path, fingers.replace('<mesh filename="none.stl"/>', solid).replace("0.2 0 0", "0.02 0 0"))
-    assert made.joint_count == 18
-
-
-def test_naming_the_root_reads_all(tmp_path: Path) -> None:
-    text = ARM.replace('<mesh filename="none.stl"/>', '<sphere radius="0.02"/>')
-    made, _ = read(tmp_path, text, palm="base")
-    assert (made.joint_count, made.palm.name) == (13, "base")
-    plain = hand()
-    assert read(tmp_path, plain, palm="palm") == read(tmp_path, plain)
+FOLLOWER = joint("f", "palm", "follower", "0 0 -0.02", mimic="arm_1").replace("<mimic ", '<mimic offset="0.3" ') + link(
+    "follower"
+)
+SECOND = joint("g", "follower", "second", mimic="f").replace("<mimic ", '<mimic multiplier="2" ') + link("second")
+NAIL = joint("n", "i2", "nail", limits=(0.4, 0.4)) + link("nail") + joint("o", "nail", "end", mimic="n") + link("end")
 
 
 @pytest.mark.parametrize(
-    ("palm", "message"),
+    ("text", "options", "count", "words", "tilts"),
     [
-        ("hand", "palm: no link is called 'hand'; joints branch at 'palm'; links are 'base', 'arm1'"),
-        ("i2", "the palm 'i2' carries no joint that moves; links that do are 'base', 'arm1'"),
-        ("", "palm='' must be a name"),
-        (3, "palm=3 must be a name"),
+        (link("base") + chain("w", "base", 3, SOLID, 0.03) + joint("mount", "w3", "palm", kind="fixed") + hand(), {}, 9, "", (0.0,)),
+        (link("base") + "".join(chain(name, "base", 6, SOLID, 0.02) for name in "abc"), {}, 18, "", (0.0,)),
+        (ARM.replace(MESH, SOLID), {"palm": "base"}, 13, "", (0.0,)),  # the root names all
+        (hand() + finger("x", "i2", "0.04 0 0"), {"palm": "i1"}, 3, "hold still, their links are left out: 'ia';", (0.0,)),
+        # at the angle that they have where the others are at 0; joints that no hand has are not looked at
+        (link("cart") + joint("free", "cart", "base", kind="floating") + ARM.replace(' rpy="0.3 -0.2 0.5"', "") + FOLLOWER + SECOND,
+         {"palm": "palm"}, 6, "joints that mimic others that are left out hold still: 'f', 'g'", (0.0, 0.0, 0.3, 0.9)),
+        (hand() + NAIL, {"palm": "i2", "joint_limits": {"n": (0.0, 0.4)}}, 2, "hold still", (0.0,)),
+        (hand() + NAIL, {}, 6, "joints with equal limits, lower = upper, hold still: 'n', 'o'; give the true ranges as joint_limits=", (0.0,)),
+    ],
+    ids=["wrist", "long fingers", "all", "a finger", "followers", "given range", "equal limits"],
+)  # fmt: skip
+def test_the_hand_of_a_file_and_the_joints_that_hold_still(
+    tmp_path: Path, text: str, options: dict[str, Any], count: int, words: str, tilts: tuple[float, ...]
+) -> None:
+    made, told = read(tmp_path, text, **options)
+    assert made.joint_count == count
+    assert words in told
+    boxes = [shape.rotation[1] for shape in made.palm.collision if shape.kind == "box"]
+    np.testing.assert_allclose(boxes[: len(tilts)], tilts, atol=1e-12)  # palm, wrist, follower, second
+    if text.endswith(NAIL) and not options:
+        nail = next(each for each in made.links if each.name == "i2").collision[1]
+        assert nail.rotation[1] == pytest.approx(0.4)
+
+
+def rods(name: str, *ends: tuple[float, float]) -> str:
+    """Return a link with rods of 6 x 6 mm from its origin to points (x, z) [m]."""
+    shapes = "".join(
+        f'<collision><origin xyz="{x / 2} 0 {z / 2}" rpy="0 {np.arctan2(x, z)} 0"/><geometry><box size="0.006 0.006 {np.hypot(x, z)}"/>'
+        "</geometry></collision>"
+        for x, z in ends
+    )
+    return f'<link name="{name}">{INERTIAL}{shapes}</link>'
+
+
+def pivot(
+    parent: str, child: str, x: float, z: float, ratio: float = 0.0, limits: tuple[float, float] = (-0.5, 0.5)
+) -> str:
+    """Return a joint at (x, z) [m], coupled to that of `left_crank` unless the ratio is 0."""
+    text = joint(f"{child}_joint", parent, child, f"{x} 0 {z}", limits, mimic="left_crank_joint" if ratio else "")
+    return text.replace("<mimic ", f'<mimic multiplier="{ratio}" ')
+
+
+def gripper(limits: tuple[float, float]) -> str:
+    """Return two fingers, each a parallelogram of a crank, a rod and a fingertip that keeps its direction."""
+    text = link("palm", 0.01)
+    for side, x, sign in (("left", -0.04, 1.0), ("right", 0.04, -1.0)):
+        text += pivot("palm", f"{side}_crank", x, 0.01, min(0.0, sign)) + rods(f"{side}_crank", (0.0, 0.04))
+        text += pivot("palm", f"{side}_rod", x + 0.015 * sign, 0.01, sign) + rods(f"{side}_rod", (0.0, 0.04))
+        text += pivot(f"{side}_crank", f"{side}_tip", 0.0, 0.04, -sign, limits) + rods(
+            f"{side}_tip", (0.015 * sign, 0.0), (0.0, 0.05)
+        )
+    return text
+
+
+@pytest.mark.parametrize(
+    ("limits", "options", "ignored", "lower"),
+    [
+        ((0.0, 0.5), {}, True, -0.5),  # opposite joints would stop each other
+        ((0.4, 0.5), {}, True, -0.5),
+        ((-0.5, 0.3), {}, False, -0.3),
+        ((-0.5, 0.5), {"joint_limits": {"left_tip_joint": (0.0, 0.1)}}, False, -0.1),  # a caller's always count
     ],
 )
-def test_a_palm_must_be_a_link_that_carries_joints(tmp_path: Path, palm: Any, message: str) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        read(tmp_path, ARM, palm=palm)
+def test_rods_are_no_fingertips_and_limits_that_stop_a_motor_are_ignored(
+    tmp_path: Path, limits: tuple[float, float], options: dict[str, Any], ignored: bool, lower: float
+) -> None:
+    made, told = read(tmp_path, gripper(limits), **options)
+    assert made.finger_names == ("left_tip", "right_tip")
+    assert "rods that only move a finger are not fingertips: 'left_rod', 'right_rod'" in told
+    if not options:
+        assert (
+            "hardly any range and are ignored: 'left_tip_joint', 'right_crank_joint'"
+            in told.replace("'left_rod_joint', ", "")
+        ) == ignored
+    assert HandKinematics(made).lower[0] == pytest.approx(lower)
+    with pytest.raises(
+        InvalidInputError, match="'left_tip_joint' have no motor of their own; give that of 'left_crank_joint'"
+    ):
+        read(tmp_path, gripper(limits), torque_limit={"left_tip_joint": 2.0})
 
 
-def test_joints_that_mimic_what_is_left_out_hold_still(tmp_path: Path) -> None:
-    """At the angle that they have where the other is at 0; and those of joints that no hand has are not looked at."""
-    follower = joint("f", "palm", "follower", "0 0 -0.02", mimic="arm_1").replace("<mimic ", '<mimic offset="0.3" ')
-    second = joint("g", "follower", "second", mimic="f").replace("<mimic ", '<mimic multiplier="2" ')
-    floating = link("cart") + joint("free", "cart", "base", kind="floating")
-    text = floating + ARM.replace('<mesh filename="none.stl"/>', '<sphere radius="0.02"/>')
-    made, told = read(tmp_path, text + follower + link("follower") + second + link("second"), palm="palm")
-    assert "joints that mimic others that are left out hold still: 'f', 'g'" in told
-    assert made.joint_count == 6
-    tilts = [shape.rotation[1] for shape in made.palm.collision if shape.kind == "box"]
-    np.testing.assert_allclose(tilts, (0.0, 0.0, 0.3, 0.9), atol=1e-12)  # palm, wrist, follower, second
-
-
-def test_a_finger_alone_can_be_the_hand(tmp_path: Path) -> None:
-    made, told = read(tmp_path, hand() + finger("x", "i2", "0.04 0 0"), palm="i1")
-    assert made.joint_names == ("ib", "xa", "xb")
-    assert "hold still, their links are left out: 'ia';" in told
+def test_jaws_that_meet_are_no_rods(tmp_path: Path) -> None:
+    text = link("palm", 0.01) + pivot("palm", "left_crank", -0.012, 0.01) + rods("left_crank", (0.0, 0.05))
+    text += pivot("palm", "short_jaw", 0.012, 0.01, -1.0) + rods("short_jaw", (0.0, 0.035))
+    assert read(tmp_path, text)[0].finger_names == ("left_crank", "short_jaw")

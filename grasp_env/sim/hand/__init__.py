@@ -1,4 +1,4 @@
-"""Hands: descriptions and their URDF files, kinematics."""
+"""Descriptions of hands, their URDF files and their kinematics."""
 
 from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics

@@ -1,7 +1,9 @@
-"""The hand as data: a tree of links on a palm, with the fingertips it grasps with.
+"""Describe a hand as data: a tree of links on a palm, with the fingertips that touch the object.
 
-Everything else follows from this one record: the URDF that PyBullet loads (`urdf.hand_urdf`) and the arrays of the
-kinematics (`kinematics.HandKinematics`).
+The URDF that PyBullet loads (`urdf.hand_urdf`) and the arrays of the kinematics (`kinematics.HandKinematics`) are
+derived from this one record.
+
+Longer than most modules: `from_file` documents each of its arguments.
 """
 
 from __future__ import annotations
@@ -19,37 +21,47 @@ from grasp_env.sim.hand import presets
 from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand.fingers import FingerDescription
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.inertia import inertia_matrix, with_rotor
-from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
+from grasp_env.sim.hand.tree import (
+    Fingertip,
+    Geometry,
+    Link,
+    Mimic,
+    Palm,
+    check_fingertips,
+    check_mimics,
+    check_tree,
+)
 
 __all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescription", "Link", "Mimic", "Palm", "Vector3"]
 
 
 ROTOR_INERTIA = 1e-4
-"""[kg m^2] that a joint feels of its motor where nothing else is known; see `HandDescription.with_rotors`."""
+"""Default rotor inertia at a joint [kg m^2]; see `HandDescription.with_rotors`."""
 _LIGHT = 1e-5
-"""[kg m^2] about its joint, below which a free end of 1 g is turned by 50 rad/s and more by what 50 mN m miss for a tick."""
+"""Inertia of an end link about its joint [kg m^2] below which it gets a rotor: a torque error of 50 mN m over one control
+tick already turns such a link by 50 rad/s."""
 
 
 @dataclass(frozen=True)
 class HandDescription:
     """A hand: a fixed palm, moving links with torque-controlled joints, and fingertips.
 
-    Joints may turn or slide, and be coupled to others. They are numbered as their links, fingers as their fingertips. The palm's frame is the world frame.
+    Joints turn or slide, and may be coupled to other joints. Joints have the numbers of their links, fingers those of their
+    fingertips. The palm's frame is the world frame.
 
     Attributes:
-        name: Of the hand.
-        palm: What does not move.
-        links: Every link after the one that carries it.
+        name: Name of the hand.
+        palm: The fixed base.
+        links: The moving links, parents before children.
         fingertips: One per finger, in the order of the contacts.
-        home: Rest posture [rad], (M,), within the limits. () is the middle of each range, 0 without limits. Coupled joints
-            follow theirs.
-        tip_friction: Of all links. Bullet multiplies the friction of both bodies, so 1 leaves the object's.
-        placed: Whether the palm's place and `home` are meant for an object at the origin. False, as of a hand just read from a
-            file: an environment looks for both.
+        home: Rest posture [rad], (M,), within the limits. () is the middle of each range, 0 for joints without limits. Coupled
+            joints follow their drivers.
+        tip_friction: Friction of all links. Bullet multiplies the friction of both bodies, so 1 keeps the object's.
+        placed: True if the palm's pose and `home` suit an object at the origin. If False, as for a hand just read from a file,
+            an environment chooses both.
 
     Raises:
-        InvalidInputError: A hand that cannot be; the message says why.
+        InvalidInputError: The hand is not valid; the message gives the reason.
 
     Example:
         >>> hand = HandDescription.four_finger()
@@ -75,9 +87,9 @@ class HandDescription:
         instance(self.palm, Palm, f"{name}: palm")
         positive(self.tip_friction, f"{name}: tip_friction")
         object.__setattr__(self, "placed", flag(self.placed, f"{name}: placed"))
-        _check_tree(name, self.palm, self.links)
-        _check_mimics(name, self.links)
-        _check_fingertips(name, self.links, self.fingertips)
+        check_tree(name, self.palm, self.links)
+        check_mimics(name, self.links)
+        check_fingertips(name, self.links, self.fingertips)
         home = tuple(_middle(link) for link in self.links) if as_list(self.home) == [] else self.home
         object.__setattr__(self, "home", self._coupled(numbers(home, len(self.links), f"{name}: home [rad]")))
         for link, angle in zip(self.links, self.home, strict=True):
@@ -89,12 +101,12 @@ class HandDescription:
 
     @property
     def drivers(self) -> tuple[int, ...]:
-        """The number of the joint that drives each joint, (M,): its own but for coupled ones."""
+        """The number of each joint's driver, (M,); a joint that is not coupled drives itself."""
         joints = {link.joint: index for index, link in enumerate(self.links)}
         return tuple(joints[link.mimic.joint if link.mimic else link.joint] for link in self.links)
 
     def _coupled(self, angles: tuple[float, ...]) -> tuple[float, ...]:
-        """Angles (M,) at which coupled joints follow theirs."""
+        """Return the angles (M,) with each coupled joint set by its driver."""
         return tuple(
             angle if link.mimic is None else link.mimic.angle(angles[driver])
             for link, angle, driver in zip(self.links, angles, self.drivers, strict=True)
@@ -102,7 +114,7 @@ class HandDescription:
 
     @property
     def joint_count(self) -> int:
-        """Number M of joints, one per link; coupled ones among them."""
+        """Number M of joints, one per link, coupled joints included."""
         return len(self.links)
 
     @property
@@ -112,12 +124,12 @@ class HandDescription:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Of all joints, (M,)."""
+        """Names of all joints, (M,)."""
         return tuple(link.joint for link in self.links)
 
     @property
     def finger_names(self) -> tuple[str, ...]:
-        """Of all fingers, (N,)."""
+        """Names of all fingers, (N,)."""
         return tuple(tip.name for tip in self.fingertips)
 
     @property
@@ -126,10 +138,10 @@ class HandDescription:
         return np.array([link.torque_limit for link in self.links])
 
     def moved(self, position: Vector3, rotation: Vector3 = (0.0, 0.0, 0.0)) -> HandDescription:
-        """The hand at another place: its palm frame put at `position`, turned by `rotation`. It counts as placed.
+        """Return the hand with its palm frame at `position`, turned by `rotation`. It counts as placed.
 
         Args:
-            position: [m], (3,), world frame.
+            position: Origin of the palm frame [m], (3,), world frame.
             rotation: Roll, pitch and yaw [rad], (3,).
         """
         place = Frame.of(
@@ -154,19 +166,19 @@ class HandDescription:
         return replace(self, palm=palm, links=tuple(links), placed=True)
 
     def unseen(self) -> HandDescription:
-        """The same hand without visual shapes."""
+        """Return the hand without visual shapes."""
         links = tuple(replace(link, visual=()) for link in self.links)
         return replace(self, palm=replace(self.palm, visual=()), links=links)
 
     def with_rotors(self, inertia: float = ROTOR_INERTIA, links: Sequence[str] | None = None) -> HandDescription:
-        """The hand with motors that have inertia of their own, which files of hands leave out.
+        """Return the hand with the inertia of its motors' rotors, which most files leave out.
 
-        What a joint feels of a rotor is its inertia times the gear ratio squared: 4e-3 kg m^2 for 5e-8 kg m^2 behind 1:288. It is
-        added to the links about all their axes.
+        The inertia at the joint is that of the rotor times the gear ratio squared: a rotor of 5e-8 kg m^2 behind 1:288 adds
+        4e-3 kg m^2. It is added to a link about all axes.
 
         Args:
-            inertia: [kg m^2] of each joint that turns; the default is far below what geared servos have.
-            links: Names of those that get it; None: all whose joints have a motor.
+            inertia: Added to the link of each turning joint [kg m^2]; the default is far below that of geared servos.
+            links: Names of the links that get it; None: every link whose joint has a motor.
         """
         (added,) = numbers((inertia,), 1, "inertia [kg m^2]")
         if added < 0.0:
@@ -180,7 +192,7 @@ class HandDescription:
         return replace(self, links=tuple(heavier))
 
     def _light_ends(self) -> list[str]:
-        """Links that carry no other and turn more easily about their joint than any geared motor; for coupled ones, their driver."""
+        """Return the end links with less inertia about their joint than `_LIGHT`; for a coupled link, the link of its driver."""
         carriers = {link.parent for link in self.links}
         light: dict[str, None] = {}
         for link, driver in zip(self.links, self.drivers, strict=True):
@@ -197,12 +209,12 @@ class HandDescription:
         palm: Palm | None = None,
         tip_friction: float = 1.0,
     ) -> HandDescription:
-        """A hand of hanging fingers, each with three or four joints.
+        """Make a hand of hanging fingers, each with three or four joints.
 
         Args:
-            fingers: At least one, with different names.
-            name: Of the hand.
-            palm: Default: the box of the four-finger hand.
+            fingers: One finger or more, with different names.
+            name: Name of the hand.
+            palm: The palm; None: the box of the four-finger hand.
             tip_friction: See the class.
 
         Example:
@@ -237,46 +249,49 @@ class HandDescription:
         tip_friction: float = 1.0,
         rotor_inertia: float | None = None,
     ) -> HandDescription:
-        """A user's own hand, from a URDF, a xacro file or a MuJoCo model (MJCF); `from_urdf` and `from_mjcf` are other names of it.
+        """Read a hand from a URDF, a xacro file or a MuJoCo model (MJCF). `from_urdf` and `from_mjcf` are aliases.
 
-        Joints may turn, slide, be fixed or mimic others. What a fixed joint carries becomes part of the link before it. Collision meshes become convex hulls, coarse pieces where
-        one hull would lie; visual meshes are drawn. Values that files lack or that no hand has are replaced, and one warning tells
-        what was given, what is assumed and which argument takes the true value: masses, centres and inertias that links of this
-        size cannot have (`inertials`), efforts that no motor of such a finger has (`torque_limit`; assumed is what makes 15 N at
-        the tip of a straight finger, 20 N for sliding joints), ranges in degrees (`joint_limits`; other wide ranges are told only).
+        Joints may turn, slide, be fixed or mimic others. Links behind a fixed joint are merged into their parent. Collision
+        meshes become convex hulls, or several convex pieces if one hull would fill hollows; visual meshes are drawn.
 
-        An arm or a whole robot is read by naming its `palm`: the palm is fixed, the joints that carry it hold still, and their
-        links as well as other limbs are left out.
+        Missing and implausible values are replaced. One warning gives the file's value, the assumed one and the argument for
+        the true one: masses, centres and inertias that do not fit the size of the link (`inertials`); efforts that no motor of
+        such a finger has (`torque_limit`; assumed are 15 N at the tip of a straight finger, 20 N for sliding joints); ranges in
+        degrees (`joint_limits`). Other wide ranges are kept, and the warning lists them.
 
-        A finger touches with a sphere: the one at the end of the named link if its collision shapes have one, else one inscribed
-        in its end. Its other collision shapes then end at the back of the sphere, so that it is what touches first.
+        To read the hand of an arm or of a whole robot, name its `palm`. The palm is then fixed, the joints that carry it are
+        frozen, and all other limbs are left out.
+
+        A finger touches with a sphere: the one at the end of the named link if its collision shapes have one, else one
+        inscribed in the end of the link. Other shapes are cut back behind the sphere, so that it touches first.
 
         Args:
-            path: Of the file. Meshes are sought as it names them, beside it, and in the folders above it.
-            fingertips: Names of links in the file, of a MuJoCo model also of sites and geometries, in the order of the contacts; they become the fingers' names. Or
-                {link: (point [m], (3,), in the link's frame, radius [m])}. None: every moving link that ends a branch.
-            palm: Name of the link that becomes the palm, with what is fixed to it; all that hangs on it is the hand. None: the link that
-                carries all others.
-            tip_radius: [m], for named links without a sphere: one is put at the origin of each of them.
-            torque_limit: [N m], of all joints, or of each in the order of `joint_names`, or of some by the joint's name. It counts
-                whatever the file says.
-            joint_limits: {joint: (lower, upper)} [rad], of sliding joints [m]. They count whatever the file says;
-                (-math.inf, math.inf) turns without end.
+            path: Path of the file. Meshes are looked for under their names, beside the file, and in the folders above it.
+            fingertips: Names of links, for a MuJoCo model also of sites and geometries, in the order of the contacts; the fingers
+                get these names. Or {link: (point [m], (3,), in the link's frame, radius [m])}. None: every moving link at the
+                end of a branch.
+            palm: Name of the link that becomes the palm, together with everything fixed to it; the hand is what it carries.
+                None: the root link.
+            tip_radius: Radius of the sphere [m] that is put at the origin of each named link without one.
+            torque_limit: Torque limit [N m] of all joints, or one for each in the order of `joint_names`, or a dict by joint
+                name. It overrides the file.
+            joint_limits: {joint: (lower, upper)} [rad], for sliding joints [m]. They override the file. (-math.inf, math.inf) is
+                a joint without limits.
             inertials: {moving link: mass [kg], or (mass, center [m], (3,), inertia ixx, ixy, ixz, iyy, iyz, izz about it [kg m^2])},
-                each with all that is fixed to the link, in its frame. With the mass alone, the file's inertia is scaled.
+                including everything fixed to the link, in its frame. A mass alone scales the file's inertia.
             home: Rest posture [rad], (M,), in the order of `joint_names`; () as in the class.
-            position: Of the palm's link [m], (3,), world frame. Where neither it nor `rotation` nor `home` is given, the hand
-                counts as not `placed`.
-            rotation: Its roll, pitch and yaw [rad], (3,).
+            position: Position of the palm's link [m], (3,), world frame. A hand without `position`, `rotation` and `home` is not
+                `placed`.
+            rotation: Roll, pitch and yaw of the palm's link [rad], (3,).
             tip_friction: See the class.
-            rotor_inertia: [kg m^2] of all motors; None: the armature of a MuJoCo model, and the default of `with_rotors` for links at fingers' ends that turn more easily
-                than at 1e-5 kg m^2, none for the others.
+            rotor_inertia: Rotor inertia at every motor [kg m^2]. None: the armature of a MuJoCo model, and the default of
+                `with_rotors` for end links with less than 1e-5 kg m^2 about their joint.
 
         Raises:
-            InvalidInputError: The file is no such hand; the message tells everything that is to be changed in it.
+            InvalidInputError: The file is not such a hand; the message lists everything that must be changed.
 
         Warns:
-            UserWarning: What was repaired, assumed or left out.
+            UserWarning: Something was repaired, assumed or left out.
         """
         from grasp_env.sim.hand.files.importing import read_hand
         from grasp_env.sim.hand.files.options import HandOptions  # these need the parts above
@@ -294,8 +309,8 @@ class HandDescription:
         elif light := hand._light_ends():
             hand = hand.with_rotors(links=light)
             repairs.append(
-                f"links at the ends turn more easily than any geared motor: {', '.join(light)} get a rotor's {ROTOR_INERTIA:g} kg m^2 "
-                "(rotor_inertia=0 leaves them)"
+                f"end links have less inertia than any geared motor: {', '.join(light)} get a rotor of {ROTOR_INERTIA:g} kg m^2 "
+                "(rotor_inertia=0 adds none)"
             )
         if position is not None or rotation is not None:
             nowhere = (0.0, 0.0, 0.0)
@@ -308,21 +323,21 @@ class HandDescription:
 
     @staticmethod
     def four_finger() -> HandDescription:
-        """The hand of the reference grasp: a thumb at z < 0 and three fingers at z > 0."""
+        """Return the hand of the reference grasp: a thumb at z < 0 and three fingers at z > 0."""
         return HandDescription.of_fingers(
             [_thumb(), _front("middle", 0.0, 1), _front("left", -0.045, 2), _front("right", 0.045, 3)], "four_finger"
         )
 
     @staticmethod
     def three_finger() -> HandDescription:
-        """A thumb at z < 0 and two fingers at z > 0."""
+        """Return a hand with a thumb at z < 0 and two fingers at z > 0."""
         return HandDescription.of_fingers(
             [_thumb(), _front("left", -0.03, 2), _front("right", 0.03, 3)], "three_finger"
         )
 
     @staticmethod
     def five_finger() -> HandDescription:
-        """A thumb at z < 0 and four fingers at z > 0."""
+        """Return a hand with a thumb at z < 0 and four fingers at z > 0."""
         return HandDescription.of_fingers(
             [
                 _thumb(),
@@ -336,18 +351,18 @@ class HandDescription:
 
     @staticmethod
     def four_finger_4dof() -> HandDescription:
-        """The four-finger hand with one more flexion in each finger: 16 joints."""
+        """Return the four-finger hand with one more flexion in each finger: 16 joints."""
         fingers = [_thumb(), _front("middle", 0.0, 1), _front("left", -0.045, 2), _front("right", 0.045, 3)]
         return HandDescription.of_fingers([replace(finger, **_FOUR_JOINTS) for finger in fingers], "four_finger_4dof")
 
     @staticmethod
     def allegro() -> HandDescription:
-        """The Allegro Hand V4, right, with its largest torques of 0.7 N m; see `presets`. It is not placed."""
+        """Return the right Allegro Hand V4 with its largest torques of 0.7 N m; see `presets`. It is not placed."""
         return HandDescription(**presets.allegro()).with_rotors()
 
     @staticmethod
     def leap() -> HandDescription:
-        """The LEAP Hand, right, with torques up to 0.95 N m; see `presets`. It is not placed."""
+        """Return the right LEAP Hand with torques up to 0.95 N m; see `presets`. It is not placed."""
         return HandDescription(**presets.leap()).with_rotors()
 
 
@@ -376,7 +391,7 @@ def _thumb() -> FingerDescription:
 
 
 def _front(name: str, x: float, color: int) -> FingerDescription:
-    """A finger opposite the thumb; those near the middle reach for high contacts and start further away."""
+    """Return a finger opposite the thumb. Fingers near the middle touch high contacts and start farther away."""
     depth = 0.105 if abs(x) < 0.02 else 0.09
     return FingerDescription(name, (x, 0.135, depth), (0.0, 0.0, -1.0), color=_COLORS[color])
 
@@ -393,51 +408,3 @@ def _vector(values: tuple[float, ...]) -> Vector3:
 
 def _middle(link: Link) -> float:
     return 0.5 * (link.lower + link.upper) if np.isfinite(link.lower) else 0.0
-
-
-def _check_tree(name: str, palm: Palm, links: tuple[Link, ...]) -> None:
-    """Different names, and every link after the one that carries it."""
-    if not links:
-        raise InvalidInputError(f"{name}: links=() is empty; describe at least one moving link")
-    known, joints, all_names = [palm.name], set[str](), {link.name for link in links}
-    for link in links:
-        if link.name in known:
-            raise InvalidInputError(f"{name}: two links are called {link.name!r}; give each its own name")
-        if link.joint in joints:
-            raise InvalidInputError(f"{name}: two joints are called {link.joint!r}; give each its own name")
-        if link.parent not in known:
-            hint = (
-                "stands after it in `links`, or carries itself; order parents before children"
-                if link.parent in all_names
-                else f"is no link; known are {', '.join(known)}"
-            )
-            raise InvalidInputError(f"{name}: the parent {link.parent!r} of link {link.name!r} {hint}")
-        known.append(link.name)
-        joints.add(link.joint)
-
-
-def _check_mimics(name: str, links: tuple[Link, ...]) -> None:
-    """Coupled joints follow joints that exist and are not coupled themselves."""
-    free = [link.joint for link in links if link.mimic is None]
-    for link in links:
-        if link.mimic is not None and link.mimic.joint not in free:
-            raise InvalidInputError(
-                f"{name}: joint {link.joint!r} is coupled to {link.mimic.joint!r}, which is no joint with a motor of its "
-                f"own; these are {', '.join(free) or 'none'}"
-            )
-
-
-def _check_fingertips(name: str, links: tuple[Link, ...], tips: tuple[Fingertip, ...]) -> None:
-    """At least one, with different names, on links that move."""
-    if not tips:
-        raise InvalidInputError(f"{name}: fingertips=() is empty; name at least one, a hand touches with them only")
-    names, known = set[str](), [link.name for link in links]
-    for tip in tips:
-        if tip.name in names:
-            raise InvalidInputError(f"{name}: two fingertips are called {tip.name!r}; give each its own name")
-        if tip.link not in known:
-            raise InvalidInputError(
-                f"{name}: fingertip {tip.name!r} is on link {tip.link!r}, which does not move or does not exist; "
-                f"moving links are {', '.join(known)}"
-            )
-        names.add(tip.name)

@@ -1,8 +1,7 @@
-"""Fingers of three or four joints that hang from a palm, as links.
+"""Describe hanging fingers of three or four joints, and turn them into links.
 
-The finger frame has x along the hanging finger, z along its pressing direction and y = z x x. The first joint swings
-the finger sideways (about z), the others flex it towards the object: at zero angles a finger hangs straight along x,
-and a positive flexion moves its tip along z.
+The finger frame has x along the straight finger, z along its pressing direction and y = z x x. At zero angles the finger is
+straight. The first joint swings it sideways (about z). The other joints flex it: a positive flexion moves the tip along z.
 """
 
 from __future__ import annotations
@@ -18,33 +17,33 @@ from grasp_env.sim.hand.frames import roll_pitch_yaw
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link
 
 _LINK_NAMES = {3: ("knuckle", "proximal", "distal"), 4: ("knuckle", "proximal", "middle", "distal")}
-_ALONG_X: Vector3 = (0.0, math.pi / 2, 0.0)  # turns a capsule from z, its axis, to x, the links'
+_ALONG_X: Vector3 = (0.0, math.pi / 2, 0.0)  # turns a capsule's axis from z to the link's x
 _JOINT_COLOR = (0.30, 0.32, 0.36)
 _TIP_COLOR = (0.13, 0.13, 0.15)
-_JOINT_TO_LINK = 1.5  # radius of the ball drawn at a joint to that of the links
+_JOINT_TO_LINK = 1.5  # radius of the ball drawn at a joint, relative to the radius of the links
 
 
 @dataclass(frozen=True)
 class FingerDescription:
-    """How one finger is fixed to the palm, how long, heavy and strong it is.
+    """The mounting, lengths, masses and strength of one finger.
 
-    The rows with one number per joint (`link_lengths`, `link_masses`, `joint_lower`, `joint_upper`, `home`) all have
+    The fields with one number per joint (`link_lengths`, `link_masses`, `joint_lower`, `joint_upper`, `home`) all have
     three numbers (swing, two flexions) or four (swing, three flexions).
 
     Attributes:
-        name: Used for its links, joints and fingertip.
+        name: Prefix of the names of its links and joints, and name of its fingertip.
         base: Position of the first joint [m], (3,), world frame.
         press: Unit direction in which flexion moves the tip, (3,), world frame.
         hang: Unit direction of the straight finger, (3,), world frame, orthogonal to `press`.
         color: Red, green and blue in [0, 1].
-        link_lengths: From the knuckle to the distal link [m].
-        link_masses: From the knuckle to the distal link, its tip not counted [kg].
-        tip_mass: [kg].
-        link_radius: Of the links' capsules [m].
+        link_lengths: Lengths from the knuckle to the distal link [m].
+        link_masses: Masses from the knuckle to the distal link, without the tip [kg].
+        tip_mass: Mass of the tip [kg].
+        link_radius: Radius of the links' capsules [m].
         tip_radius: Radius of the spherical tip, centred at the end of the distal link [m].
         torque_limit: Largest torque of every joint [N m].
-        joint_lower: Lower limits [rad].
-        joint_upper: Upper limits [rad].
+        joint_lower: Lower joint limits [rad].
+        joint_upper: Upper joint limits [rad].
         home: Rest posture [rad].
 
     Example:
@@ -95,12 +94,12 @@ class FingerDescription:
 
     @property
     def rotation(self) -> np.ndarray:
-        """Finger frame to world frame, (3, 3)."""
+        """Rotation from finger frame to world frame, (3, 3)."""
         hang, press = np.array(self.hang), np.array(self.press)
         return np.column_stack([hang, np.cross(press, hang), press])
 
     def links(self, palm: str) -> tuple[Link, ...]:
-        """The finger as links, the first one carried by the link `palm`."""
+        """Return the links of the finger; the parent of the first is the link `palm`."""
         links: list[Link] = []
         for index, kind in enumerate(_LINK_NAMES[len(self.link_lengths)]):
             before = links[-1].name if links else palm
@@ -108,7 +107,7 @@ class FingerDescription:
         return tuple(links)
 
     def fingertip(self) -> Fingertip:
-        """The sphere at the end of the distal link."""
+        """Return the sphere at the end of the distal link."""
         return Fingertip(self.name, f"{self.name}_distal", (self.link_lengths[-1], 0.0, 0.0), self.tip_radius)
 
     def _link(self, index: int, name: str, parent: str) -> Link:
@@ -120,7 +119,7 @@ class FingerDescription:
         if last:
             mass, center, along, across = self._with_tip(mass, center, along, across)
             tip: Vector3 = (length, 0.0, 0.0)
-            # the capsule's round end stops at the tip's centre: only the tip meets what the finger presses on
+            # the capsule's round end stops at the tip's centre, so only the tip touches the object
             short = (_capsule(radius, length - radius),) if length > radius else ()
             collision = (*short, Geometry("sphere", (self.tip_radius,), tip))
             visual += (Geometry("sphere", (self.tip_radius,), tip, color=_TIP_COLOR),)
@@ -142,7 +141,7 @@ class FingerDescription:
         )
 
     def _with_tip(self, mass: float, center: float, along: float, across: float) -> tuple[float, float, float, float]:
-        """Mass, centre and moments of the distal link together with the solid sphere of its tip."""
+        """Return mass, centre and moments of the distal link including the solid sphere of its tip."""
         length, ball = self.link_lengths[-1], 0.4 * self.tip_mass * self.tip_radius**2
         total = mass + self.tip_mass
         middle = (mass * center + self.tip_mass * length) / total
@@ -158,5 +157,5 @@ def _capsule(radius: float, length: float) -> Geometry:
 
 
 def _rod(mass: float, length: float, radius: float) -> tuple[float, float, float, float]:
-    """Mass, centre and moments along and across of a solid cylinder along x [kg, m, kg m^2]."""
+    """Return mass [kg], centre [m] and the moments along and across [kg m^2] of a solid cylinder along x."""
     return mass, 0.5 * length, 0.5 * mass * radius**2, mass * (length**2 / 12 + radius**2 / 4)

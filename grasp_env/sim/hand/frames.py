@@ -1,4 +1,4 @@
-"""Rotations as URDF writes them, and frames as (rotation, origin)."""
+"""Convert between rotation matrices and the roll, pitch and yaw of URDF, and compose frames."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from grasp_env.sim.hand.check import Vector3
 
 
 def rotation_matrix(angles: Vector3) -> np.ndarray:
-    """Rz(yaw) Ry(pitch) Rx(roll), (3, 3), of roll, pitch and yaw [rad].
+    """Return Rz(yaw) Ry(pitch) Rx(roll), (3, 3), for roll, pitch and yaw [rad].
 
     Example:
         >>> rotation_matrix((0.0, 0.0, math.pi / 2)).round(3) + 0.0
@@ -30,35 +30,35 @@ def rotation_matrix(angles: Vector3) -> np.ndarray:
 
 
 def axis_rotation(axis: np.ndarray, angle: float) -> np.ndarray:
-    """The rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
+    """Return the rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
 
 
 def roll_pitch_yaw(rotation: np.ndarray) -> Vector3:
-    """The angles [rad] of a rotation matrix; all their digits hold beside the gimbal lock, too."""
+    """Return roll, pitch and yaw [rad] of a rotation matrix, accurate to the last digits also near gimbal lock."""
     yaw = math.atan2(rotation[1, 0], rotation[0, 0])
     c, s = math.cos(yaw), math.sin(yaw)
     pitch = math.atan2(-rotation[2, 0], c * rotation[0, 0] + s * rotation[1, 0])
-    # of Rz(-yaw) times the rotation, so that an inexact yaw is made good by the roll
+    # the roll of Rz(-yaw) times the rotation: it makes up for an inexact yaw
     roll = math.atan2(s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1])
     return roll, pitch, yaw
 
 
 class Frame(NamedTuple):
-    """Where a frame lies in another one: p_outer = rotation @ p_inner + origin."""
+    """Pose of an inner frame in an outer one: p_outer = rotation @ p_inner + origin."""
 
     rotation: np.ndarray
     origin: np.ndarray
 
     @staticmethod
     def of(origin: Vector3, angles: Vector3) -> Frame:
-        """From metres and roll, pitch, yaw [rad]."""
+        """Make a frame from an origin [m] and roll, pitch, yaw [rad]."""
         return Frame(rotation_matrix(angles), np.array(origin, dtype=float))
 
     def carry(self, origin: Vector3, angles: Vector3) -> tuple[Vector3, Vector3]:
-        """An origin [m] and roll, pitch, yaw [rad] given in this frame, in the outer one; digits stay if they can."""
+        """Transform an origin [m] and roll, pitch, yaw [rad] to the outer frame; the identity changes no digit."""
         if not self.origin.any() and np.array_equal(self.rotation, np.eye(3)):
             return origin, angles
         return (self @ Frame.of(origin, angles)).numbers()
@@ -67,6 +67,6 @@ class Frame(NamedTuple):
         return Frame(self.rotation @ inner.rotation, self.rotation @ inner.origin + self.origin)
 
     def numbers(self) -> tuple[Vector3, Vector3]:
-        """Origin [m] and roll, pitch, yaw [rad]."""
+        """Return the origin [m] and roll, pitch, yaw [rad]."""
         x, y, z = self.origin.tolist()
         return (x, y, z), roll_pitch_yaw(self.rotation)

@@ -1,4 +1,4 @@
-"""The kinematics of a hand: where its links are, how they move and what carries them, and the inverse kinematics."""
+"""Kinematics and statics of a hand: link poses, Jacobians, gravity torques, mass matrix and inverse kinematics."""
 
 from __future__ import annotations
 
@@ -16,26 +16,30 @@ from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import rotation_matrix
 
 _OTHER_STARTS = 11
-_LIMIT = 1e-6  # [rad] beyond a limit that is none
+_LIMIT = 1e-6  # [rad] by which angles may exceed a limit
 
 
-NO_LEVER = 0.01
-"""Singular value of a Jacobian, as a part of its largest, up to which motors push nothing along its direction."""
+_SMALLEST_LEVER = 0.01
+"""Singular value of a Jacobian, relative to the largest, up to which motors count as unable to push along its direction."""
 
 
 class HandKinematics:
-    """The geometry and masses of a hand in the core, with what follows from them; M joints, N fingertips.
+    """The kinematics of a hand with M joints and N fingertips, computed by the core.
 
     Attributes:
         hand: The description.
         tree: Its links and fingertips in the core.
         home: Rest posture [rad], (M,).
-        lower, upper: Joint limits [rad], (M,), -inf and inf where there are none, such that joints coupled to them keep theirs.
-        torque_limits: [N m], (M,). drivers: The joint that drives each, (M,): its own number but for coupled ones.
-        motors: The joints that have one, ascending.
-        tip_links: The number of each fingertip's link, (N,); tip_radii: [m], (N,).
-        carries: Whether a joint's motor moves a fingertip, (N, M) bool.
-        reach: Most that a tip can be away from the origin of its finger's first joint [m], (N,); roots: these origins, (N, 3).
+        lower, upper: Joint limits [rad], (M,), -inf and inf without limits. They are narrowed so that coupled joints stay
+            within theirs.
+        torque_limits: Torque limits [N m], (M,).
+        drivers: The number of each joint's driver, (M,); a joint that is not coupled drives itself.
+        motors: The numbers of joints with a motor, ascending.
+        tip_links: The number of each fingertip's link, (N,).
+        tip_radii: Radii of the fingertips [m], (N,).
+        carries: True where a joint's motor moves a fingertip, (N, M).
+        reach: Largest distance of a tip from the first joint of its finger [m], (N,).
+        roots: The origins of these first joints [m], (N, 3).
 
     Example:
         >>> kinematics = HandKinematics(HandDescription.four_finger())
@@ -97,9 +101,9 @@ class HandKinematics:
         return f"HandKinematics({self.hand.name}, {self.hand.joint_count} joints, {self.hand.finger_count} fingertips)"
 
     def links(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """Where the links are, world frame, for joint angles (M,) [rad]: link frame to world frame (M, 3, 3), origins (M, 3) [m].
+        """Return the link poses at joint angles (M,) [rad]: rotations to the world frame (M, 3, 3) and origins (M, 3) [m].
 
-        The origin of a link lies on the axis of the joint that moves it.
+        The origin of a link lies on the axis of its joint.
         """
         count = self.hand.joint_count
         rotations, origins = np.empty((count, 3, 3)), np.empty((count, 3))
@@ -107,23 +111,23 @@ class HandKinematics:
         return rotations, origins
 
     def tips(self, angles: ArrayLike) -> Array:
-        """Centres of the fingertips [m], (N, 3), world frame, for joint angles (M,) [rad]."""
+        """Return the centres of the fingertips [m], (N, 3), world frame, at joint angles (M,) [rad]."""
         centers = np.empty((self.hand.finger_count, 3))
         self.tree.tips(self._angles(angles), centers)
         return centers
 
     def jacobian(self, angles: ArrayLike, finger: int, point: ArrayLike | None = None) -> Array:
-        """How a point of a finger's last link moves per joint speed, (3, M) [m/rad], world frame.
+        """Return the Jacobian J of a point on a finger's last link, (3, M) [m/rad], world frame.
 
-        A force f there takes the joint torques J^T f.
+        To exert a force f at the point, the joints need the torques J^T f.
 
         Args:
-            angles: Of the joints [rad], (M,).
-            finger: Its number.
-            point: [m], (3,), world frame; None: the centre of the fingertip.
+            angles: Joint angles [rad], (M,).
+            finger: Number of the finger.
+            point: The point [m], (3,), world frame; None: the centre of the fingertip.
 
         Raises:
-            InvalidInputError: No such finger, or a wrong shape.
+            InvalidInputError: There is no such finger, or an array has a wrong shape.
 
         Example:
             >>> kinematics = HandKinematics(HandDescription.four_finger())
@@ -135,14 +139,14 @@ class HandKinematics:
         return self.link_jacobian(angles, int(self.tip_links[finger]), place)
 
     def link_jacobian(self, angles: ArrayLike, link: int, point: ArrayLike) -> Array:
-        """The same of a `point` (3,) [m], world frame, of any `link`, by its number in the description, at joint `angles` (M,) [rad]."""
+        """Return the Jacobian (3, M) of a `point` (3,) [m], world frame, on the link of number `link`, at joint `angles` (M,) [rad]."""
         whole(link, "link", 0, self.hand.joint_count - 1)
         out = np.empty((3, self.hand.joint_count))
         self.tree.jacobian(self._angles(angles), link, as_array(point, (3,), "point"), out)
         return out
 
     def gravity_torques(self, angles: ArrayLike, gravity: ArrayLike = (0.0, -9.81, 0.0)) -> Array:
-        """Joint torques [N m], (M,), that carry the hand's own weight at `angles` (M,) [rad] under `gravity` (3,) [m/s^2], world frame."""
+        """Return the joint torques (M,) [N m] that carry the hand's weight at `angles` (M,) [rad], `gravity` (3,) [m/s^2], world frame."""
         out = np.empty(self.hand.joint_count)
         self.tree.gravity_torques(self._angles(angles), as_array(gravity, (3,), "gravity"), out)
         return out
@@ -150,15 +154,15 @@ class HandKinematics:
     def statics(
         self, angles: ArrayLike, positions: ArrayLike, gravity: ArrayLike = (0.0, -9.81, 0.0)
     ) -> tuple[Array, Array]:
-        """Computes the Jacobians of the contact points and the torques that carry the hand's weight, in one call.
+        """Compute the Jacobians of the contact points and the torques that carry the hand's weight, in one call.
 
         Args:
-            angles: Of the joints [rad], (M,).
-            positions: Where each fingertip touches [m], (N, 3), world frame.
-            gravity: [m/s^2], (3,), world frame.
+            angles: Joint angles [rad], (M,).
+            positions: The contact point of each fingertip [m], (N, 3), world frame.
+            gravity: Gravity [m/s^2], (3,), world frame.
 
         Returns:
-            Joint speeds to velocities of these points, (N, 3, M) [m/rad], as `ForceLimits` takes it; the torques (M,) [N m] of
+            The Jacobians (N, 3, M) [m/rad] of these points, as `ForceLimits` takes them, and the torques (M,) [N m] of
             `gravity_torques`.
 
         Example:
@@ -174,13 +178,13 @@ class HandKinematics:
         return jacobian, torques
 
     def export(self, path: str | Path) -> Path:
-        """Writes what C++ programs read with `grasp::TreeFile::load`: links, masses, limits and fingertips, without shapes.
+        """Write links, masses, limits and fingertips, without shapes, to a file for `grasp::TreeFile::load` in C++.
 
         Args:
-            path: Of the file, which is written whole or not at all.
+            path: Path of the file, which is written completely or not at all.
 
         Raises:
-            InvalidInputError: The file cannot be written; the message says why.
+            InvalidInputError: The file cannot be written; the message gives the reason.
 
         Example:
             >>> import tempfile
@@ -197,7 +201,7 @@ class HandKinematics:
         return file
 
     def mass_matrix(self, angles: ArrayLike) -> Array:
-        """Inertia of the hand, (M, M) [kg m^2], at `angles` (M,) [rad]: its kinetic energy is 1/2 rates^T out rates.
+        """Return the mass matrix (M, M) [kg m^2] at `angles` (M,) [rad]: the kinetic energy is 1/2 rates^T out rates.
 
         Rows and columns of coupled joints are 0.
         """
@@ -206,11 +210,11 @@ class HandKinematics:
         return out
 
     def mobility(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """How light tips and joints are at `angles` (M,) [rad], for the gains of springs and dampers.
+        """Return the mobility of tips and joints at `angles` (M,) [rad], for the gains of springs and dampers.
 
         Returns:
-            What a force of 1 N on a tip accelerates it at most, (N,) [1/kg]; for joints with springs of their own all at once what
-            1 N m does, as a bound, (M,) [1/(kg m^2)]; 0 where nothing moves.
+            The largest acceleration of each tip per force on it, (N,) [1/kg]. An upper bound on the acceleration of each joint per
+            torque, when all joints have springs, (M,) [1/(kg m^2)]; 0 for coupled joints.
         """
         free = self.motors
         inverse = np.linalg.inv(self.mass_matrix(angles)[np.ix_(free, free)])
@@ -224,20 +228,20 @@ class HandKinematics:
         return tips, joints
 
     def solve(self, tips: ArrayLike, start: ArrayLike | None = None) -> Array:
-        """Joint angles within the limits that bring the tips to the given centres.
+        """Find joint angles within the limits that bring the tips to the given centres.
 
-        The search starts at `start`, else at the rest posture, and tries a few fixed other postures for fingers that
-        do not arrive. Fingers with more joints than they need stay near the start.
+        The search begins at `start`. Fingers that do not arrive are tried from a few other fixed postures. Redundant fingers
+        stay near the start.
 
         Args:
             tips: Centres of the tips [m], (N, 3), world frame.
-            start: Angles to start from [rad], (M,).
+            start: Initial angles [rad], (M,); None: the rest posture.
 
         Returns:
-            Angles [rad], (M,), that miss no tip by more than 1e-9 m. Joints that move no fingertip stay.
+            Angles [rad], (M,), at which every tip is within 1e-9 m of its target. Joints that move no fingertip keep their angle.
 
         Raises:
-            InvalidInputError: A finger cannot reach its tip; the message says by how much, or which limit is hit.
+            InvalidInputError: A finger cannot reach its tip; the message gives the distance or the limit that is hit.
         """
         targets = as_array(tips, (self.hand.finger_count, 3), "tips")
         first = self.home if start is None else as_array(start, self.home.shape, "start")
@@ -247,7 +251,7 @@ class HandKinematics:
         return angles
 
     def reachable(self, tips: ArrayLike, start: ArrayLike | None = None) -> bool:
-        """Whether `solve` would find angles for `tips` (N, 3) [m], world frame, from `start` (M,) [rad]; None: the rest posture."""
+        """Return True if `solve` finds angles for `tips` (N, 3) [m], world frame, from `start` (M,) [rad]; None: the rest posture."""
         targets = as_array(tips, (self.hand.finger_count, 3), "tips")
         if (np.square(targets - self.roots).sum(axis=1) > self.reach**2).any():
             return False
@@ -255,7 +259,7 @@ class HandKinematics:
         return bool((self._search(self._within, targets, first)[1] <= core.REACHED).all())
 
     def coupled(self, angles: ArrayLike) -> Array:
-        """The angles (M,) with coupled joints where the others put them."""
+        """Return the angles (M,) with each coupled joint set by its driver."""
         out = self._angles(angles).copy()
         self.tree.couple(out)
         return out
@@ -264,14 +268,14 @@ class HandKinematics:
         return as_array(angles, (self.hand.joint_count,), "angles")
 
     def _search(self, reach: core.Reach, targets: Array, first: Array) -> tuple[Array, Array]:
-        """Angles (M,), and what the worst tip of each group of fingers that share joints misses [m]."""
+        """Return angles (M,) and the largest error of a tip [m] in each group of fingers that share joints."""
         starts = np.vstack([np.clip(first, self.lower, self.upper), self._starts])
         angles, missed = np.empty(len(first)), np.empty(len(reach.groups))
         reach.solve(np.ascontiguousarray(targets), starts, angles, missed)
         return angles, missed
 
     def _explain(self, targets: Array, first: Array, angles: Array) -> str:
-        """What keeps the fingers from their targets."""
+        """Return the message that explains why the fingers miss their targets."""
         away = np.linalg.norm(self.tips(angles) - targets, axis=1)
         finger = int(np.argmax(away))
         name, target = self.hand.finger_names[finger], np.round(targets[finger], 4).tolist()
@@ -307,13 +311,13 @@ class HandKinematics:
 
 
 def motor_span(jacobian: Array) -> Array:
-    """Orthonormal columns (K, R) that span the forces that motors make, of motions (K, J) per motor's speed."""
+    """Return orthonormal columns (K, R) that span the forces the motors can make, given their Jacobian (K, J)."""
     ways, levers, _ = np.linalg.svd(jacobian, full_matrices=False)
-    return ways[:, levers > NO_LEVER * levers[0]]
+    return ways[:, levers > _SMALLEST_LEVER * levers[0]]
 
 
 def _ranges(hand: HandDescription) -> tuple[Array, Array]:
-    """Limits of the joints (M,), twice, such that every joint that is coupled to one keeps its own."""
+    """Return lower and upper joint limits (M,), narrowed so that coupled joints stay within theirs."""
     lower, upper = (np.array([getattr(link, side) for link in hand.links]) for side in ("lower", "upper"))
     for link, driver in zip(hand.links, hand.drivers, strict=True):
         if link.mimic is not None:
@@ -331,7 +335,7 @@ def _ranges(hand: HandDescription) -> tuple[Array, Array]:
 
 
 def _other_starts(lower: Array, upper: Array) -> Array:
-    """The middle of the joints' ranges, then points spread over them, (S, M)."""
+    """Return postures (S, M): the middle of the joint ranges, then points spread over them."""
     lower, upper = np.maximum(lower, -math.pi), np.minimum(upper, math.pi)
     starts: list[Array] = [0.5 * (lower + upper)]
     for index in range(1, _OTHER_STARTS):

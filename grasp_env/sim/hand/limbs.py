@@ -1,4 +1,4 @@
-"""A hand's links as convex solids: what the grasp search keeps clear of an object and of one another, and which always touch."""
+"""Links of a hand as convex solids for collision checks in the grasp search, and pairs of links that always touch."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from grasp_env.sim.hand.description import Geometry, HandDescription
 from grasp_env.sim.hand.frames import rotation_matrix
 from grasp_env.sim.hand.kinematics import HandKinematics
 
-_POSTURES = 64  # over the ranges of the joints
-_NEAR, _MOSTLY = 0.002, 0.9  # [m] between links that are near; part of the postures in which those are that always are
+_POSTURES = 64  # random postures within the joint ranges
+_NEAR, _MOSTLY = 0.002, 0.9  # [m] between near links; share of the postures in which always near links are near
 
 
 def hand_limbs(hand: HandDescription) -> list[core.Limb]:
-    """The collision shapes of the palm and of all links; what is drawn only is none."""
+    """Return the collision shapes of the palm and of all links, without visual shapes."""
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     spheres = {(numbers[tip.link], tip.radius, tip.center) for tip in hand.fingertips}
     tips = {number for number, _, _ in spheres}
@@ -42,7 +42,7 @@ def _limb(link: int, shape: Geometry, tipped: bool, spheres: set[tuple[int, floa
         half = tuple(0.5 * side for side in shape.size)
     else:
         half = (shape.size[0], shape.size[0], 0.5 * shape.size[1])
-    # the rest of a link with a tip lies around the sphere and may touch with it
+    # the other shapes of a link with a tip surround the sphere and may touch the object with it
     return core.Limb.solid(
         link=link,
         kind=shape.kind,
@@ -55,14 +55,14 @@ def _limb(link: int, shape: Geometry, tipped: bool, spheres: set[tuple[int, floa
 
 
 def touching_pairs(hand: HandDescription, at_home: bool = True) -> tuple[tuple[int, int], ...]:
-    """Pairs of links that touch whatever the hand does, by their numbers, -1 the palm: their contact means nothing.
+    """Return pairs of links whose contact means nothing because their shapes touch anyway, by number, -1 for the palm.
 
-    They overlap in the rest posture, or in half of some postures over the joints' ranges; or now and then, and are never far
-    apart: their shapes are coarser than they are. Links of one joint always do and are not among them.
+    Such links overlap in the rest posture or in half of the random postures, or they sometimes overlap and are nearly always
+    within 2 mm, because their shapes are coarse. Links that share a joint are left out.
 
     Args:
         hand: The hand.
-        at_home: Count the rest posture, too.
+        at_home: True if overlap in the rest posture counts.
     """
     overlaps, nears, home = _pairs(hand)
     always = {pair for pair, count in overlaps.items() if 2 * count >= _POSTURES or nears[pair] >= _MOSTLY * _POSTURES}
@@ -74,7 +74,7 @@ _Counts: TypeAlias = dict[tuple[int, int], int]
 
 @lru_cache(maxsize=32)
 def _pairs(hand: HandDescription) -> tuple[_Counts, _Counts, set[tuple[int, int]]]:
-    """In how many of `_POSTURES` postures links overlap, and are within `_NEAR`; which overlap in the rest posture."""
+    """Count, for pairs of links, the random postures with overlap and with a gap below `_NEAR`; find overlaps in the rest posture."""
     kinematics = HandKinematics(hand)
     limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home)
     low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
@@ -91,7 +91,7 @@ def _pairs(hand: HandDescription) -> tuple[_Counts, _Counts, set[tuple[int, int]
 
 
 def _least(found: list[tuple[int, int, float]]) -> dict[tuple[int, int], float]:
-    """The least gap of each pair of links [m]."""
+    """Return the smallest gap of each pair of links [m]."""
     out: dict[tuple[int, int], float] = {}
     for first, second, gap in found:
         out[first, second] = min(gap, out.get((first, second), np.inf))

@@ -1,14 +1,14 @@
-"""Real hands from published facts: where their joints are, how far they turn, how heavy and how strong they are.
+"""Real hands from published data: joint origins, ranges, masses and torque limits.
 
 Allegro Hand V4, right (Wonik Robotics): joint origins, ranges and masses as in the manufacturer's description of the hand;
-0.7 N m is what its data sheet gives as the largest torque of a joint. It holds far less for long.
+0.7 N m is the largest joint torque in its data sheet. The continuous torque is far smaller.
 
 LEAP Hand, right (Shaw, Agarwal, Pathak: LEAP Hand: Low-Cost, Efficient, and Anthropomorphic Hand for Robot Learning, RSS 2023):
-joint origins, ranges and masses as the authors publish them, with their limit of 0.95 N m for a joint.
+joint origins, ranges and masses as published by the authors, with their limit of 0.95 N m for a joint.
 
-Shapes are boxes with the measures of the parts, fingertips spheres. A uniform density inside each link makes up its centre of mass and
-inertia. Lengths in the tables are millimetres, masses grams. The palm frame lies where the middle finger begins, z along the straight
-fingers, x out of the palm.
+Shapes are boxes with the dimensions of the parts; fingertips are spheres. Centres of mass and inertias assume a uniform density in each
+link. Lengths in the tables are in millimetres, masses in grams. The palm frame lies at the base of the middle finger, with z along the
+straight fingers and x out of the palm.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _GREY, _DARK, _TIP = (0.55, 0.57, 0.61), (0.17, 0.19, 0.23), (0.93, 0.93, 0.90)
 
 
 class _Row(NamedTuple):
-    """A link: its name, joint origin [mm] and roll, pitch, yaw in the link before, axis, range [rad], mass [g], boxes."""
+    """A link: its name, joint origin [mm] and roll, pitch, yaw in the parent's frame, axis, range [rad], mass [g], boxes."""
 
     name: str
     origin: Vector3
@@ -45,7 +45,7 @@ class _Row(NamedTuple):
 
 
 class _Finger(NamedTuple):
-    """A finger: its links from the palm on, and the sphere at its end: centre and radius [mm]."""
+    """A finger: its links from the palm outward, and centre and radius [mm] of the sphere at its end."""
 
     name: str
     rows: Sequence[_Row]
@@ -54,7 +54,7 @@ class _Finger(NamedTuple):
 
 
 def allegro() -> dict[str, Any]:
-    """Arguments of a `HandDescription`: four fingers with four joints each."""
+    """Return the arguments of a `HandDescription`: four fingers with four joints each."""
     splay = math.radians(5.0)
     masses = {"index": (11.9, 36.8), "middle": (5.0, 48.4), "ring": (5.0, 26.4)}
     fingers = [
@@ -92,7 +92,7 @@ def allegro() -> dict[str, Any]:
 
 
 def leap() -> dict[str, Any]:
-    """Arguments of a `HandDescription`: four fingers with four joints each, the first two of a finger crossed."""
+    """Return the arguments of a `HandDescription`: four fingers with four joints each, the first two with crossed axes."""
     fingers = [
         _Finger(
             name,
@@ -131,7 +131,7 @@ def leap() -> dict[str, Any]:
 
 
 def _parts(name: str, fingers: Sequence[_Finger], palm: Boxes, torque: float) -> dict[str, Any]:
-    """Arguments of a `HandDescription` that is not placed."""
+    """Return the arguments of a `HandDescription` that is not placed."""
     solid = _boxes(palm)
     return {
         "name": name,
@@ -183,7 +183,7 @@ def _boxes(boxes: Boxes) -> tuple[Geometry, ...]:
 
 
 def _uniform(mass: float, shapes: Sequence[Geometry]) -> tuple[Vector3, Inertia]:
-    """Centre of mass and inertia about it of boxes and balls of one density."""
+    """Return the centre of mass of boxes and balls of one density, and the inertia about it."""
     volumes = [math.prod(s.size) if s.kind == "box" else 4.0 / 3.0 * math.pi * s.size[0] ** 3 for s in shapes]
     masses = mass * np.array(volumes) / sum(volumes)
     center = masses @ np.array([shape.origin for shape in shapes]) / mass

@@ -1,4 +1,4 @@
-"""Convex shapes as the corners of their hulls: corners of a shape, hulls of few corners, what is left beyond a cut."""
+"""Convex shapes as the corners of their hulls: outlines of shapes, simplified hulls, cut and shrunk hulls."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from grasp_env._check import Array
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry, Vector3
 
-MOST_CORNERS = 40
-"""Of a hull; one of more is replaced by one of as many that contains it: corners stick out by an eighth of a round end's radius."""
-_FLAT = 3e-8  # [m] of volume over area, about half of the thickness, up to which a shape is flat
+MAX_CORNERS = 40
+"""Largest number of corners of a hull. A larger hull is replaced by one that contains it: around a round end its corners stick
+out by an eighth of the radius."""
+_FLAT = 3e-8  # [m] volume over area, about half of the thickness, up to which a shape is flat
 _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
-_THIN = 5e-4  # [m] to which a flat shape is thickened, either way
+_THIN = 5e-4  # [m] by which a flat shape is thickened on either side
 
 
 def outline(shape: Geometry) -> Array:
-    """Points (K, 3) [m], link frame, whose hull is the shape: round ones are 4 % larger at most; none of a mesh."""
+    """Return points (K, 3) [m], link frame, whose hull is the shape. Hulls of round shapes are up to 4 % larger; a mesh has no points."""
     place = Frame.of(shape.origin, shape.rotation)
     if shape.kind == "box":
         points = 0.5 * _SIGNS * shape.size
@@ -40,15 +41,15 @@ def outline(shape: Geometry) -> Array:
 def hull_shape(
     corners: Array, origin: Vector3 = _NOWHERE, rotation: Vector3 = _NOWHERE, color: Vector3 | None = None
 ) -> Geometry:
-    """The hull of corners (K, 3) [m] as a shape at `origin` [m], turned by roll, pitch and yaw `rotation` [rad]."""
+    """Return the hull of corners (K, 3) [m] as a shape at `origin` [m], turned by roll, pitch and yaw `rotation` [rad]."""
     return Geometry("hull", (), origin, rotation, color, tuple((x, y, z) for x, y, z in corners.tolist()))
 
 
 def hull_of(points: Array) -> ConvexHull:
-    """The hull of points (K, 3) [m]; flat ones are made 1 mm thick.
+    """Return the hull of points (K, 3) [m]; flat hulls are made 1 mm thick.
 
     Raises:
-        ValueError: Not even thickened points span a volume: there are none, or they are not finite.
+        ValueError: There are no points, or they are not finite.
     """
     try:
         hull = ConvexHull(points)
@@ -66,15 +67,15 @@ def hull_of(points: Array) -> ConvexHull:
 
 
 def principal_axes(points: Array) -> Array:
-    """Unit rows (3, 3) along which points (K, 3) spread least, more and most."""
+    """Return the principal axes of points (K, 3) as unit rows (3, 3), smallest spread first."""
     away = points - points.mean(axis=0)
     return np.linalg.eigh(away.T @ away)[1].T
 
 
-def few_corners(points: Array, most: int = MOST_CORNERS) -> Array:
-    """At most `most` corners (K, 3) whose hull contains all points (K, 3); the hull's own where they are few.
+def few_corners(points: Array, most: int = MAX_CORNERS) -> Array:
+    """Return at most `most` corners (K, 3) whose hull contains all points (K, 3); the hull's own corners if they are few.
 
-    The points farthest outside are taken one after another, then all corners are moved outward until nothing is outside.
+    The point farthest outside is added until `most` is reached. Then all corners move outward until no point is outside.
     """
     hull = hull_of(points)
     points = hull.points[hull.vertices]
@@ -109,8 +110,8 @@ def few_corners(points: Array, most: int = MOST_CORNERS) -> Array:
     return middle + max(1.0, float((needed / inner).max())) * (corners - middle)
 
 
-def beneath(points: Array, normal: Array, offset: float) -> Array:
-    """Corners of what the hull of points (K, 3) has where normal @ x <= offset; none where that is nothing or flat."""
+def cut_below(points: Array, normal: Array, offset: float) -> Array:
+    """Return corners of the part of the hull of points (K, 3) with normal @ x <= offset; none if that part is empty or flat."""
     hull = hull_of(points)
     heights = hull.points @ normal - offset
     edges = np.unique(np.sort(hull.simplices[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
@@ -124,8 +125,8 @@ def beneath(points: Array, normal: Array, offset: float) -> Array:
     return hull_of(left).points
 
 
-def inset(points: Array, depth: float) -> Array:
-    """Corners of what of the hull of points (K, 3) [m] lies deeper than `depth`, or than a third of the largest ball in it."""
+def shrunk(points: Array, depth: float) -> Array:
+    """Return corners of the hull of points (K, 3) [m] shrunk by `depth`, at most by a third of its largest inner ball's radius."""
     faces = np.unique(hull_of(points).equations.round(12), axis=0)
     rows = np.column_stack([faces[:, :3], np.ones(len(faces))])
     ball = linprog((0.0, 0.0, 0.0, -1.0), A_ub=rows, b_ub=-faces[:, 3], bounds=[(None, None)] * 4).x
@@ -134,7 +135,7 @@ def inset(points: Array, depth: float) -> Array:
 
 
 def _sphere_points(count: int) -> Array:
-    """Points spread over a sphere whose hull contains the unit ball, by the golden angle."""
+    """Return points spread over a sphere by the golden angle, whose hull contains the unit ball."""
     heights = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     turns = math.pi * (1.0 + math.sqrt(5.0)) * np.arange(count)
     wide = np.sqrt(1.0 - heights * heights)

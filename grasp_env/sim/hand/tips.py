@@ -1,4 +1,4 @@
-"""Where a finger touches: a sphere in the end of its last link, and the link's other shapes kept behind it."""
+"""Fit the fingertip: a sphere in the end of a finger's last link, with the link's other shapes cut back behind it."""
 
 from __future__ import annotations
 
@@ -10,32 +10,33 @@ import numpy as np
 from scipy.optimize import linprog
 
 from grasp_env._check import Array
-from grasp_env.sim.hand.solids import beneath, few_corners, hull_of, hull_shape, outline
+from grasp_env.sim.hand.solids import cut_below, few_corners, hull_of, hull_shape, outline
 from grasp_env.sim.hand.tree import Geometry, Link, Vector3
 
 SMALLEST, LARGEST = 0.004, 0.015
-"""Radii of fitted spheres [m]."""
+"""Smallest and largest radius of fitted spheres [m]."""
 
-_MIDDLE = 0.25  # of the farthest point: a mean of far points that is nearer says nothing
-_END = 0.03  # [m] of the link that is looked at
-_SHORT = (0.001, 0.002, 0.004)  # [m] by which the sphere may end before the link does
-_PRICE = 0.6  # of its radius that a sphere must gain for ending earlier
+_MIDDLE = 0.25  # share of the largest distance below which the mean of the far points gives no direction
+_END = 0.03  # [m] length of the link's end in which the sphere is fitted
+_SHORT = (0.001, 0.002, 0.004)  # [m] allowed gaps between the sphere and the end of the link
+_PRICE = 0.6  # radius that a sphere must gain per metre of this gap
 
 
 class Ball(NamedTuple):
-    """A sphere, link frame [m]."""
+    """A sphere in a link's frame [m]."""
 
     center: Vector3
     radius: float
 
 
-def distal(points: Array, axis: Array, outward: Array) -> Array:
-    """Unit direction (3,) in which a link ends: where its points (K, 3) are farthest from its joint, across the axis of that.
+def end_direction(points: Array, axis: Array, outward: Array) -> Array:
+    """Return the unit direction (3,) in which a link ends: towards the points farthest from the axis of its joint.
 
     Args:
-        points: [m], link frame.
-        axis: Of the joint, unit, (3,).
-        outward: Away from the palm, (3,): it decides where the points are as far on both sides, as of a jaw whose frame is in its middle.
+        points: Points of the link (K, 3) [m], link frame.
+        axis: Unit axis of the joint, (3,).
+        outward: Direction away from the palm, (3,). It decides if points are equally far on both sides, as for a jaw whose frame
+            is in its middle.
     """
     flat = points - np.outer(points @ axis, axis)
     away = np.linalg.norm(flat, axis=1)
@@ -48,18 +49,18 @@ def distal(points: Array, axis: Array, outward: Array) -> Array:
 
 
 def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
-    """The largest sphere that lies in the end of a link and comes near its tip: pads touch as it does, tips as well.
+    """Return the largest sphere inside the end of a link that comes near its tip.
 
-    The end is the hull of what the convex pieces (K, 3) have within 3 cm of the farthest point along `direction`. Of the
-    spheres as large that lie in a wide end, the middle one along `axis`. A link too thin gets a sphere of 4 mm that sticks out.
+    The end is the hull of what the convex pieces (K, 3) have within 3 cm of the farthest point along `direction`. If the end is
+    wide, the sphere lies in its middle along `axis`. A thinner link gets a sphere of 4 mm radius that sticks out.
     """
     far = max(float((piece @ direction).max()) for piece in pieces)
-    ends = [end for piece in pieces if len(end := beneath(piece, -direction, _END - far))]
+    ends = [end for piece in pieces if len(end := cut_below(piece, -direction, _END - far))]
     faces = hull_of(np.vstack(ends if ends else list(pieces))).equations
     normals, offsets = faces[:, :3], -faces[:, 3]
     best: tuple[float, Array, float, Array, Array] | None = None
     for short in _SHORT:
-        # of a sphere (c, r): normals @ c + r <= offsets, direction @ c + r >= far - short, r <= LARGEST
+        # constraints on a sphere (c, r): normals @ c + r <= offsets, direction @ c + r >= far - short, r <= LARGEST
         rows = np.vstack(
             [np.column_stack([normals, np.ones(len(normals))]), -np.append(direction, 1.0), (0.0, 0.0, 0.0, 1.0)]
         )
@@ -67,11 +68,11 @@ def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
         found = _best((0.0, 0.0, 0.0, 1.0), rows, sides)
         if found is not None and (best is None or found[3] - _PRICE * short > best[0]):
             best = float(found[3]) - _PRICE * short, found[:3], float(found[3]), rows, sides
-    if best is None:  # thinner than rounding
+    if best is None:  # the link is thinner than rounding errors
         center, radius = np.vstack(ends if ends else list(pieces)).mean(axis=0), 0.0
     else:
         _, center, radius, rows, sides = best
-        # a little smaller it fits in other places, too, also between corners that are too few to be round
+        # a slightly smaller sphere can move sideways even if a coarse hull leaves no other place for the largest
         inside, spare = rows[:, :3], sides - 0.97 * radius * rows[:, 3]
         sideways = [_best(sign * axis, inside, spare) for sign in (1.0, -1.0)]
         low, high = (center if place is None else place for place in sideways)
@@ -80,8 +81,8 @@ def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
     return Ball((x, y, z), min(max(radius, SMALLEST), LARGEST))
 
 
-def freed(link: Link, ball: Ball, direction: Array) -> Link:
-    """The link with nothing beyond the sphere of its tip: shapes that fill its front half, or reach out of it, end at its back."""
+def cut_back(link: Link, ball: Ball, direction: Array) -> Link:
+    """Return the link with shapes that cover or surround the front of its tip's sphere cut off behind the sphere."""
     center, back = np.array(ball.center), float(np.dot(ball.center, direction)) - ball.radius
     shapes: list[Geometry] = []
     for shape in link.collision:
@@ -89,20 +90,20 @@ def freed(link: Link, ball: Ball, direction: Array) -> Link:
             shapes.append(shape)
             continue
         points = outline(shape)
-        front = beneath(points, -direction, -float(center @ direction))
+        front = cut_below(points, -direction, -float(center @ direction))
         if len(front) == 0 or np.linalg.norm(front - center, axis=1).max() <= 0.9 * ball.radius:
             shapes.append(shape)
             continue
         if (points @ direction).max() > float(center @ direction) + 3.0 * ball.radius:
             shapes.append(shape)  # the sphere is not at this shape's end
             continue
-        left = beneath(points, direction, back)
+        left = cut_below(points, direction, back)
         if len(left):
             shapes.append(hull_shape(few_corners(left), color=shape.color))
     return replace(link, collision=tuple(shapes))
 
 
 def _best(gain: Sequence[float] | Array, rows: Array, sides: Array) -> Array | None:
-    """The x with rows @ x <= sides at which gain @ x is largest; None: there is none."""
+    """Maximise gain @ x subject to rows @ x <= sides; None if there is no solution."""
     found = linprog(-np.asarray(gain), A_ub=rows, b_ub=sides, bounds=[(None, None)] * rows.shape[1])
     return None if found.x is None or not found.success else np.asarray(found.x)

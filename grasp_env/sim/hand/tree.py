@@ -1,4 +1,4 @@
-"""The parts of a hand: links with the joints that move them, geometries, fingertips and the palm."""
+"""Parts of a hand, links with their joints, geometries, fingertips and the palm, and checks that they fit together."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ SIZES = {
     "hull": (),
     "mesh": ("x", "y", "z"),
 }
-"""Kinds of geometry and their sizes [m]; a capsule's length is that of its cylinder, axes are z. A mesh's are factors."""
+"""Kinds of geometry and their sizes [m]. The length of a capsule is that of its cylinder; its axis is z. A mesh has scale factors."""
 
 _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 
 
 def _fix(part: Any, **values: Any) -> None:
-    """Set checked fields of a frozen dataclass."""
+    """Set fields of a frozen dataclass."""
     for name, value in values.items():
         object.__setattr__(part, name, value)
 
@@ -35,13 +35,13 @@ class Geometry:
 
     Attributes:
         kind: "sphere", "capsule", "cylinder" or "box"; the axis of capsule and cylinder is z. "hull": the convex hull of
-            `corners`. "mesh": a file to look at, which touches nothing.
-        size: Radius; radius and length (of a capsule without its ends); or three sides [m]. Of a hull (); of a mesh the
-            factors by which its numbers are multiplied.
-        origin: Of its centre, of a hull's or mesh's own frame [m], (3,), link frame.
+            `corners`. "mesh": a file that is drawn and touches nothing.
+        size: Radius; radius and length (of a capsule without its ends); or three sides [m]. () for a hull; scale factors for a
+            mesh.
+        origin: Position of the centre, or of the frame of a hull or mesh [m], (3,), link frame.
         rotation: Roll, pitch and yaw of its axes [rad], (3,), link frame.
-        color: Red, green and blue in [0, 1]; None is the link's.
-        corners: Of a hull [m], (K, 3), its own frame, at least 4 that are not in a plane.
+        color: Red, green and blue in [0, 1]; None: the link's color.
+        corners: Corners of a hull [m], (K, 3), in its own frame: at least 4 that are not in a plane.
         file: Path of a mesh.
     """
 
@@ -75,12 +75,12 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Mimic:
-    """How a joint is coupled to another one: its angle is ratio * that of the other + offset.
+    """The coupling of a joint to another one: its angle is ratio * driver's angle + offset.
 
     Attributes:
-        joint: Name of the other joint, which is not coupled itself.
-        ratio: Not 0; of a sliding joint that follows a turning one [m/rad], and so on.
-        offset: [rad], of a sliding joint [m].
+        joint: Name of the driver, which is not coupled itself.
+        ratio: Ratio of the angles, not 0; [m/rad] if a sliding joint follows a turning one, and so on.
+        offset: Angle at zero of the driver [rad], for a sliding joint [m].
     """
 
     joint: str
@@ -95,36 +95,36 @@ class Mimic:
         _fix(self, joint=word(self.joint, "mimic: joint"), ratio=ratio, offset=offset)
 
     def angle(self, driver: float) -> float:
-        """Of the coupled joint where the other one is at `driver` [rad], of sliding joints [m]."""
+        """Return the angle of the coupled joint for the angle `driver` [rad], for sliding joints [m]."""
         return self.ratio * driver + self.offset
 
 
 @dataclass(frozen=True)
 class Link:
-    """A moving link with the joint that carries it.
+    """A moving link and its joint.
 
-    At angle 0 the link frame lies at `origin`, turned by `rotation`, in the frame of its parent; the joint turns it
-    about `axis` through its own origin, a sliding joint moves it along `axis`.
+    At angle 0 the link frame lies at `origin`, turned by `rotation`, in the frame of its parent. The joint turns it about
+    `axis` through its own origin; a sliding joint moves it along `axis`.
 
     Attributes:
-        name: Of the link.
-        parent: Name of the link, or of the palm, that carries it.
-        origin: Of the joint [m], (3,), parent's frame.
+        name: Name of the link.
+        parent: Name of the parent link or of the palm.
+        origin: Position of the joint [m], (3,), parent's frame.
         rotation: Roll, pitch and yaw at angle 0 [rad], (3,), parent's frame.
-        axis: Of the joint, unit, (3,), link frame.
-        lower: Least angle [rad], of a sliding joint [m]; -inf together with upper=inf is a joint without limits.
-        upper: Largest angle [rad], of a sliding joint [m].
-        torque_limit: Largest torque of the joint, either way [N m], of a sliding joint [N]. Coupled joints have none of
-            their own: the joint that drives them carries their load.
-        mass: [kg].
+        axis: Unit axis of the joint, (3,), link frame.
+        lower: Lower joint limit [rad], of a sliding joint [m]; -inf together with upper=inf is a joint without limits.
+        upper: Upper joint limit [rad], of a sliding joint [m].
+        torque_limit: Largest torque in both directions [N m], of a sliding joint the force [N]. That of a coupled joint is not
+            used: its driver carries the load.
+        mass: Mass of the link [kg].
         center: Centre of mass [m], (3,), link frame.
         inertia: ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2], link axes.
         collision: Shapes that touch the object and other fingers.
         visual: Shapes that are drawn.
-        color: Red, green and blue in [0, 1] of the shapes without their own.
+        color: Red, green and blue in [0, 1] of shapes without a color.
         joint: Name of the joint; "" becomes the link's name with "_joint".
-        sliding: A prismatic joint; its "angle" is a length [m], its "torque" a force [N].
-        mimic: The joint that drives it; None: it has a motor of its own.
+        sliding: True for a prismatic joint; its "angle" is a length [m], its "torque" a force [N].
+        mimic: Coupling to the driver; None: the joint has a motor of its own.
     """
 
     name: str
@@ -172,13 +172,13 @@ class Link:
 
 @dataclass(frozen=True)
 class Fingertip:
-    """A sphere on a link: where a finger touches.
+    """A sphere on a link with which a finger touches the object.
 
     Attributes:
-        name: Of the finger.
-        link: Name of the link that carries it.
-        center: [m], (3,), link frame.
-        radius: [m].
+        name: Name of the finger.
+        link: Name of the link.
+        center: Centre of the sphere [m], (3,), link frame.
+        radius: Radius of the sphere [m].
     """
 
     name: str
@@ -196,13 +196,13 @@ class Fingertip:
 
 @dataclass(frozen=True)
 class Palm:
-    """What the fingers are fixed to; it does not move, and its frame is the world frame.
+    """The fixed base of the fingers; its frame is the world frame.
 
     Attributes:
-        name: Of its link.
+        name: Name of its link.
         collision: Shapes that touch the object and the fingers.
         visual: Shapes that are drawn.
-        color: Red, green and blue in [0, 1] of the shapes without their own.
+        color: Red, green and blue in [0, 1] of shapes without a color.
     """
 
     name: str = "palm"
@@ -218,3 +218,51 @@ class Palm:
             visual=parts(self.visual, Geometry, f"palm {self.name!r}: visual"),
             color=numbers(self.color, 3, f"palm {self.name!r}: color"),
         )
+
+
+def check_tree(name: str, palm: Palm, links: tuple[Link, ...]) -> None:
+    """Check that names differ and that every link stands after its parent."""
+    if not links:
+        raise InvalidInputError(f"{name}: links=() is empty; describe at least one moving link")
+    known, joints, all_names = [palm.name], set[str](), {link.name for link in links}
+    for link in links:
+        if link.name in known:
+            raise InvalidInputError(f"{name}: two links are called {link.name!r}; give each its own name")
+        if link.joint in joints:
+            raise InvalidInputError(f"{name}: two joints are called {link.joint!r}; give each its own name")
+        if link.parent not in known:
+            hint = (
+                "stands after it in `links`, or is the link itself; order parents before children"
+                if link.parent in all_names
+                else f"is not a link; known are {', '.join(known)}"
+            )
+            raise InvalidInputError(f"{name}: the parent {link.parent!r} of link {link.name!r} {hint}")
+        known.append(link.name)
+        joints.add(link.joint)
+
+
+def check_mimics(name: str, links: tuple[Link, ...]) -> None:
+    """Check that coupled joints follow joints that exist and are not coupled themselves."""
+    free = [link.joint for link in links if link.mimic is None]
+    for link in links:
+        if link.mimic is not None and link.mimic.joint not in free:
+            raise InvalidInputError(
+                f"{name}: joint {link.joint!r} is coupled to {link.mimic.joint!r}, which is not a joint with a motor of its "
+                f"own; these are {', '.join(free) or 'none'}"
+            )
+
+
+def check_fingertips(name: str, links: tuple[Link, ...], tips: tuple[Fingertip, ...]) -> None:
+    """Check that there is a fingertip, that names differ, and that every fingertip is on a moving link."""
+    if not tips:
+        raise InvalidInputError(f"{name}: fingertips=() is empty; name at least one, as a hand only touches with them")
+    names, known = set[str](), [link.name for link in links]
+    for tip in tips:
+        if tip.name in names:
+            raise InvalidInputError(f"{name}: two fingertips are called {tip.name!r}; give each its own name")
+        if tip.link not in known:
+            raise InvalidInputError(
+                f"{name}: fingertip {tip.name!r} is on link {tip.link!r}, which does not move or does not exist; "
+                f"moving links are {', '.join(known)}"
+            )
+        names.add(tip.name)

@@ -1,4 +1,4 @@
-"""The URDF text of a hand, and its hulls as mesh files: what PyBullet loads, from the same numbers that the kinematics use."""
+"""Write a hand as URDF text, with its hulls as mesh files, for PyBullet; the numbers are those of the kinematics."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
 
 HULL_MARGIN = 1e-3
-"""[m] that Bullet adds around the hulls of a URDF, and that changeDynamics does not change."""
+"""Margin that Bullet adds around the hulls of a URDF [m]; changeDynamics cannot change it."""
 
 _SPEED_LIMIT = "100"  # [rad/s]; Bullet's default, far above what a grasp needs
 
 
 def hand_files(hand: HandDescription, margin: float = 0.0) -> dict[str, str]:
-    """Names and texts of all files of the hand: "hand.urdf", and the hulls that it names, each once.
+    """Return names and texts of all files of the hand: "hand.urdf", and each of its hulls once.
 
     Args:
-        hand: To be written.
-        margin: [m] by which hulls that touch are smaller, for an engine that adds it all around them: at most a third of the
-            largest ball in them, so that thin ones keep their edges.
+        hand: The hand to write.
+        margin: Distance by which collision hulls are shrunk [m], for an engine that adds it around them. It is at most a third of
+            the radius of a hull's largest inner ball, so that thin hulls keep their shape.
     """
     files = {"hand.urdf": hand_urdf(hand)}
     for body in (hand.palm, *hand.links):
@@ -41,10 +41,10 @@ def hand_files(hand: HandDescription, margin: float = 0.0) -> dict[str, str]:
 
 
 def hand_urdf(hand: HandDescription) -> str:
-    """The hand as a URDF document, its palm frame equal to the world frame.
+    """Return the hand as a URDF document whose palm frame is the world frame.
 
-    Joints are those of `hand.links` under their own names; PyBullet may number them in another order, see
-    `bullet.joint_indices`. Hulls are meshes in files beside it, see `hand_files`.
+    Joints keep their names; PyBullet may number them in another order, see `bullet.joint_indices`. Hulls are mesh files beside
+    the URDF, see `hand_files`.
     """
     robot = Element("robot", name=hand.name)
     palm = SubElement(robot, "link", name=hand.palm.name)
@@ -62,7 +62,7 @@ def hand_urdf(hand: HandDescription) -> str:
 
 
 def _text(values: Iterable[float]) -> str:
-    """Numbers with all their digits: the kinematics must agree to the last one."""
+    """Return numbers with all their digits, so that the simulator and the kinematics agree."""
     return " ".join(repr(float(value)) for value in values)
 
 
@@ -98,7 +98,7 @@ def _add_inertial(element: Element, link: Link) -> None:
 def _add_shapes(element: Element, body: Link | Palm) -> None:
     for index, geometry in enumerate(body.visual):
         visual = _add_geometry(element, "visual", geometry)
-        material = SubElement(visual, "material", name=f"{body.name}_{index}")  # PyBullet keeps one color per name
+        material = SubElement(visual, "material", name=f"{body.name}_{index}")  # PyBullet keeps one color for each name
         SubElement(material, "color", rgba=_text((*(geometry.color or body.color), 1.0)))
     for geometry in body.collision:
         _add_geometry(element, "collision", geometry)
@@ -121,22 +121,22 @@ def _add_geometry(element: Element, role: str, geometry: Geometry) -> Element:
 
 
 def _hull_name(role: str, corners: tuple[Vector3, ...]) -> str:
-    """A name of its own for every hull that touches, and that is looked at."""
+    """Return the file name of a hull, unique for its role and corners."""
     return f"{role}_{digest(np.array(corners).tobytes())[:16]}.obj"
 
 
 @lru_cache(maxsize=512)
 def _hull_obj(corners: tuple[Vector3, ...], margin: float) -> str:
-    """A hull as a Wavefront file, smaller by a margin [m], its faces counterclockwise from outside."""
-    from grasp_env.sim.hand.solids import inset
+    """Return a hull as a Wavefront file, shrunk by a margin [m], with faces counterclockwise from outside."""
+    from grasp_env.sim.hand.solids import shrunk
 
-    points, faces = hull_faces(inset(np.array(corners), margin) if margin > 0.0 else np.array(corners))
+    points, faces = hull_faces(shrunk(np.array(corners), margin) if margin > 0.0 else np.array(corners))
     lines = [f"v {_text(corner)}" for corner in points] + [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in faces.tolist()]
     return "\n".join(lines) + "\n"
 
 
 def hull_faces(points: Array) -> tuple[Array, Any]:
-    """The points (K, 3), and faces (F, 3) of their hull, from outside counterclockwise."""
+    """Return the points (K, 3) and the faces (F, 3) of their hull, counterclockwise from outside."""
     from scipy.spatial import ConvexHull  # slow to import, and only hulls need it
 
     hull = ConvexHull(points)

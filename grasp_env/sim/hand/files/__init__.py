@@ -1,1 +1,1 @@
-"""Reads hands from files: URDF, xacro and MuJoCo models."""
+"""Read hands from files: URDF, xacro and MuJoCo models."""

@@ -1,6 +1,7 @@
-"""How the motors of a MuJoCo model move its joints: found by moving each of them, with gravity and contacts off.
+"""Find the joints that each motor of a MuJoCo model moves, by simulating each motor without gravity and contacts.
 
-Hands couple joints by equalities, tendons, springs and closed loops of links. All of these act in the simulation, so one method reads them.
+Hands couple joints by equalities, tendons, springs and closed loops of links. The simulation includes all of them, so one method
+covers all.
 """
 
 from __future__ import annotations
@@ -15,29 +16,29 @@ from grasp_env._check import Array
 from grasp_env.sim.mujoco_api import mujoco
 
 _STATIONS = 7
-"""Positions of a motor at which the joints are read."""
+"""Number of positions of a motor at which the joints are measured."""
 _TRAVEL, _REST = 0.2, 0.8
-"""[s] from one position to the next, and there before the joints are read."""
-_MOST_STEPS, _LONGEST_STEP = 4000, 0.005
-"""Largest number of simulation steps for one motor, and longest step [s]; other time steps of files are changed."""
+"""Time from one position to the next, and waiting time before the joints are measured [s]."""
+_MAX_STEPS, _LONGEST_STEP = 4000, 0.005
+"""Largest number of simulation steps for one motor, and longest time step [s]; the time step of the file is adjusted to these."""
 _HELD = 1e6
-"""[kg m^2] of a joint that no constraint shall move."""
+"""Armature that freezes a joint against constraints [kg m^2]."""
 _ROTOR, _SLIDER = 1e-3, 1.0
-"""[kg m^2] and [kg] added to every hinge and slide, so that joints on one tendon move alike."""
+"""Armature of every hinge [kg m^2] and slide [kg], so that joints on one tendon move alike."""
 _SETTLING = 0.05
-"""[s] in which a joint without springs comes to rest."""
+"""Time in which a joint without springs comes to rest [s]."""
 _DIGITS = 4
-"""Significant digits of a coupling; the readings are no more exact."""
+"""Significant digits of a coupling, as many as the measurement has."""
 _STILL = 1e-6
-"""[rad] or [m] up to which a joint stays where it is."""
+"""Largest travel of a joint that counts as still [rad] or [m]."""
 _MOVED = 0.02
-"""Part of its range, or [rad] without one, that a coupled joint moves at least."""
+"""Smallest travel of a coupled joint, as a share of its range, or [rad] without one."""
 _NEARLY = 0.9
-"""Of the largest part of its range that a joint on a tendon moves; the first that moves as far is the driver."""
+"""Share of the largest relative travel on a tendon; the first joint that moves as far is the driver."""
 _STRAIGHT = 0.05
-"""Part of its travel that a coupled joint may be away from its line before the coupling counts as curved."""
+"""Largest deviation of a coupled joint from its line, as a share of its travel, before the coupling counts as curved."""
 _FREE_TURN, _FREE_WAY = np.pi, 0.1
-"""[rad] and [m], either way, to which a hinge and a slide without limits are moved."""
+"""Travel in both directions of a hinge [rad] and a slide [m] without limits."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +46,11 @@ class Motor:
     """A motor and the joints that it moves.
 
     Attributes:
-        actuator: Its number; -1 for a joint that counts as a motor because the file has no actuators.
-        joint: The joint that moves farthest with it.
-        followers: The other joints that it moves: the angle of each is ratio * that of `joint` + offset.
-        arm: Force of the motor [N or N m] to torque of `joint` [N m], the followers' share included.
-        bend: Largest distance of a follower from its line, as a part of its travel.
+        actuator: Number of the actuator; -1 for a joint that counts as a motor because the file has no actuators.
+        joint: Number of the joint that moves farthest.
+        followers: Ratio and offset of the other joints that it moves: angle = ratio * angle of `joint` + offset.
+        arm: Torque of `joint` [N m] per force of the motor [N or N m], including the share of the followers.
+        bend: Largest distance of a follower from its line, as a share of its travel.
     """
 
     actuator: int
@@ -60,14 +61,14 @@ class Motor:
 
     @property
     def curved(self) -> bool:
-        """True if a line describes the coupling badly."""
+        """True if a line is a poor fit of the coupling."""
         return self.bend > _STRAIGHT
 
 
 def find_motors(model: Any) -> list[Motor]:
-    """The motors of a compiled model, each with what follows it.
+    """Return the motors of a compiled model, each with its followers.
 
-    Hinges and slides count, free and ball joints hold still. A joint belongs to the motor that moves it farthest.
+    Free and ball joints are frozen. A joint belongs to the motor that moves it farthest.
     """
     chosen, tied = _actuators(model), _tied(model)
     if not chosen and model.nu == 0:
@@ -97,7 +98,7 @@ def find_motors(model: Any) -> list[Motor]:
 
 
 def _movable(model: Any) -> list[int]:
-    """Hinges and slides."""
+    """Return the numbers of hinges and slides."""
     kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     return [joint for joint in range(model.njnt) if int(model.jnt_type[joint]) in kinds]
 
@@ -107,7 +108,7 @@ def _is_joint_pair(model: Any, row: int) -> bool:
 
 
 def _tied(model: Any) -> set[int]:
-    """Joints that an equality or a tendon connects to others."""
+    """Return the joints that an equality or a tendon connects to others."""
     joints = {int(model.dof_jntid[dof]) for dof in np.ravel(model.ten_J_colind).tolist()}
     bodies = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_SITE))
     for row in range(model.neq):
@@ -126,7 +127,7 @@ def _tied(model: Any) -> set[int]:
 
 
 def _actuators(model: Any) -> list[tuple[int, int]]:
-    """The number of each actuator that acts on a hinge or slide, with it, or on a tendon, with -1: joints first."""
+    """Return pairs of actuator and hinge or slide, then pairs of actuator and -1 for tendons."""
     kind = mujoco.mjtTrn
     on_joint = (int(kind.mjTRN_JOINT), int(kind.mjTRN_JOINTINPARENT))
     movable, joints, tendons = set(_movable(model)), list[tuple[int, int]](), list[tuple[int, int]]()
@@ -140,11 +141,11 @@ def _actuators(model: Any) -> list[tuple[int, int]]:
 
 
 class _Bench:
-    """A copy of the model without gravity and contacts, whose motors are moved one at a time.
+    """A test bench that moves the motors of a model one at a time, without gravity and contacts.
 
     Args:
         model: The compiled model.
-        held: Joints with a motor of their own: each holds still while another motor moves.
+        held: Joints with a motor of their own, which are frozen while another motor moves.
     """
 
     def __init__(self, model: Any, held: list[int]) -> None:
@@ -165,12 +166,12 @@ class _Bench:
         }
 
     def moved_by(self, actuator: int, joint: int, arm: float) -> tuple[Motor, dict[int, float]] | None:
-        """An actuator with all joints that it moves, and by which part of its range each; None: none moves, or the simulation fails.
+        """Return a motor with all joints that it moves, and the travel of each over its range; None: none moves, or the simulation fails.
 
         Args:
-            actuator: Its number; -1 for none.
-            joint: On which it acts; -1: a tendon.
-            arm: Of the actuator at `joint`.
+            actuator: Number of the actuator; -1 for none.
+            joint: Number of the joint on which it acts; -1 for a tendon.
+            arm: Lever arm of the actuator at `joint`.
         """
         path = self._path(actuator, joint)
         if path is None:
@@ -190,7 +191,7 @@ class _Bench:
                 continue
             ratio, offset = np.polyfit(driver, angles[:, other], 1)
             away = float(np.abs(ratio * driver + offset - angles[:, other]).max())
-            # readings are no more exact than that
+            # rounded to the precision of the measurement
             line = float(f"{ratio:.{_DIGITS}g}"), round(float(offset), max(0, 3 - math.floor(math.log10(travel))))
             followers[name], far[name] = self._equality(name, first) or line, float(spans[other])
             bend = max(bend, away / travel)
@@ -199,7 +200,7 @@ class _Bench:
         return Motor(actuator, self.movable[column], followers, arm, bend), far
 
     def _equality(self, joint: int, driver: int) -> tuple[float, float] | None:
-        """Ratio and offset of a joint that a linear equality couples to a driver; None: none does."""
+        """Return ratio and offset of a joint that a linear equality couples to a driver; None without such an equality."""
         rest, driven = (float(self.model.qpos0[self.model.jnt_qposadr[each]]) for each in (joint, driver))
         if (joint, driver) in self.lines:
             offset, ratio = self.lines[joint, driver]
@@ -208,11 +209,11 @@ class _Bench:
         return (1.0 / ratio, rest - (driven + offset) / ratio) if ratio != 0.0 else None
 
     def _path(self, actuator: int, joint: int) -> tuple[Array, Array] | None:
-        """Angles of the movable joints (K, J) and lengths of the actuator (K,) at the motor's stations."""
+        """Return angles of the movable joints (K, J) and lengths of the actuator (K,) at the motor's stations."""
         model = mujoco.MjModel.from_binary_path("bench.mjb", {"bench.mjb": _binary(self.model)})
         model.opt.gravity[:] = 0.0
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        model.opt.timestep = max(float(model.opt.timestep), _STATIONS * (_TRAVEL + _REST) / _MOST_STEPS)
+        model.opt.timestep = max(float(model.opt.timestep), _STATIONS * (_TRAVEL + _REST) / _MAX_STEPS)
         model.opt.timestep = min(float(model.opt.timestep), _LONGEST_STEP)
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         model.dof_frictionloss[:] = model.tendon_frictionloss[:] = model.tendon_damping[:] = 0.0
@@ -238,10 +239,10 @@ class _Bench:
             ends = tuple(model.actuator_ctrlrange[actuator]) if model.actuator_ctrllimited[actuator] else (-1.0, 1.0)
             address = dof = -1
         model.jnt_limited[still] = False
-        if joint >= 0:  # the limits of coupled joints narrow the motor's range, not its line
+        if joint >= 0:  # limits of coupled joints narrow the motor's range, but do not change the line
             model.jnt_limited[list(self.paired)] = False
         stations = np.linspace(ends[0], ends[1], _STATIONS)
-        for _ in range(travel + rest):  # constraints that the model's first posture breaks are met
+        for _ in range(travel + rest):  # the initial posture may violate constraints
             mujoco.mj_step(model, data)
         before = float(data.qpos[address] if joint >= 0 else data.ctrl[actuator])
         angles, lengths = np.empty((_STATIONS, len(self.movable))), np.empty(_STATIONS)
@@ -270,14 +271,14 @@ class _Bench:
 
 
 def _idle(model: Any, data: Any) -> Array:
-    """Controls at which the actuators have no force: position servos stay where they are."""
+    """Return controls at which the actuators make no force: position servos keep their position."""
     gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
     force = bias[:, 0] + bias[:, 1] * data.actuator_length
     return np.where(gain != 0.0, -force / np.where(gain != 0.0, gain, 1.0), 0.0)
 
 
 def _binary(model: Any) -> bytes:
-    """A compiled model as MuJoCo writes it."""
+    """Return a compiled model in MuJoCo's binary format."""
     buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     return buffer.tobytes()

@@ -1,27 +1,28 @@
-"""Links and joints as files of any kind have them, and what a reader of one kind offers."""
+"""Links and joints read from a file of any kind, and the protocol of the readers."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
-from grasp_env.errors import shown
-from grasp_env.sim.hand.check import Vector3
+from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim.hand.check import Inertia, Vector3
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import Inertia
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
+_MAX_LISTED = 20
 NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Of a link whose file names none."""
+"""Inertia of a link without one in the file."""
 
 
 @dataclass(frozen=True)
 class FileLink:
-    """A link of a file: mass 0 where the file names none; `color` is that of its first visual; its shapes come by `HandFile.shaped`."""
+    """A link of a file: mass 0 if the file has none; `color` is that of its first visual; `HandFile.with_shapes` adds the shapes."""
 
     name: str
     mass: float = 0.0
@@ -34,9 +35,9 @@ class FileLink:
 
 @dataclass(frozen=True)
 class FileJoint:
-    """A joint of a file: `origin` and `rotation` put the child at angle 0; `effort` is None where it names none.
+    """A joint of a file: `origin` and `rotation` place the child at angle 0; `effort` is None if the file has none.
 
-    `rotor` is the inertia of its motor [kg m^2], which a URDF has no word for.
+    `rotor` is the inertia of its motor [kg m^2], which a URDF cannot give.
     """
 
     name: str
@@ -55,25 +56,36 @@ class FileJoint:
 
 
 class HandFile(Protocol):
-    """A reader of any kind of file; see `urdf.UrdfReader`."""
+    """A reader of one kind of file; `urdf.UrdfReader` describes the attributes."""
 
     name: str
     names: list[str]
     ends: list[tuple[str, str, str]]
     mimics: dict[str, str]
     fixed: set[str]
-    unseen: dict[str, str]
-    said: list[str]
+    undrawn: dict[str, str]
+    notes: list[str]
 
     def elements(self, links: Collection[str], /) -> tuple[dict[str, FileLink], list[FileJoint]]:
-        """Some of the links by name, and the joints between them in the order of the file."""
+        """Return some of the links by name, and the joints between them in file order."""
         ...
 
-    def shaped(self, links: dict[str, FileLink], /) -> dict[str, FileLink]:
-        """The links with the shapes that they touch with."""
+    def with_shapes(self, links: dict[str, FileLink], /) -> dict[str, FileLink]:
+        """Return the links with their shapes."""
         ...
 
 
 def names_of(values: Sequence[Any]) -> str:
-    """Names for a message, not more than can be read."""
+    """Return at most 60 names for a message, and the number of the others."""
     return ", ".join(map(shown, values[:60])) + (f" and {len(values) - 60} more" if len(values) > 60 else "")
+
+
+def listed(rows: Sequence[str]) -> str:
+    """Return at most 20 texts for a message, and the number of the others."""
+    more = f" and {len(rows) - _MAX_LISTED} more" if len(rows) > _MAX_LISTED else ""
+    return ", ".join(rows[:_MAX_LISTED]) + more
+
+
+def refuse(fault: str) -> NoReturn:
+    """Raise InvalidInputError with the message `fault`."""
+    raise InvalidInputError(fault)

@@ -1,7 +1,7 @@
-"""Puts a hand together from what a reader found in a file: what a fixed joint carries becomes part of the link before it.
+"""Assemble a hand from the links and joints of a file: links behind a fixed joint are merged into their parent.
 
-Public files have links without mass, inertias that no body has, placeholders for torques, meshes. One warning names what was repaired;
-one error names everything that cannot be.
+Public files have links without mass, impossible inertias and placeholders for torques. All repairs are listed in one warning, all
+faults in one error.
 """
 
 from __future__ import annotations
@@ -11,30 +11,27 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from grasp_env._check import Array, together
-from grasp_env._extras import need
-from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import Vector3
-from grasp_env.sim.hand.files.elements import FileJoint, FileLink, HandFile, names_of
+from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, inertia_numbers, with_rotor
+from grasp_env.sim.hand.files.elements import FileJoint, HandFile, names_of
+from grasp_env.sim.hand.files.joint_ranges import judge_ranges
 from grasp_env.sim.hand.files.linkages import find_rods, free_ranges
 from grasp_env.sim.hand.files.options import HandOptions, Inertial
-from grasp_env.sim.hand.files.part import Part, arrange, check_mimics, find_part, find_root
+from grasp_env.sim.hand.files.part import arrange
 from grasp_env.sim.hand.files.pieces import hull_of_file
-from grasp_env.sim.hand.files.plausible import Body, Judge, judge_ranges
-from grasp_env.sim.hand.files.urdf import UrdfReader
+from grasp_env.sim.hand.files.plausible import Body, Judge
+from grasp_env.sim.hand.files.reading import open_file, read_part
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, inertia_numbers, with_rotor
 from grasp_env.sim.hand.solids import outline
-from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
+from grasp_env.sim.hand.tips import Ball, cut_back, end_direction, inscribed
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
 
-_NEAR = 1e-3  # [m] of a joint, where there is no direction away from it
+_NEAR = 1e-3  # [m] from a joint, below which points give no direction
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class ReadHand:
     """The parts of a hand in a file.
 
     Attributes:
-        repairs: What was assumed, left out or changed, a sentence each.
+        repairs: A sentence for each thing that was assumed, left out or changed.
     """
 
     name: str
@@ -54,86 +51,72 @@ class ReadHand:
 
 @dataclass(frozen=True)
 class _Place:
-    """The place of a file's link: the moving link that carries it, None for the palm, and its frame there."""
+    """The place of a file's link: the moving link to which it belongs, None for the palm, and its frame in that link."""
 
     carrier: str | None
     frame: Frame
 
 
 def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
-    """The parts of a hand from a file; `HandDescription.from_file` describes the arguments.
+    """Read the parts of a hand from a file; `HandDescription.from_file` describes the arguments.
 
     Returns:
-        Its links with parents before children, else in the order of the file's joints.
+        The parts; links stand parents before children, otherwise in the order of the file's joints.
 
     Raises:
-        InvalidInputError: The file is no hand that can be simulated.
+        InvalidInputError: The file is not a hand that can be simulated.
     """
     _, tips, _ = together(options.checked_palm, options.tips, options.radius)
     try:
-        return _Importer(_reader(path, tuple(tips or ())), options).hand
+        return _Importer(open_file(path, tuple(tips or ())), options).hand
     except InvalidInputError as error:
         message = str(error)
         raise InvalidInputError(message if message.startswith("cannot read") else f"{path}: {message}") from None
 
 
-def _reader(path: str | os.PathLike[str], tips: tuple[str, ...]) -> HandFile:
-    """The reader of a file, by its first element."""
-    first: Element = parsed(path, read_xml, InvalidInputError, f"the file {shown_path(path)}", "XML")
-    if first.tag == "robot":
-        return UrdfReader(path, first)
-    if first.tag == "mujoco":
-        with need("mujoco"):
-            from grasp_env.sim.hand.files.mjcf import MjcfReader
-        return MjcfReader(path, tips)
-    raise InvalidInputError(
-        f"the first element is <{first.tag[:40]}>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"
-    )
-
-
 class _Importer:
-    """Puts a hand together."""
+    """An importer that assembles the hand of one file."""
 
     def __init__(self, file: HandFile, options: HandOptions) -> None:
-        self._corners: dict[str, Array] = {}  # of meshes that are looked at
-        asked = options.tips()
-        part, self.links, joints = _read(file, options.checked_palm(), asked or {})
+        self._corners: dict[str, Array] = {}  # hulls of visual meshes
+        given_tips = options.tips()
+        part, self.links, joints = read_part(file, options.checked_palm(), given_tips or {})
         ranges = options.ranges([joint.name for joint in joints if not joint.fixed])
         joints, held = arrange(part, [_ranged(joint, ranges.get(joint.name)) for joint in joints])
         joints, wide = judge_ranges(joints, ranges)
         self.joints, uncoupled = free_ranges(joints, ranges)
         self.root = part.root
         self.own_rotors = options.rotor_inertia is None
-        self.repairs = [*file.said, *part.left, *held, *wide, *uncoupled]
+        self.repairs = [*file.notes, *part.notes, *held, *wide, *uncoupled]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
             why = "".join(f"; {sentence}" for sentence in held)
             raise InvalidInputError(
                 f"no joint moves; a hand needs joints of type revolute, continuous or prismatic{why}"
             )
-        self.links = file.shaped(self.links)  # takes seconds, once for the files' content
+        self.links = file.with_shapes(self.links)  # may take seconds, but meshes are cached by content
         self.places = self._placed()
-        for why in dict.fromkeys(file.unseen.values()):
-            left = [name for name, reason in file.unseen.items() if reason == why]
+        for why in dict.fromkeys(file.undrawn.values()):
+            left = [name for name, reason in file.undrawn.items() if reason == why]
             self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
         bodies = [self._body(joint) for joint in self.moving]
         drivers = {joint.name: joint.mimic.joint for joint in self.moving if joint.mimic is not None}
         torques, inertials, fitted = together(
             lambda: options.torques([joint.name for joint in self.moving], drivers),
             lambda: options.bodies([joint.child for joint in self.moving]),
-            lambda: self._tips(asked, options.radius()),
+            lambda: self._tips(given_tips, options.radius()),
         )
         palm = Palm(self.root, *self._shapes(self.root, None), self.links[self.root].color or (0.17, 0.19, 0.23))
         links = self._judged(bodies, torques, inertials)
-        if asked is None and (rods := find_rods(links, [tip for tip, _ in fitted])):
-            self.repairs.append(f"rods that only move a finger are no fingertips: {names_of(sorted(rods))}")
+        if given_tips is None and (rods := find_rods(links, [tip for tip, _ in fitted])):
+            self.repairs.append(f"rods that only move a finger are not fingertips: {names_of(sorted(rods))}")
             fitted = [pair for pair in fitted if pair[0].name not in rods]
         links = [self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name]) for link in links]
         tips = tuple(tip for tip, _ in fitted)
         self.hand = ReadHand(file.name, palm, tuple(links), tips, tuple(self.repairs))
 
     def _placed(self) -> dict[str, _Place]:
-        """The place of each link."""
+        """Return the place of each link."""
         places = {self.root: _Place(None, Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))}
         for joint in self.joints:
             here = places[joint.parent].carrier
@@ -143,7 +126,7 @@ class _Importer:
         return places
 
     def _shapes(self, name: str, carrier: str | None) -> tuple[tuple[Geometry, ...], tuple[Geometry, ...]]:
-        """Collision and visual shapes of a link and of all that is fixed to it; what has no look shows its collisions."""
+        """Return collision and visual shapes of a link with everything fixed to it; links without visuals show their collisions."""
         collision: list[Geometry] = []
         visual: list[Geometry] = []
         base = self.links[name].color
@@ -158,17 +141,17 @@ class _Importer:
         return tuple(collision), tuple(visual)
 
     def _body(self, joint: FileJoint) -> Body:
-        """The body that a joint moves, with all that is fixed to it."""
+        """Return the body that a joint moves."""
         before = self.places[joint.parent]
         place, _ = before.frame.carry(joint.origin, joint.rotation)
         collision, _ = self._shapes(joint.child, joint.child)
-        points = np.vstack([*self._points(self._group(joint.child), True), np.empty((0, 3))])
+        points = np.vstack([*self._points(self._group(joint.child)), np.empty((0, 3))])
         return Body(joint, *self._inertial(joint.child), collision, points, before.carrier, place)
 
     def _judged(
         self, bodies: list[Body], torques: Mapping[str, float], inertials: Mapping[str, float | Inertial]
     ) -> list[Link]:
-        """The links that joints move, with numbers that can be."""
+        """Return the moving links with plausible numbers."""
         judge = Judge(bodies)
         links = list[Link]()
         for body, own, limit in zip(bodies, judge.inertials(inertials), judge.torques(torques), strict=True):
@@ -197,11 +180,11 @@ class _Importer:
                     mimic=joint.mimic,
                 )
             )
-        self.repairs += judge.said
+        self.repairs += judge.notes
         return links
 
     def _inertial(self, name: str) -> tuple[float, Vector3, Inertia]:
-        """Mass, centre and inertia about it, of a moving link and all that is fixed to it, in its frame; mass 0: it has none."""
+        """Return mass, centre and inertia of a moving link with everything fixed to it, in its frame; mass 0: the file has none."""
         parts = [
             (
                 place.frame @ self.links[other].inertial_frame,
@@ -222,32 +205,32 @@ class _Importer:
         x, y, z = center.tolist()
         return mass, (x, y, z), inertia_numbers(0.5 * (total + total.T))
 
-    def _tips(self, asked: dict[str, Ball | None] | None, radius: float | None) -> list[tuple[Fingertip, Array]]:
-        """The fingertips, each with the direction in which its link ends."""
-        if asked is not None:
+    def _tips(self, given: dict[str, Ball | None] | None, radius: float | None) -> list[tuple[Fingertip, Array]]:
+        """Return the fingertips, each with the direction in which its link ends."""
+        if given is not None:
             return together(
-                *(lambda name=name, ball=ball: self._tip(name, ball, radius) for name, ball in asked.items())
+                *(lambda name=name, ball=ball: self._tip(name, ball, radius) for name, ball in given.items())
             )
         parents = {self.places[joint.parent].carrier for joint in self.moving}
         ends = [joint.child for joint in self.moving if joint.child not in parents]
-        bare = [end for end in ends if not self._points(self._group(end), True)]
+        bare = [end for end in ends if not self._points(self._group(end))]
         if bare and len(bare) < len(ends):
-            self.repairs.append(f"links at the end of a branch that have no shape are no fingertips: {names_of(bare)}")
+            self.repairs.append(f"end links without a shape are not fingertips: {names_of(bare)}")
             ends = [end for end in ends if end not in bare]
         return together(*(lambda end=end: self._tip(end, None, radius) for end in ends))
 
     def _group(self, name: str) -> list[str]:
-        """A link and what is fixed to it."""
+        """Return the names of a link and of everything fixed to it."""
         group = [name]
         for joint in self.joints:
             if joint.fixed and joint.parent in group:
                 group.append(joint.child)
         return group
 
-    def _points(self, group: Sequence[str], looks: bool) -> list[Array]:
-        """The convex pieces (K, 3) [m] of some links' collision shapes, carrier's frame; `looks`: else of their visual ones."""
+    def _points(self, group: Sequence[str]) -> list[Array]:
+        """Return convex pieces (K, 3) [m] of the links' collision shapes, or else of their visuals, carrier's frame."""
         solids = [(self.places[name].frame, shape) for name in group for shape in self.links[name].collision]
-        if not solids and looks:
+        if not solids:
             solids = [(self.places[name].frame, shape) for name in group for shape in self.links[name].visual]
         pieces = list[Array]()
         for frame, shape in solids:
@@ -261,23 +244,23 @@ class _Importer:
         return pieces
 
     def _tip(self, name: str, given: Ball | None, radius: float | None) -> tuple[Fingertip, Array]:
-        """A fingertip: as given; the one sphere at the link's end; one of a given radius at its origin; or the inscribed one."""
+        """Return a fingertip: as given; the one sphere at the link's end; one of a given radius at its origin; or the inscribed one."""
         place = self.places[name]
         if place.carrier is None:
             raise InvalidInputError(f"the fingertip {name!r} does not move, it is part of the palm; choose another")
         joint = next(joint for joint in self.moving if joint.child == place.carrier)
         axis = np.array(joint.axis)
         group = self._group(name)
-        own = self._points(group, True)
-        pieces = own or self._points(self._group(place.carrier), True)
+        own = self._points(group)
+        pieces = own or self._points(self._group(place.carrier))
         ball = None if given is None else Ball(_moved(place.frame, given.center), given.radius)
-        # a link ends where its shapes are farthest, or where the tip is said to be
+        # a link ends where its shapes are farthest, or at the given tip
         ends = (
             np.vstack(own) if own and ball is None else np.array([place.frame.origin if ball is None else ball.center])
         )
         if np.linalg.norm(ends, axis=1).max() < _NEAR and pieces:
             ends = np.vstack(pieces)
-        direction = distal(ends, axis, self._outward(place.carrier, ends))
+        direction = end_direction(ends, axis, self._outward(place.carrier, ends))
         if ball is None:
             ball = self._sphere(name, group, pieces, direction)
         if ball is None and radius is not None:
@@ -291,7 +274,7 @@ class _Importer:
         return Fingertip(name, place.carrier, *ball), direction
 
     def _outward(self, link: str, points: Array) -> Array:
-        """Direction (3,) from the middle of the palm to points (K, 3) of a link [m], in its frame, all joints at 0."""
+        """Return the vector (3,) from the middle of the palm to points (K, 3) of a link [m], in its frame, with all joints at 0."""
         own = Frame(np.eye(3), np.zeros(3))
         above: str | None = link
         while above is not None:
@@ -304,7 +287,7 @@ class _Importer:
         return own.rotation.T @ (own.rotation @ points.mean(axis=0) + own.origin - middle)
 
     def _sphere(self, name: str, group: list[str], pieces: list[Array], direction: Array) -> Ball | None:
-        """The one sphere among the collision shapes of a link, or of what is fixed to it, where it is at the end of the link."""
+        """Return the only sphere among the collision shapes of a link, or of links fixed to it, if it is at the end of the link."""
         spheres = [
             Ball(_moved(self.places[link].frame, shape.origin), shape.size[0])
             for link in group
@@ -319,10 +302,10 @@ class _Importer:
         return spheres[0] if end <= float(direction @ spheres[0].center) + 3.0 * spheres[0].radius else None
 
     def _with_tips(self, link: Link, tips: list[tuple[Fingertip, Array]]) -> Link:
-        """The link with a sphere for each fingertip that had none, its other shapes behind them."""
+        """Return the link with a sphere for each fingertip, its other shapes cut back behind them."""
         for tip, direction in tips:
             sphere = Geometry("sphere", (tip.radius,), tip.center)
-            link = freed(link, Ball(tip.center, tip.radius), direction)
+            link = cut_back(link, Ball(tip.center, tip.radius), direction)
             there = any(
                 shape.kind == "sphere" and math.dist(shape.origin, tip.center) < 1e-12 for shape in link.collision
             )
@@ -332,7 +315,7 @@ class _Importer:
 
 
 def _moved(frame: Frame, point: Vector3) -> Vector3:
-    """A point [m] of a frame, in the outer one; its digits stay if they can."""
+    """Transform a point [m] to the outer frame; the identity changes no digit."""
     return frame.carry(point, (0.0, 0.0, 0.0))[0]
 
 
@@ -341,50 +324,5 @@ def _carried(frame: Frame, shape: Geometry) -> Geometry:
     return replace(shape, origin=origin, rotation=angles)
 
 
-def _read(
-    file: HandFile, palm: str | None, tips: Mapping[str, Any]
-) -> tuple[Part, dict[str, FileLink], list[FileJoint]]:
-    """The part of a file that is the hand, its links by name and its joints.
-
-    Raises:
-        InvalidInputError: At once, where the file or the palm is no hand; else all that is wrong with the part.
-    """
-    root, fault = "", None
-    try:
-        root = find_root(file.names, file.ends)
-    except InvalidInputError as error:
-        fault = error
-    part = Part(root, tuple(file.names))
-    if fault is None:
-        part = find_part(root, file.ends, file.fixed, file.mimics, palm)
-    kept = set(part.links)
-    inside = {joint for joint, parent, child in file.ends if parent in kept and child in kept}
-    mimics = {joint: other for joint, other in file.mimics.items() if joint in inside}
-    (links, joints), *_ = together(
-        lambda: file.elements(kept),
-        lambda: _raise(fault),
-        lambda: _known(tips, file.names, part),
-        lambda: check_mimics(file.ends, file.fixed, mimics),
-    )
-    return part, links, joints
-
-
 def _ranged(joint: FileJoint, limits: tuple[float, float] | None) -> FileJoint:
     return joint if limits is None else replace(joint, lower=limits[0], upper=limits[1])
-
-
-def _known(tips: Mapping[str, Any], links: Sequence[str], part: Part) -> None:
-    """Every fingertip is a link of the hand."""
-    missing = [tip for tip in tips if tip not in links]
-    if missing:
-        raise InvalidInputError(f"no link is called {', '.join(map(repr, missing))}; links are {names_of(links)}")
-    left = [tip for tip in tips if tip not in part.links]
-    if left:
-        raise InvalidInputError(
-            f"the fingertips {names_of(left)} do not hang on the palm {part.root!r}; links that do are {names_of(part.links)}"
-        )
-
-
-def _raise(fault: InvalidInputError | None) -> None:
-    if fault is not None:
-        raise fault

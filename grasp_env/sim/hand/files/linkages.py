@@ -1,4 +1,4 @@
-"""Joints that one motor moves together: the ranges that they leave it, and the rods among their links, which are no fingers."""
+"""Joints that share a motor: the range that their limits leave it, and rods among their links, which are not fingers."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tree import Fingertip, Link
 
 _LEAST_RANGE = 0.25
-"""Part of a motor's range that coupled joints leave it at least; otherwise their own limits do not count."""
+"""Smallest share of a motor's range that coupled joints may leave it; otherwise their limits are ignored."""
 _POSTURES = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Parts of the motors' ranges at which links are compared."""
+"""Positions within the motors' ranges at which links are compared."""
 _PINNED = 0.002
-"""[m] between two links that a pin joins, at most: their shapes are coarse."""
+"""Largest gap between two links joined by a pin [m], as shapes are coarse."""
 _SHORTER = 0.9
-"""Reach of a rod over that of the finger that it moves, at most."""
+"""Largest reach of a rod over that of the finger that it moves."""
 
 
 def free_ranges(joints: Sequence[FileJoint], given: Collection[str]) -> tuple[list[FileJoint], list[str]]:
-    """The joints with ranges that fit their couplings, and a sentence on those that were changed.
+    """Return the joints with ranges that fit their couplings, and a sentence on those that were changed.
 
-    Other programs only keep the limits of the joint with the motor, so nobody notices wrong limits of coupled joints. Where these would
-    leave the motor less than `_LEAST_RANGE` of its range, they become what the motor's range makes of them.
+    Other programs only use the limits of the joint with the motor, so wrong limits of coupled joints go unnoticed. If these would leave
+    the motor less than `_LEAST_RANGE` of its range, they are replaced by the image of the motor's range.
 
     Args:
-        joints: All of them.
-        given: Names of joints whose ranges a caller gives: these count.
+        joints: All joints.
+        given: Names of joints whose ranges a caller gives; these are kept.
     """
     left = {joint.name: (joint.lower, joint.upper) for joint in joints}
     for joint in joints:
@@ -52,14 +52,14 @@ def free_ranges(joints: Sequence[FileJoint], given: Collection[str]) -> tuple[li
                 fitting = replace(joint, lower=lower, upper=upper)
                 changed.append(joint.name)
         out.append(fitting)
-    text = "the limits of coupled joints leave their motor hardly any range, so that they do not count"
+    text = "the limits of coupled joints leave their motor hardly any range and are ignored"
     return out, [f"{text}: {names_of(changed)}"] if changed else []
 
 
 def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
-    """Names of the fingertips that are rods: they end at a pin in another finger that the same motors move.
+    """Return names of the fingertips that are rods: they end at a pin in another finger that the same motors move.
 
-    The rod touches that finger in every posture, and the finger reaches farther than the rod.
+    A rod touches that finger in every posture, and the finger reaches farther.
     """
     chains = [_chain(links, tip.link) for tip in tips]
     motors = [frozenset(link.mimic.joint if link.mimic else link.joint for link in chain) for chain in chains]
@@ -88,7 +88,7 @@ def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
 
 
 def _chain(links: Sequence[Link], name: str) -> list[Link]:
-    """A link and those that carry it."""
+    """Return a link and its ancestors."""
     by_name = {link.name: link for link in links}
     chain = [by_name[name]]
     while chain[-1].parent in by_name:
@@ -97,7 +97,7 @@ def _chain(links: Sequence[Link], name: str) -> list[Link]:
 
 
 def _frames(links: Sequence[Link], part: float) -> dict[str, Frame]:
-    """The frames of the links in the palm's, with all motors at a part of their ranges."""
+    """Return the frames of the links in the palm's, with all motors at the same share of their ranges."""
     angles = {
         link.joint: max(link.lower, -math.pi) + part * (min(link.upper, math.pi) - max(link.lower, -math.pi))
         for link in links
@@ -113,7 +113,7 @@ def _frames(links: Sequence[Link], part: float) -> dict[str, Frame]:
 
 
 def _touch(one: Link, other: Link, frames: dict[str, Frame]) -> bool:
-    """True if two links are within `_PINNED` of each other."""
+    """Return True if two links are within `_PINNED` of each other."""
     solids = [
         [outline(shape) @ frames[link.name].rotation.T + frames[link.name].origin for shape in link.collision]
         for link in (one, other)
@@ -122,9 +122,9 @@ def _touch(one: Link, other: Link, frames: dict[str, Frame]) -> bool:
 
 
 def _near(first: Array, second: Array) -> bool:
-    """True if no slab of `_PINNED` lies between the hulls of points (K, 3)."""
+    """Return True if no slab of thickness `_PINNED` fits between the hulls of points (K, 3)."""
     middle = 0.5 * (first.mean(axis=0) + second.mean(axis=0))
-    # a normal n with |n_i| <= 1, an offset d and the largest half width m: n @ a >= d + m, n @ b <= d - m
+    # find a normal n with |n_i| <= 1, an offset d and the largest half width m: n @ a >= d + m, n @ b <= d - m
     rows = np.vstack([
         np.column_stack([middle - first, np.ones(len(first)), np.ones(len(first))]),
         np.column_stack([second - middle, -np.ones(len(second)), np.ones(len(second))]),

@@ -1,4 +1,4 @@
-"""Meshes that a hand's file names, and the convex pieces that its links touch with in their stead."""
+"""Meshes named in a hand's file, and their convex pieces as collision shapes of its links."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
 
 from grasp_env._check import Array, together
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim.hand.files.elements import refuse
 from grasp_env.sim.hand.files.pieces import pieces_of_file
 from grasp_env.sim.hand.solids import hull_shape
 from grasp_env.sim.hand.tree import Geometry, Vector3
@@ -18,7 +18,7 @@ from grasp_env.sim.progress import counted
 
 @dataclass(frozen=True)
 class MeshUse:
-    """A mesh of a <collision> or <visual>: its name in the hand's file, and where it is; it has not been read."""
+    """A mesh of a <collision> or <visual> that has not been read: its name in the hand's file, its path and its pose."""
 
     name: str
     path: Path
@@ -29,14 +29,14 @@ class MeshUse:
 
 
 def solids_of(shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str) -> dict[str, list[Geometry]]:
-    """The shapes that links touch with, of meshes their convex pieces; the pieces of a mesh are made once.
+    """Return the collision shapes of links, with meshes replaced by convex pieces; each mesh is decomposed once.
 
     Args:
-        shapes: Of each link, by its name.
+        shapes: Collision shapes by link.
         file: Name of the hand's file, for the progress on a terminal.
 
     Raises:
-        InvalidInputError: Files that are no mesh of a hand, all of them.
+        InvalidInputError: Files are not meshes of a hand; the message lists all of them.
     """
     first = dict[tuple[Path, Vector3], tuple[str, str]]()
     for link, parts in shapes.items():
@@ -57,8 +57,3 @@ def _solids(shape: Geometry | MeshUse, pieces: Mapping[tuple[Path, Vector3], lis
     if isinstance(shape, Geometry):
         return [shape]
     return [hull_shape(piece, shape.origin, shape.rotation) for piece in pieces[shape.path, shape.scale]]
-
-
-def refuse(fault: str) -> NoReturn:
-    """Raises a fault."""
-    raise InvalidInputError(fault)

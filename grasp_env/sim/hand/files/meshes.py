@@ -1,4 +1,4 @@
-"""Mesh files of a hand: where they are, what they hold, and which of them Bullet can draw."""
+"""Find and read the mesh files of a hand, and check that Bullet can draw them."""
 
 from __future__ import annotations
 
@@ -20,25 +20,27 @@ from grasp_env.sim.mesh_shape import WELD, extent_of, welded
 from grasp_env.sim.objects.cache import kept
 
 DRAWN = (".obj", ".stl", ".dae")
-"""Kinds of meshes that Bullet draws."""
+"""Suffixes of mesh files that Bullet draws."""
 
 PARENTS = 5
-"""Folders above a hand's file in which its meshes may be."""
-_MOST_LOOKS = 20 * MEGABYTE  # bytes of a mesh that is drawn
-_MOST_BLOCKS = 10_000
-_LONGEST_HEAD = 65_536  # bytes of a .dae within which its unit stands
+"""Number of folders above a hand's file in which its meshes are looked for."""
+_MAX_VISUAL_BYTES = 20 * MEGABYTE  # largest visual mesh [bytes]
+_MAX_BLOCKS = 10_000
+_LONGEST_HEAD = 65_536  # head of a .dae in which its unit is looked for [bytes]
 _UNIT = re.compile(rb"""<(?:\w+:)?unit\s(?:[^<>]*\s)?meter\s*=\s*["']([^"'<>]*)["']""")
-_MADE = "1"  # of what is found; another one where that changes, so that nothing older is taken from the cache
+_MADE = "1"  # version of the check; change it when the check changes, so that older cache entries are not used
 
 
 def find_mesh(name: str, urdf: Path) -> Path | None:
-    """The file that a URDF means: as it is written, beside the URDF or in a folder above it; a package's name may be left out.
+    """Find a mesh file under its name in a URDF: an absolute path, or relative to the URDF's folder or one above it.
+
+    The package name in package:// and model:// may be missing in the path.
 
     Returns:
-        Its path, None where there is no such file.
+        Its path; None if there is no such file.
 
     Raises:
-        InvalidInputError: The name is an address, as of the internet.
+        InvalidInputError: The name is an address such as http://.
     """
     kind, separator, rest = name.partition("://")
     path = Path(unquote(rest) if separator else name)
@@ -54,23 +56,23 @@ def find_mesh(name: str, urdf: Path) -> Path | None:
             for tail in tails:
                 if tail and (found := folder.joinpath(*tail)).is_file():
                     return found
-    except (OSError, ValueError):  # too long, or a zero in it
+    except (OSError, ValueError):  # the name is too long, or has a zero byte
         pass
     return None
 
 
 def read_mesh(path: str | Path) -> tuple[Array, Any]:
-    """Corners (V, 3), in the file's units, those at one place once, and faces (F, 3) of a mesh.
+    """Return corners (V, 3), in the file's units, without duplicates, and faces (F, 3) of a mesh.
 
     Raises:
-        InvalidInputError: Not a mesh, or one too large; what is in the file is never run.
+        InvalidInputError: The file is not a mesh, or too large. Its content is never executed.
     """
     kind, name = Path(path).suffix.lower(), f"the mesh {path}"
     return read_mesh_bytes(mesh_files.mesh_bytes(path, name), kind, name)
 
 
 def read_mesh_bytes(blob: bytes, kind: str, name: str) -> tuple[Array, Any]:
-    """The same of a file's bytes, of a kind such as ".obj"."""
+    """Return the corners and faces as `read_mesh` does, from a file's bytes and its suffix, such as ".obj"."""
     corners, faces = mesh_files.read_mesh_bytes(blob, kind, name)
     corners, faces = welded(corners, faces, WELD * extent_of(corners))
     if len(faces) == 0:
@@ -79,19 +81,19 @@ def read_mesh_bytes(blob: bytes, kind: str, name: str) -> tuple[Array, Any]:
 
 
 def unit_of(path: Path) -> float:
-    """The unit [m] that a .dae names, as in <unit meter="0.001"/>; 1 where it names none, and of other kinds.
+    """Return the unit [m] of a .dae, as in <unit meter="0.001"/>; 1 without one and for other kinds of files.
 
-    ROS applies it; neither trimesh nor Bullet does. Nobody of them turns the mesh by its <up_axis>.
+    ROS applies the unit; trimesh and Bullet do not. None of them applies <up_axis>.
 
     Raises:
-        InvalidInputError: It is no number above 0.
+        InvalidInputError: The unit is not a number above 0.
     """
     if path.suffix.lower() != ".dae":
         return 1.0
     try:
         with path.open("rb") as file:
             found = _UNIT.search(file.read(_LONGEST_HEAD))
-    except OSError:  # is reported by who reads all of it
+    except OSError:  # reading the whole file reports it
         found = None
     text = "1" if found is None else found[1].decode("latin1")
     with suppress(ValueError):
@@ -101,12 +103,12 @@ def unit_of(path: Path) -> float:
 
 
 def why_not_drawn(path: Path) -> str:
-    """What keeps Bullet from drawing a mesh, "" for nothing: it would crash where faces name corners that do not exist."""
+    """Return the reason why Bullet cannot draw a mesh, "" if it can: it would crash if faces name missing corners."""
     kind = path.suffix.lower()
     if kind not in DRAWN:
-        return f"are none of {', '.join(DRAWN)}"
+        return f"are not one of {', '.join(DRAWN)}"
     try:
-        blob = read_bytes(path, _MOST_LOOKS)
+        blob = read_bytes(path, _MAX_VISUAL_BYTES)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
     if kind != ".obj":
@@ -122,13 +124,13 @@ def why_not_drawn(path: Path) -> str:
 
 
 def _corners_exist(blob: bytes) -> bool:
-    """True if the faces of an .obj name corners, and textures and normals if any, that stand before them."""
+    """Return True if the faces of an .obj only name corners, textures and normals that stand before them."""
     text = one_newline(blob)
     faces, *others = (np.fromiter(key_places(text, key), np.int64) for key in (b"f", b"v", b"vt", b"vn"))
     known = np.stack([np.searchsorted(other, faces) for other in others], axis=1)
-    # blocks of faces that stand behind the same; most files have one
+    # blocks of faces behind the same number of corners; most files have one block
     cuts = (np.flatnonzero((np.diff(known, axis=0) != 0).any(axis=1)) + 1).tolist()
-    if len(faces) == 0 or len(cuts) > _MOST_BLOCKS:
+    if len(faces) == 0 or len(cuts) > _MAX_BLOCKS:
         return False
     rows = key_lines(text, b"f")
     for begin, end in zip([0, *cuts], [*cuts, len(rows)], strict=True):

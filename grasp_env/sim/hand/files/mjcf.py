@@ -1,4 +1,4 @@
-"""A hand from a MuJoCo model file (MJCF) as the same links and joints as those of a URDF; MuJoCo's own compiler reads the file."""
+"""Read a MuJoCo model file (MJCF) as links and joints like those of a URDF; MuJoCo's own compiler parses the file."""
 
 from __future__ import annotations
 
@@ -25,31 +25,28 @@ from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.progress import counted
 
 _LEAST_SPAN = 0.1
-"""[rad] of the middle one among the hinges' ranges, at least."""
-_MOST_BODIES = 500
+"""Smallest plausible median range of the hinges [rad]."""
+_MAX_BODIES = 500
 """Largest number of bodies in a file."""
 _LIGHT = 1e-3
-"""[kg] of the link between two joints of one body, which MuJoCo lets weigh nothing."""
+"""Mass of the link between two joints of one body [kg], which is massless in MuJoCo."""
 _LIGHT_INERTIA = 1e-7
-"""[kg m^2] of that link about each axis."""
+"""Inertia of that link about each axis [kg m^2]."""
 _IDENTITY = Frame(np.eye(3), np.zeros(3))
 
 
 class MjcfReader:
-    """Reads one file; see `urdf.UrdfReader` for the attributes.
+    """A reader of one file; `urdf.UrdfReader` describes the attributes.
 
-    Bodies without joints are fixed to those that carry them. What has several joints becomes several links. Bodies whose joints no
-    motor moves hold still. Free bodies that no motor moves, as objects of a scene, are left out.
+    A body without joints is fixed to its parent. A body with several joints becomes several links. Joints without a motor are
+    frozen. Free bodies without a motor, such as objects of a scene, are left out.
 
     Args:
-        path: Of the file.
-        tips: Names of bodies, sites or geometries that are wanted as links: sites and geometries become fixed links of their own.
-
-    Attributes:
-        said: What was assumed or left out, a sentence each.
+        path: Path of the file.
+        tips: Names of bodies, sites or geometries that are fingertips: sites and geometries become fixed links.
 
     Raises:
-        InvalidInputError: No such file, or MuJoCo refuses it; or a hand cannot have what is in it.
+        InvalidInputError: There is no such file, MuJoCo refuses it, or its content is not a hand.
     """
 
     def __init__(self, path: str | os.PathLike[str], tips: Sequence[str] = ()) -> None:
@@ -58,15 +55,15 @@ class MjcfReader:
         model = self.model
         self.name = model_name(model, self.path)
         self._shapes = MjcfShapes(model, self.path)
-        self.unseen = self._shapes.unseen
-        self.said: list[str] = []
-        if model.nbody - 1 > _MOST_BODIES:
+        self.undrawn = self._shapes.undrawn
+        self.notes: list[str] = []
+        if model.nbody - 1 > _MAX_BODIES:
             raise InvalidInputError(
-                f"there are {model.nbody - 1} bodies, allowed are up to {_MOST_BODIES}; take the hand out"
+                f"there are {model.nbody - 1} bodies, allowed are up to {_MAX_BODIES}; take the hand out"
             )
         if model.njnt == 0:
             raise InvalidInputError(
-                "no joint is in the file; a part that other files include is not read by itself: give the file that includes it"
+                "the file has no joint; a part that other files include is not read by itself: give the file that includes it"
             )
         if degrees:
             self._mend_degrees()
@@ -88,7 +85,7 @@ class MjcfReader:
         links = {link.name: link for link in self._links if link.name in wanted}
         return links, [joint for joint in self._ends if not {joint.parent, joint.child} - set(wanted)]
 
-    def shaped(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
+    def with_shapes(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
         """See `urdf.UrdfReader`."""
         bodies = {name: body for body, name in self._names.items()}
         own = {geom for _, geom in self._tips.values() if geom is not None}
@@ -111,7 +108,7 @@ class MjcfReader:
         return shaped
 
     def _mend_degrees(self) -> None:
-        """Take hinges' angles as radians where MuJoCo read them as degrees and that leaves them hardly any range."""
+        """Take the angles of hinges as radians if MuJoCo read them as degrees and their ranges are implausibly small."""
         model = self.model
         hinges = np.flatnonzero((model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)) & (model.jnt_limited != 0))
         spans = np.ptp(model.jnt_range[hinges], axis=1)
@@ -120,8 +117,8 @@ class MjcfReader:
         model.jnt_range[hinges] *= 180.0 / math.pi
         addresses = model.jnt_qposadr[hinges]
         model.qpos0[addresses] *= 180.0 / math.pi
-        self.said.append(
-            f"without angle='radian' in <compiler> ranges are degrees, and {np.median(spans):.2g} rad, their middle one, is no finger's: "
+        self.notes.append(
+            f"without angle='radian' in <compiler> ranges are degrees, but their median would then be {np.median(spans):.2g} rad: "
             "radians are assumed"
         )
 
@@ -134,7 +131,7 @@ class MjcfReader:
         acting = {motor.actuator for motor in self.motors}
         idle = [name_of(model, "actuator", number) for number in range(model.nu) if number not in acting]
         if idle:
-            self.said.append(f"actuators that move no joint of their own are left out: {names_of(idle)}")
+            self.notes.append(f"actuators that move no joint of their own are left out: {names_of(idle)}")
         lines = list[str]()
         for motor in self.motors:
             for other, (ratio, offset) in motor.followers.items():
@@ -144,14 +141,14 @@ class MjcfReader:
                     f"{name_of(model, 'joint', other)} = {ratio:g} * {name_of(model, 'joint', motor.joint)}{shift}{bend}"
                 )
         if lines:
-            self.said.append(f"joints that share a motor are coupled as MuJoCo moves them: {', '.join(lines)}")
+            self.notes.append(f"joints that share a motor are coupled as MuJoCo moves them: {', '.join(lines)}")
 
     def _joints_of(self, body: int) -> list[int]:
         first, count = int(self.model.body_jntadr[body]), int(self.model.body_jntnum[body])
         return list(range(first, first + count))
 
     def _tree(self, moving: set[int]) -> tuple[list[int], int]:
-        """The bodies of the hand, parents first, and the one that carries all others."""
+        """Return the bodies of the hand, parents first, and the root body."""
         model = self.model
         parent = [int(number) for number in model.body_parentid]
 
@@ -177,7 +174,7 @@ class MjcfReader:
             if ball in kinds and carries:
                 raise InvalidInputError(
                     f"the ball joint {name_of(model, 'joint', passive[0])!r} has no motor and carries joints that motors move: such parallel "
-                    "mechanisms are not read; describe each finger by the hinges that they make of it"
+                    "mechanisms are not supported; replace each by equivalent hinges"
                 )
             if body != root and not carries and kinds & {ball, free}:
                 left.append(name_of(model, "body", body))
@@ -185,13 +182,13 @@ class MjcfReader:
             still += [name_of(model, "joint", joint) for joint in passive]
             bodies.append(body)
         if left:
-            self.said.append(f"bodies that move freely, and rods on ball joints, are left out: {names_of(left)}")
+            self.notes.append(f"bodies that move freely, and rods on ball joints, are left out: {names_of(left)}")
         if still:
-            self.said.append(f"joints without a motor hold still where the file has them: {names_of(still)}")
+            self.notes.append(f"joints without a motor hold still in the file's posture: {names_of(still)}")
         return bodies, root
 
     def _named_tips(self, tips: Sequence[str]) -> dict[str, tuple[int, int | None]]:
-        """Of each tip that is a site or geometry: its body, and its geometry's number."""
+        """Return, for each tip that is a site or geometry, its body and the geometry's number, None for a site."""
         found = dict[str, tuple[int, int | None]]()
         for name in tips:
             if name in self._names.values():
@@ -207,7 +204,7 @@ class MjcfReader:
     def _read(self) -> tuple[list[FileLink], list[FileJoint]]:
         model = self.model
         links, joints = list[FileLink](), list[FileJoint]()
-        # the frame of a link lies on the axis of its joint: where the body's frame is in it
+        # pose of each body's frame in its link's frame, which lies on the axis of the joint
         shifts = {self._root: _IDENTITY}
         ends = {self._root: self._names[self._root]}
         followers = {other: (motor, line) for motor in self.motors for other, line in motor.followers.items()}
@@ -271,7 +268,7 @@ class MjcfReader:
         return frame_of(site.pos, site.quat)
 
     def _radius(self, name: str) -> float:
-        """Of the sphere that a site becomes [m]."""
+        """Return the radius of the sphere that replaces a site [m]."""
         return max(float(self.model.site(name).size[0]), SMALLEST)
 
     def _range(self, joint: int) -> tuple[float, float]:
@@ -281,7 +278,7 @@ class MjcfReader:
         return low, high
 
     def _effort(self, motor: Motor) -> float | None:
-        """Largest torque of a motor at its joint; None where the file names none."""
+        """Return the largest torque of a motor at its joint; None if the file has none."""
         model = self.model
         found = list[float]()
         if motor.actuator >= 0:
@@ -295,7 +292,7 @@ class MjcfReader:
         return min(found, default=None)
 
     def _link(self, body: int, shift: Frame) -> FileLink:
-        """A body as a link without shapes, in the frame of its joint."""
+        """Return a body as a link without shapes, in the frame of its joint."""
         model = self.model
         inertial = shift @ frame_of(model.body_ipos[body], model.body_iquat[body])
         inertia = inertia_numbers(np.diag(model.body_inertia[body]))

@@ -1,4 +1,4 @@
-"""MuJoCo model files (MJCF) compiled by MuJoCo, in a process of its own, and what is read of a compiled model."""
+"""Compile MuJoCo model files (MJCF) in a separate process, and read names, files and frames of a compiled model."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.objects.apart import apart
 
 _SECONDS = 30.0
-"""Longest time in which MuJoCo may compile a file."""
-_MOST_MEMORY = 8 << 30
-"""[bytes] that compiling may take."""
+"""Longest time to compile a file [s]."""
+_MAX_MEMORY = 8 << 30
+"""Largest memory to compile a file [bytes]."""
 _UNNAMED = "MuJoCo Model"
 """Name that MuJoCo gives to a model without one."""
 _COUNTS = {"body": "nbody", "joint": "njnt", "actuator": "nu"}
-"""Number of a model's elements of each kind."""
+"""Fields of a model with the number of elements of each kind."""
 
 
 def load_model(path: Path) -> tuple[Any, bool]:
-    """The compiled model of a file, and whether its angles are degrees.
+    """Return the compiled model of a file, and True if its angles are degrees.
 
     Raises:
         InvalidInputError: MuJoCo refuses the file, or takes too long.
@@ -49,18 +49,18 @@ def load_model(path: Path) -> tuple[Any, bool]:
 
 
 def compile_mjcf(path: Any) -> dict[str, Any]:
-    """Compile a file in a process of its own, which `apart` makes.
+    """Compile a file; `apart` runs this function in a separate process.
 
     Args:
-        path: Of the file, an array of one text.
+        path: Path of the file, an array of one text.
 
     Returns:
-        The "model" as MuJoCo writes it, uint8, and whether its angles are "degrees"; or the "error" as text.
+        The binary "model", uint8, and "degrees", True if its angles are degrees; or the "error" as text.
     """
     try:
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, _MOST_MEMORY))
+        resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY, _MAX_MEMORY))
     except (ImportError, ValueError, OSError):  # not on Windows
         pass
     file = Path(str(path))
@@ -79,7 +79,7 @@ def compile_mjcf(path: Any) -> dict[str, Any]:
 
 
 def _spec(file: Path, folder: Path) -> Any:
-    """The specification in a file whose meshes are named from a folder on."""
+    """Return the specification in a file, with mesh names relative to a folder."""
     os.chdir(folder)
     if folder == file.parent and file.suffix == ".xml":
         return mujoco.MjSpec.from_file(str(file))
@@ -89,13 +89,13 @@ def _spec(file: Path, folder: Path) -> Any:
 
 
 def model_name(model: Any, path: Path) -> str:
-    """The name of a model; of one without a name that of its file."""
+    """Return the name of a model, or the name of its file if it has none."""
     name = _text(model.names, 0)
     return path.stem if name in ("", _UNNAMED) else name
 
 
 def name_of(model: Any, kind: str, number: int) -> str:
-    """The name of an element, "body" or "joint" for instance; of one without a name its kind and number."""
+    """Return the name of a "body", "joint" or "actuator", or its kind and number if it has none."""
     element = getattr(model, kind)
     if name := element(number).name:
         return name
@@ -106,19 +106,19 @@ def name_of(model: Any, kind: str, number: int) -> str:
 
 
 def mesh_file(model: Any, mesh: int, path: Path) -> Path | None:
-    """The file of a mesh of a model from `path`; None: there is none."""
+    """Return the file of a mesh in the model of the file `path`; None if there is none."""
     address = int(model.mesh_pathadr[mesh])
-    file = path.absolute().parent / _text(model.paths, address)  # of an absolute name, that
+    file = path.absolute().parent / _text(model.paths, address)  # an absolute name stays
     return file if address >= 0 and file.is_file() else None
 
 
 def frame_of(position: Array, quaternion: Array) -> Frame:
-    """A frame from a position [m], (3,), and a quaternion w, x, y, z."""
+    """Make a frame from a position [m], (3,), and a quaternion w, x, y, z."""
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, dtype=float))
     return Frame(matrix.reshape(3, 3), np.array(position, dtype=float))
 
 
 def _text(blob: Any, address: int) -> str:
-    """A text in a row of texts that end with 0."""
+    """Return the zero-terminated text at an address."""
     return bytes(blob[address:]).split(b"\0", 1)[0].decode(errors="replace")

@@ -1,4 +1,4 @@
-"""The geometries of a MuJoCo model as shapes of links."""
+"""Convert the geometries of a MuJoCo model to shapes of links."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ class MjcfShapes:
     """The geometries of a model from the file `path`.
 
     Attributes:
-        unseen: Meshes that are left out of pictures, and why.
+        undrawn: Meshes that cannot be drawn, with the reason.
     """
 
     def __init__(self, model: Any, path: Path) -> None:
         self._model, self._path = model, path
-        self.unseen: dict[str, str] = {}
+        self.undrawn: dict[str, str] = {}
 
     def of_body(
         self, body: int, shift: Frame, without: set[int]
     ) -> tuple[list[Geometry], list[Geometry], Vector3 | None]:
-        """Shapes of a body that touch, those that are drawn, and its color.
+        """Return collision and visual shapes of a body, and its color.
 
         Args:
-            body: Its number.
+            body: Number of the body.
             shift: The body's frame in that of its link.
-            without: Geometries that touch as links of their own.
+            without: Geometries that are links of their own.
         """
         model = self._model
         mine = [geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) == body]
@@ -49,7 +49,7 @@ class MjcfShapes:
         return shift @ frame_of(self._model.geom_pos[geom], self._model.geom_quat[geom])
 
     def solids(self, geom: int, shift: Frame) -> list[Geometry]:
-        """Shapes that touch: of a mesh its convex pieces, where MuJoCo has its hull; none of a plane or height field."""
+        """Return the collision shapes of a geometry: convex pieces for a mesh, none for a plane or height field."""
         model, kind = self._model, int(self._model.geom_type[geom])
         origin, rotation = self._place(geom, shift).numbers()
         color = _color(model, geom)
@@ -76,7 +76,7 @@ class MjcfShapes:
         return kept_pieces(model.mesh_vert[first : first + count], model.mesh_face[begin : begin + faces], name)
 
     def looks(self, geom: int, shift: Frame) -> list[Geometry]:
-        """A shape that is drawn: of a mesh its file where that can be drawn, else its hull."""
+        """Return the visual shapes of a geometry: for a mesh its file if it can be drawn, else its convex pieces."""
         model = self._model
         if int(model.geom_type[geom]) != int(mujoco.mjtGeom.mjGEOM_MESH):
             return self.solids(geom, shift)
@@ -86,9 +86,9 @@ class MjcfShapes:
         if file is None:
             return self.solids(geom, shift)
         if why := why_not_drawn(file) or ("are mirrored by a scale below 0" if min(scale) < 0.0 else ""):
-            self.unseen[file.name] = why
+            self.undrawn[file.name] = why
             return self.solids(geom, shift)
-        # MuJoCo moved the mesh into its own axes
+        # MuJoCo moved the mesh to its centre and principal axes
         moved = frame_of(model.mesh_pos[mesh], model.mesh_quat[mesh])
         back = Frame(moved.rotation.T, -moved.rotation.T @ moved.origin)
         origin, rotation = (self._place(geom, shift) @ back).numbers()

@@ -1,4 +1,4 @@
-"""Values that a caller gives for a hand in a file: palm, fingertips, torques, ranges and masses. Each overrides the file."""
+"""Check the values that a caller gives for a hand in a file: palm, fingertips, torques, ranges and masses. Each overrides the file."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from grasp_env.sim.hand.tips import Ball
 
 T = TypeVar("T")
 Tips: TypeAlias = Sequence[str] | dict[str, tuple[Sequence[float], float]] | None
-"""Names of links; points on them [m], link frame, with radii [m]; None: the last moving links."""
+"""Names of links; or points on them [m], link frame, with radii [m]; None: the moving links at the ends."""
 Torques: TypeAlias = float | Sequence[float] | dict[str, float] | None
 Ranges: TypeAlias = dict[str, tuple[float, float]] | None
 Inertials: TypeAlias = dict[str, float | tuple[float, Sequence[float], Sequence[float]]] | None
 
 
 class Inertial(NamedTuple):
-    """Of a link with all that is fixed to it: mass [kg], its centre [m], link frame, and the inertia about it [kg m^2]."""
+    """Mass [kg], centre of mass [m], link frame, and inertia about it [kg m^2] of a link with everything fixed to it."""
 
     mass: float
     center: Vector3
@@ -33,7 +33,7 @@ class Inertial(NamedTuple):
 
 @dataclass(frozen=True)
 class HandOptions:
-    """Values that a caller gives for a hand; `HandDescription.from_urdf` describes each."""
+    """Values that a caller gives for a hand; `HandDescription.from_file` describes each."""
 
     fingertips: Tips = None
     tip_radius: float | None = None
@@ -44,15 +44,15 @@ class HandOptions:
     rotor_inertia: float | None = None
 
     def checked_palm(self) -> str | None:
-        """The name of the palm's link; None: not given."""
+        """Return the name of the palm's link; None: not given."""
         return None if self.palm is None else word(self.palm, "palm")
 
     def radius(self) -> float | None:
-        """Radius of all tips that are not found otherwise [m]; None: not given."""
+        """Return the radius of tips without a sphere [m]; None: not given."""
         return None if self.tip_radius is None else positive(self.tip_radius, "tip_radius [m]")
 
     def tips(self) -> dict[str, Ball | None] | None:
-        """The fingertips by the names of their links, each with its sphere if that is given; None: not given."""
+        """Return the fingertips by the names of their links, each with its sphere or None; None: not given."""
         given: Any = self.fingertips
         if given is None:
             return None
@@ -80,11 +80,11 @@ class HandOptions:
         return dict.fromkeys(names)
 
     def torques(self, joints: Sequence[str], drivers: Mapping[str, str]) -> dict[str, float]:
-        """The limits [N m] that are given, of some of the joints.
+        """Return the given torque limits [N m] by joint.
 
         Args:
-            joints: Names of all that move.
-            drivers: Of the coupled ones, the joint whose motor moves each.
+            joints: Names of all moving joints.
+            drivers: The driver of each coupled joint.
         """
         given: Any = self.torque_limit
         if given is None or isinstance(given, dict):
@@ -106,7 +106,7 @@ class HandOptions:
         )
 
     def ranges(self, joints: Sequence[str]) -> dict[str, tuple[float, float]]:
-        """The ranges [rad], of sliding joints [m], that are given."""
+        """Return the given ranges by joint [rad], of sliding joints [m]."""
 
         def both(value: Any, of: str) -> tuple[float, float]:
             pair = as_list(value)
@@ -117,7 +117,7 @@ class HandOptions:
         return _by_name(self.joint_limits, joints, "joint_limits", "joint", both)
 
     def bodies(self, links: Sequence[str]) -> dict[str, float | Inertial]:
-        """The masses [kg], or masses with centres and inertias, that are given."""
+        """Return the given masses [kg], or masses with centres and inertias, by link."""
 
         def body(value: Any, of: str) -> float | Inertial:
             parts = as_list(value)
@@ -132,7 +132,7 @@ class HandOptions:
 
 
 def _by_name(given: Any, names: Sequence[str], what: str, kind: str, check: Callable[[Any, str], T]) -> dict[str, T]:
-    """Values by name, each checked by `check`, which gets the value and what to call it."""
+    """Return values by name, each checked by `check`, which gets the value and its description."""
     if given is None:
         return {}
     if not isinstance(given, dict):

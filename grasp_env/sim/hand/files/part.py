@@ -1,16 +1,17 @@
-"""Which links of a file are the hand: the tree that its joints make, the palm in it, and arms and robots that carry one."""
+"""Find the hand in a file: the tree of its joints, the palm, and the arm or robot that carries it."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 
 from grasp_env._check import together
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.files.elements import FileJoint, names_of
+from grasp_env.sim.hand.files.elements import FileJoint, names_of, refuse
 from grasp_env.sim.hand.frames import Frame, axis_rotation
 from grasp_env.sim.hand.tree import Mimic
 
@@ -18,9 +19,9 @@ Ends: TypeAlias = Sequence[tuple[str, str, str]]
 """Name, parent and child of each joint."""
 
 LONGEST_FINGER = 6
-"""Motors of an unbranched chain; the longest fingers of public hands have 5, and arms without a hand 6 and more."""
+"""Largest number of motors of an unbranched chain; fingers of public hands have up to 5, arms without a hand 6 and more."""
 LONGEST_WRIST = 3
-"""Motors of a chain that leads to a branching; forearms and wrists have up to 3, arms that carry a hand 4 and more."""
+"""Largest number of motors of a chain that ends at a branching; forearms and wrists have up to 3, arms with a hand 4 and more."""
 
 
 @dataclass(frozen=True)
@@ -28,30 +29,31 @@ class Part:
     """The part of a file that is the hand.
 
     Attributes:
-        root: The palm's link.
-        links: The palm, what is fixed to it, and all that hangs on these.
-        turned: Fixed joints that carry the palm; they are read from child to parent.
-        left: Sentences about what is left out.
+        root: Name of the palm's link.
+        links: Names of the palm, of links fixed to it, and of all their descendants.
+        reversed_joints: Names of the fixed joints that carry the palm; they are read from child to parent.
+        notes: Sentences on what is left out.
     """
 
     root: str
     links: tuple[str, ...]
-    turned: frozenset[str] = frozenset()
-    left: tuple[str, ...] = ()
+    reversed_joints: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
 
 
 def find_part(root: str, ends: Ends, fixed: Collection[str], mimics: Mapping[str, str], palm: str | None) -> Part:
-    """The part of a file that is the hand.
+    """Find the part of a file that is the hand.
 
     Args:
-        root: The link that carries all others, see `find_root`.
-        ends: Of its joints.
-        fixed: Names of the joints that do not move.
-        mimics: The joint that each coupled joint names.
+        root: Name of the root link, see `find_root`.
+        ends: Name, parent and child of each joint.
+        fixed: Names of the fixed joints.
+        mimics: The driver that each coupled joint names.
         palm: Name of the palm's link; None: `root`.
 
     Raises:
-        InvalidInputError: There is no such palm, or nothing moves on it; or none is named and the file is an arm or a whole robot.
+        InvalidInputError: There is no such palm, or it carries no moving joint; or no palm is named and the file is an arm or a
+            whole robot.
     """
     robot = _Robot(root, ends, fixed, mimics)
     if palm is not None:
@@ -61,7 +63,7 @@ def find_part(root: str, ends: Ends, fixed: Collection[str], mimics: Mapping[str
 
 
 class _Robot:
-    """The links of a file in groups that are fixed together, each named by the link that carries the others."""
+    """The links of a file in rigid groups, each named by its topmost link."""
 
     def __init__(self, root: str, ends: Ends, fixed: Collection[str], mimics: Mapping[str, str]) -> None:
         self._root, self._ends, self._fixed = root, ends, fixed
@@ -71,7 +73,9 @@ class _Robot:
             self._below.setdefault(parent, []).append((joint, child))
         self.links = tuple(self._down(root))
         self._group = {root: root}
-        self._joints: dict[str, list[tuple[str, str]]] = {root: []}  # moving joints of each group, and what they move
+        self._joints: dict[str, list[tuple[str, str]]] = {
+            root: []
+        }  # moving joints of each group, with their child links
         for link in self.links[1:]:
             joint, parent = self._above[link]
             self._group[link] = self._group[parent] if joint in fixed else link
@@ -81,14 +85,14 @@ class _Robot:
         self._arms = self._chains(mimics)
 
     def _down(self, top: str) -> list[str]:
-        """A link and all that hangs on it, parents first."""
+        """Return a link and all its descendants, parents first."""
         found = [top]
         for link in found:
             found += [child for _, child in self._below.get(link, [])]
         return found
 
     def _chains(self, mimics: Mapping[str, str]) -> dict[str, list[str]]:
-        """The motors of the chain to each group that is no finger's."""
+        """Return the motors of each chain that is too long for a finger or a wrist, by the group at its end."""
         chains: dict[str, list[str]] = {self._root: []}
         arms: dict[str, list[str]] = {}
         for group, joints in self._joints.items():
@@ -101,8 +105,8 @@ class _Robot:
         return arms
 
     def _palms(self) -> list[str]:
-        """Links that may be palms: several chains branch at them, and none is an arm; those that arms carry, where there are any."""
-        carriers = set[str]()  # of arms
+        """Return candidates for the palm: links at which several chains branch, none of them an arm; if there are arms, links at their ends."""
+        carriers = set[str]()  # groups that carry arms
         for group in self._arms:
             while group != self._root:
                 group = self._group[self._above[group][1]]
@@ -119,7 +123,7 @@ class _Robot:
         return [palm for group, palm in palms.items() if group in self._arms] or list(palms.values())
 
     def refuse_arms(self) -> None:
-        """Raise where a chain of joints is too long for a finger or a wrist."""
+        """Raise InvalidInputError if a chain of joints is too long for a finger or a wrist."""
         if not self._arms:
             return
         group, chain = max(self._arms.items(), key=lambda item: len(item[1]))
@@ -127,20 +131,20 @@ class _Robot:
         palms = " or ".join(f"palm={name!r}" for name in self._palms())
         raise InvalidInputError(
             f"this is an arm or a whole robot: the chain of {names_of(chain)} has {len(chain)} motors{where}. "
-            + (f"Name the hand's palm, {palms}" if palms else "No link carries several chains that could be fingers")
+            + (f"Name the hand's palm, {palms}" if palms else "No link carries several chains that may be fingers")
             + f"; palm={self._root!r} reads all of it as one hand"
         )
 
     def part(self, palm: str) -> Part:
-        """The palm and all that hangs on it."""
+        """Return the part of a named palm."""
         if palm not in self._group:
             raise InvalidInputError(
                 f"palm: no link is called {shown(palm)}; joints branch at {names_of(self._palms())}; links are {names_of(self.links)}"
             )
-        top, turned = palm, list[str]()
+        top, reversed_joints = palm, list[str]()
         while top in self._above and self._above[top][0] in self._fixed:
             joint, top = self._above[top]
-            turned.append(joint)
+            reversed_joints.append(joint)
         links = self._down(top)
         kept = set(links)
         moving = [joint for joint, _, child in self._ends if joint not in self._fixed]
@@ -155,21 +159,21 @@ class _Robot:
             joint, link = self._above[link]
             arm += [joint] if joint not in self._fixed else []
         limbs = [joint for joint in moving if joint not in inside and joint not in arm]
-        left = list[str]()
+        notes = list[str]()
         if arm:
-            left.append(
+            notes.append(
                 f"the joints that carry the palm {palm!r} hold still, their links are left out: {names_of(arm[::-1])}"
             )
         if limbs:
-            left.append(f"limbs that do not hang on the palm {palm!r} are left out, with the joints {names_of(limbs)}")
-        return Part(palm, tuple(links), frozenset(turned), tuple(left))
+            notes.append(f"limbs that the palm {palm!r} does not carry are left out, with the joints {names_of(limbs)}")
+        return Part(palm, tuple(links), frozenset(reversed_joints), tuple(notes))
 
 
 def find_root(links: Sequence[str], ends: Ends) -> str:
-    """The one link that no joint carries.
+    """Return the root link, which is the child of no joint.
 
     Raises:
-        InvalidInputError: All that keeps the links from being a tree.
+        InvalidInputError: The links are not a tree; the message lists every fault.
     """
     children: dict[str, str] = {}
     faults = list[str]()
@@ -182,7 +186,7 @@ def find_root(links: Sequence[str], ends: Ends) -> str:
         child = pair[1]
         if child and child in children:
             faults.append(
-                f"link {child!r} hangs on two joints, {children[child]!r} and {joint!r}; a hand must be a tree, cut the loop"
+                f"link {child!r} is the child of two joints, {children[child]!r} and {joint!r}; a hand must be a tree, cut the loop"
             )
         children[child] = joint
     roots = [link for link in dict.fromkeys(links) if link not in children]
@@ -199,25 +203,21 @@ def find_root(links: Sequence[str], ends: Ends) -> str:
         known, grew = known | reached, bool(reached)
     if not faults and (rest := [joint for joint, parent, _ in ends if parent not in known]):
         faults.append(f"the joints {names_of(rest)} form a cycle apart from {roots[0]!r}; cut it")
-    together(*(lambda fault=fault: _refuse(fault) for fault in faults))
+    together(*(partial(refuse, fault) for fault in faults))
     return roots[0]
 
 
-def _refuse(fault: str) -> None:
-    raise InvalidInputError(fault)
-
-
 def check_mimics(ends: Ends, fixed: Collection[str], mimics: Mapping[str, str]) -> None:
-    """Every joint that another one mimics moves, and none mimics itself in the end.
+    """Check that the driver of every coupled joint moves and that couplings form no loop.
 
     Raises:
-        InvalidInputError: All couplings that cannot be.
+        InvalidInputError: A coupling is impossible; the message lists all of these.
     """
     faults, known = list[str](), [name for name, _, _ in ends]
     for joint, other in mimics.items():
         if other not in known:
             faults.append(
-                f"joint {joint!r} mimics {other!r}, which is no joint of the file; joints are {names_of(known)}"
+                f"joint {joint!r} mimics {other!r}, which is not a joint of the file; joints are {names_of(known)}"
             )
         elif other in fixed:
             faults.append(
@@ -228,16 +228,16 @@ def check_mimics(ends: Ends, fixed: Collection[str], mimics: Mapping[str, str]) 
             seen.append(mimics[seen[-1]])
         if mimics.get(seen[-1]) == joint:
             faults.append(f"the joints {names_of(sorted(seen))} mimic each other in a loop; one of them needs a motor")
-    together(*(lambda fault=fault: _refuse(fault) for fault in faults))
+    together(*(partial(refuse, fault) for fault in faults))
 
 
 def arrange(part: Part, joints: Sequence[FileJoint]) -> tuple[list[FileJoint], list[str]]:
-    """The joints of a hand with parents before children, else in the order of the file, and sentences about what was changed.
+    """Return the joints of a hand, parents before children and otherwise in file order, and sentences on what was changed.
 
-    Joints that mimic others are coupled to the one with a motor at the end of the chain. Those that mimic a joint that is left
-    out hold still, and so do those whose limits are equal.
+    Chains of coupled joints are resolved to the joint with the motor. Joints that mimic a joint outside the part are fixed, and so
+    are joints with equal limits.
     """
-    joints = [_upside_down(joint) if joint.name in part.turned else joint for joint in joints]
+    joints = [_reversed(joint) if joint.name in part.reversed_joints else joint for joint in joints]
     by_name = {joint.name: joint for joint in joints}
     driven, alone, stuck = list[FileJoint](), list[str](), list[str]()
     for joint in joints:
@@ -246,27 +246,27 @@ def arrange(part: Part, joints: Sequence[FileJoint]) -> tuple[list[FileJoint], l
             mimic = Mimic(before.joint, mimic.ratio * before.ratio, mimic.angle(before.offset))
         if mimic is not None and mimic.joint not in by_name:
             alone.append(joint.name)
-            driven.append(_held(joint, mimic.offset))
+            driven.append(_frozen(joint, mimic.offset))
         elif not joint.fixed and joint.lower == joint.upper:
             stuck.append(joint.name)
-            driven.append(_held(joint, joint.lower))
+            driven.append(_frozen(joint, joint.lower))
         elif mimic is not None and (other := by_name[mimic.joint]).lower == other.upper:
             stuck.append(joint.name)
-            driven.append(_held(joint, mimic.angle(other.lower)))
+            driven.append(_frozen(joint, mimic.angle(other.lower)))
         else:
             driven.append(replace(joint, mimic=mimic))
-    said = list[str]()
+    notes = list[str]()
     if alone:
-        said.append(f"joints that mimic others that are left out hold still: {names_of(alone)}")
+        notes.append(f"joints that mimic others that are left out hold still: {names_of(alone)}")
     if stuck:
-        said.append(
-            f"joints without a range, lower = upper, hold still: {names_of(stuck)}; give the true ranges as joint_limits="
+        notes.append(
+            f"joints with equal limits, lower = upper, hold still: {names_of(stuck)}; give the true ranges as joint_limits="
         )
-    return _ordered(part.root, driven), said
+    return _ordered(part.root, driven), notes
 
 
 def _ordered(root: str, joints: list[FileJoint]) -> list[FileJoint]:
-    """Joints of a tree with parents before children, else in the order of the file."""
+    """Sort the joints of a tree: parents before children, otherwise in file order."""
     ordered, known, rest = list[FileJoint](), {root}, list(joints)
     while rest:
         ready = next(joint for joint in rest if joint.parent in known)
@@ -276,15 +276,15 @@ def _ordered(root: str, joints: list[FileJoint]) -> list[FileJoint]:
     return ordered
 
 
-def _upside_down(joint: FileJoint) -> FileJoint:
-    """A fixed joint read from its child to its parent."""
+def _reversed(joint: FileJoint) -> FileJoint:
+    """Return a fixed joint with parent and child exchanged."""
     frame = Frame.of(joint.origin, joint.rotation)
     origin, rotation = Frame(frame.rotation.T, -frame.rotation.T @ frame.origin).numbers()
     return replace(joint, parent=joint.child, child=joint.parent, origin=origin, rotation=rotation)
 
 
-def _held(joint: FileJoint, angle: float) -> FileJoint:
-    """A joint that holds still at an angle [rad], a sliding one at a length [m]."""
+def _frozen(joint: FileJoint, angle: float) -> FileJoint:
+    """Return a joint fixed at an angle [rad], a sliding one at a length [m]."""
     axis = np.array(joint.axis)
     moved = Frame(np.eye(3), angle * axis) if joint.sliding else Frame(axis_rotation(axis, angle), np.zeros(3))
     origin, rotation = (Frame.of(joint.origin, joint.rotation) @ moved).numbers()

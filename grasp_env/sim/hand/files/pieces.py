@@ -1,4 +1,4 @@
-"""Convex pieces of a hand's meshes, which the hand touches with in their stead; they are kept by content in the user's cache."""
+"""Decompose a hand's meshes into convex collision pieces, cached by content in the user's cache."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ from grasp_env.sim.mesh_shape import (
 )
 from grasp_env.sim.objects.cache import kept
 
-_FULL = 0.9  # of its hull's volume, from which on a mesh counts as convex
-_MOST_PIECES = 8
-_WORTH = 0.03  # of the whole hull's volume that a cut must take away, or that joining two pieces may add
-_CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # of a piece's extent
-_DEEPEST = 4
-_FINE = 5000  # faces, beyond which a mesh that is not convex is taken coarser before it is cut
-_GRAINS = 150.0  # then, along its extent
-_SMALLEST, _LARGEST = 1e-5, 5.0  # [m] of a mesh
-_CRUMBS = 40
-MOST_SEEN = 256
-"""Corners of the hull of a mesh to look at, in which a fingertip is sought."""
-_FINE_SEEN = 2e-4  # of its size, by which it may be smaller with fewer corners
+_FULL = 0.9  # share of its hull's volume from which on a mesh counts as convex
+_MAX_PIECES = 8
+_WORTH = 0.03  # share of the whole hull's volume that a cut must remove, or that joining two pieces may add
+_CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # positions of cuts within a piece's extent
+_DEEPEST = 4  # cuts one after another
+_FINE = 5000  # number of faces above which a mesh is simplified before it is cut
+_GRAINS = 150.0  # number of grid cells along the extent of a simplified mesh
+_SMALLEST, _LARGEST = 1e-5, 5.0  # [m] extent of a mesh
+_CRUMBS = 40  # number of parts above which a mesh is cut as a whole
+MAX_VISUAL_CORNERS = 256
+"""Largest number of corners of the hull of a visual mesh in which a fingertip is fitted."""
+_VISUAL_ERROR = 2e-4  # relative error of that hull
 
 _MADE = "1"
-"""Of the pieces; another one where they change, so that nothing older is taken from the cache."""
+"""Version of the pieces. Change it when they change, so that older cache entries are not used."""
 _ARRAYS = frozenset(("pieces", "counts"))
 
 
 def pieces_of_file(path: Path, scale: Vector3) -> list[Array]:
-    """The `convex_pieces` of a mesh file, from the cache if they are there.
+    """Return the `convex_pieces` of a mesh file, from the cache if possible.
 
     Args:
-        path: Of the file.
-        scale: What its coordinates are multiplied by to give metres.
+        path: Path of the file.
+        scale: Factors from its coordinates to metres.
 
     Raises:
-        InvalidInputError: Not a mesh, or one too large; what is in the file is never run.
+        InvalidInputError: The file is not a mesh, or too large. Its content is never executed.
     """
     kind, name = path.suffix.lower(), f"the mesh {path}"
     blob = mesh_bytes(path, name)
@@ -67,31 +67,31 @@ def pieces_of_file(path: Path, scale: Vector3) -> list[Array]:
 
 
 def hull_of_file(path: Path) -> Array:
-    """Corners (K, 3) of the hull of a mesh file, in its units, `MOST_SEEN` at most, from the cache if they are there.
+    """Return at most `MAX_VISUAL_CORNERS` corners (K, 3) of the hull of a mesh file, in its units, from the cache if possible.
 
     Raises:
-        InvalidInputError: Not a mesh, or one too large.
+        InvalidInputError: The file is not a mesh, or too large.
     """
     kind, name = path.suffix.lower(), f"the mesh {path}"
     blob = mesh_bytes(path, name)
 
     def make() -> list[Array]:
         hull = hull_of(read_mesh_bytes(blob, kind, name)[0])
-        return [outermost(hull.points[hull.vertices], MOST_SEEN, _FINE_SEEN)]
+        return [outermost(hull.points[hull.vertices], MAX_VISUAL_CORNERS, _VISUAL_ERROR)]
 
     return _kept(digest(_MADE.encode(), b"hull", kind.encode(), blob), path.name, make)[0]
 
 
 def kept_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
-    """The `convex_pieces` of a mesh that is in no file of its own, from the cache if they are there.
+    """Return the `convex_pieces` of a mesh that is not a file, from the cache if possible.
 
     Args:
-        corners: (V, 3) [m].
-        faces: Their numbers, (F, 3).
-        name: Of the mesh, for the list of what is kept.
+        corners: Corners (V, 3) [m].
+        faces: Numbers of each face's corners, (F, 3).
+        name: Name of the mesh in the list of cache entries.
 
     Raises:
-        InvalidInputError: It is no size for a part of a hand.
+        InvalidInputError: The size is implausible for a part of a hand.
     """
     corners, faces = np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int64)
     key = digest(_MADE.encode(), b"arrays", corners.tobytes(), faces.tobytes())
@@ -108,17 +108,17 @@ def _kept(key: str, name: str, make: Callable[[], list[Array]]) -> list[Array]:
 
 
 def convex_pieces(corners: Array, faces: Any) -> list[Array]:
-    """Convex pieces that together contain a mesh, each as at most `solids.MOST_CORNERS` corners (K, 3).
+    """Return convex pieces that together contain a mesh, each as at most `solids.MAX_CORNERS` corners (K, 3).
 
-    One, where the mesh fills nine tenths of its hull, or is too fine to be cut. Else its parts, cut by planes where that takes
-    away some of their hulls, and those joined whose common hull adds little: `_MOST_PIECES` at most.
+    A mesh that fills nine tenths of its hull, or is too fine to be cut, is one piece. Otherwise its parts are cut by planes that
+    reduce the volume of the hulls. Pieces whose common hull adds little are joined, until at most `_MAX_PIECES` are left.
 
     Args:
-        corners: (V, 3) [m].
-        faces: Their numbers, (F, 3).
+        corners: Corners (V, 3) [m].
+        faces: Numbers of each face's corners, (F, 3).
 
     Raises:
-        InvalidInputError: It is no size for a part of a hand.
+        InvalidInputError: The size is implausible for a part of a hand.
     """
     extent = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
     if not _SMALLEST <= extent <= _LARGEST:
@@ -133,14 +133,14 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
     if len(faces) > _FINE:
         corners, faces = welded(corners, faces, extent / _GRAINS)
         corners, faces = (extent / _GRAINS) * np.round(corners * (_GRAINS / extent)), np.unique(faces, axis=0)
-        if len(faces) > 2 * _FINE:  # a soup: it would take minutes
+        if len(faces) > 2 * _FINE:  # a soup of triangles: cutting would take minutes
             return [few_corners(corners)]
         parts = _parts(faces)
     leaves: list[Array] = []
     worth = _WORTH * hull.volume
     for part in parts:
         around, filled = hull_of(corners[np.unique(part)]), abs(volume(corners, part))
-        if around.volume - filled <= worth and not open_edges(part):  # no cut can take away more
+        if around.volume - filled <= worth and not open_edges(part):  # no cut can remove more
             leaves.append(around.points)
         else:
             leaves += _cut(corners, part, worth, 2 if filled < 0.85 * around.volume else 0, _DEEPEST)
@@ -148,7 +148,7 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
 
 
 def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> list[Array]:
-    """Points of the pieces of a surface; `blind` cuts may be made that are worth nothing by themselves, as of a ring."""
+    """Return points of the pieces of a surface; `blind` cuts need not reduce the volume, such as the first cut of a ring."""
     from trimesh.intersections import slice_faces_plane
 
     points = corners[np.unique(faces)]
@@ -163,7 +163,7 @@ def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> 
     few = [sum(_hull_volume(half[farthest(half)]) for half in _halves(corners, edges, *cut)) for cut in tried]
     best, gain = None, worth
     for k in np.argsort(few, kind="stable"):
-        if whole.volume - few[k] <= gain:  # no cut from here on gains more: hulls of all points are larger than of few
+        if whole.volume - few[k] <= gain:  # later cuts gain less, as the hull of all points is larger than that of few
             break
         less = sum(_hull_volume(half) for half in _halves(corners, edges, *tried[k]))
         if whole.volume - less > gain:
@@ -184,7 +184,7 @@ def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> 
 
 
 def _halves(corners: Array, edges: Any, axis: Array, at: float) -> list[Array]:
-    """The ends of edges (E, 2) on either side of a plane, each with the points in which the edges cross it."""
+    """Return the ends of edges (E, 2) on either side of a plane, with the points where edges cross it."""
     heights = corners @ axis - at
     a, b = heights[edges[:, 0]], heights[edges[:, 1]]
     crossing = a * b < 0.0
@@ -200,13 +200,13 @@ def _hull_volume(points: Array) -> float:
 
 
 def _parts(faces: Any) -> list[Any]:
-    """The faces of each connected part; all of them where it falls into crumbs."""
+    """Return the faces of each connected part, or all faces as one part if there are too many parts."""
     parts = connected(faces)
     return [faces] if len(parts) > _CRUMBS else parts
 
 
 def _joined(pieces: list[Array], worth: float) -> list[Array]:
-    """Pieces joined, the pair whose common hull adds least first, while that is little or there are too many."""
+    """Join pairs of pieces, smallest added volume first, while it is below `worth` or there are too many pieces."""
     hulls = sorted(map(hull_of, pieces), key=lambda hull: hull.volume, reverse=True)
     pieces = [hull.points[hull.vertices] for hull in hulls]
     volumes = [float(hull.volume) for hull in hulls]
@@ -216,7 +216,7 @@ def _joined(pieces: list[Array], worth: float) -> list[Array]:
         for i, j in ((i, j) for i in alive for j in alive if i < j and (i, j) not in added):
             added[i, j] = _hull_volume(np.vstack([pieces[i], pieces[j]])) - volumes[i] - volumes[j]
         (i, j), least = min(((pair, more) for pair, more in added.items()), key=lambda entry: entry[1])
-        if least > worth and len(alive) <= _MOST_PIECES:
+        if least > worth and len(alive) <= _MAX_PIECES:
             break
         together = hull_of(np.vstack([pieces[i], pieces[j]]))
         pieces.append(together.points[together.vertices])

@@ -1,4 +1,7 @@
-"""The elements of a URDF file as numbers, each checked where it is read; what is wrong with them is told together."""
+"""Read a URDF file. Each element is checked where it is read, and all faults are reported together.
+
+Longer than most modules: the reader and the functions that turn elements into numbers share their error messages.
+"""
 
 from __future__ import annotations
 
@@ -15,62 +18,64 @@ import numpy as np
 
 from grasp_env._check import together
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.check import Vector3, limits, numbers
-from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink
-from grasp_env.sim.hand.files.mesh_uses import MeshUse, refuse, solids_of
+from grasp_env.sim.hand.check import Inertia, Vector3, limits, numbers
+from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink, refuse
+from grasp_env.sim.hand.files.mesh_uses import MeshUse, solids_of
 from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
 from grasp_env.sim.hand.files.xacro import expanded, is_xacro
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import Inertia
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
-MOST = 500
-"""Of links and of joints in a file."""
-MOST_SHAPES = 2000
-"""Of collision and visual shapes together."""
-_MOST_ABSENT = 40  # missing meshes that a message names
+MAX_ELEMENTS = 500
+"""Largest number of links, and of joints, in a file."""
+MAX_SHAPES = 2000
+"""Largest number of collision and visual shapes together."""
+_MAX_MISSING = 40  # missing meshes that a message names
 
 _TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
 
 
 class UrdfReader:
-    """Reads one file.
+    """A reader of one URDF or xacro file.
 
     Args:
-        path: Of the URDF.
+        path: Path of the file.
         robot: Its first element.
 
     Attributes:
-        name: Of the robot.
-        names: Of its links; ends: name, parent and child of its joints: what else is wrong with them is told by `elements`.
-        mimics: The joint that each coupled joint names; fixed: names of joints that do not move.
-        unseen: Visual meshes that are left out, and why.
-        said: What was assumed or left out, a sentence each.
+        name: Name of the robot.
+        names: Names of its links.
+        ends: Name, parent and child of its joints; other faults of the joints are raised by `elements`.
+        mimics: The driver that each coupled joint names.
+        fixed: Names of fixed joints.
+        undrawn: Visual meshes that are left out, with the reason.
+        notes: A sentence for each thing that was assumed or left out.
 
     Raises:
-        InvalidInputError: No links, or too many; or xacro refuses the file.
+        InvalidInputError: There are no links, or too many; or xacro refuses the file.
     """
 
     def __init__(self, path: str | os.PathLike[str], robot: Element) -> None:
         self.path = Path(os.fsdecode(path))
-        self.said: list[str] = []
+        self.notes: list[str] = []
         if is_xacro(path, robot):
             robot = expanded(path)
         self.name: str = robot.get("name") or "hand"
         self._links, self._joints = robot.findall("link"), robot.findall("joint")
         if not self._links:
             raise InvalidInputError("there is no <link>; a hand has a palm and moving links")
-        if max(len(self._links), len(self._joints)) > MOST:
+        if max(len(self._links), len(self._joints)) > MAX_ELEMENTS:
             raise InvalidInputError(
-                f"there are {len(self._links)} links and {len(self._joints)} joints, allowed are up to {MOST}; take the hand out"
+                f"there are {len(self._links)} links and {len(self._joints)} joints, allowed are up to {MAX_ELEMENTS}; take the hand out"
             )
         shapes = sum(len(link.findall(role)) for link in self._links for role in ("collision", "visual"))
-        if shapes > MOST_SHAPES:
-            raise InvalidInputError(f"there are {shapes} shapes, allowed are up to {MOST_SHAPES}; take the hand out")
+        if shapes > MAX_SHAPES:
+            raise InvalidInputError(f"there are {shapes} shapes, allowed are up to {MAX_SHAPES}; take the hand out")
         self._materials = list(robot.iter("material"))
         self._palette: dict[str, Vector3] = {}
-        self._looks: dict[Path, str] = {}
-        self._absent: dict[str, list[str]] = {}
+        self._faults_of_visuals: dict[Path, str] = {}
+        self._missing: dict[str, list[str]] = {}
         self._shapes: dict[str, tuple[list[Geometry | MeshUse], list[Geometry | MeshUse]]] = {}
         self.names = [element.get("name", "") for element in self._links]
         self.ends = [
@@ -82,18 +87,18 @@ class UrdfReader:
             if element.find("mimic") is not None and element.get("type") != _FIXED
         }
         self.fixed = {element.get("name", "") for element in self._joints if element.get("type") == _FIXED}
-        self.unseen: dict[str, str] = {}
+        self.undrawn: dict[str, str] = {}
 
     def elements(self, wanted: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
-        """Links by name, and the joints between them in the order of the file; others are not looked at.
+        """Return links by name, and the joints between them in file order; others are not read.
 
-        Meshes are found, and not read before `shaped`.
+        Mesh files are looked for here, and read by `with_shapes`.
 
         Args:
             wanted: Names of the links.
 
         Raises:
-            InvalidInputError: Elements that a hand cannot have, and meshes that are missing, all of them.
+            InvalidInputError: Elements are invalid or meshes are missing; the message lists all of them.
         """
         self._palette = {
             material.get("name", ""): color
@@ -119,7 +124,7 @@ class UrdfReader:
                     if count > 1
                 )
             ),
-            self._all_found,
+            self._check_meshes,
         )
         return {link.name: link for link in links}, joints
 
@@ -129,7 +134,7 @@ class UrdfReader:
         color: Vector3 | None = None
         looks: list[tuple[Element, Vector3 | None]] = []
         for shape in element.findall("visual"):
-            own = self._look(shape, f"{where}, <visual>")
+            own = self._color_of_visual(shape, f"{where}, <visual>")
             color = color or own
             looks.append((shape, None if own == color else own))
         (mass, frame, inertia), collision, visual = together(
@@ -140,37 +145,37 @@ class UrdfReader:
         self._shapes[name] = list(filter(None, collision)), list(filter(None, visual))
         return FileLink(name, mass, frame, inertia, color=color)
 
-    def _look(self, element: Element, where: str) -> Vector3 | None:
+    def _color_of_visual(self, element: Element, where: str) -> Vector3 | None:
         material = element.find("material")
         if material is None:
             return None
         return _color(material, where) or self._palette.get(material.get("name", ""))
 
-    def _all_found(self) -> None:
-        """Refuses collision meshes that are missing."""
-        if self._absent:
-            each = [f"{shown(name)} ({', '.join(dict.fromkeys(links))})" for name, links in self._absent.items()]
-            more = f" and {len(each) - _MOST_ABSENT} more" if len(each) > _MOST_ABSENT else ""
+    def _check_meshes(self) -> None:
+        """Raise InvalidInputError if collision meshes are missing."""
+        if self._missing:
+            each = [f"{shown(name)} ({', '.join(dict.fromkeys(links))})" for name, links in self._missing.items()]
+            more = f" and {len(each) - _MAX_MISSING} more" if len(each) > _MAX_MISSING else ""
             raise InvalidInputError(
                 f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: "
-                f"{', '.join(each[:_MOST_ABSENT])}{more}. Fetch the whole package, and keep its folders as they are"
+                f"{', '.join(each[:_MAX_MISSING])}{more}. Download the whole package and keep its folder structure"
             )
 
-    def shaped(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
-        """The links with their shapes: collision meshes as their convex pieces, and visual meshes that can be drawn.
+    def with_shapes(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
+        """Return the links with their shapes: convex pieces of collision meshes, and visual meshes that can be drawn.
 
         Raises:
-            InvalidInputError: Files that are no mesh of a hand, all of them.
+            InvalidInputError: Files are not meshes of a hand; the message lists all of them.
         """
         solids = solids_of({name: self._shapes[name][0] for name in links}, self.path.name)
         shaped = dict[str, FileLink]()
         for name, link in links.items():
-            visual = [look if isinstance(look, Geometry) else self._seen(look) for look in self._shapes[name][1]]
+            visual = [look if isinstance(look, Geometry) else self._visual_mesh(look) for look in self._shapes[name][1]]
             shaped[name] = replace(link, collision=tuple(solids[name]), visual=tuple(filter(None, visual)))
         return shaped
 
     def _placed(self, element: Element, link: str, color: Vector3 | None = None) -> Geometry | MeshUse | None:
-        """The shape of a <collision> or <visual>; None for a mesh whose file is missing, which is noted."""
+        """Return the shape of a <collision> or <visual>; None for a mesh whose file is missing, which is recorded."""
         where = f"link {link!r}, <{element.tag}>"
         shape = _shape(element, where)
         if shape.tag != "mesh":
@@ -184,24 +189,24 @@ class UrdfReader:
         except InvalidInputError as error:
             if element.tag == "collision":
                 raise InvalidInputError(f"{where}: {error}") from None
-            self.unseen[name] = "are missing" if path is None else "name no unit"
+            self.undrawn[name] = "are missing" if path is None else "have an invalid unit"
             return None
         if path is not None:
             x, y, z = (unit * factor for factor in scale)
             return MeshUse(name, path, (x, y, z), origin, rotation, color)
         if element.tag == "collision":
-            self._absent.setdefault(name, []).append(link)
+            self._missing.setdefault(name, []).append(link)
         else:
-            self.unseen[name] = "are missing"
+            self.undrawn[name] = "are missing"
         return None
 
-    def _seen(self, use: MeshUse) -> Geometry | None:
-        """A mesh to look at; None where there is no picture of it, which is noted."""
-        if use.path not in self._looks:
-            self._looks[use.path] = why_not_drawn(use.path)
-        why = self._looks[use.path] or ("are mirrored by a scale below 0" if min(use.scale) < 0.0 else "")
+    def _visual_mesh(self, use: MeshUse) -> Geometry | None:
+        """Return a visual mesh; None if it cannot be drawn, which is recorded."""
+        if use.path not in self._faults_of_visuals:
+            self._faults_of_visuals[use.path] = why_not_drawn(use.path)
+        why = self._faults_of_visuals[use.path] or ("are mirrored by a scale below 0" if min(use.scale) < 0.0 else "")
         if why:
-            self.unseen[use.name] = why
+            self.undrawn[use.name] = why
             return None
         return Geometry("mesh", use.scale, use.origin, use.rotation, use.color, file=str(use.path))
 
@@ -214,13 +219,13 @@ def _name(element: Element, where: str) -> str:
 
 
 def _end(element: Element, role: str) -> str:
-    """The link that a joint names as its parent or child, "" for none."""
+    """Return the link that a joint names as its parent or child, "" if it names none."""
     end = element.find(role)
     return "" if end is None else end.get("link", "")
 
 
 def _row(element: Element | None, key: str, count: int, default: str | None, where: str) -> tuple[float, ...]:
-    """An attribute of `count` numbers; `default` stands for a missing element or attribute."""
+    """Return an attribute of `count` numbers; `default` replaces a missing element or attribute."""
     text = default if element is None else element.get(key, default)
     if text is None:
         raise InvalidInputError(f"{where} lacks {key}=")
@@ -236,7 +241,7 @@ def _number(element: Element | None, key: str, default: str | None, where: str) 
 
 
 def _origin(element: Element, where: str) -> tuple[Vector3, Vector3]:
-    """Position [m] and roll, pitch, yaw [rad] of an <origin>, zero where there is none."""
+    """Return position [m] and roll, pitch, yaw [rad] of an <origin>, zero without one."""
     origin = element.find("origin")
     x, y, z = _row(origin, "xyz", 3, "0 0 0", f"{where}, <origin>")
     roll, pitch, yaw = _row(origin, "rpy", 3, "0 0 0", f"{where}, <origin>")
@@ -252,7 +257,7 @@ def _color(material: Element, where: str) -> Vector3 | None:
 
 
 def _inertial(inertial: Element | None, where: str) -> tuple[float, Frame, Inertia]:
-    """Mass, frame and inertia of an <inertial>, whether a body can have them or not."""
+    """Return mass, frame and inertia of an <inertial>; they may be physically impossible."""
     frame = Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     if inertial is None:
         return 0.0, frame, NO_INERTIA
@@ -272,7 +277,7 @@ def _inertial(inertial: Element | None, where: str) -> tuple[float, Frame, Inert
 
 
 def _shape(element: Element, where: str) -> Element:
-    """What stands in the <geometry> of a <visual> or <collision>."""
+    """Return the element inside the <geometry> of a <visual> or <collision>."""
     geometry = element.find("geometry")
     shape = None if geometry is None else next(iter(geometry), None)
     if shape is None:
@@ -283,7 +288,7 @@ def _shape(element: Element, where: str) -> Element:
 
 
 def _mesh(shape: Element, where: str) -> tuple[str, Vector3]:
-    """File name and factors of a <mesh>."""
+    """Return file name and scale factors of a <mesh>."""
     name = shape.get("filename", "").strip()
     if not name:
         raise InvalidInputError(f"{where}, <mesh> lacks filename=")
@@ -302,7 +307,7 @@ def _primitive(element: Element, shape: Element, where: str, color: Vector3 | No
         size = tuple(_number(shape, key, None, f"{where}, <{shape.tag}>") for key in ("radius", "length"))
     else:
         raise InvalidInputError(
-            f"{where}: the shape <{shape.tag[:40]}> is none of sphere, capsule, box, cylinder and mesh"
+            f"{where}: the shape <{shape.tag[:40]}> is not one of sphere, capsule, box, cylinder and mesh"
         )
     try:
         origin, rotation = _origin(element, where)
@@ -350,7 +355,7 @@ def _limits(limit: Element | None, kind: str, where: str) -> tuple[float, float]
         raise InvalidInputError(f"{where} has no <limit>; write lower, upper [rad] and effort [N m]")
     lower, upper = (_number(limit, key, "0", f"{where}, <limit>") for key in ("lower", "upper"))
     if lower == upper:
-        return lower, upper  # it holds still
+        return lower, upper  # `arrange` makes it a fixed joint
     return limits(lower, upper, f"{where}, <limit> [{'m' if kind == _SLIDING else 'rad'}]")
 
 

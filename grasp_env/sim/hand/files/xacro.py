@@ -1,4 +1,4 @@
-"""Xacro files become URDFs: xacrodoc expands their macros, without ROS."""
+"""Expand xacro files to URDF with xacrodoc, without ROS."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from grasp_env.errors import GraspError, InvalidInputError
 from grasp_env.sim.hand.files.meshes import PARENTS
 
 _ELEMENT = re.compile(r"\{[^}]*xacro/?\}")
-"""How the tag of an element of xacro begins, whatever the address of its namespace."""
+"""Start of the tag of a xacro element, for any address of the namespace."""
 
 
 def is_xacro(path: str | os.PathLike[str], robot: Element) -> bool:
-    """True if a file is named as xacro files are, or an element of xacro is in it."""
+    """Return True if a file is named like a xacro file or has a xacro element."""
     return os.fsdecode(path).endswith(".xacro") or any(_ELEMENT.match(element.tag) for element in robot.iter())
 
 
 def expanded(path: str | os.PathLike[str]) -> Element:
-    """The robot of a xacro file, its arguments at their defaults.
+    """Return the robot of a xacro file, its arguments at their defaults.
 
-    `$(find package)` is looked for in the folders above the file and in those beside them. Xacro evaluates expressions that are in
-    the file, so read files that you trust.
+    `$(find package)` searches the folders above the file and their siblings. Xacro evaluates expressions in the file, so read
+    only files that you trust.
 
     Raises:
         InvalidInputError: Xacro refuses the file, or it only defines macros.
@@ -36,7 +36,7 @@ def expanded(path: str | os.PathLike[str]) -> Element:
     """
     file = Path(os.fsdecode(path)).absolute()
     with need("xacro"):
-        import xacro  # which xacrodoc makes find packages without ROS
+        import xacro  # xacrodoc lets it find packages without ROS
         import xacrodoc
     xacrodoc.packages.reset()
     xacrodoc.packages.update_package_cache(_packages(file))
@@ -44,7 +44,7 @@ def expanded(path: str | os.PathLike[str]) -> Element:
         with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
             document: Any = xacro.process_file(str(file))
             robot = read_xml(document.toxml().encode())
-    except Exception as error:  # xacro lets errors of expressions through as they are
+    except Exception as error:  # xacro does not catch errors of expressions
         raise InvalidInputError(
             f"xacro cannot expand {file}: {' '.join(str(error).split()) or type(error).__name__}"
         ) from error
@@ -54,7 +54,7 @@ def expanded(path: str | os.PathLike[str]) -> Element:
 
 
 def _packages(file: Path) -> dict[str, str]:
-    """Folders of ROS packages by name, of those that hold the file and those beside them."""
+    """Return the folders of ROS packages by name: those above the file and their siblings."""
     found = dict[str, str]()
     for folder in list(file.parents)[: PARENTS + 1]:
         for manifest in [folder / "package.xml", *sorted(folder.glob("*/package.xml"))]:
