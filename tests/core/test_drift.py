@@ -83,7 +83,9 @@ def test_every_public_name_is(place: str) -> None:
 
 def test_the_lists_name_what_is_there() -> None:
     assert set(IN_PYTHON) | set(CPP_ALONE) <= set(names())
-    assert {"ForceOptimizer.solve", "Options.elastic", "Changes.friction", "Summary.margin", "Method.conic"} <= set(names())
+    assert {"ForceOptimizer.solve", "Options.elastic", "Changes.friction", "Summary.margin", "Method.conic"} <= set(
+        names()
+    )
 
 
 def test_a_new_name_is_seen() -> None:

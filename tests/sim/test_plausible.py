@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from urdf_text import finger, hand, joint, link, read
 
-from grasp_env.sim.hand.check import inertia_matrix
 from grasp_env.sim.hand.description import Link
+from grasp_env.sim.hand.inertia import inertia_matrix
 
 BOX = link("palm", 0.06, 0.2)
 MASS, MOMENT, TORQUE = 0.016, 0.03 * (0.04**2 + 0.02**2) / 12.0, 15.0 * (0.04 + math.hypot(0.04, 0.01, 0.01))

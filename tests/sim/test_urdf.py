@@ -14,7 +14,6 @@ from urdf_text import INERTIAL, hand, joint, link, read, robot, small
 
 from grasp_env import _extras
 from grasp_env.errors import InvalidInputError, MissingExtraError
-from grasp_env.sim.hand.check import inertia_matrix, inertia_of
 from grasp_env.sim.hand.description import HANDS, Fingertip, HandDescription, Mimic
 from grasp_env.sim.hand.frames import Frame, roll_pitch_yaw, rotation_matrix
 from grasp_env.sim.hand.inertia import inertia_matrix, inertia_of

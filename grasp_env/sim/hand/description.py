@@ -21,6 +21,7 @@ from grasp_env.sim.hand import presets
 from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand.fingers import FingerDescription
 from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.inertia import inertia_matrix, with_rotor
 from grasp_env.sim.hand.tree import (
     Fingertip,
     Geometry,

@@ -10,7 +10,7 @@ from typing import Any, NoReturn, Protocol
 import numpy as np
 
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.check import Inertia, Vector3
+from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import Inertia
 from grasp_env.sim.hand.tree import Geometry, Mimic

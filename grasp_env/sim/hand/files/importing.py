@@ -16,7 +16,7 @@ import numpy as np
 
 from grasp_env._check import Array, together
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, inertia_numbers, with_rotor
+from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import FileJoint, HandFile, names_of
 from grasp_env.sim.hand.files.joint_ranges import judge_ranges
 from grasp_env.sim.hand.files.linkages import find_rods, free_ranges

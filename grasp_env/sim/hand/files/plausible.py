@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from grasp_env._check import Array, is_a
-from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, nearest_inertia
+from grasp_env._check import Array
+from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import FileJoint, listed, names_of
 from grasp_env.sim.hand.files.options import Inertial
 from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, nearest_inertia

@@ -18,7 +18,7 @@ import numpy as np
 
 from grasp_env._check import together
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.check import Inertia, Vector3, limits, numbers
+from grasp_env.sim.hand.check import Vector3, limits, numbers
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink, refuse
 from grasp_env.sim.hand.files.mesh_uses import MeshUse, solids_of
 from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
