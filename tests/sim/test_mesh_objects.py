@@ -30,7 +30,7 @@ from grasp_env.sim.objects.cache import clear, entries, folder, kept
 from grasp_env.sim.objects.closing import closed
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.objects.mesh import _load, load_mesh
-from grasp_env.sim.objects.pieces import MOST_CORNERS, MOST_PIECES, convex_pieces
+from grasp_env.sim.objects.pieces import MAX_PIECES, MOST_CORNERS, convex_pieces
 
 DENSITY = 800.0
 
@@ -181,7 +181,7 @@ def test_copies_are_equal(tmp_path: Path) -> None:
 def test_pieces_hold_the_mesh(tmp_path: Path, name: str) -> None:
     item, _ = load(tmp_path, SOLIDS[name]())
     assert (len(item.pieces) == 1) == (name == "box")
-    assert len(item.pieces) <= MOST_PIECES
+    assert len(item.pieces) <= MAX_PIECES
     assert max(map(len, item.pieces)) <= MOST_CORNERS
     size = max(item.extent)
     assert heights(item, item.faces[0]).max() < 1e-9 * size
@@ -247,11 +247,11 @@ REPAIRS: dict[str, tuple[Callable[[], trimesh.Trimesh], float, str]] = {
     "a hole": (lambda: without(box(), 0), WHOLE, "holes were filled with 1 faces"),
     "a missing side": (lambda: without(box(), *np.flatnonzero(box().face_normals[:, 2] > 0.5)), WHOLE, "holes were filled with 2 faces"),
     "flipped faces": (lambda: flipped(box(), 3), WHOLE, "faces were turned"),
-    "inside out": (lambda: flipped(box(), 1), WHOLE, "faces that looked inward were turned"),
-    "double faces": (lambda: doubled(box()), WHOLE, "back to back or twice were dropped"),
+    "inside out": (lambda: flipped(box(), 1), WHOLE, "faces that pointed inward were turned"),
+    "double faces": (lambda: doubled(box()), WHOLE, "duplicate faces and faces back to back were dropped"),
     "open seams": (lambda: open_seams(box(), 2e-6), WHOLE, "corners were joined with others within 1e-05 of its size"),
-    "overlapping boxes": (lambda: together(box(), box(at=(0.03, 0.0, 0.0))), 1.5 * WHOLE, "its 2 parts overlap and were made one"),
-    "a box within a box": (lambda: together(box(), box(0.02, 0.02, 0.02)), WHOLE, "its 2 parts overlap and were made one"),
+    "overlapping boxes": (lambda: together(box(), box(at=(0.03, 0.0, 0.0))), 1.5 * WHOLE, "its 2 parts overlap and were united"),
+    "a box within a box": (lambda: together(box(), box(0.02, 0.02, 0.02)), WHOLE, "its 2 parts overlap and were united"),
 }  # fmt: skip
 
 
@@ -320,7 +320,7 @@ def test_hollows_and_cores_count_whichever_way_all_faces_look(sizes: tuple[float
         solid.invert()
     corners, faces, changes = closed(np.array(solid.vertices), np.array(solid.faces), "mesh")
     assert pieces.volume(corners, faces) == pytest.approx(expected, rel=1e-9)
-    assert changes == (["faces that looked inward were turned"] if inverted else [])
+    assert changes == (["faces that pointed inward were turned"] if inverted else [])
 
 
 def test_a_part_inside_out_beside_another_is_no_hollow() -> None:
@@ -464,7 +464,7 @@ def test_an_error_keeps_nothing(empty_cache: Path) -> None:
 def test_nobody_waits_for_ever(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "LONGEST_WAIT", 0.3)
     with ExitStack() as stack:
-        stack.enter_context(cache._alone(folder() / "key.npz"))
+        stack.enter_context(cache._locked(folder() / "key.npz"))
         begun = time.monotonic()
         kept("key", "name", {"value"}, lambda: {"value": np.array(3.0)})
         assert 0.25 < time.monotonic() - begun < 5.0

@@ -37,7 +37,7 @@ from grasp_env.sim import (
     Scene,
     SceneConfig,
 )
-from grasp_env.sim.engine import Engine, _say_mujoco, engine_of
+from grasp_env.sim.engine import Engine, _log_mujoco, engine_of
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 from grasp_env.sim.picture.painter import BACKGROUND_DEPTH
 from grasp_env.sim.picture.view import View
@@ -229,7 +229,7 @@ def test_the_default_is_bullet_where_it_is_installed(
 ) -> None:
     installed = {"pybullet", "mujoco"}
     monkeypatch.setattr("grasp_env.sim.engine.find_spec", lambda name: name if name in installed else None)
-    _say_mujoco.cache_clear()
+    _log_mujoco.cache_clear()
     assert [engine_of(), SceneConfig().engine, EnvConfig().resolved().engine] == [BulletEngine()] * 3
     assert not caplog.messages
     installed.remove("pybullet")

@@ -164,7 +164,7 @@ def test_weak_joints_are_asked_for_less() -> None:
 @pytest.mark.parametrize(
     ("hand", "item", "message"),
     [
-        (gripper(3, 2), ObjectDescription("sphere", (0.4,)), "surround it at 0 places.*nothing is left"),
+        (gripper(3, 2), ObjectDescription("sphere", (0.4,)), "surround it at 0 places.*none is left"),
         (gripper(3, 2), ObjectDescription("sphere", (0.06,), friction=0.002), "without force closure"),
         (gripper(2, 1), BALL, "no palm pose was found in which the hand 'gripper' grasps the sphere"),
     ],
