@@ -114,7 +114,7 @@ def engine_of(engine: Any = None, quiet: bool = False) -> Engine:
     """Return the settings of an engine: those given, the defaults of the named one, or the default engine's.
 
     Args:
-        engine: Settings, a name in `ENGINES`, or None: PyBullet where it is installed, otherwise MuJoCo.
+        engine: Settings, a name in `ENGINES`, or None: PyBullet if it is installed, otherwise MuJoCo.
         quiet: Do not log that MuJoCo is the default. Otherwise it is logged once in a process.
 
     Raises:

@@ -207,9 +207,9 @@ def _lines(text: bytes, claimed: int) -> list[bytes]:
     """Return the first `claimed` lines of a text that are not empty, and check that they are numbers of ordinary length."""
     rows = [row for row in one_newline(text).split(b"\n") if row.strip()][:claimed]
     if len(rows) < claimed:
-        raise ValueError(f"it claims {claimed} lines of numbers where it has {len(rows)}")
+        raise ValueError(f"it claims {claimed} lines of numbers but has {len(rows)}")
     if (wrong := re.search(rb"[^-+.\w\s]|\w{51}", b"\n".join(rows))) is not None:
-        raise ValueError(f"it has {wrong[0][:20].decode('latin1')!r} where it claims numbers")
+        raise ValueError(f"it has {wrong[0][:20].decode('latin1')!r} where numbers are expected")
     return rows
 
 

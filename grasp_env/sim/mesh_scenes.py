@@ -42,7 +42,7 @@ def guard_glb(blob: bytes) -> tuple[bytes, int]:
     check_count(length, _MAX_JSON_BYTES, "bytes of JSON")
     size, kind = struct.unpack("<II", blob[20 + length : 28 + length].ljust(8, b" "))
     if (claimed := max(claimed, 20 + length, 28 + length + size if kind == _BINARY else 0)) > len(blob):
-        raise ValueError(f"it has {len(blob)} bytes where it claims {claimed}")
+        raise ValueError(f"it has {len(blob)} bytes but claims {claimed}")
     tree, data = json.loads(blob[20 : 20 + length]), blob[28 + length : 28 + length + (size if kind == _BINARY else 0)]
     needed = [name for name in tree.get("extensionsRequired", []) if not str(name).startswith(_COSMETIC)]
     if needed:
@@ -210,7 +210,7 @@ def _faces_of_group(group: Element) -> int:
         check_count(sum(map(_text_words, counts)), MAX_FACES, "polygons")
         corners, claimed = [int(word) for part in counts for word in (part.text or "").split()], sum(corners)
         if sum(corners) != claimed:
-            raise ValueError(f"its faces claim {sum(corners)} corners where it has {claimed}")
+            raise ValueError(f"its faces claim {sum(corners)} corners but it has {claimed}")
     if min(corners, default=3) < 3:
         raise ValueError("it has faces of fewer than three corners")
     return check_face_count(sum(corners) - 2 * len(corners))
@@ -229,7 +229,7 @@ def _check_sources(geometry: Element) -> None:
     for numbers in geometry.iter(_COLLADA + "float_array"):
         check_count(_text_words(numbers) // 3, MAX_CORNERS, "corners")
         if (wrong := re.search(r"[^-+.0-9eE\s]|[0-9]{51}", numbers.text or "")) is not None:
-            raise ValueError(f"it has {wrong[0][:20]!r} where it claims numbers")
+            raise ValueError(f"it has {wrong[0][:20]!r} where numbers are expected")
 
 
 def _name(element: Element) -> str:
