@@ -35,14 +35,14 @@ def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Arr
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder, "given.npz"), allow_pickle=False, **given)
         command = [sys.executable, "-c", f"from {__name__} import work; work()", task, folder, str(seconds)]
-        with open(Path(folder, "said"), "w+b") as said:
+        with open(Path(folder, "output"), "w+b") as output:
             child = subprocess.Popen(
                 command,
                 env={**os.environ, "PYTHONPATH": paths},
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
-                stdout=said,
-                stderr=said,
+                stdout=output,
+                stderr=output,
             )  # not in the user's folder, from which modules would be imported
             try:
                 _wait(child, text, seconds)
@@ -51,8 +51,8 @@ def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Arr
                     child.kill()
                     child.wait()
             if child.returncode != 0:
-                said.seek(0)
-                raise ChildProcessError(said.read()[-500:].decode(errors="replace") or f"exit code {child.returncode}")
+                output.seek(0)
+                raise ChildProcessError(output.read()[-500:].decode(errors="replace") or f"exit code {child.returncode}")
         with np.load(Path(folder, "made.npz"), allow_pickle=False) as made:
             return {name: made[name] for name in made.files}
 

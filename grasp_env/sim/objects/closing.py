@@ -68,8 +68,8 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
 
     mesh = trimesh.Trimesh(corners, faces, process=False)
     for repair in (turn, weld, fill, turn):
-        if told := repair(mesh):
-            changes.append(told)
+        if change := repair(mesh):
+            changes.append(change)
         if not open_edges(np.asarray(mesh.faces)):
             break
     return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)

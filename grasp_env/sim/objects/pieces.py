@@ -49,20 +49,20 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     hull = ConvexHull(corners)
     if volume(corners, faces) >= (1.0 - CONVEX) * hull.volume:
         return [outermost(corners[hull.vertices], MOST_CORNERS, FINE)]
-    coarse, said = _simplified(corners, faces), ""
+    coarse, reason = _simplified(corners, faces), ""
     for task in ("by_coacd", "by_vhacd"):
         try:
             text = f"{name}: cutting it into convex pieces, once for this content"
             made = apart(f"{__name__}:{task}", text, LONGEST, corners=coarse[0], faces=coarse[1])
         except (TimeoutError, ChildProcessError) as error:
             # CoACD crashes or never ends if faces cross, and is not available on every machine
-            said = str(error).strip().rsplit("\n", 1)[-1]
+            reason = str(error).strip().rsplit("\n", 1)[-1]
             continue
         found = _covering(np.split(made["points"], np.cumsum(made["counts"].astype(int))[:-1]), corners)
         if found:
             return found
     raise InvalidInputError(
-        f"{name} cannot be cut into convex pieces ({said or 'none was found'}). Where its faces cross, mend it with "
+        f"{name} cannot be cut into convex pieces ({reason or 'none was found'}). Where its faces cross, mend it with "
         "`grasp object mend FILE`, or remesh it"
     )
 
