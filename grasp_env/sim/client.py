@@ -115,11 +115,6 @@ class Client:
             raise SimulationError("the simulation is closed; make a new Scene from its config")
         return self._number
 
-    @property
-    def closed(self) -> bool:
-        """True after `close`."""
-        return self._number is None
-
     def close(self) -> None:
         """Disconnect; calling it again does nothing."""
         self._number = None

@@ -14,7 +14,6 @@ from grasp_env.errors import SimulationError
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import class_of
 from grasp_env.sim.hand.kinematics import HandKinematics
-from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.simulator import Simulator
 from grasp_env.sim.snapshot import Snapshot
 
@@ -96,7 +95,8 @@ class Scene:
             before, mass=before.mass if mass is None else mass, friction=before.friction if friction is None else friction,
             inertia=inertia,
         )  # fmt: skip
-        self._set_object(changed)
+        self.config = replace(self.config, object=changed)
+        self.simulator.set_object(changed)
 
     def set_gravity(self, gravity: Array) -> None:
         """Change gravity (3,) [m/s^2], world frame."""
@@ -186,10 +186,6 @@ class Scene:
             f"the simulation diverged: the object is at {body[:3].tolist()} m with velocity {body[7:10].tolist()} m/s; reset the "
             "scene, and use smaller torques or wrenches or a higher rate of the engine"
         )
-
-    def _set_object(self, changed: ObjectDescription) -> None:
-        self.config = replace(self.config, object=changed)
-        self.simulator.set_object(changed)
 
 
 def _make_simulator(config: SceneConfig, gui: bool, visuals: bool) -> Simulator:
