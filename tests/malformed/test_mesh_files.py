@@ -82,7 +82,7 @@ def test_damaged_files_are_meshes_or_refused(name: str) -> None:
 
 
 def test_advice_in_messages(tmp_path: Path) -> None:
-    message, _ = outcome(".stl", HOSTILE["stl: 300,000 faces"][1]())
+    message, _ = outcome(".stl", HOSTILE["stl: 300,000 faces"][1])
     assert "allowed are up to 200000" in message
     assert "pip install trimesh fast-simplification" in message
     with pytest.raises(InvalidInputError, match=r"of no kind that is read: \.obj, \.stl"):

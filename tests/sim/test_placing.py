@@ -117,7 +117,6 @@ GRIPPER, LARGE = gripper(3, 2), ObjectDescription("sphere", (0.4,))
     ("hand", "item", "options", "message"),
     [
         (GRIPPER, LARGE, {}, "surround it at 0 places.*none is left"),
-        (GRIPPER, replace(BALL, friction=0.002), {}, "without force closure"),
         (GRIPPER, BALL, {"approach": (0.0, 0.0, 0.0)}, "must have a direction"),
         (GRIPPER, BALL, {"approach": "sideways"}, "choose one of .down., .up., .side."),
         (GRIPPER, BALL, {"least": 4}, "least must"),

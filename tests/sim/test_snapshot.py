@@ -159,11 +159,9 @@ def test_contacts_of_a_tip_add_up_and_others_are_stray(reading: Reading) -> None
 
 def test_readings_that_are_not_finite_are_invalid(reading: Reading) -> None:
     assert reading.read()
-    for place in range(len(reading.numbers)):
-        before = reading.numbers[place]
-        for bad in (np.nan, np.inf):
-            reading.numbers[place] = bad
-            assert not reading.read(), place
+    for place, before in enumerate(reading.numbers.tolist()):
+        reading.numbers[place] = np.nan if place % 2 else np.inf
+        assert not reading.read(), place
         reading.numbers[place] = before
     for place in range(1, 7):
         row = contact(reading.links[0], reading.touch[0], (1.0, 0.1, 0.1))
