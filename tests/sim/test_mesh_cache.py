@@ -70,7 +70,7 @@ def test_entries_are_found_by_content(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_the_newest_entry_comes_first() -> None:
     for age, name in ((50.0, "old"), (0.0, "new"), (99.0, "older")):
         kept(name, name, {"value"}, make())
-        os.utime(folder() / f"{name}.npz", (time.time() - age,) * 2)
+        os.utime(folder() / f"{name}.npz", (time.time() - age, time.time() - age))
     assert [entry.name for entry in entries()] == ["new", "old", "older"]
 
 
@@ -169,13 +169,13 @@ def test_work_apart_returns_crashes_raises_and_ends(
     monkeypatch.syspath_prepend(str(tmp_path))
     for task, message in (("crash", "exit code -11"), ("fail", "KeyError: 'inside'")):
         with pytest.raises(ChildProcessError, match=message):
-            apart(f"tasks:{task}", "work", 60.0, x=np.arange(3))
+            apart(f"tasks:{task}", "work", 60.0, x=np.arange(3.0))
     with pytest.raises(TimeoutError, match="more than 0 s"):
-        apart("tasks:sleep", "work", 0.4, x=np.arange(3))
+        apart("tasks:sleep", "work", 0.4, x=np.arange(3.0))
     assert capsys.readouterr().err == ""  # no terminal
     monkeypatch.setattr(progress, "PATIENCE", 0.05)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    assert apart("tasks:fine", "cutting", 60.0, x=np.arange(3))["twice"].tolist() == [0, 2, 4]
+    assert apart("tasks:fine", "cutting", 60.0, x=np.arange(3.0))["twice"].tolist() == [0, 2, 4]
     assert "\rcutting, " in capsys.readouterr().err
 
 

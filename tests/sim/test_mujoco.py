@@ -19,12 +19,7 @@ from hands import mass_matrix, numbers
 
 from grasp_env import _extras
 from grasp_env.config import EnvConfig
-from grasp_env.errors import (
-    GraspError,
-    InvalidInputError,
-    MissingExtraError,
-    SimulationError,
-)
+from grasp_env.errors import GraspError, InvalidInputError, MissingExtraError, SimulationError
 from grasp_env.sim import (
     BulletEngine,
     Camera,
@@ -216,11 +211,12 @@ def test_the_default_is_bullet_if_it_is_installed(
 
 
 def test_invalid_settings_and_a_missing_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    for settings, message in (
-        ({"cone": "square"}, "cone"),
-        ({"impedance": (0.9, 0.5, 1e-3, 0.5, 2)}, "impedance"),
-        ({"time_constant": -1.0, "tolerance": math.nan}, r"time_constant \[s\] must .*; tolerance must"),
-    ):
+    cases: dict[str, dict[str, Any]] = {
+        "cone": {"cone": "square"},
+        "impedance": {"impedance": (0.9, 0.5, 1e-3, 0.5, 2)},
+        r"time_constant \[s\] must .*; tolerance must": {"time_constant": -1.0, "tolerance": math.nan},
+    }
+    for message, settings in cases.items():
         with pytest.raises(GraspError, match=message):
             MujocoEngine(**settings)
     with pytest.raises(InvalidInputError, match=r"opens no window: use render_mode='rgb_array'"):
@@ -289,7 +285,9 @@ def test_visual_meshes_and_hulls_are_drawn(tmp_path: Path) -> None:
     trimesh.creation.box((20.0, 20.0, 20.0)).export(tmp_path / "box.stl")
     corners = trimesh.creation.box((2.0, 2.0, 2.0)).vertices
     mesh = Geometry("mesh", (1e-3,) * 3, (0.05, 0.0, 0.0), color=(1.0, 0.0, 0.0), file=str(tmp_path / "box.stl"))
-    hull = Geometry("hull", (), (-0.05, 0.0, 0.0), color=(0.0, 1.0, 0.0), corners=tuple(map(tuple, (0.01 * corners).tolist())))
+    hull = Geometry(
+        "hull", (), (-0.05, 0.0, 0.0), color=(0.0, 1.0, 0.0), corners=tuple(map(tuple, (0.01 * corners).tolist()))
+    )
     hand = dataclasses.replace(HandDescription.four_finger(), palm=Palm(visual=(mesh, hull)))
     hand = dataclasses.replace(hand, links=tuple(dataclasses.replace(link, visual=()) for link in hand.links))
     painter = MujocoPainter.of_hand(hand, np.array(hand.home))

@@ -104,10 +104,9 @@ def ranged(hand: HandDescription, lower: float, upper: float) -> HandDescription
     return replace(hand, home=(), links=tuple(replace(link, lower=lower, upper=upper) for link in hand.links))
 
 
-@pytest.mark.parametrize(("lower", "item"), [(0.0, CUBE), (-np.pi, BALL)])
-def test_joints_with_ranges_wider_than_fingers_have(lower: float, item: ObjectDescription) -> None:
+def test_joints_with_ranges_wider_than_fingers_have() -> None:
     """Nearly all postures are folded: three joints of each finger turn by up to a turn."""
-    check(place_hand(ranged(gripper(3, 3), lower, np.pi), item), item)
+    check(place_hand(ranged(gripper(3, 3), -np.pi, np.pi), BALL), BALL)
 
 
 GRIPPER, LARGE = gripper(3, 2), ObjectDescription("sphere", (0.4,))

@@ -192,4 +192,4 @@ def test_answers_of_bullet_become_a_reading() -> None:
     for place in range(4):
         for bad in ((1,), [(1, 2)], None):
             with pytest.raises((TypeError, IndexError, SystemError)):
-                answers.read(*good[:place], bad, *good[place + 1 :])
+                answers.read(*(bad if k == place else given for k, given in enumerate(good)))
