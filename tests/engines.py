@@ -10,7 +10,8 @@ from grasp_env.errors import MissingExtraError
 
 missing = ""
 try:
-    from grasp_env.sim.bullet import HAND_FLAGS, Bullet, create_body, joint_indices
+    from grasp_env.sim.bullet import HAND_FLAGS, Bullet, joint_indices
+    from grasp_env.sim.bullet_body import create_body
     from grasp_env.sim.client import Client, bullet
 except MissingExtraError as error:
     missing = str(error)
