@@ -17,7 +17,7 @@ from grasp_env.sim import HANDS, HandDescription, HandKinematics, ObjectDescript
 from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.grasping.approach import DEVIATION, Approach, as_approach
 from grasp_env.sim.grasping.pads import torsion_of
-from grasp_env.sim.grasping.placing import _never_facing, _placed, _wide_joints
+from grasp_env.sim.grasping.placing import _Candidate, _never_facing, _placed, _Trials, _wide_joints
 from grasp_env.sim.grasping.points import FRICTION_MARGIN, GraspPlan, plan_grasp
 from grasp_env.sim.hand.description import Geometry, Palm
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
@@ -173,6 +173,16 @@ def test_weak_joints_get_grasps_that_load_them_less() -> None:
         assert other.force > one.force  # torques count, too
         loads.append((load(one), load(other)))
     assert np.diff(np.sum(loads, axis=0))[0] < 0.0
+
+
+def test_a_finger_that_does_not_touch_makes_a_grasp_worse() -> None:
+    hand = HANDS["four_finger"]()
+    idle = replace(
+        hand, fingertips=(*hand.fingertips, replace(hand.fingertips[0], name="idle", link=hand.links[0].name))
+    )
+    candidate = _Candidate((0, 1, 2, 3), np.array(hand.home), np.eye(3), np.zeros(3))
+    one, other = (_Trials(each, ObjectDescription("sphere", (0.09,))).rating(candidate) for each in (hand, idle))
+    assert other == pytest.approx(1.3 * one)
 
 
 def test_links_that_always_touch() -> None:
