@@ -1,4 +1,4 @@
-"""PyBullet for tests that look at it, which are skipped where it is not installed, as from CPython 3.12 on."""
+"""PyBullet for tests that use it, which are skipped if it is not installed, as on CPython 3.12."""
 
 from __future__ import annotations
 
@@ -10,24 +10,23 @@ from grasp_env.errors import MissingExtraError
 
 missing = ""
 try:
-    from grasp_env.sim.bullet import HAND_FLAGS, UNDAMPED, Bullet, create_body, joint_indices, set_dynamics
+    from grasp_env.sim.bullet import HAND_FLAGS, Bullet, joint_indices
+    from grasp_env.sim.bullet_body import create_body
     from grasp_env.sim.client import Client, bullet
 except MissingExtraError as error:
     missing = str(error)
     HAND_FLAGS: Any = None
-    UNDAMPED = Bullet = create_body = joint_indices = set_dynamics = Client = bullet = HAND_FLAGS
+    Bullet = create_body = joint_indices = Client = bullet = HAND_FLAGS
 
 __all__ = [
     "HAND_FLAGS",
-    "UNDAMPED",
     "Bullet",
     "Client",
     "bullet",
     "create_body",
     "joint_indices",
     "needs_bullet",
-    "set_dynamics",
 ]
 
 needs_bullet = pytest.mark.skipif(bool(missing), reason=missing)
-"""Of a test, or of a module as `pytestmark`."""
+"""Mark of a test, or of a module as `pytestmark`."""

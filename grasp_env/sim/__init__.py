@@ -1,4 +1,4 @@
-"""The simulated hand and object; the only package that knows physics engines."""
+"""Simulated hand and object. No other package depends on a physics engine."""
 
 from grasp_env._extras import need
 

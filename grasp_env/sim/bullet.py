@@ -1,8 +1,7 @@
-"""PyBullet behind the `Simulator` boundary: its bodies, every parameter that matters to them, and its conventions."""
+"""PyBullet as a `Simulator`: its bodies, their parameters and its conventions."""
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
 import tempfile
@@ -15,13 +14,13 @@ import numpy as np
 from grasp_env import core
 from grasp_env._check import Array, instance
 from grasp_env.errors import SimulationError, UnknownNameError
+from grasp_env.sim.bullet_body import UNDAMPED, create_body, set_dynamics
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import BulletEngine
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.limbs import touching_pairs
-from grasp_env.sim.hand.urdf import HULL_MARGIN, hand_files, hull_faces
-from grasp_env.sim.mesh_files import obj_text
+from grasp_env.sim.hand.urdf import HULL_MARGIN, hand_files
 from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
 from grasp_env.sim.simulator import Simulator
 
@@ -30,41 +29,32 @@ HAND_FLAGS: int = (
     | bullet.URDF_USE_SELF_COLLISION
     | bullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT  # neighbours overlap around their joint
 )
-UNDAMPED = {
-    "linearDamping": 0.0,
-    "angularDamping": 0.0,
-    "jointDamping": 0.0,
-    "restitution": 0.0,
-    "rollingFriction": 0.0,
-    "spinningFriction": 0.0,
-}
-"""Arguments of changeDynamics that undo Bullet's defaults."""
 COUPLED_SWEEPS = 100
-"""Of the solver, at least, for hands with coupled joints: after 20 links of 20 g gave way by 0.02 rad under 0.5 N m, after 100 by 1e-9."""
-MOST_SWEEPS = 1000
+"""Fewest solver sweeps for hands with coupled joints: with 20, links of 20 g yielded by 0.02 rad under 0.5 N m, with 100 by 1e-9."""
+MAX_SWEEPS = 1000
+"""Largest number of solver sweeps that coupled joints may require."""
 LONG_SWEEPS = 40
-"""The same where a finger has more than three joints: after 20 the fingers of LEAP crept along objects by up to 3 mm in 4 s."""
+"""Fewest solver sweeps if a finger has more than three joints: with 20, the fingers of LEAP crept along objects by up to 3 mm in 4 s."""
 STRUCTURE_SWEEPS = 800
-"""The same where a finger has fewer than three motors. Fingers then squeeze the object through their structure, and what hardly moves
-them converges slowly: iCub held a cube in 0 of 10 trials after 40 sweeps and in 10 after 400, the Ability hand a ball in 3 after 400 and in
-10 after 800."""
-
-_Z_TO_Y = (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # capsules and cylinders of Bullet lie along z
+"""Fewest solver sweeps if a finger has fewer than three motors. Such fingers squeeze the object through their structure, where the solver
+converges slowly: iCub held a cube in 0 of 10 trials with 40 sweeps and in 10 with 400, the Ability hand a ball in 3 with 400 and in 10
+with 800."""
 
 
 class Bullet(Simulator):
     """A hand around an object in its own PyBullet server; see `Simulator`.
 
     Args:
-        hand: What is loaded with every object.
+        hand: The hand, loaded anew with every object.
         gui: Open a window; needs a display.
-        visuals: Load the hand's visual shapes, which pictures need; they make loading a new object five times slower.
+        visuals: Load the hand's visual shapes, which pictures need. They make loading a new object five times slower.
 
     Attributes:
-        client: The connection; world: the server's numbers of hand, object and joints, another tuple after each `load`.
+        client: The connection.
+        world: The server's numbers of hand, object and joints; each `load` makes another tuple.
 
     Raises:
-        SimulationError: No display for the window.
+        SimulationError: There is no display for the window.
     """
 
     def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:
@@ -83,20 +73,20 @@ class Bullet(Simulator):
         links = [-1] * (bullet.getNumJoints(self.world.hand, physicsClientId=client) + 1)
         for link, index in enumerate(self.world.joints):
             links[index + 1] = link  # the palm is -1
-        # friction pushes along both of Bullet's directions, on the hand: it was loaded before the object; of several steps the mean
+        # normal and both friction forces that Bullet reports act on the hand, as it was loaded before the object; the mean over the steps
         self._links = links
         self._answers = core.Answers(
             link=3, place=6, forces=[(9, 7), (10, 11), (12, 13)], factor=-1.0 / config.substeps, first=-1, links=links
         )
-        self._kept: dict[str, tuple[int, Any]] = {}  # the server that held others was emptied
-        # `_noted`: contacts of all steps of the last `advance`, or those of when a state was kept; None: the server has them
-        self._steps, self._noted = config.substeps, None
+        self._kept: dict[str, tuple[int, Any]] = {}  # earlier ones went when the server was emptied
+        # `_recorded`: contacts of all steps of the last `advance`, or those saved with a state; None if the server still has them
+        self._steps, self._recorded = config.substeps, None
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """See `Simulator`."""
         client, (hand, body, joints) = self.client.number, self.world
-        self._noted = () if self._steps > 1 else None
-        for _ in range(self._steps):  # Bullet forgets torques and wrenches after each
+        self._recorded = () if self._steps > 1 else None
+        for _ in range(self._steps):  # Bullet clears torques and wrenches after each step
             bullet.setJointMotorControlArray(
                 hand, joints, bullet.TORQUE_CONTROL, forces=torques, physicsClientId=client
             )
@@ -104,8 +94,8 @@ class Bullet(Simulator):
                 bullet.applyExternalForce(body, -1, wrench[:3], (0.0, 0.0, 0.0), bullet.LINK_FRAME, client)
                 bullet.applyExternalTorque(body, -1, wrench[3:], bullet.LINK_FRAME, client)
             bullet.stepSimulation(client)
-            if self._noted is not None:
-                self._noted += bullet.getContactPoints(hand, body, physicsClientId=client)
+            if self._recorded is not None:
+                self._recorded += bullet.getContactPoints(hand, body, physicsClientId=client)
 
     def read(self) -> Array:
         """See `Simulator`."""
@@ -113,7 +103,7 @@ class Bullet(Simulator):
         states = bullet.getJointStates(hand, joints, client)
         pose = bullet.getBasePositionAndOrientation(body, client)
         velocity = bullet.getBaseVelocity(body, client)
-        contacts = self._noted
+        contacts = self._recorded
         if contacts is None:
             contacts = bullet.getContactPoints(hand, body, physicsClientId=client)
         return self._answers.read(states, pose, velocity, contacts)
@@ -134,9 +124,9 @@ class Bullet(Simulator):
         set_dynamics(self.client.number, self.world.object, item)
 
     def keep(self, name: str) -> None:
-        """See `Simulator`: 1 ms; each kept state takes 97 kB."""
+        """See `Simulator`. It takes 1 ms, and each state 97 kB."""
         client = self.client.number
-        contacts = self._noted
+        contacts = self._recorded
         if contacts is None:
             contacts = bullet.getContactPoints(self.world.hand, self.world.object, physicsClientId=client)
         if name in self._kept:
@@ -149,10 +139,10 @@ class Bullet(Simulator):
         if name not in self._kept:
             raise UnknownNameError("kept state", name, self._kept)
         client, world = self.client.number, self.world
-        state, self._noted = self._kept[name]
+        state, self._recorded = self._kept[name]
         bullet.restoreState(stateId=state, physicsClientId=client)
-        # Bullet restores contacts to the first pair of shapes of two links, not to the one they were of: new collision proxies make
-        # the next step find them anew. Nothing is lost, as its solver starts from no impulses; until then those kept are read
+        # Bullet restores the contacts of two links to the first pair of their shapes, which may be the wrong pair. New collision proxies
+        # make the next step find the contacts anew, and its solver starts without impulses anyway. Until then the saved ones are read
         bullet.setCollisionFilterPair(world.hand, world.object, -1, -1, 1, physicsClientId=client)
 
     def close(self) -> None:
@@ -162,7 +152,7 @@ class Bullet(Simulator):
 
 
 class World(NamedTuple):
-    """Numbers in one PyBullet server: the hand, the object, and the hand's joints in the order of its description."""
+    """Body numbers of hand and object in a PyBullet server, and the hand's joint numbers in the order of its description."""
 
     hand: int
     object: int
@@ -170,26 +160,26 @@ class World(NamedTuple):
 
 
 def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray) -> World:
-    """Make the hand, then the object, in an emptied server: 3 ms, 17 ms where the URDF has visual shapes.
+    """Clear the server, then load the hand and the object: 3 ms, or 17 ms if the URDF has visual shapes.
 
-    The order matters: the signs of the friction forces that Bullet reports depend on it.
+    The signs of the friction forces that Bullet reports depend on this order.
 
     Args:
         client: Number of the PyBullet connection.
         config: The scene.
-        urdf: Path of the hand's file.
-        angles: Of the joints at the start [rad], (M,).
+        urdf: Path of the hand's URDF.
+        angles: Joint angles at the start [rad], (M,).
     """
-    bullet.resetSimulation(physicsClientId=client)  # resets gravity and solver iterations too: all is set again here
+    bullet.resetSimulation(physicsClientId=client)  # also resets gravity and the solver's parameters
     engine = instance(config.engine, BulletEngine, "engine")
     bullet.setPhysicsEngineParameter(
         fixedTimeStep=1.0 / engine.rate,
         numSubSteps=0,  # with substeps the reported contact forces are a fraction of the true ones
-        numSolverIterations=max(engine.solver_iterations, least_sweeps(config.hand)),
+        numSolverIterations=max(engine.solver_iterations, min_sweeps(config.hand)),
         solverResidualThreshold=0.0,
         enableConeFriction=1,
         deterministicOverlappingPairs=1,
-        enableFileCaching=0,  # it keeps every hull it has read, 0.5 MB for a hand of 32
+        enableFileCaching=0,  # the cache keeps every hull, 0.5 MB for a hand of 32
         physicsClientId=client,
     )
     bullet.setGravity(*config.gravity, physicsClientId=client)
@@ -200,11 +190,11 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
             hand, link, lateralFriction=config.hand.tip_friction, physicsClientId=client, **UNDAMPED
         )  # fmt: skip
     for joint in joints:
-        # Bullet cuts joint speeds at 100 rad/s before it solves contacts: at 250 Hz a light link then passes on 8 of its 12 N m
+        # by default Bullet clips joint speeds to 100 rad/s before it solves contacts: at 250 Hz a light link then passes on 8 of 12 N m
         bullet.changeDynamics(hand, joint, maxJointVelocity=1e5, physicsClientId=client)
     for joint, angle in zip(joints, angles.tolist(), strict=True):
         bullet.resetJointState(hand, joint, angle, 0.0, physicsClientId=client)
-    # every joint comes with a velocity motor that holds it: switch it off for torque control
+    # switch off the velocity motor that holds each joint by default
     bullet.setJointMotorControlArray(
         hand, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=client
     )
@@ -215,8 +205,8 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     return World(hand, create_body(client, config.object, OBJECT_COLOR, engine.mesh_contacts == "faces"), joints)
 
 
-def least_sweeps(hand: HandDescription) -> int:
-    """Sweeps of Bullet's solver that the fingers of a hand need at least, by their joints and motors; see `couple` for more."""
+def min_sweeps(hand: HandDescription) -> int:
+    """Return the fewest solver sweeps that a hand's fingers need, by their joints and motors; `couple` may raise the number."""
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     least = 0
     for tip in hand.fingertips:
@@ -230,7 +220,7 @@ def least_sweeps(hand: HandDescription) -> int:
 
 
 def couple(client: int, body: int, joints: Sequence[int], hand: HandDescription) -> None:
-    """Let coupled joints follow theirs: in Bullet's solver, which passes their load on to the joint that drives them."""
+    """Couple joints to their drivers with gear constraints, through which the solver passes their load to the drivers."""
     coupled = [index for index, link in enumerate(hand.links) if link.mimic is not None]
     if not coupled:
         return
@@ -244,7 +234,7 @@ def couple(client: int, body: int, joints: Sequence[int], hand: HandDescription)
             body, joints[hand.drivers[index]], body, joints[index], bullet.JOINT_GEAR, link.axis, (0, 0, 0), (0, 0, 0),
             physicsClientId=client,
         )  # fmt: skip
-        # Bullet keeps driver - coupled / ratio at the target
+        # Bullet's target is for driver - follower / ratio
         bullet.changeConstraint(
             gear, gearRatio=-1.0 / link.mimic.ratio, relativePositionTarget=-link.mimic.offset / link.mimic.ratio, erp=0.8,
             maxForce=1e6, physicsClientId=client,
@@ -252,13 +242,13 @@ def couple(client: int, body: int, joints: Sequence[int], hand: HandDescription)
 
 
 def _gear_sweeps(client: int, body: int, joints: Sequence[int], hand: HandDescription, coupled: Sequence[int]) -> int:
-    """Sweeps of Bullet's solver after which a millionth of what pulls coupled joints apart is left, in the present posture.
+    """Return the solver sweeps that reduce the error of the couplings to a millionth in the current posture.
 
-    It solves one gear after another and takes the two joints of each for bodies that do not move one another, which overshoots:
-    by nearly as much as there was where a light link carries a heavy one.
+    The solver treats one gear after another, as if its two joints did not move each other. It therefore overshoots: by nearly the whole
+    error if a light link carries a heavy one.
     """
     angles = [row[0] for row in bullet.getJointStates(body, joints, client)]
-    order = np.argsort(joints)  # Bullet's joints all move
+    order = np.argsort(joints)  # of all of Bullet's joints, as none is fixed
     masses = np.array(bullet.calculateMassMatrix(body, [angles[joint] for joint in order], physicsClientId=client))
     mobility = np.linalg.inv(masses)
     place = {int(joint): row for row, joint in enumerate(order)}
@@ -274,11 +264,11 @@ def _gear_sweeps(client: int, body: int, joints: Sequence[int], hand: HandDescri
     for number in range(len(coupled)):
         left[number] -= coupling[number] @ left / believed[number]
     slowest = min(float(np.abs(np.linalg.eigvals(left)).max()), 1.0 - 1e-9)
-    return int(np.clip(np.log(1e-6) / np.log(max(slowest, 1e-3)), COUPLED_SWEEPS, MOST_SWEEPS))
+    return int(np.clip(np.log(1e-6) / np.log(max(slowest, 1e-3)), COUPLED_SWEEPS, MAX_SWEEPS))
 
 
 def joint_indices(client: int, body: int, hand: HandDescription) -> list[int]:
-    """PyBullet's index of every joint of the hand, (M,); a link has the index of its joint.
+    """Return PyBullet's index of every joint of the hand, (M,); a link has the index of its joint.
 
     Raises:
         SimulationError: The body is not this hand.
@@ -289,72 +279,3 @@ def joint_indices(client: int, body: int, hand: HandDescription) -> list[int]:
     if missing:
         raise SimulationError(f"body {body} is not the hand {hand.name!r}: it lacks the joints {', '.join(missing)}")
     return [names.index(name) for name in hand.joint_names]
-
-
-def create_body(client: int, item: ObjectDescription, color: tuple[float, float, float], exact: bool = False) -> int:
-    """Make an object at the origin and return its body number; the hand must be there already.
-
-    Bullet's surface is that of `item.surface`. For cuboid, sphere, capsule and the faces of a mesh its contacts are exact; its
-    search for the nearest point takes corners within a centimetre for one, though: the normal and the distance are off by up to
-    0.04 and 40 um on the round side of a cylinder.
-
-    Args:
-        client: Number of the PyBullet connection.
-        item: The object.
-        color: Red, green and blue in [0, 1].
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        solid, look = _shapes(item, folder, exact)
-        shape = bullet.createCollisionShape(**solid, physicsClientId=client)
-        seen = bullet.createVisualShape(**look, rgbaColor=(*color, 1.0), physicsClientId=client)
-        body = bullet.createMultiBody(item.mass, shape, seen, physicsClientId=client)  # reads the file once more
-    set_dynamics(client, body, item)
-    return body
-
-
-def set_dynamics(client: int, body: int, item: ObjectDescription) -> None:
-    """Give a body the mass, inertia and friction of an object, without damping."""
-    # no frictionAnchor: it holds on to old contact points, and under a changing load the object
-    # crept by 1 mm and the contact forces missed the commanded ones by 0.2 N (1e-6 N without)
-    bullet.changeDynamics(
-        body, -1, mass=item.mass, localInertiaDiagonal=item.moments, lateralFriction=item.friction,
-        collisionMargin=_margin(item), physicsClientId=client,
-        **{**UNDAMPED, "spinningFriction": item.torsional_friction},
-    )  # fmt: skip
-
-
-def _margin(item: ObjectDescription) -> float:
-    """Bullet rounds edges by the margin, and puts it around meshes; of spheres and capsules it is the radius."""
-    return 0.5 * item.size[0] if item.shape in ("sphere", "capsule") else 0.0
-
-
-def _write(folder: str, name: str, parts: Sequence[tuple[Array, Any]]) -> str:
-    """The path of an .obj of these parts; Bullet draws each face flat, as it has no normals."""
-    path = os.path.join(folder, name)
-    with open(path, "w", encoding="ascii") as file:
-        file.write(obj_text(parts))
-    return path
-
-
-def _shapes(item: ObjectDescription, folder: str, exact: bool) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Arguments of createCollisionShape and createVisualShape; a folder for the file of a mesh."""
-    if item.shape == "cuboid":
-        sides = {"shapeType": bullet.GEOM_BOX, "halfExtents": [0.5 * side for side in item.size]}
-        return sides, sides
-    if item.shape == "mesh":
-        look = {"shapeType": bullet.GEOM_MESH, "fileName": _write(folder, "mesh.obj", [item.faces])}
-        if exact:
-            return {**look, "flags": bullet.GEOM_FORCE_CONCAVE_TRIMESH}, look
-        if len(item.pieces) == 1:
-            return {"shapeType": bullet.GEOM_MESH, "vertices": item.pieces[0].tolist()}, look
-        hulls = [hull_faces(piece) for piece in item.pieces]
-        return {"shapeType": bullet.GEOM_MESH, "fileName": _write(folder, "pieces.obj", hulls)}, look
-    radius = 0.5 * item.size[0]
-    if item.shape == "sphere":
-        ball = {"shapeType": bullet.GEOM_SPHERE, "radius": radius}
-        return ball, ball
-    kind = bullet.GEOM_CYLINDER if item.shape == "cylinder" else bullet.GEOM_CAPSULE
-    length = item.size[1] if item.shape == "cylinder" else item.size[1] - 2.0 * radius
-    solid = {"shapeType": kind, "radius": radius, "height": length, "collisionFrameOrientation": _Z_TO_Y}
-    look = {"shapeType": kind, "radius": radius, "length": length, "visualFrameOrientation": _Z_TO_Y}
-    return solid, look

@@ -1,4 +1,4 @@
-"""The one door to PyBullet: its import, its connection and its silence.
+"""The only import of PyBullet, its connections, and the suppression of its output.
 
 PyBullet prints from C when it is imported and when it connects, so both happen with the standard
 streams turned away. The rest of the package uses the raw module, `bullet`, with an explicit
@@ -20,7 +20,7 @@ from grasp_env.errors import MissingExtraError, SimulationError
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Send what C code prints to both standard streams to nowhere while the block runs."""
+    """Discard all output of C code to the standard streams while the block runs."""
     _flush()
     sink, kept = os.open(os.devnull, os.O_WRONLY), {}
     try:
@@ -30,7 +30,7 @@ def silenced() -> Iterator[None]:
                 os.dup2(sink, stream)
         yield
     finally:
-        _flush()  # the streams buffer: empty them before they are given back
+        _flush()  # flush the buffers before the streams are restored
         for stream, copy in kept.items():
             os.dup2(copy, stream)
             os.close(copy)
@@ -59,7 +59,7 @@ __all__ = ["Client", "bullet", "silenced"]
 
 
 def _has_display() -> bool:
-    """Whether a window can be opened: PyBullet ends the whole process where it cannot."""
+    """True if a window can be opened. PyBullet ends the whole process if it cannot."""
     if not sys.platform.startswith("linux"):
         return True
     display = os.environ.get("DISPLAY", "")
@@ -70,7 +70,7 @@ def _has_display() -> bool:
 
 
 def _disconnect(number: int) -> None:
-    """Close a connection; quiet when PyBullet has closed it already, as a closed window does."""
+    """Close a connection, unless PyBullet has closed it already, as it does when its window is closed."""
     if bullet.isConnected(number):
         bullet.disconnect(number)
 
@@ -79,10 +79,10 @@ class Client:
     """One connection to a PyBullet server inside this process.
 
     Args:
-        gui: Open a window instead of computing without one.
+        gui: Open a window.
 
     Raises:
-        SimulationError: A window was asked for and there is no display, or no connection is left.
+        SimulationError: There is no display for the window, or no connection is left.
     """
 
     def __init__(self, gui: bool = False) -> None:
@@ -106,7 +106,7 @@ class Client:
 
     @property
     def number(self) -> int:
-        """The number raw PyBullet calls take as `physicsClientId`.
+        """Number of the connection, the argument `physicsClientId` of PyBullet's functions.
 
         Raises:
             SimulationError: The client is closed.
@@ -114,11 +114,6 @@ class Client:
         if self._number is None:
             raise SimulationError("the simulation is closed; make a new Scene from its config")
         return self._number
-
-    @property
-    def closed(self) -> bool:
-        """Whether `close` was called."""
-        return self._number is None
 
     def close(self) -> None:
         """Disconnect; calling it again does nothing."""

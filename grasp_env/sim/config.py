@@ -1,4 +1,4 @@
-"""What a simulated grasp consists of, as one frozen record."""
+"""Configuration of a simulated grasp, as one frozen record."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _CUBOID_POINTS: tuple[Vector3, ...] = (
     (0.0, 0.0, -0.05), (0.0, 0.03, 0.05), (-0.03, -0.02, 0.05), (0.03, -0.02, 0.05),
 )  # fmt: skip
 START_CLEARANCE = 0.003
-"""[m] between tips and object before the fingers close."""
-_ON_SURFACE = 1e-4  # [m]
+"""Distance between tips and object before the fingers close [m]."""
+_ON_SURFACE = 1e-4  # tolerance of contact points [m]
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,14 @@ class SceneConfig:
     """A hand around an object; the object's nominal frame is the world frame.
 
     Attributes:
-        hand: The hand; its fingers are in the order of the contacts.
-        object: What it holds.
-        contact_points: Nominal contacts [m], (N, 3), object frame, on the object's surface.
+        hand: The hand, with its fingers in the order of the contacts.
+        object: The object that it holds.
+        contact_points: Nominal contacts on the object's surface [m], (N, 3), object frame.
         gravity: Acceleration [m/s^2], world frame; y points up, away from the object to the palm.
-        engine: The physics engine's settings; the default is that of `engine_of`.
-        substeps: Steps of the engine in one step of the scene, under the same torques; contact forces are their mean.
-        clearance: Gap between tips and object at the start [m]; 0 lets them touch.
-        start_angles: Of the joints at the start [rad], (M,); () are those that put the tips there.
+        engine: Settings of the physics engine; see `engine_of` for the default.
+        substeps: Steps of the engine in one step of the scene, with the same torques. Contact forces are their mean.
+        clearance: Gap between tips and object at the start [m]; at 0 they touch.
+        start_angles: Joint angles at the start [rad], (M,); () for those that put the tips at `nominal_tips`.
 
     Example:
         >>> SceneConfig(gravity=(0.0, 0.0, 0.0)).contact_normals[0]
@@ -77,14 +77,14 @@ class SceneConfig:
 
     @property
     def weight(self) -> np.ndarray:
-        """Gravity's force on the object [N], (3,), world frame."""
+        """Weight of the object [N], (3,), world frame."""
         return self.object.mass * np.array(self.gravity)
 
     def nominal_tips(self) -> np.ndarray:
-        """Centres of the tips at the start [m], (N, 3), world frame: `clearance` away from the object.
+        """Return the centres of the tips at the start [m], (N, 3), world frame, `clearance` away from the object.
 
-        Without clearance they overlap it by the engine's `overlap`: started at distance zero the object falls and slips for a
-        step, 0.2 mm at 500 Hz.
+        Without clearance they overlap it by `engine.overlap`. From distance zero the object would fall and slip for a step, by 0.2 mm
+        at 500 Hz.
         """
         radii = np.array([tip.radius for tip in self.hand.fingertips])
         away = radii + (self.clearance or -self.engine.overlap)

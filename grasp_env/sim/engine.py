@@ -1,4 +1,4 @@
-"""The physics engines by name, and the settings that each has of its own."""
+"""Physics engines by name, and their settings."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from grasp_env.ranges import Range
 from grasp_env.settings import Kind, Settings, any_of, integer, one_of, real, setting
 
 _POSITIVE = Range(1e-12, 1e9)
-_MOST_SWEEPS = 100_000
+_MAX_SWEEPS = 100_000
 
 
 @dataclass(frozen=True)
 class Engine(Settings):
-    """Settings of a physics engine; its simulator is one file behind `Simulator`, its pictures are one behind `Painter`."""
+    """Settings of a physics engine. One file implements `Simulator` for it, another one `Painter`."""
 
     extra: ClassVar[str] = "sim"
-    """Extra of `pyproject.toml` that brings it."""
+    """Extra of `pyproject.toml` that installs the engine."""
     simulator: ClassVar[tuple[str, str]] = ("", "")
-    """Module and class that run it."""
+    """Module and class of its `Simulator`."""
     painter: ClassVar[tuple[str, str]] = ("", "")
-    """Module and class that draw it."""
+    """Module and class of its `Painter`."""
     overlap: ClassVar[float] = 1e-5
-    """[m] by which tips start inside the object without clearance: at distance zero it falls and slips for a step."""
+    """Depth at which tips start inside the object when there is no clearance [m]; see `SceneConfig.nominal_tips`."""
 
     rate: int = setting(250, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz")
 
@@ -50,13 +50,13 @@ class BulletEngine(Engine):
 
     solver_iterations: int = setting(
         20,
-        integer(1, _MOST_SWEEPS),
-        "Sweeps of the contact solver in one step; at least 40 where a finger has more than three joints, 800 where one has fewer "
+        integer(1, _MAX_SWEEPS),
+        "Sweeps of the contact solver in one step; at least 40 if a finger has more than three joints, 800 if one has fewer "
         "than three motors.",
     )
     mesh_contacts: str = setting(
         "pieces", one_of(("pieces", "faces")),
-        "What of an object's mesh touches: its convex pieces, or its faces, which is exact and makes a step 3 to 20 times as long.",
+        "Collision shape of an object's mesh: its convex pieces, or its faces, which are exact and make a step 3 to 20 times as long.",
     )  # fmt: skip
 
 
@@ -65,14 +65,14 @@ def _impedance(value: Any, name: str) -> tuple[float, ...]:
     if not (0.0 < least <= greatest < 1.0 and width > 0.0 and 0.0 <= middle <= 1.0 and power >= 1.0):
         raise InvalidInputError(
             f"{name} must be (least, greatest, overlap [m], middle, power) with 0 < least <= greatest < 1, overlap above 0, middle "
-            f"in [0, 1] and power from 1 on, got {shown(value)}"
+            f"in [0, 1] and power >= 1, got {shown(value)}"
         )
     return least, greatest, width, middle, power
 
 
 @dataclass(frozen=True)
 class MujocoEngine(Engine):
-    """MuJoCo, as stiff as its steps allow: contacts are springs there, which `solref` and `solimp` of its manual describe.
+    """MuJoCo, as stiff as the time step allows. Its contacts are springs; its manual describes them under `solref` and `solimp`.
 
     Example:
         >>> MujocoEngine(cone="pyramidal").rate
@@ -87,40 +87,38 @@ class MujocoEngine(Engine):
     rate: int = setting(1000, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz")
     cone: str = setting(
         "elliptic", one_of(("elliptic", "pyramidal")),
-        "Friction cones; a pyramidal one is an inner approximation with four sides, which slips below the given friction.",
+        "Friction cones; a pyramidal one is an inner approximation with four sides and slips below the given friction.",
     )  # fmt: skip
-    impratio: float = setting(10.0, real(_POSITIVE), "Stiffness of friction over that of the normal force.")
+    impratio: float = setting(10.0, real(_POSITIVE), "Ratio of the stiffness of friction to that of the normal force.")
     integrator: str = setting("implicitfast", one_of(("implicitfast", "implicit", "Euler")), "Integrator of MuJoCo.")
     time_constant: float = setting(
-        0.0, real(Range(0.0, 1.0)), "Time in which overlaps vanish; 0: two steps, the least that is stable.", unit="s"
+        0.0, real(Range(0.0, 1.0)), "Time constant of overlaps; 0 for two steps, the smallest stable value.", unit="s"
     )
-    damping_ratio: float = setting(1.0, real(_POSITIVE), "Damping ratio with which overlaps vanish.")
+    damping_ratio: float = setting(1.0, real(_POSITIVE), "Damping ratio of overlaps.")
     impedance: tuple[float, ...] = setting(
         (0.99, 0.999, 1e-4, 0.5, 2.0), Kind(_impedance, "5 numbers"),
-        "Impedance of a contact: least, greatest, overlap [m] between the two, their middle and power.",
+        "Impedance of a contact: least, greatest, overlap [m] over which it changes between them, midpoint and power.",
     )  # fmt: skip
-    noslip_iterations: int = setting(
-        0, integer(0, _MOST_SWEEPS), "Sweeps after the solver's that remove the creep of friction."
-    )
-    solver_iterations: int = setting(200, integer(1, _MOST_SWEEPS), "Most iterations of its Newton method in one step.")
-    tolerance: float = setting(1e-12, real(_POSITIVE), "Tolerance of its Newton method.")
+    noslip_iterations: int = setting(0, integer(0, _MAX_SWEEPS), "Additional sweeps that remove the creep of friction.")
+    solver_iterations: int = setting(200, integer(1, _MAX_SWEEPS), "Largest number of Newton iterations in one step.")
+    tolerance: float = setting(1e-12, real(_POSITIVE), "Tolerance of the Newton method.")
 
 
 ENGINES: dict[str, type[Engine]] = {made.name: made for made in (BulletEngine, MujocoEngine)}
-"""All there are; another one is a class here and the file that it names."""
+"""Every engine. To add one, write its settings class here and the modules that the class names."""
 ENGINE = any_of(ENGINES, Engine, ", or give its settings, BulletEngine(...) or MujocoEngine(...)")
-"""The kind of a setting that holds an engine."""
+"""Kind of a setting that holds an engine."""
 
 
 def engine_of(engine: Any = None, quiet: bool = False) -> Engine:
-    """The settings that are given, the engine's own where only its name is; None: the default engine's.
+    """Return the settings of an engine: those given, the defaults of the named one, or the default engine's.
 
     Args:
-        engine: Settings, a name in `ENGINES`, or None: PyBullet where it is installed, otherwise MuJoCo.
-        quiet: Otherwise MuJoCo by default is logged, once in a process.
+        engine: Settings, a name in `ENGINES`, or None: PyBullet if it is installed, otherwise MuJoCo.
+        quiet: Do not log that MuJoCo is the default. Otherwise it is logged once in a process.
 
     Raises:
-        UnknownNameError: no engine of that name.
+        UnknownNameError: No engine has that name.
 
     Example:
         >>> engine_of("bullet").solver_iterations
@@ -130,7 +128,7 @@ def engine_of(engine: Any = None, quiet: bool = False) -> Engine:
 
 
 def class_of(engine: Engine, role: str) -> Any:
-    """The class that is an engine's "simulator" or "painter"; its module is imported here.
+    """Import and return the class of an engine's "simulator" or "painter".
 
     Raises:
         MissingExtraError: The engine is not installed.
@@ -144,11 +142,11 @@ def _default(quiet: bool) -> Engine:
     if find_spec("pybullet") is not None:
         return BulletEngine()
     if not quiet:
-        _say_mujoco()
+        _log_mujoco()
     return MujocoEngine()
 
 
 @cache
-def _say_mujoco() -> None:
-    """Once in a process; not a warning, which `python -W error` makes an error of."""
+def _log_mujoco() -> None:
+    """Log the default once in a process. It is no warning, which `python -W error` would turn into an error."""
     logging.getLogger(__name__).warning("pybullet is not installed, so the default engine is MuJoCo")

@@ -1,4 +1,4 @@
-"""Shapes of meshes as arrays, shared by objects and hands: volume, welding, open edges, connected parts."""
+"""Geometry of meshes as arrays, for objects and hands: volume, welding, open edges, connected parts."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import numpy as np
 from grasp_env._check import Array
 
 WELD = 1e-7
-"""Of a mesh's extent: corners this near are one. An .stl writes every corner once for each of its faces."""
+"""Distance within which corners are merged, relative to the mesh's extent. An .stl repeats each corner for each of its faces."""
 
 _DIRECTIONS = np.array([(x, y, z) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) for z in (-1.0, 0.0, 1.0)])
 
 
 def extent_of(corners: Array) -> float:
-    """The longest side of the box around corners (V, 3); 1 where all are at one place."""
+    """Return the longest side of the bounding box of corners (V, 3), or 1 if all coincide."""
     return float(np.ptp(corners, axis=0).max()) or 1.0
 
 
 def volume(corners: Array, faces: Any) -> float:
-    """Volume of a closed mesh, negative where its faces look inward."""
-    origin = corners[faces[:1, 0]].sum(axis=0)  # a corner of it, if it has any
+    """Return the volume of a closed mesh, negative if its faces look inward."""
+    origin = corners[faces[:1, 0]].sum(axis=0)  # any corner of the mesh: near it, fewer digits cancel
     a, b, c = (corners[faces[:, k]] - origin for k in range(3))
     return float(np.einsum("fk,fk->", a, np.cross(b, c))) / 6.0
 
 
 def welded(corners: Array, faces: Any, grain: float) -> tuple[Array, Any]:
-    """One corner where several are within a cell of a grid; faces that become lines, and corners of no face, go."""
+    """Merge corners within a cell of a grid; drop faces that become lines, and corners without a face."""
     kept, numbers = _distinct(np.round(corners / grain))
     faces = numbers[faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
@@ -36,7 +36,7 @@ def welded(corners: Array, faces: Any, grain: float) -> tuple[Array, Any]:
 
 
 def _distinct(cells: Array) -> tuple[Any, Any]:
-    """`np.unique` of rows (V, 3), first places and inverse, by numbers of each column: five times as fast, for up to 2^21 rows."""
+    """Return first indices and inverse of the unique rows of (V, 3): five times as fast as `np.unique`, for up to 2^21 rows."""
     key = np.zeros(len(cells), np.int64)
     for column in cells.T:
         values, number = np.unique(column, return_inverse=True)
@@ -46,7 +46,7 @@ def _distinct(cells: Array) -> tuple[Any, Any]:
 
 
 def open_edges(faces: Any) -> int:
-    """How many sides of faces have no other that runs the opposite way."""
+    """Count the sides of faces without a partner that runs the opposite way."""
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     forward = ends[:, 0] < ends[:, 1]
     number = _numbers_of(ends)[1]
@@ -54,19 +54,19 @@ def open_edges(faces: Any) -> int:
 
 
 def edges_of(faces: Any) -> Any:
-    """The edges (E, 2) of faces (F, 3), each once."""
+    """Return the edges (E, 2) of faces (F, 3), each once."""
     return _numbers_of(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))[0]
 
 
 def _numbers_of(ends: Any) -> tuple[Any, Any]:
-    """Pairs of corners whatever their order, each once, and which of them each of `ends` (S, 2) is."""
+    """Return the unordered pairs among `ends` (S, 2), each once, and the index of each row's pair."""
     low, high, count = ends.min(axis=1), ends.max(axis=1), int(ends.max(initial=0)) + 1
     keys, number = np.unique(low * count + high, return_inverse=True)
     return np.column_stack(np.divmod(keys, count)), number
 
 
 def connected(faces: Any) -> list[Any]:
-    """The faces of each part of a mesh; parts share no corner."""
+    """Return the faces of each part of a mesh; parts share no corner."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -80,17 +80,17 @@ def connected(faces: Any) -> list[Any]:
 
 
 def farthest(points: Array) -> Any:
-    """Numbers of the points (K, 3) that are farthest along the axes and diagonals: 26 at most, and the first."""
+    """Return the indices of the points (K, 3) that are farthest along the axes and diagonals, at most 26, and the first."""
     return np.unique((points @ _DIRECTIONS.T).argmax(axis=0))
 
 
 def outermost(corners: Array, most: int, fine: float) -> Array:
-    """Of many corners (K, 3) of a hull those without which it would lose most, until it loses less than `fine` of its size.
+    """Choose corners (K, 3) of a hull, the most important first, until all others are within `fine` of the reduced hull.
 
     Args:
-        corners: Of the hull.
-        most: Corners that are returned; as many or fewer stay as they are.
-        fine: Part of the hull's size.
+        corners: Corners of the hull.
+        most: Largest number of corners returned; no more than that are returned unchanged.
+        fine: Tolerance relative to the hull's size.
     """
     from scipy.spatial import ConvexHull
 
@@ -106,7 +106,7 @@ def outermost(corners: Array, most: int, fine: float) -> Array:
         order = order[outside[order] > fine * np.ptp(corners, axis=0).max()]
         if len(order) == 0:
             break
-        worst = order[np.unique(face[order], return_index=True)[1]]  # of each face the furthest
+        worst = order[np.unique(face[order], return_index=True)[1]]  # the farthest beyond each face
         worst = worst[np.argsort(-outside[worst], kind="stable")][: most - len(chosen)]
         chosen = np.append(chosen, worst)
     return corners[chosen]

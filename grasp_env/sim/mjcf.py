@@ -1,4 +1,4 @@
-"""A hand and an object as the text that MuJoCo compiles; links, joints and shapes bear numbers, whatever they are called."""
+"""MJCF of a hand and an object, with numbers as the names of links, joints and shapes."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from grasp_env.sim.hand.tree import Geometry, Link, Palm
 from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
 
 PALM, OBJECT = "palm", "object"
-"""Names of their bodies; the object's shape has its own name, too."""
+"""Names of the bodies of palm and object."""
 OBJECT_GROUP = 1
-"""Geometry group of the object's look; the hand's is 0."""
+"""Geometry group of the object's visual shape; the hand's is 0."""
 _Z_TO_Y = "-1.5707963267948966 0 0"  # capsules and cylinders of MuJoCo lie along z
 
 
 def link_name(link: int) -> str:
-    """Of a link's body and of its joint."""
+    """Return the name of a link's body and of its joint."""
     return f"link{link}"
 
 
 def scene_mjcf(
     hand: HandDescription, item: ObjectDescription, gravity: Iterable[float], timestep: float, engine: MujocoEngine
 ) -> str:
-    """The world: the hand with its palm fixed, then the object, free, at the origin.
+    """Return the MJCF of the simulated world: the hand with its palm fixed, and the free object at the origin.
 
     Args:
-        hand: Its joints have no damping, no armature and no motors: torques are applied to them.
-        item: The object; its friction goes before that of what touches it, and is the product that Bullet makes.
+        hand: The hand. Its joints have no damping, armature or motors: torques are applied directly.
+        item: The object. Its friction coefficients have priority, and are the products with the tips' friction that Bullet forms.
         gravity: [m/s^2], (3,), world frame.
-        timestep: [s].
-        engine: Contacts and solver.
+        timestep: Time step [s].
+        engine: Settings of contacts and solver.
     """
     spring = f"{engine.time_constant or 2.0 * timestep!r} {engine.damping_ratio!r}"
     soft = f'solref="{spring}" solimp="{_text(engine.impedance)}"'
@@ -59,14 +59,14 @@ def scene_mjcf(
 
 
 def looks_mjcf(hand: HandDescription, item: ObjectDescription | None = None) -> tuple[str, dict[str, Geometry]]:
-    """The same bodies and joints as in `scene_mjcf` with their visual shapes and a light, to be drawn: nothing touches.
+    """Return the MJCF for pictures: the bodies and joints of `scene_mjcf` with their visual shapes and a light, without contacts.
 
     Args:
-        hand: Its visual shapes are drawn.
-        item: The object, in geometry group `OBJECT_GROUP`; None: the hand alone.
+        hand: The hand, drawn with its visual shapes.
+        item: The object, in geometry group `OBJECT_GROUP`; None to draw the hand alone.
 
     Returns:
-        The text, and the visual shapes of kind "mesh" by the names under which it uses them: it does not define these meshes.
+        The MJCF, and the visual shapes of kind "mesh" by the names of the meshes that it uses but does not define.
     """
     meshes: list[str] = []
     files: dict[str, Geometry] = {}
@@ -92,7 +92,7 @@ def looks_mjcf(hand: HandDescription, item: ObjectDescription | None = None) -> 
 
 
 def _tree(hand: HandDescription, shapes: Callable[[Link | Palm], str]) -> str:
-    """The palm and all that it carries, each with `shapes` of it."""
+    """Return the bodies of palm and links, each with the elements that `shapes` makes."""
     children: dict[str, list[int]] = {}
     for index, link in enumerate(hand.links):
         children.setdefault(link.parent, []).append(index)
@@ -104,7 +104,7 @@ def _tree(hand: HandDescription, shapes: Callable[[Link | Palm], str]) -> str:
 
 
 def _free_body(item: ObjectDescription, shape: str) -> str:
-    """The object with its shape, at the origin."""
+    """Return the body of the object, at the origin."""
     inertial = f'<inertial pos="0 0 0" mass="{item.mass!r}" diaginertia="{_text(item.moments)}"/>'
     return f'<body name="{OBJECT}"><freejoint/>{inertial}{shape}</body>'
 
@@ -123,12 +123,12 @@ def _body(link: Link, index: int, shapes: Callable[[Link | Palm], str], bodies: 
 
 
 def _shapes(shapes: Iterable[Geometry], meshes: list[str]) -> str:
-    """Those that touch."""
+    """Return the elements of the collision shapes; those of kind "mesh" do not collide."""
     return "".join(_shape(shape, meshes) for shape in shapes if shape.kind != "mesh")
 
 
 def _shape(shape: Geometry, meshes: list[str], look: str = "", files: dict[str, Geometry] | None = None) -> str:
-    """A shape with more attributes; one of kind "mesh" is added to `files`."""
+    """Return the element of a shape, with the attributes `look`; a shape of kind "mesh" is added to `files`."""
     kind, size = shape.kind, shape.size
     if kind == "mesh" and files is not None:
         name = f"file{len(files)}"
@@ -137,20 +137,20 @@ def _shape(shape: Geometry, meshes: list[str], look: str = "", files: dict[str, 
         kind, given = "mesh", _mesh(shape.corners, meshes)
     elif kind == "box":
         given = f'size="{_text(0.5 * side for side in size)}"'
-    else:  # MuJoCo counts half of a cylinder's length
+    else:  # MuJoCo takes half the length of a cylinder
         given = f'size="{_text((size[0], *(0.5 * length for length in size[1:])))}"'
     return f'<geom type="{kind}" {given} pos="{_text(shape.origin)}" euler="{_text(shape.rotation)}" {look}/>'
 
 
 def _object_shapes(item: ObjectDescription, meshes: list[str]) -> list[str]:
-    """Type, size and orientation of the shapes with which an object touches: the pieces of a mesh."""
+    """Return type, size and orientation of the object's collision shapes: for a mesh, its convex pieces."""
     if item.shape == "mesh":
         return [f'type="mesh" {_mesh(piece, meshes)} euler="0 0 0"' for piece in item.pieces]
     return [_object_look(item, meshes)]
 
 
 def _object_look(item: ObjectDescription, meshes: list[str]) -> str:
-    """The same of the shape as which it is drawn."""
+    """Return type, size and orientation of the object's visual shape."""
     if item.shape == "mesh":
         corners, faces = item.faces
         return f'type="mesh" {_mesh(corners, meshes, faces)} euler="0 0 0"'
@@ -163,7 +163,7 @@ def _object_look(item: ObjectDescription, meshes: list[str]) -> str:
 
 
 def _mesh(corners: Any, meshes: list[str], faces: Any = None) -> str:
-    """Adds corners (K, 3) [m] with faces (F, 3), or their convex hull, to the meshes; how a shape names it."""
+    """Add corners (K, 3) [m] with faces (F, 3), or their convex hull, to `meshes`; return the attribute that refers to it."""
     name = f"mesh{len(meshes)}"
     drawn = "" if faces is None else f' face="{" ".join(map(str, np.ravel(faces).tolist()))}" inertia="shell"'
     meshes.append(f'<mesh name="{name}" vertex="{_text(np.ravel(corners))}"{drawn}/>')
@@ -178,7 +178,7 @@ def _couplings(hand: HandDescription) -> Iterable[str]:
 
 
 def _neighbours(hand: HandDescription) -> Iterable[tuple[str, str]]:
-    """Pairs of bodies that do not touch each other: links and what carries them, and those that overlap whatever the hand does."""
+    """Yield pairs of bodies that do not collide: links and their parents, and links that overlap in every posture."""
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     parents = {(numbers.get(link.parent, -1), index) for index, link in enumerate(hand.links)}
     for pair in sorted(parents | set(touching_pairs(hand))):

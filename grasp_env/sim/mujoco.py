@@ -1,4 +1,4 @@
-"""MuJoCo behind the `Simulator` boundary."""
+"""MuJoCo as a `Simulator`."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from grasp_env.sim.simulator import Simulator
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _CLOSED = "the simulation is closed; make a new Scene from its config"
-_LEAST_FORCE = 1e-9
-"""[N] below which a contact is one that the solver left open."""
+_MIN_FORCE = 1e-9
+"""Force below which a contact counts as open [N]."""
 
 
 class Mujoco(Simulator):
-    """A hand around an object in a model of its own; see `Simulator`.
+    """A hand around an object in its own MuJoCo model; see `Simulator`.
 
     Args:
-        hand: What is loaded with every object.
-        gui: Refused: there is no window. visuals: Not used: pictures have a model of their own.
+        hand: The hand, loaded anew with every object.
+        gui: Must be False: there is no window.
+        visuals: Not used: pictures have a model of their own.
 
     Attributes:
-        model, data: What MuJoCo's own calls take; others after each `load`, None after `close`.
+        model, data: MuJoCo's model and data; each `load` makes new ones, and they are None after `close`.
 
     Raises:
-        InvalidInputError: A window was asked for.
+        InvalidInputError: `gui` is True.
     """
 
     def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:
@@ -68,30 +69,30 @@ class Mujoco(Simulator):
         links = {model.body(link_name(index)).id: float(index) for index in range(self._hand.joint_count)}
         self._links = np.array([links.get(int(body), -1.0) for body in model.geom_bodyid])
         self._steps, self._kept = config.substeps, {}
-        self._noted: list[tuple[Array, ...]] = []  # of every step
-        self._contacts: Array | None = np.empty(0)  # None: of what was noted
+        self._recorded: list[tuple[Array, ...]] = []  # contacts of every step of the last `advance`
+        self._contacts: Array | None = np.empty(0)  # None: to be made from `_recorded`
         self._rotation = np.zeros(9)
         data.qpos[self._angles] = angles
         mujoco.mj_forward(model, data)
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """See `Simulator`."""
-        model, data = self.model, self._open()
+        model, data = self.model, self._open_data()
         data.qfrc_applied[self._rates] = torques
         if wrench is None:
             data.xfrc_applied[self._body] = 0.0
-        self._noted, self._contacts = [], None
+        self._recorded, self._contacts = [], None
         for _ in range(self._steps):
             if wrench is not None:
                 turn = self._turned()
                 data.xfrc_applied[self._body, :3] = turn @ wrench[:3]
                 data.xfrc_applied[self._body, 3:] = turn @ wrench[3:]
             mujoco.mj_step(model, data)
-            self._note_contacts()
+            self._record_contacts()
 
     def read(self) -> Array:
         """See `Simulator`."""
-        data = self._open()
+        data = self._open_data()
         state, rates = data.qpos, data.qvel
         w, x, y, z = state[self._turn]
         spin = self._turned() @ rates[self._angular]
@@ -101,40 +102,42 @@ class Mujoco(Simulator):
 
     def self_contacts(self) -> list[tuple[int, int]]:
         """See `Simulator`."""
-        self._open()
-        if not self._noted:
+        self._open_data()
+        if not self._recorded:
             return []
-        shapes, _, _, pushes = self._noted[-1]
-        mine = shapes[(pushes[:, 0] > _LEAST_FORCE) & ~np.isin(shapes, self._shapes).any(axis=1)]
+        shapes, _, _, pushes = self._recorded[-1]
+        mine = shapes[(pushes[:, 0] > _MIN_FORCE) & ~np.isin(shapes, self._shapes).any(axis=1)]
         links: Array = self._links[mine.astype(int)]
         pairs = np.sort(links, axis=1).astype(int).tolist()
         return sorted({(first, second) for first, second in pairs})
 
     def set_gravity(self, gravity: Array) -> None:
         """See `Simulator`."""
-        self._open()
+        self._open_data()
         self.model.opt.gravity[:] = gravity
 
     def set_object(self, item: ObjectDescription) -> None:
         """See `Simulator`."""
-        self._open()
+        self._open_data()
         model = self.model
         model.body_mass[self._body], model.body_inertia[self._body] = item.mass, item.moments
         model.geom_friction[self._shapes, :2] = np.multiply(
             (item.friction, item.torsional_friction), self._hand.tip_friction
         )
-        mujoco.mj_setConst(model, mujoco.MjData(model))  # what follows from masses; it moves the data that it is given
+        mujoco.mj_setConst(
+            model, mujoco.MjData(model)
+        )  # updates constants that depend on masses, and writes to its data
 
     def keep(self, name: str) -> None:
         """See `Simulator`."""
-        data = self._open()
+        data = self._open_data()
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, data, state, _STATE)
         self._kept[name] = state, self._object_contacts()
 
     def reset(self, name: str) -> None:
         """See `Simulator`."""
-        data = self._open()
+        data = self._open_data()
         if name not in self._kept:
             raise UnknownNameError("kept state", name, self._kept)
         state, self._contacts = self._kept[name]
@@ -145,31 +148,31 @@ class Mujoco(Simulator):
         self.model = self.data = None
         self._closed = True
 
-    def _open(self) -> Any:
+    def _open_data(self) -> Any:
         if self.data is None:
             raise SimulationError(_CLOSED)
         return self.data
 
     def _turned(self) -> Array:
-        """Object frame to world frame, (3, 3), at present: MuJoCo's own is that of the start of its last step."""
+        """Return the rotation from object frame to world frame, (3, 3); MuJoCo's own is that at the start of the last step."""
         mujoco.mju_quat2Mat(self._rotation, self.data.qpos[self._turn])
         return self._rotation.reshape(3, 3)
 
-    def _note_contacts(self) -> None:
-        """What is known of all contacts in the step that was made: shapes, places, frames and forces; the next step overwrites it."""
+    def _record_contacts(self) -> None:
+        """Copy shapes, positions, frames and forces of all contacts, as the next step overwrites them."""
         seen, pushes = self.data.contact, np.empty((self.data.ncon, 6))
         for index, push in enumerate(pushes):
             mujoco.mj_contactForce(self.model, self.data, index, push)
-        self._noted.append((seen.geom.copy(), seen.pos.copy(), seen.frame.copy(), pushes))
+        self._recorded.append((seen.geom.copy(), seen.pos.copy(), seen.frame.copy(), pushes))
 
     def _object_contacts(self) -> Array:
-        """Link, place and share of the force on the object of every contact with it in the last `advance`, (7n,)."""
+        """Return link, position and force on the object, divided by the number of steps, of its contacts in the last `advance`, (7n,)."""
         if self._contacts is None:
-            shapes, places, frames, pushes = (np.concatenate(parts) for parts in zip(*self._noted, strict=True))
+            shapes, places, frames, pushes = (np.concatenate(parts) for parts in zip(*self._recorded, strict=True))
             held = np.isin(shapes, self._shapes)
-            second = held[:, 1]  # the frame is that of the first, the force is on the second
-            mine = held.any(axis=1) & (pushes[:, 0] > _LEAST_FORCE)
-            shares = np.where(second, 1.0, -1.0)[:, None] / len(self._noted) * pushes[:, :3]
+            second = held[:, 1]  # the contact's frame belongs to the first shape, and the force acts on the second
+            mine = held.any(axis=1) & (pushes[:, 0] > _MIN_FORCE)
+            shares = np.where(second, 1.0, -1.0)[:, None] / len(self._recorded) * pushes[:, :3]
             forces = np.einsum("ni,nij->nj", shares, frames.reshape(-1, 3, 3))
             links = self._links[np.where(second, shapes[:, 0], shapes[:, 1])]
             self._contacts = np.column_stack([links, places, forces])[mine].reshape(-1)

@@ -1,4 +1,4 @@
-"""MuJoCo's module, without types, as all that uses it imports it; it writes no log file."""
+"""MuJoCo's module, untyped and without its log file; all other modules import it from here."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Any
 
 import mujoco as compiled
 
-mujoco: Any = compiled  # it has no types
+mujoco: Any = compiled  # it has no type stubs
 
-# it would write what diverges, which callers report, into a file where it runs
+# by default it logs divergence, which callers report, to a file in the working directory
 if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(lambda text: None)

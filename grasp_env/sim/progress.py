@@ -1,4 +1,4 @@
-"""One line on a terminal for work that takes long."""
+"""Progress line on a terminal for long work."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from typing import TypeVar
 Item = TypeVar("Item")
 
 PATIENCE = 1.0
-"""[s] after which long work is reported."""
-_WIDTH = 24  # characters of a bar
+"""Time after which long work is reported [s]."""
+_WIDTH = 24  # characters of the bar
 
 
-class Line:
-    """A line on stderr that is written over and over; nothing where that is no terminal, and nothing within `PATIENCE`."""
+class ProgressLine:
+    """A line on stderr that is overwritten. Nothing is written to anything but a terminal, nor within `PATIENCE`."""
 
     def __init__(self) -> None:
         self._begun, self._length = time.monotonic(), 0
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
 
-    def __enter__(self) -> Line:
+    def __enter__(self) -> ProgressLine:
         return self
 
     def write(self, text: str) -> None:
-        """Shows a text, and the seconds since the line was made."""
+        """Show a text and the seconds since the line was made."""
         passed = time.monotonic() - self._begun
         if self._terminal and passed > PATIENCE:
             text = f"{text}, {passed:.0f} s"[: shutil.get_terminal_size().columns - 1]
@@ -42,13 +42,13 @@ class Line:
 
 
 def counted(items: Sequence[Item], text: str) -> Iterator[Item]:
-    """The items one after another, with a bar on a terminal that shows how many are done.
+    """Yield the items, with a progress bar on a terminal.
 
     Example:
         >>> list(counted([1, 2], "two numbers"))
         [1, 2]
     """
-    with Line() as line:
+    with ProgressLine() as line:
         for done, item in enumerate(items):
             line.write(f"[{'#' * (_WIDTH * done // len(items)):{_WIDTH}}] {done} of {len(items)} {text}")
             yield item

@@ -1,4 +1,4 @@
-"""The simulated grasp: a torque-controlled hand around an object, and what a loop reads of them."""
+"""Simulated grasp: a torque-controlled hand around an object, and the state that a control loop reads."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from grasp_env.errors import SimulationError
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import class_of
 from grasp_env.sim.hand.kinematics import HandKinematics
-from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.simulator import Simulator
 from grasp_env.sim.snapshot import Snapshot
 
@@ -22,22 +21,24 @@ from grasp_env.sim.snapshot import Snapshot
 class Scene:
     """A hand around an object in a simulator of its own.
 
-    The state is read once per step, when it is first asked for, into arrays that the next reading overwrites: copy what must last.
+    The first `look` after a step reads the state into arrays, which the next reading overwrites: copy what you keep.
 
     Args:
-        config: What to simulate.
+        config: The scene.
         gui: Open a window; needs a display.
-        visuals: Load the hand's visual shapes, which pictures need; they make loading a new object five times slower.
+        visuals: Load the hand's visual shapes, which pictures need. They make loading a new object five times slower.
 
     Attributes:
-        simulator: The physics engine that `config.engine` names, for calls of one's own: PyBullet's has `client` and `world`,
-            the numbers of its connection and bodies, MuJoCo's has `model` and `data`. kinematics: of the hand. core: hand, object and what was read, in the core.
-        gravity: (3,) current [m/s^2], world frame.
+        simulator: The physics engine, for direct calls. PyBullet's has `client` and `world`, the numbers of its connection and bodies;
+            MuJoCo's has `model` and `data`.
+        kinematics: Kinematics of the hand.
+        core: The C++ core's view of hand, object and the last reading.
+        gravity: Current gravity [m/s^2], (3,), world frame.
 
     Raises:
         InvalidInputError: A finger cannot reach its contact.
         MissingExtraError: The engine is not installed.
-        SimulationError: No display for the window.
+        SimulationError: There is no display for the window.
 
     Example:
         >>> scene = Scene(SceneConfig())
@@ -49,10 +50,10 @@ class Scene:
     def __init__(self, config: SceneConfig | None = None, gui: bool = False, visuals: bool = False) -> None:
         self.config = config or SceneConfig()
         self.kinematics = HandKinematics(self.config.hand)
-        angles = _start(self.config, self.kinematics)
+        angles = _start_angles(self.config, self.kinematics)
         self.visuals = visuals or gui
-        self._shown = gui, visuals
-        self.simulator: Any = _simulator(self.config, gui, visuals)
+        self._gui_visuals = gui, visuals
+        self.simulator: Any = _make_simulator(self.config, gui, visuals)
         self._build(angles)
         self.keep()
 
@@ -61,31 +62,31 @@ class Scene:
 
     @property
     def timestep(self) -> float:
-        """Simulated time of one step [s]."""
+        """Duration of one step [s]."""
         return self.config.substeps / self.config.engine.rate
 
     def load(self, config: SceneConfig) -> None:
-        """Builds another object, or another grasp of it, for the same engine; no kept state is left. The hand may be elsewhere.
+        """Replace the object, the grasp or the hand, with the same engine. All saved states are dropped.
 
         Args:
-            config: the other scene; its engine is not looked at.
+            config: The new scene; its engine is ignored.
 
         Raises:
-            InvalidInputError: a finger cannot reach its contact; the scene is as before.
+            InvalidInputError: A finger cannot reach its contact; the scene is unchanged.
         """
         kinematics = self.kinematics if config.hand == self.config.hand else HandKinematics(config.hand)
-        angles = _start(config, kinematics)
+        angles = _start_angles(config, kinematics)
         config = replace(config, engine=self.config.engine)
         if kinematics is not self.kinematics:
-            gui, visuals = self._shown
-            simulator = _simulator(config, gui, visuals)
+            gui, visuals = self._gui_visuals
+            simulator = _make_simulator(config, gui, visuals)
             self.simulator.close()
             self.kinematics, self.simulator = kinematics, simulator
         self.config = config
         self._build(angles)
 
     def change_object(self, mass: float | None = None, friction: float | None = None) -> None:
-        """Another mass [kg] (and inertia, in proportion) or friction of the object, from now on; `reset` does not undo it."""
+        """Change the object's mass [kg] (and its inertia in proportion) or friction; `reset` does not undo it."""
         before = self.config.object
         inertia = before.inertia
         if mass is not None and inertia is not None:
@@ -94,10 +95,11 @@ class Scene:
             before, mass=before.mass if mass is None else mass, friction=before.friction if friction is None else friction,
             inertia=inertia,
         )  # fmt: skip
-        self._set_object(changed)
+        self.config = replace(self.config, object=changed)
+        self.simulator.set_object(changed)
 
     def set_gravity(self, gravity: Array) -> None:
-        """Another gravity (3,) [m/s^2], world frame, from now on."""
+        """Change gravity (3,) [m/s^2], world frame."""
         if not np.array_equal(gravity, self.gravity):
             self.gravity[:] = gravity
             self.core.set_gravity(gravity.tolist())
@@ -105,29 +107,29 @@ class Scene:
             self._read = False
 
     def keep(self, name: str = "start") -> None:
-        """Makes the present state one that `reset` returns to; one is kept of each name."""
+        """Save the current state under a name, to which `reset` returns; it replaces an earlier state of that name."""
         self.simulator.keep(name)
         self._read = False
 
     def reset(self, name: str = "start") -> None:
-        """Returns to a kept state and its contact forces, bit by bit; gravity and the object's dynamics stay as they are.
+        """Restore a saved state and its contact forces bit by bit; gravity and the object's dynamics are kept.
 
         Raises:
-            UnknownNameError: nothing of that name was kept.
+            UnknownNameError: No state was saved under that name.
         """
         self.simulator.reset(name)
         self._read = False
 
     def step(self, torques: ArrayLike, external_wrench: ArrayLike | None = None) -> None:
-        """Advances by one step: `substeps` of the engine.
+        """Advance by one step, `substeps` steps of the engine.
 
         Args:
-            torques: Of the joints [N m], (M,), cut at the hand's limits.
-            external_wrench: On the object besides gravity: force [N] and moment about its centre
-                [N m], (6,), object frame. None is no wrench.
+            torques: Joint torques [N m], (M,), clipped to the hand's limits.
+            external_wrench: Force [N] and moment about the centre [N m] on the object besides gravity, (6,), object frame. None for no
+                wrench.
 
         Raises:
-            InvalidInputError: A wrong shape, or numbers that are not finite.
+            InvalidInputError: An array has a wrong shape or a number that is not finite.
             SimulationError: The scene is closed.
         """
         limits = self.kinematics.torque_limits
@@ -136,12 +138,12 @@ class Scene:
         self.advance(np.clip(numbers, -limits, limits).tolist(), wrench)
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
-        """`step` without checks, for loops: `torques` within the limits, and the external `wrench` or None."""
+        """Step without checks, for loops: `torques` must be within the limits; `wrench` may be None."""
         self.simulator.advance(torques, wrench)
         self._read = False
 
     def look(self) -> Snapshot:
-        """Hand, object and contacts as they are now, and the contact forces of the last step.
+        """Return the current state of hand, object and contacts, and the contact forces of the last step.
 
         Raises:
             SimulationError: The simulation diverged, or the scene is closed.
@@ -152,7 +154,7 @@ class Scene:
         return self._snapshot
 
     def unread(self) -> Array | None:
-        """The simulator's reading for a caller that hands it to the core; None: the core has it already."""
+        """Return the simulator's new reading, for a caller that passes it to the core; None if the core has it already."""
         if self._read:
             return None
         reading = self.simulator.read()
@@ -160,7 +162,7 @@ class Scene:
         return reading
 
     def close(self) -> None:
-        """Frees the simulator; calling it again does nothing, any other call afterwards raises."""
+        """Free the simulator. Calling it again does nothing; any other call afterwards raises."""
         self.simulator.close()
         self._read = False
 
@@ -177,7 +179,7 @@ class Scene:
         self._read = False
 
     def diverged(self, reading: Array) -> SimulationError:
-        """The error for a reading that the core refuses."""
+        """Make the error for a reading that the core rejects."""
         self._read = False
         body = reading[2 * len(self._snapshot.angles) :]
         return SimulationError(
@@ -185,15 +187,11 @@ class Scene:
             "scene, and use smaller torques or wrenches or a higher rate of the engine"
         )
 
-    def _set_object(self, changed: ObjectDescription) -> None:
-        self.config = replace(self.config, object=changed)
-        self.simulator.set_object(changed)
 
-
-def _simulator(config: SceneConfig, gui: bool, visuals: bool) -> Simulator:
+def _make_simulator(config: SceneConfig, gui: bool, visuals: bool) -> Simulator:
     return class_of(config.engine, "simulator")(config.hand, gui=gui, visuals=visuals)
 
 
-def _start(config: SceneConfig, kinematics: HandKinematics) -> Array:
-    """Angles of the joints at the start [rad], (M,)."""
+def _start_angles(config: SceneConfig, kinematics: HandKinematics) -> Array:
+    """Return the joint angles at the start [rad], (M,)."""
     return np.array(config.start_angles) if config.start_angles else kinematics.solve(config.nominal_tips())

@@ -1,4 +1,4 @@
-"""What the package asks of a physics engine."""
+"""Interface that a physics engine must implement."""
 
 from __future__ import annotations
 
@@ -10,53 +10,54 @@ from grasp_env.sim.objects.description import ObjectDescription
 
 
 class Simulator(Protocol):
-    """One hand and one object in a physics engine, made from the hand, `gui` and `visuals`; see `engine.ENGINES`.
+    """One hand and one object in a physics engine, constructed from the hand, `gui` and `visuals`; see `engine.ENGINES`.
 
-    Everything is in the world frame and in the hand's own numbering: no convention of an engine passes this boundary. Drawing is apart,
-    see `Painter`.
+    All quantities are in the world frame, and links and joints have the hand's own numbers: the conventions of an engine stay behind
+    this interface. Pictures have an interface of their own, `Painter`.
     """
 
     def load(self, config: SceneConfig, angles: Array) -> None:
-        """Builds the scene with the joints at `angles` (M,) [rad], all at rest; no kept state is left."""
+        """Build the scene at rest, with the joints at `angles` (M,) [rad]. All saved states are dropped."""
         ...
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
-        """One step of the scene, `config.substeps` of the engine.
+        """Advance the scene by one step, `config.substeps` steps of the engine.
 
         Args:
-            torques: of the joints [N m], (M,), within their limits.
-            wrench: force [N] and moment about its centre [N m] on the object besides gravity, (6,), object frame as it turns; None: none.
+            torques: Joint torques [N m], (M,), within their limits.
+            wrench: External force [N] and moment about the centre [N m] on the object, (6,), in the frame of the moving object; gravity
+                excluded. None for no wrench.
         """
         ...
 
     def read(self) -> Array:
-        """What `core.Scene.read` takes: joint angles and rates, the object, the contacts of hand and object.
+        """Return the array that `core.Scene.read` takes: joint angles and rates, the object, the contacts between hand and object.
 
-        Contacts and their forces are those of the last `advance`, a row for each of its steps with the step's share of the force;
-        after `reset` those of when the state was kept. Valid until the next call.
+        Contacts and their forces are those of the last `advance`: each engine step adds its rows, with the force divided by the number
+        of steps. After `reset` they are those that were saved with the state. The array is valid until the next call.
         """
         ...
 
     def self_contacts(self) -> list[tuple[int, int]]:
-        """Links of the hand that pushed each other in the last step, in pairs by their numbers; -1 is the palm."""
+        """Return pairs of links of the hand that pushed each other in the last step, by number; -1 is the palm."""
         ...
 
     def set_gravity(self, gravity: Array) -> None:
-        """Another gravity (3,) [m/s^2] from now on."""
+        """Change gravity (3,) [m/s^2]."""
         ...
 
     def set_object(self, item: ObjectDescription) -> None:
-        """Another mass, inertia and friction of the object from now on; `reset` does not undo it."""
+        """Change the object's mass, inertia and friction; `reset` does not undo it."""
         ...
 
     def keep(self, name: str) -> None:
-        """Makes the present state one that `reset` returns to; one of each name."""
+        """Save the current state under a name, to which `reset` returns; it replaces an earlier state of that name."""
         ...
 
     def reset(self, name: str) -> None:
-        """Returns to a kept state bit by bit, its contact forces included."""
+        """Restore a saved state bit by bit, including its contact forces."""
         ...
 
     def close(self) -> None:
-        """Frees the engine; calling it again does nothing."""
+        """Free the engine; calling it again does nothing."""
         ...

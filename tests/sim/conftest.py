@@ -1,4 +1,4 @@
-"""A small controller that holds the reference grasp, and scenes that are closed after the test."""
+"""A controller that holds the reference grasp, and scenes that are closed after the test."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ OBJECT = ("shape", "size", "mass", "friction", "inertia", "mesh")
 
 
 def grasp_matrix(points: np.ndarray) -> np.ndarray:
-    """Forces (3N,) in object axes to their wrench (6,) about the object's centre."""
+    """Map from forces (3N,), object frame, to their wrench (6,) about the object's centre."""
     columns = [np.vstack([np.eye(3), np.cross(np.eye(3), point).T * -1.0]) for point in points]
     return np.hstack(columns)
 
 
 class Holder:
-    """Squeezes, balances gravity and a given wrench, and springs the object to its nominal pose.
+    """A controller that squeezes, balances gravity and a given wrench, and pulls the object to its nominal pose.
 
     Args:
         squeeze: Thumb force [N] added to what balances.
@@ -50,7 +50,7 @@ class Holder:
         return grasp_torques(scene, self.forces)
 
     def settle(self, scene: Scene, duration: float = 0.5) -> None:
-        """Holds for a while [s] and keeps the state as "settled"."""
+        """Hold for a while [s] and save the state as "settled"."""
         for _ in range(round(duration / scene.timestep)):
             scene.step(self(scene))
         scene.keep("settled")
@@ -58,13 +58,13 @@ class Holder:
 
 @pytest.fixture
 def make_holder() -> type[Holder]:
-    """The controller's class; test modules cannot import this file."""
+    """Return the controller's class, as test modules cannot import this file."""
     return Holder
 
 
 @pytest.fixture
 def make_scene() -> Iterator[Callable[..., Scene]]:
-    """Makes scenes from fields of the config and of its object, and closes them."""
+    """Return a function that makes scenes from fields of the config and of its object; close them afterwards."""
     scenes: list[Scene] = []
 
     def make(visuals: bool = False, **fields: Any) -> Scene:

@@ -1,4 +1,4 @@
-"""Pictures: the camera's geometry, what is drawn over them, their words and their edges."""
+"""Pictures: the camera's geometry, annotations and their text, and smooth edges."""
 
 from __future__ import annotations
 
@@ -10,21 +10,20 @@ import numpy as np
 import pytest
 from engines import bullet, needs_bullet
 from hands import numbers
-from PIL import Image, ImageDraw
+from PIL import Image
 
-from grasp_env.errors import InvalidInputError, SimulationError
+from grasp_env.errors import InvalidInputError
 from grasp_env.sim import HANDS, Camera, CameraConfig, Scene, SceneConfig
 from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN, WRENCH_COLOR, Annotation
 from grasp_env.sim.picture.camera import DIRECTION
 from grasp_env.sim.picture.edges import smooth_edges
 from grasp_env.sim.picture.overlay import VEIL, draw, room
-from grasp_env.sim.picture.painter import BACKGROUND_DEPTH
+from grasp_env.sim.picture.painter import BACKGROUND_DEPTH, lines_of
 from grasp_env.sim.picture.portrait import portrait
 from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
 
 VIEW = View((0.4, 0.2, 0.5), (0.0, 0.05, 0.0), 30.0, 160, 120)
 FRONT = View((0.0, 0.0, 0.5), (0.0, 0.0, 0.0), 30.0, 300, 300)  # looks along -z, x to the right
-WHITE = Image.new("RGB", (300, 300), "white")
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +44,7 @@ def one_finger(**fields: Any) -> Annotation:
 
 
 @needs_bullet
-def test_project_is_what_opengl_does_and_unproject_goes_back() -> None:
+def test_project_is_that_of_opengl_and_unproject_its_inverse() -> None:
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (30, 3))
     matrices = (
         bullet.computeProjectionMatrixFOV(VIEW.field_of_view, 160 / 120, NEAR_PLANE, FAR_PLANE),
@@ -60,8 +59,7 @@ def test_project_is_what_opengl_does_and_unproject_goes_back() -> None:
     np.testing.assert_allclose(VIEW.depth(back), clip[0, 3], atol=1e-5)
     centers = np.stack(np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5), axis=-1)
     np.testing.assert_allclose(VIEW.project(back), centers.reshape(-1, 2), atol=1e-6)
-    behind = 3.0 * np.array(VIEW.eye)
-    assert np.isfinite(VIEW.project([behind])).all()
+    assert np.isfinite(VIEW.project([3.0 * np.array(VIEW.eye)])).all()  # behind the camera
 
 
 @pytest.mark.parametrize("size", [(160, 120), (120, 160)])
@@ -76,14 +74,13 @@ def test_fitted_leaves_the_margins_free_and_no_more(size: tuple[int, int]) -> No
     np.testing.assert_allclose(view.axes, VIEW.axes, atol=1e-12)
 
 
-def test_a_picture_shows_the_object_where_project_says_and_what_is_behind_it(scene: Scene) -> None:
+def test_a_picture_shows_the_object_in_its_place_and_what_is_behind_it(scene: Scene) -> None:
     camera = Camera(scene, CameraConfig(width=240, height=240, object_opacity=1.0))
     opaque = camera.capture().astype(int)
     with camera.painter.object_hidden():
         without = camera.capture().astype(int)
     rows, columns = np.nonzero(np.abs(opaque - without).max(axis=2) > 40)
-    half = 0.05 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    pixels = camera.project(half)
+    pixels = camera.project(0.05 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]))
     # the fingers hide the left edge: right edge and lowest corner, within a pixel and the smoothing's one
     assert columns.max() == pytest.approx(pixels[:, 0].max(), abs=2.5)
     assert rows.max() == pytest.approx(pixels[:, 1].max(), abs=2.5)
@@ -96,12 +93,10 @@ def test_a_picture_shows_the_object_where_project_says_and_what_is_behind_it(sce
         assert np.abs(opaque[at, at] - shade).max() <= 1
 
 
-@pytest.mark.parametrize("half", [0.035, 0.06])
-@pytest.mark.parametrize("size", [(96, 96), (160, 90)])
-def test_all_of_hand_and_object_is_in_the_picture(scene: Scene, half: float, size: tuple[int, int]) -> None:
-    default = SceneConfig()
+def test_hand_and_object_fill_the_picture(scene: Scene) -> None:
+    default, half = SceneConfig(), 0.06
     points = tuple((x, y, half * np.sign(z)) for x, y, z in default.contact_points)
-    camera = Camera(scene, CameraConfig(width=size[0], height=size[1], object_opacity=1.0))
+    camera = Camera(scene, CameraConfig(width=160, height=90, object_opacity=1.0))
     cuboid = dataclasses.replace(default.object, size=(2 * half, 2 * half, 2 * half))
     scene.load(dataclasses.replace(default, object=cuboid, contact_points=points))
     camera.capture()  # finds new bodies and moves back
@@ -113,53 +108,40 @@ def test_all_of_hand_and_object_is_in_the_picture(scene: Scene, half: float, siz
     scene.load(default)
 
 
-def test_contacts_are_looked_at_from_where_they_are_seen(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hidden_contacts_are_counted(scene: Scene) -> None:
     camera = Camera(scene, CameraConfig(width=96, height=96))
-    away = View((0.0, 1.2, 1e-3), (0.0, 0.0, 0.0), 40.0, 160, 160)  # from above, through the palm
+    above = View((0.0, 1.2, 1e-3), (0.0, 0.0, 0.0), 40.0, 160, 160)  # through the palm
     with camera.painter.object_hidden():
-        assert camera._contacts_seen(dataclasses.replace(away, eye=(0.86, 0.13, 0.86))) == 4
-        assert camera._contacts_seen(away) < 4
-    monkeypatch.setattr(Camera, "_contacts_seen", lambda self, view: view.eye[0] < -0.1)
-    turned = (-DIRECTION[2], DIRECTION[1], DIRECTION[0])  # by 90 degrees, before 135 and 180 are tried
-    for direction, expected in ((None, turned), ((0.0, 0.5, 1.0), (0.0, 0.5, 1.0))):
-        view = Camera(scene, CameraConfig(width=96, height=96, direction=direction)).view
-        np.testing.assert_allclose(view.axes[2], np.array(expected) / np.linalg.norm(expected), atol=1e-6)
+        assert camera._contacts_seen(dataclasses.replace(above, eye=(0.86, 0.13, 0.86))) == 4
+        assert camera._contacts_seen(above) < 4
+    given = Camera(scene, CameraConfig(width=96, height=96, direction=(0.0, 0.5, 1.0))).view.axes[2]
+    np.testing.assert_allclose(given, np.array([0.0, 0.5, 1.0]) / np.sqrt(1.25), atol=1e-6)
+    assert camera.view.axes[2] @ DIRECTION / np.linalg.norm(DIRECTION) == pytest.approx(1.0)
 
 
-def test_pictures_are_smooth_and_deterministic_and_annotations_leave_them(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    state = numbers(scene)
-    camera = Camera(scene, CameraConfig(width=120, height=100))
+def test_pictures_are_deterministic_and_leave_the_scene_alone(scene: Scene) -> None:
+    state, camera = numbers(scene), Camera(scene, CameraConfig(width=120, height=100))
     note = one_finger(lines=[("iterations", "12")])
     plain, noted = camera.capture(), camera.capture(note)
-    assert noted.shape == (100, 120, 3)
-    assert noted.dtype == np.uint8
+    assert (noted.shape, noted.dtype) == ((100, 120, 3), np.uint8)
     assert (noted != plain).any()
     np.testing.assert_array_equal(camera.capture(note), noted)
     np.testing.assert_array_equal(camera.capture(), plain)
     fine = Camera(scene, CameraConfig(width=120, height=100, supersampling=2)).capture()
-    assert fine.shape == plain.shape
     assert 0.0 < np.abs(fine.astype(int) - plain).mean() < 10.0
     np.testing.assert_array_equal(numbers(scene), state)
-    monkeypatch.setattr("grasp_env.sim.picture.camera.smooth_edges", lambda picture: picture)
-    np.testing.assert_array_equal(smooth_edges(Image.fromarray(camera.capture())), plain)
-    closed = Scene(SceneConfig(), visuals=True)
-    camera = Camera(closed, CameraConfig(width=16, height=16))
-    closed.close()
-    with pytest.raises(SimulationError, match="closed"):
-        camera.capture()
 
 
-def test_what_is_wrong_is_said() -> None:
-    for config in ({"width": 0}, {"direction": (0.0, 1.0, 0.0)}, {"margin": 0.5}, {"object_opacity": 2.0},
-                   {"field_of_view": 0.0}, {"footer": 0.6}):  # fmt: skip
-        with pytest.raises(InvalidInputError, match=next(iter(config))):
-            CameraConfig(**config)
-    for fields in ({"forces": np.zeros((2, 3))}, {"friction": [np.nan]}, {"wrench": np.zeros(3)}, {"scale": 0.0},
-                   {"measured": np.zeros(3)}, {"turn": -1.0}):  # fmt: skip
-        with pytest.raises(InvalidInputError, match=next(iter(fields))):
-            one_finger(**fields)
+@pytest.mark.parametrize(
+    ("make", "fields"),
+    [(CameraConfig, fields) for fields in (
+        {"width": 0}, {"direction": (0.0, 1.0, 0.0)}, {"margin": 0.5}, {"object_opacity": 2.0}, {"field_of_view": 0.0}, {"footer": 0.6})]
+    + [(one_finger, fields) for fields in (
+        {"forces": np.zeros((2, 3))}, {"friction": [np.nan]}, {"wrench": np.zeros(3)}, {"scale": 0.0}, {"turn": -1.0})],
+)  # fmt: skip
+def test_invalid_arguments(make: Any, fields: dict[str, Any]) -> None:
+    with pytest.raises(InvalidInputError, match=next(iter(fields))):
+        make(**fields)
 
 
 LOOKS = {
@@ -184,7 +166,7 @@ DRAWN = {
         {"forces": np.zeros((1, 3)), "measured": np.zeros((1, 3)), "friction": [0.5]},
         {"tint": [(-0.06, 0.012), (-0.06, -0.012)], "blank": [(-0.06, 0.0195), (-0.06, -0.0195)]},
     ),
-    "a contact that is not active is a grey ring": (
+    "an inactive contact is a grey ring": (
         {"active": [False], "friction": [0.5]},
         {"blank": [(-0.03, 0.0), (-0.06, 0.0), (-0.06, 0.012)], "grey": [(-0.03, 0.0034)]},
     ),
@@ -206,16 +188,16 @@ DRAWN = {
 @pytest.mark.parametrize("what", DRAWN)
 def test_drawn(what: str) -> None:
     fields, expected = DRAWN[what]
-    image = np.array(draw(WHITE, one_finger(**fields), FRONT)).astype(int)
+    image = np.array(draw(Image.new("RGB", (300, 300), "white"), one_finger(**fields), FRONT)).astype(int)
     for look, places in expected.items():
         for x, y in places:
             column, row = FRONT.project([[x, y, 0.0]])[0].round().astype(int)
             assert LOOKS[look](image[row, column]), (look, x, y, image[row, column])
 
 
-@pytest.mark.parametrize("size", [(480, 480), (240, 240), (64, 48), (1, 1)])
+@pytest.mark.parametrize("size", [(64, 48), (1, 1)])
 def test_every_size_and_every_place_can_be_drawn(size: tuple[int, int]) -> None:
-    """What is not drawn on is only veiled."""
+    """Pixels that are not drawn on are only veiled."""
     view = dataclasses.replace(FRONT, width=size[0], height=size[1])
     for place in ([0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.5]):
         note = one_finger(points=[place], center=place, wrench=np.ones(6), lines=[("margin", "0.31 N")] * 4)
@@ -225,53 +207,30 @@ def test_every_size_and_every_place_can_be_drawn(size: tuple[int, int]) -> None:
     np.testing.assert_array_equal(out[:100], np.round(255 - (1.0 - VEIL) * (255.0 - image))[:100])
 
 
-@pytest.mark.parametrize("size", [(480, 480), (320, 320), (320, 240), (1280, 720), (200, 400)])
-def test_words_have_their_place_beside_hand_and_arrows(
-    scene: Scene, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    written: dict[str, tuple[Any, np.ndarray]] = {}
-    write = ImageDraw.ImageDraw.text
-
-    def spy(pen: Any, xy: Any, text: str, fill: Any, font: Any, anchor: str = "la", **options: Any) -> None:
-        written[text] = fill, np.tile(xy, 2) + font.getbbox(text, anchor=anchor)
-        write(pen, xy, text, fill, font, anchor, **options)
-
-    monkeypatch.setattr(ImageDraw.ImageDraw, "text", spy)
+@pytest.mark.parametrize("size", [(480, 480), (320, 240)])
+def test_text_has_its_place_beside_hand_and_arrows(scene: Scene, size: tuple[int, int]) -> None:
     margin, footer = room(*size)
     camera = Camera(scene, CameraConfig(*size, margin=margin, footer=footer, arrows=LONGEST, object_opacity=1.0))
-    none, lines = np.zeros((0, 3)), [("lost after", "1.20 s"), ("drift", "0.31 mm"), ("tilt", "0.02 deg")]
-    note = Annotation(none, none, none, none, none[:, 0], none[:, 0], none, np.zeros(6), np.zeros(3), 0.025,
-                      LONGEST_TURN / 0.2, "hold: random wrench", "four finger", "", lines)  # fmt: skip
-    plain = draw(Image.new("RGB", size, (120, 120, 120)), note, camera.view)
-    words = (np.array(plain) != round(255 - (1.0 - VEIL) * (255 - 120))).any(axis=2)
+    lines = [("lost after", "1.20 s"), ("drift", "0.31 mm"), ("tilt", "0.02 deg")]
+    none = {name: np.zeros((0, 3)) for name in ("points", "normals", "forces", "measured", "colors")}
+    note = one_finger(
+        **none, friction=[], active=[], center=np.zeros(3), title="hold: random wrench", hand="four finger", lines=lines
+    )
+    plain = np.array(draw(Image.new("RGB", size, (120, 120, 120)), note, camera.view)).astype(int)
+    text = (plain != round(255 - (1.0 - VEIL) * (255 - 120))).any(axis=2)
     _, depth = camera.painter.shoot(camera.view)
-    assert not (words & (depth < BACKGROUND_DEPTH)).any()
+    assert text.mean() > 0.1
+    assert not (text & (depth < BACKGROUND_DEPTH)).any()
     ends = camera.project(np.vstack([0.95 * LONGEST * np.eye(3), -0.95 * LONGEST * np.eye(3)])).astype(int)
-    assert not words[ends[:, 1], ends[:, 0]].any()
-
-    # the longest arrow of the legend has 0.03 m, a moment's arc a quarter of a turn
-    legend = ["commanded 1 N", "measured", "friction cone", "wrench 0.5 N", "moment 0.05 N m", "contact lost"]
-    assert {*legend, *sum(lines, ()), note.title, note.hand} <= set(written)
-    places = np.array([place for _, place in written.values()])
-    assert (places >= 0).all()
-    assert (places <= np.tile(size, 2)).all()
-    assert all(written[value][1][1] > written[label][1][1] for label, value in lines)  # below it
-    pixels = np.diff(camera.project([[0.0, 0.0, 0.0], 0.025 * camera.view.axes[0]])[:, 0])[0]
-    for name in ("commanded 1 N", "wrench 0.5 N"):
-        x, top, _, bottom = written[name][1].tolist()
-        band = np.array(plain.crop((0, top, x - 2, bottom))).astype(int)
-        arrow = np.nonzero(np.ptp(band[..., :2], axis=2) > 80 if "wrench" in name else band.max(axis=2) < 120)[1]
-        assert np.ptp(arrow) == pytest.approx(pixels, abs=3.0)
-
-    lost = dataclasses.replace(note, alarm="lost: no force closure")
-    draw(plain, lost, camera.view)
-    assert {written[name][0] for name in ("lost: no force closure", *lines[0])} == {(190, 38, 30)}
-    assert written["drift"][0] != (190, 38, 30)
+    assert not text[ends[:, 1], ends[:, 0]].any()
+    alarmed = dataclasses.replace(note, alarm="lost: no force closure")
+    after = np.array(draw(Image.new("RGB", size, (120, 120, 120)), alarmed, camera.view)).astype(int)
+    red = (after[..., 0] - after[..., 1:].max(axis=2) > 80) & (plain[..., 0] - plain[..., 1:].max(axis=2) < 80)
+    assert red[: size[1] // 2].sum() > 20  # the alarm
+    assert red[size[1] // 2 :, : size[0] // 3].sum() > 20  # the first of the lines
 
 
-@pytest.mark.parametrize(
-    ("angle", "most"), [(0.02, 0.85), (0.1, 0.3), (0.35, 0.85), (0.7, 0.6), (1.2, 0.85), (1.5, 0.4)]
-)
+@pytest.mark.parametrize(("angle", "most"), [(0.02, 0.85), (0.7, 0.6), (1.5, 0.4)])
 def test_smooth_edges_come_nearer_to_the_true_coverage(angle: float, most: float) -> None:
     def half_plane(factor: int) -> np.ndarray:
         x = (np.arange(64 * factor) + 0.5) / factor - 32.0
@@ -283,35 +242,18 @@ def test_smooth_edges_come_nearer_to_the_true_coverage(angle: float, most: float
     smooth, truth = np.array(smooth_edges(Image.fromarray(jagged))), half_plane(16)[:, :, None] * [1.0, 1.0, 0.5]
     error = [np.sqrt(np.mean((image[4:-4, 4:-4] - truth[4:-4, 4:-4]) ** 2)) for image in (jagged, smooth)]
     assert error[1] < most * error[0]
-    around = [np.roll(jagged[..., 0], (r, c), (0, 1)) for r in range(-2, 3) for c in range(-2, 3)]
-    flat = np.ptp(around, axis=0) == 0
-    np.testing.assert_array_equal(smooth[flat], jagged[flat])
 
 
-@needs_bullet
-def test_lines_in_a_window_are_drawn_once_and_then_moved(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[tuple[Any, Any, int]] = []
-
-    def add(start: Any, end: Any, color: Any, replaceItemUniqueId: int, **_: Any) -> int:
-        drawn.append((start, end, replaceItemUniqueId))
-        return 70 + len(drawn)
-
-    monkeypatch.setattr(bullet, "addUserDebugLine", add)
-    painter = Camera(scene, CameraConfig(width=16, height=16)).painter
+def test_lines_end_at_contacts() -> None:
     note = one_finger(wrench=[0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-    painter.show(note)
-    np.testing.assert_allclose(drawn[0][:2], [[-0.08, 0.0, 0.0], [-0.03, 0.0, 0.0]], atol=1e-12)
-    np.testing.assert_allclose(drawn[1][:2], [[0.1, 0.1, 0.0], [0.1, 0.15, 0.0]], atol=1e-12)
-    painter.show(note)
-    assert [line for _, _, line in drawn] == [-1, -1, 71, 72]
-    painter.show(dataclasses.replace(note, active=[False]))
-    np.testing.assert_allclose(*drawn[4][:2])
-    scene.load(scene.config)
-    painter.show(note)
-    assert [line for _, _, line in drawn[6:]] == [-1, -1]  # other bodies, whose window has no lines
+    (start, end, color), (center, tip, _) = lines_of(note)
+    np.testing.assert_allclose([start, end, color], [[-0.08, 0.0, 0.0], [-0.03, 0.0, 0.0], [1.0, 0.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose([center, tip], [[0.1, 0.1, 0.0], [0.1, 0.15, 0.0]], atol=1e-12)
+    start, end, _ = lines_of(dataclasses.replace(note, active=[False]))[0]
+    np.testing.assert_allclose(start, end)
 
 
-def test_a_portrait_stands_upright_and_shows_tips_and_posture() -> None:
+def test_a_portrait_is_upright_and_shows_tips_and_posture() -> None:
     hand = HANDS["four_finger"]()  # its palm is above the object
     picture = portrait(hand, 96).astype(int)
     assert picture.shape == (96, 192, 3)

@@ -1,4 +1,4 @@
-"""The physics of a scene, what it is built of, and its refusals."""
+"""The physics of a scene, and invalid use of it."""
 
 from __future__ import annotations
 
@@ -24,26 +24,25 @@ FREE = {"clearance": 0.02}
 """The object falls between fingers that do not touch it."""
 
 
-def _compensate(scene: Scene, steps: int, wrench: np.ndarray | None = None) -> None:
-    """The hand stands still, whatever the object does."""
+def hold_still(scene: Scene, steps: int, wrench: np.ndarray | None = None) -> None:
+    """Carry the weight of the hand, whatever the object does."""
     for _ in range(steps):
         scene.step(scene.look().gravity_torques, wrench)
 
 
 @needs_bullet
 def test_changed_mass_and_friction(make_scene: Callable[..., Scene]) -> None:
-    """Every part of the hand leaves the friction to the object: PyBullet forgets it where some other options are set in the same call."""
+    """The hand's friction must stay 1: PyBullet resets it if some other options are set in the same call."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0), inertia=(2e-4, 3e-4, 4e-4), friction=0.55, **FREE)
     push = np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.001])
     gained = []
     for mass in (0.2, 0.5):
         scene.change_object(mass=mass)
         scene.reset()  # does not undo it
-        _compensate(scene, 1, push)
+        hold_still(scene, 1, push)
         gained.append(np.append(scene.look().linear, scene.look().angular))
         assert scene.config.object.mass == mass
-    np.testing.assert_allclose(gained[0][1], 0.1 / 0.2 * scene.timestep, rtol=1e-12)
-    np.testing.assert_allclose(gained[0][5], 0.001 / 4e-4 * scene.timestep, rtol=1e-12)
+    np.testing.assert_allclose(gained[0][[1, 5]], np.array([0.1 / 0.2, 0.001 / 4e-4]) * scene.timestep, rtol=1e-12)
     np.testing.assert_allclose(gained[1], 0.4 * gained[0], rtol=1e-12)  # the inertia grows with the mass
     client, world = scene.simulator.client.number, scene.simulator.world
     for link in range(-1, bullet.getNumJoints(world.hand, physicsClientId=client)):
@@ -52,54 +51,40 @@ def test_changed_mass_and_friction(make_scene: Callable[..., Scene]) -> None:
         assert bullet.getDynamicsInfo(world.object, -1, physicsClientId=client)[1] == friction
         scene.change_object(friction=0.7)
     assert (scene.config.object.friction, scene.config.object.mass) == (0.7, 0.5)
-    with pytest.raises(InvalidInputError, match="mass"):
-        scene.change_object(mass=-1.0)
 
 
-def test_free_fall(make_scene: Callable[..., Scene]) -> None:
-    """Bullet's Euler is semi-implicit: v_k = -g k dt and y_k = -g k (k + 1) dt^2 / 2, both exact here.
-
-    The continuous -g t^2 / 2 is then missed by the share dt / t, below 1e-3 after 0.6 s at 2 kHz.
-    """
-    scene, steps = make_scene(engine=BulletEngine(rate=2000), **FREE), 1200
+def test_free_fall_and_changed_gravity(make_scene: Callable[..., Scene]) -> None:
+    """Bullet's Euler is semi-implicit: v_k = -g k dt and y_k = -g k (k + 1) dt^2 / 2, both exact here."""
+    scene, steps = make_scene(engine=BulletEngine(rate=2000), **FREE), 400
     angles = scene.look().angles.copy()
-    _compensate(scene, steps)
+    hold_still(scene, steps)
     s, dt = scene.look(), scene.timestep
-    time = steps * dt
-    np.testing.assert_allclose(s.linear, [0.0, -9.81 * time, 0.0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(s.position[1], -0.5 * 9.81 * time * (time + dt), rtol=1e-9)
-    np.testing.assert_allclose(s.position[1], -0.5 * 9.81 * time**2, rtol=1e-3)
+    np.testing.assert_allclose(s.linear, [0.0, -9.81 * steps * dt, 0.0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(s.position[1], -0.5 * 9.81 * steps * (steps + 1) * dt**2, rtol=1e-9)
     np.testing.assert_array_equal(s.angular, 0.0)
     np.testing.assert_allclose(s.rates, 0.0, atol=1e-9)  # gravity compensation holds the hand
     np.testing.assert_allclose(s.angles, angles, atol=1e-9)
-
-
-def test_another_gravity(make_scene: Callable[..., Scene]) -> None:
-    scene, gravity = make_scene(**FREE), np.array([3.0, 1.0, -2.0])
+    gravity = np.array([3.0, 1.0, -2.0])
     scene.set_gravity(gravity)
-    _compensate(scene, 10)
-    np.testing.assert_allclose(scene.look().linear, 10 * scene.timestep * gravity, rtol=1e-9)
+    scene.reset()  # does not undo it
+    hold_still(scene, 10)
+    np.testing.assert_allclose(scene.look().linear, 10 * dt * gravity, rtol=1e-9)
     np.testing.assert_allclose(scene.look().rates, 0.0, atol=1e-9)
-    scene.reset()
-    _compensate(scene, 10)  # a reset does not undo it
-    np.testing.assert_allclose(scene.look().linear, 10 * scene.timestep * gravity, rtol=1e-9)
 
 
 def test_nothing_is_damped(make_scene: Callable[..., Scene]) -> None:
-    """Bullet's defaults would take 8 % of a free body's speed in these 2 s."""
+    """Bullet's defaults would take 2 % of a free body's speed in half a second."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0), **FREE)
     scene.step(np.full(12, 1e-4), np.array([0.0, 1.0, 0.0, 0.0, 0.002, 0.0]))
     first = np.concatenate([scene.look().linear, scene.look().angular])
-    for _ in range(500):
+    for _ in range(125):
         scene.step(np.zeros(12))
-    s = scene.look()
-    np.testing.assert_allclose(np.concatenate([s.linear, s.angular]), first, rtol=1e-9, atol=1e-12)
-    assert first[1] > 0.0
-    assert first[4] > 0.0
+    np.testing.assert_allclose(np.append(scene.look().linear, scene.look().angular), first, rtol=1e-9, atol=1e-12)
+    assert first[[1, 4]].min() > 0.0
 
 
 def test_joints_give_all_their_torque_and_no_more(make_scene: Callable[..., Scene]) -> None:
-    """Also at 250 Hz, where Bullet's own limit of joint speeds would take a third of it: speed is linear in torque."""
+    """Even at 250 Hz, where Bullet's default limit of joint speeds would take a third of it: speed is linear in torque."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0), **FREE)
     speeds = []
     for torque in (0.12, 12.0, 1200.0):
@@ -108,23 +93,12 @@ def test_joints_give_all_their_torque_and_no_more(make_scene: Callable[..., Scen
         speeds.append(scene.look().rates.copy())
     assert abs(speeds[1][1]) > 100.0
     np.testing.assert_allclose(speeds[1], 100.0 * speeds[0], rtol=1e-6, atol=1e-9)
-    np.testing.assert_array_equal(speeds[2], speeds[1])  # cut at the limit
-
-
-def test_bad_torques_are_refused(held: Scene) -> None:
-    before = numbers(held)
-    for torques in (np.zeros(11), np.full(12, np.nan), np.full((1, 12), 0.0), "torque", None):
-        with pytest.raises(InvalidInputError, match="torques"):
-            held.step(torques)  # type: ignore[arg-type]
-    for wrench in (np.zeros(5), np.full(6, np.inf), "push"):
-        with pytest.raises(InvalidInputError, match="external_wrench"):
-            held.step(np.zeros(12), wrench)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(numbers(held), before)  # nothing moved
+    np.testing.assert_array_equal(speeds[2], speeds[1])  # clipped
 
 
 @pytest.mark.parametrize("engine", [BulletEngine(rate=1000), MujocoEngine()], ids=lambda engine: engine.name)
-def test_momentum_is_what_forces_leave(make_scene: Callable[..., Scene], make_holder: Callable, engine: Any) -> None:
-    """Mean contact force + weight + wrench over a step is the change of momentum in it, though stiff contacts ring."""
+def test_forces_and_momentum_balance(make_scene: Callable[..., Scene], make_holder: Callable, engine: Any) -> None:
+    """Mean contact force + weight + wrench over a step is the change of momentum, although stiff contacts ring."""
     pytest.importorskip("pybullet" if engine.name == "bullet" else "mujoco", reason="the engine is not installed")
     scene, holder = make_scene(engine=engine, substeps=4), make_holder()
     holder.settle(scene)
@@ -139,28 +113,39 @@ def test_momentum_is_what_forces_leave(make_scene: Callable[..., Scene], make_ho
     np.testing.assert_allclose(missed, 0.0, atol=1e-3)  # [N]; it turns a little within the step
 
 
+CONFIG = SceneConfig()
+
+
 @pytest.mark.parametrize(
-    ("field", "value", "message"),
+    ("call", "message"),
     [
-        ("substeps", 0, "substeps"),
-        ("engine", "bullet", "engine"),
-        ("gravity", (0.0, float("inf"), 0.0), "gravity"),
-        ("gravity", (0.0, -9.81), "gravity"),
-        ("clearance", float("nan"), "clearance"),
-        ("contact_points", ((0.0, 0.0, 0.05),), "contact_points"),
-        ("contact_points", ((0.0, 0.0, 0.02),) * 4, "surface"),
-        ("contact_points", ((0.0, 0.0, float("nan")),) * 4, "contact_points"),
+        (lambda scene: scene.step(np.zeros(11)), "torques"),
+        (lambda scene: scene.step(np.full(12, np.nan)), "torques"),
+        (lambda scene: scene.step(np.zeros(12), np.zeros(5)), "external_wrench"),
+        (lambda scene: scene.change_object(mass=-1.0), "mass"),
+        (lambda _: dataclasses.replace(CONFIG, substeps=0), "substeps"),
+        (lambda _: dataclasses.replace(CONFIG, engine="bullet"), "engine"),  # type: ignore[arg-type]
+        (lambda _: dataclasses.replace(CONFIG, gravity=(0.0, math.inf, 0.0)), "gravity"),
+        (lambda _: dataclasses.replace(CONFIG, clearance=math.nan), "clearance"),
+        (lambda _: dataclasses.replace(CONFIG, contact_points=((0.0, 0.0, 0.05),)), "contact_points"),
+        (lambda _: dataclasses.replace(CONFIG, contact_points=((0.0, 0.0, 0.02),) * 4), "surface"),
+        (lambda _: dataclasses.replace(CONFIG, start_angles=(0.0,)), "start_angles"),
+        (lambda _: Scene(dataclasses.replace(CONFIG, engine=type("Other", (MujocoEngine,), {"simulator": BulletEngine.simulator})())),
+         "engine must be a BulletEngine|needs pybullet"),
     ],
-)
-def test_config_refuses_nonsense(field: str, value: object, message: str) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        dataclasses.replace(SceneConfig(), **{field: value})
+)  # fmt: skip
+def test_invalid_arguments(make_scene: Callable[..., Scene], call: Callable[[Scene], object], message: str) -> None:
+    scene = make_scene()
+    before = numbers(scene)
+    with pytest.raises((InvalidInputError, SimulationError), match=message):
+        call(scene)
+    np.testing.assert_array_equal(numbers(scene), before)
 
 
 @pytest.mark.parametrize(
     "engine", [pytest.param(BulletEngine(), marks=needs_bullet), MujocoEngine()], ids=lambda engine: engine.name
 )
-def test_a_closed_scene_says_so(make_scene: Callable[..., Scene], engine: Any) -> None:
+def test_closed_scenes_and_copies(make_scene: Callable[..., Scene], engine: Any) -> None:
     pytest.importorskip(f"{'py' if engine.name == 'bullet' else ''}{engine.name}", reason="the engine is not installed")
     scene = make_scene(engine=engine)
     scene.look()
@@ -179,15 +164,12 @@ def test_a_closed_scene_says_so(make_scene: Callable[..., Scene], engine: Any) -
 
 
 @needs_bullet
-def test_window_without_display(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("display", ["", ":9876"])
+def test_window_without_display(monkeypatch: pytest.MonkeyPatch, display: str) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
-    for display in (None, ":9876"):
-        if display is None:
-            monkeypatch.delenv("DISPLAY", raising=False)
-        else:
-            monkeypatch.setenv("DISPLAY", display)
-        with pytest.raises(SimulationError, match="display"):
-            Client(gui=True)
+    monkeypatch.setenv("DISPLAY", display)
+    with pytest.raises(SimulationError, match="display"):
+        Client(gui=True)
 
 
 def test_nothing_is_printed() -> None:

@@ -1,4 +1,4 @@
-"""Where a hand takes hold of an object: grasps that it reaches, and checks of points a user gives."""
+"""Planning of grasps: contacts that a hand reaches, its pose, and checks of given contacts."""
 
 from grasp_env.sim.grasping.placing import place_hand
 from grasp_env.sim.grasping.points import GraspPlan, check_points, grasp_points, plan_grasp

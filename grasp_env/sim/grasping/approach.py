@@ -1,4 +1,4 @@
-"""The side from which a hand comes: the wanted direction from its palm to the object, and that of a palm at a place."""
+"""Direction of approach of a hand: from its palm to the object, as wanted and as found."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
 
 DEVIATION = math.radians(30.0)
-"""[rad] that the direction from the palm to the object may differ from the wanted one."""
+"""Largest angle between the direction from the palm to the object and the wanted one [rad]."""
 SIDE = "side"
-"""Any horizontal direction."""
+"""Name of all horizontal directions."""
 DIRECTIONS = {"down": (0.0, -1.0, 0.0), "up": (0.0, 1.0, 0.0), SIDE: None}
-"""Directions by name, world frame; gravity is along -y, so with "down" the palm is above the object."""
-_PROBE, _STEP = 0.002, 1e-4  # [m]: diameter of the ball that looks for the palm, and its steps
+"""Directions by name, world frame. Gravity is along -y: with "down" the palm is above the object."""
+_PROBE, _STEP = 0.002, 1e-4  # diameter of the ball that probes for the palm, and its steps [m]
 
 
 def as_approach(value: Any, name: str) -> str | tuple[float, float, float]:
-    """A wanted direction: one of the names of `DIRECTIONS`, or a vector (3,) as a unit vector, world frame.
+    """Check a wanted direction, world frame: return a name in `DIRECTIONS`, or a vector (3,) with unit length.
 
     Raises:
-        UnknownNameError: Another name.
-        InvalidInputError: No direction.
+        UnknownNameError: The name is not in `DIRECTIONS`.
+        InvalidInputError: It is not a direction.
     """
     if as_text(value) is not None:
         return choice(value, name, DIRECTIONS, ", or give the direction (3,) from the palm to the object, world frame")
@@ -62,7 +62,7 @@ class Approach:
         return bool(direction @ wanted >= math.cos(DEVIATION))
 
     def draw(self, rng: np.random.Generator) -> Array:
-        """The wanted direction (3,), unit; drawn where any horizontal one is."""
+        """Return the wanted unit direction (3,); a random horizontal one for "side"."""
         wanted, turn = self._vector, rng.uniform(0.0, 2.0 * np.pi)
         return np.array([np.cos(turn), 0.0, np.sin(turn)]) if wanted is None else np.array(wanted)
 
@@ -72,9 +72,9 @@ class Approach:
 
 
 def palm_direction(kinematics: HandKinematics, limbs: core.HandLimbs, center: Array) -> Array:
-    """Unit direction (3,) from the palm to a place of the object [m], (3,), hand frame.
+    """Return the unit direction (3,) from the palm to the object's centre [m], (3,), hand frame.
 
-    It leads from the nearest point of the palm; of palms without shapes from the middle of the fingers' first joints.
+    It starts at the nearest point of the palm, or at the mean of the fingers' first joints if the palm has no shapes.
     """
     probe = ObjectDescription("sphere", (_PROBE,)).surface
     still = np.eye(3).ravel().tolist()

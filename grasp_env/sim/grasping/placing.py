@@ -1,4 +1,4 @@
-"""Where a hand must be to take hold of an object: palm pose, rest posture and the fingers that touch."""
+"""Placing of a hand around an object: palm pose, rest posture and the fingers that touch."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from grasp_env.sim.hand.kinematics import HandKinematics, motor_span
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
-_ATTEMPTS, _MORE = 3, 6  # to find a good grasp; to find one that is not weak, where there is one at all
-_SITES, _TURNS = 60, 6  # that are tried each time, and turns of the object at each
-_RAYS = 60  # for each finger there
-_ENOUGH = 24  # grasps to choose from
-_GOOD = 30.0  # [N] of the best grasp, beyond which easier margins are tried
-_WEAK = 60.0  # [N] at which motors make half of what is asked
-_ROOM = 0.003  # [m] of clearance that costs nothing
-_MEETINGS, _MET = 20, 1e-9  # steps of Newton; [m] from the object at which a tip touches
-_IDLE = 1.3  # of the force, for each finger that does not touch
-_NAMED = 6  # joints and pairs of fingers that a message names
-_WIDE = 2.5  # [rad] of range from which joints are named
-_MADE = 4.0  # power of the part of a normal force that motors make, by which a grasp counts as more
-_LEAST_MADE = 0.1  # of that part
-_EVEN, _PLANAR = 0.25, 1e-3  # least of a tip's levers over its largest that costs nothing; that is none
+_ATTEMPTS, _MAX_ATTEMPTS = 3, 6  # attempts to find a good grasp; attempts to find any, or one that is not weak
+_SITES, _TURNS = 60, 6  # sites per attempt, and rotations of the object at each
+_RAYS = 60  # rays per finger
+_ENOUGH = 24  # candidates to choose from
+_GOOD = 30.0  # force of the best grasp above which easier margins are tried [N]
+_WEAK = 60.0  # force at which the motors provide half of what a grasp requires [N]
+_ROOM = 0.003  # clearance that is not penalised [m]
+_MEETINGS, _MET = 20, 1e-9  # Newton steps; gap at which a tip touches [m]
+_IDLE = 1.3  # factor of the force for each finger that does not touch
+_LISTED = 6  # joints or pairs of fingers listed in a message
+_WIDE = 2.5  # range from which joints are listed in a message [rad]
+_MADE = 4.0  # exponent of the penalty on normal forces that motors do not make
+_MIN_MADE = 0.1  # lower bound of the motors' share
+_EVEN, _PLANAR = 0.25, 1e-3  # ratio of a tip's smallest to largest singular value: not penalised; counted as zero
 
 
 def place_hand(
@@ -47,26 +47,26 @@ def place_hand(
     least: int | None = None,
     approach: ArrayLike | str | None = None,
 ) -> HandDescription:
-    """The hand where it holds the object well: palm, rest posture and fingertips are chosen.
+    """Place a hand where it holds the object well, by choosing palm pose, rest posture and fingertips.
 
-    The object is at the origin of the world, gravity along -y, and the hand may come from any side. Fingers that find no place are
-    left out where at least three others, with soft contacts two, hold without them. A gripper of two fingers touches with pads that
-    stand at least 1.5 mm before the rest of its jaws: its tips are moved towards each other for that.
+    The object is at the origin of the world, gravity along -y, and the hand may come from any side. Fingers that find no contact are
+    left out if at least three others (two with soft contacts) hold the object. The pads of a two-finger gripper must protrude at least
+    1.5 mm from its jaws: its tips are moved towards each other for that.
 
     Args:
-        hand: Its own place and rest posture do not matter.
+        hand: The hand; its pose and rest posture do not matter.
         item: The object.
-        seed: Of the search, >= 0.
-        least: Fingers that touch at least; None: three, with soft contacts two.
-        approach: Direction from the palm to the object, world frame: "down", "up", "side", or a vector (3,). It may differ by 30 degrees.
-            None: any.
+        seed: Seed of the search, >= 0.
+        least: Smallest number of fingers that touch; None for three, or two with soft contacts.
+        approach: Direction from the palm to the object, world frame, met within 30 degrees: "down", "up", "side", or a vector (3,).
+            None for any.
 
     Returns:
-        A hand with which `plan_grasp` finds a grasp; the same for the same arguments. Found once for each of them in a process.
+        A hand for which `plan_grasp` finds a grasp. Equal arguments give an equal result, which is cached in the process.
 
     Raises:
-        InvalidInputError: No palm pose was found; the message says on how many candidates what failed. Or the hand has two fingers and
-            the object no `torsional_friction`.
+        InvalidInputError: No palm pose was found; the message counts the reasons. Or the hand has two fingers and the object no
+            `torsional_friction`.
 
     Example:
         >>> ball = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
@@ -86,7 +86,7 @@ def place_hand(
 
 
 class _Candidate(NamedTuple):
-    """The fingers that touch, the rest posture (M,), and the hand's rotation (3, 3) and shift (3,) [m]."""
+    """A candidate grasp: fingers that touch, rest posture (M,) [rad], and the hand's rotation (3, 3) and translation (3,) [m]."""
 
     fingers: tuple[int, ...]
     home: Array
@@ -103,7 +103,7 @@ def _placed(
     places = astray = 0
     faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
     best: tuple[float, float, HandDescription] | None = None
-    for attempt in range(_MORE):
+    for attempt in range(_MAX_ATTEMPTS):
         sites, facing = find_sites(
             hand, item, rng, least, _SITES, pushed=(attempt % 2 == 0) == (item.shape != "cuboid")
         )
@@ -150,41 +150,41 @@ def _placed(
     )
     raise InvalidInputError(
         f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape} of "
-        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{aside}; of what was "
-        f"tried there {counts or 'nothing is left'}. {'' if places else _apart(hand, faced)}{_wide(hand)}Use an object of another size or "
+        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{aside}; of the "
+        f"candidates tried there {counts or 'none is left'}. {'' if places else _never_facing(hand, faced)}{_wide_joints(hand)}Use an object of another size or "
         "more friction, another seed, or place the hand by `HandDescription.moved` and `home`"
     )
 
 
-def _apart(hand: HandDescription, faced: NDArray[np.bool_]) -> str:
-    """A sentence about fingers that never face each other; none where all do."""
+def _never_facing(hand: HandDescription, faced: NDArray[np.bool_]) -> str:
+    """Return a sentence about fingers that never face each other, or ""."""
     names = hand.finger_names
     pairs = [f"{names[i]} and {names[j]}" for i, j in combinations(range(len(names)), 2) if not faced[i, j]]
     if not pairs:
         return ""
     if not faced.any():
         return f"No two of its fingers ({', '.join(names)}) face each other with room for the object between them. "
-    more = f" and {len(pairs) - _NAMED} more pairs" if len(pairs) > _NAMED else ""
-    return f"Within their ranges these fingers never face each other: {'; '.join(pairs[:_NAMED])}{more}. "
+    more = f" and {len(pairs) - _LISTED} more pairs" if len(pairs) > _LISTED else ""
+    return f"Within their ranges these fingers never face each other: {'; '.join(pairs[:_LISTED])}{more}. "
 
 
-def _wide(hand: HandDescription) -> str:
-    """A sentence about joints whose ranges are wider than those of fingers; none without any."""
+def _wide_joints(hand: HandDescription) -> str:
+    """Return a sentence about joints whose ranges are wider than those of fingers, or ""."""
     wide = [link.joint for link in hand.links if not link.sliding and not link.upper - link.lower < _WIDE]
     if not wide:
         return ""
-    more = f" and {len(wide) - _NAMED} more" if len(wide) > _NAMED else ""
+    more = f" and {len(wide) - _LISTED} more" if len(wide) > _LISTED else ""
     return (
-        f"Joints that turn by more than {_WIDE:g} rad are seldom those of a finger: {', '.join(wide[:_NAMED])}{more}; give the true ranges "
+        f"Joints that turn by more than {_WIDE:g} rad are seldom those of a finger: {', '.join(wide[:_LISTED])}{more}; give the true ranges "
         "as joint_limits={joint: (lower, upper)} to from_urdf. "
     )
 
 
 class _Trials:
-    """Grasps of one object by one hand in many places.
+    """Trial grasps of one object by one hand in many poses.
 
     Attributes:
-        faults: On how many candidates what failed.
+        faults: Number of rejected candidates, by reason.
     """
 
     def __init__(self, hand: HandDescription, item: ObjectDescription) -> None:
@@ -194,7 +194,7 @@ class _Trials:
         self._parts: dict[tuple[int, ...], tuple[HandKinematics, core.HandLimbs]] = {}
 
     def grasp(self, site: Site, turn: Array, least: int, tries: int, rng: np.random.Generator) -> _Candidate | None:
-        """With the fingers of the site, or with those of them that find places."""
+        """Try a grasp with the fingers of a site, or with those of them that find contacts."""
         fingers, shift = site.fingers, -turn @ site.center
         while len(fingers) >= least:
             candidate = self._met(_Candidate(fingers, site.posture, turn, shift))
@@ -210,7 +210,7 @@ class _Trials:
         return None
 
     def _met(self, candidate: _Candidate) -> _Candidate:
-        """The candidate shifted, and its motors turned, such that all tips touch at once, if no finger has a motor of its own."""
+        """Move the hand and its motors until all tips touch at once, if no finger has a motor of its own."""
         kinematics = self._part(candidate.fingers)[0]
         if not one_motor(kinematics):
             return candidate
@@ -230,17 +230,15 @@ class _Trials:
         return candidate._replace(home=angles, shift=shift)
 
     def palm(self, site: Site) -> Array:
-        """Direction from the palm to the object at a site, unit, (3,), hand frame."""
+        """Return the unit direction (3,) from the palm to the object at a site, hand frame."""
         return palm_direction(*self._part(site.fingers), site.center)
 
     def rating(self, candidate: _Candidate) -> float:
-        """The force that the grasp takes that is found there [N], inf without one.
+        """Return the weighted force of the grasp found for a candidate [N], or inf if there is none; smaller is better.
 
-        With more than two fingers, grasps count as more whose motors do not push along the normals: structure carries such forces.
-
-        Grasps count as more that leave little room, or whose tips some directions of motion hardly move: these are slow to close. They
-        count as more for each finger that does not touch: of grasps that take nearly the same, the one with more fingers loses less when
-        a finger slips.
+        Penalties multiply the force. With more than two fingers, one is on normal forces that motors do not make, but the structure.
+        Another is on little clearance, and one on tips that hardly move in some direction, as these are slow to close. The last is on
+        each finger that does not touch: with more fingers, a grasp loses less when one slips.
         """
         plan: GraspPlan | None = self._search(candidate).run(np.random.default_rng(0))
         if plan is None:
@@ -260,21 +258,17 @@ class _Trials:
         idle = self.hand.finger_count - len(candidate.fingers)
         uneven = max(1.0, _EVEN / min(ratios, default=1.0))
         return (
-            plan.force
-            * _IDLE**idle
-            * uneven**2
-            * max(min(made), _LEAST_MADE) ** -_MADE
-            * (_ROOM / plan.clearance) ** 0.5
+            plan.force * _IDLE**idle * uneven**2 * max(min(made), _MIN_MADE) ** -_MADE * (_ROOM / plan.clearance) ** 0.5
         )
 
     def placed(self, candidate: _Candidate) -> HandDescription:
-        """The hand there."""
+        """Return the hand in the pose of a candidate."""
         x, y, z = candidate.shift.tolist()
         part = replace(self._part(candidate.fingers)[0].hand, home=tuple(candidate.home.tolist()))
         return part.moved((x, y, z), roll_pitch_yaw(candidate.turn))
 
     def _part(self, fingers: tuple[int, ...]) -> tuple[HandKinematics, core.HandLimbs]:
-        """The hand with some of its fingertips, where it was given."""
+        """Return kinematics and limbs of the hand with only some of its fingertips, in the given pose."""
         if fingers not in self._parts:
             tips = tuple(self.hand.fingertips[finger] for finger in fingers)
             kinematics = HandKinematics(replace(self.hand, fingertips=tips))

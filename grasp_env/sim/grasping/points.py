@@ -1,4 +1,4 @@
-"""Where the hand takes hold of an object: force-closure grasps that it reaches, and checks of points a user gives."""
+"""Contacts on an object: force-closure grasps that a hand reaches, and checks of given contacts."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
 FRICTION_MARGIN = 0.85
-"""Part of the friction with which a grasp must do."""
+"""Share of the friction that a grasp may use."""
 ON_SURFACE = 1e-4
-"""[m] that a given point may be off the surface."""
+"""Largest distance of a given point from the surface [m]."""
 LARGEST_FORCE = 500.0
-"""[N] of total normal force in the worst case; a grasp that needs more is none."""
+"""Largest total normal force of a grasp in the worst case [N]."""
 
-_GRAVITY, _PUSH, _TURN = 9.81, 2.0, 0.06  # [m/s^2], [N], [N m] that a grasp is rated by
-_ASIDE = 1e-3  # [m] at which a given normal is tried
-_SPACE = 0.003  # [m] between fingers
+_GRAVITY, _PUSH, _TURN = 9.81, 2.0, 0.06  # loads that rate a grasp [m/s^2], [N], [N m]
+_ASIDE = 1e-3  # distance at which a given normal is tested [m]
+_SPACE = 0.003  # least distance between fingers [m]
 _PLACES, _RAYS, _STARTS, _ROUNDS = 20, 140, 20, 8
-_SPREAD = 0.7  # of the directions in which places are sought
+_SPREAD = 0.7  # spread of the directions in which places are sought
 _MARGINS = (
     (0.005, 0.1, 0.003, 0.0003),
     (0.003, 0.02, 0.0015, 0.0006),
     (0.001, 0.0, 0.0005, 0.0015),
-)  # [m] of flat surface, [rad] from joint limits, [m] of clearance that a place keeps, [m] to a mesh's pieces; easier each time
+)  # flat surface [m], distance from joint limits [rad], clearance [m], distance to a mesh's pieces [m]; easier row by row
 _DIRECTIONS = 120
-_TRIES = 3  # of the easier margins
+_TRIES = 3  # runs with the easier margins
 _NO_CLOSURE = "without force closure"
 _MISSES = (
     "too near to an edge",
@@ -59,15 +59,15 @@ _FAULTS = (
 
 @dataclass(frozen=True)
 class GraspPlan:
-    """A grasp and how the hand comes to it; N fingers, M joints.
+    """A grasp and the postures that lead to it; N fingers, M joints.
 
     Attributes:
         points: Contacts [m], (N, 3), object frame, in the order of the fingers.
-        normals: Inward unit normals there, (N, 3).
-        angles: Of the joints at the contacts [rad], (M,).
-        start: Of the joints before the fingers close [rad], (M,): every tip `START_CLEARANCE` from the object.
-        force: Total normal force in the worst case, or what it takes of the joints' torques where that is more: 30 N for all of one's.
-        clearance: Of the links from the object [m]: the larger, the more room its places have from edges and joint limits, too.
+        normals: Inward unit normals at the contacts, (N, 3).
+        angles: Joint angles at the contacts [rad], (M,).
+        start: Joint angles before the fingers close [rad], (M,), with every tip `START_CLEARANCE` from the object.
+        force: Total normal force in the worst case [N], or the load of the most loaded joint if that is more: 30 N is its torque limit.
+        clearance: Clearance of the links from the object [m]. It also stands for the margins from edges and joint limits.
     """
 
     points: Array
@@ -81,13 +81,13 @@ class GraspPlan:
 def grasp_points(
     item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None
 ) -> tuple[Array, Array]:
-    """Contacts with which the hand holds the object: `plan_grasp` without the angles.
+    """Find contacts with which the hand holds the object: `plan_grasp` without the angles.
 
     Returns:
         Points [m] and inward unit normals, (N, 3) each, object frame, in the order of the fingers.
 
     Raises:
-        InvalidInputError: see `plan_grasp`.
+        InvalidInputError: See `plan_grasp`.
 
     Example:
         >>> hand = HandKinematics(HandDescription.four_finger())
@@ -102,24 +102,22 @@ def grasp_points(
 def plan_grasp(
     item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None
 ) -> GraspPlan:
-    """The best of some thousand choices of contacts for the hand where it is.
+    """Find the best of some thousand choices of contacts for the hand in its pose.
 
-    The fingers reach them from the rest posture, joints and links with room to spare, away from edges. With 0.85 of the
-    friction they balance weight, +-2 N and +-0.06 N m; among such choices the total normal force in the worst case is
-    small, and what it takes of the torques that the links' own weight leaves. The default cuboid in the four-finger hand
-    keeps the reference grasp.
+    The fingers reach the contacts from the rest posture, away from edges, with margins to joint limits and between links. With 0.85 of
+    the friction the contacts balance the weight, +-2 N and +-0.06 N m. The rating is the total normal force in the worst case and its
+    share of the torques that the weight of the links leaves. The default cuboid in the four-finger hand keeps the reference grasp.
 
     Args:
-        item: The object, its body frame the world frame.
+        item: The object; its body frame is the world frame.
         kinematics: The hand.
-        rng: Draws the places that are tried; None: always the same.
+        rng: Random generator of the places that are tried; None for a fixed seed.
 
     Raises:
-        InvalidInputError: The object is out of reach, too large for the hand, or cannot be held; the message says on how
-            many candidates what failed.
+        InvalidInputError: The object is out of reach, too large for the hand, or cannot be held; the message counts the reasons.
     """
     if rng is None and item.shape == "cuboid" and item.size == (0.1, 0.1, 0.1) and kinematics.hand == _four_finger():
-        return _of_points(item, kinematics, np.array(paper_cuboid().positions), np.array(paper_cuboid().normals))
+        return _plan_of_points(item, kinematics, np.array(paper_cuboid().positions), np.array(paper_cuboid().normals))
     search = GraspSearch(item, _limbs(kinematics), kinematics.hand)
     found = search.run(np.random.default_rng(0) if rng is None else rng)
     if found is None:
@@ -127,8 +125,8 @@ def plan_grasp(
     return found
 
 
-def _of_points(item: ObjectDescription, kinematics: HandKinematics, points: Array, normals: Array) -> GraspPlan:
-    """The plan of contacts that are given."""
+def _plan_of_points(item: ObjectDescription, kinematics: HandKinematics, points: Array, normals: Array) -> GraspPlan:
+    """Return the plan for given contacts."""
     engine = engine_of(quiet=True)  # nothing is simulated
     at, start = (
         SceneConfig(
@@ -140,18 +138,18 @@ def _of_points(item: ObjectDescription, kinematics: HandKinematics, points: Arra
 
 
 def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike | None = None) -> tuple[Array, Array]:
-    """A user's contacts, put exactly on the surface, with the normals there.
+    """Project given contacts onto the surface, and check or find their normals.
 
     Args:
         item: The object.
-        points: [m], (N, 3), object frame, at most 0.1 mm off the surface.
-        normals: Inward, (N, 3), of any length; on an edge any direction between those of its faces.
+        points: Contacts [m], (N, 3), object frame, at most 0.1 mm off the surface.
+        normals: Inward normals, (N, 3), of any length; on an edge any direction between the normals of its faces. None to find them.
 
     Returns:
         Points [m] and unit normals, (N, 3) each.
 
     Raises:
-        InvalidInputError: A point off the surface, or a normal that points out of the object or is not the surface's.
+        InvalidInputError: A point is off the surface, or a normal points out of the object or is not that of the surface.
 
     Example:
         >>> check_points(ObjectDescription("sphere"), [[0.0, 0.0, -0.05]])[1]
@@ -173,7 +171,7 @@ def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike 
         if not (lengths > 0.0).all():
             raise InvalidInputError(f"normals={wanted.tolist()} must not be zero; leave them out to use the surface's")
         for index, unit in enumerate(wanted / lengths[:, None]):
-            # on an edge every direction between those of its faces is normal: the way back from outside leads there
+            # every normal of an edge has the property that the surface point nearest to a point outside along it is the contact
             there, seen, _ = item.surface.nearest(on[index] - _ASIDE * unit)
             if np.abs(there - on[index]).max() > 0.01 * _ASIDE or seen @ unit < 0.0:
                 raise InvalidInputError(
@@ -185,15 +183,16 @@ def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike 
 
 
 class GraspSearch:
-    """One object in one hand: pools of places, choices among them, the first that the whole hand can take.
+    """Search for a grasp of one object by one hand: pools of places for each finger, choices among them, postures of the whole hand.
 
     Args:
         item: The object.
-        limbs: The hand where it is.
-        hand: For the names of its parts.
+        limbs: Limbs of the hand in its pose.
+        hand: The hand, for names and numbers.
 
     Attributes:
-        faults: On how many candidates what failed. short: How often each finger found no place, (N,).
+        faults: Number of rejected candidates, by reason.
+        short: Number of times that each finger found no place, (N,).
     """
 
     def __init__(self, item: ObjectDescription, limbs: core.HandLimbs, hand: HandDescription) -> None:
@@ -217,12 +216,12 @@ class GraspSearch:
         )
 
     def run(self, rng: np.random.Generator, tries: int = _TRIES, rays: int = _RAYS) -> GraspPlan | None:
-        """A grasp, or None; with other draws, and easier margins, each time that there is none.
+        """Search for a grasp, with new random places and easier margins after each failure; None if there is none.
 
         Args:
-            rng: Draws.
-            tries: Of each of the easier margins.
-            rays: Along which places are sought, for each finger and time.
+            rng: Random generator.
+            tries: Runs with each of the easier margins.
+            rays: Number of rays along which places are sought, per finger and run.
         """
         if self._gap < _MARGINS[-1][2]:
             return None
@@ -231,7 +230,7 @@ class GraspSearch:
                 self.core.fill(finger, rng.random((rays, 6)), self._spread, margins, _PLACES)
                 for finger in range(self.hand.finger_count)
             ]
-            self._note(counts)
+            self._count_faults(counts)
             if min(counts) > 0:
                 found = self._best(rng, margins[2])
                 if found is not None:
@@ -239,7 +238,7 @@ class GraspSearch:
         return None
 
     def reason(self) -> str:
-        """Why `run` found none."""
+        """Return the reason why `run` found none."""
         name = f"the {self.item.shape} of {' x '.join(f'{side:.3g}' for side in self.item.extent)} m"
         if self._gap < _MARGINS[-1][2]:
             return (
@@ -260,14 +259,14 @@ class GraspSearch:
             "or use a hand with more fingers or another palm pose"
         )
 
-    def _note(self, counts: list[int]) -> None:
+    def _count_faults(self, counts: list[int]) -> None:
         for finger, count in enumerate(counts):
             self.short[finger] += count == 0
             for what, number in zip(_MISSES, self.core.misses(finger), strict=True):
                 self.faults[what] = self.faults.get(what, 0) + number
 
     def _best(self, rng: np.random.Generator, clearance: float) -> GraspPlan | None:
-        """The best choice for which the whole hand has angles, without contact but at the tips."""
+        """Return the best choice for which the whole hand has a posture that touches at the tips only, or None."""
         fingers, joints = self.hand.finger_count, self.hand.joint_count
         picks = rng.integers(0, 1 << 30, (_STARTS, fingers))
         forces, shape = np.full(_ROUNDS, np.inf), (_ROUNDS, fingers, 3)
@@ -286,7 +285,7 @@ class GraspSearch:
 
 
 def _loads(mass: float, length: float) -> Array:
-    """Wrenches that the contacts must make, moments over `length` [N], (14, 6); 0 is inside their convex hull."""
+    """Return the wrenches that the contacts must balance, moments over `length` [N], (14, 6); their convex hull contains 0."""
     weight = np.array([0.0, mass * _GRAVITY, 0.0, 0.0, 0.0, 0.0])
     steps = np.concatenate([np.full(3, _PUSH), np.full(3, _TURN / length)])
     return np.concatenate([weight + np.diag(steps), weight - np.diag(steps), [weight, -0.5 * weight]])
@@ -306,7 +305,7 @@ def _limbs(kinematics: HandKinematics) -> core.HandLimbs:
 
 @lru_cache(maxsize=1)
 def _spread_directions() -> Array:
-    """Unit directions in wrench space: the axes, then points spread over the sphere, (D, 6)."""
+    """Return unit directions in wrench space, (D, 6): the axes, then random points of the sphere."""
     drawn = np.random.default_rng(6).standard_normal((_DIRECTIONS - 12, 6))
     drawn /= np.linalg.norm(drawn, axis=1)[:, None]
     return np.concatenate([np.eye(6), -np.eye(6), drawn])

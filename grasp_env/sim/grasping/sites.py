@@ -1,7 +1,7 @@
-"""Places in a hand where its fingertips can surround an object.
+"""Sites in a hand where its fingertips can surround an object.
 
-Every finger's tips at some hundred postures are a map of where it can touch. Where a ball as large as the object meets tips of several
-fingers that push against one another, the object's centre may be; of a cuboid, where two of them meet one side and a third the other.
+Some hundred random postures show where each fingertip can be. A site is the centre of a ball as large as the object that touches tips of
+several fingers which oppose one another. For a cuboid, two of them meet one side and a third the opposite one.
 """
 
 from __future__ import annotations
@@ -19,36 +19,45 @@ from grasp_env.sim.hand.kinematics import HandKinematics, motor_span
 from grasp_env.sim.hand.limbs import hand_limbs
 from grasp_env.sim.objects.description import ObjectDescription
 
-_ROUNDS, _POSTURES = 40, 200  # at most; postures in each, with one of the joints that move several fingers
-_LOCKED_ROUNDS = 4  # of hands with one motor, whose postures form one line
-_PAIRS, _ACROSS = 30_000, 0.7  # of tips in a round; the least they are apart, of the most that touch the same ball
-_CENTERS, _DRAWS = 1000, 6  # places of the object in a round; postures drawn of each further finger there
-_NEAR = 0.008  # [m] between a tip and the object's ball
-_CLEAR = 0.001  # [m] of the rest of a finger from the object
-_FLATTER = 1.6  # of a cuboid's ball, against which fingers are kept clear: its sides are flat
-_ALIGNED = 1.0, 3.0  # how much it counts that fingers push along one axis of a cuboid: where all tips go anywhere, else
-_OPPOSED = 0.45  # of the shortest sum of normals whose weights add to 1
-_PUSHED = 0.3  # how much it counts that motors make none of the force along a normal
-_APART = 0.004  # [m] between centres that are tried with the same fingers
-_LOOKS = 40  # rotations that are drawn until the palm has a wanted direction
-_PLAIN, _FEW = 2, 20  # rounds in which joints are anywhere in their ranges; sites with which these are too few
-_SPAN = 0.8  # [rad] of the ranges at most, in later rounds
-_PARTS = 3  # then in turn: at the lower ends of the ranges, in their middles, at the upper ends
-_BESIDE = 0.1  # [rad] that half of the later postures lie beside those of sites, once there are some
-_END = 0.001  # [rad] of later postures from the ends of the ranges, at least
-_INSIDE = 0.05  # of a joint's range that postures keep from its ends
+_ROUNDS, _POSTURES = (
+    40,
+    200,
+)  # rounds at most; postures in each, with the same angles of joints that move several fingers
+_LOCKED_ROUNDS = 4  # rounds for hands with one motor, whose postures form a line
+_PAIRS, _ACROSS = (
+    30_000,
+    0.7,
+)  # pairs of tips in a round; least distance of a pair over the largest at which both touch the ball
+_CENTERS, _DRAWS = 1000, 6  # centres in a round; postures drawn for each further finger at each
+_NEAR = 0.008  # largest gap between a tip and the ball [m]
+_CLEAR = 0.001  # least distance between the rest of a finger and the object [m]
+_FLATTER = 1.6  # factor on the ball that fingers must clear for a cuboid, whose sides are flat
+_ALIGNED = 1.0, 3.0  # weight of fingers pushing along one axis of a cuboid: if all tips can move freely, otherwise
+_OPPOSED = 0.45  # largest norm of the shortest convex combination of normals
+_PUSHED = 0.3  # weight of normal forces that motors do not make
+_APART = 0.004  # least distance between sites of the same fingers [m]
+_LOOKS = 40  # rotations drawn to find one with the wanted direction of the palm
+_PLAIN, _FEW = (
+    2,
+    20,
+)  # rounds that use the whole ranges of joints; number of sites below which later rounds use parts of them
+_SPAN = 0.8  # largest part of a range in these rounds [rad]
+_PARTS = 3  # parts of a range in turn: lower end, middle, upper end
+_BESIDE = 0.1  # standard deviation of half of the later postures around those of sites found [rad]
+_END = 0.001  # least distance of later postures from the ends of the ranges [rad]
+_INSIDE = 0.05  # margin of first postures at the ends of a joint's range, relative to it
 
 
 @dataclass(frozen=True)
 class Site:
-    """A place for the object in the hand.
+    """A site for the object in the hand.
 
     Attributes:
-        center: Of the object [m], (3,), hand frame.
-        posture: Of the hand there, (M,) [rad].
-        fingers: That touch.
-        axis: Along which they push, unit, (3,), hand frame.
-        score: The smaller the better.
+        center: Centre of the object [m], (3,), hand frame.
+        posture: Joint angles of the hand [rad], (M,).
+        fingers: Fingers that touch.
+        axis: Unit direction along which they push, (3,), hand frame.
+        score: Rating; smaller is better.
     """
 
     center: Array
@@ -64,16 +73,16 @@ class Site:
         palm: Array | None = None,
         approach: Approach | None = None,
     ) -> Array | None:
-        """A rotation from the hand's frame to the object's (3, 3): the axis becomes one of the object's, of round ones any.
+        """Draw a rotation (3, 3) from the hand's frame to the object's that turns `axis` into one of its axes, or any direction if it is round.
 
         Args:
-            rng: Draws.
+            rng: Random generator.
             item: The object.
-            palm: Direction from the palm to the object, unit, (3,), hand frame.
-            approach: What that must become; None: anything.
+            palm: Unit direction from the palm to the object, (3,), hand frame.
+            approach: Wanted direction after the rotation; None for any.
 
         Returns:
-            None where no rotation that was drawn does.
+            The rotation, or None if none of those drawn has the wanted direction.
         """
         if approach is None or palm is None:
             return self._drawn(rng, item)
@@ -99,16 +108,16 @@ def find_sites(
     """Find places at which the hand's fingers can surround an object.
 
     Args:
-        hand: Where it was described.
+        hand: The hand, in the pose of its description.
         item: The object.
-        rng: Draws.
-        least: Fingers that touch at least.
-        most: Sites.
+        rng: Random generator.
+        least: Smallest number of fingers that touch.
+        most: Largest number of sites.
         pushed: Prefer sites at which motors push along the normals; they are rare for some cuboids.
 
     Returns:
-        Up to `most` sites at which at least `least` fingers touch, those first at which the most fingers push against one another; and
-        which two fingers face each other with room for the object between them, in any posture that was drawn, (N, N).
+        The sites, best first; and an array (N, N), True if two fingers faced each other in any posture with room for the object between
+        them.
     """
     kinematics = HandKinematics(hand)
     low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
@@ -156,7 +165,7 @@ def one_motor(kinematics: HandKinematics) -> bool:
 
 
 class _Reach:
-    """Where the tips (K, N, 3) are at postures (K, M)."""
+    """Positions of the tips (K, N, 3) [m] at postures (K, M)."""
 
     def __init__(
         self,
@@ -173,12 +182,12 @@ class _Reach:
         self.aligned = _ALIGNED[0] if all(self.limbs.free) else _ALIGNED[1]
         self.locked = one_motor(kinematics)
         self.pushes = self._pushes() if pushed else None
-        # two fingers hold what is narrow between them, more surround it
+        # two fingers hold the narrowest side between them, more fingers surround the object
         self.radius = 0.5 * float(np.min(item.extent) if kinematics.hand.finger_count == 2 else np.median(item.extent))
         self.flatter = _FLATTER if item.shape == "cuboid" else 1.0
 
     def around(self, least: int, faced: NDArray[np.bool_]) -> list[Site]:
-        """Centres of a ball that tips of several fingers touch. Two that face each other there are noted in `faced`."""
+        """Find centres of a ball that tips of several fingers touch; note pairs that face each other in `faced`."""
         tips, fingers, rng, item = self.tips, self.fingers, self.rng, self.item
         radius = self.radius
         centers, pairs, samples = self._between(radius + self.radii)
@@ -189,7 +198,7 @@ class _Reach:
         centers, pairs, samples = centers[:_CENTERS], pairs[:_CENTERS], samples[:_CENTERS]
         away = np.linalg.norm(tips[None] - centers[:, None, None], axis=3) - radius - self.radii  # (C, K, N)
         near, rows = np.abs(away) < _NEAR, np.arange(len(centers))
-        if self.locked:  # all fingers are in the same sample
+        if self.locked:  # all fingers have the same posture
             near &= (np.arange(len(tips)) == samples[:, :1])[:, :, None]
         members, chosen = np.zeros((len(centers), fingers), dtype=bool), np.zeros((len(centers), fingers), np.int64)
         for side in (0, 1):
@@ -220,7 +229,7 @@ class _Reach:
         return out
 
     def _pushes(self) -> Array | None:
-        """Projectors (K, N, 3, 3) on the forces that motors make at the tips; None where each finger has three motors or more."""
+        """Return projectors (K, N, 3, 3) onto the forces that motors make at the tips; None if every finger has three motors or more."""
         kinematics = self.kinematics
         if self.locked or kinematics.carries.sum(axis=1).min() > 2:
             return None
@@ -232,7 +241,7 @@ class _Reach:
         return out
 
     def _posture(self, center: Array, fingers: Indices, samples: Indices) -> Array:
-        """Of the hand (M,), with these fingers as in these samples; the others keep away from the object."""
+        """Return joint angles (M,) with these fingers as in these samples and the others away from the object."""
         if self.locked:
             return self.postures[samples[0]]
         posture = self.kinematics.home.copy()
@@ -244,7 +253,7 @@ class _Reach:
         return self.kinematics.coupled(posture)
 
     def _clear(self, fingers: Indices, samples: Indices, middles: Array) -> NDArray[np.bool_]:
-        """Whether fingers (C,) in samples (C,) touch balls about `middles` (C, 3), of cuboids larger ones, with their tips alone."""
+        """Return True (C,) if fingers (C,) in samples (C,) touch balls around `middles` (C, 3), larger ones for cuboids, with their tips alone."""
         gaps = np.empty(len(fingers))
         tips = self.tips[samples, fingers]
         middles = tips + self.flatter * (middles - tips)
@@ -258,7 +267,7 @@ class _Reach:
         return gaps > _CLEAR
 
     def _between(self, sizes: Array) -> tuple[Array, Indices, Indices]:
-        """Centres (C, 3) that are `sizes` (N,) [m] from tips of two fingers on nearly opposite sides; these, and samples, (C, 2)."""
+        """Find centres (C, 3) at distances `sizes` (N,) [m] from tips of two nearly opposite fingers; return them, fingers and samples (C, 2)."""
         rng, tips, fingers = self.rng, self.tips, self.fingers
         samples = rng.integers(len(tips), size=(_PAIRS, 2))
         if self.locked:
@@ -276,7 +285,7 @@ class _Reach:
 
 
 def _shortest(normals: Array, members: NDArray[np.bool_]) -> Array:
-    """The least length of weighted sums of unit normals (C, N, 3), weights adding to 1 over the members (C, N): Frank and Wolfe."""
+    """Return the norm (C,) of the shortest convex combination of unit normals (C, N, 3) of the members (C, N), by Frank and Wolfe."""
     weight = members / members.sum(axis=1, keepdims=True)
     total = np.einsum("cn,cnk->ck", weight, normals)
     for _ in range(12):
@@ -289,7 +298,7 @@ def _shortest(normals: Array, members: NDArray[np.bool_]) -> Array:
 
 
 def _frame(first: Array, second: Array) -> Array:
-    """A rotation whose first column is `first`, the second as near to `second` as it can."""
+    """Return a rotation with first column `first` and second column as near to `second` as possible."""
     second = second - (second @ first) * first
     second /= np.linalg.norm(second)
     return np.column_stack([first, second, np.cross(first, second)])

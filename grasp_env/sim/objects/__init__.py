@@ -1,4 +1,4 @@
-"""Objects: shapes and meshes, sizes, inertia, surfaces."""
+"""Objects: shapes and meshes, sizes, inertia and surfaces."""
 
 from grasp_env.sim.objects.description import SHAPES, ObjectDescription
 

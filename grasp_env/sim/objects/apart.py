@@ -1,4 +1,4 @@
-"""Other people's algorithms in a process of their own: some meshes make them crash, or run for ever."""
+"""Third-party algorithms in a process of their own, as some meshes make them crash or never end."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from typing import Any
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env.sim.progress import Line
+from grasp_env.sim.progress import ProgressLine
 
 
 def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Array]:
-    """The arrays that a function returns in a process of its own; Ctrl-C ends both.
+    """Run a function in a process of its own and return its arrays; Ctrl-C ends both processes.
 
     Args:
-        task: Its name, module:function; it takes arrays by name and returns a dict of arrays.
-        text: What is done, for the line on a terminal.
-        seconds: That it may take.
-        given: The arrays that it takes.
+        task: Name of the function, module:function. It takes arrays by name and returns a dict of arrays.
+        text: Description of the task, for the progress line.
+        seconds: Time limit.
+        given: Arrays that it takes.
 
     Raises:
-        TimeoutError: It took longer.
-        ChildProcessError: It crashed or raised; the message is the end of what it said.
+        TimeoutError: It exceeded the time limit.
+        ChildProcessError: It crashed or raised; the message is the end of its output.
     """
     paths = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder, "given.npz"), allow_pickle=False, **given)
         command = [sys.executable, "-c", f"from {__name__} import work; work()", task, folder, str(seconds)]
-        with open(Path(folder, "said"), "w+b") as said:
+        with open(Path(folder, "output"), "w+b") as output:
             child = subprocess.Popen(
                 command,
                 env={**os.environ, "PYTHONPATH": paths},
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
-                stdout=said,
-                stderr=said,
-            )  # not in the user's folder, whose files would be imported
+                stdout=output,
+                stderr=output,
+            )  # not in the user's folder, from which modules would be imported
             try:
                 _wait(child, text, seconds)
             finally:
@@ -51,16 +51,16 @@ def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Arr
                     child.kill()
                     child.wait()
             if child.returncode != 0:
-                said.seek(0)
-                raise ChildProcessError(said.read()[-500:].decode(errors="replace") or f"exit code {child.returncode}")
+                output.seek(0)
+                raise ChildProcessError(output.read()[-500:].decode(errors="replace") or f"exit code {child.returncode}")
         with np.load(Path(folder, "made.npz"), allow_pickle=False) as made:
             return {name: made[name] for name in made.files}
 
 
 def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
-    """Until it ends, with a line on a terminal that counts its seconds."""
+    """Wait until it ends, with a progress line."""
     end = time.monotonic() + seconds
-    with Line() as line:
+    with ProgressLine() as line:
         while True:
             try:
                 child.wait(0.1)
@@ -72,7 +72,7 @@ def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
 
 
 def work() -> None:
-    """Runs the task in the child process; Ctrl-C and the clock end it even within other people's code."""
+    """Run the task in the child process; Ctrl-C and the time limit end it even within third-party code."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     (module, _, function), folder = sys.argv[1].partition(":"), Path(sys.argv[2])
     if hasattr(signal, "alarm"):  # not on Windows

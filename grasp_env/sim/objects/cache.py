@@ -1,4 +1,4 @@
-"""A cache of processed meshes, of objects and of hands, in the user's cache folder, keyed by content and safe between processes."""
+"""Cache of processed meshes of objects and hands in the user's cache folder, keyed by content and safe between processes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from grasp_env._files import WEIGHTS as MOST_BYTES
 from grasp_env._files import read_bytes, replacing, unpacked
 
 LONGEST_WAIT = 150.0
-"""[s] that a process waits for another that makes the same entry, before it makes the entry itself."""
-_NAME, _USE = "name", "use"  # of an entry, among its arrays
-_ENTRIES = "[!.]*.npz"  # not those that another process is writing
+"""Longest time that a process waits for another one that makes the same entry [s]; then it makes the entry itself."""
+_NAME, _USE = "name", "use"  # keys of the name and the use among the arrays of an entry
+_ENTRIES = "[!.]*.npz"  # not the temporary files that other processes are writing
 
 try:
     import fcntl
@@ -26,7 +26,7 @@ except ImportError:  # not on Windows: two processes may make the same entry, an
 
 
 class Entry(NamedTuple):
-    """An entry of the cache: its file, its mesh's name and use ("object" or "hand"), its size in bytes, and when it was made [s]."""
+    """An entry of the cache: its file, its mesh's name and use ("object" or "hand"), its size [bytes] and its time of creation [s]."""
 
     path: Path
     name: str
@@ -36,7 +36,7 @@ class Entry(NamedTuple):
 
 
 def folder() -> Path:
-    """The cache folder."""
+    """Return the cache folder."""
     from platformdirs import user_cache_path
 
     return user_cache_path("grasp-force", appauthor=False) / "objects"
@@ -45,21 +45,21 @@ def folder() -> Path:
 def kept(
     key: str, name: str, arrays: Set[str], make: Callable[[], dict[str, Any]], use: str = "object"
 ) -> dict[str, Any]:
-    """The arrays that `make` returns: from the cache, or made and kept there.
+    """Return the arrays that `make` returns, from the cache if possible; otherwise make them and keep them there.
 
-    A folder that cannot be written, and an entry that cannot be read, only cost time.
+    A folder that cannot be written or an entry that cannot be read only costs time.
 
     Args:
-        key: Of the content, letters and digits.
-        name: Of the mesh, for the list of entries.
-        arrays: Names of all that `make` returns; an entry without one of them is made anew.
-        make: Makes the arrays.
-        use: What the mesh is, for the list of entries: "object" or "hand".
+        key: Key of the content, letters and digits.
+        name: Name of the mesh, for the list of entries.
+        arrays: Names of all arrays that `make` returns; an entry without one of them is made anew.
+        make: Function that makes the arrays.
+        use: Use of the mesh, for the list of entries: "object" or "hand".
     """
     path = folder() / f"{key}.npz"
     if (found := _read(path)).keys() >= arrays:
         return found
-    with _alone(path):
+    with _locked(path):
         if (found := _read(path)).keys() >= arrays:  # made by the process that was waited for
             return found
         made = make()
@@ -69,20 +69,20 @@ def kept(
 
 
 def entries() -> list[Entry]:
-    """The entries of the cache, the newest first."""
+    """Return the entries of the cache, newest first."""
     out: list[Entry] = []
     for path in folder().glob(_ENTRIES):
         with suppress(OSError):
             status, name, use = path.stat(), "(not readable)", "object"
             with suppress(Exception), open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
                 name = str(arrays[_NAME])
-                use = str(arrays[_USE]) if _USE in arrays else use  # entries of earlier versions do not say
+                use = str(arrays[_USE]) if _USE in arrays else use  # missing in entries of earlier versions
             out.append(Entry(path, name, use, status.st_size, status.st_mtime))
     return sorted(out, key=lambda entry: -entry.time)
 
 
 def clear() -> int:
-    """Removes all that is kept; the number of meshes."""
+    """Remove all entries; return the number of meshes."""
     count = 0
     for path in [*folder().glob(_ENTRIES), *folder().glob("*.lock")]:
         with suppress(OSError):
@@ -94,13 +94,13 @@ def clear() -> int:
 def _read(path: Path) -> dict[str, Any]:
     try:
         return unpacked(read_bytes(path, MOST_BYTES), MOST_BYTES)
-    except Exception:  # not there, cut short, or somebody else's
+    except Exception:  # missing, cut short or not one of ours
         return {}
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """No other process makes the entry meanwhile, unless that takes too long."""
+def _locked(path: Path) -> Iterator[None]:
+    """Keep other processes from making the entry, for at most `LONGEST_WAIT`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(path.with_suffix(".lock"), os.O_CREAT | os.O_RDWR | getattr(os, "O_CLOEXEC", 0), 0o600)
@@ -115,7 +115,7 @@ def _alone(path: Path) -> Iterator[None]:
                 break
             except BlockingIOError:
                 time.sleep(0.05)
-            except OSError:  # a file system without locks
+            except OSError:  # the file system has no locks
                 break
         yield
     finally:

@@ -1,4 +1,4 @@
-"""From the faces of a file to a closed solid, seen from outside counterclockwise; what is changed on the way is told."""
+"""Repair of a mesh to a closed solid with faces counterclockwise from outside, and a list of the changes."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.mesh_shape import WELD, extent_of, open_edges, volume, welded
 
-_SEAM = 1e-5  # of the extent: corners this near are one where seams are open
-_LEAST = 1e-6  # of the cube about it that a solid fills
-_WALLS = "faces that lay back to back or twice were dropped"
-_FLAT = 1e-12  # the same of a part that is nothing but walls back to back
-_ALIKE = 1e-6  # [rad] between faces that lie back to back
-_MOST_PARTS = 500  # which take a second
-_TRIED = 8  # corners of a part, to see whether it lies in another
+_SEAM = 1e-5  # distance within which corners of open seams are merged, relative to the extent
+_MIN_VOLUME = 1e-6  # least volume of a solid, relative to the cube of its extent
+_WALLS = "duplicate faces and faces back to back were dropped"
+_FLAT_VOLUME = 1e-12  # volume below which a part is only faces back to back, relative to that cube
+_SAME_ANGLE = 1e-6  # angle below which faces lie back to back [rad]
+_MAX_PARTS = 500  # they take a second
+_SAMPLED = 8  # corners of a part that are tested for being inside another part
 
 
 def closed(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[str]]:
-    """A closed solid of corners (V, 3) and faces (F, 3), and what was changed, in words; nothing of that where it was closed.
+    """Return a closed solid, corners (V, 3) and faces (F, 3), and descriptions of the repairs, none if the mesh was closed.
 
-    Corners at one place become one, and faces on the same corners. Then, until it is closed, faces are turned alike, seams are welded
-    and holes are filled, by trimesh. Parts that overlap become one solid, by Manifold; a part inside out within another is a hollow.
+    Coincident corners and faces are merged. Then, until the mesh is closed, trimesh orients faces alike, seams are welded, and trimesh
+    fills holes. Manifold unites overlapping parts; a part inside out within another is a cavity.
 
     Raises:
         InvalidInputError: It cannot be closed, or encloses no volume.
@@ -39,13 +39,13 @@ def closed(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[str]
         corners, faces = _repaired(corners, faces, extent, changes)
     if left := open_edges(faces):
         raise InvalidInputError(
-            f"{name} is not closed: {left} edges have a face on one side alone, after filling what holes there were; mend it with `grasp object mend FILE` and look at the result, or export it as a solid"
+            f"{name} is not closed: {left} edges have a face on one side only, after holes were filled; mend it with `grasp object mend FILE` and look at the result, or export it as a solid"
         )
     return (*_solid(corners, faces, extent, name, changes), changes)
 
 
 def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> tuple[Array, Any]:
-    """After the first of trimesh's repairs that close it, or all of them."""
+    """Apply repairs in turn until the mesh is closed or none is left."""
     import trimesh
 
     def turn(mesh: Any) -> str:
@@ -68,17 +68,17 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
 
     mesh = trimesh.Trimesh(corners, faces, process=False)
     for repair in (turn, weld, fill, turn):
-        if told := repair(mesh):
-            changes.append(told)
+        if change := repair(mesh):
+            changes.append(change)
         if not open_edges(np.asarray(mesh.faces)):
             break
     return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
 
 
 def _without_walls(faces: Any) -> Any:
-    """Faces on the same corners once; none of them where as many look one way as the other: a wall between parts that touch."""
+    """Keep one of several faces on the same corners; none if they cancel, as walls between touching parts do."""
     first = faces.argmin(axis=1)[:, None]
-    turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)  # the least corner first
+    turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)  # start at the smallest index
     ahead = turned[:, 1] < turned[:, 2]
     _, kept, number = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True)
     number = number.reshape(-1)
@@ -92,26 +92,26 @@ def _without_walls(faces: Any) -> Any:
 
 
 def _solid(corners: Array, faces: Any, extent: float, name: str, changes: list[str]) -> tuple[Array, Any]:
-    """One solid: parts turned outward, hollows taken away, the rest united where it overlaps."""
+    """Make one solid: turn parts outward, subtract cavities, and unite parts that overlap."""
     parts = _parts(corners, faces)
-    if len(parts) > _MOST_PARTS:
+    if len(parts) > _MAX_PARTS:
         raise InvalidInputError(
-            f"{name} has {len(parts)} parts that are not connected, allowed are up to {_MOST_PARTS}; delete the crumbs, or remesh it"
+            f"{name} has {len(parts)} parts that are not connected, allowed are up to {_MAX_PARTS}; delete the crumbs, or remesh it"
         )
     volumes = [volume(corners, part) for part in parts]
-    if sum(abs(each) for each in volumes) <= _LEAST * extent**3:
+    if sum(abs(each) for each in volumes) <= _MIN_VOLUME * extent**3:
         raise InvalidInputError(f"{name} encloses no volume; it must be a solid, such as a plate with two sides")
-    solid = [k for k, size in enumerate(volumes) if abs(size) > _FLAT * extent**3]
+    solid = [k for k, size in enumerate(volumes) if abs(size) > _FLAT_VOLUME * extent**3]
     if len(solid) < len(parts) and _WALLS not in changes:
         changes.append(_WALLS)
     parts, volumes = [parts[k] for k in solid], [volumes[k] for k in solid]
     within = _nested(corners, parts, volumes)
-    # what lies outermost is solid: where it is inside out, so is all that it holds
+    # the outermost part is solid: if it is inside out, so is everything within it
     flips = [
         volumes[min([number, *around], key=lambda k: len(within[k]))] < 0.0 for number, around in enumerate(within)
     ]
     if any(flips):
-        changes.append("faces that looked inward were turned")
+        changes.append("faces that pointed inward were turned")
     parts = [part[:, ::-1] if flip else part for part, flip in zip(parts, flips, strict=True)]
     if len(parts) == 1:
         return corners, parts[0]
@@ -119,7 +119,7 @@ def _solid(corners: Array, faces: Any, extent: float, name: str, changes: list[s
 
 
 def _nested(corners: Array, parts: list[Any], volumes: list[float]) -> list[list[int]]:
-    """Of each part the numbers of those that hold some of its corners, all that are tried."""
+    """Return for each part the indices of the parts that contain it, judged by a few of its corners."""
     from grasp_env import core
 
     out: list[list[int]] = [[] for _ in parts]
@@ -135,14 +135,14 @@ def _nested(corners: Array, parts: list[Any], volumes: list[float]) -> list[list
             outward = part if size > 0.0 else part[:, ::-1]
             solid = core.Surface.mesh(corners, outward.astype(float), [corners[used[outer]]])
             for k in inner:
-                tried = corners[used[k][:: max(1, len(used[k]) // _TRIED)]]
+                tried = corners[used[k][:: max(1, len(used[k]) // _SAMPLED)]]
                 if all(solid.nearest(point)[2] < 0.0 for point in tried):
                     out[k].append(outer)
     return out
 
 
 def _parts(corners: Array, faces: Any) -> list[Any]:
-    """The faces of each part, connected by edges; parts that are not closed by themselves are one."""
+    """Return the faces of each part connected by edges; parts that are not closed by themselves are merged."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -155,7 +155,7 @@ def _parts(corners: Array, faces: Any) -> list[Any]:
     pairs = [np.column_stack([order[plain], order[plain + 1]]) // 3]
     for edge in np.flatnonzero(sides > 2):
         around = order[first[edge] : first[edge] + sides[edge]]
-        pairs.append(_around(corners, faces, around, *ends[around[0]]))
+        pairs.append(_pairs_around(corners, faces, around, *ends[around[0]]))
     one, other = np.concatenate(pairs).T
     labels = connected_components(coo_array((np.ones(len(one)), (one, other)), shape=(count, count)), directed=False)[1]
     sorts = np.argsort(labels, kind="stable")
@@ -165,8 +165,8 @@ def _parts(corners: Array, faces: Any) -> list[Any]:
     return [*whole, np.concatenate(rest)] if rest else whole
 
 
-def _around(corners: Array, faces: Any, around: Any, a: int, b: int) -> Any:
-    """Pairs (P, 2) of faces between which the solid lies, of those around an edge from corner a to b; walls back to back are one."""
+def _pairs_around(corners: Array, faces: Any, around: Any, a: int, b: int) -> Any:
+    """Return the pairs (P, 2) of faces around the edge from corner a to b that have the solid between them."""
     away = corners[b] - corners[a]
     frame = np.linalg.svd(away[None])[2]
     if frame[0] @ away < 0.0:
@@ -174,10 +174,10 @@ def _around(corners: Array, faces: Any, around: Any, a: int, b: int) -> Any:
     third = np.array([faces[side // 3, (side % 3 + 2) % 3] for side in around])
     across = (corners[third] - corners[a]) @ frame[1:].T
     turn = 1.0 if np.linalg.det(frame) > 0.0 else -1.0
-    angles = (np.arctan2(turn * across[:, 1], across[:, 0]) / _ALIKE).round()
+    angles = (np.arctan2(turn * across[:, 1], across[:, 0]) / _SAME_ANGLE).round()
     ahead = np.array(
         [faces[side // 3, side % 3] == a for side in around]
-    )  # its solid lies at smaller angles, else at larger ones
+    )  # True if the face's solid lies at smaller angles, else at larger ones
     order = np.lexsort([ahead, angles])
     waiting: list[int] = []
     pairs: list[tuple[int, int]] = []
@@ -195,7 +195,7 @@ def _around(corners: Array, faces: Any, around: Any, a: int, b: int) -> Any:
 
 
 def _united(corners: Array, parts: list[Any], depths: list[int], changes: list[str]) -> tuple[Array, Any]:
-    """From outside inward what is solid is added and what is hollow taken away; as they are where Manifold does not take them."""
+    """Add solid parts and subtract cavities, from outside inward; unchanged if Manifold rejects a part."""
     import manifold3d
 
     whole = np.concatenate(parts)
@@ -215,5 +215,5 @@ def _united(corners: Array, parts: list[Any], depths: list[int], changes: list[s
     if abs(one.volume() - apart) <= 1e-9 * abs(apart):
         return corners, whole  # they do not overlap
     made = one.to_mesh64()
-    changes.append(f"its {len(parts)} parts overlap and were made one")
+    changes.append(f"its {len(parts)} parts overlap and were united")
     return np.asarray(made.vert_properties, dtype=float)[:, :3], np.asarray(made.tri_verts, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""What the hand holds: shape, size, mass, inertia and friction, as one frozen record."""
+"""Description of the object: shape, size, mass, inertia and friction, as one frozen record."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from grasp_env.sim.hand.check import numbers
 from grasp_env.sim.objects.mesh import Mesh, load_mesh
 
 SMALLEST, LARGEST = 0.001, 1.0
-"""[m] that an object measures along each axis."""
+"""Smallest and largest extent of an object along each axis [m]."""
 
 OBJECT_COLOR = (0.86, 0.80, 0.68)
-"""Red, green and blue of objects in pictures."""
+"""Colour of objects in pictures: red, green and blue in [0, 1]."""
 
 SIZES = {
     "cuboid": ("x", "y", "z"),
@@ -33,7 +33,7 @@ SIZES = {
     "capsule": ("diameter", "total length"),
     "mesh": ("scale",),
 }
-"""The dimensions in the size of each shape."""
+"""Dimensions in the size of each shape."""
 SHAPES = tuple(SIZES)
 SHAPES_WITHOUT_MESH = tuple(shape for shape in SHAPES if shape != "mesh")
 _DEFAULTS = {
@@ -43,17 +43,17 @@ _DEFAULTS = {
     "capsule": (0.07, 0.1),
     "mesh": (1.0,),
 }
-_MOST_MASS, _MOST_FRICTION = 1000.0, 10.0  # [kg], [1]; more is a mistake in the units
+_MAX_MASS, _MAX_FRICTION = 1000.0, 10.0  # [kg], [1]; more is a mistake of units
 
 
 def _numbers(value: Any, name: str) -> tuple[float, ...]:
-    """A row of numbers, as many as there are; () for None."""
+    """Return a tuple of any number of numbers; () for None."""
     given = np.atleast_1d(as_array(() if value is None else value, None, name))
     return numbers(given, None, name) if given.size else ()
 
 
 def _moments(value: Any, name: str) -> tuple[float, ...] | None:
-    """Principal moments of inertia that a rigid body can have; None for an empty value."""
+    """Return principal moments of inertia that a rigid body can have; None for an empty value."""
     if not _numbers(value, name):
         return None
     given = numbers(value, 3, name)
@@ -67,11 +67,11 @@ def _moments(value: Any, name: str) -> tuple[float, ...] | None:
 
 @dataclass(frozen=True)
 class ObjectDescription(Settings):
-    """A rigid object. The body frame has its origin in the centre of mass.
+    """A rigid object. The origin of its body frame is the centre of mass.
 
     Raises:
         UnknownNameError: No such shape.
-        InvalidInputError: A size, mass, friction, inertia or file that no object here has; the message says why.
+        InvalidInputError: A size, mass, friction, inertia or file is not allowed; the message gives the reason.
 
     Example:
         >>> can = ObjectDescription("cylinder", (0.066, 0.115), mass=0.35)
@@ -85,17 +85,17 @@ class ObjectDescription(Settings):
     shape: str = setting("cuboid", one_of(SHAPES), "Shape; the axis of cylinder and capsule is y.", random=True)
     size: tuple[float, ...] = setting(
         (), Kind(_numbers, "0.001 to 1 each way"),
-        "Cuboid: sides x, y, z. Cylinder: diameter, height. Sphere: diameter. Capsule: diameter, total length. Mesh: what its coordinates "
-        "are multiplied by to give metres, 0.001 for a file in millimetres. (): 0.1 m each way (capsule: 0.07 m thick), 1 for a mesh.",
+        "Cuboid: sides x, y, z. Cylinder: diameter, height. Sphere: diameter. Capsule: diameter, total length. Mesh: factor from its "
+        "coordinates to metres, 0.001 for a file in millimetres. (): 0.1 m along each axis (capsule: 0.07 m thick), 1 for a mesh.",
         unit="m", random=True,
     )  # fmt: skip
-    mass: float = setting(0.2, real(Range(1e-9, _MOST_MASS)), "Mass.", unit="kg", random=True)
+    mass: float = setting(0.2, real(Range(1e-9, _MAX_MASS)), "Mass.", unit="kg", random=True)
     friction: float = setting(
-        0.4, real(Range(1e-9, _MOST_FRICTION)), "Coefficient of Coulomb friction; it is multiplied by the fingertips'.",
+        0.4, real(Range(1e-9, _MAX_FRICTION)), "Coefficient of Coulomb friction; it is multiplied by the fingertips'.",
         random=True,
     )  # fmt: skip
     inertia: tuple[float, ...] | None = setting(
-        None, Kind(_moments, "3 numbers"), "Moments of inertia about the body's axes through the centre of mass.",
+        None, Kind(_moments, "3 numbers"), "Moments of inertia about the body axes through the centre of mass.",
         unit="kg m^2", none="those of the solid of uniform density",
     )  # fmt: skip
     mesh: str | None = setting(
@@ -105,8 +105,8 @@ class ObjectDescription(Settings):
     )  # fmt: skip
     torsional_friction: float = setting(
         0.0, real(Range(0.0, LARGEST)),
-        "Moment about a contact's normal that friction holds per newton of normal force, times the fingertips' friction: a few millimetres "
-        "with soft fingertips, with which two fingers can hold. Forces are then solved by Newton within all limits, whatever the method.",
+        "Largest friction moment about a contact's normal over the normal force; it is multiplied by the fingertips' friction. Soft fingertips "
+        "have a few millimetres, and two of them can hold an object. All methods then solve for forces by Newton within all limits.",
         unit="m",
     )  # fmt: skip
 
@@ -114,21 +114,22 @@ class ObjectDescription(Settings):
     def from_mesh(
         cls, path: str | os.PathLike[str], scale: float = 1.0, *, density: float | None = None, **settings: Any
     ) -> ObjectDescription:
-        """The solid in a mesh file, convex or not.
+        """Make the object in a mesh file, convex or not.
 
-        Contact points, normals, mass and inertia are those of the mesh. It is also cut into convex pieces, once for its content (seconds,
-        two minutes at most): distances to links are measured to them, and engines touch them, unless Bullet's `mesh_contacts` says "faces".
-        The pieces are kept in the user's cache folder; `grasp object list` and `grasp object clear` show and empty it. A mesh that is not
-        closed is repaired where that can be done, and a warning says what changed. The file is read again in other processes.
+        Contact points, normals, mass and inertia are those of the mesh. It is also cut into convex pieces, once for each content, which
+        takes seconds and at most two minutes. Distances to links are measured to the pieces. Engines use them for collisions, unless
+        Bullet's `mesh_contacts` is "faces". The pieces are kept in the user's cache folder; `grasp object list` and `grasp object clear`
+        show and empty it. A mesh that is not closed is repaired if possible, with a warning that lists the changes. Other processes read
+        the file again.
 
         Args:
-            path: Of an .obj, .stl, .ply, .off, .glb or .dae of up to 200,000 faces.
-            scale: What its coordinates are multiplied by to give metres, 0.001 for a file in millimetres.
-            density: [kg/m^3], from which the mass follows; None: `mass` is given, or is that of any object.
-            settings: The other fields, such as `friction`.
+            path: Path of an .obj, .stl, .ply, .off, .glb or .dae of up to 200,000 faces.
+            scale: Factor from its coordinates to metres, 0.001 for a file in millimetres.
+            density: Density [kg/m^3] that gives the mass; None to use `mass` or its default.
+            settings: Other fields, such as `friction`.
 
         Raises:
-            InvalidInputError: No mesh, one that cannot be closed, or too large or small; the message says what to do.
+            InvalidInputError: It is not a mesh, cannot be closed, or is too large or too small; the message says what to do.
 
         Example:
             >>> import tempfile, trimesh
@@ -148,7 +149,7 @@ class ObjectDescription(Settings):
         return cls(**given)
 
     def agree(self) -> None:
-        """Shape, size and mesh belong together."""
+        """Check that shape, size and mesh agree."""
         if (self.shape == "mesh") != (self.mesh is not None):
             raise InvalidInputError(
                 f"{placed('shape')}={self.shape!r} with mesh={shown(self.mesh)}: shape 'mesh' needs the path of a mesh file, "
@@ -168,11 +169,11 @@ class ObjectDescription(Settings):
         check_extent(self.extent, self.shape, f"sizes are in metres{scale}", "sizes are in metres")
 
     def replaced(self, given: Mapping[str, Any], path: str = "") -> ObjectDescription:
-        """A copy with some settings replaced; another shape has its own default size and no mesh, unless they are given.
+        """Return a copy with some settings replaced. Another shape gets its default size and no mesh, unless they are given.
 
         Args:
-            given: settings by name.
-            path: of the object, for messages.
+            given: Settings by name.
+            path: Path of the object's settings, for messages.
         """
         if as_text(given.get("shape")) not in (None, self.shape):
             given = {"size": (), "mesh": None, **given}
@@ -180,7 +181,7 @@ class ObjectDescription(Settings):
 
     @property
     def extent(self) -> tuple[float, float, float]:
-        """Sides of the bounding box along the body's axes [m]."""
+        """Sides of the bounding box along the body axes [m]."""
         if self._mesh is not None:
             return self._mesh.extent
         if self.shape == "cuboid":
@@ -190,7 +191,7 @@ class ObjectDescription(Settings):
 
     @cached_property
     def surface(self) -> core.Surface:
-        """The nearest points of it."""
+        """Surface of the object, which finds nearest points."""
         numbers = np.zeros(3)
         if self._mesh is not None:
             return core.Surface.mesh(self._mesh.vertices, self._mesh.faces.astype(float), list(self._mesh.pieces))
@@ -201,7 +202,7 @@ class ObjectDescription(Settings):
 
     @cached_property
     def moments(self) -> tuple[float, float, float]:
-        """Moments of inertia about the body's axes, which are principal axes [kg m^2]."""
+        """Moments of inertia about the body axes, which are principal axes [kg m^2]."""
         if self.inertia is not None:
             x, y, z = self.inertia
             return x, y, z
@@ -213,7 +214,7 @@ class ObjectDescription(Settings):
 
     @cached_property
     def inertia_matrix(self) -> Array:
-        """About the centre of mass [kg m^2], (3, 3), body axes; of the uniform solid unless `inertia` is given."""
+        """Inertia about the centre of mass [kg m^2], (3, 3), body axes; that of the uniform solid unless `inertia` is given."""
         return np.diag(self.moments)
 
     @cached_property
@@ -222,31 +223,31 @@ class ObjectDescription(Settings):
 
     @property
     def faces(self) -> tuple[Array, NDArray[np.int64]]:
-        """Corners (V, 3) [m] and faces (F, 3) of a mesh, body frame, from outside counterclockwise.
+        """Corners (V, 3) [m] and faces (F, 3) of a mesh, body frame, counterclockwise from outside.
 
         Raises:
-            InvalidInputError: Another shape.
+            InvalidInputError: The shape is not a mesh.
         """
-        return self._of_mesh.vertices, self._of_mesh.faces
+        return self._required_mesh.vertices, self._required_mesh.faces
 
     @property
     def pieces(self) -> tuple[Array, ...]:
-        """Corners (K, 3) [m] of convex pieces that together hold a mesh, body frame; raises as `faces`."""
-        return self._of_mesh.pieces
+        """Corners (K, 3) [m] of convex pieces that together cover a mesh, body frame; raises as `faces`."""
+        return self._required_mesh.pieces
 
     @property
-    def _of_mesh(self) -> Mesh:
+    def _required_mesh(self) -> Mesh:
         if self._mesh is None:
             raise InvalidInputError(f"a {self.shape} has no faces; only shape 'mesh' has")
         return self._mesh
 
     def __getstate__(self) -> dict[str, object]:
-        """All but the surface and the mesh, which are made anew."""
+        """Return the state without surface and mesh, which are made anew."""
         return {name: value for name, value in self.__dict__.items() if name not in ("surface", "_mesh")}
 
 
 def check_extent(extent: Sequence[float], shape: str, too_large: str, too_small: str) -> None:
-    """Refuses sides [m] that no object here has, with a hint for each case."""
+    """Raise unless sides [m] are allowed, with a hint for each case."""
     if not (min(extent) >= SMALLEST and max(extent) <= LARGEST):
         raise InvalidInputError(
             f"the {shape} measures {' x '.join(f'{side:.3g}' for side in extent)} m, allowed are {SMALLEST:g} to {LARGEST:g} m each way; "
@@ -255,7 +256,7 @@ def check_extent(extent: Sequence[float], shape: str, too_large: str, too_small:
 
 
 def _solid_gyration(shape: str, size: tuple[float, ...]) -> tuple[float, float, float]:
-    """Squared radii of gyration of a uniform solid about its axes [m^2]."""
+    """Return the squared radii of gyration of a uniform solid about its axes [m^2]."""
     if shape == "cuboid":
         x, y, z = (side * side / 12.0 for side in size)
         return y + z, x + z, x + y
@@ -267,7 +268,7 @@ def _solid_gyration(shape: str, size: tuple[float, ...]) -> tuple[float, float, 
         across = 0.25 * square + length * length / 12.0
         return across, 0.5 * square, across
     straight = length - 2.0 * radius
-    ends = 4.0 / 3.0 * radius / (straight + 4.0 / 3.0 * radius)  # their share of the volume
+    ends = 4.0 / 3.0 * radius / (straight + 4.0 / 3.0 * radius)  # share of the ends in the volume
     rod = 1.0 - ends
     along = rod * 0.5 * square + ends * 0.4 * square
     # a half ball's centre of mass is 3/8 of its radius from its flat side

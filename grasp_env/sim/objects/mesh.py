@@ -1,4 +1,4 @@
-"""Solids from mesh files, in metres, about their centre of mass and along their principal axes."""
+"""Solids from mesh files in metres, with their centre of mass as origin and their principal axes as axes."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.mesh_files import KINDS, mesh_bytes, read_mesh_bytes
 from grasp_env.sim.objects.cache import kept
 
-_MADE = "6"
-"""Of what is made of a mesh; another one where that changes, so that nothing older is taken from the cache."""
+_VERSION = "6"
+"""Version of the processed arrays, part of the cache's key: increase it when they change."""
 _ARRAYS = frozenset(("vertices", "faces", "pieces", "counts", "gyration", "rotation", "center", "volume", "changes"))
-_ROUND = 1e-6  # relative difference of moments, or product of inertia, that tells no axis from another
+_SAME_MOMENT = 1e-6  # relative difference of moments, or product of inertia, below which axes are not distinguished
 
 
 class Mesh(NamedTuple):
-    """A closed mesh, body frame; to be read only.
+    """A closed mesh, body frame, not to be written to.
 
     Attributes:
-        vertices: [m], (V, 3).
-        faces: Numbers of their corners, counterclockwise from outside, (F, 3) int64.
-        pieces: Corners (K, 3) [m] of convex pieces that together hold it.
+        vertices: Corners [m], (V, 3).
+        faces: Indices of their corners, counterclockwise from outside, (F, 3) int64.
+        pieces: Corners (K, 3) [m] of convex pieces that together cover it.
         gyration: Squared radii of gyration of the uniform solid about the axes [m^2], (3,).
-        rotation: From the axes of the file to those of the body, (3, 3).
+        rotation: Rotation from the axes of the file to those of the body, (3, 3).
         center: Centre of mass in the file's frame [m], (3,).
-        volume: [m^3].
+        volume: Volume [m^3].
         extent: Sides of its bounding box [m].
-        changes: What was changed to close it, in words.
+        changes: Descriptions of the repairs that closed it.
     """
 
     vertices: Array
@@ -48,15 +48,15 @@ class Mesh(NamedTuple):
 
 
 def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
-    """Read a mesh; what is made of it is kept in the user's cache folder, and the last few in this process until their files change.
+    """Read and process a mesh. Results are kept in the user's cache folder, and the last few in memory until their files change.
 
     Args:
-        path: Of a file of one of the kinds of `KINDS`.
-        scale: What its coordinates are multiplied by to give metres.
-        tell: Warn of what was repaired.
+        path: Path of a file of one of the `KINDS`.
+        scale: Factor from its coordinates to metres.
+        tell: Warn of repairs.
 
     Raises:
-        InvalidInputError: No such file, not a mesh, too many faces, or one that cannot be closed.
+        InvalidInputError: There is no such file, or it is not a mesh, has too many faces or cannot be closed.
     """
     if not isinstance(path, str | os.PathLike) or os.path.splitext(path)[1].lower() not in KINDS:
         raise InvalidInputError(f"mesh={shown(path)} must be a file of type {', '.join(KINDS)}; convert it")
@@ -75,11 +75,11 @@ def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
 
 @lru_cache(maxsize=16)
 def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mesh:
-    """`_changed` and `_bytes` tell one state of the file from another."""
+    """Read and process a mesh; `_changed` and `_bytes` make the in-memory cache notice a changed file."""
     kind = Path(path).suffix.lower()
     blob = mesh_bytes(path, name)
-    key = digest(_MADE.encode(), kind.encode(), blob)
-    made = kept(key, os.path.basename(path), _ARRAYS, lambda: _made(*read_mesh_bytes(blob, kind, name), name))
+    key = digest(_VERSION.encode(), kind.encode(), blob)
+    made = kept(key, os.path.basename(path), _ARRAYS, lambda: _processed(*read_mesh_bytes(blob, kind, name), name))
     ends = np.cumsum(made["counts"])[:-1]
     vertices, pieces = np.ascontiguousarray(scale * made["vertices"]), scale * made["pieces"]
     for array in (vertices, made["faces"], pieces):  # shared by all objects of this file
@@ -91,8 +91,8 @@ def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mes
     )  # fmt: skip
 
 
-def _made(corners: Array, faces: Any, name: str) -> dict[str, Any]:
-    """All of a mesh that takes time, in the file's units."""
+def _processed(corners: Array, faces: Any, name: str) -> dict[str, Any]:
+    """Close, measure and cut a mesh: everything that takes time, in the file's units."""
     from grasp_env.sim.objects.closing import closed
     from grasp_env.sim.objects.pieces import convex_pieces
 
@@ -101,7 +101,7 @@ def _made(corners: Array, faces: Any, name: str) -> dict[str, Any]:
     x, y, z = np.sort(body["gyration"]).tolist()
     if not (x > 0.0 and z < (x + y) * (1.0 + 1e-9)):
         raise InvalidInputError(
-            f"{name} encloses what no body can be, as its faces cross; mend it with `grasp object mend FILE`, or remesh it"
+            f"{name} has impossible moments of inertia, as its faces cross; mend it with `grasp object mend FILE`, or remesh it"
         )
     pieces = convex_pieces(body["vertices"], faces, name)
     return {
@@ -111,10 +111,10 @@ def _made(corners: Array, faces: Any, name: str) -> dict[str, Any]:
 
 
 def _centred(corners: Array, faces: Any) -> dict[str, Any]:
-    """The corners about the centre of mass, turned to the principal axes, and what is known of the solid."""
+    """Move the corners to the centre of mass and the principal axes, and measure the solid."""
     shift = corners.mean(axis=0)
     a, b, c = (corners[faces[:, k]] - shift for k in range(3))
-    volumes = np.einsum("fk,fk->f", a, np.cross(b, c)) / 6.0  # of the tetrahedra over the faces
+    volumes = np.einsum("fk,fk->f", a, np.cross(b, c)) / 6.0  # of the tetrahedra between origin and faces
     volume = volumes.sum()
     center = ((a + b + c) * volumes[:, None]).sum(axis=0) / (4.0 * volume)
     total = a + b + c
@@ -132,9 +132,9 @@ def _centred(corners: Array, faces: Any) -> dict[str, Any]:
 
 
 def principal_rotation(inertia: Array) -> Array:
-    """The rotation (3, 3) by the smallest angle after which the axes are principal axes of `inertia` (3, 3).
+    """Return the smallest rotation (3, 3) to principal axes of `inertia` (3, 3).
 
-    Where moments are equal, as of a cube, any axes do: those nearest to the present ones are taken.
+    If moments are equal, as those of a cube, the axes are not unique; the nearest to the present ones are taken.
 
     Example:
         >>> principal_rotation(np.diag([1.0, 1.0, 2.0]))
@@ -143,7 +143,7 @@ def principal_rotation(inertia: Array) -> Array:
                [0., 0., 1.]])
     """
     size = np.trace(inertia)
-    if np.abs(inertia - np.diag(np.diag(inertia))).max() <= _ROUND * size:
+    if np.abs(inertia - np.diag(np.diag(inertia))).max() <= _SAME_MOMENT * size:
         return np.eye(3)
     moments, axes = np.linalg.eigh(inertia)
     best, angle = np.eye(3), np.inf
@@ -153,7 +153,7 @@ def principal_rotation(inertia: Array) -> Array:
             rows = axes[:, order].T * np.array([1 - 2 * (signs & 1), 1 - (signs & 2), 1.0])[:, None]
             rows[2] *= np.linalg.det(rows)
             turned[:] = rows
-            turned = _aligned(turned, moments[list(order)], _ROUND * size)
+            turned = _aligned(turned, moments[list(order)], _SAME_MOMENT * size)
             found = float(np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0)))
             if found < angle - 1e-9:
                 best, angle = turned.copy(), found
@@ -161,7 +161,7 @@ def principal_rotation(inertia: Array) -> Array:
 
 
 def _aligned(rows: Array, moments: Array, close: float) -> Array:
-    """Axes whose moments are equal, turned within their plane to lie nearest to x, y and z."""
+    """Turn axes with equal moments within their plane until they are nearest to x, y and z."""
     for i, j in ((0, 1), (0, 2), (1, 2)):
         if abs(moments[i] - moments[j]) <= close:
             # the turn of rows i and j that maximises the trace

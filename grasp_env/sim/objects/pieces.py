@@ -1,4 +1,4 @@
-"""Convex pieces that together hold a closed mesh: what engines touch and what distances are measured to."""
+"""Convex pieces that together cover a closed mesh, for collisions and distances."""
 
 from __future__ import annotations
 
@@ -13,77 +13,75 @@ from grasp_env.sim.mesh_shape import outermost, volume
 from grasp_env.sim.objects.apart import apart
 
 CONVEX = 1e-3
-"""Part of its hull's volume that a mesh may lack and count as convex."""
+"""Share of its hull's volume that a mesh may lack and still count as convex."""
 CONCAVITY = 0.03
-"""Of a piece, as CoACD measures it on a mesh from -1 to 1: about as far as it may stand out of the mesh, over half the mesh's size."""
-MOST_PIECES = 32
-"""Of a mesh in one part."""
+"""Largest concavity of a piece as CoACD defines it: about the distance it may protrude from the mesh, over half the mesh's size."""
+MAX_PIECES = 32
+"""Largest number of pieces of a connected mesh."""
 MOST_CORNERS = 256
-"""Of a piece: a ball of 66 mm has its faces within 0.7 mm."""
+"""Largest number of corners of a piece: the faces of a ball of 66 mm are then within 0.7 mm."""
 FINE = 2e-4
-"""Of a piece's size, by which its hull may be smaller with fewer corners."""
+"""Distance by which omitted corners may stand out of a piece, relative to its size."""
 LONGEST = 60.0
-"""[s] that cutting a mesh may take; usual are 1 to 12."""
+"""Longest time to cut a mesh [s]; 1 to 12 s are usual."""
 
-_FINE = 5000  # faces, beyond which a mesh is taken coarser before it is cut
+_MAX_CUT_FACES = 5000  # faces, above which a mesh is simplified before it is cut
 _SEARCH = {"mcts_iterations": 60, "mcts_max_depth": 2, "resolution": 1000, "preprocess_mode": "off"}
-"""A third of CoACD's own search, in a third of the time; its preprocessing puts a shell of a hundredth of the size around a mesh."""
+"""A third of CoACD's default search. Its preprocessing is off, as it adds a shell of a hundredth of the mesh's size."""
 
 
 def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
-    """Corners (K, 3) of each piece: one of a convex mesh, else those of CoACD (Wei et al. 2022), or of V-HACD where that has no answer.
+    """Cut a mesh into convex pieces with corners (K, 3): by CoACD (Wei et al. 2022), or by V-HACD if that fails; one if it is convex.
 
-    Every corner of the mesh is in a piece, but for what the `MOST_CORNERS` of each leave out. Pieces stand out of the mesh where it is
-    hollow, by a few hundredths of its size.
+    The pieces contain all corners of the mesh, except for what `MOST_CORNERS` leaves out. In hollows they protrude from the mesh by a few
+    hundredths of its size.
 
     Args:
-        corners: (V, 3).
-        faces: Of a closed mesh, from outside counterclockwise, (F, 3).
-        name: Of the mesh, for messages.
+        corners: Corners of a closed mesh, (V, 3).
+        faces: Its faces, counterclockwise from outside, (F, 3).
+        name: Name of the mesh, for messages.
 
     Raises:
-        InvalidInputError: Neither cuts it.
+        InvalidInputError: Neither can cut it.
     """
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(corners)
     if volume(corners, faces) >= (1.0 - CONVEX) * hull.volume:
         return [outermost(corners[hull.vertices], MOST_CORNERS, FINE)]
-    coarse, said = _coarser(corners, faces), ""
+    coarse, reason = _simplified(corners, faces), ""
     for task in ("by_coacd", "by_vhacd"):
         try:
             text = f"{name}: cutting it into convex pieces, once for this content"
             made = apart(f"{__name__}:{task}", text, LONGEST, corners=coarse[0], faces=coarse[1])
-        except (
-            TimeoutError,
-            ChildProcessError,
-        ) as error:  # CoACD crashes or runs for ever where faces cross, and is not on every machine
-            said = str(error).strip().rsplit("\n", 1)[-1]
+        except (TimeoutError, ChildProcessError) as error:
+            # CoACD crashes or never ends if faces cross, and is not available on every machine
+            reason = str(error).strip().rsplit("\n", 1)[-1]
             continue
-        found = _holding(np.split(made["points"], np.cumsum(made["counts"].astype(int))[:-1]), corners)
+        found = _covering(np.split(made["points"], np.cumsum(made["counts"].astype(int))[:-1]), corners)
         if found:
             return found
     raise InvalidInputError(
-        f"{name} cannot be cut into convex pieces ({said or 'none was found'}). Where its faces cross, mend it with "
+        f"{name} cannot be cut into convex pieces ({reason or 'none was found'}). Where its faces cross, mend it with "
         "`grasp object mend FILE`, or remesh it"
     )
 
 
 def by_coacd(corners: Array, faces: Any) -> dict[str, Array]:
-    """Points (P, 3) of all pieces, and counts (N,) of those of each."""
+    """Cut a mesh by CoACD: points (P, 3) of all pieces, and counts (N,) of the points of each."""
     import coacd
 
     coacd.set_log_level("error")
     mesh = coacd.Mesh(corners, faces)
-    return _packed(coacd.run_coacd(mesh, threshold=CONCAVITY, max_convex_hull=MOST_PIECES, **_SEARCH))
+    return _packed(coacd.run_coacd(mesh, threshold=CONCAVITY, max_convex_hull=MAX_PIECES, **_SEARCH))
 
 
 def by_vhacd(corners: Array, faces: Any) -> dict[str, Array]:
-    """The same by V-HACD 4."""
+    """Cut a mesh by V-HACD 4, with the same result as `by_coacd`."""
     import vhacdx
 
     return _packed(
-        vhacdx.compute_vhacd(corners, faces.astype(np.uint32), maxConvexHulls=MOST_PIECES, maxNumVerticesPerCH=64)
+        vhacdx.compute_vhacd(corners, faces.astype(np.uint32), maxConvexHulls=MAX_PIECES, maxNumVerticesPerCH=64)
     )
 
 
@@ -95,24 +93,24 @@ def _packed(found: list[Any]) -> dict[str, Array]:
     }
 
 
-def _coarser(corners: Array, faces: Any) -> tuple[Array, Any]:
-    if len(faces) <= _FINE:
+def _simplified(corners: Array, faces: Any) -> tuple[Array, Any]:
+    if len(faces) <= _MAX_CUT_FACES:
         return corners, faces
     import fast_simplification
 
     middle, size = corners.mean(axis=0), float(np.ptp(corners, axis=0).max())
     unit = ((corners - middle) / size).astype(np.float32)
-    points, triangles = fast_simplification.simplify(unit, faces.astype(np.int32), target_count=_FINE)[:2]
+    points, triangles = fast_simplification.simplify(unit, faces.astype(np.int32), target_count=_MAX_CUT_FACES)[:2]
     return np.asarray(points, dtype=float) * size + middle, np.asarray(triangles, dtype=np.int32)
 
 
-def _holding(pieces: list[Array], corners: Array) -> list[Array]:
-    """The pieces, each with the corners of the mesh that lie in none and nearest to it."""
+def _covering(pieces: list[Array], corners: Array) -> list[Array]:
+    """Grow the pieces until they contain all corners of the mesh, each by those that are nearest to it."""
     from scipy.spatial import ConvexHull, QhullError
 
     hulls: list[Any] = []
     for piece in pieces:
-        with suppress(QhullError):  # flat: it holds nothing
+        with suppress(QhullError):  # flat: it has no volume
             hulls.append(ConvexHull(piece))
     if not hulls:
         return []

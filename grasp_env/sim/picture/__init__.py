@@ -1,4 +1,4 @@
-"""Pictures of a scene, drawn by the renderer of its physics engine, and what is drawn over them with Pillow."""
+"""Pictures of a scene by the renderer of its physics engine, with annotations by Pillow."""
 
 from grasp_env.sim.picture.annotation import Annotation
 from grasp_env.sim.picture.camera import Camera, CameraConfig

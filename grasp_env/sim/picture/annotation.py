@@ -1,4 +1,4 @@
-"""The content of a picture of a grasp: forces, friction cones, the wrench and words."""
+"""Content of an annotated picture of a grasp: forces, friction cones, wrench and text."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from grasp_env._check import Array, as_array, positive
 WRENCH_COLOR = (150, 30, 140)
 
 LONGEST = 0.08
-"""The longest force arrow [m]."""
+"""Length of the longest force arrow [m]."""
 
 WRENCH_STRETCH = 2.0
-"""The wrench's force is drawn so many times longer than the forces of the fingers, which are larger."""
+"""Ratio of the drawn scale of the wrench's force to that of the fingers' forces, which are larger."""
 
 LONGEST_TURN = math.radians(300.0)
-"""The longest arc of a moment [rad]."""
+"""Angle of the longest arc of a moment [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Annotation:
-    """What to draw over a picture of a grasp with N contacts; everything in the world frame.
+    """Annotation of a picture of a grasp with N contacts, in the world frame.
 
     Attributes:
         points: (N, 3) contacts [m].
         normals: (N, 3) unit normals, into the object.
         forces: (N, 3) commanded force of each finger ON the object [N].
         measured: (N, 3) measured force of each finger ON the object [N], a thin dark line.
-        friction: (N,) coefficients; the drawn cones have the half angle atan(friction).
-        active: (N,) whether the contact takes part; the others are drawn hollow and grey.
-        colors: (N, 3) of the fingers, red, green and blue in [0, 1].
-        wrench: (6,) force [N] and moment [N m] that act on the object from outside.
-        center: (3,) where the wrench's force attacks [m].
-        scale: drawn length of forces [m/N]; the longest should be about `LONGEST`.
-        turn: drawn angle of moments [rad/(N m)]; the longest should be about `LONGEST_TURN`.
+        friction: (N,) coefficients of friction; the drawn cones have the half angle atan(friction).
+        active: (N,) True if the contact takes part; others are drawn hollow and grey.
+        colors: (N, 3) colours of the fingers: red, green and blue in [0, 1].
+        wrench: (6,) external force [N] and moment [N m] on the object.
+        center: (3,) point of application of the wrench's force [m].
+        scale: drawn length of forces [m/N]; choose it so that the longest is about `LONGEST`.
+        turn: drawn angle of moments [rad/(N m)]; choose it so that the largest is about `LONGEST_TURN`.
         title: task and disturbance, at the top left.
         hand: name of the hand, at the top right.
-        alarm: what went wrong, in red; the first of `lines` is red, too.
-        lines: (label, value) pairs of the numbers below.
+        alarm: error text, in red; the first of `lines` is then red, too.
+        lines: (label, value) pairs at the bottom.
 
     Raises:
-        InvalidInputError: a wrong shape, numbers that are not finite, or a scale that is not positive.
+        InvalidInputError: An array has a wrong shape or a number that is not finite, or a scale is not positive.
     """
 
     points: Array

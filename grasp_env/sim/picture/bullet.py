@@ -1,4 +1,4 @@
-"""PyBullet's software renderer, which needs no display, and the lines in its window."""
+"""PyBullet's software renderer, which needs no display, and lines in its window."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from grasp_env.sim.scene import Scene
 
 
 class BulletPainter(Painter):
-    """Draws what a PyBullet server holds; see `Painter`.
+    """Renderer of the bodies in a PyBullet server; see `Painter`.
 
     Args:
         client: The connection.
-        scene: The one that it belongs to; None: the connection is closed with the painter.
+        scene: Scene that owns the connection; None if the painter owns it and closes it.
     """
 
     def __init__(self, client: Client, scene: Scene | None = None) -> None:
         self._client, self._scene = client, scene
-        self._lines: list[int] = []  # PyBullet's numbers of those in the window, in `_world`
+        self._lines: list[int] = []  # PyBullet's numbers of the lines in the window, drawn for `_world`
         self._world: object = None
 
     @classmethod
@@ -76,9 +76,9 @@ class BulletPainter(Painter):
             self._show_object(1.0)
 
     def show(self, annotation: Annotation) -> None:
-        """See `Painter`; the window is the server's own. Lines are drawn once and then moved."""
+        """See `Painter`. The lines are drawn once in the server's window and then moved."""
         assert self._scene is not None
-        if self._scene.simulator.world is not self._world:  # which was loaded with it, has no lines yet
+        if self._scene.simulator.world is not self._world:  # newly loaded bodies have no lines yet
             self._world, self._lines = self._scene.simulator.world, []
         lines = lines_of(annotation)
         self._lines = [

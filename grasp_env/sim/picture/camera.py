@@ -1,4 +1,4 @@
-"""Pictures of a scene, drawn without a display by the renderer of its physics engine."""
+"""Camera that takes pictures of a scene without a display."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from grasp_env.sim.picture.view import View
 from grasp_env.sim.scene import Scene
 
 DIRECTION = (0.72, 0.11, 0.72)
-"""From the object towards the camera by default: from the front, the right and a little above."""
+"""Default direction from the object towards the camera: front right, a little above."""
 
-_TIP = 0.025  # [m] across of a fingertip
-_SURVEY = 160  # pixels along the longer side of the picture that finds where things are
-_SURVEY_DISTANCE = 1.2  # [m] from the nominal object, far enough for hands of half a metre
+_TIP = 0.025  # diameter of a fingertip [m]
+_SURVEY = 160  # longer side of the picture that locates hand and object [pixels]
+_SURVEY_DISTANCE = 1.2  # its distance from the nominal object, enough for hands of half a metre [m]
 
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """How the camera looks at the scene and what it delivers.
+    """View and size of a camera's pictures.
 
     Attributes:
         width, height: Size of the picture [pixels].
-        direction: From the object towards the camera, world frame; not vertical. None: `DIRECTION`, turned about the vertical
-            where more of the contacts are seen so.
-        field_of_view: Vertical opening [degrees].
-        margin: Part of the width and of the height left free beside and above hand and object.
-        footer: Part of the height left free below them, where annotations have their text.
-        arrows: Distance [m] from the object's centre, along each axis, that is in the picture, too.
-        object_opacity: Below 1 the tips behind the object are seen through it, and drawing takes twice the time.
-        supersampling: Rendered pixels per delivered pixel along each side; 1 is fastest, 3 finest.
+        direction: Direction from the object towards the camera, world frame, not vertical. None for `DIRECTION`, turned about the
+            vertical if more contacts are visible then.
+        field_of_view: Vertical opening angle [degrees].
+        margin: Share of the width and of the height left free beside and above hand and object.
+        footer: Share of the height left free below them for the text of annotations.
+        arrows: Distance from the object's centre along each axis that is also in the picture [m].
+        object_opacity: Opacity of the object. Below 1 the tips behind it are visible, and drawing takes twice the time.
+        supersampling: Rendered pixels per delivered pixel along each side; 1 is fastest, 3 is fine.
 
     Raises:
-        InvalidInputError: a number outside of its range, or a vertical direction.
+        InvalidInputError: A number is out of range, or the direction is vertical.
 
     Example:
         >>> CameraConfig(width=640, direction=(1.0, 0.3, 0.0)).height
@@ -76,19 +76,19 @@ class CameraConfig:
 
 
 class Camera:
-    """Takes pictures of one scene; make it when the first picture is wanted.
+    """Camera of one scene; make it when the first picture is needed.
 
-    It stands where hand and object fill the picture, and moves only when the scene builds other bodies or `fit` is called.
+    Hand and object fill its picture. It moves only when the scene loads other bodies or `fit` is called.
 
     Args:
-        scene: The scene to look at.
+        scene: The scene.
         config: View and size.
 
     Attributes:
-        painter: What draws the scene, see `Painter`.
+        painter: Renderer of the scene, see `Painter`.
 
     Raises:
-        SimulationError: This machine has no OpenGL, which MuJoCo's pictures need; the message says how to install it.
+        SimulationError: This machine has no OpenGL, which MuJoCo's pictures need. The message says how to install it.
 
     Example:
         >>> scene = Scene(visuals=True)
@@ -108,7 +108,7 @@ class Camera:
         return f"Camera({self.config.width} x {self.config.height} pixels of {self._scene!r})"
 
     def fit(self) -> None:
-        """Moves the camera to where all that is drawn now fills the picture.
+        """Move the camera so that hand and object fill the picture.
 
         Raises:
             SimulationError: The scene is closed.
@@ -136,7 +136,7 @@ class Camera:
         self._fitted_to = self._scene.core
 
     def _contacts_seen(self, view: View) -> int:
-        """Counts the contacts that nothing but their own tip hides."""
+        """Count the contacts that are hidden by nothing but their own tip."""
         scene = self._scene
         snapshot = scene.look()
         points = snapshot.position + np.array(scene.config.contact_points) @ snapshot.rotation.T
@@ -147,10 +147,10 @@ class Camera:
         return int((view.depth(points[inside]) - view.depth(before) < _TIP).sum())
 
     def capture(self, annotation: Annotation | None = None) -> np.ndarray:
-        """The scene now, (height, width, 3) uint8.
+        """Take a picture of the current scene, (height, width, 3) uint8.
 
         Args:
-            annotation: What to draw over it: forces, cones, wrench and text; None: nothing.
+            annotation: Forces, cones, wrench and text to draw over it; None for nothing.
 
         Raises:
             SimulationError: The scene is closed.
@@ -159,7 +159,7 @@ class Camera:
             self.fit()
         opacity, factor = self.config.object_opacity, self.config.supersampling
         picture, depth = self.painter.shoot(self.view, factor, shadows=True)
-        if opacity < 1.0:  # the renderer draws a body or does not: blend the two
+        if opacity < 1.0:  # renderers have no opacity: blend pictures with and without the object
             with self.painter.object_hidden():  # without shadows, which saves a tenth of the time
                 behind, behind_depth = self.painter.shoot(self.view, factor)
             mixed = Image.blend(behind, picture, opacity)
@@ -168,5 +168,5 @@ class Camera:
         return np.array(picture if annotation is None else draw(picture, annotation, self.view))
 
     def project(self, points: ArrayLike) -> Array:
-        """Pixels (N, 2), right and down, of points (N, 3) [m], world frame; see `View.project`."""
+        """Return pixels (N, 2), right and down, of points (N, 3) [m], world frame; see `View.project`."""
         return self.view.project(points)

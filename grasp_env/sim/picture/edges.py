@@ -1,4 +1,4 @@
-"""Smooth edges of rendered pictures."""
+"""Smoothing of edges in rendered pictures."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from PIL import Image
 
 from grasp_env._check import Array
 
-_LONGEST = 8.0  # [pixels] along an edge over which it is smoothed
-_CONTRAST = 16  # differences of brightness, of 255, that are left as they are
-_BRIGHTNESS = np.array([0.299, 0.587, 0.114])  # of red, green and blue
+_LONGEST = 8.0  # longest distance along an edge for smoothing [pixels]
+_CONTRAST = 16  # differences of brightness below this, of 255, are kept
+_BRIGHTNESS = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue
 
 
 def smooth_edges(picture: Image.Image) -> Image.Image:
-    """The picture, RGB, with stairs at edges blended along the edge.
+    """Smooth jagged edges of an RGB picture by blending along them.
 
-    The fast approximate anti-aliasing of T. Lottes (FXAA, 2009): the brightness of four neighbours tells the direction
-    of an edge; two samples along it (four where they stay within the brightness around) replace the pixel.
+    This is the fast approximate anti-aliasing of T. Lottes (FXAA, 2009). The brightness of four neighbours gives the direction of an
+    edge. Two samples along it replace the pixel, or four if these stay within the brightness around it.
     """
     image = np.array(picture)
     height, width, _ = image.shape
     bright = np.pad(np.asarray(picture.convert("L"), np.int16), 1, mode="edge")
     around = [bright[r : r + height, c : c + width] for r in range(3) for c in range(3)]
-    low, high = np.minimum.reduce(around[::2]), np.maximum.reduce(around[::2])  # of the corners and the middle
-    row, column = np.nonzero(high - low >= _CONTRAST)  # all that follows is done for these pixels alone
+    low, high = np.minimum.reduce(around[::2]), np.maximum.reduce(around[::2])  # over the corners and the middle
+    row, column = np.nonzero(high - low >= _CONTRAST)  # the rest is computed for these pixels only
     nw, up, ne, left, _, right, sw, down, se = (each[row, column].astype(float) for each in around)
     across = (sw + 2.0 * down + se) - (nw + 2.0 * up + ne)
     along = (nw + 2.0 * left + sw) - (ne + 2.0 * right + se)
@@ -32,7 +32,7 @@ def smooth_edges(picture: Image.Image) -> Image.Image:
     pixels = image.reshape(-1, 3)
 
     def sample(part: float) -> Array:
-        """Bilinear values (n, 3) that far along the edge, the border continued outside."""
+        """Return bilinear values (n, 3) at this distance along the edge; the border extends outside."""
         y, x = np.clip([row, column] + part * way, 0.0, [[height - 1.0], [width - 1.0]])
         r, c = y.astype(int), x.astype(int)
         v, u = (y - r)[:, None], (x - c)[:, None]

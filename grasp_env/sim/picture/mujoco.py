@@ -27,15 +27,15 @@ from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
 from grasp_env.sim.scene import Scene
 
 _BACKENDS = ("egl", "osmesa", "glfw", "cgl")
-"""Modules of MuJoCo that make an OpenGL context, as the variable MUJOCO_GL names them."""
+"""Modules of MuJoCo that make an OpenGL context, by their names in the variable MUJOCO_GL."""
 _MOST_SHAPES = 10_000
 
 
 class MujocoPainter(Painter):
-    """Draws a model of its own that has only the looks of hand and object: the model that is simulated stays as it is.
+    """Renderer with a model of its own, which has only the visual shapes of hand and object; see `Painter`.
 
     Args:
-        scene: Where hand and object are; None: a hand alone, see `of_hand`.
+        scene: Scene to draw; None for a hand alone, see `of_hand`.
 
     Raises:
         SimulationError: This machine has no OpenGL.
@@ -43,12 +43,12 @@ class MujocoPainter(Painter):
 
     def __init__(self, scene: Scene | None = None) -> None:
         self._scene = scene
-        self._drawn: object = None  # the bodies, as the scene numbers them in its core
+        self._drawn: object = None  # `scene.core` for which the model was built
         self._option = mujoco.MjvOption()
         self._context = _gl_context()
-        self._brushes: list[Any] = []  # one at most: MuJoCo's OpenGL objects of the present model
+        self._brushes: list[Any] = []  # at most one: MuJoCo's OpenGL objects of the current model
         self._clean = weakref.finalize(self, _free, self._context, self._brushes)
-        self._clean.atexit = False  # MuJoCo's own clean-up may have come before
+        self._clean.atexit = False  # MuJoCo's own clean-up may run first
 
     @classmethod
     def of_scene(cls, scene: Scene) -> MujocoPainter:
@@ -75,7 +75,7 @@ class MujocoPainter(Painter):
             self._model, self._data, self._option, None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL.value, scene
         )
         slope = float(view.slope[1])
-        for camera in scene.camera:  # those of both eyes, whose mean is taken
+        for camera in scene.camera:  # of both eyes: MuJoCo takes their mean
             camera.pos, camera.forward, camera.up = view.eye, -view.axes[2], view.axes[1]
             camera.frustum_near, camera.frustum_far, camera.frustum_center = NEAR_PLANE, FAR_PLANE, 0.0
             camera.frustum_top, camera.frustum_bottom = NEAR_PLANE * slope, -NEAR_PLANE * slope
@@ -100,11 +100,11 @@ class MujocoPainter(Painter):
         self._clean()
 
     def _follow(self) -> None:
-        """Takes over what the scene holds, and where it is."""
+        """Update the model to the bodies and poses of the scene."""
         scene = self._scene
         if scene is None:
             return
-        # as `Simulator` lays it out: angles, rates, position, x, y, z and w of the quaternion
+        # see `Simulator.read`: angles, rates, position, quaternion x, y, z, w
         reading = scene.simulator.read()
         if scene.core is not self._drawn:
             self._build(scene.config.hand, scene.config.object)
@@ -134,25 +134,25 @@ class MujocoPainter(Painter):
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._brushes[0])
 
     def _place(self, state: Array) -> None:
-        """Joint angles, then position and quaternion (w first) of the object, if any."""
-        self._data.qpos[self._order] = np.nan_to_num(state)  # what diverged is drawn somewhere
+        """Set joint angles, then position and quaternion (w first) of the object, if any."""
+        self._data.qpos[self._order] = np.nan_to_num(state)  # after divergence the place does not matter
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
 
 
 def _gl_context() -> Any:
-    """An OpenGL context without a window, made by what MUJOCO_GL names, otherwise by what is there."""
+    """Make an OpenGL context without a window, with the module that MUJOCO_GL names or else the best available one."""
     name = os.environ.get("MUJOCO_GL", "").strip().lower()
     if name not in _BACKENDS:
         windowless = "egl" if find_library("EGL") or not find_library("OSMesa") else "osmesa"
         name = windowless if sys.platform.startswith("linux") else "cgl" if sys.platform == "darwin" else "glfw"
-    # PyTorch's for CUDA brings triton; imported after Mesa's software renderer, its other LLVM crashes Python
+    # PyTorch for CUDA installs triton; imported after Mesa's software renderer, its other version of LLVM crashes Python
     if find_spec("triton"):
         import_module("triton")
     try:
         context = import_module(f"mujoco.{name}").GLContext(1, 1)
         context.make_current()
-    except Exception as error:  # PyOpenGL and the drivers have errors of many kinds
+    except Exception as error:  # PyOpenGL and drivers raise many kinds of errors
         raise SimulationError(
             f"MuJoCo draws pictures with OpenGL, and {name} gives none here ({error}): on Debian or Ubuntu run `apt-get install libegl1 "
             "libgl1-mesa-dri`, or `apt-get install libosmesa6` and set MUJOCO_GL=osmesa; without pictures leave render_mode out"

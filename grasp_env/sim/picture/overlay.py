@@ -1,4 +1,4 @@
-"""Draws forces, friction cones and the wrench over a picture, and the words: title, numbers, legend."""
+"""Drawing of forces, friction cones, wrench and text (title, numbers, legend) over a picture."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from grasp_env.sim.picture.annotation import LONGEST_TURN, WRENCH_COLOR, WRENCH_
 from grasp_env.sim.picture.view import View
 
 Color: TypeAlias = tuple[int, ...]
-"""Red, green, blue and maybe opacity, 0 to 255."""
+"""Red, green, blue and optional opacity, 0 to 255."""
 
 CONE_LENGTH = 0.036
 """Length of the sides of the drawn friction cones [m]."""
 
 VEIL = 0.2
-"""Contrast taken from the picture below."""
+"""Share of contrast removed from the picture below."""
 
 _WHITE, _INK, _FAINT, _INACTIVE, _ALARM = (255, 255, 255), (38, 42, 51), (112, 119, 132), (150, 154, 162), (190, 38, 30)
-_FINE = 2  # pixels drawn per delivered pixel along each side, so that edges become smooth
-_BAR = 0.03  # [m] the longest arrow of the legend
-_LINE = 1.3  # sizes of the font from one line of text to the next
-_HIGHEST = 0.4  # of the picture's height: where words would take more, there are none
-_THREE_COLUMNS = 320  # pixels of width from which the legend has three columns
-_TURN_RADIUS = 0.03  # [m] of the moment's arc
-_LEAST_TURN = 0.15  # [rad] that can still be seen to turn
+_FINE = 2  # drawn pixels per delivered pixel along each side, for smooth edges
+_BAR = 0.03  # longest arrow of the legend [m]
+_LINE = 1.3  # line spacing over font size
+_HIGHEST = 0.4  # largest share of the picture's height for text; otherwise it is left out
+_THREE_COLUMNS = 320  # width from which the legend has three columns [pixels]
+_TURN_RADIUS = 0.03  # radius of the moment's arc [m]
+_LEAST_TURN = 0.15  # least visible arc [rad]
 
 
 def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Image:
-    """The picture with the annotation over it.
+    """Return the picture with an annotation over it.
 
-    A force arrow ends at its contact and is `scale` times the force long, so a force inside its friction cone is drawn
-    inside the drawn cone. The wrench's force starts at `center`; its moment is an arc that turns about its axis, by `turn`
-    times the moment. Bodies in front hide nothing.
+    A force arrow ends at its contact and its length is `scale` times the force, so that a force inside its friction cone is drawn
+    inside the drawn cone. The wrench's force starts at `center`. Its moment is an arc about the moment's axis, by `turn` times the
+    moment. Bodies in front hide nothing.
 
     Args:
-        picture: RGB, taken with `view`; not written.
-        annotation: what to draw.
-        view: where the camera stood.
+        picture: RGB picture taken with `view`; it is not changed.
+        annotation: The annotation.
+        view: View of the picture.
     """
     veiled = picture.point(lambda value: 255.0 - (1.0 - VEIL) * (255.0 - value))
     view = replace(view, width=_FINE * view.width, height=_FINE * view.height)
@@ -54,7 +54,7 @@ def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Imag
         _draw_contact(pen, view, annotation, i)
     _draw_wrench(pen, view, annotation)
     words = _draw_legend(pen, view, annotation, *picture.size)
-    picture = fine.reduce(_FINE)  # the mean of equal pixels: untouched ones stay the same
+    picture = fine.reduce(_FINE)  # pixels that are not drawn on keep their value
     text = ImageDraw.Draw(picture)
     for word in words:
         text.text(**word)
@@ -62,7 +62,7 @@ def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Imag
 
 
 class _Pen:
-    """Draws on an enlarged picture. Widths and radii suit a picture of 480 delivered pixels and grow with it."""
+    """Pen on an enlarged picture. Widths and radii are for a picture of 480 delivered pixels and scale with its size."""
 
     def __init__(self, fine: Image.Image) -> None:
         self.unit = min(fine.size) / 480.0
@@ -82,11 +82,11 @@ class _Pen:
         self._pen.circle(center.tolist(), outside, outline=color, width=wide)
 
     def panel(self, box: Array) -> None:
-        """A light plate (left, top, right, bottom) with round corners for text to stand on."""
+        """Draw a light plate (left, top, right, bottom) with round corners as background of text."""
         self._pen.rounded_rectangle(box.tolist(), 6.0 * self.unit, (*_WHITE, 205))
 
     def arrow(self, tail: Array, tip: Array, color: Color, width: float) -> None:
-        """An arrow with a light rim; short ones get a smaller head, those of less than a pixel are left out."""
+        """Draw an arrow with a light rim. Short ones get a smaller head; those below a pixel are left out."""
         length, wide = float(np.hypot(*(tip - tail))), width * self.unit
         if length < _FINE:
             return
@@ -113,7 +113,7 @@ def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None
     tails = point - annotation.scale * np.array([annotation.forces[i], annotation.measured[i]])
     pixels = view.project(np.vstack([rim, point, tails]))
     mouth, cone, (place, tail, measured) = pixels[:-3], pixels[:-2], pixels[-3:]
-    outline = cone[np.argmax(cone @ _circle(64).T, axis=0)]  # the farthest point in each direction: the convex hull
+    outline = cone[np.argmax(cone @ _circle(64).T, axis=0)]  # convex hull: the farthest point in each direction
     color = tuple(
         (215.0 * annotation.colors[i]).clip(0.0, 255.0).astype(int).tolist()
     )  # a little darker than the links
@@ -147,30 +147,30 @@ def _draw_wrench(pen: _Pen, view: View, annotation: Annotation) -> None:
 
 
 def room(width: int, height: int) -> tuple[float, float]:
-    """Margin and footer of a camera [parts of the height] that leave the words of a picture their place."""
+    """Return margin and footer of a camera, as shares of the height, that leave room for the text of a picture."""
     pad, text, small = _sizes(width, height)
     above, below = pad + _LINE * text, 5.1 * pad + _LINE * (text + 3.0 * small)
     return min(max(0.06, above / height), 0.2), min(max(0.06, below / height), _HIGHEST)
 
 
 def _sizes(width: int, height: int) -> tuple[float, int, int]:
-    """Room around words, and the sizes of text and of small text, all in delivered pixels."""
+    """Return the padding around text, and the sizes of text and of small text, in delivered pixels."""
     unit = min(width, height) / 480.0
     return 8.0 * unit, max(10, round(14.0 * unit)), max(9, round(13.0 * unit))
 
 
 def _draw_legend(pen: _Pen, view: View, annotation: Annotation, width: int, height: int) -> list[dict[str, Any]]:
-    """Draws the band at the bottom and its icons; nothing in pictures that are too small for it.
+    """Draw the band at the bottom and its icons, unless the picture is too small for it.
 
-    Everything is where it is whatever the numbers, so that nothing jumps in a film.
+    Positions do not depend on the numbers, so that nothing jumps in a film.
 
     Returns:
-        The words of the picture, each as arguments of `ImageDraw.text`, in delivered pixels.
+        The texts of the picture, as arguments of `ImageDraw.text`, in delivered pixels.
     """
     words: list[dict[str, Any]] = []
     pad, normal, small = _sizes(width, height)
     left, wide, step, legend = 2.0 * pad, width - 4.0 * pad, _LINE * small, _legend(pen, view, annotation)
-    columns = (0.0, 0.385, 0.77) if width >= _THREE_COLUMNS else (0.0,)  # parts of the band's width
+    columns = (0.0, 0.385, 0.77) if width >= _THREE_COLUMNS else (0.0,)  # shares of the band's width
     numbers = step + _LINE * normal + 0.6 * pad if annotation.lines else 0.0
     band = numbers + step * len(legend) / len(columns)
     if band + 3.0 * pad > _HIGHEST * height:
@@ -198,7 +198,7 @@ def _draw_legend(pen: _Pen, view: View, annotation: Annotation, width: int, heig
 
 
 def _legend(pen: _Pen, view: View, annotation: Annotation) -> list[tuple[str, float, Callable[[Array], None]]]:
-    """Words, room for the icon and what draws it to the right of a point; first three of the fingers."""
+    """Return entries: text, width of the icon, and a function that draws it to the right of a point. The first three are of fingers."""
     unit, right, stretched = pen.unit, np.array([1.0, 0.0]), WRENCH_STRETCH * annotation.scale
     newtons, wrench = round_down(_BAR / annotation.scale), round_down(_BAR / stretched)
     lengths = [0.0, _BAR, newtons * annotation.scale, wrench * stretched]
@@ -230,7 +230,7 @@ def _legend(pen: _Pen, view: View, annotation: Annotation) -> list[tuple[str, fl
 
 
 def round_down(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is at most `value` > 0.
+    """Return the largest of 1, 2, 5 times a power of ten that is at most `value` > 0.
 
     Example:
         >>> [round_down(value) for value in (0.013, 0.02, 7.0)]
@@ -248,6 +248,6 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
 
 
 def _circle(count: int) -> Array:
-    """Points (count + 1, 2) of the unit circle, the first one twice."""
+    """Return points (count + 1, 2) of the unit circle, with the first one repeated at the end."""
     angles = np.linspace(0.0, 2.0 * np.pi, count + 1)
     return np.column_stack([np.cos(angles), np.sin(angles)])

@@ -1,4 +1,4 @@
-"""Pictures of a hand or a mesh by itself: its looks, beside the shapes it touches with."""
+"""Pictures of a hand or a mesh alone, beside its collision shapes."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from grasp_env.sim.picture.view import View
 _TIP = (0.90, 0.25, 0.15)
 _SOLID = (0.62, 0.70, 0.80)
 _PALM = (0.45, 0.50, 0.58)
-_FINE = 2  # pixels rendered per delivered pixel along each side
-_ROOM = 0.04  # part of the picture left free around what is drawn
-_DRAWN = 0.2  # [m] that a mesh is made large for its picture: a camera comes no nearer to small ones
+_FINE = 2  # rendered pixels per delivered pixel along each side
+_ROOM = 0.04  # share of the picture left free around the hand or mesh
+_DRAWN = 0.2  # size to which a mesh is scaled for its picture, as a camera cannot come nearer to small ones [m]
 _NOWHERE = (0.0, 0.0, 0.0)
 
 
 def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None) -> np.ndarray:
-    """A picture (size, 2 size, 3) uint8: the hand's looks, and the shapes it touches with, its fingertips red.
+    """Return a picture (size, 2 size, 3) uint8 of a hand's visual shapes, and of its collision shapes with red fingertips.
 
-    The palm is below the fingertips, and they close towards the camera, as far as a hand has such sides.
+    The palm is below the fingertips, which close towards the camera, as far as a hand has such sides.
 
     Args:
         hand: The hand to draw.
         size: Height, and width of each half [pixels].
-        angles: Joint angles [rad], (M,); None: `home`.
+        angles: Joint angles [rad], (M,); None for `home`.
     """
     posture = np.array(hand.home) if angles is None else angles
     upright = hand.moved((0.0, 0.0, 0.0), roll_pitch_yaw(_upright(hand, posture)))
@@ -53,9 +53,9 @@ def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None
 
 
 def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
-    """A picture (size, 2 size, 3) uint8: a mesh, and the convex pieces that it is cut into, each in a colour of its own.
+    """Return a picture (size, 2 size, 3) uint8 of a mesh, and of its convex pieces, each in a colour of its own.
 
-    Its body axes are those of the world: y is up.
+    The body's y axis is up.
 
     Args:
         mesh: The mesh to draw.
@@ -76,12 +76,12 @@ def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
 
 
 def _color(index: int) -> Vector3:
-    """Hues a golden section apart: any few in a row differ, and so do neighbours."""
+    """Return a colour; hues are a golden section apart, so that consecutive ones differ."""
     return hsv_to_rgb(0.08 + 0.618034 * index, (0.55, 0.35, 0.7)[index % 3], (0.9, 0.95, 0.75)[index % 3])
 
 
 def _lookalike(shapes: tuple[Geometry, ...]) -> HandDescription:
-    """A hand, as painters draw hands, of which nothing but these shapes is seen."""
+    """Make a hand whose only visual shapes are these, as painters draw hands."""
     link = Link(
         "unseen",
         "palm",
@@ -99,13 +99,13 @@ def _lookalike(shapes: tuple[Geometry, ...]) -> HandDescription:
 
 
 def _shot(hand: HandDescription, angles: Array, view: View) -> np.ndarray:
-    """The hand in its posture, (H, W, 3) uint8."""
+    """Take a picture of a hand in a posture, (H, W, 3) uint8."""
     with closing(class_of(engine_of(), "painter").of_hand(hand, angles)) as painter:
         return np.array(painter.shoot(view, _FINE, shadows=True)[0].reduce(_FINE))
 
 
 def _solid(hand: HandDescription) -> HandDescription:
-    """The hand with its collision shapes as its looks."""
+    """Return the hand with its collision shapes as its visual shapes."""
     spheres = {(tip.link, tip.center) for tip in hand.fingertips}
 
     def body(part: Link | Palm, color: Vector3) -> tuple[Geometry, ...]:
@@ -119,12 +119,12 @@ def _solid(hand: HandDescription) -> HandDescription:
 
 
 def _upright(hand: HandDescription, angles: Array) -> Array:
-    """The rotation (3, 3) after which the hand's tips are above its palm, y up, and close towards z."""
+    """Return a rotation (3, 3) that brings the hand's tips above its palm, along y, and its closing direction to z."""
     kinematics = HandKinematics(hand)
     tips = kinematics.tips(angles)
     solid = [outline(shape) for shape in hand.palm.collision]
     up = _first([tips.mean(axis=0) - (np.vstack(solid).mean(axis=0) if solid else 0.0), np.eye(3)[1]], np.zeros(3))
-    # a little further, the way that is nearer to each joint's far limit: the way fingers close
+    # fingers close towards the farther limit of each joint
     far = np.where(np.abs(kinematics.upper) > np.abs(kinematics.lower), kinematics.upper, kinematics.lower)
     closing = kinematics.tips(np.where(np.isfinite(far), 0.8 * angles + 0.2 * far, angles)) - tips
     ahead = _first([closing.mean(axis=0), *np.eye(3)], up)
@@ -132,6 +132,6 @@ def _upright(hand: HandDescription, angles: Array) -> Array:
 
 
 def _first(vectors: list[Array], normal: Array) -> Array:
-    """The direction of the first of the vectors that is not along the normal, across the normal."""
+    """Return the unit direction, perpendicular to the normal, of the first vector that is not along it."""
     across = (vector - (vector @ normal) * normal for vector in vectors)
     return next(vector / np.linalg.norm(vector) for vector in across if np.linalg.norm(vector) > 1e-6)

@@ -1,4 +1,4 @@
-"""The geometry of a camera: from points in the world to pixels, and the distance at which all points are in the picture."""
+"""Geometry of a camera: projection of points to pixels, and the pose in which all points are in the picture."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from grasp_env._check import Array
 from grasp_env.sim.hand.description import Vector3
 
 NEAR_PLANE = 0.05
-"""Nothing nearer to the camera is drawn [m]."""
+"""Least distance from the camera that is drawn [m]."""
 
 FAR_PLANE = 5.0
-"""Nothing farther from the camera is drawn [m]."""
+"""Largest distance from the camera that is drawn [m]."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class View:
 
     Attributes:
         eye: Position of the camera [m], world frame.
-        target: Point in the middle of the picture [m], world frame.
-        field_of_view: Vertical opening [degrees].
+        target: Point at the centre of the picture [m], world frame.
+        field_of_view: Vertical opening angle [degrees].
         width, height: Size of the picture [pixels].
 
     Example:
@@ -42,7 +42,7 @@ class View:
 
     @cached_property
     def axes(self) -> Array:
-        """Right, up and towards the camera, (3, 3): rows are unit vectors in the world frame."""
+        """Unit vectors to the right, upwards and towards the camera, rows (3, 3), world frame."""
         back = np.subtract(self.eye, self.target)
         right = np.cross((0.0, 1.0, 0.0), back)
         axes = np.array([right, np.cross(back, right), back])
@@ -50,40 +50,40 @@ class View:
 
     @cached_property
     def slope(self) -> Array:
-        """Tangents of half the openings across and upwards, (2,)."""
+        """Tangents of half the horizontal and vertical opening angles, (2,)."""
         return np.tan(0.5 * np.radians(self.field_of_view)) * np.array([self.width / self.height, 1.0])
 
     def depth(self, points: ArrayLike) -> Array:
-        """Distance in front of the camera along its axis [m], (N,), of points (N, 3) [m], world frame."""
+        """Return the distance in front of the camera along its axis [m], (N,), of points (N, 3) [m], world frame."""
         return (self.eye - np.asarray(points, dtype=float)) @ self.axes[2]
 
     def project(self, points: ArrayLike) -> Array:
-        """Pixels of points.
+        """Project points to pixels.
 
         Args:
-            points: (N, 3) [m], world frame; points behind the camera are taken as just in front of it.
+            points: Points (N, 3) [m], world frame. Points behind the camera are treated as just in front of it.
 
         Returns:
-            (N, 2) pixels to the right and down from the top left corner of the picture, inside it or not.
+            Pixels (N, 2), right and down from the top left corner of the picture, inside it or not.
         """
         local = (np.asarray(points, dtype=float) - self.eye) @ self.axes.T
         part = local[:, :2] / (np.maximum(-local[:, 2:], NEAR_PLANE) * self.slope)
         return (0.5 + part * (0.5, -0.5)) * (self.width, self.height)
 
     def unproject(self, depth: Array) -> Array:
-        """World points (H, W, 3) [m] of the centres of the pixels of OpenGL's depth buffer (H, W)."""
+        """Return the world points (H, W, 3) [m] of the pixel centres of OpenGL's depth buffer (H, W)."""
         along = FAR_PLANE * NEAR_PLANE / (FAR_PLANE - (FAR_PLANE - NEAR_PLANE) * depth)
         down, right = ((np.arange(count) + 0.5) / count * 2.0 - 1.0 for count in depth.shape)
         across, up = np.meshgrid(self.slope[0] * right, -self.slope[1] * down)
         return along[..., None] * np.dstack([across, up, np.full_like(up, -1.0)]) @ self.axes + self.eye
 
     def fitted(self, points: Array, margin: float, below: float) -> View:
-        """The same direction and opening, moved so that all points are in the picture and in its middle.
+        """Return the view moved, with the same direction and opening, so that all points are in the picture and centred.
 
         Args:
-            points: (N, 3) [m], world frame.
-            margin: part of the width and of the height left free on the left, on the right and above.
-            below: part of the height left free below; `margin + below` and `2 margin` are less than 1.
+            points: Points (N, 3) [m], world frame.
+            margin: Share of the width and of the height left free on the left, on the right and above.
+            below: Share of the height left free below; `margin + below` and `2 margin` are less than 1.
         """
         local = points @ self.axes.T
         # x + s_high z <= c_x + s_high c_z and x - s_low z >= c_x - s_low c_z for every point, and the same for y
