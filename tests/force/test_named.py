@@ -1,4 +1,4 @@
-"""Every named problem through every door: one status, one objective, and a summary that says what is true of its force."""
+"""Every named problem through every entry point: one status, one objective, and claims that hold for its force."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ SMOOTH = (
 
 
 def check(p: Named, method: str, found: ForceSolution, door: str) -> None:
-    """Everything that a solution says, computed anew from the geometry."""
+    """Recompute everything that a solution claims from the geometry."""
     known, reference = p.known[method], p.reference()
     assert found.status.value == known["status"], (door, found)
     np.testing.assert_array_equal(found.wrench, p.wrench)
     if found.status is Status.INFEASIBLE:
         assert not found.force.any(), door
         assert (found.objective, found.lower_bound) == (np.inf, np.inf), door
-        assert reference.separates(found.certificate, p.wrench) > 0.0 or reference.margin(p.wrench) < 1e-9, door
+        p.assert_infeasible(found)
         return
     size, most = float(np.abs(reference.load(p.wrench)).max()), float(np.abs(found.force).max())
     exceeded = found.status is Status.LIMITS_EXCEEDED
@@ -42,7 +42,7 @@ def check(p: Named, method: str, found: ForceSolution, door: str) -> None:
     assert found.equilibrium_residual == pytest.approx(residual, abs=10.0 * rounding), door
     np.testing.assert_array_equal(found.force[reference.transmits[:, 1] == 0.0, 1:], 0.0)
     np.testing.assert_array_equal(found.torsion[reference.gamma == 0.0], 0.0)
-    held = Reference.of(p.grasp) if exceeded else reference
+    held = Reference(p.grasp) if exceeded else reference
     assert held.violation(found.force, found.torsion) <= 1e-14 * max(size, most), door
     known_to = 1e-14 * float((p.grasp.models.cone_scale * np.abs(found.force)).max()) + rounding
     assert 0.0 <= found.cone_margin == pytest.approx(reference.cone_margin(found.force), abs=known_to), door
@@ -76,7 +76,7 @@ def check(p: Named, method: str, found: ForceSolution, door: str) -> None:
 
 
 def elsewhere(p: Named) -> tuple[Grasp, ForceLimits | None, dict[str, Any]]:
-    """Other contacts, limits with another Jacobian, and what a call is given so that it is the problem all the same."""
+    """Return other contacts, limits with another Jacobian, and the arguments of a call that restore the problem."""
     rng, grasp, models = np.random.default_rng(1), p.grasp, p.grasp.models
     normals = grasp.normals + 0.05 * rng.standard_normal(grasp.normals.shape)
     friction = np.where(models.friction > 0.0, models.friction, 0.7)
@@ -98,7 +98,7 @@ def elsewhere(p: Named) -> tuple[Grasp, ForceLimits | None, dict[str, Any]]:
 
 @EACH
 def test_every_door(name: str, method: str) -> None:
-    """They agree to their tolerance: what they solve is the same, the order of their sums and their starts are not."""
+    """They agree to their tolerance; only starts and the order of sums differ."""
     p = NAMED[name]
     grasp, wrench, options = p.grasp, p.wrench, p.options(method)
     there, limits, now = elsewhere(p)
@@ -136,7 +136,7 @@ def test_every_door(name: str, method: str) -> None:
 
 @EACH
 def test_objectives_are_those_of_an_outside_judge(name: str, method: str) -> None:
-    """Solve each named problem again and compare with its file, and with Clarabel where that is accurate enough."""
+    """The file's results are found again, also by Clarabel."""
     pytest.importorskip("clarabel")
     found, known = judged(NAMED[name], method), NAMED[name].known[method]
     assert (found["status"], found.get("by")) == (known["status"], known.get("by"))
@@ -147,9 +147,9 @@ def test_objectives_are_those_of_an_outside_judge(name: str, method: str) -> Non
 
 
 @pytest.mark.parametrize("name", SMOOTH)
-@pytest.mark.parametrize("method", ["newton", "sum", "max"])
+@pytest.mark.parametrize("method", METHODS)
 def test_multipliers_and_prices_are_derivatives(name: str, method: str) -> None:
-    """Of the objective with respect to the wrench and to each limit."""
+    """They are those of the objective with respect to the wrench and to each limit."""
     p = NAMED[name]
     options = {**p.options(method), "tolerance": 1e-10 if method == "newton" else 1e-9}
 
@@ -201,16 +201,16 @@ def test_without_a_wrench(name: str, method: str) -> None:
 
 
 @EACH
-@pytest.mark.parametrize("most", [0, 1, 2, 4])
+@pytest.mark.parametrize("most", [0, 1, 4])
 def test_stopped_early_it_is_still_what_it_says(name: str, method: str, most: int) -> None:
-    """Balanced, inside and with a bound that is below the least: or no force at all."""
+    """Balanced, inside and with a valid bound, or no force at all."""
     p, known = NAMED[name], NAMED[name].known[method]
     found = attempt(lambda: optimize_force(p.grasp, p.wrench, **p.options(method), max_iterations=most))
     if found.status is Status.INFEASIBLE:
         assert known["status"] in ("infeasible", "limits_exceeded")
-        assert p.reference().separates(found.certificate, p.wrench) > 0.0 or p.reference().margin(p.wrench) < 1e-9
+        p.assert_infeasible(found)
         return
-    reference = Reference.of(p.grasp, None if p.elastic else p.limits)
+    reference = Reference(p.grasp, None if p.elastic else p.limits)
     size, largest = float(np.abs(reference.load(p.wrench)).max()), float(np.abs(found.force).max())
     assert reference.violation(found.force, found.torsion) <= 1e-13 * max(size, largest)
     away = 1.0 + float(np.abs(p.grasp.positions).max()) / reference.length

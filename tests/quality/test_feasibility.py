@@ -23,7 +23,7 @@ def assert_certificate(grasp: Grasp, wrench: np.ndarray, twist: np.ndarray) -> N
     """The twist proves that nothing balances the wrench strictly inside: v . (G f + w) = 0 has no room."""
     assert np.abs(twist).max() == pytest.approx(1.0)
     assert np.abs(grasp.cone_matrix.T @ twist).max() > 1e-6  # rank(G) = 6: a twist moves some contact
-    assert Reference.of(grasp).separates(twist, wrench) >= -1e-7
+    assert Reference(grasp).proof(twist, wrench) >= -1e-7
 
 
 def test_verdicts_against_linear_programs() -> None:
@@ -145,7 +145,7 @@ def test_tight_limits_are_decided() -> None:
     pytest.importorskip("clarabel")
     for index in range(50):
         p = problem("limited", 1000, index)
-        margin = Reference.of(p.grasp, p.limits).margin(p.wrench)
+        margin = Reference(p.grasp, p.limits).margin(p.wrench)
         if abs(margin) > 1e-6:
             assert feasibility(p.grasp, p.wrench, p.limits).feasible == (margin > 0.0)
 
