@@ -337,7 +337,7 @@ class Grasp:
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
-        """Return forces (N, 3) [N] along the object's axes from contact-frame forces (normal, o, t)."""
+        """Return vectors (N, 3) [N] along the object's axes from contact-frame forces `force` (N, 3) (normal, o, t)."""
         return np.einsum("nij,nj->ni", self.frames, self._rows(force, "force"))
 
     def to_contact_frame(self, vectors: Array) -> ContactForces:
