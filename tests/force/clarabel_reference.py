@@ -167,7 +167,7 @@ class Reference:
         return theta * value, theta
 
     def proof(self, twist: Array, wrench: Array, prices: Array | None = None) -> float:
-        """What a proof of infeasibility lacks, relative to its terms: >= 0 proves it, up to rounding.
+        """Return the least slack of a proof of infeasibility, relative to its terms; >= 0 is a proof, up to rounding.
 
         q = G^T v + A^T y must lie in every dual cone, and v . w - y . b >= 0.
         """

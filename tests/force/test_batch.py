@@ -74,7 +74,7 @@ def ring(count: int) -> Grasp:
 
 @pytest.mark.parametrize("method", ["newton", "conic"])
 def test_any_number_of_contacts_and_wrenches_of_any_size(method: str) -> None:
-    """As many optima as single calls find, and none invented."""
+    """Batches find every optimum of single calls, and invent none."""
     for grasp in (*closure_grasps(5), *map(ring, (8, 9, 17))):
         loads = wide_loads(20)
         batch, optimizer = optimize_forces(grasp, loads, method=method), ForceOptimizer(grasp, method=method)

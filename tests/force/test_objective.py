@@ -7,12 +7,9 @@ from functools import partial
 import numpy as np
 import pytest
 from force.clarabel_reference import Reference
-from force.generators import random_grasp, random_wrench
-from force.named import NAMED
 from oracles import phi as oracle
 from problems import GRASPS, OUTSIDE, PAPER_WRENCH, WEIGHTS, closure_grasps, inside_cones
 
-from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force import ForceSolution, Objective, Status, description_matrix, optimize_force, optimize_forces
 from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
@@ -98,40 +95,3 @@ def test_conic_ends_although_rounding_makes_gaps_negative() -> None:
     assert set(np.unique(batch.codes)) <= {0, 1, 2}
     assert (batch.cone_margin >= 0.0).all()
     assert conic(CUBOID, PAPER_WRENCH, criterion="max", tolerance=1e-12).raise_for_status().iterations <= 12
-
-
-@pytest.mark.parametrize("distance", [1e-3, 1e-7, 1e-9, 1e-11, 0.0, -1e-9, -1e-7, -1e-3])
-def test_right_or_honest_on_the_edge_of_feasibility(distance: float) -> None:
-    """The pull along x grows until the cradle gives way; the edge by bisection on Clarabel's margin."""
-    pytest.importorskip("clarabel")
-    grasp, weight, along = NAMED["cradle"].grasp, np.array([0, 0, -2.0, 0, 0, 0]), np.array([1.0, 0.1, 0, 0, 0, 0])
-    reference, inside, outside = Reference(grasp), 0.0, 50.0
-    for _ in range(40):
-        middle = 0.5 * (inside + outside)
-        inside, outside = (middle, outside) if reference.margin(weight + middle * along) > 0.0 else (inside, middle)
-    wrench = weight + inside * (1.0 + distance) * along
-    margin = reference.margin(wrench)
-    try:
-        found = conic(grasp, wrench)
-    except InfeasibleWrenchError:
-        assert margin < 1e-7
-    except NotConvergedError:
-        assert abs(margin) < 1e-7
-    else:
-        assert margin > -1e-7
-        certified(grasp, wrench, found)
-
-
-@pytest.mark.parametrize("seed", [9, 11])
-def test_the_least_maximum_is_found_where_many_normals_are_equal(seed: int) -> None:
-    """Cases that once stalled. Each criterion bounds the other: sum / N <= max <= sum."""
-    rng = np.random.default_rng(seed)
-    for _ in range(40):
-        grasp = random_grasp(rng, "hard", most=9)
-        load = random_wrench(rng, grasp)
-        try:
-            found = conic(grasp, load, criterion="max").raise_for_status()
-        except InfeasibleWrenchError:
-            continue
-        least = conic(grasp, load).objective
-        assert least / grasp.n_contacts * (1.0 - 2e-6) <= found.objective <= least * (1.0 + 2e-6)

@@ -199,21 +199,6 @@ def test_limits_that_do_not_bind_change_nothing(seed: int, kind: str, criterion:
 
 
 @properties
-@given(SEEDS, KINDS, strategies.floats(0.3, 0.999))
-def test_a_limit_is_kept_and_never_saves_force(seed: int, kind: str, share: float) -> None:
-    grasp, wrench, _ = case(seed, kind)
-    free = least(grasp, wrench)
-    most = share * float(free.force[:, 0].max())
-    try:
-        held = least(grasp, wrench, limits=ForceLimits(max_normal=most))
-    except InfeasibleWrenchError:
-        assert most <= cost(grasp, wrench, "max") * (1.0 + 1e-5)
-        return
-    assert held.force[:, 0].max() <= most
-    assert held.objective >= free.objective * (1.0 - CONIC)
-
-
-@properties
 @given(SEEDS, KINDS, CRITERIA, strategies.floats(0.0, 1.0))
 def test_the_cost_is_convex_and_the_multipliers_support_it(seed: int, kind: str, criterion: str, part: float) -> None:
     """cost(w') >= -nu . w': the subgradient's inequality, without a derivative that may not exist."""

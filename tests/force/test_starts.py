@@ -13,7 +13,6 @@ from force.named import NAMED
 from oracles.newton import combine, tangent_correction
 from oracles.phi import phi
 from problems import GRASPS, LIGHT, PAPER_WRENCH, closure_grasps
-from scipy.optimize import minimize_scalar
 
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import (
@@ -75,21 +74,7 @@ def test_rules_that_always_have_a_start(k: int, name: str) -> None:
             rule(grasp, np.zeros(6))
 
 
-def best_lagrange_margin(grasp: Grasp, wrench: np.ndarray) -> float:
-    """Largest cone margin over k >= 0 of argmin (f - k n)^T W (f - k n), G f = -w, by the KKT system of each k."""
-    weights, normals = np.tile([1.0, 10.0, 10.0], grasp.n_contacts), np.tile([1.0, 0.0, 0.0], grasp.n_contacts)
-    kkt = np.block([[np.diag(weights), grasp.matrix.T], [grasp.matrix, np.zeros((6, 6))]])
-
-    def force(k: float) -> np.ndarray:
-        return np.linalg.solve(kkt, np.concatenate([weights * k * normals, -wrench]))[: len(weights)].reshape(-1, 3)
-
-    at_zero, slope = force(0.0), force(1.0) - force(0.0)
-    loss = lambda k: -grasp.cone_margin(at_zero + k * slope)  # noqa: E731  convex: minus a minimum of concave margins
-    far = 1e4 * (1.0 + np.abs(at_zero).max())
-    return -min(minimize_scalar(loss, bounds=(0.0, part * far), method="bounded").fun for part in (1.0, 0.01, 1e-4))
-
-
-def test_lagrange_has_a_start_or_none_exists() -> None:
+def test_lagrange_starts_are_stationary() -> None:
     rule, rng, starts, misses = CoreStart("lagrange"), np.random.default_rng(1), 0, 0
     for grasp in (*GRASPS.values(), *closure_grasps(12)):
         for wrench in (np.zeros(6), *wrenches.sample_ball(rng, 3), *wrenches.sample_magnitudes(rng, 3, 1e-2, 1e3)):
@@ -97,8 +82,6 @@ def test_lagrange_has_a_start_or_none_exists() -> None:
                 force = rule(grasp, wrench)
             except InfeasibleStartError:
                 misses += 1
-                # the scan's own accuracy, relative to the forces it cancels
-                assert best_lagrange_margin(grasp, wrench) <= 1e-6 * (1e-3 + np.abs(wrench).max())
             else:
                 starts += 1
                 assert_start(grasp, wrench, force)
@@ -239,16 +222,6 @@ def test_a_guess_of_which_nothing_is_left_is_reported(method: str, newtons: floa
     least, most = {1.0: (0, 0), 3.0: (3, 27)}.get(newtons, (30, 30))
     assert least <= replaced <= most
     assert optimizer.solve(np.zeros(6)).start_replaced is False
-
-
-@pytest.mark.parametrize("rule", [None, LinearCombination(), "linear_combination", "single_value", "lagrange", "phase_one"])  # fmt: skip
-def test_requested_starts_are_those_of_solve(rule: Any) -> None:
-    optimizer = ForceOptimizer(CUBOID)
-    for wrench in (PAPER_WRENCH, LIGHT, np.zeros(6)):
-        solution = optimizer.solve(wrench, initial=rule)
-        assert not solution.start_replaced
-        assert "replaced" not in solution.initial
-        np.testing.assert_allclose(solution.initial_force, optimizer.start(wrench, initial=rule), rtol=3e-16)
 
 
 def test_without_closure_only_phase_one_has_a_start() -> None:

@@ -1,4 +1,4 @@
-"""What the folder refuses and the words of its errors, failing rules, and wrenches that no force balances.
+"""Wrong input and the words of its errors, failing rules, and wrenches that no force balances.
 
 `tests/malformed` tries the rest at random.
 """

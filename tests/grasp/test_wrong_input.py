@@ -1,4 +1,4 @@
-"""What the folder refuses, and the words of its errors; `tests/malformed` tries the rest at random."""
+"""Wrong input and the words of its errors; `tests/malformed` tries the rest at random."""
 
 from __future__ import annotations
 

@@ -78,21 +78,6 @@ def test_frictionless_grasps_have_exact_facets() -> None:
         assert exact <= found.upper * (1 + 1e-5) <= found.lower * 1.01 * (1 + 1e-5)
 
 
-def test_pyramids_converge_from_inside() -> None:
-    found, inside = epsilon(UNEVEN, tolerance=0.002, starts=8), []
-    for edges in (4, 8, 16, 32):
-        angles = 2 * np.pi * np.arange(edges) / edges
-        points = [
-            scaled(UNEVEN)[:, 3 * k : 3 * k + 3] @ np.stack([np.ones(edges), mu * np.cos(angles), mu * np.sin(angles)])
-            for k, mu in enumerate(UNEVEN.friction)
-        ]
-        inside.append((-ConvexHull(np.concatenate(points, axis=1).T, qhull_options="QJ").equations[:, 6]).min())
-    assert (np.diff(inside) >= -1e-9).all()
-    assert 0.98 * found.lower <= inside[-1] <= found.upper * (1 + 1e-6)
-    assert inside[0] < 0.97 * found.lower  # pyramids of four edges are visibly wrong
-    assert found.upper / found.lower <= 1.002
-
-
 def support(direction: np.ndarray, grasp: Grasp, criterion: str) -> float:
     """Largest n . G f over forces of size one, contact by contact, for a unit direction."""
     parts = (direction @ scaled(grasp)).reshape(-1, 3) / float(np.linalg.norm(direction))
