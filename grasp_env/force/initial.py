@@ -14,14 +14,17 @@ from grasp_env._check import ContactForces, Wrench, as_array, as_text, as_wrench
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, shown
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.objective import Objective
+from grasp_env.force.options import Options
 from grasp_env.force.repair import Repair, start_replaced
-from grasp_env.force.solution import GIVEN, STARTS, ForceSolution
+from grasp_env.force.solution import GIVEN, LEARNED, STARTS, ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
 if TYPE_CHECKING:
     from grasp_env._check import TypeIs
 
 T = TypeVar("T")
+BALANCE_TOLERANCE = 1e-8
+"""Largest imbalance of a given start, relative to its force and wrench; above it the rule is at fault."""
 
 
 class InitialForceRule(Protocol):
@@ -181,6 +184,36 @@ def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:
     except InvalidInputError as error:
         reason = "it returned None: does it end in a return?" if force is None else error
         raise InfeasibleStartError(f"initial-force rule {name!r}: {reason}") from None
+
+
+def start_names(initial: Any, options: Options) -> tuple[tuple[str, ...], str]:
+    """Return the names of starts in an optimizer's solutions, in the order of `STARTS`, and the name of the requested start."""
+    if options.method == "conic":
+        return STARTS, "central"
+    if initial is None:
+        return STARTS, "linear_combination" if options.flows else "internal_force"
+    if is_a(initial, ForceSolution):
+        return STARTS, "previous"
+    name = "given" if is_a(initial, np.ndarray | list | tuple) else rule_name(initial)
+    place = LEARNED if is_rule(initial, LearnedRule) else GIVEN
+    return (STARTS if name in STARTS else (*STARTS[:place], name, *STARTS[place + 1 :])), name
+
+
+def refused_start(grasp: Grasp, wrench: Wrench, start: StartFrom, touching: Any) -> InfeasibleStartError:
+    """Return the error for a given force that a descent did not accept."""
+    assert start.force is not None
+    force = start.force if touching is None else start.force[touching]
+    missed = grasp.residual(force, wrench)
+    scale = float(np.abs(force).max()) + float(np.abs(grasp.unit_frame @ wrench).max())
+    if missed > BALANCE_TOLERANCE * scale:
+        return InfeasibleStartError(
+            f"initial-force rule {start.name!r} misses balance by {missed:.3g} N (G f + w = 0, w the wrench ON the object); "
+            "add -G^+ (G f + w), or pass it through grasp_env.force.Repair"
+        )
+    return InfeasibleStartError(
+        f"initial-force rule {start.name!r} leaves the friction cones (margin {grasp.cone_margin(force):.3g} N); "
+        "pass it through grasp_env.force.Repair"
+    )
 
 
 NAMES = STARTS[STARTS.index("internal_force") : STARTS.index("given")]

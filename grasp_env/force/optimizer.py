@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import core, ranges
+from grasp_env import core
 from grasp_env._check import (
     Array,
     ContactForces,
     Wrench,
-    as_array,
-    as_list,
     as_wrench,
     flag,
     instance,
@@ -36,6 +34,7 @@ from grasp_env.errors import (
     shown,
 )
 from grasp_env.force.basis import OfflineBasis
+from grasp_env.force.call import Call, checked_call, touching_grasp
 from grasp_env.force.initial import (
     Initial,
     LearnedRule,
@@ -43,22 +42,22 @@ from grasp_env.force.initial import (
     call_rule,
     checked_initial,
     is_rule,
+    refused_start,
     rule_name,
     rule_start,
+    start_names,
 )
-from grasp_env.force.limits import ForceLimits, LimitNumbers, as_limits, checked_jacobian
+from grasp_env.force.limits import ForceLimits, LimitNumbers, as_limits
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
 from grasp_env.force.objective import Objective, Weight
-from grasp_env.force.options import MAX_ITERATIONS, Options, checked_options
+from grasp_env.force.options import MAX_ITERATIONS, checked_options
 from grasp_env.force.proof import explain
 from grasp_env.force.record import CODE, FORCE, INFEASIBLE, LIMIT, REFUSED, REPLACED, START, UNDECIDED
-from grasp_env.force.solution import COMBINATION, GIVEN, LEARNED, PREVIOUS, STARTS, ForceSolution, start_name
+from grasp_env.force.solution import COMBINATION, LEARNED, PREVIOUS, STARTS, ForceSolution, start_name
 from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.advice import warn_of
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
-BALANCE_TOLERANCE = 1e-8
-"""Largest imbalance of a given start, relative to its force and wrench; above it the rule is at fault."""
 FROM_BASIS = ("linear_combination", "linear_combination_printed", "single_value", "lagrange")
 """Starts that need the 12-basis."""
 
@@ -282,11 +281,11 @@ class ForceOptimizer:
             lambda: as_wrench(wrench),
             lambda: float("nan") if optimum is None else positive(optimum, "optimum"),
             lambda: flag(trace, "trace"),
-            lambda: self._now(*given),
+            lambda: self._arrays(*given),
         )
         if self.method == "conic" and (initial is not None or known == known or trace):
             raise InvalidInputError("method 'conic' takes no start, optimum or trace: they belong to descents on Phi")
-        if self.limits is None and (now[3] is not None or now[4] is not None):
+        if self.limits is None and (now.jacobian is not None or now.torque_bias is not None):
             raise InvalidInputError("jacobian and torque_bias belong to torque limits: make the optimizer with limits")
         start = self._start(load, now, initial)
         values = np.full(self.max_iterations + 1, np.nan) if trace else None
@@ -330,7 +329,7 @@ class ForceOptimizer:
         """Return `start`, and True if another start replaced the requested one."""
         if self.method == "conic":
             raise UnsupportedProblemError("method 'conic' takes no initial force")
-        load, now = as_wrench(wrench), self._now(**given)
+        load, now = as_wrench(wrench), self._arrays(**given)
         start = self._start(load, now, initial)
         row = self.core.start(start.start, start.force, start.before, load, *now)
         if row[CODE] != LIMIT:
@@ -370,8 +369,8 @@ class ForceOptimizer:
         Raises:
             InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer is unchanged.
         """
-        now = self._now(positions, normals, friction, jacobian, torque_bias)
-        moved = self._moved(now) if any(each is not None for each in now[:3]) else self.grasp
+        now = self._arrays(positions, normals, friction, jacobian, torque_bias)
+        moved = touching_grasp(self.grasp, now) if any(each is not None for each in now[:3]) else self.grasp
         if not self.core.update(*now[:5]):
             raise InvalidInputError(
                 "the contacts or limits are not possible: give finite numbers and inward unit normals"
@@ -379,75 +378,17 @@ class ForceOptimizer:
         self._grasp = moved
         if self.limits is not None:
             given = {
-                name: each.copy() for name, each in (("jacobian", now[3]), ("torque_bias", now[4])) if each is not None
+                name: each.copy()
+                for name, each in (("jacobian", now.jacobian), ("torque_bias", now.torque_bias))
+                if each is not None
             }
             self.limits = replace(self.limits, **given)
 
-    def _now(
-        self,
-        positions: Any = None,
-        normals: Any = None,
-        friction: Any = None,
-        jacobian: Any = None,
-        torque_bias: Any = None,
-        contacts: Any = None,
-    ) -> tuple[Any, ...]:
-        """Return the checked arrays of a call, in the order of the core's arguments."""
-        n, joints = self._count, 0 if self.limits is None else self.limits.joints
+    def _arrays(self, *given: Any, **named: Any) -> Call:
+        """Return the checked arrays of a call on these contacts and limits."""
+        return checked_call(self.grasp, 0 if self.limits is None else self.limits.joints, *given, **named)
 
-        def made(value: Any, shape: tuple[int | None, ...], name: str, within: Any = None) -> Any:
-            return None if value is None else np.ascontiguousarray(as_array(value, shape, name, within, copy=False))
-
-        def moving() -> Any:
-            if jacobian is None:
-                return None
-            rows = checked_jacobian(jacobian, n)
-            if rows.shape[2] != joints:
-                raise InvalidInputError(f"jacobian must be that of {joints} joints, got shape {rows.shape}")
-            return np.ascontiguousarray(rows)
-
-        def touching() -> Any:
-            if contacts is None:
-                return None
-            each = as_list(contacts)
-            mask = np.asarray(contacts if each is None else each)
-            if mask.shape != (n,) or mask.dtype != np.bool_ or n > 64:
-                raise InvalidInputError(
-                    f"contacts must be ({n},) of true and false, of at most 64 contacts, got {shown(contacts)}"
-                )
-            return np.ascontiguousarray(mask)
-
-        return tuple(
-            together(
-                lambda: made(positions, (n, 3), "positions"),
-                lambda: made(normals, (n, 3), "normals"),
-                lambda: None if friction is None else self.grasp.models.other_friction(friction),
-                moving,
-                lambda: made(torque_bias, (joints,), "torque_bias", ranges.BIAS),
-                touching,
-            )
-        )
-
-    def _moved(self, now: tuple[Any, ...]) -> Grasp:
-        """Return the touching contacts of a call as a grasp.
-
-        Raises:
-            InvalidInputError, RankDeficientGraspError: they are not a grasp.
-        """
-        grasp, (positions, normals, friction, _, _, mask) = self.grasp, now
-        chosen = slice(None) if mask is None else mask
-        models, tangents = grasp.models, grasp.contacts.tangents
-        gamma = models.torsional_friction[chosen]
-        return Grasp.from_contacts(
-            (grasp.positions if positions is None else positions)[chosen],
-            (grasp.normals if normals is None else normals)[chosen],
-            (models.friction if friction is None else friction)[chosen],
-            contact_model=[name for k, name in enumerate(models.names) if mask is None or mask[k]],
-            torsional_friction=gamma if gamma.any() else None,
-            tangents=tangents[chosen] if len(tangents) else None,
-        )
-
-    def _start(self, wrench: Wrench, now: tuple[Any, ...], initial: Initial | None) -> StartFrom:
+    def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartFrom:
         """Return the start of a call.
 
         Raises:
@@ -464,12 +405,12 @@ class ForceOptimizer:
             return StartFrom(STARTS.index(requested), before=self.previous if requested == "previous" else None)
         if initial is None and is_rule(requested, LearnedRule):
             return StartFrom(0, before=self.previous if requested.remembers else None)
-        moved = self.grasp if all(each is None for each in now) else self._moved(now)
+        moved = self.grasp if all(each is None for each in now) else touching_grasp(self.grasp, now)
         start = rule_start(requested, moved, wrench, self.options.objective)
-        if now[5] is None or now[5].all():
+        if now.contacts is None or now.contacts.all():
             return start
         force = np.zeros((self._count, 3))
-        force[now[5]] = start.force
+        force[now.contacts] = start.force
         return StartFrom(start.start, start.name, start.replaced, force)
 
     def _checked_previous(self, previous: ForceSolution) -> ForceSolution:
@@ -489,19 +430,21 @@ class ForceOptimizer:
         limits, moved = self.limits, self.grasp
         if any(each is not None for each in given):
             try:
-                now = self._now(*given)
-                if now[5] is not None and not now[5].all():
+                now = self._arrays(*given)
+                if now.contacts is not None and not now.contacts.all():
                     return explain(solution, None, limits)
-                moved = self._moved(now)
+                moved = touching_grasp(self.grasp, now)
             except GraspError:  # the caller has overwritten its arrays since
                 return explain(solution, None, limits)
             changed = {
-                name: value for name, value in (("jacobian", now[3]), ("torque_bias", now[4])) if value is not None
+                name: value
+                for name, value in (("jacobian", now.jacobian), ("torque_bias", now.torque_bias))
+                if value is not None
             }
             limits = replace(limits, **changed) if limits is not None and changed else limits
         return explain(solution, moved, limits)
 
-    def _error(self, row: Array, wrench: Wrench, now: tuple[Any, ...], start: StartFrom) -> GraspError:
+    def _error(self, row: Array, wrench: Wrench, now: Call, start: StartFrom) -> GraspError:
         """Return the error for a row without a force."""
         code = row[CODE]
         if code == INFEASIBLE:
@@ -512,11 +455,11 @@ class ForceOptimizer:
                 "many decades apart, or the contacts are within rounding of losing force closure"
             )
         try:
-            moved = self._moved(now)
+            moved = touching_grasp(self.grasp, now)
         except GraspError as error:
             return error
         if code == REFUSED and start.force is not None:
-            return refused_start(moved, wrench, start, now[5])
+            return refused_start(moved, wrench, start, now.contacts)
         return RankDeficientGraspError(
             f"rank(G) < 6 with {moved.n_contacts} contacts: some wrenches cannot be balanced. Use at least three contacts with friction "
             "that do not lie on one line, or two soft ones"
@@ -531,36 +474,6 @@ class ForceOptimizer:
         vars(self).update(state)
         self._make()
         self.previous = previous
-
-
-def start_names(initial: Any, options: Options) -> tuple[tuple[str, ...], str]:
-    """Return the names of starts in an optimizer's solutions, in the order of `STARTS`, and the name of the requested start."""
-    if options.method == "conic":
-        return STARTS, "central"
-    if initial is None:
-        return STARTS, "linear_combination" if options.flows else "internal_force"
-    if is_a(initial, ForceSolution):
-        return STARTS, "previous"
-    name = "given" if is_a(initial, np.ndarray | list | tuple) else rule_name(initial)
-    place = LEARNED if is_rule(initial, LearnedRule) else GIVEN
-    return (STARTS if name in STARTS else (*STARTS[:place], name, *STARTS[place + 1 :])), name
-
-
-def refused_start(grasp: Grasp, wrench: Wrench, start: StartFrom, touching: Any) -> InfeasibleStartError:
-    """Return the error for a given force that a descent did not accept."""
-    assert start.force is not None
-    force = start.force if touching is None else start.force[touching]
-    missed = grasp.residual(force, wrench)
-    scale = float(np.abs(force).max()) + float(np.abs(grasp.unit_frame @ wrench).max())
-    if missed > BALANCE_TOLERANCE * scale:
-        return InfeasibleStartError(
-            f"initial-force rule {start.name!r} misses balance by {missed:.3g} N (G f + w = 0, w the wrench ON the object); "
-            "add -G^+ (G f + w), or pass it through grasp_env.force.Repair"
-        )
-    return InfeasibleStartError(
-        f"initial-force rule {start.name!r} leaves the friction cones (margin {grasp.cone_margin(force):.3g} N); "
-        "pass it through grasp_env.force.Repair"
-    )
 
 
 def optimize_force(
