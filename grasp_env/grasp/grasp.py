@@ -1,6 +1,6 @@
 """`Grasp`: contacts on an object and the linear maps between their forces and the object's wrench.
 
-This file is longer than others because the constructors of one class need the checks below it.
+This file is a little longer than others because it is one class, whose public methods need their documentation.
 """
 
 from __future__ import annotations
@@ -16,12 +16,18 @@ from numpy.typing import ArrayLike
 
 from grasp_env import ranges
 from grasp_env._check import Array, ContactForces, Wrench, as_array, is_a, together
-from grasp_env.core import ContactReader, Contacts, along_normal, normalise
-from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, shown
+from grasp_env.core import ContactReader, Contacts
+from grasp_env.errors import GraspError, InvalidInputError, shown
+from grasp_env.grasp.checks import (
+    DEFAULT_TANGENTS,
+    check_place,
+    check_torsion,
+    checked_points,
+    checked_pseudoinverse,
+    checked_tangents,
+    normalise_normals,
+)
 from grasp_env.grasp.contact_model import ContactModels
-
-RANK_TOLERANCE = 1e-8
-"""Least ratio of singular values of G (moments divided by the grasp's length) that counts as rank 6."""
 
 _READER = ContactReader(
     least_friction=ranges.FRICTION.low,
@@ -142,26 +148,20 @@ class Grasp:
                     contacts, _friction=friction if type(friction) is float else np.array(friction)
                 )
         try:
-            points = _points(positions)
+            points = checked_points(positions)
             inward = as_array(normals, (len(points), 3), "normals")
             models = ContactModels.checked(contact_model, friction, torsional_friction, len(points))
         except GraspError:
-            points = together(lambda: _points(positions), lambda: as_array(normals, (None, 3), "normals"))[0]
+            points = together(lambda: checked_points(positions), lambda: as_array(normals, (None, 3), "normals"))[0]
             together(  # reports all faults at once; these depend on the number of contacts
                 lambda: as_array(normals, (len(points), 3), "normals"),
                 lambda: ContactModels.checked(contact_model, friction, torsional_friction, len(points)),
             )
             raise
-        worst = normalise(inward)
-        if worst >= 0:
-            given = np.asarray(normals, dtype=np.float64)[worst]
-            raise InvalidInputError(
-                f"normals must be unit vectors into the object; normal {worst} is {given.tolist()} with "
-                f"length {math.hypot(*given):.6g}: divide it by its length"
-            )
-        grasp = cls._made(points, inward, models, _tangents(tangents, inward))
+        normalise_normals(inward)
+        grasp = cls._made(points, inward, models, checked_tangents(tangents, inward))
         if torsional_friction is not None:
-            _check_torsion(grasp)
+            check_torsion(models.torsional_friction, grasp.length)
         return grasp
 
     @classmethod
@@ -184,7 +184,7 @@ class Grasp:
             True
         """
         try:
-            along = _DEFAULT if tangents is None else np.ascontiguousarray(tangents)
+            along = DEFAULT_TANGENTS if tangents is None else np.ascontiguousarray(tangents)
             return cls._made(np.ascontiguousarray(positions), np.ascontiguousarray(normals), models, along)
         except (AttributeError, TypeError) as error:
             raise InvalidInputError(
@@ -199,7 +199,7 @@ class Grasp:
         size = contacts.length
         far = math.hypot(*contacts.centre.tolist()) > ranges.DISTANCE * size
         if far or not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
-            _check_place(grasp)
+            check_place(grasp.n_contacts, size, grasp.centre)
         if contacts.refused:
             raise InvalidInputError("positions must be finite and normals finite and of unit length")
         if not contacts.clear:
@@ -231,7 +231,7 @@ class Grasp:
         transmitted = self.matrix if rough else self.matrix * (models.cone_scale > 0.0).reshape(-1)
         if models.torsional_friction.any():
             transmitted = np.concatenate([transmitted, self.torsion_matrix], axis=1)
-        inverse = _checked_pseudoinverse(transmitted, self.unit_frame, self.n_contacts)[: 3 * self.n_contacts]
+        inverse = checked_pseudoinverse(transmitted, self.unit_frame, self.n_contacts)[: 3 * self.n_contacts]
         inverse.setflags(write=False)
         return inverse
 
@@ -352,10 +352,6 @@ class Grasp:
         return rows.reshape(-1, 3)
 
 
-_DEFAULT = np.zeros((0, 3))
-"""Tangents for the default rule."""
-
-
 def as_grasp(value: object) -> Grasp:
     """Return `value` if it is a grasp.
 
@@ -365,68 +361,3 @@ def as_grasp(value: object) -> Grasp:
     if not is_a(value, Grasp):
         raise InvalidInputError(f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {shown(value)}")
     return value
-
-
-def _points(positions: ArrayLike) -> Array:
-    """Return checked contact points (N, 3)."""
-    points = as_array(positions, (None, 3), "positions")
-    if len(points) > ranges.CONTACTS:
-        raise InvalidInputError(f"positions must be those of at most {ranges.CONTACTS} contacts, got {len(points)}")
-    return points
-
-
-def _check_place(grasp: Grasp) -> None:
-    """Raise if the contacts are too close together, too far apart, or too far from the origin.
-
-    Coincident contacts and empty grasps are left to the rank check.
-    """
-    size, away = grasp.length, math.hypot(*grasp.centre.tolist())
-    if grasp.n_contacts < 2 or size == 0.0:
-        return
-    if not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
-        raise InvalidInputError(
-            f"positions must lie within {ranges.LENGTH} of their centre (root mean square), got {size:g} m: give them in metres"
-        )
-    raise InvalidInputError(
-        f"positions must have their centre within {ranges.DISTANCE:g} times their length, {size:g} m, of the origin, got {away:g} m: "
-        "put the object frame's origin near the contacts"
-    )
-
-
-def _check_torsion(grasp: Grasp) -> None:
-    """Raise if torsional friction is implausibly large for the size of the grasp."""
-    most = ranges.TORSIONAL_LEVER * grasp.length
-    gamma = grasp.models.torsional_friction
-    if (gamma > most).any():
-        raise InvalidInputError(
-            f"torsional_friction must be at most {ranges.TORSIONAL_LEVER:g} times the grasp's length, {most:g} m, got {shown(gamma)}: "
-            "a fingertip has about 0.005 m"
-        )
-
-
-def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:
-    """Return checked directions for o, (N, 3) and not along a normal; (0, 3) for the default rule."""
-    if tangents is None:
-        return _DEFAULT
-    along: Array = as_array(tangents, (len(normals), 3), "tangents")
-    worst = along_normal(along, normals)
-    if worst >= 0:
-        raise InvalidInputError(
-            f"tangent {worst} is {along[worst].tolist()}, along its normal {normals[worst].tolist()}: give a direction "
-            "in the tangent plane"
-        )
-    return along
-
-
-def _checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
-    if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
-        raise InvalidInputError("positions, normals and tangents must be finite")  # only from `unchecked`
-    u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
-    if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
-        rank = int((s > RANK_TOLERANCE * s.max(initial=1e-300)).sum())
-        raise RankDeficientGraspError(
-            f"rank(G) = {rank} < 6 with {count} contacts: some wrenches cannot be balanced. Use at least three "
-            "contacts with friction that do not lie on one line, or two soft ones"
-        )
-    # least norm in force: with full row rank (T G)^+ T = G^+
-    return (vt.T / s) @ u.T @ frame
