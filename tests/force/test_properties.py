@@ -136,51 +136,6 @@ def test_powers_of_two_scale_every_bit(seed: int, kind: str, criterion: str, pow
     assert other.iterations == one.iterations
 
 
-@properties
-@given(SEEDS, KINDS, strategies.sampled_from(["sum", "max", "newton"]), strategies.floats(-6.0, 4.0))
-def test_force_scales_with_the_wrench_and_the_root_of_lambda(seed: int, kind: str, what: str, power: float) -> None:
-    grasp, wrench, _ = case(seed, kind)
-    factor = 10.0 ** (power if what != "newton" else 0.4 * power)
-    costs = []
-    for k in (1.0, factor):
-        phi = {"method": "newton", "initial": "phase_one", "tolerance": 1e-9, "barrier_weight": 0.01 * k**2}
-        costs.append(least(grasp, k * wrench, **(phi if what == "newton" else {"criterion": what})).objective)
-    assert costs[1] == pytest.approx(factor * costs[0], rel=3e-9 if what == "newton" else CONIC)
-
-
-# more of something, which never costs more
-
-
-def rougher(grasp: Grasp, rng: Generator) -> tuple[Grasp, Grasp]:
-    return grasp, remade(grasp, friction=rng.uniform(1.0, 3.0) * rubbing(grasp)[0])
-
-
-def more_contacts(grasp: Grasp, rng: Generator) -> tuple[Grasp, Grasp]:
-    normal = rng.standard_normal(3)
-    normal /= np.linalg.norm(normal)
-    positions = [*grasp.positions, grasp.positions.mean(axis=0) - grasp.length * normal]
-    hard = remade(grasp, contact_model="hard")
-    return hard, Grasp.from_contacts(positions, [*grasp.normals, normal], [*hard.models.friction, [0.5, 0.5]])
-
-
-def softer(grasp: Grasp, rng: Generator) -> tuple[Grasp, Grasp]:
-    """More torsional friction, from hardly any to that of rigid discs."""
-    gamma = grasp.length * 10.0 ** rng.uniform(-9.0, 3.0)
-    one, other = (remade(grasp, contact_model="soft", torsional_friction=k * gamma) for k in (1.0, 2.0))
-    return one, other
-
-
-@pytest.mark.parametrize("more", [rougher, more_contacts, softer])
-@properties
-@given(SEEDS, KINDS, CRITERIA)
-def test_more_of_it_never_costs_more(
-    more: Callable[..., tuple[Grasp, Grasp]], seed: int, kind: str, criterion: str
-) -> None:
-    grasp, wrench, rng = case(seed, kind if more is rougher else "hard")
-    before, after = more(grasp, rng)
-    assert cost(after, wrench, criterion) <= cost(before, wrench, criterion) * (1.0 + CONIC)
-
-
 # limits, criteria, prices
 
 

@@ -188,11 +188,6 @@ def descend(
         past = alpha, move
 
 
-def never(state: np.ndarray, value: float, iterations: int) -> bool:
-    """`converged` of a descent that only its number of steps ends."""
-    return False
-
-
 def followed(state: np.ndarray, landscape: Landscape, rule: StepRule, count: int) -> tuple[Descent, list[np.ndarray]]:
     """So many steps, and all states."""
     states: list[np.ndarray] = []
