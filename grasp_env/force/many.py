@@ -41,15 +41,15 @@ class ForceSolutions(Sequence[ForceSolution]):
         method: the method's name.
     """
 
-    def __init__(self, records: Array, method: str, names: Sequence[str], asked: str) -> None:
+    def __init__(self, records: Array, method: str, names: Sequence[str], requested: str) -> None:
         """Wrap filled records.
 
         Args:
             records, method: see the attributes.
             names: the name of each start, in the order of `STARTS`.
-            asked: the name of the requested start.
+            requested: the name of the requested start.
         """
-        self.records, self.method, self._names, self._asked = records, method, names, asked
+        self.records, self.method, self._names, self._requested = records, method, names, requested
 
     def __len__(self) -> int:
         return len(self.records)
@@ -57,17 +57,19 @@ class ForceSolutions(Sequence[ForceSolution]):
     def __getitem__(self, index: Any) -> Any:
         """Return the solution at an integer, a `ForceSolutions` at a slice."""
         if isinstance(index, slice):
-            return ForceSolutions(self.records[index], self.method, self._names, self._asked)
+            return ForceSolutions(self.records[index], self.method, self._names, self._requested)
         record = self.records[range(len(self))[index]]
         return ForceSolution(record, self.method, self._name(record))
 
     def _name(self, record: Array) -> str:
-        return start_name(self._names[int(record[START])], self._asked, bool(record[REPLACED]), bool(record[OUTSIDE]))
+        return start_name(
+            self._names[int(record[START])], self._requested, bool(record[REPLACED]), bool(record[OUTSIDE])
+        )
 
     @property
     def initial(self) -> str:
         """The name of the first problem's start; `solutions[k].initial` is that of each."""
-        return self._name(self.records[0]) if len(self) else self._asked
+        return self._name(self.records[0]) if len(self) else self._requested
 
     def __iter__(self) -> Iterator[ForceSolution]:
         return (self[k] for k in range(len(self)))

@@ -121,7 +121,7 @@ class ForceOptimizer:
             )
             raise
         if elastic and limits is None:
-            raise InvalidInputError("elastic=True says what to do with limits that no force keeps: give limits")
+            raise InvalidInputError("elastic=True is for limits that no force satisfies: give limits")
         if initial is not None and self.options.method == "conic":
             raise InvalidInputError(f"method 'conic' starts from its own centre, got initial={shown(initial)}")
         warn_of(grasp)

@@ -71,12 +71,12 @@ STATUSES = {
 """Status of each code of the core."""
 
 
-def start_name(used: str, asked: str, replaced: bool, outside: bool) -> str:
+def start_name(used: str, requested: str, replaced: bool, outside: bool) -> str:
     """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the training range.
 
     Args:
         used: the start that was used.
-        asked: the requested start.
+        requested: the requested start.
         replaced: True if nothing of the requested start is left.
         outside: True if the wrench is outside the training range of a learned start.
 
@@ -85,7 +85,7 @@ def start_name(used: str, asked: str, replaced: bool, outside: bool) -> str:
         'internal_force (previous was replaced)'
     """
     if replaced:
-        return f"{used} ({asked} was replaced)"
+        return f"{used} ({requested} was replaced)"
     return f"{used} (outside its training range)" if outside else used
 
 

@@ -22,14 +22,14 @@ SMOOTH = (
 """Problems of about one newton, whose least objective has derivatives."""
 
 
-def check(p: Named, method: str, found: ForceSolution, door: str) -> None:
+def check(p: Named, method: str, found: ForceSolution, entry: str) -> None:
     """Recompute everything that a solution claims from the geometry."""
     known, reference = p.known[method], p.reference()
-    assert found.status.value == known["status"], (door, found)
+    assert found.status.value == known["status"], (entry, found)
     np.testing.assert_array_equal(found.wrench, p.wrench)
     if found.status is Status.INFEASIBLE:
-        assert not found.force.any(), door
-        assert (found.objective, found.lower_bound) == (np.inf, np.inf), door
+        assert not found.force.any(), entry
+        assert (found.objective, found.lower_bound) == (np.inf, np.inf), entry
         p.assert_infeasible(found)
         return
     size, most = float(np.abs(reference.load(p.wrench)).max()), float(np.abs(found.force).max())
@@ -38,31 +38,31 @@ def check(p: Named, method: str, found: ForceSolution, door: str) -> None:
     away = 1.0 + float(np.abs(p.grasp.positions).max()) / reference.length
     rounding = 1e-14 * away * max(size, most)
     residual = reference.residual(found.force, found.torsion, p.wrench)
-    assert residual <= 1e-9 * size + rounding, door
-    assert found.equilibrium_residual == pytest.approx(residual, abs=10.0 * rounding), door
+    assert residual <= 1e-9 * size + rounding, entry
+    assert found.equilibrium_residual == pytest.approx(residual, abs=10.0 * rounding), entry
     np.testing.assert_array_equal(found.force[reference.transmits[:, 1] == 0.0, 1:], 0.0)
     np.testing.assert_array_equal(found.torsion[reference.gamma == 0.0], 0.0)
     held = Reference(p.grasp) if exceeded else reference
-    assert held.violation(found.force, found.torsion) <= 1e-14 * max(size, most), door
+    assert held.violation(found.force, found.torsion) <= 1e-14 * max(size, most), entry
     known_to = 1e-14 * float((p.grasp.models.cone_scale * np.abs(found.force)).max()) + rounding
-    assert 0.0 <= found.cone_margin == pytest.approx(reference.cone_margin(found.force), abs=known_to), door
-    assert found.limit_excess == pytest.approx(reference.excess(found.force, found.torsion), rel=1e-9), door
+    assert 0.0 <= found.cone_margin == pytest.approx(reference.cone_margin(found.force), abs=known_to), entry
+    assert found.limit_excess == pytest.approx(reference.excess(found.force, found.torsion), rel=1e-9), entry
     # the objective: of this force, no more than the tolerance and the digits written above the least
     digits, tolerance = known["digits"], METHODS[method]["tolerance"]
-    assert found.objective == pytest.approx(value(p, method, found, reference), rel=1e-9, abs=1e-14), door
-    assert found.lower_bound <= known["objective"] * (1.0 + digits + 1e-9), door
+    assert found.objective == pytest.approx(value(p, method, found, reference), rel=1e-9, abs=1e-14), entry
+    assert found.lower_bound <= known["objective"] * (1.0 + digits + 1e-9), entry
     # an excess is least to a hundredth, which `digits` says
     least = known["objective"] * (1.0 - (1e-6 if exceeded else digits + 1e-11))
-    assert least <= found.objective <= known["objective"] * (1.0 + tolerance + digits + 1e-11) + 1e-11, door
-    assert exceeded or found.optimality_gap <= tolerance, door
+    assert least <= found.objective <= known["objective"] * (1.0 + tolerance + digits + 1e-11) + 1e-11, entry
+    assert exceeded or found.optimality_gap <= tolerance, entry
     prices = found.limit_multipliers
-    assert (prices >= 0.0).all(), door
+    assert (prices >= 0.0).all(), entry
     if method != "newton" and not exceeded:
         bound, theta = reference.dual_bound(found.multipliers, prices, p.wrench, method)
-        assert theta > 1.0 - 1e-8, door
-        assert found.lower_bound <= bound * (1.0 + 1e-8), door
+        assert theta > 1.0 - 1e-8, entry
+        assert found.lower_bound <= bound * (1.0 + 1e-8), entry
         room = reference.bound - np.einsum("kna,na->k", reference.rows, np.column_stack([found.force, found.torsion]))
-        assert float(room @ prices) <= 1e-6 * found.objective, door
+        assert float(room @ prices) <= 1e-6 * found.objective, entry
     # vectors along the axes of the positions
     np.testing.assert_allclose(found.frames, reference.frames, atol=1e-13)
     pushed = np.einsum("nij,nj->ni", reference.frames, found.force)
@@ -97,7 +97,7 @@ def elsewhere(p: Named) -> tuple[Grasp, ForceLimits | None, dict[str, Any]]:
 
 
 @EACH
-def test_every_door(name: str, method: str) -> None:
+def test_every_entry_point(name: str, method: str) -> None:
     """They agree to their tolerance; only starts and the order of sums differ."""
     p = NAMED[name]
     grasp, wrench, options = p.grasp, p.wrench, p.options(method)
@@ -123,10 +123,10 @@ def test_every_door(name: str, method: str) -> None:
         remembers = ForceOptimizer(grasp, initial="previous", **options)
         attempt(lambda: remembers.solve(0.95 * wrench))
         found["previous"] = attempt(lambda: remembers.solve(wrench))
-    for door, solution in found.items():
-        check(p, method, solution, door)
-    for door in ("function", "again"):
-        np.testing.assert_array_equal(found[door]._record, first._record)
+    for entry, solution in found.items():
+        check(p, method, solution, entry)
+    for entry in ("function", "again"):
+        np.testing.assert_array_equal(found[entry]._record, first._record)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(first))._record, first._record)
     # an optimum and a proof have prices, an excess has none
     labels, prices = optimizer.limit_labels, first.limit_multipliers
