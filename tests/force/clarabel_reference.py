@@ -128,7 +128,7 @@ class Reference:
         """omega and lambda of each contact (N,), and lambda of each limit (M,): the mean of the contacts whose forces it counts."""
         both, lambdas = np.broadcast_to(omega, self.count), np.broadcast_to(lam, self.count)
         touched = (self.rows != 0.0).any(axis=2)
-        touched[~touched.any(axis=1)] = True  # a torque that no force changes counts all
+        touched[~touched.any(axis=1)] = True  # a torque that no force changes: all contacts
         return both, lambdas, (touched @ lambdas) / touched.sum(axis=1)
 
     def phi(self, force: Array, torsion: Array, omega: Weight = 1.0, lam: Weight = 0.01) -> float:

@@ -138,7 +138,7 @@ def troubled(rng: np.random.Generator, troubles: tuple[str, ...] = TROUBLES) -> 
 
 
 def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
-    """Contacts on an ellipsoid or a box, 3 to 50 of them, mostly few, made hard."""
+    """3 to 50 contacts, mostly few, on an ellipsoid or a box, with one of the troubles."""
     count = int(min(50, (9 if model == "frictionless" else 3) + rng.geometric(0.2) - 1 + 40 * (rng.random() < 0.02)))
     axes = rng.uniform(0.4, 1.0, 3)
     if trouble == "flat":
@@ -147,7 +147,7 @@ def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     points = directions * axes
     normals = -directions / axes if trouble != "flat" else -directions * (1.0, 1.0, 0.01)
-    if trouble == "parallel":  # two faces and what tilts them apart
+    if trouble == "parallel":  # two faces, slightly tilted
         normals = np.where(directions[:, 2:] > 0.0, -1.0, 1.0) * (0.0, 0.0, 1.0)
         normals = normals + 10.0 ** rng.uniform(-6.0, -1.0) * rng.standard_normal((count, 3))
     if trouble == "clustered":
@@ -172,7 +172,7 @@ def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
 
     if trouble != "edge" or model == "frictionless":
         return made(1.0)
-    low, high = 1e-3, 10.0  # friction a little above that of which no wrench is safe
+    low, high = 1e-3, 10.0  # friction slightly above the least one with force closure
     for _ in range(20):
         middle = np.sqrt(low * high)
         low, high = (low, middle) if Reference(made(middle)).margin(np.zeros(6)) > 1e-9 else (middle, high)

@@ -51,7 +51,7 @@ def check(p: Named, method: str, found: ForceSolution, entry: str) -> None:
     digits, tolerance = known["digits"], METHODS[method]["tolerance"]
     assert found.objective == pytest.approx(value(p, method, found, reference), rel=1e-9, abs=1e-14), entry
     assert found.lower_bound <= known["objective"] * (1.0 + digits + 1e-9), entry
-    # an excess is least to a hundredth, which `digits` says
+    # an excess is least to a hundredth, see `digits`
     least = known["objective"] * (1.0 - (1e-6 if exceeded else digits + 1e-11))
     assert least <= found.objective <= known["objective"] * (1.0 + tolerance + digits + 1e-11) + 1e-11, entry
     assert exceeded or found.optimality_gap <= tolerance, entry
