@@ -9,11 +9,11 @@ from policies import GraspForceLayer
 
 KINDS = ("hard", "elliptic", "soft", "own joints", "shared joints", "normal")
 HOPELESS = ("exceeded", "far exceeded", "unbalanced")
-"""Without an optimum: limits that no force keeps, by a little and by far; wrenches that two contacts cannot balance."""
+"""Kinds without an optimum: limits exceeded by a little and by far, wrenches that two contacts cannot balance."""
 
 
 def problems(kind: str, batch: int, seed: int = 0) -> dict[str, Tensor]:
-    """`batch` problems of one kind, of `KINDS` or `HOPELESS`: four contacts around an object, two where it is "unbalanced"."""
+    """Return `batch` problems of one of the `KINDS` or `HOPELESS`: four contacts around an object, two if "unbalanced"."""
     draw = torch.Generator().manual_seed(seed)
 
     def normal(*shape: int) -> Tensor:
@@ -58,7 +58,7 @@ def problems(kind: str, batch: int, seed: int = 0) -> dict[str, Tensor]:
 
 
 class Forces(torch.utils.data.Dataset[Tensor]):
-    """Optimal forces of two problems, computed where an item is asked for."""
+    """Optimal forces of two problems, computed on access."""
 
     def __len__(self) -> int:
         return 2

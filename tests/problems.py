@@ -20,7 +20,7 @@ FACETS = 32
 
 @dataclass(frozen=True)
 class Problem:
-    """A grasp, a wrench, the weights of Phi, and what is known about the optimum.
+    """A grasp, a wrench, the weights of Phi, and the known optimum.
 
     Attributes:
         optimum: min Phi, see `force/named.py`.
@@ -57,7 +57,7 @@ GRASPS = {
 
 LIGHT = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
 PAPER_FAMILIES = ("paper", "tripod", "five fingers")
-"""How the names of the paper's problems begin, in the table of named problems."""
+"""Beginnings of the names of the paper's problems in the table of named problems."""
 
 
 def _of_the_paper() -> Iterator[Problem]:
@@ -79,7 +79,7 @@ CONIC_LEAST = 8.58473
 WEIGHTS = [(1.0, 0.01), (1.0, 1.0), (2.5, 0.3), (0.2, 1e-4)]
 """omega and lambda of Phi."""
 OUTSIDE = ([1.0, 1.0, 0.0], [1.0, 0.8, 0.7], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0])
-"""Cone coordinates of one contact on its cone, outside, at the apex, of no number."""
+"""Cone coordinates of one contact on its cone, outside, at the apex, and nan."""
 STEP_RULES: dict[str, StepRule] = {
     "fixed": FixedStep(0.01),
     "armijo": ArmijoStep(),

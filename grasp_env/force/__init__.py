@@ -1,6 +1,6 @@
 """Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem.
 
-All methods and starts are the compiled core's. Whether contacts can hold at all, and how well, says `grasp_env.quality`.
+The compiled core runs all methods and makes all starts but the user's own. `grasp_env.quality` measures how well contacts can hold.
 """
 
 from grasp_env.force.basis import OfflineBasis

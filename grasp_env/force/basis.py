@@ -1,4 +1,4 @@
-"""The paper's offline part: the optimal forces of the 12 unit wrenches, and of no wrench."""
+"""The paper's offline part: the optimal forces for the 12 unit wrenches and for zero wrench."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from grasp_env.grasp.grasp import Grasp, as_grasp
 
 @dataclass(frozen=True, eq=False)
 class OfflineBasis:
-    """argmin Phi for +e_1..+e_6, -e_1..-e_6 (1 N or 1 N m each) and for w = 0, of one grasp (paper, Sec. III).
+    """The 12-basis of a grasp: argmin Phi for +e_1..+e_6, -e_1..-e_6 (1 N or 1 N m each) and for w = 0 (paper, Sec. III).
 
-    Every grasp with force closure has one; it balances only for that grasp's G: when contacts move, take `moved_to`.
+    It exists for every grasp with force closure and is balanced for the G of that grasp only. When contacts move, use `moved_to`.
 
     Attributes:
-        cone_divisor: (N, 3) of the grasp it balances. (Not the grasp itself: a basis must not keep its grasp alive.)
-        objective: the Phi whose optima it holds.
-        cone_forces: (13, 3N) the optima in cone coordinates, unit wrenches first, rest last.
+        cone_divisor: (N, 3) that of the grasp. The grasp itself is not stored: a basis must not keep it alive.
+        objective: the Phi of the optima.
+        cone_forces: (13, 3N) the optima in cone coordinates: 12 unit wrenches, then zero wrench.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -43,15 +43,15 @@ class OfflineBasis:
     def compute(
         cls, grasp: Grasp, objective: Objective | None = None, warm: OfflineBasis | None = None
     ) -> OfflineBasis:
-        """Solves the 13 problems (Newton, relative gap 1e-10).
+        """Solve the 13 problems (Newton, relative gap 1e-10).
 
         Args:
             grasp: the grasp.
             objective: Phi; None: the defaults.
-            warm: a basis of a nearby grasp with as many contacts, to start from.
+            warm: a basis of a nearby grasp with as many contacts, used as the start.
 
         Raises:
-            InfeasibleStartError: the grasp has no force closure, so some unit wrench has no force.
+            InfeasibleStartError: the grasp has no force closure, so no force balances some unit wrench.
         """
         objective = as_objective(objective)
         if warm is not None:
@@ -77,24 +77,24 @@ class OfflineBasis:
 
     @classmethod
     def of(cls, grasp: Grasp, objective: Objective | None = None) -> OfflineBasis:
-        """`compute` for a grasp and an `objective`, remembered as long as `grasp` lives."""
+        """Return the basis of a grasp for an `objective`; it is cached as long as `grasp` lives."""
         objective = as_objective(objective)
-        known = _REMEMBERED.setdefault(as_grasp(grasp), {})
+        known = _CACHE.setdefault(as_grasp(grasp), {})
         if objective not in known:
             known[objective] = cls.compute(grasp, objective)
         return known[objective]
 
     @staticmethod
     def known(grasp: Grasp) -> list[OfflineBasis]:
-        """Those that `of` has made for this `grasp` so far, one for each Phi."""
-        return list(_REMEMBERED.get(as_grasp(grasp), {}).values())
+        """Return the cached bases of this `grasp`, one for each Phi."""
+        return list(_CACHE.get(as_grasp(grasp), {}).values())
 
     def moved_to(self, grasp: Grasp) -> OfflineBasis:
-        """The basis of a nearby grasp, each optimum carried over by the tangent correction and re-optimised.
+        """Return the basis of a nearby grasp: each optimum is carried over by the tangent correction and optimised again.
 
-        A basis that `grasp` already has is returned as it is, so that going back to a grasp gives the same bits.
+        A cached basis of `grasp` is returned unchanged, so returning to a grasp gives the same bits.
         """
-        known = _REMEMBERED.setdefault(as_grasp(grasp), {})
+        known = _CACHE.setdefault(as_grasp(grasp), {})
         if self.objective not in known:
             known[self.objective] = self.compute(grasp, self.objective, warm=self)
         return known[self.objective]
@@ -106,14 +106,14 @@ class OfflineBasis:
 
     @property
     def rest(self) -> ContactForces:
-        """(N, 3) argmin Phi at w = 0: the internal squeeze [N]."""
+        """(N, 3) argmin Phi at w = 0: the optimal internal force [N]."""
         return self.cone_forces[12].reshape(-1, 3) / self.cone_divisor
 
     def combine(self, wrench: Wrench, printed: bool = False) -> ContactForces:
-        """Non-negative combination sum E_k f_k with w = sum E_k (+-e_k) (Eqs. 33 and 34): (N, 3) [N].
+        """Return the non-negative combination sum E_k f_k (N, 3) [N] with w = sum E_k (+-e_k) (Eqs. 33 and 34).
 
-        As printed it vanishes with the wrench, where P is singular; unless `printed`, max(0, 1 - sum E_k) times the
-        rest force is added. Balanced by linearity, strictly inside the cones by convexity.
+        The printed combination vanishes with the wrench, where P is singular; unless `printed`, max(0, 1 - sum E_k) times `rest`
+        is added. It is balanced by linearity and strictly inside the cones by convexity.
         """
         x = np.empty(self.cone_forces.shape[1])
         core.combine(self.cone_forces, as_wrench(wrench), flag(printed, "printed"), x)
@@ -121,12 +121,12 @@ class OfflineBasis:
 
 
 def core_contacts(grasp: Grasp, objective: Objective, tangents: Array | None = None) -> core.Contacts:
-    """The hard contacts of a grasp with the weights of Phi, for the core's solvers.
+    """Return the hard contacts of a grasp with the weights of Phi, for the core's solvers.
 
     Args:
         grasp: the contacts.
         objective: Phi.
-        tangents: (N, 3) directions of o when they move, (0, 3): the default rule; None: the current ones.
+        tangents: (N, 3) directions of o for contacts that move; (0, 3): the default rule; None: the current ones.
 
     Raises:
         RankDeficientGraspError: rank(G) < 6.
@@ -146,7 +146,7 @@ def core_contacts(grasp: Grasp, objective: Objective, tangents: Array | None = N
 
 
 def starter(grasp: Grasp, objective: Objective, model: core.Model | None = None) -> core.ForceOptimizer:
-    """A compiled optimizer whose own start is the combination of the grasp's 12-basis: what repairs and predictions fall back on.
+    """Return a compiled optimizer whose start is the combination of the grasp's 12-basis, the fallback of repairs and predictions.
 
     Raises:
         InfeasibleStartError: see `OfflineBasis.compute`.
@@ -160,22 +160,22 @@ def starter(grasp: Grasp, objective: Objective, model: core.Model | None = None)
 def start_of(
     optimizer: core.ForceOptimizer, start: int, wrench: Wrench, force: ContactForces | None
 ) -> ContactForces | None:
-    """The start (N, 3) [N] that a compiled optimizer makes, on its own contacts; None: it has none.
+    """Return the start (N, 3) [N] of a compiled optimizer on its own contacts, or None if it has none.
 
     Args:
         optimizer: see `starter`.
-        start: a place in `STARTS`.
+        start: index into `STARTS`.
         wrench: (6,) [N, N m].
-        force: (N, 3) [N] to start from, where the start takes one.
+        force: (N, 3) [N], for starts that take a force.
     """
     row: Any = optimizer.start(start, force, None, wrench, None, None, None, None, None, None)
     return row[FORCE : FORCE + 3 * optimizer.count].reshape(-1, 3).copy() if row[CODE] == LIMIT else None
 
 
 def _compiled(grasp: Grasp, objective: Objective, **options: Any) -> core.ForceOptimizer:
-    contacts = core_contacts(grasp, objective)  # says what is wrong with them
+    contacts = core_contacts(grasp, objective)
     return core.ForceOptimizer.make(contacts, objective.weights(grasp.n_contacts), **options)
 
 
-# weak keys: a basis goes with its grasp
-_REMEMBERED: WeakKeyDictionary[Grasp, dict[Objective, OfflineBasis]] = WeakKeyDictionary()
+# weak keys: a basis is dropped with its grasp
+_CACHE: WeakKeyDictionary[Grasp, dict[Objective, OfflineBasis]] = WeakKeyDictionary()

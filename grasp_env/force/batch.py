@@ -1,4 +1,4 @@
-"""Many wrenches, many grasps: the core's solvers over arrays, on all cores; the answers of one call at a time."""
+"""Grasp forces for many wrenches and many grasps, on all processor cores; the results equal those of single calls."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from grasp_env.grasp.grasp import Grasp
 def optimize_forces(
     grasps: Grasp | Sequence[Grasp], wrenches: ArrayLike, *, workers: int | None = None, **options: Any
 ) -> ForceSolutions:
-    """Grasp forces for many wrenches and one grasp, or as many grasps.
+    """Optimise the grasp forces for many wrenches, on one grasp or on one grasp each.
 
-    Newton and `conic` on hard contacts take problems side by side in the vector registers; everything else runs one problem after the
-    other, without Python between them unless a rule is Python's. Answers are those of single calls (converged forces to 1e-9 of them)
+    Newton and `conic` on hard contacts solve several problems at once in the vector registers. Everything else runs problem by
+    problem in the core, unless the start rule is a Python function. Converged forces equal those of single calls to a relative 1e-9
     and do not depend on `workers`.
 
     Args:
-        grasps: one grasp for all wrenches, or M grasps of one number of contacts.
+        grasps: one grasp for all wrenches, or M grasps with equal numbers of contacts.
         wrenches: (M, 6) external wrenches on the object [N, N m], in the frame of the positions.
-        workers: threads, 1 to 1024; None: one per core. The core releases the GIL.
+        workers: number of threads, 1 to 1024; None: one per processor core. The core releases the GIL.
         options: the keywords of `ForceOptimizer`, with its defaults; a batch has no previous solution.
 
     Returns:
-        All solutions; a wrench that nothing balances has the status INFEASIBLE instead of raising.
+        All solutions. A wrench that no force balances has the status INFEASIBLE; nothing is raised.
 
     Raises:
-        InvalidInputError: wrong shapes, numbers that are not finite, grasps of different sizes.
+        InvalidInputError: wrong shapes, numbers that are not finite, grasps with different numbers of contacts.
 
     Example:
         >>> import numpy as np
@@ -105,7 +105,10 @@ def _many_grasps(grasps: list[Grasp], loads: Array, threads: int, options: dict[
 def _compiled_grasps(
     optimizer: ForceOptimizer, initial: Any
 ) -> Callable[[list[core.Contacts], Array, Array, Array], None] | None:
-    """(contacts, where the problems of each begin, their wrenches, their records) -> None: the core's call, if it serves them."""
+    """Return the core's solver for many grasps, or None if it does not support the options.
+
+    Its arguments are the contacts, the index at which the problems of each begin, their wrenches and their records.
+    """
     options, count = optimizer.options, optimizer.grasp.n_contacts
     if optimizer.limits is not None or not (initial is None or as_text(initial) == "internal_force"):
         return None
@@ -121,4 +124,4 @@ def _compiled_grasps(
 
 
 GRASPS = 512
-"""Grasps of one call of the core: of whatever many threads, so that answers do not depend on those."""
+"""Number of grasps per call of the core; fixed, so that the results do not depend on the number of threads."""

@@ -21,11 +21,11 @@ from grasp_env._check import Array, ContactForces, as_array
 from grasp_env.errors import InvalidInputError
 
 METRIC = np.array([3.0, 2.0, 2.0])
-"""|P|_F^2 = 3 u^2 + 2 o^2 + 2 t^2 per contact: the metric of the flows."""
+"""Metric of the flows: |P|_F^2 = 3 u^2 + 2 o^2 + 2 t^2 per contact."""
 
 
 def description_matrix(force: ContactForces, friction: Array) -> Array:
-    """P, the (3N, 3N) block-diagonal description matrix of forces (Eqs. 4 and 5).
+    """Return P, the (3N, 3N) block-diagonal description matrix of forces (Eqs. 4 and 5).
 
     Args:
         force: (N, 3) [N]: normal, o, t.
@@ -45,7 +45,7 @@ def description_matrix(force: ContactForces, friction: Array) -> Array:
 
 
 def _forces(force: ContactForces, friction: Array) -> Array:
-    """(N, 3) cone coordinates (u, o, t) of forces in round cones."""
+    """Return (N, 3) cone coordinates (u, o, t) of forces in round cones."""
     x = as_array(force, (None, 3), "force", ranges.SIZE)
     if not 1 <= len(x) <= ranges.CONTACTS:
         raise InvalidInputError(f"force must be that of 1 to {ranges.CONTACTS} contacts, got shape {x.shape}")

@@ -1,4 +1,4 @@
-"""Initial-force rules: anything callable as rule(grasp, wrench) -> (N, 3) force, balanced and strictly feasible."""
+"""Initial-force rules: callables rule(grasp, wrench) -> (N, 3) force, balanced and strictly inside the friction cones."""
 
 from __future__ import annotations
 
@@ -14,42 +14,46 @@ from grasp_env._check import ContactForces, Wrench, as_array, as_text, as_wrench
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, shown
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.objective import Objective
+from grasp_env.force.options import Options
 from grasp_env.force.repair import Repair, start_replaced
-from grasp_env.force.solution import GIVEN, STARTS, ForceSolution
+from grasp_env.force.solution import GIVEN, LEARNED, STARTS, ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
 if TYPE_CHECKING:
     from grasp_env._check import TypeIs
 
 T = TypeVar("T")
+BALANCE_TOLERANCE = 1e-8
+"""Largest imbalance of a given start, relative to its force and wrench; above it the rule is at fault."""
 
 
 class InitialForceRule(Protocol):
-    """A start: rule(grasp, wrench) -> force (N, 3) [N], balanced and strictly inside the cones; any function is one.
+    """An initial-force rule: rule(grasp, wrench) -> force (N, 3) [N], balanced and strictly inside the cones.
 
-    It gets the `Grasp` and the external wrench (6,) [N, N m], and raises `InfeasibleStartError` where it has no such force.
+    Any function with this signature will do. It receives the `Grasp` and the external wrench (6,) [N, N m], and raises
+    `InfeasibleStartError` if it finds no such force.
     """
 
     def __call__(self, grasp: Grasp, wrench: Wrench, /) -> ContactForces:
-        """(N, 3) [N]; raises `InfeasibleStartError` where the rule has no such force."""
+        """Return the force (N, 3) [N] or raise `InfeasibleStartError`."""
         ...
 
 
 @runtime_checkable
 class LearnedRule(InitialForceRule, Protocol):
-    """A rule whose predictions the core makes: start and method are one compiled call.
+    """A rule whose network the core evaluates: start and method are one compiled call.
 
     Attributes:
-        remembers: whether it also starts from the previous solution, where that has less Phi.
+        remembers: True if the previous solution may serve as the start when its Phi is smaller.
     """
 
     remembers: bool
 
     def model(self, grasp: Grasp, objective: Objective) -> core.Model:
-        """The network for that Phi, which the core evaluates.
+        """Return the compiled network for that Phi.
 
         Raises:
-            InfeasibleStartError: contacts that the rule does not know.
+            InfeasibleStartError: the rule does not support these contacts.
         """
         ...
 
@@ -59,11 +63,11 @@ class StartFrom:
     """The start of one call of the core.
 
     Attributes:
-        start: a place in `STARTS`.
-        name: of a force that is given, for the solution; None: the start's own.
-        replaced: whether the paper's combination took the place of a rule's own force.
-        force: (N, 3) [N] that is given.
-        before: the solution to carry over.
+        start: index into `STARTS`.
+        name: name of a given force in the solution; None: the default name of the start.
+        replaced: True if the paper's combination replaced a rule's force.
+        force: (N, 3) given force [N].
+        before: the previous solution to carry over.
     """
 
     start: int
@@ -74,7 +78,7 @@ class StartFrom:
 
 
 def is_rule(value: object, kind: type[T]) -> TypeIs[T]:
-    """Whether an object is of one of the protocols above; one whose attributes fail is of none."""
+    """True if an object satisfies one of the protocols above; False if reading its attributes fails."""
     try:
         return isinstance(value, kind)
     except Exception:
@@ -82,12 +86,12 @@ def is_rule(value: object, kind: type[T]) -> TypeIs[T]:
 
 
 def rule_name(rule: Any) -> str:
-    """The name of a start in solutions: a rule's own, or that of a callable or its class."""
+    """Return the name of a rule for solutions: its `name`, its `__name__`, or that of its class."""
     text = as_text(rule)
     if text is not None:
         return text
     for name in ("name", "__name__"):
-        with suppress(Exception):  # an attribute of somebody else's
+        with suppress(Exception):  # a user's attribute may fail
             found = as_text(getattr(rule, name, None))
             if found:
                 return found
@@ -95,10 +99,10 @@ def rule_name(rule: Any) -> str:
 
 
 def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
-    """Calls a user's rule; any failure becomes `InfeasibleStartError`.
+    """Call a user's rule; any failure becomes `InfeasibleStartError`.
 
     Raises:
-        InfeasibleStartError: it fails, in whatever way; `__cause__` says which.
+        InfeasibleStartError: the rule fails; `__cause__` is its own error.
     """
     takes = "a rule takes (grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
     what = f"initial-force rule {rule_name(rule)!r}"
@@ -109,11 +113,12 @@ def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
 class LinearCombination:
     """The paper's start: non-negative combination of the 12 offline optima (Sec. III, Eqs. 32-34).
 
-    As printed it vanishes with the wrench, where P is singular, so max(0, 1 - sum E_k) times the optimum at w = 0 is added.
+    The printed combination vanishes with the wrench, where P is singular. Therefore max(0, 1 - sum E_k) times the optimum at
+    w = 0 is added.
 
     Attributes:
         objective: the Phi whose optima are combined.
-        printed: leave that rest force out: no start at w = 0 then.
+        printed: leave out the added force; then there is no start at w = 0.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -127,7 +132,7 @@ class LinearCombination:
     printed: bool = False
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """The start (N, 3) [N]; see the class."""
+        """Return the start (N, 3) [N]; see the class."""
         wrench = as_wrench(wrench)
         if self.printed and not wrench.any():
             raise InfeasibleStartError(
@@ -138,10 +143,10 @@ class LinearCombination:
 
 
 def checked_initial(initial: Any) -> Any:
-    """A start as `optimize_force` takes it, names as plain text.
+    """Return an `initial` argument with names as plain text.
 
     Raises:
-        UnknownNameError, InvalidInputError: it is none.
+        UnknownNameError, InvalidInputError: it is not a start.
     """
     named = as_text(initial)
     if named is not None:
@@ -156,16 +161,16 @@ def checked_initial(initial: Any) -> Any:
 
 
 def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective) -> StartFrom:
-    """The start that a rule or a force (N, 3) [N] gives.
+    """Return the start made by a rule or by a given force (N, 3) [N].
 
     Raises:
-        InfeasibleStartError: the rule fails, or what it returns is no force.
+        InfeasibleStartError: the rule fails or returns no force.
     """
     if isinstance(initial, np.ndarray | list | tuple):
         return StartFrom(GIVEN, "given", force=_force("given", initial, grasp))
     name, force = rule_name(initial), call_rule(initial, initial, grasp, wrench.copy())
     if call_rule(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
-        # made for another Phi, in which its guarantees hold: give them in this one
+        # the rule's guarantees hold for its own Phi only: establish them for this one
         force = Repair(objective)(grasp, wrench, force)
     made = _force(name, force, grasp)
     replaced = not isinstance(initial, LinearCombination) and start_replaced(grasp, wrench, made)
@@ -173,15 +178,45 @@ def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective)
 
 
 def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:
-    """A rule's force as a C-contiguous array (N, 3)."""
+    """Return a rule's force as a C-contiguous array (N, 3)."""
     try:
         return np.ascontiguousarray(as_array(force, (grasp.n_contacts, 3), "initial force"))
     except InvalidInputError as error:
-        told = "it returned None: does it end in a return?" if force is None else error
-        raise InfeasibleStartError(f"initial-force rule {name!r}: {told}") from None
+        reason = "it returned None: does it end in a return?" if force is None else error
+        raise InfeasibleStartError(f"initial-force rule {name!r}: {reason}") from None
+
+
+def start_names(initial: Any, options: Options) -> tuple[tuple[str, ...], str]:
+    """Return the names of starts in an optimizer's solutions, in the order of `STARTS`, and the name of the requested start."""
+    if options.method == "conic":
+        return STARTS, "central"
+    if initial is None:
+        return STARTS, "linear_combination" if options.flows else "internal_force"
+    if is_a(initial, ForceSolution):
+        return STARTS, "previous"
+    name = "given" if is_a(initial, np.ndarray | list | tuple) else rule_name(initial)
+    place = LEARNED if is_rule(initial, LearnedRule) else GIVEN
+    return (STARTS if name in STARTS else (*STARTS[:place], name, *STARTS[place + 1 :])), name
+
+
+def refused_start(grasp: Grasp, wrench: Wrench, start: StartFrom, touching: Any) -> InfeasibleStartError:
+    """Return the error for a given force that a descent did not accept."""
+    assert start.force is not None
+    force = start.force if touching is None else start.force[touching]
+    missed = grasp.residual(force, wrench)
+    scale = float(np.abs(force).max()) + float(np.abs(grasp.unit_frame @ wrench).max())
+    if missed > BALANCE_TOLERANCE * scale:
+        return InfeasibleStartError(
+            f"initial-force rule {start.name!r} misses balance by {missed:.3g} N (G f + w = 0, w the wrench ON the object); "
+            "add -G^+ (G f + w), or pass it through grasp_env.force.Repair"
+        )
+    return InfeasibleStartError(
+        f"initial-force rule {start.name!r} leaves the friction cones (margin {grasp.cone_margin(force):.3g} N); "
+        "pass it through grasp_env.force.Repair"
+    )
 
 
 NAMES = STARTS[STARTS.index("internal_force") : STARTS.index("given")]
-"""Starts that are asked for by name."""
+"""Start names accepted as `initial`."""
 Initial = str | InitialForceRule | ForceSolution | np.ndarray
-"""A rule's name, a rule, a solution to carry over, or an (N, 3) force to start from."""
+"""A start: a rule's name, a rule, a previous solution, or a force (N, 3)."""

@@ -1,7 +1,7 @@
 """Limits on a grasp's forces besides friction: least and largest normal forces, and joint torques.
 
 abs(J^T f + tau_0) <= tau_max is the effort limit of Han, Trinkle, Li 2000 and Lippiello, Siciliano, Villani 2013. All
-limits are linear in the forces: `ForceLimits.rows` lists them as A f <= b.
+limits are linear in the forces; `ForceLimits.rows` returns them as A f <= b.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
 class LimitArrays(NamedTuple):
-    """Limits of N contacts and J joints, every array there.
+    """Limits of N contacts and J joints as arrays of full shape.
 
     Attributes:
         min_normal: (N,) [N].
         max_normal: (N,) [N], inf where unlimited.
-        jacobian: (N, 6, J) as given, angular velocities zero unless given; J = 0 without torque limits.
+        jacobian: (N, 6, J), with zero angular rows if only (N, 3, J) was given; J = 0 without torque limits.
         torque_limit: (J,) [N m], inf where unlimited.
         torque_bias: (J,) tau_0 [N m].
     """
@@ -37,18 +37,18 @@ class LimitArrays(NamedTuple):
     torque_bias: Array
 
 
-_NUMBERS = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
+_ARRAYS = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
 LimitNumbers = tuple[Array | None, Array | None, Array | None, Array | None, Array | None]
-"""See `ForceLimits.given`."""
+"""The return type of `ForceLimits.given`."""
 
 
 class LimitRows(NamedTuple):
-    """Limits as A f <= b on f = (normal, o, t, torsion) of contact after contact.
+    """Limits as A f <= b, with f = (normal, o, t, torsion) stacked contact by contact.
 
     Attributes:
         matrix: A, (M, 4N).
         bound: b, (M,) [N] for normal forces, [N m] for torques.
-        labels: M texts for people.
+        labels: M descriptions.
     """
 
     matrix: Array
@@ -57,12 +57,12 @@ class LimitRows(NamedTuple):
 
 
 class LimitSlack(NamedTuple):
-    """Distance to the nearest limit of each kind; negative where violated, inf where there is no limit.
+    """Smallest slack of each kind of limit; negative if violated, inf without such limits.
 
     Attributes:
-        min_normal: least normal - min_normal [N].
-        max_normal: least max_normal - normal [N].
-        torque: least torque_limit - abs(torque) [N m].
+        min_normal: least (normal - min_normal) [N].
+        max_normal: least (max_normal - normal) [N].
+        torque: least (torque_limit - abs(torque)) [N m].
     """
 
     min_normal: float
@@ -75,15 +75,17 @@ class ForceLimits:
     """Limits on normal forces and joint torques.
 
     Attributes:
-        min_normal: >= 0 [N], at most 1e6, one for all contacts or (N,).
-        max_normal: > min_normal [N], one or (N,), 1e-12 to 1e12; inf: no limit.
+        min_normal: least normal force [N], 0 to 1e6; one for all contacts or (N,).
+        max_normal: largest normal force [N], above `min_normal`, 1e-12 to 1e12; one or (N,); inf: no limit.
         jacobian: (N, 3, J) or (3N, J), joint speeds -> velocities of the contact points, in the frame of the contacts' positions;
             (N, 6, J) with the fingertips' angular velocities in rows 3 to 5, for soft contacts. As in `joint_torques`.
-        torque_limit: > 0 [N m], one for all joints or (J,), 1e-12 to 1e12; inf: no limit. Given exactly when `jacobian` is.
-        torque_bias: (J,) tau_0 [N m], torques that act besides the grasp's (the hand's weight); None: zero.
+        torque_limit: largest absolute joint torque [N m], 1e-12 to 1e12; one for all joints or (J,); inf: no limit. It needs
+            `jacobian`, and `jacobian` needs it.
+        torque_bias: (J,) tau_0 [N m], joint torques besides those of the grasp, such as the hand's weight; None: zero.
 
     Raises:
-        InvalidInputError: a limit out of its range, a crossing pair, shapes that do not fit, or half a torque limit.
+        InvalidInputError: a limit out of range, min_normal >= max_normal, shapes that do not match, or only one of jacobian and
+            torque_limit.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -139,10 +141,10 @@ class ForceLimits:
             object.__setattr__(self, name, array)
 
     def checked(self, n_contacts: int) -> LimitArrays:
-        """The limits for `n_contacts` contacts, every array of full shape.
+        """Return the limits of `n_contacts` contacts as arrays of full shape.
 
         Raises:
-            InvalidInputError: limits or a Jacobian of another number of contacts.
+            InvalidInputError: limits or a Jacobian for another number of contacts.
         """
         each = {}
         n_contacts = whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
@@ -165,11 +167,13 @@ class ForceLimits:
 
     @property
     def joints(self) -> int:
-        """J, of the torque limits; 0: there are none."""
+        """Number of joints J of the torque limits; 0 without them."""
         return 0 if self.jacobian is None else np.asarray(self.jacobian).shape[2]
 
     def given(self, n_contacts: int) -> LimitNumbers:
-        """The arrays that the core takes: least and largest normal forces (N,), Jacobian (N, 3 or 6, J), torque limits and bias (J,); None: none.
+        """Return the arrays for the core: least and largest normal forces (N,), Jacobian (N, 3 or 6, J), torque limits and bias (J,).
+
+        Limits that were not given are None.
 
         Args:
             n_contacts: N.
@@ -177,19 +181,19 @@ class ForceLimits:
         Raises:
             InvalidInputError: see `checked`.
         """
-        made: dict[str, Any] = vars(self)  # arrays, once they are checked
-        least, most, jacobian, limit, bias = map(made.__getitem__, _NUMBERS)
+        made: dict[str, Any] = vars(self)  # arrays after __post_init__
+        least, most, jacobian, limit, bias = map(made.__getitem__, _ARRAYS)
         if least is not None and least.ndim == 0:
             least = np.full(n_contacts, least) if least else None
         if most is not None and most.ndim == 0:
             most = np.full(n_contacts, most) if most < np.inf else None
         for each in (least, most, jacobian):
             if each is not None and len(each) != n_contacts:
-                self.checked(n_contacts)  # says what is wrong
+                self.checked(n_contacts)  # raises, with the reason
         return least, most, jacobian, limit, bias
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
-        """(M,) what each finite limit of `n_contacts` contacts is, in the order of `rows`."""
+        """Return (M,) descriptions of the finite limits of `n_contacts` contacts, in the order of `rows`."""
         least, most, _, limit, _ = self.checked(n_contacts)
         out = [f"contact {k}: normal >= {least[k]:g} N" for k in np.flatnonzero((least > 0.0) & np.isfinite(least))]
         out += [f"contact {k}: normal <= {most[k]:g} N" for k in np.flatnonzero(np.isfinite(most))]
@@ -198,12 +202,12 @@ class ForceLimits:
         return tuple(out)
 
     def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
-        """How far forces are from the limits.
+        """Return the distances of forces from the limits.
 
         Args:
             grasp: the contacts.
             force: (N, 3) [N]: normal, o, t.
-            torsion: (N,) [N m]; None: none.
+            torsion: (N,) [N m]; None: zero.
         """
         least, most, jac, limit, bias = self.checked(as_grasp(grasp).n_contacts)
         forces = _with_torsion(grasp, force, torsion)
@@ -215,21 +219,21 @@ class ForceLimits:
         )
 
     def rows(self, grasp: Grasp) -> LimitRows:
-        """All finite limits as A f <= b in FORCE coordinates (not cone coordinates), for solvers.
+        """Return all finite limits as A f <= b in force coordinates, not cone coordinates.
 
-        The order: least normal forces > 0 (0 is the cone's own limit), largest normal forces, then each limited joint's
-        upper and lower torque. Columns of what a contact does not transmit are zero.
+        The order is: least normal forces above 0 (the cone implies 0), largest normal forces, then the upper and the lower torque
+        limit of each joint. Columns of components that a contact does not transmit are zero.
 
         Args:
             grasp: the contacts.
 
         Raises:
-            InvalidInputError: limits of another number of contacts.
+            InvalidInputError: limits for another number of contacts.
         """
         return self._rows(grasp)[0]
 
     def _rows(self, grasp: Grasp) -> tuple[LimitRows, Array]:
-        """`rows`, and what each row's limit is (M,) [N, N m]."""
+        """Return `rows` and the limit (M,) behind each row [N, N m]."""
         count = as_grasp(grasp).n_contacts
         least, most, jac, limit, bias = self.checked(count)
         labels = self.labels(count)
@@ -246,13 +250,13 @@ class ForceLimits:
     def violations(
         self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9
     ) -> list[str]:
-        """One text per limit that forces exceed.
+        """Return one message for each limit that forces exceed.
 
         Args:
             grasp: the contacts.
             force: (N, 3) [N]: normal, o, t.
-            torsion: (N,) [N m]; None: none.
-            tolerance: what does not count [N, N m].
+            torsion: (N,) [N m]; None: zero.
+            tolerance: largest excess that is ignored [N, N m].
         """
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
@@ -262,26 +266,26 @@ class ForceLimits:
 
 
 def as_limits(value: object) -> ForceLimits | None:
-    """`value` where it is limits or None, or `InvalidInputError`."""
+    """Return `value` if it is a `ForceLimits` or None; raise `InvalidInputError` otherwise."""
     return instance(value, ForceLimits, "limits", or_none=True)
 
 
 def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:
-    """(N, 4, J) from (N, 6, J): velocities along (normal, o, t), and the angular velocity about the normal."""
+    """Return (N, 4, J) from (N, 6, J): velocity along (normal, o, t) and angular velocity about the normal."""
     turned = np.einsum("nik,nij->nkj", grasp.frames, jacobian[:, :3])
     about = np.einsum("ni,nij->nj", grasp.normals, jacobian[:, 3:])
     return np.concatenate([turned, about[:, None]], axis=1)
 
 
 def _with_torsion(grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None) -> Array:
-    """(N, 4): normal, o, t, torsion."""
+    """Return (N, 4): normal, o, t, torsion."""
     forces = as_array(force, (grasp.n_contacts, 3), "force", ranges.SIZE)
     twist = np.zeros(len(forces)) if torsion is None else as_array(torsion, (len(forces),), "torsion", ranges.SIZE)
     return np.column_stack([forces, twist])
 
 
 def _bound(value: ArrayLike, name: str, of: str, within: ranges.Range) -> Array:
-    """A number or a vector of limits; inf is no limit, but where the range begins with 0: there it has to be one."""
+    """Return a number or a vector of limits; inf means no limit, and is allowed unless the range begins at 0."""
     zero = within.low == 0.0
     try:
         array = as_array(value, None, name, finite=False)

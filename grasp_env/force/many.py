@@ -1,4 +1,4 @@
-"""Many solutions of one optimizer: arrays over problems, and the threads that fill them."""
+"""Solutions of many problems as arrays, and the threads that compute them."""
 
 from __future__ import annotations
 
@@ -37,66 +37,68 @@ class ForceSolutions(Sequence[ForceSolution]):
     """Solutions of a batch: arrays over M problems; `solutions[k]` is the k-th as a `ForceSolution`.
 
     Attributes:
-        records: (M, ...) one row per problem, see `record.py`.
+        records: (M, K) one row of numbers per problem, see `record.py`.
         method: the method's name.
     """
 
-    def __init__(self, records: Array, method: str, names: Sequence[str], asked: str) -> None:
-        """Of records that somebody filled.
+    def __init__(self, records: Array, method: str, names: Sequence[str], requested: str) -> None:
+        """Wrap filled records.
 
         Args:
             records, method: see the attributes.
-            names: of each start, in the order of `STARTS`.
-            asked: the name of the start that was asked for.
+            names: the name of each start, in the order of `STARTS`.
+            requested: the name of the requested start.
         """
-        self.records, self.method, self._names, self._asked = records, method, names, asked
+        self.records, self.method, self._names, self._requested = records, method, names, requested
 
     def __len__(self) -> int:
         return len(self.records)
 
     def __getitem__(self, index: Any) -> Any:
-        """The solution at an integer, a `ForceSolutions` at a slice."""
+        """Return the solution at an integer, a `ForceSolutions` at a slice."""
         if isinstance(index, slice):
-            return ForceSolutions(self.records[index], self.method, self._names, self._asked)
+            return ForceSolutions(self.records[index], self.method, self._names, self._requested)
         record = self.records[range(len(self))[index]]
         return ForceSolution(record, self.method, self._name(record))
 
     def _name(self, record: Array) -> str:
-        return start_name(self._names[int(record[START])], self._asked, bool(record[REPLACED]), bool(record[OUTSIDE]))
+        return start_name(
+            self._names[int(record[START])], self._requested, bool(record[REPLACED]), bool(record[OUTSIDE])
+        )
 
     @property
     def initial(self) -> str:
         """The name of the first problem's start; `solutions[k].initial` is that of each."""
-        return self._name(self.records[0]) if len(self) else self._asked
+        return self._name(self.records[0]) if len(self) else self._requested
 
     def __iter__(self) -> Iterator[ForceSolution]:
         return (self[k] for k in range(len(self)))
 
     @property
     def n_contacts(self) -> int:
-        """N."""
+        """Number of contacts N."""
         return int(self.records[0, CONTACTS]) if len(self) else 0
 
     @property
     def force(self) -> Array:
-        """(M, N, 3) N: normal, o, t in each contact's frame."""
+        """(M, N, 3) normal, o, t in each contact frame [N]."""
         n = self.n_contacts
         return self.records[:, FORCE : FORCE + 3 * n].reshape(len(self), n, 3)
 
     @property
     def torsion(self) -> Array:
-        """(M, N) N m."""
+        """(M, N) torsions about the normals [N m]."""
         n = self.n_contacts
         return self.records[:, FORCE + 6 * n : FORCE + 7 * n]
 
     @property
     def wrench(self) -> Array:
-        """(M, 6) the wrenches that are balanced [N, N m]."""
+        """(M, 6) the balanced wrenches [N, N m]."""
         return self.records[:, WRENCH : WRENCH + 6]
 
     @property
     def multipliers(self) -> Array:
-        """(M, 6) nu of balance."""
+        """(M, 6) multipliers nu of balance."""
         return self.records[:, MULTIPLIERS : MULTIPLIERS + 6]
 
     @property
@@ -106,7 +108,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def optimal(self) -> NDArray[np.bool_]:
-        """(M,) whether the status is OPTIMAL."""
+        """(M,) True if the status is OPTIMAL."""
         return self.records[:, CODE] == CONVERGED
 
     @property
@@ -116,7 +118,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def objective(self) -> Array:
-        """(M,) Phi, or the normal forces' sum or maximum [N]; inf where infeasible."""
+        """(M,) Phi, or the sum or maximum of the normal forces [N]; inf if infeasible."""
         return self.records[:, OBJECTIVE]
 
     @property
@@ -131,11 +133,11 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def cone_margin(self) -> Array:
-        """(M,) least distance to a cone's surface [N], cone coordinates."""
+        """(M,) least friction-cone margin [N], in cone coordinates."""
         return self.records[:, MARGIN]
 
     def counts(self) -> dict[Status, int]:
-        """How many problems ended how.
+        """Return the number of problems with each status.
 
         Example:
             >>> import numpy as np
@@ -154,10 +156,10 @@ class ForceSolutions(Sequence[ForceSolution]):
 
 
 def checked_batch(wrenches: ArrayLike, workers: int | None) -> tuple[Array, int]:
-    """(M, 6) wrenches and the number of threads.
+    """Return the checked wrenches (M, 6) and the number of threads.
 
     Raises:
-        InvalidInputError: they are none.
+        InvalidInputError: wrong shapes, or values out of range.
     """
     loads, given = together(
         lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches"),
@@ -167,7 +169,7 @@ def checked_batch(wrenches: ArrayLike, workers: int | None) -> tuple[Array, int]
 
 
 def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:
-    """All wrenches (M, 6) on the contacts of an optimizer, none of which knows the others."""
+    """Solve for all wrenches (M, 6) on the contacts of an optimizer, independently of each other."""
     records = np.empty((len(loads), optimizer.core.size))
     if optimizer.compiled:
         over_parts(lambda part: optimizer.core.solve_many(loads[part], records[part]), len(loads), CHUNK, threads)
@@ -179,7 +181,7 @@ def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:
 
 
 def solve_one(optimizer: Any, load: Array, record: Array) -> None:
-    """One problem into its row; what ends without a force costs the others nothing."""
+    """Solve one problem into its row; an infeasible or undecided problem becomes a row without a force."""
     try:
         record[:] = optimizer.solve(load)._record
     except (InfeasibleWrenchError, NotConvergedError) as error:
@@ -198,11 +200,11 @@ def solve_one(optimizer: Any, load: Array, record: Array) -> None:
 
 
 CHUNK = 4096
-"""Problems of one call of the core: of whatever many threads, so that answers do not depend on those."""
+"""Number of problems per call of the core; fixed, so that the results do not depend on the number of threads."""
 
 
 def over_parts(work: Callable[[slice], None], count: int, size: int, threads: int) -> None:
-    """work(part) for all of `count`, `size` at a time, on so many threads; an error or an interrupt ends all after their part."""
+    """Call work(part) for slices of `size` out of `count` on several threads; an error or interrupt stops all after their slice."""
     if count <= size:
         if count:
             work(slice(0, count))
@@ -210,7 +212,7 @@ def over_parts(work: Callable[[slice], None], count: int, size: int, threads: in
     parts = iter([slice(k, min(k + size, count)) for k in range(0, count, size)])
 
     def take() -> None:
-        for part in parts:  # a list's iterator hands each of them to one thread
+        for part in parts:  # the iterator of a list is thread-safe: each slice goes to one thread
             work(part)
 
     threads = min(threads, -(-count // size))
@@ -222,5 +224,5 @@ def over_parts(work: Callable[[slice], None], count: int, size: int, threads: in
             for done in [pool.submit(take) for _ in range(threads)]:
                 done.result()
         finally:
-            for _ in parts:  # nothing is left where all went well
+            for _ in parts:  # after an error: leave no slice for the other threads
                 pass

@@ -1,4 +1,4 @@
-"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound, which the core's `phi.hpp` has."""
+"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound, computed by the core (`phi.hpp`)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Objective:
     3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29 print W_p.)
 
     Attributes:
-        force_weight: omega, 1e-4 to 1e4, the price of squeezing; a number, or a sequence with one per contact.
-        barrier_weight: lambda [N^2 at omega = 1], 1e-16 to 1e6, the price of coming close to a cone; the same.
+        force_weight: omega, 1e-4 to 1e4, the weight of the forces; a number, or a sequence with one per contact.
+        barrier_weight: lambda [N^2 at omega = 1], 1e-16 to 1e6, the weight of the barrier at the cones; likewise.
 
     Raises:
-        InvalidInputError: weights that are no numbers, or out of range.
+        InvalidInputError: weights that are not numbers, or out of range.
     """
 
     force_weight: Weight = 1.0
@@ -42,7 +42,7 @@ class Objective:
         object.__setattr__(self, "barrier_weight", lam)
 
     def weights(self, count: int) -> Array:
-        """(N, 2) omega and lambda of each of `count` contacts.
+        """Return (N, 2) omega and lambda of each of `count` contacts.
 
         Raises:
             InvalidInputError: weights for another number of contacts.
@@ -64,7 +64,7 @@ class Objective:
         return out
 
     def value(self, x: Array) -> float:
-        """Phi at flat cone coordinates `x` (3N,); +inf outside the open cones, and where numbers are none.
+        """Return Phi at flat cone coordinates `x` (3N,); +inf outside the open cones and for nan.
 
         Example:
             >>> round(Objective(1.0, 0.01).value(np.array([0.5, 0.0, 0.0])), 12)
@@ -74,21 +74,21 @@ class Objective:
         return core.phi(rows, self.weights(len(rows)))
 
     def gradient(self, x: Array) -> Array:
-        """Gradient of Phi, (3N,), at flat cone coordinates `x` strictly inside the cones."""
+        """Return the gradient of Phi, (3N,), at flat cone coordinates `x` strictly inside the cones."""
         rows = _contacts(x, inside=True)
         out = np.empty_like(rows)
         core.phi_gradient(rows, self.weights(len(rows)), out)
         return out.reshape(-1)
 
     def hessian(self, x: Array) -> Array:
-        """The 3 x 3 diagonal blocks of the Hessian of Phi, (N, 3, 3), at flat cone coordinates `x` strictly inside the cones."""
+        """Return the diagonal blocks (N, 3, 3) of the Hessian of Phi at flat cone coordinates `x` strictly inside the cones."""
         rows = _contacts(x, inside=True)
         out = np.empty((len(rows), 3, 3))
         core.phi_hessian(rows, self.weights(len(rows)), out)
         return out
 
     def lower_bound(self, multipliers: Array, cone_matrix: Array, wrench: Array) -> float:
-        """The dual value at multipliers nu (6,): no balanced force has a smaller Phi; -inf where it says nothing.
+        """Return the dual value at multipliers nu (6,): no balanced force has a smaller Phi; -inf without information.
 
         Args:
             multipliers: (6,) nu with grad Phi = G^T nu at the optimum.
@@ -104,7 +104,7 @@ class Objective:
 
 
 def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
-    """Flat cone coordinates as (N, 3); `inside`: or an error where they are outside the open cones."""
+    """Return flat cone coordinates as (N, 3); with `inside`, raise if they are not strictly inside the cones."""
     given = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
     if given.size % 3 or not 1 <= given.size // 3 <= ranges.SIDE_BY_SIDE:
         raise InvalidInputError(f"x must have shape (3N,) for at least one contact, got {given.shape}")
@@ -119,17 +119,13 @@ def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
 
 
 def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:
-    """A weight, or one per contact as a tuple, within its range."""
-    if (
-        as_list(value) is None
-        and not (isinstance(value, np.ndarray) and np.asarray(value).ndim)
-        and not isinstance(value, range)
-    ):
+    """Return a weight within its range, or one per contact as a tuple."""
+    if as_list(value) is None and not (is_a(value, np.ndarray) and np.asarray(value).ndim) and not is_a(value, range):
         return positive(value, name, within)
     each = as_array(value, (None,), name).tolist()
     return tuple(together(*(lambda k=k, v=v: positive(v, f"{name}[{k}]", within) for k, v in enumerate(each))))
 
 
 def as_objective(value: object) -> Objective:
-    """`value` where it is an objective, the defaults for None, or `InvalidInputError`."""
+    """Return an `Objective`, the default one for None; raise `InvalidInputError` for anything else."""
     return Objective() if value is None else instance(value, Objective, "objective")

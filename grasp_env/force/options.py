@@ -1,4 +1,4 @@
-"""How a force optimisation is asked: one record of checked settings, with one set of defaults for every door."""
+"""Checked settings of a force optimisation, with one set of defaults for all entry points."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.step_size import StepRule, checked_rule
 
 FLOWS = ("reduced_flow", "full_flow")
-"""The paper's methods: on hard contacts without limits."""
+"""The paper's flows, for hard contacts without limits."""
 DESCENTS = (*FLOWS, "newton")
-"""Methods on Phi: they take a start, a known optimum and a trace."""
+"""Methods that minimise Phi; they accept a start, a known optimum and a trace."""
 METHODS = (*DESCENTS, "conic")
-"""What `method` may be; `conic` starts from its own centre."""
+"""Names of all methods. `conic` takes no start."""
 CRITERIA = ("sum", "max")
-"""Of `conic`: of the normal forces."""
+"""Objectives of `conic`: the sum or the maximum of the normal forces."""
 MAX_ITERATIONS = 20_000
+"""Default largest number of accepted steps."""
 TOLERANCE = 1e-4
 """Default relative gap of the descents on Phi."""
 CONIC_TOLERANCE = 1e-6
@@ -29,7 +30,7 @@ CONIC_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Options:
-    """Checked settings of a `ForceOptimizer`; `optimize_force` says what they mean, `checked_options` makes them."""
+    """Checked settings of a `ForceOptimizer`, made by `checked_options`; see `optimize_force` for their meaning."""
 
     method: str
     criterion: str
@@ -41,19 +42,21 @@ class Options:
 
     @property
     def flows(self) -> bool:
-        """Whether the method is one of the paper's flows."""
+        """True if the method is one of the paper's flows."""
         return self.method in FLOWS
 
 
 def checked_options(*given: Any) -> Options:
-    """The settings of an optimizer's keywords, in the order of its signature. They are remembered: to check them costs more than a solve.
+    """Return the checked keywords of an optimizer, given in the order of its signature.
+
+    They are cached, since checking takes longer than a solve.
 
     Raises:
         UnknownNameError, InvalidInputError, UnsupportedProblemError: see `optimize_force`.
     """
     try:
-        return _remembered(*given)
-    except TypeError:  # what has no hash, such as a list of weights
+        return _cached(*given)
+    except TypeError:  # unhashable arguments, such as a list of weights
         return _checked(*given)
 
 
@@ -87,7 +90,7 @@ def _checked(
     return made
 
 
-_remembered = lru_cache(256, typed=True)(_checked)
+_cached = lru_cache(256, typed=True)(_checked)
 
 
 def _tolerance(given: float | None, method: object) -> float:

@@ -1,6 +1,6 @@
-"""The row of numbers that a solver writes and `ForceSolution` reads; batches are tables of them.
+"""Layout of the row of numbers that a solver writes and `ForceSolution` reads; a batch is a table of such rows.
 
-The layout is the core's `Record` (`core/include/grasp/record.hpp`); its places are read off there.
+The core's `Record` (`core/include/grasp/record.hpp`) defines the layout; the offsets are read from the compiled module.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN, EXCESS, START, REP
         "outside", "contacts",
     )
 )  # fmt: skip
-"""How it ended, what certifies it, where it began, and N."""
+"""Offsets of the outcome, the certificates, the start, and N."""
 WRENCH = _PLACES["wrench"]
-"""6: the wrench that is balanced."""
+"""Offset of the balanced wrench, 6 numbers."""
 MULTIPLIERS = _PLACES["multipliers"]
-"""6: nu of balance: grad objective = G^T nu (+ the cone multipliers), d objective / d w = -nu; the twist where infeasible."""
+"""Offset of nu, 6 numbers: grad objective = G^T nu (+ the cone multipliers), d objective / d w = -nu; the twist if infeasible."""
 FORCE = _PLACES["force"]
-"""3N force, then 3N initial force, then N torsion; then 9N frames, joint torques and prices of limits."""
+"""Offset of the force, 3N numbers; 3N initial force, N torsion, 9N frames, joint torques and prices of limits follow."""
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED, RANK_LOST, UNDECIDED = (
     _CODES[name]
     for name in (
         "converged", "limit", "stalled", "infeasible", "refused", "limits_exceeded", "rank_lost", "undecided"
     )
 )  # fmt: skip
-"""How a solve ends."""
+"""Codes of the outcomes."""
 RESULTS = (CONVERGED, LIMIT, STALLED, LIMITS_EXCEEDED)
-"""The codes of rows that hold a force."""
+"""Codes of rows that contain a force."""
 
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Repair of a candidate force: balanced, strictly feasible and never worse in Phi than a safe one, by construction."""
+"""Repair of a candidate force: balanced, strictly inside the cones, and never worse in Phi than a safe force, by construction."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from grasp_env.force.objective import Objective, as_objective
 from grasp_env.force.solution import GUESS, PREVIOUS
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
-SAME = 1e-12
-"""Part of the largest component to which two forces are the same."""
+SAME_FORCE = 1e-12
+"""Relative difference of the largest component up to which two forces count as equal."""
 Correction = Literal["tangent", "pseudoinverse"]
 CORRECTIONS: tuple[Correction, ...] = ("tangent", "pseudoinverse")
 
 
 @dataclass(frozen=True)
 class Repair:
-    """Moves a candidate into the cones along the segment to the offline basis' combination.
+    """Move a candidate into the cones along the segment to the combination of the 12-basis.
 
-    The candidate first gets the least-norm correction -G^+ (G f + w), so a candidate that is balanced stays. Then
-    the force of least Phi on the segment from the combination (strictly feasible) to it is taken: never worse than
-    the paper's start, and never worse than the candidate where that is feasible. Where the combination itself has least Phi,
-    nothing is left of the candidate: `start_replaced` tells.
+    The candidate first receives the least-norm correction -G^+ (G f + w), which leaves a balanced candidate unchanged. The result is
+    the force of least Phi on the segment from the combination, which is strictly feasible, to the corrected candidate. So it is never
+    worse than the paper's start, nor than a feasible candidate. If the combination itself has the least Phi, nothing is left of the
+    candidate; `start_replaced` detects this.
 
     Attributes:
         objective: Phi.
@@ -48,9 +48,9 @@ class Repair:
         object.__setattr__(self, "objective", as_objective(self.objective))
 
     def __call__(self, grasp: Grasp, wrench: Wrench, candidate: ContactForces) -> ContactForces:
-        """(N, 3) repaired force [N]; see the class.
+        """Return the repaired force (N, 3) [N]; see the class.
 
-        A candidate that is not finite, or beyond 1e12 N, counts as no candidate: the combination is returned.
+        For a candidate that is not finite, or beyond 1e12 N, the combination is returned.
 
         Raises:
             InvalidInputError: the candidate has another shape, or the wrench is not finite.
@@ -60,11 +60,11 @@ class Repair:
 
 
 def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
-    """Whether a start is the paper's combination, so that nothing is left of the guess that `Repair` was given.
+    """True if a start equals the paper's combination, so that nothing is left of the candidate given to `Repair`.
 
-    Without a wrench the combination is the optimum itself, which any good start may be: False then. The combinations of every Phi
-    for which this `Grasp` object has a 12-basis are compared: `Repair` makes one, and a start that needed none costs nothing here.
-    Rounding counts as the same, 1e-12 of the largest component.
+    For zero wrench the result is False: there the combination is the optimum itself, which any good start may reach. The start is
+    compared with the combination of every 12-basis cached for this `Grasp` object. `Repair` makes one; a start that needs none costs
+    nothing here. Forces count as equal up to 1e-12 of the largest component.
 
     Args:
         grasp: the contacts.
@@ -79,30 +79,30 @@ def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
         [False, True]
     """
     load, start = as_wrench(wrench), as_array(force, (as_grasp(grasp).n_contacts, 3), "force", ranges.SIZE)
-    same = SAME * np.abs(start).max()
+    rounding = SAME_FORCE * np.abs(start).max()
     return bool(load.any()) and any(
-        np.abs(basis.combine(load) - start).max() <= same for basis in OfflineBasis.known(grasp)
+        np.abs(basis.combine(load) - start).max() <= rounding for basis in OfflineBasis.known(grasp)
     )
 
 
 def carry_over(
     grasp: Grasp, wrench: Wrench, previous: ContactForces, objective: Objective, correction: Correction = "tangent"
 ) -> ContactForces:
-    """A previous optimum carried to a new grasp and wrench, strictly inside the cones.
+    """Carry a previous optimum over to a new grasp and wrench, strictly inside the cones.
 
     Args:
-        grasp: the grasp as it is now.
-        wrench: (6,) the wrench to balance now.
-        previous: (N, 3) the force that was optimal before [N].
+        grasp: the current grasp.
+        wrench: (6,) the current wrench [N, N m].
+        previous: (N, 3) the previous optimum [N].
         objective: Phi.
-        correction: "pseudoinverse": the least-norm change that restores balance; "tangent": the change that is
-            least in the Hessian of Phi at the previous force, which also follows the optimum to first order.
+        correction: "pseudoinverse": the least-norm change that restores balance; "tangent": the least change in the metric of the
+            Hessian of Phi at the previous force, which follows the optimum to first order.
 
     Returns:
         (N, 3) [N], balanced and strictly inside the cones.
 
     Raises:
-        UnknownNameError: another correction.
+        UnknownNameError: unknown correction.
 
     Example:
         >>> from grasp_env.force import optimize_force
@@ -120,7 +120,7 @@ def carry_over(
 
 
 def _started(grasp: Grasp, objective: Objective, start: int, wrench: Wrench, force: ContactForces) -> ContactForces:
-    """A start of the core from a force (N, 3) [N] that need be neither balanced nor inside the cones."""
+    """Return a start of the core from a force (N, 3) [N] that need not be balanced or inside the cones."""
     known = _STARTERS.setdefault(grasp, {})
     if objective not in known:
         known[objective] = starter(grasp, objective)

@@ -1,4 +1,4 @@
-"""The start rules by name: those of the paper and its relatives."""
+"""Table of the start rules by name: the paper's and related ones."""
 
 from __future__ import annotations
 
@@ -16,15 +16,19 @@ from grasp_env.grasp.grasp import Grasp
 
 @dataclass(frozen=True)
 class CoreStart:
-    """A start that the core makes, as a rule.
+    """A start of the core, as a rule.
+
+    The paper names the single-value and the Lagrange start without defining them; the definitions here are ours.
+
+    - "single_value": f_0 = -G^+ w + k f_rest with k = max(1.1 k_min, 1), where f_rest is the optimum at w = 0 and k_min the least
+      strictly feasible factor. The lower bound 1 matters for small wrenches only: there k_min vanishes and P would be singular.
+    - "lagrange": argmin (f - k n)^T W (f - k n) s.t. G f = -w, with W = diag(1, 10, 10) and n the unit normal forces. The solution
+      is affine in k, so the strictly feasible k form an interval. k = max(1.1 k_min, the normal force of f_rest), but at most the
+      middle of the interval. For many grasps the interval is empty.
+    - "phase_one": a force inside the cones, found by an interior-point method; it needs no force closure.
 
     Attributes:
-        name: "single_value": f_0 = -G^+ w + k f_rest, k = max(1.1 k_min, 1), f_rest the optimum at w = 0 and k_min the least factor
-            that is strictly feasible (our definition: the paper gives none). The floor of 1 matters for small wrenches only, where
-            k_min vanishes and P would be singular. "lagrange": argmin (f - k n)^T W (f - k n) s.t. G f = -w by multipliers,
-            W = diag(1, 10, 10), n the unit normal forces (our definition). The solution is affine in k, so the strictly feasible k
-            form an interval: k = max(1.1 k_min, the normal force of f_rest), at most its middle; many grasps have none.
-            "phase_one": a force inside the cones found by an interior point, which needs no force closure.
+        name: one of these names, or another name in `STARTS`.
         objective: Phi.
 
     Example:
@@ -38,15 +42,15 @@ class CoreStart:
     objective: Objective = field(default_factory=Objective)
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """The start (N, 3) [N].
+        """Return the start (N, 3) [N].
 
         Raises:
-            InfeasibleStartError: there is none here.
+            InfeasibleStartError: there is no such start for this grasp and wrench.
         """
         phi = as_objective(self.objective)
         optimizer = ForceOptimizer(grasp, force_weight=phi.force_weight, barrier_weight=phi.barrier_weight)
         try:
-            force, replaced = optimizer._begin(wrench, initial=self.name)
+            force, replaced = optimizer._start_and_replaced(wrench, initial=self.name)
         except InfeasibleWrenchError:
             raise InfeasibleStartError("no force strictly inside the cones balances the wrench") from None
         if replaced:
@@ -59,12 +63,12 @@ class CoreStart:
 
 @dataclass(frozen=True)
 class StartRule:
-    """An entry of `RULES`: makes the rule for a Phi.
+    """An entry of `RULES`.
 
     Attributes:
-        label: for people.
-        make: Objective -> the rule.
-        needs: what the grasp must have: "closure" for the 12-basis, "wrench" where a force for the wrench is enough.
+        label: text for reports.
+        make: objective -> rule.
+        needs: "closure" if the rule needs force closure (the 12-basis), "wrench" if a feasible wrench is enough.
     """
 
     label: str
@@ -72,7 +76,7 @@ class StartRule:
     needs: str = "closure"
 
     def __call__(self, objective: Objective) -> InitialForceRule:
-        """The rule for that Phi."""
+        """Return the rule for that Phi."""
         return self.make(objective)
 
 
@@ -85,11 +89,11 @@ RULES: dict[str, StartRule] = {
     "lagrange": StartRule("Lagrange", partial(CoreStart, "lagrange")),
     "phase_one": StartRule("phase one, any force inside", partial(CoreStart, "phase_one"), needs="wrench"),
 }
-"""The start rules by name; "previous" lives in `ForceOptimizer`, which remembers."""
+"""Start rules by name. "previous" is not among them: `ForceOptimizer` stores the previous solution."""
 
 
 def initial_rule(name: str, objective: Objective | None = None) -> InitialForceRule:
-    """The rule of that name for the given Phi.
+    """Return the rule of that name for the given Phi.
 
     Args:
         name: a key of `RULES`.

@@ -1,4 +1,4 @@
-"""What a force optimisation returns: the force, how it went, and the residuals that certify it."""
+"""The result of a force optimisation: the force, its status, and the residuals and bounds that certify it."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ STARTS = (
     "learned",
     "central",
 )
-"""The names of the core's `Start`, in its order."""
+"""Names of the core's enumeration `Start`, in its order."""
 COMBINATION, PREVIOUS, GIVEN, GUESS, LEARNED = (
     STARTS.index(name) for name in ("linear_combination", "previous", "given", "guess", "learned")
 )
 
 
 class Status(Enum):
-    """Outcome of a force optimisation; `status.help` says what it means."""
+    """Outcome of a force optimisation; `status.help` explains it."""
 
     OPTIMAL = "optimal"
     ITERATION_LIMIT = "iteration_limit"
@@ -42,7 +42,7 @@ class Status(Enum):
 
     @property
     def help(self) -> str:
-        """One sentence for people."""
+        """Explanation of the status."""
         return _HELP[self]
 
 
@@ -51,14 +51,14 @@ _HELP = {
     "inside the cones.",
     Status.ITERATION_LIMIT: "Stopped at max_iterations: the force is balanced and inside the cones, not optimal "
     "to the tolerance; raise max_iterations or the tolerance, or start closer.",
-    Status.STALLED: "No further progress in floating point: the force is inside the cones; optimality_gap and equilibrium_residual say "
-    "how good it is. Either the tolerance asks for more digits than the problem has, or it has few: contacts close together or close "
-    "to losing force closure, weights or friction decades apart.",
+    Status.STALLED: "No further progress in floating point: the force is inside the cones; see optimality_gap and equilibrium_residual "
+    "for its accuracy. Either the tolerance asks for more digits than the problem has, or the problem is ill-conditioned: contacts close "
+    "together or close to losing force closure, weights or friction decades apart.",
     Status.INFEASIBLE: "No force strictly inside the limits balances the wrench; `certificate` is a twist that proves it.",
     Status.LIMITS_EXCEEDED: "No force strictly inside the limits balances the wrench; this one does, inside the cones, and exceeds "
-    "the limits least: no other one's largest excess (`limit_excess`) is clearly smaller.",
-    Status.UNDECIDED: "Neither a force nor a proof that there is none was found: the contacts or limits are within rounding of what is "
-    "possible, or numbers are too many decades apart.",
+    "the limits by the least possible amount: no force has a clearly smaller `limit_excess`.",
+    Status.UNDECIDED: "Neither a force nor a proof of infeasibility was found: the contacts or limits are within rounding of the "
+    "feasible boundary, or the numbers are too many decades apart.",
 }
 STATUSES = {
     CONVERGED: Status.OPTIMAL,
@@ -68,24 +68,24 @@ STATUSES = {
     LIMITS_EXCEEDED: Status.LIMITS_EXCEEDED,
     UNDECIDED: Status.UNDECIDED,
 }
-"""By code."""
+"""Status of each code of the core."""
 
 
-def start_name(used: str, asked: str, replaced: bool, outside: bool) -> str:
-    """`ForceSolution.initial` where something happened to the start that was asked for.
+def start_name(used: str, requested: str, replaced: bool, outside: bool) -> str:
+    """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the training range.
 
     Args:
-        used: where the solve began.
-        asked: the start that was asked for.
-        replaced: whether nothing of that is left.
-        outside: whether the training of a learned start does not cover the wrench.
+        used: the start that was used.
+        requested: the requested start.
+        replaced: True if nothing of the requested start is left.
+        outside: True if the wrench is outside the training range of a learned start.
 
     Example:
         >>> start_name("internal_force", "previous", True, False)
         'internal_force (previous was replaced)'
     """
     if replaced:
-        return f"{used} ({asked} was replaced)"
+        return f"{used} ({requested} was replaced)"
     return f"{used} (outside its training range)" if outside else used
 
 
@@ -93,28 +93,29 @@ class ForceSolution(Solution):
     """A grasp force with its certificates: a view of one record of numbers (`record.py`), read on demand.
 
     Attributes:
-        n_contacts: N.
-        force: (N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame; zero where none touches.
-        object_force: (N, 3) N: the same along the axes of the frame in which the positions are given.
-        frames: (N, 3, 3) the contact frames, columns (n, o, t), in that frame.
-        torques: (J,) N m: what the motors of the torque limits exert, those besides the grasp's included; else empty.
+        n_contacts: N, the number of contacts.
+        force: (N, 3) force of each finger on the object [N]: normal, o, t in the contact frame; zero for contacts that do not touch.
+        object_force: (N, 3) the same force along the axes of the frame of the positions [N].
+        frames: (N, 3, 3) contact frames, columns (n, o, t), in the frame of the positions.
+        torques: (J,) joint torques, the bias included [N m]; empty without torque limits.
         initial_force: (N, 3) the start [N].
-        torsion: (N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft.
+        torsion: (N,) torsion of each finger on the object about its normal [N m]; zero unless the contact is soft.
         wrench: (6,) the external wrench that `force` balances [N, N m].
         multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu.
-        limit_multipliers: (M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; those of the proof where
-            INFEASIBLE, see `certificate`; else empty.
+        limit_multipliers: (M,) prices >= 0 of the limits, in the order of `ForceOptimizer.limit_labels`; with status INFEASIBLE
+            those of the proof, see `certificate`; empty for LIMITS_EXCEEDED.
         method: the method's name.
-        initial: the name of the start; "internal_force (NAME was replaced)" where nothing is left of the one that was asked for.
-        start_replaced: whether that is so.
-        iterations: accepted steps; trials: all steps tried.
-        objective: Phi of `force`; of `conic` the sum or maximum of the normal forces [N]; else `limit_excess`, where it is > 0.
-        lower_bound: a dual bound: no balanced force has a smaller objective (-inf: none); with `optimum` given, that.
+        initial: the name of the start; "internal_force (NAME was replaced)" if nothing is left of the requested one.
+        start_replaced: True if nothing is left of the requested start.
+        iterations: accepted steps.
+        trials: all steps tried.
+        objective: Phi of `force`; for `conic` the sum or maximum of the normal forces [N]; `limit_excess` if that is > 0.
+        lower_bound: a dual bound: no balanced force has a smaller objective; -inf: unknown; the `optimum` if that was given.
         optimality_gap: (objective - lower_bound) / lower_bound, certified; +inf without a positive bound.
         equilibrium_residual: largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length.
         cone_margin: min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0 strictly inside.
-        limit_excess: largest excess of a limit, as a part of that limit; 0 within all. See `elastic` of `optimize_force`.
-        objective_trace: Phi of every iterate, when asked for; else empty.
+        limit_excess: largest excess of a limit as a fraction of that limit; 0 within all limits. See `elastic` of `optimize_force`.
+        objective_trace: Phi of every iterate with `trace=True`; else empty.
     """
 
     __slots__ = ()
@@ -124,16 +125,17 @@ class ForceSolution(Solution):
 
     @property
     def certificate(self) -> Array | None:
-        """(6,) the proof of INFEASIBLE, else None.
+        """(6,) the proof of infeasibility with status INFEASIBLE, else None.
 
-        A twist v with G_i^T v in the dual cone of every contact and v . w > 0 (= 0: only forces on the boundary of the cones balance
-        it). With limits A f <= b, whose prices y are `limit_multipliers`: G^T v + A^T y is in the dual cones, and v . w > y . b.
+        It is a twist v with G_i^T v in the dual cone of every contact and v . w > 0. If v . w = 0, only forces on the boundary of the
+        cones balance w. With limits A f <= b and their prices y, `limit_multipliers`, G^T v + A^T y lies in the dual cones and
+        v . w > y . b.
         """
         return self.multipliers if self.code == INFEASIBLE else None
 
     @property
     def status(self) -> Status:
-        """How the optimisation ended."""
+        """Outcome of the optimisation."""
         return STATUSES[self.code]
 
     @property
@@ -142,11 +144,11 @@ class ForceSolution(Solution):
         return float(self.force[:, 0].sum())
 
     def raise_for_status(self) -> ForceSolution:
-        """Returns self when OPTIMAL.
+        """Return self if the status is OPTIMAL.
 
         Raises:
             InfeasibleWrenchError: status INFEASIBLE or LIMITS_EXCEEDED.
-            NotConvergedError: any other status but OPTIMAL.
+            NotConvergedError: any other status except OPTIMAL.
         """
         if self.status in (Status.INFEASIBLE, Status.LIMITS_EXCEEDED):
             raise InfeasibleWrenchError(f"wrench {self.wrench.tolist()}: {self.status.help}", self)

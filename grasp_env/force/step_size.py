@@ -1,9 +1,9 @@
-"""Step rules of the flows: how far along the direction, so that Phi decreases and every force stays inside its cone.
+"""Step rules of the flows: they choose alpha so that Phi decreases and every force stays inside its friction cone.
 
-The paper only asks that alpha_k "guarantee the convergence of the objective function". Every rule here accepts only
-points strictly inside the cones with a smaller Phi, and halves or shrinks a step until it finds one: after a hundred trials
-of one iteration by a half at least, so that every search ends. A rule is data, `parameters()`; what it does stands in the core
-(`flow.hpp`) and once more, plain, in `tests/oracles/descent.py`.
+The paper only asks that alpha_k "guarantee the convergence of the objective function". Every rule here accepts only points
+strictly inside the cones with a smaller Phi, and shrinks the step until it finds one. After a hundred trials of one iteration the
+step shrinks by at least a half, so every search ends. A rule is data, `parameters()`. The core implements it (`flow.hpp`), and
+`tests/oracles/descent.py` does so once more in plain Python.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from grasp_env._check import Array, as_number, choice, positive
 from grasp_env.errors import InvalidInputError, shown
 
 FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT = range(5)
-"""Kinds, the first parameter of a rule."""
+"""Kinds of rules, their first parameter."""
 SHORTEST = 1e-10
-"""A step moves x by at least this fraction of its length."""
+"""Least length of a step, relative to the length of x."""
 
 
 class StepRule(Protocol):
-    """What a flow asks of a step rule."""
+    """The interface of a step rule."""
 
     def parameters(self) -> Array:
-        """(5,) kind, first, grow, shrink, decrease, as the core takes them."""
+        """Return (5,) kind, first, grow, shrink, decrease for the core."""
         ...
 
 
 @dataclass(frozen=True)
 class FixedStep:
-    """Always the same step; halved, for one iteration, where it leaves a cone or does not decrease Phi.
+    """Constant step, halved within an iteration if it leaves a cone or does not decrease Phi.
 
     Attributes:
         size: alpha [N / force_weight], 1e-15 to 1e12.
@@ -61,12 +61,12 @@ class FixedStep:
 
 @dataclass(frozen=True)
 class ArmijoStep:
-    """Backtracking with sufficient decrease (Armijo 1966): Phi falls by `slope` of what its derivative promises.
+    """Backtracking with sufficient decrease (Armijo 1966).
 
     Attributes:
-        first: the first trial step of every iteration [N / force_weight].
-        shrink: factor, 0.001 to 0.999, after a rejected one.
-        slope: share of alpha |d|^2 in (0, 1) by which Phi has to fall.
+        first: first trial step of every iteration [N / force_weight].
+        shrink: factor, 0.001 to 0.999, after a rejected step.
+        slope: fraction in (0, 1) of the predicted decrease alpha |d|^2 that Phi must reach.
 
     Example:
         >>> from grasp_env.force import optimize_force
@@ -82,7 +82,7 @@ class ArmijoStep:
 
     def __post_init__(self) -> None:
         first = positive(self.first, "first", ranges.STEP)
-        _keep(self, first=first, shrink=_shrink(self.shrink), slope=_share("slope", self.slope))
+        _keep(self, first=first, shrink=_shrink(self.shrink), slope=_fraction("slope", self.slope))
 
     def parameters(self) -> Array:
         """See `StepRule`."""
@@ -91,12 +91,12 @@ class ArmijoStep:
 
 @dataclass(frozen=True)
 class AdaptiveStep:
-    """Accept the first alpha, alpha * shrink, ... that decreases Phi inside the cones; then `alpha *= grow`.
+    """Accept the first of alpha, alpha * shrink, ... that decreases Phi inside the cones; then multiply alpha by `grow`.
 
     Attributes:
-        first: the first trial step of every solve [N / force_weight].
+        first: first trial step of every solve [N / force_weight].
         grow: factor in [1, 1e6) after an accepted step.
-        shrink: factor, 0.001 to 0.999, after a rejected one.
+        shrink: factor, 0.001 to 0.999, after a rejected step.
 
     Example:
         >>> from grasp_env.force import optimize_force
@@ -125,14 +125,14 @@ VARIANTS = ("alternate", "long", "short")
 
 @dataclass(frozen=True)
 class BarzilaiBorweinStep:
-    """Barzilai and Borwein (1988) in the metric of P: the inverse curvature seen along the step before, kept monotone.
+    """Barzilai and Borwein (1988) in the metric of P: the inverse curvature along the previous step, kept monotone.
 
-    With s the step before and y the change of the projected gradient: "long" is <s, s> / <s, y>, "short" <s, y> / <y, y>,
-    "alternate" the long one after every second step. The first iteration tries `first`.
+    With s the previous step and y the change of the projected gradient, "long" is <s, s> / <s, y> and "short" <s, y> / <y, y>.
+    "alternate" uses the long one after every second step. The first iteration tries `first`.
 
     Attributes:
-        first: the first trial step of every solve [N / force_weight].
-        shrink: factor, 0.001 to 0.999, after a step that left a cone or did not decrease Phi.
+        first: first trial step of every solve [N / force_weight].
+        shrink: factor, 0.001 to 0.999, after a step that leaves a cone or does not decrease Phi.
         variant: "alternate", "long" or "short".
 
     Example:
@@ -154,17 +154,17 @@ class BarzilaiBorweinStep:
         object.__setattr__(self, "variant", choice(self.variant, "variant", VARIANTS))
 
     def parameters(self) -> Array:
-        """See `StepRule`; the variant's number takes the place of `grow`."""
+        """See `StepRule`; the index of the variant replaces `grow`."""
         return np.array([BARZILAI_BORWEIN, self.first, VARIANTS.index(self.variant), self.shrink, 0.0])
 
 
 @dataclass(frozen=True)
 class ExactStep:
-    """Exact line search: Phi along a ray is a rational sum per contact; Newton on its derivative, kept in a bracket.
+    """Exact line search by safeguarded Newton on the derivative of Phi along the ray.
 
     Attributes:
-        precision: in (0, 1): the search ends where the slope has fallen to this share of the one at alpha = 0. A tenth
-            takes FEWER iterations of the flow than the exact minimum, whose directions zigzag.
+        precision: fraction in (0, 1) of the slope at alpha = 0 at which the search ends. The flow needs FEWER iterations with 0.1
+            than with the exact minimum, whose directions zigzag.
 
     Example:
         >>> from grasp_env.force import optimize_force
@@ -177,7 +177,7 @@ class ExactStep:
     precision: float = 1e-3
 
     def __post_init__(self) -> None:
-        _keep(self, precision=_share("precision", self.precision))
+        _keep(self, precision=_fraction("precision", self.precision))
 
     def parameters(self) -> Array:
         """See `StepRule`."""
@@ -188,10 +188,10 @@ STEP_RULES: tuple[type[Any], ...] = (FixedStep, ArmijoStep, AdaptiveStep, Barzil
 
 
 def checked_rule(rule: Any) -> StepRule:
-    """The rule, or AdaptiveStep() for None.
+    """Return the rule, or AdaptiveStep() for None.
 
     Raises:
-        InvalidInputError: anything else but an instance of one of the rules.
+        InvalidInputError: anything other than one of the rules.
 
     Example:
         >>> checked_rule(0.1)
@@ -208,7 +208,7 @@ def checked_rule(rule: Any) -> StepRule:
     return rule
 
 
-def _share(name: str, value: Any) -> float:
+def _fraction(name: str, value: Any) -> float:
     found = as_number(value)
     if found is None or not 0.0 < found < 1.0:
         raise InvalidInputError(f"{name} must lie in (0, 1), got {shown(value)}")
@@ -223,11 +223,11 @@ def _grow(value: Any) -> float:
 
 
 def _shrink(value: Any) -> float:
-    """A share that ends a search soon: a factor of 1 - 1e-12 would take 1e13 trials."""
-    return positive(_share("shrink", value), "shrink", ranges.SHRINK)
+    """Return a checked factor that ends a search soon: 1 - 1e-12 would take 1e13 trials."""
+    return positive(_fraction("shrink", value), "shrink", ranges.SHRINK)
 
 
 def _keep(rule: Any, **values: float) -> None:
-    """Sets checked numbers of a frozen rule."""
+    """Set checked numbers of a frozen rule."""
     for name, value in values.items():
         object.__setattr__(rule, name, value)

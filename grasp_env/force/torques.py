@@ -13,25 +13,25 @@ from grasp_env.errors import InvalidInputError
 def joint_torques(
     jacobian: ArrayLike, force: ArrayLike, bias: ArrayLike | None = None, *, moment: ArrayLike | None = None
 ) -> Array:
-    """Torques of the hand's joints that press the fingers on the object with `force`.
+    """Return the joint torques with which the fingers exert `force` on the object.
 
-    Virtual work: bias aside, tau . qd = f . (J qd). f is the finger's force ON the object, as everywhere in this
-    package, so tau is what the motors exert. Jacobian, force and moment are given in ONE frame, whichever it is: that of the contacts'
-    positions needs `grasp.to_object_frame(solution.force)`.
+    By virtual work tau . qd = f . (J qd), apart from the bias. f is the force of the finger ON the object, as everywhere in this
+    package, so tau is the torque of the motors. Jacobian, force and moment are all given in one frame. In the frame of the contacts'
+    positions the force is `grasp.to_object_frame(solution.force)`.
 
     Args:
-        jacobian: (N, 3, J) or (3N, J) joint speeds -> velocity of each fingertip's contact point, relative to whatever carries the
-            hand. (N, 6, J): with the fingertip's angular velocity in rows 3 to 5. [m] for hinges.
+        jacobian: (N, 3, J) or (3N, J), joint speeds -> velocity of each contact point, relative to the base of the hand; (N, 6, J)
+            with the fingertip's angular velocity in rows 3 to 5. The unit is [m] for revolute joints.
         force: (N, 3) contact forces [N].
-        bias: (J,) torques that act besides the grasp, e.g. those that carry the hand's weight [N m]; None: zero.
-        moment: (N, 3) moments of soft contacts about their points [N m], `solution.torsion[:, None] * grasp.normals`; needs a
-            Jacobian (N, 6, J).
+        bias: (J,) torques besides those of the grasp, such as those that carry the hand's weight [N m]; None: zero.
+        moment: (N, 3) moments of soft contacts about their contact points [N m], `solution.torsion[:, None] * grasp.normals`; needs
+            a Jacobian (N, 6, J).
 
     Returns:
-        (J,) torques [N m] (forces [N] of sliding joints).
+        (J,) torques [N m]; forces [N] for prismatic joints.
 
     Raises:
-        InvalidInputError: shapes that do not fit, values that are not finite, or moments without rows for them.
+        InvalidInputError: shapes that do not match, values that are not finite, or moments with a Jacobian (N, 3, J).
 
     Example:
         >>> joint_torques([[[0.0, 0.1], [0.0, 0.0], [0.0, 0.0]]], [[2.0, 0.0, 0.0]], bias=[0.5, 0.0])
@@ -51,7 +51,11 @@ def joint_torques(
 
 
 def checked_jacobian(jacobian: ArrayLike, count: int | None = None) -> Array:
-    """A finite Jacobian as (N, 3, J) or (N, 6, J), from that shape or from (3N, J); `count`: N, None for any.
+    """Return a Jacobian as (N, 3, J) or (N, 6, J), from that shape or from (3N, J).
+
+    Args:
+        jacobian: the Jacobian.
+        count: N; None: any.
 
     Raises:
         InvalidInputError: another shape, or values that are not finite.

@@ -1,4 +1,4 @@
-"""Contact frames: inward normal and the two tangents (paper, Sec. II; right-handed, n x o = t)."""
+"""Contact frames: the inward normal and two tangents (paper, Sec. II; right-handed, n x o = t)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from grasp_env.core import TANGENT_SWITCH
 
 
 def contact_frames(normals: Array) -> Array:
-    """Frames whose columns are (n, o, t) in object coordinates.
+    """Return contact frames, whose columns are (n, o, t) in object coordinates.
 
-    o is the projection of e_x on the tangent plane (of e_y where |n . e_x| > 0.9), normalised; t = n x o.
+    o is the normalised projection of e_x on the tangent plane, or of e_y if |n . e_x| > 0.9; t = n x o.
 
     Args:
         normals: (N, 3) inward unit normals, object frame.
@@ -35,7 +35,7 @@ def contact_frames(normals: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    # np.cross costs tens of microseconds of set-up: too much inside a control loop.
+    # np.cross takes tens of microseconds, too long for a control loop
     ax, ay, az = a.T
     bx, by, bz = b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)

@@ -1,4 +1,4 @@
-"""Contact models as data: what a contact can transmit, and the scaling that makes every friction cone round.
+"""Contact models: the components that a contact transmits, and the scaling that makes every friction cone round.
 
 | model | transmits | limits |
 |---|---|---|
@@ -6,8 +6,8 @@
 | soft | normal, o, t, torsion about the normal | the same, and abs(torsion) <= gamma * normal (Murray, Li, Sastry 1994, Sec. 5.2) |
 | frictionless | normal | normal >= 0 |
 
-In cone coordinates x = (u, o', t') with u = mu * normal, mu = sqrt(mu_o mu_t), o' = o mu / mu_o, t' = t mu / mu_t every
-limit on a hard force reads u >= sqrt(o'^2 + t'^2). A frictionless contact has u = normal and o' = t' = 0.
+In cone coordinates x = (u, o', t'), with u = mu * normal, mu = sqrt(mu_o mu_t), o' = o mu / mu_o and t' = t mu / mu_t, every
+friction cone is u >= sqrt(o'^2 + t'^2). A frictionless contact has u = normal and o' = t' = 0.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from grasp_env._check import Array, as_array, as_list, as_text, choice
 from grasp_env.errors import InvalidInputError, shown
 
 CONTACT_MODELS = ("hard", "soft", "frictionless")
+"""Names of the contact models."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +32,11 @@ class ContactModels:
     """Checked models, friction and scalings of N contacts.
 
     Attributes:
-        names: N names out of `CONTACT_MODELS`.
+        names: N names from `CONTACT_MODELS`.
         friction: (N, 2) mu_o, mu_t; 0 for frictionless contacts.
         torsional_friction: (N,) gamma [m]; 0 unless soft.
         cone_scale: (N, 3) cone coordinates = cone_scale * force.
-        cone_divisor: (N, 3) force = cone coordinates / cone_divisor; inf where nothing is transmitted.
+        cone_divisor: (N, 3) force = cone coordinates / cone_divisor; inf for components that are not transmitted.
     """
 
     names: tuple[str, ...]
@@ -48,11 +49,11 @@ class ContactModels:
     def checked(
         cls, models: str | Sequence[str], friction: ArrayLike, torsional_friction: ArrayLike | None, count: int
     ) -> ContactModels:
-        """See `Grasp.from_contacts` for the arguments and errors."""
+        """Check the models of `count` contacts; see `Grasp.from_contacts` for the arguments and errors."""
         plain = type(friction) is float and ranges.FRICTION.low <= friction <= ranges.FRICTION.high
         named = as_text(models)
         if named == "hard" and torsional_friction is None and (plain or _dimensions(friction) < 2):
-            # what control loops make at every step: round cones at every contact
+            # fast path for control loops: round cones at every contact
             coefficient = friction
             if not plain:
                 coefficient = _friction_array(friction, (count,) if _dimensions(friction) else ())
@@ -73,12 +74,12 @@ class ContactModels:
         gamma = _torsional(torsional_friction, count, soft)
         cone_scale = np.empty((count, 3))
         core.cone_scale(np.ascontiguousarray(mu), cone_scale)
-        # dividing by what was multiplied gives a force back to the last bit; x / inf = 0
+        # dividing by the factor that multiplied returns a force to the last bit; x / inf = 0
         cone_divisor = np.where(cone_scale > 0.0, cone_scale, np.inf)
         return cls(names, mu, gamma, cone_scale, cone_divisor)._frozen()
 
     def other_friction(self, friction: ArrayLike) -> Array:
-        """(N, 2) other coefficients of the same contacts, a scalar, (N,) or (N, 2); 0 where frictionless.
+        """Return (N, 2) other coefficients for the same contacts, from a scalar, (N,) or (N, 2); 0 for frictionless ones.
 
         Raises:
             InvalidInputError: see `Grasp.from_contacts`.
@@ -87,7 +88,7 @@ class ContactModels:
 
     @cached_property
     def mean_friction(self) -> Array:
-        """(N,) sqrt(mu_o mu_t); 0 where frictionless. Read-only, shared by all grasps of these contacts."""
+        """(N,) sqrt(mu_o mu_t); 0 for frictionless contacts. Read-only and shared by all grasps with these models."""
         mean = self.cone_scale[:, 0] * (self.friction[:, 0] > 0.0)
         mean.setflags(write=False)
         return mean
@@ -107,7 +108,7 @@ def _friction(value: ArrayLike, count: int, rough: np.ndarray) -> Array:
 
 
 def _friction_array(value: ArrayLike, shape: tuple[int, ...], rough: np.ndarray | None = None) -> Array:
-    """Coefficients within their range wherever a contact is `rough`; None: everywhere."""
+    """Return coefficients, checked for the contacts that are `rough`; None: for all."""
     mu = as_array(value, shape, "friction")
     felt = mu if rough is None or not shape else mu[rough]
     if rough is not None and not rough.any():
@@ -120,7 +121,7 @@ def _friction_array(value: ArrayLike, shape: tuple[int, ...], rough: np.ndarray 
 
 
 def _dimensions(value: ArrayLike) -> int:
-    """Of what is given, as lists and arrays show it: `as_array` says what is wrong with it."""
+    """Return the number of dimensions of nested lists and arrays; `as_array` checks them later."""
     depth = 0
     while depth < 3 and (each := as_list(value)):
         value, depth = each[0], depth + 1

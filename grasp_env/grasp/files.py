@@ -1,6 +1,6 @@
-"""Grasps in files: JSON that people can write, checked as strictly as `Grasp.from_contacts` checks its arguments.
+"""Grasp files: JSON that people can write, with the same checks as `Grasp.from_contacts`.
 
-A file by hand needs three keys; the others have the defaults of `Grasp.from_contacts`:
+A file needs three keys; the others have the defaults of `Grasp.from_contacts`:
 
     {"positions": [[0.04, 0, 0], [-0.02, 0.03, 0], [-0.02, -0.03, 0]],
      "normals": [[-1, 0, 0], [0.6, -0.8, 0], [0.6, 0.8, 0]],
@@ -22,22 +22,22 @@ from grasp_env.grasp.grasp import Grasp, as_grasp
 SCHEMA = "grasp-force/grasp/1"
 """Name and version of the format."""
 UNITS = {"positions": "m", "normals": "1", "friction": "1", "torsional_friction": "m", "tangents": "1"}
-"""The only units that a file may state."""
+"""Units of the keys; a file may state only these."""
 _REQUIRED = ("positions", "normals", "friction")
 _OPTIONAL = ("contact_model", "torsional_friction", "tangents")
-_MOST_BYTES = 2 * MEGABYTE  # the most contacts, with all their numbers in full, take less than half
+_MAX_BYTES = 2 * MEGABYTE  # the largest grasp with all digits takes less than half
 _HEADER = ("schema", "units")
 
 
 def save_grasp(grasp: Grasp, path: str | Path) -> Path:
-    """Writes a grasp as JSON, whole or not at all: under a temporary name that is then renamed.
+    """Write a grasp as JSON, atomically: to a temporary file that is then renamed.
 
-    Numbers are written with all their digits. Friction becomes (N,) where every cone is round, else (N, 2); tangents
-    are left out where they are those of `contact_frames`.
+    Numbers are written with all digits. Friction is written as (N,) if every cone is round, else as (N, 2). Tangents are omitted if
+    they follow the rule of `contact_frames`.
 
     Args:
         grasp: the grasp.
-        path: the file; missing folders are made, an existing file is replaced.
+        path: the file; missing folders are created, an existing file is replaced.
 
     Returns:
         The file's path.
@@ -65,17 +65,16 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
 
 
 def load_grasp(path: str | Path) -> Grasp:
-    """Reads a grasp that `save_grasp` or a person wrote.
+    """Read a grasp from a file.
 
     Args:
-        path: a JSON file with `positions` (N, 3) [m], `normals` (N, 3) into the object, both in the object frame, and
-            `friction`; optional `contact_model`, `torsional_friction` [m], `tangents`, as in `Grasp.from_contacts`.
-            `schema` and `units`, where given, must be this version's.
+        path: a JSON file with `positions` (N, 3) [m], `normals` (N, 3) into the object, both in the object frame, and `friction`;
+            optional `contact_model`, `torsional_friction` [m] and `tangents`, as in `Grasp.from_contacts`. If `schema` and
+            `units` are given, they must be those of this version.
 
     Raises:
-        GraspFileError: the file is missing, is not JSON, has an unknown, repeated or missing key, other units or
-            another schema, or values that make no grasp; the message names file and field, `__cause__` is the grasp's
-            own error.
+        GraspFileError: the file is missing, is not JSON, has an unknown, repeated or missing key, other units, another schema, or
+            values that are not a grasp. The message names the file and the field; `__cause__` is the error of `from_contacts`.
 
     Example:
         >>> import tempfile
@@ -128,8 +127,8 @@ def _described(grasp: Grasp) -> dict[str, Any]:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """The file's keys and values, the header checked; integers become floats, so that huge ones are infinite."""
-    given = read_json(file, GraspFileError, "grasp file", _MOST_BYTES, parse_int=float, object_pairs_hook=_unique)
+    """Return the keys and values of a file with a valid header; integers become floats, so huge ones become inf."""
+    given = read_json(file, GraspFileError, "grasp file", _MAX_BYTES, parse_int=float, object_pairs_hook=_unique)
     if not isinstance(given, dict):
         raise GraspFileError(f"grasp file {file} must be one JSON object {{...}}, got {shown(given)}")
     if given.get("schema", SCHEMA) != SCHEMA:

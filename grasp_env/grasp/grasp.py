@@ -1,4 +1,7 @@
-"""`Grasp`: contacts on an object and the linear maps between their forces and the object's wrench."""
+"""`Grasp`: contacts on an object and the linear maps between their forces and the object's wrench.
+
+This file is a little longer than others because it is one class, whose public methods need their documentation.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import Array, ContactForces, Wrench, as_array, together
-from grasp_env.core import ContactReader, Contacts, along_normal, normalise
-from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, shown
+from grasp_env._check import Array, ContactForces, Wrench, as_array, is_a, together
+from grasp_env.core import ContactReader, Contacts
+from grasp_env.errors import GraspError, InvalidInputError, shown
+from grasp_env.grasp.checks import (
+    DEFAULT_TANGENTS,
+    check_place,
+    check_torsion,
+    checked_points,
+    checked_pseudoinverse,
+    checked_tangents,
+    normalise_normals,
+)
 from grasp_env.grasp.contact_model import ContactModels
-
-RANK_TOLERANCE = 1e-8
-"""Least ratio of singular values of G (moments divided by the grasp's length) that counts as rank 6."""
-
 
 _READER = ContactReader(
     least_friction=ranges.FRICTION.low,
@@ -32,7 +40,7 @@ _READER = ContactReader(
 
 
 class _Lazy:
-    """An attribute of a grasp that is made when it is first asked for: a solve asks for few."""
+    """An attribute of a grasp that is computed at its first use; a solve needs few of them."""
 
     def __init__(self, make: Callable[[Grasp], Any] | None) -> None:
         self._make = make
@@ -49,7 +57,7 @@ class _Lazy:
 
 
 def _lazy(make: Callable[[Grasp], Any] | None = None) -> Any:
-    """What `make` makes of the grasp; None: what its contacts have under this name."""
+    """Declare a lazy attribute, computed by `make`, or read from the compiled contacts if `make` is None."""
     return _Lazy(make)
 
 
@@ -57,22 +65,22 @@ def _lazy(make: Callable[[Grasp], Any] | None = None) -> Any:
 class Grasp:
     """Contacts with friction on a rigid object. Make one with `Grasp.from_contacts`.
 
-    Balance is G f + w = 0 (paper, Eq. 2) with w the external wrench ON the object and f the stacked contact
-    forces (normal, o, t), each finger's force ON the object. Soft contacts add their torsion about the normal.
+    Balance is G f + w = 0 (paper, Eq. 2), where w is the external wrench ON the object and f the stacked contact forces (normal, o,
+    t) of the fingers ON the object. Soft contacts add a torsion about the normal.
 
     Attributes:
         positions: (N, 3) contact points [m], object frame.
         normals: (N, 3) inward unit normals, object frame.
-        friction: (N,) Coulomb coefficients; sqrt(mu_o mu_t) where elliptic, 0 where frictionless.
+        friction: (N,) Coulomb coefficients; sqrt(mu_o mu_t) for elliptic cones, 0 for frictionless contacts.
         frames: (N, 3, 3) columns (n, o, t) in object coordinates.
         matrix: G, (6, 3N), columns (normal, o, t) per contact.
-        length: [m] root mean square distance of the contacts from their centre; scales moments.
+        length: root mean square distance of the contacts from their centre [m]; it scales moments.
         centre: (3,) mean of the contact points [m], object frame.
-        cone_matrix: G in cone coordinates x: (6, 3N); cone_matrix @ grasp.to_cone(f) = matrix @ f.
+        cone_matrix: (6, 3N) G in cone coordinates x; cone_matrix @ grasp.to_cone(f) = matrix @ f.
         models: contact models, elliptic and torsional friction, and the scaling of cone coordinates.
-        torsion_matrix: (6, N) wrench of a unit torsion [1/m]; zero columns unless soft.
-        unit_frame: (6, 6) wrench -> (force, moment about the contacts' centre / length) [N]: of one size wherever the
-            origin is, however large the object.
+        torsion_matrix: (6, N) wrenches of unit torsions; zero columns unless soft.
+        unit_frame: (6, 6) wrench -> (force, moment about the contacts' centre / length) [N], whose components do not depend on the
+            origin or on the unit of length.
     """
 
     positions: Array = field(default=_lazy())
@@ -88,7 +96,7 @@ class Grasp:
     unit_frame: Array = field(default=_lazy(), repr=False)
 
     def __init__(self, *_: object, **__: object) -> None:
-        # arrays that contradict each other would make wrong forces: `_of` alone fills them
+        # contradictory arrays would give wrong forces: only `_from_compiled` fills them
         raise InvalidInputError("a Grasp is made by Grasp.from_contacts, with other friction by with_friction")
 
     @classmethod
@@ -102,24 +110,25 @@ class Grasp:
         torsional_friction: ArrayLike | None = None,
         tangents: ArrayLike | None = None,
     ) -> Grasp:
-        """Builds a grasp from contact geometry.
+        """Make a grasp from contact geometry.
 
         Args:
             positions: (N, 3) contact points [m], object frame.
             normals: (N, 3) unit normals pointing INTO the object, object frame.
-            friction: coefficient(s), 1e-4 to 1e4: a scalar, (N,), or (N, 2) for elliptic cones (mu_o, mu_t). Ignored
-                where frictionless.
-            contact_model: "hard", "soft" or "frictionless", one for all or N of them; see `contact_model.py`.
-            torsional_friction: gamma [m], 1e-15 to 1e6 and at most 1e4 times the grasp's length, abs(torsion) <= gamma *
-                normal, a scalar or (N,); soft contacts only.
+            friction: coefficient(s), 1e-4 to 1e4: a scalar, (N,), or (N, 2) for elliptic cones (mu_o, mu_t). Ignored for
+                frictionless contacts.
+            contact_model: "hard", "soft" or "frictionless", one for all or N names; see `contact_model.py`.
+            torsional_friction: gamma [m] in abs(torsion) <= gamma * normal, 1e-15 to 1e6 and at most 1e4 times the grasp's length;
+                a scalar or (N,); for soft contacts only.
             tangents: (N, 3) directions whose projection on the tangent plane is o; None: see `contact_frames`.
 
         Raises:
-            InvalidInputError: wrong shapes, values that are not finite or out of range (`grasp_env/ranges.py`), normals not
-                of unit length, a tangent along its normal, soft contacts without torsional friction, more than 1000 contacts,
-                a grasp smaller than 1e-9 m or larger than 1e6 m, or farther from the origin than 1e5 times its length.
-            UnknownNameError: an unknown contact model.
-            RankDeficientGraspError: rank(G) < 6 (fewer than three hard or two soft contacts, or all on one line).
+            InvalidInputError: wrong shapes, values that are not finite or out of range (`grasp_env/ranges.py`), normals that are
+                not of unit length, a tangent along its normal, soft contacts without torsional friction, more than 1000
+                contacts, a grasp smaller than 1e-9 m or larger than 1e6 m, or one farther from the origin than 1e5 times its
+                length.
+            UnknownNameError: unknown contact model.
+            RankDeficientGraspError: rank(G) < 6: fewer than three hard or two soft contacts, or all contacts on one line.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -135,38 +144,34 @@ class Grasp:
         if torsional_friction is None and type(contact_model) is str and contact_model == "hard":
             contacts = _READER.read(positions, normals, friction, tangents)
             if contacts is not None:
-                return cls._of(contacts, _friction=friction if type(friction) is float else np.array(friction))
+                return cls._from_compiled(
+                    contacts, _friction=friction if type(friction) is float else np.array(friction)
+                )
         try:
-            points = _points(positions)
+            points = checked_points(positions)
             inward = as_array(normals, (len(points), 3), "normals")
             models = ContactModels.checked(contact_model, friction, torsional_friction, len(points))
         except GraspError:
-            points = together(lambda: _points(positions), lambda: as_array(normals, (None, 3), "normals"))[0]
-            together(  # all that is wrong, once the number of contacts is known
+            points = together(lambda: checked_points(positions), lambda: as_array(normals, (None, 3), "normals"))[0]
+            together(  # reports all faults at once; these depend on the number of contacts
                 lambda: as_array(normals, (len(points), 3), "normals"),
                 lambda: ContactModels.checked(contact_model, friction, torsional_friction, len(points)),
             )
             raise
-        worst = normalise(inward)
-        if worst >= 0:
-            given = np.asarray(normals, dtype=np.float64)[worst]
-            raise InvalidInputError(
-                f"normals must be unit vectors into the object; normal {worst} is {given.tolist()} with "
-                f"length {math.hypot(*given):.6g}: divide it by its length"
-            )
-        grasp = cls._put(points, inward, models, _tangents(tangents, inward))
+        normalise_normals(inward)
+        grasp = cls._made(points, inward, models, checked_tangents(tangents, inward))
         if torsional_friction is not None:
-            _check_torsion(grasp)
+            check_torsion(models.torsional_friction, grasp.length)
         return grasp
 
     @classmethod
     def unchecked(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array | None = None) -> Grasp:
-        """`from_contacts` to the same bits on trusted arrays, for control loops; `models` are those of another grasp.
+        """Make the same grasp as `from_contacts`, to the last bit, from trusted arrays in control loops.
 
         Args:
-            positions: (N, 3) float64 contact points [m], finite. Copied, as the normals.
-            normals: (N, 3) float64 inward normals of unit length to rounding.
-            models: of N contacts, such as `nominal.models`.
+            positions: (N, 3) float64 contact points [m], finite; copied.
+            normals: (N, 3) float64 inward normals, of unit length to rounding; copied.
+            models: models of N contacts, such as `nominal.models`.
             tangents: (N, 3) float64, not along the normals; None: the default rule.
 
         Raises:
@@ -179,8 +184,8 @@ class Grasp:
             True
         """
         try:
-            along = _DEFAULT if tangents is None else np.ascontiguousarray(tangents)
-            return cls._put(np.ascontiguousarray(positions), np.ascontiguousarray(normals), models, along)
+            along = DEFAULT_TANGENTS if tangents is None else np.ascontiguousarray(tangents)
+            return cls._made(np.ascontiguousarray(positions), np.ascontiguousarray(normals), models, along)
         except (AttributeError, TypeError) as error:
             raise InvalidInputError(
                 f"positions, normals and tangents must be C-contiguous float64 arrays (N, 3) and models those of N contacts: {error}; "
@@ -188,21 +193,21 @@ class Grasp:
             ) from None
 
     @classmethod
-    def _put(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array) -> Grasp:
+    def _made(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array) -> Grasp:
         contacts = Contacts.put(positions, normals, models.cone_scale, models.torsional_friction, tangents)
-        grasp = cls._of(contacts, models=models)
+        grasp = cls._from_compiled(contacts, models=models)
         size = contacts.length
         far = math.hypot(*contacts.centre.tolist()) > ranges.DISTANCE * size
         if far or not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
-            _check_place(grasp)
+            check_place(grasp.n_contacts, size, grasp.centre)
         if contacts.refused:
             raise InvalidInputError("positions must be finite and normals finite and of unit length")
         if not contacts.clear:
-            grasp.pseudoinverse  # noqa: B018  raises where the rank is not 6
+            grasp.pseudoinverse  # noqa: B018  raises if the rank is not 6
         return grasp
 
     @classmethod
-    def _of(cls, contacts: Contacts, **known: Any) -> Grasp:
+    def _from_compiled(cls, contacts: Contacts, **known: Any) -> Grasp:
         grasp = object.__new__(cls)
         vars(grasp).update(known, _contacts=contacts)
         return grasp
@@ -220,28 +225,28 @@ class Grasp:
 
     @cached_property
     def pseudoinverse(self) -> Array:
-        """G^+, (3N, 6): the least-norm forces that make a unit wrench (with `torsion_matrix` where soft)."""
+        """G^+, (3N, 6): the least-norm forces for unit wrenches; soft contacts contribute `torsion_matrix`."""
         models = self.models
         rough = "frictionless" not in models.names
         transmitted = self.matrix if rough else self.matrix * (models.cone_scale > 0.0).reshape(-1)
         if models.torsional_friction.any():
             transmitted = np.concatenate([transmitted, self.torsion_matrix], axis=1)
-        inverse = _checked_pseudoinverse(transmitted, self.unit_frame, self.n_contacts)[: 3 * self.n_contacts]
+        inverse = checked_pseudoinverse(transmitted, self.unit_frame, self.n_contacts)[: 3 * self.n_contacts]
         inverse.setflags(write=False)
         return inverse
 
     @property
     def contacts(self) -> Contacts:
-        """The compiled contacts, which every solver takes."""
+        """The compiled contacts, the input of every solver."""
         return vars(self)["_contacts"]
 
     @property
     def hard(self) -> bool:
-        """Whether no contact transmits torsion: all that the flows know."""
+        """True if no contact transmits torsion; the flows need this."""
         return not self.contacts.soft
 
     def to_cone(self, force: ContactForces) -> Array:
-        """Forces `force` (N, 3) [N] -> flat cone coordinates VP = (u, o, t), u = mu * normal (Eq. 18): (3N,) [N].
+        """Return flat cone coordinates VP = (u, o, t), u = mu * normal (Eq. 18), (3N,) [N], of `force` (N, 3) [N].
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -251,11 +256,11 @@ class Grasp:
         return (self._rows(force, "force") * self.models.cone_scale).reshape(-1)
 
     def to_force(self, x: Array) -> ContactForces:
-        """Flat cone coordinates `x` (3N,) -> forces (N, 3) (normal, o, t) [N]."""
+        """Return forces (N, 3) (normal, o, t) [N] from flat cone coordinates `x` (3N,)."""
         return self._rows(x, "x") / self.models.cone_divisor
 
     def cone_margins(self, force: ContactForces) -> Array:
-        """How far each contact is from slipping, (N,): u - sqrt(o^2 + t^2) in cone coordinates [N], mu * normal - |tangential| for round cones.
+        """Return the friction-cone margins (N,) [N]: u - sqrt(o^2 + t^2), which is mu * normal - |tangential| for round cones.
 
         Args:
             force: (N, 3) [N]: normal, o, t.
@@ -269,7 +274,7 @@ class Grasp:
         return u - np.hypot(o, t)
 
     def cone_margin(self, force: ContactForces) -> float:
-        """The least of `cone_margins` [N].
+        """Return the least of `cone_margins` [N].
 
         Args:
             force: (N, 3) [N]: normal, o, t.
@@ -283,16 +288,16 @@ class Grasp:
 
     @property
     def n_contacts(self) -> int:
-        """N, the number of contacts."""
+        """Number of contacts N."""
         return self.contacts.count
 
     @property
     def null_dimension(self) -> int:
-        """3N - 6, the number of independent internal forces."""
+        """Number of independent internal forces, 3N - 6."""
         return 3 * self.n_contacts - 6
 
     def with_friction(self, friction: ArrayLike) -> Grasp:
-        """The same contacts with other friction coefficients, a scalar or (N,)."""
+        """Return the same contacts with other friction coefficients, as in `from_contacts`."""
         gamma = self.models.torsional_friction
         return Grasp.from_contacts(
             self.positions,
@@ -304,7 +309,7 @@ class Grasp:
         )
 
     def wrench(self, force: ContactForces, torsion: Array | None = None) -> Wrench:
-        """The wrench (6,) [N, N m] that contact forces `force` (N, 3) and `torsion` (N,) exert on the object: G f (+ T torsion)."""
+        """Return the wrench (6,) [N, N m] of contact forces `force` (N, 3) and `torsion` (N,) on the object: G f (+ T torsion)."""
         made = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(-1)
         return (
             made
@@ -313,12 +318,12 @@ class Grasp:
         )
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
-        """Largest |component| of G f + w, moments about the contacts' centre and divided by `length` [N].
+        """Return the largest |component| of G f + w [N], moments about the contacts' centre and divided by `length`.
 
         Args:
             force: (N, 3) [N]: normal, o, t.
             wrench: (6,) external wrench [N, N m].
-            torsion: (N,) [N m] of soft contacts; None: none.
+            torsion: (N,) torsions of soft contacts [N m]; None: zero.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -332,96 +337,27 @@ class Grasp:
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
-        """Forces `force` (N, 3), contact frames (normal, o, t) -> vectors (N, 3) [N] along the object's axes."""
+        """Return vectors (N, 3) [N] along the object's axes from contact-frame forces `force` (N, 3) (normal, o, t)."""
         return np.einsum("nij,nj->ni", self.frames, self._rows(force, "force"))
 
     def to_contact_frame(self, vectors: Array) -> ContactForces:
-        """Object-frame `vectors` (N, 3) [N] -> forces (N, 3), contact frames (normal, o, t)."""
+        """Return contact-frame forces (normal, o, t) (N, 3) [N] from object-frame `vectors` (N, 3)."""
         return np.einsum("nji,nj->ni", self.frames, self._rows(vectors, "vectors"))
 
     def _rows(self, value: ArrayLike, name: str) -> Array:
-        """(N, 3) of what is given so, or flat (3N,)."""
+        """Return checked rows (N, 3) from (N, 3) or flat (3N,)."""
         rows = as_array(value, None, name, ranges.SIZE)
         if rows.shape not in ((self.n_contacts, 3), (3 * self.n_contacts,)):
             raise InvalidInputError(f"{name} must have shape ({self.n_contacts}, 3), got {rows.shape}")
         return rows.reshape(-1, 3)
 
 
-_DEFAULT = np.zeros((0, 3))
-"""Tangents by the default rule."""
-
-
 def as_grasp(value: object) -> Grasp:
-    """`value` where it is a grasp.
+    """Return `value` if it is a grasp.
 
     Raises:
-        InvalidInputError: it is something else.
+        InvalidInputError: it is not.
     """
     if not isinstance(value, Grasp):
         raise InvalidInputError(f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {shown(value)}")
     return value
-
-
-def _points(positions: ArrayLike) -> Array:
-    """(N, 3) contact points, not too many."""
-    points = as_array(positions, (None, 3), "positions")
-    if len(points) > ranges.CONTACTS:
-        raise InvalidInputError(f"positions must be those of at most {ranges.CONTACTS} contacts, got {len(points)}")
-    return points
-
-
-def _check_place(grasp: Grasp) -> None:
-    """Raises where the contacts are too close together, too far apart, or too far from the origin.
-
-    Contacts that all coincide, or none, are left to the rank.
-    """
-    size, away = grasp.length, math.hypot(*grasp.centre.tolist())
-    if grasp.n_contacts < 2 or size == 0.0:
-        return
-    if not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
-        raise InvalidInputError(
-            f"positions must lie within {ranges.LENGTH} of their centre (root mean square), got {size:g} m: give them in metres"
-        )
-    raise InvalidInputError(
-        f"positions must have their centre within {ranges.DISTANCE:g} times their length, {size:g} m, of the origin, got {away:g} m: "
-        "put the object frame's origin near the contacts"
-    )
-
-
-def _check_torsion(grasp: Grasp) -> None:
-    """Raises where torsional friction is out of all proportion to the grasp."""
-    most = ranges.TORSIONAL_LEVER * grasp.length
-    gamma = grasp.models.torsional_friction
-    if (gamma > most).any():
-        raise InvalidInputError(
-            f"torsional_friction must be at most {ranges.TORSIONAL_LEVER:g} times the grasp's length, {most:g} m, got {shown(gamma)}: "
-            "a fingertip has about 0.005 m"
-        )
-
-
-def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:
-    """Directions for o, (N, 3) and never along a normal; (0, 3) for the default rule."""
-    if tangents is None:
-        return _DEFAULT
-    along: Array = as_array(tangents, (len(normals), 3), "tangents")
-    worst = along_normal(along, normals)
-    if worst >= 0:
-        raise InvalidInputError(
-            f"tangent {worst} is {along[worst].tolist()}, along its normal {normals[worst].tolist()}: give a direction "
-            "in the tangent plane"
-        )
-    return along
-
-
-def _checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
-    if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
-        raise InvalidInputError("positions, normals and tangents must be finite")  # of `unchecked` alone
-    u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
-    if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
-        rank = int((s > RANK_TOLERANCE * s.max(initial=1e-300)).sum())
-        raise RankDeficientGraspError(
-            f"rank(G) = {rank} < 6 with {count} contacts: some wrenches cannot be balanced. Use at least three "
-            "contacts with friction that do not lie on one line, or two soft ones"
-        )
-    # least norm in force: with full row rank (T G)^+ T = G^+
-    return (vt.T / s) @ u.T @ frame

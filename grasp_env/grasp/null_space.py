@@ -1,4 +1,4 @@
-"""A basis of internal forces that moves continuously with the contacts (an SVD's basis jumps)."""
+"""A basis of internal forces that depends continuously on the contacts; the basis of an SVD does not."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
 def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
-    """Orthonormal internal forces of `grasp`, as close as possible to `reference`.
+    """Return orthonormal internal forces of `grasp`, as close as possible to `reference`.
 
-    The reference directions are projected on the null space of G and orthonormalised by their polar factor
-    B (B^T B)^-1/2, which is a smooth function of the contacts wherever the projection keeps full rank. Everything
-    happens in object-frame vectors, so that it stays smooth where the tangents of `contact_frames` switch axes.
+    The reference directions are projected on the null space of G and orthonormalised by their polar factor B (B^T B)^-1/2. It is a
+    smooth function of the contacts as long as the projection has full rank. The computation uses object-frame vectors, so it stays
+    smooth when the tangents of `contact_frames` switch axes.
 
     Args:
         grasp: the grasp.
-        reference: (3N, 3N - 6) object-frame vectors stacked contact by contact, e.g. `reference_basis` of a
-            nominal grasp. None: the reference basis of `grasp` itself.
+        reference: (3N, 3N - 6) object-frame vectors stacked contact by contact, such as `reference_basis` of a nominal grasp;
+            None: the reference basis of `grasp` itself.
 
     Returns:
-        (3N, 3N - 6) contact-frame forces (normal, o, t) stacked; G @ basis = 0, columns orthonormal.
+        (3N, 3N - 6) contact-frame forces (normal, o, t), stacked; G @ basis = 0, columns orthonormal.
 
     Raises:
-        InvalidInputError: a reference of another shape, or one that the contacts do not leave internal.
+        InvalidInputError: a reference of another shape, or one whose projection loses rank.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -43,19 +43,18 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
     candidate = _rotate(grasp, reference)
     candidate = candidate - grasp.pseudoinverse @ (grasp.matrix @ candidate)
     basis = _polar(candidate)
-    # a second projection takes away what rounding left of G @ basis
+    # a second projection removes the rounding error of G @ basis
     return basis - grasp.pseudoinverse @ (grasp.matrix @ basis)
 
 
 def reference_basis(grasp: Grasp) -> Array:
-    """Object-frame internal forces to be used as `reference`: (3N, 3N - 6), orthonormal.
+    """Return orthonormal object-frame internal forces (3N, 3N - 6), the `reference` for nearby grasps.
 
-    Squeezes along the lines between contact pairs (the virtual linkage of Williams and Khatib, 1993) give each
-    column a meaning; where they do not span the null space (coplanar contacts, N > 4) an orthonormal basis of the
-    whole null space, aligned with as many of them as there are, takes their place.
+    The columns come from squeezes along the lines between pairs of contacts (the virtual linkage of Williams and Khatib, 1993). If
+    these are not a basis of the null space (coplanar contacts, N > 4), an orthonormal basis by the SVD of G replaces them.
 
     Args:
-        grasp: the grasp, whose columns they are; grasps nearby take them as `null_space_basis(nearby, reference)`.
+        grasp: the nominal grasp; a nearby grasp uses the result as `null_space_basis(nearby, reference)`.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -78,13 +77,14 @@ def reference_basis(grasp: Grasp) -> Array:
 
 
 def _rotate(grasp: Grasp, stacked: Array, back: bool = False) -> Array:
-    """Object-frame columns -> contact-frame columns (`back`: the other way)."""
+    """Rotate columns from the object frame to the contact frames, or `back`."""
     blocks = stacked.reshape(grasp.n_contacts, 3, -1)
     rule = "nij,njk->nik" if back else "nji,njk->nik"
     return np.einsum(rule, grasp.frames, blocks).reshape(stacked.shape)
 
 
 def _polar(columns: Array) -> Array:
+    """Return the polar factor of the columns: the closest orthonormal ones."""
     values, vectors = np.linalg.eigh(columns.T @ columns)
     if not values.min(initial=1.0) > 1e-14 * values.max(initial=1.0):
         raise InvalidInputError(

@@ -1,4 +1,4 @@
-"""Named grasps, as data."""
+"""Named grasps."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ _CONTACTS: dict[str, tuple[list[list[float]], list[list[float]], float]] = {
     ),
 }
 PRESETS = tuple(_CONTACTS)
-"""The names that `preset` knows."""
+"""Names of the presets."""
 
 
 def preset(name: str, friction: float | Array | None = None) -> Grasp:
-    """The named grasp.
+    """Return the named grasp.
 
     Args:
         name: one of `PRESETS`.
-        friction: replaces its own coefficient: a number, (N,), or (N, 2) for elliptic cones.
+        friction: replaces the preset's coefficient: a number, (N,), or (N, 2) for elliptic cones.
 
     Raises:
-        UnknownNameError: no preset of that name.
+        UnknownNameError: no preset has that name.
 
     Example:
         >>> preset("tripod").n_contacts
@@ -48,7 +48,7 @@ def preset(name: str, friction: float | Array | None = None) -> Grasp:
 
 
 def paper_cuboid(friction: float | Array | None = None) -> Grasp:
-    """The reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4.
+    """Return the reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4.
 
     Args:
         friction: another coefficient, as in `preset`.
@@ -61,7 +61,7 @@ def paper_cuboid(friction: float | Array | None = None) -> Grasp:
 
 
 def tripod(friction: float | Array | None = None) -> Grasp:
-    """Three fingers around a disc of 40 mm radius, mu = 0.5.
+    """Return three fingers around a disc of 40 mm radius, mu = 0.5.
 
     Args:
         friction: another coefficient, as in `preset`.
@@ -74,7 +74,7 @@ def tripod(friction: float | Array | None = None) -> Grasp:
 
 
 def five_finger_cuboid(friction: float | Array | None = None) -> Grasp:
-    """Thumb against four fingers on the cuboid, mu = 0.4.
+    """Return a thumb against four fingers on the cuboid, mu = 0.4.
 
     Args:
         friction: another coefficient, as in `preset`.

@@ -1,7 +1,7 @@
 """Rigid changes of frame for wrenches and grasps, moments about other points, and weight as a wrench.
 
-The pose of frame B in frame A is (rotation R, translation p): the columns of R are B's axes in A's coordinates and p
-is B's origin in A [m], so that a point x_B has x_A = R x_B + p. The inverse pose is (R.T, -R.T @ p).
+The pose of frame B in frame A is (rotation R, translation p): the columns of R are the axes of B in A's coordinates, and p is the
+origin of B in A [m]. A point has x_A = R x_B + p. The inverse pose is (R.T, -R.T @ p).
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 ROTATION_TOLERANCE = 1e-6
-"""R^T R may miss the identity by this much, as single precision does; R is then made orthonormal."""
+"""Largest difference of R^T R from the identity, enough for single precision; R is then made orthonormal."""
 GRAVITY: tuple[float, float, float] = (0.0, 0.0, -9.81)
-"""[m/s^2] gravitational acceleration in a world whose z axis points up."""
+"""Gravitational acceleration in a world whose z axis points up [m/s^2]."""
 
 
 def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayLike) -> Array:
-    """The same wrenches in another frame, axes and reference point (the adjoint of Murray, Li, Sastry 1994).
+    """Express wrenches in another frame, with its axes and origin (the adjoint of Murray, Li, Sastry 1994).
 
-    F_A = R F_B and m_A = R m_B + p x F_A, where m_B is about B's origin and m_A about A's.
+    F_A = R F_B and m_A = R m_B + p x F_A, where m_B is about the origin of B and m_A about the origin of A.
 
     Args:
         wrench: (..., 6) force [N] and moment about the origin of B [N m], in B's coordinates.
@@ -34,7 +34,7 @@ def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayL
         (..., 6) force and moment about the origin of A, in A's coordinates.
 
     Raises:
-        InvalidInputError: wrong shapes, values that are not finite, or a matrix that is no rotation.
+        InvalidInputError: wrong shapes, values that are not finite, or a matrix that is not a rotation.
 
     Example:
         >>> transform_wrench([0, 0, -2, 0, 0, 0], np.eye(3), [0.1, 0, 0])   # a weight of 2 N hangs at x = 0.1 m
@@ -49,10 +49,10 @@ def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayL
 
 
 def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Grasp:
-    """The same contacts in another frame; tangents turn along, so contact forces (normal, o, t) keep their numbers.
+    """Return the same contacts in another frame.
 
-    `transformed(grasp, R, p).wrench(f)` equals `transform_wrench(grasp.wrench(f), R, p)` for every f. Forces that
-    balance w stay balanced when w is transformed too.
+    The tangents are rotated too, so contact forces (normal, o, t) keep their components: `transformed(grasp, R, p).wrench(f)` equals
+    `transform_wrench(grasp.wrench(f), R, p)` for every f. A force that balances w also balances the transformed w.
 
     Args:
         grasp: contacts in frame B.
@@ -63,8 +63,8 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
         The grasp in frame A, with the same contact models and friction.
 
     Raises:
-        InvalidInputError: wrong shapes, values that are not finite, or a matrix that is no rotation.
-        RankDeficientGraspError: a translation so long that moments about A's origin drown in rounding.
+        InvalidInputError: wrong shapes, values that are not finite, or a matrix that is not a rotation.
+        RankDeficientGraspError: a translation so long that moments about A's origin are lost in rounding.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -84,7 +84,7 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
 
 
 def wrench_about(wrench: ArrayLike, point: ArrayLike) -> Array:
-    """Wrenches with their moment taken about `point` instead of the origin; same axes: m' = m - point x F.
+    """Express wrenches with moments about `point` instead of the origin, along the same axes: m' = m - point x F.
 
     Args:
         wrench: (..., 6) force [N] and moment about the origin [N m].
@@ -104,19 +104,19 @@ def wrench_about(wrench: ArrayLike, point: ArrayLike) -> Array:
 def gravity_wrench(
     mass: float, com: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None, gravity: ArrayLike = GRAVITY
 ) -> Wrench:
-    """The weight of the object as an external wrench, ready for `optimize_force`.
+    """Return the weight of the object as an external wrench for `optimize_force`.
 
     Args:
-        mass: of the object, > 0 [kg].
+        mass: mass of the object, > 0 [kg].
         com: (3,) centre of mass [m], object frame.
-        rotation: (3, 3) the object's attitude, columns are its axes in world coordinates; None: aligned with the world.
-        gravity: (3,) gravitational acceleration in world coordinates [m/s^2]; z points up by default.
+        rotation: (3, 3) orientation of the object, columns are its axes in world coordinates; None: aligned with the world.
+        gravity: (3,) gravitational acceleration in world coordinates [m/s^2].
 
     Returns:
         (6,) force [N] and moment about the object origin [N m], object frame.
 
     Raises:
-        InvalidInputError: a mass <= 0, wrong shapes, values that are not finite, or a matrix that is no rotation.
+        InvalidInputError: a mass <= 0, wrong shapes, values that are not finite, or a matrix that is not a rotation.
 
     Example:
         >>> gravity_wrench(0.2, com=[0.01, 0, 0])
@@ -129,7 +129,7 @@ def gravity_wrench(
 
 
 def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
-    """A rotation matrix (3, 3), orthonormal to rounding.
+    """Return a rotation matrix (3, 3), orthonormal to rounding.
 
     Raises:
         InvalidInputError: not (3, 3), not finite, not orthonormal to 1e-6, or a reflection.
@@ -152,7 +152,7 @@ def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
             f"{name} is a reflection (determinant -1), got {matrix.tolist()}: change the sign of one axis; the frames "
             "must both be right-handed"
         )
-    # one Newton step to the nearest rotation: exact ones stay as they are
+    # one Newton step to the nearest rotation; exact rotations do not change
     return matrix @ (1.5 * np.eye(3) - 0.5 * gram)
 
 

@@ -1,4 +1,4 @@
-"""Wrenches to balance: the paper's two examples and samplers (the generator is passed in)."""
+"""External wrenches: the paper's two examples, and samplers, which take a random generator."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from grasp_env.errors import InvalidInputError
 PAPER_CONSTANT: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
 """The constant external wrench of the paper's Sec. IV.A [N, N m]."""
 FORCE_RADIUS, MOMENT_RADIUS = 2.0, 0.05
-"""The standard held-out ball: |force| <= 2 N, |moment| <= 0.05 N m."""
+"""Radii of the standard held-out ball [N, N m]."""
 MAGNITUDE_LENGTH = 0.05
-"""[m] the length that turns a moment into a force in `magnitude` (of the order of the grasp's length)."""
+"""Length that converts a moment to a force in `magnitude` [m], of the order of a grasp's length."""
 
 
 def paper_path(time: ArrayLike) -> Array:
-    """W_ext(t) of the paper's Sec. IV.B: time [s], scalar or (T,) -> (6,) or (T, 6) [N, N m].
+    """Return W_ext(t) of the paper's Sec. IV.B, (6,) or (T, 6) [N, N m].
 
     Args:
-        time: [s]; the paper's example ends at 2.
+        time: scalar or (T,) [s]; the paper's example ends at 2.
 
     Example:
         >>> paper_path(0.0)
@@ -34,14 +34,14 @@ def paper_path(time: ArrayLike) -> Array:
 
 
 def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
-    """|(force, moment / length)| [N] of wrenches (..., 6).
+    """Return |(force, moment / length)| [N] of wrenches.
 
     Args:
-        wrench: (6,) or (..., 6) [N, N m].
-        length: [m] that turns a moment into a force.
+        wrench: (..., 6) [N, N m].
+        length: length that converts a moment to a force [m].
 
     Returns:
-        One number for each wrench [N].
+        (...,) [N].
 
     Example:
         >>> float(magnitude([3, 0, 0, 0, 0, 0.2]))
@@ -55,11 +55,11 @@ def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
 
 
 def sample_ball(rng: np.random.Generator, count: int, force: float = FORCE_RADIUS, moment: float = MOMENT_RADIUS):
-    """(count, 6) wrenches, force uniform in a ball of radius `force` [N], moment in one of `moment` [N m].
+    """Draw (count, 6) wrenches, forces and moments uniform in balls of radius `force` and `moment`.
 
     Args:
-        rng: what is drawn from.
-        count: how many.
+        rng: random generator.
+        count: number of wrenches.
         force: largest force [N].
         moment: largest moment [N m].
 
@@ -74,16 +74,16 @@ def sample_ball(rng: np.random.Generator, count: int, force: float = FORCE_RADIU
 
 
 def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, high: float = 20.0) -> Array:
-    """(count, 6) wrenches, directions uniform on the 6-sphere of (force, moment / 0.05 m), log-uniform magnitude.
+    """Draw (count, 6) wrenches, directions uniform on the 6-sphere of (force, moment / 0.05 m), magnitudes log-uniform.
 
     Args:
-        rng: what is drawn from.
-        count: how many.
+        rng: random generator.
+        count: number of wrenches.
         low: least `magnitude` [N].
-        high: largest [N].
+        high: largest `magnitude` [N].
 
     Raises:
-        InvalidInputError: low above high, or numbers out of range.
+        InvalidInputError: low > high, or values out of range.
 
     Example:
         >>> sizes = magnitude(sample_magnitudes(np.random.default_rng(0), 100, low=1.0, high=4.0))
@@ -102,12 +102,12 @@ def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, hi
 
 
 def sample_path(rng: np.random.Generator, count: int, step: float = 0.03) -> Array:
-    """(count, 6) wrenches of a smooth random walk in the standard ball: each moves by about `step` of a radius.
+    """Draw (count, 6) wrenches of a random walk in the standard ball.
 
     Args:
-        rng: what is drawn from.
-        count: how many.
-        step: largest part of each radius by which a wrench differs from the one before, 0 to 1.
+        rng: random generator.
+        count: number of wrenches.
+        step: largest change between successive wrenches, as a fraction of each radius, 0 to 1.
 
     Example:
         >>> path = sample_path(np.random.default_rng(0), 50, step=0.01)
@@ -136,11 +136,11 @@ def _ball(rng: np.random.Generator, count: int) -> Array:
 
 
 def constant(wrench: Wrench, count: int) -> Array:
-    """(count, 6): the same wrench `count` times.
+    """Return the same wrench `count` times, (count, 6).
 
     Args:
         wrench: (6,) [N, N m].
-        count: how many.
+        count: number of wrenches.
 
     Example:
         >>> constant(PAPER_CONSTANT, 3).shape

@@ -1,6 +1,6 @@
-"""How good contacts are, on the exact cones: which wrenches they can balance, and at what price.
+"""Grasp quality on the exact friction cones: which wrenches contacts can balance, and with how much force.
 
-`feasibility` of one wrench and `force_closure` need numpy only; the hulls of `epsilon` and `worst_case` need scipy.
+`feasibility` and `force_closure` need numpy only; the convex hulls of `epsilon` and `worst_case` need scipy.
 """
 
 from grasp_env.quality.closure import ForceClosure, force_closure

@@ -1,4 +1,4 @@
-"""Whether a wrench can be balanced: the force deepest inside all limits, or the twist that proves that none is inside."""
+"""Feasibility of a wrench: the force deepest inside all cones and limits, or the twist that proves that there is none."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from grasp_env.grasp.grasp import Grasp, as_grasp
 
 @dataclass(frozen=True, eq=False)
 class Feasibility:
-    """Answer of `feasibility`.
+    """Result of `feasibility`.
 
     Attributes:
-        force: (N, 3) balanced and strictly inside [N]; None when infeasible.
-        torsion: (N,) of soft contacts [N m]; None when infeasible.
-        certificate: (6,) a twist v with G_i^T v in every dual cone and v . w >= 0: then v . (G f + w) = 0 forces every
-            contact onto the boundary (v . w = 0) or is impossible (v . w > 0). With further limits v . w > -v . G f for
-            every force inside them. None when feasible.
-        margin: depth inside the limits of forces that sum to one with the wrench's share; <= 0 when infeasible.
+        force: (N, 3) a balanced force strictly inside [N]; None if infeasible.
+        torsion: (N,) torsions of soft contacts [N m]; None if infeasible.
+        certificate: (6,) a twist v with G_i^T v in every dual cone and v . w >= 0. If v . w > 0, v . (G f + w) = 0 is impossible;
+            if v . w = 0, it holds only with every contact on the boundary of its cone. With limits, v . w > -v . G f for every
+            force inside them. None if feasible.
+        margin: depth inside cones and limits, see `feasibility`; <= 0 if infeasible.
     """
 
     force: ContactForces | None
@@ -34,19 +34,20 @@ class Feasibility:
 
     @property
     def feasible(self) -> bool:
-        """Whether a strictly feasible force exists."""
+        """True if a strictly feasible force exists."""
         return self.force is not None
 
 
 @dataclass(frozen=True, eq=False)
 class Deepest:
-    """What the core finds.
+    """Result of the core.
 
     Attributes:
-        code: CONVERGED, `force` (N, 3) and `torsion` (N,) are strictly inside; INFEASIBLE, none is; else undecided.
-        iterations: of the interior point.
-        margin: the depth, of forces that sum to one with the wrench's share.
-        twist: (6,) that separates where the margin is not above 0, largest component one.
+        code: CONVERGED: `force` and `torsion` are strictly inside; INFEASIBLE: no force is; anything else: undecided.
+        iterations: iterations of the interior-point method.
+        margin: the depth m, see `feasibility`.
+        force, torsion: (N, 3) [N] and (N,) [N m].
+        twist: (6,) the separating twist if the margin is not positive, largest component one.
     """
 
     code: int
@@ -58,18 +59,18 @@ class Deepest:
 
 
 def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Feasibility:
-    """The force deepest inside all limits that balances a wrench, or the proof that none is inside.
+    """Find the force deepest inside all cones and limits that balances a wrench, or prove that there is none.
 
-    Maximizes the depth m, with sum u + r = 1 and m <= r: r is the wrench's share, x / r the force, every cone and limit kept with
-    slack m. This always has a solution; m > 0 means that x / r is strictly inside.
+    It maximises the depth m subject to sum u + r = 1 and m <= r, where r scales the wrench, x / r is the force, and every cone and
+    limit has slack m. This problem always has a solution; m > 0 means that x / r is strictly inside.
 
     Args:
-        grasp: the grasp, any contact models.
-        wrench: (6,) external wrench [N, N m]; zero asks for an internal force, see `force_closure`.
+        grasp: the contacts, of any models.
+        wrench: (6,) external wrench [N, N m]; zero for an internal force, see `force_closure`.
         limits: further limits.
 
     Raises:
-        NotConvergedError: neither a force nor a proof was found (slow is not infeasible).
+        NotConvergedError: neither a force nor a proof was found. An undecided case is never reported as infeasible.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -89,7 +90,7 @@ def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None)
 
 
 def deepest(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Deepest:
-    """The core's answer for checked arguments; see `feasibility`."""
+    """Return the core's result for checked arguments; see `feasibility`."""
     n = grasp.n_contacts
     given: LimitNumbers = (None, None, None, None, None) if limits is None else limits.given(n)
     solver = core.ForceOptimizer.make(grasp.contacts, None, 1.0, 1.0, *given)

@@ -1,4 +1,4 @@
-"""How good a grasp is, on the exact cones: closure margin, Ferrari and Canny's epsilon, singular values of G."""
+"""Measures of grasp quality on the exact cones: closure margin, Ferrari and Canny's epsilon, singular values of G."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from grasp_env.quality.worst_wrench import WrenchBall, worst_case
 
 
 class Epsilon(NamedTuple):
-    """Answer of `epsilon`.
+    """Result of `epsilon`.
 
     Attributes:
-        lower: certified, <= epsilon [N per N].
-        upper: certified, >= epsilon.
-        wrench: (6,) the direction that is resisted least [N, N m].
+        lower: certified lower bound of epsilon [N per N].
+        upper: certified upper bound.
+        wrench: (6,) the wrench that needs the largest force [N, N m].
     """
 
     lower: float
@@ -39,20 +39,17 @@ def epsilon(
     points: int = 400,
     seed: int = 0,
 ) -> Epsilon:
-    """Ferrari and Canny's quality (1992, "Planning optimal grasps"): the largest ball of wrenches that unit forces balance.
+    """Return bounds of Ferrari and Canny's quality (1992, "Planning optimal grasps").
 
-    The radius of {w: |F|^2 + |M|^2 / length^2 <= epsilon^2}, moments about the object origin, that forces with sum of
-    normals <= 1 N (their Q_1) or every normal <= 1 N (their Q_infinity) balance: 1 / the worst least force over the unit
-    ball. (0, 0) without force closure.
+    Epsilon is the radius of the largest ball {w: |F|^2 + |M|^2 / length^2 <= epsilon^2}, moments about the object origin, whose
+    wrenches are balanced by forces with sum of normals <= 1 N (their Q_1) or every normal <= 1 N (their Q_infinity). It is the inverse
+    of the worst least force over the unit ball, and 0 without force closure.
 
     Args:
-        grasp: the contacts, any models.
-        length: [m] that turns moments into forces; None: `grasp.length`.
+        grasp: the contacts, of any models.
+        length: length that converts moments to forces [m]; None: `grasp.length`.
         criterion: "sum" or "max".
-        tolerance: relative gap of the bounds; see `worst_case`.
-        starts: see there.
-        points: see there.
-        seed: see there.
+        tolerance, starts, points, seed: see `worst_case`.
 
     Example:
         >>> from grasp_env.grasp import Grasp
@@ -72,16 +69,16 @@ def epsilon(
 
 @dataclass(frozen=True, eq=False)
 class GraspQuality:
-    """Answer of `quality`; moments divided by `length`, about the object origin.
+    """Result of `quality`; moments about the object origin, divided by `length`.
 
     Attributes:
-        closure_margin: no unit, 0 to 1 / (N + 1): depth of the best squeeze in the cones; see `ForceClosure.margin`.
+        closure_margin: depth of the best internal force in the cones, 0 to 1 / (N + 1), no unit; see `ForceClosure.margin`.
         epsilon_sum: Ferrari and Canny's epsilon per newton of total normal force (1992, Q_1).
-        epsilon_max: the same per newton of the largest normal force (Q_infinity), >= epsilon_sum.
-        min_singular_value: of G [N per N]: the least resultant of contact forces of unit norm orthogonal to internal ones
-            (Li, Sastry 1988, "Task-oriented optimal grasping by multifingered robot hands"); blind to the cones.
+        epsilon_max: epsilon per newton of the largest normal force (Q_infinity), >= epsilon_sum.
+        min_singular_value: least singular value of G [N per N]: the least wrench of contact forces of unit norm orthogonal to the
+            internal ones (Li, Sastry 1988, "Task-oriented optimal grasping by multifingered robot hands"). It ignores the cones.
         isotropy: smallest over largest singular value, 0 to 1 (Kim, Oh, Yi, Suh 2001; Roa, Suarez 2015, Sec. 2.1).
-        length: [m] the grasp's, that turned moments into forces.
+        length: the grasp's length [m].
     """
 
     closure_margin: float
@@ -93,11 +90,13 @@ class GraspQuality:
 
 
 def singular_values(grasp: Grasp, length: float | None = None) -> Array:
-    """(6,) of G [N per N], decreasing: what contacts do not transmit left out, moments and torsions divided by length.
+    """Return the singular values (6,) of G [N per N], decreasing; moments and torsions are divided by `length`.
+
+    Components that a contact does not transmit are left out.
 
     Args:
-        grasp: the contacts, any models.
-        length: [m]; None: `grasp.length`.
+        grasp: the contacts, of any models.
+        length: length that converts moments to forces [m]; None: `grasp.length`.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -114,14 +113,11 @@ def singular_values(grasp: Grasp, length: float | None = None) -> Array:
 def quality(
     grasp: Grasp, *, tolerance: float = 0.01, starts: int = 32, points: int = 400, seed: int = 0
 ) -> GraspQuality:
-    """How good the contacts are: the measures of `GraspQuality`.
+    """Return the quality measures of a grasp.
 
     Args:
-        grasp: the contacts, any models.
-        tolerance: relative gap of the bounds of both epsilons; see `worst_case`.
-        starts: see there.
-        points: see there.
-        seed: see there.
+        grasp: the contacts, of any models.
+        tolerance, starts, points, seed: for both epsilons, see `worst_case`.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -129,15 +125,15 @@ def quality(
         >>> found.closure_margin, found.epsilon_sum.lower, found.epsilon_max.lower, found.isotropy
         (0.25, 0.29, 0.67, 0.71)
     """
-    radius = {
+    epsilons = {
         criterion: epsilon(grasp, None, criterion, tolerance=tolerance, starts=starts, points=points, seed=seed)
         for criterion in CRITERIA
     }
     values = singular_values(grasp)
     return GraspQuality(
         force_closure(grasp).margin,
-        radius["sum"],
-        radius["max"],
+        epsilons["sum"],
+        epsilons["max"],
         float(values[-1]),
         float(values[-1] / values[0]),
         grasp.length,

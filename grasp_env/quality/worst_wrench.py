@@ -1,13 +1,13 @@
 """The worst wrench of a set, on the exact cones, with a certified interval.
 
-The least force c(w) that balances w is convex, c(w) = max over n of -n . w / h(n), where h(n) = max n . G f over the forces
-of size one is known in closed form. The largest c over a ball is a convex maximisation, bounded from both sides:
+The least force c(w) that balances w is convex: c(w) = max over n of -n . w / h(n), where h(n) = max n . G f over the forces of
+size one has a closed form. Maximising c over a ball is a convex maximisation. It is bounded from both sides:
 
-- below by ascent: w <- the wrench of the ball farthest along -n, n <- the multipliers of the conic solution at w. No step
-  goes down, since c(w') >= -n . w' for every w'.
-- above by a polytope of wrenches that forces of size one make. Its facets bound all n from outside, and the largest value at
-  a facet bounds c. Adding the wrench farthest along the worst facet's normal closes the gap (Zheng 2013, "An efficient
-  algorithm for a grasp quality measure", IEEE T-RO 29(2), for epsilon).
+- Below by ascent: w <- the wrench of the ball farthest along -n, n <- the multipliers of the conic solution at w. c never
+  decreases, since c(w') >= -n . w' for every w'.
+- Above by a polytope of wrenches of forces of size one. Its facets bound all n from outside, and the largest value at a facet
+  bounds c. Adding the wrench farthest along the worst facet's normal closes the gap (Zheng 2013, "An efficient algorithm for a
+  grasp quality measure", IEEE T-RO 29(2), for epsilon).
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ from grasp_env.quality.closure import force_closure
 
 SHAPES = ("ellipsoid", "product")
 ENCLOSING = 42
-"""Vertices of the polyhedron around a ball of forces, or of moments, where further limits leave no other bound."""
+"""Vertices of the polyhedron around a ball of forces, or of moments, for the upper bound with limits."""
 ARCS = 4
 """Tangents that enclose a quarter circle (|force|, |moment|) of an ellipsoid there."""
 SHRINK = 1e-5
-"""Points of the polytope are drawn towards the origin by up to this part: no six facets' points stay in one plane."""
+"""Largest relative random shift of the polytope's points towards the origin; it keeps the points in general position."""
 JOGGLE = 1e-9
-"""Qhull moves points of size one by about this much; a hundred times as much is taken off every facet's distance."""
+"""Size of Qhull's random shift of points of size one; a hundred times as much is subtracted from every facet's distance."""
 BATCH = 8
+"""Facets refined at once."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,8 @@ class WrenchBall:
     Attributes:
         force: radius of the forces [N], 1e-9 to 1e9.
         moment: radius of the moments [N m], 1e-9 to 1e9.
-        shape: "ellipsoid", |F|^2 / force^2 + |M|^2 / moment^2 <= 1, or "product", |F| <= force and |M| <= moment (the set of
-            `grasp_env.grasp.wrench.sample_ball`).
+        shape: "ellipsoid": |F|^2 / force^2 + |M|^2 / moment^2 <= 1, or "product": |F| <= force and |M| <= moment, the set of
+            `grasp_env.grasp.wrench.sample_ball`.
 
     Example:
         >>> WrenchBall(2.0, 0.05, "product").farthest(np.array([0, 0, 1, 0, 0, 1])).round(3)
@@ -69,23 +70,23 @@ class WrenchBall:
 
     @property
     def radii(self) -> Array:
-        """(6,) [N, N m]."""
+        """(6,) the radius along each axis [N, N m]."""
         return np.repeat([float(self.force), float(self.moment)], 3)
 
     def reach(self, directions: Array) -> Array:
-        """(K,) largest n . w over the ball, of the rows n of `directions` (K, 6)."""
+        """Return (K,) the largest n . w over the ball for the rows n of `directions` (K, 6)."""
         parts = np.sqrt(((directions * self.radii).reshape(-1, 2, 3) ** 2).sum(axis=2))
         return parts.sum(axis=1) if self.shape == "product" else np.sqrt((parts**2).sum(axis=1))
 
     def farthest(self, direction: Array) -> Wrench:
-        """(6,) the wrench of largest n . w, n being `direction` (6,)."""
+        """Return the wrench (6,) of the ball with the largest n . w, where n is `direction` (6,)."""
         parts = (direction * self.radii).reshape(2, 3)
         sizes = np.sqrt((parts**2).sum(axis=1, keepdims=True))
         size = sizes if self.shape == "product" else np.sqrt((sizes**2).sum())
         return (parts / np.maximum(size, 1e-300)).reshape(6) * self.radii
 
     def enclosing(self) -> Array:
-        """(V, 6) vertices of a polytope around the ball."""
+        """Return the vertices (V, 6) of a polytope around the ball."""
         step = np.arange(ENCLOSING) + 0.5
         height, turn = 1.0 - 2.0 * step / ENCLOSING, np.pi * (1.0 + np.sqrt(5.0)) * step
         flat = np.sqrt(1.0 - height**2)
@@ -101,14 +102,14 @@ class WrenchBall:
 
 
 class WorstCase(NamedTuple):
-    """Answer of `worst_case`: lower <= largest least force over the set <= upper, both certified by duality.
+    """Result of `worst_case`: lower <= largest least force over the set <= upper, both certified by duality.
 
     Attributes:
         wrench: (6,) the worst wrench found [N, N m].
-        lower: [N] dual bound at `wrench`; inf: nothing balances it.
-        upper: [N] no wrench of the set needs more; inf: no bound was found.
-        solution: the least force at `wrench`, or the proof that there is none (`certificate`); None where the conic solver
-            did not converge there (the bounds hold all the same).
+        lower: dual bound at `wrench` [N]; inf: no force balances it.
+        upper: upper bound for all wrenches of the set [N]; inf: none was found.
+        solution: the least force at `wrench`, or the proof of infeasibility (`certificate`); None if the conic solver did not
+            converge there. The bounds hold nevertheless.
     """
 
     wrench: Wrench
@@ -118,12 +119,12 @@ class WorstCase(NamedTuple):
 
     @property
     def least_force(self) -> float:
-        """The sum, or the maximum, of the normal forces at `wrench` [N], to the solver's tolerance; inf if impossible."""
+        """Sum or maximum of the normal forces at `wrench` [N], to the solver's tolerance; inf if infeasible."""
         return self.lower if self.solution is None else self.solution.objective
 
     @property
     def gap(self) -> float:
-        """(upper - lower) / lower."""
+        """Relative gap (upper - lower) / lower."""
         return 0.0 if self.lower == np.inf else self.upper / self.lower - 1.0 if self.lower > 0.0 else np.inf
 
 
@@ -138,22 +139,23 @@ def worst_case(
     points: int = 400,
     seed: int = 0,
 ) -> WorstCase:
-    """The wrench of a set that needs the largest least force; inf for a ball without force closure.
+    """Find the wrench of a set that needs the largest least force; the force is inf for a ball without force closure.
 
     Args:
-        grasp: the contacts, any models.
-        wrenches: (M, 6) [N, N m], which stand for their convex hull too (least force is convex), or a `WrenchBall`.
+        grasp: the contacts, of any models.
+        wrenches: (M, 6) [N, N m], or a `WrenchBall`. The result also holds for the convex hull of the wrenches, since the least
+            force is convex.
         criterion: the size of a force: "sum" or "max" of its normal forces.
-        limits: further limits. A ball is then bounded above by a polytope around it, which reaches at most 10 % (product) or
-            12 % (ellipsoid) beyond it; `upper` is inf where that crosses the limits.
-        tolerance: the relative gap at which to stop refining the upper bound (not below 1e-4); without limits.
-        starts: random directions that ascend, besides the twelve axes; at most 10,000.
-        points: most points of the polytope, 64 to 5000; without limits.
-        seed: of the random directions.
+        limits: further limits. The upper bound for a ball then comes from a polytope around it, which extends at most 10 %
+            (product) or 12 % (ellipsoid) beyond it; `upper` is inf if that exceeds the limits.
+        tolerance: relative gap at which the refinement of the upper bound ends, not below 1e-4; without limits only.
+        starts: number of random directions of ascent besides the twelve axes, at most 10,000.
+        points: largest number of points of the polytope, 64 to 5000; without limits only.
+        seed: seed of the random directions.
 
     Raises:
         UnknownNameError: unknown criterion.
-        NotConvergedError: force closure undecided; in a finite set, a wrench that the solver did not settle.
+        NotConvergedError: force closure is undecided; for a finite set, the solver did not converge for some wrench.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -184,7 +186,7 @@ def worst_case(
     ball = wrenches
     if limits is None and not (closure := force_closure(grasp)):
         assert closure.twist is not None
-        # infeasible by the twist; a solver that sees it too adds its own proof
+        # infeasible by the twist; the solver may add its own proof
         found = _solved(optimizer, ball.farthest(closure.twist))
         return found if found.lower == np.inf else WorstCase(found.wrench, np.inf, np.inf, None)
     axes = np.concatenate([np.eye(6), -np.eye(6)])
@@ -202,7 +204,7 @@ def _lower(found: WorstCase) -> float:
 
 
 def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
-    """The bounds for one wrench."""
+    """Return the bounds for one wrench."""
     try:
         solution = optimizer.solve(wrench)
     except InfeasibleWrenchError as error:
@@ -215,7 +217,7 @@ def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
 
 
 def _ascended(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> WorstCase:
-    """From a wrench up to one that is the ball's farthest along its own multipliers."""
+    """Ascend from a wrench to one that is the farthest of the ball along its own multipliers."""
     best = _solved(optimizer, wrench)
     for _ in range(50):
         if best.lower == np.inf or best.solution is None or not best.solution.multipliers.any():
@@ -235,10 +237,10 @@ def _enclosed(
     points: int,
     rng: np.random.Generator,
 ) -> WorstCase:
-    """The upper bound by the growing polytope, for a grasp with force closure; wrenches scaled to a unit ball."""
+    """Refine the upper bound by a growing polytope, for a grasp with force closure; wrenches are scaled to a unit ball."""
     grasp, criterion = optimizer.grasp, optimizer.options.criterion
     unit = WrenchBall(1.0, 1.0, ball.shape)
-    # along the ascent's own worst wrench first
+    # include the direction of the worst wrench so far
     directions = np.concatenate([np.eye(6), rng.standard_normal((16, 6)), best.wrench[None] / ball.radii])
     _, made = _largest_wrenches(grasp, np.concatenate([directions, -directions]) / ball.radii, criterion)
     size = float(np.sqrt(((made / ball.radii) ** 2).sum(axis=1)).max())
@@ -249,16 +251,16 @@ def _enclosed(
 
     try:
         hull = ConvexHull(inside(made), incremental=True, qhull_options=f"QJ{JOGGLE} Q12 Pp")
-    except QhullError:  # a set too thin for a polytope: what was found, and no bound above
+    except QhullError:  # too thin for a polytope: no upper bound
         return best._replace(upper=np.inf)
     while True:
         normals, distance = hull.equations[:, :6], -hull.equations[:, 6] - 100.0 * JOGGLE
         reach = unit.reach(normals)
-        # distances <= 0, the origin outside, come first
+        # the smallest first; <= 0: the origin is outside
         top = np.argsort(distance / reach)[:BATCH]
         nearest = float(distance[top[0]] / reach[top[0]]) * size
         heights, made = _largest_wrenches(grasp, normals[top] / ball.radii, criterion)
-        # n . w / h(n) of the farthest w is a dual bound: no solver is asked
+        # n . w / h(n) of the farthest w is a dual bound without a solve
         rises = reach[top] / np.maximum(heights, 1e-300)
         start = ball.farthest(-normals[top[rises.argmax()]] / ball.radii)
         bare = WorstCase(start, float(rises.max()), np.inf, None)
@@ -268,32 +270,32 @@ def _enclosed(
             return best._replace(upper=upper)
         try:
             hull.add_points(inside(made))
-        except QhullError:  # lost in rounding: the bound so far holds
+        except QhullError:  # rounding: the bound so far is still valid
             return best._replace(upper=upper)
 
 
 def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase) -> WorstCase:
-    """The upper bound by the vertices of a polytope around the ball."""
+    """Compute the upper bound from the vertices of a polytope around the ball."""
     upper = best.upper
     for vertex in ball.enclosing():
         found = _solved(optimizer, vertex)
         upper = max(upper, found.upper)
         if upper == np.inf:
             if found.solution is not None and found.solution.certificate is not None:
-                # what separates the vertex may separate a wrench of the ball too
+                # the twist that separates the vertex may also separate a wrench of the ball
                 best = max(best, _solved(optimizer, ball.farthest(found.solution.certificate)), key=_lower)
             break
     return best._replace(upper=upper)
 
 
 def _largest_wrenches(grasp: Grasp, directions: Array, criterion: str) -> tuple[Array, Array]:
-    """h(n) = max n . G f over forces of size <= 1, (K,), and the wrenches G f that reach it, (K, 6), of n (K, 6)."""
+    """Return h(n) = max n . G f over forces of size <= 1, (K,), and the maximising wrenches G f, (K, 6), for n (K, 6)."""
     models, count = grasp.models, grasp.n_contacts
     work = (directions @ grasp.matrix).reshape(-1, count, 3)
     tangential = work[:, :, 1:] * models.friction
     length = np.sqrt((tangential**2).sum(axis=2))
     twisting = directions @ grasp.torsion_matrix
-    # of a unit normal force, each contact on its own
+    # each contact separately, with a unit normal force
     best = work[:, :, 0] + length + models.torsional_friction * np.abs(twisting)
     if criterion == "max":
         normals = np.where(best > 0.0, 1.0, 0.0)

@@ -1,6 +1,6 @@
 """An independent reference: the cone program of any grasp from positions, normals and friction, solved by Clarabel.
 
-Nothing here reads the package's matrices: frames follow the paper's rule, moments are taken about the centre of the contacts.
+Frames and G are those of the oracles, about the centre of the contacts, moments divided by their length.
 
     min c . x   s.t.  G f + w = 0,  n >= hypot(o / mu_o, t / mu_t),  n >= abs(tau) / gamma,  A f <= b
 """
@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
+from oracles import geometry
 from scipy import sparse
 
 from grasp_env.force import ForceLimits
@@ -26,7 +27,7 @@ class Optimum(NamedTuple):
 
     Attributes:
         objective: [N].
-        error: how far Clarabel itself may be off: relative gap, and residuals times their prices.
+        error: see `own_error`.
         solved: whether Clarabel reports success.
     """
 
@@ -35,47 +36,23 @@ class Optimum(NamedTuple):
     solved: bool
 
 
-def contact_frames(normals: Array, tangents: Array | None = None) -> Array:
-    """(N, 3, 3) with columns n, o, t: o is the projection of e_x, of e_y where n is within 26 degrees of e_x."""
-    frames = np.empty((len(normals), 3, 3))
-    for k, n in enumerate(normals):
-        along = np.eye(3)[1 if abs(n[0]) > 0.9 else 0] if tangents is None else tangents[k]
-        o = along - n * (n @ along)
-        o = o - n * (n @ o)
-        o /= np.linalg.norm(o)
-        frames[k] = np.column_stack([n, o, np.cross(n, o)])
-    return frames
-
-
 class Reference:
     """The constraints of a grasp and its limits, for any wrench."""
 
-    def __init__(self, grasp: Grasp, limits: ForceLimits | None = None, tangents: Array | None = None) -> None:
-        points, normals = np.array(grasp.positions), np.array(grasp.normals)
+    def __init__(self, grasp: Grasp, limits: ForceLimits | None = None) -> None:
+        points, normals, names = np.array(grasp.positions), np.array(grasp.normals), np.array(grasp.models.names)
         self.count = count = len(points)
-        self.centre = points.mean(axis=0)
-        self.length = float(np.sqrt(((points - self.centre) ** 2).sum() / count))
-        self.frames = frames = contact_frames(normals, tangents)
-        names = np.array(grasp.models.names)
+        self.frames = np.array([geometry.frame(*each) for each in zip(normals, grasp.frames[:, :, 1], strict=True)])
+        self.centre, self.length, _ = geometry.unit_frame(points)
         self.mu = np.where((names != "frictionless")[:, None], grasp.models.friction, 0.0)
         self.gamma = np.where(names == "soft", grasp.models.torsional_friction, 0.0)
-        # columns (n, o, t, tau) of each contact, moments about the centre divided by the length
-        matrix = np.zeros((6, count, 4))
-        arms = (points - self.centre) / self.length
-        matrix[:3, :, :3] = frames.transpose(1, 0, 2)
-        matrix[3:, :, :3] = np.cross(arms[:, :, None], frames, axisa=1, axisb=1, axisc=1).transpose(1, 0, 2)
-        matrix[3:, :, 3] = normals.T / self.length
-        transmits = np.ones((count, 4))
-        transmits[:, 1:3] = self.mu > 0.0
-        transmits[:, 3] = self.gamma > 0.0
-        self.transmits = transmits
-        self.matrix = matrix * transmits
+        # columns (n, o, t, tau) of each contact
+        self.matrix = np.zeros((6, count, 4))
+        self.matrix[:, :, :3] = geometry.grasp_matrix((points - self.centre) / self.length, self.frames).reshape(6, count, 3)  # fmt: skip
+        self.matrix[3:, :, 3] = normals.T / self.length
+        self.transmits = np.column_stack([np.ones(count), *[self.mu[:, 0] > 0.0] * 2, self.gamma > 0.0]).astype(float)
+        self.matrix *= self.transmits
         self.rows, self.bound, self.limited = self._limits(limits)
-
-    @classmethod
-    def of(cls, grasp: Grasp, limits: ForceLimits | None = None) -> Reference:
-        """With the frames of the grasp, whatever its tangents."""
-        return cls(grasp, limits, grasp.frames[:, :, 1])
 
     def _limits(self, limits: ForceLimits | None) -> tuple[Array, Array, Array]:
         """A (M, N, 4), b (M,) in the documented order (least normals, largest normals, each joint's two torques), and each limit (M,)."""
@@ -125,11 +102,11 @@ class Reference:
         return float(max(-inside.min(), -spin.min(), excess.max(initial=-np.inf)))
 
     def room(self, force: Array, torsion: Array) -> Array:
-        """(M,) what is left of each limit."""
+        """(M,) slack of each limit."""
         return self.bound - np.einsum("kna,na->k", self.rows, np.column_stack([force, torsion]))
 
     def excess(self, force: Array, torsion: Array) -> float:
-        """Largest excess of a limit as a part of it; 0 within all."""
+        """Largest excess of a limit as a fraction of it; 0 within all."""
         return float((-self.room(force, torsion) / self.limited).max(initial=0.0))
 
     def _scaled(self) -> tuple[Array, Array, Array]:
@@ -151,7 +128,7 @@ class Reference:
         """omega and lambda of each contact (N,), and lambda of each limit (M,): the mean of the contacts whose forces it counts."""
         both, lambdas = np.broadcast_to(omega, self.count), np.broadcast_to(lam, self.count)
         touched = (self.rows != 0.0).any(axis=2)
-        touched[~touched.any(axis=1)] = True  # a torque that no force changes counts all
+        touched[~touched.any(axis=1)] = True  # a torque that no force changes: all contacts
         return both, lambdas, (touched @ lambdas) / touched.sum(axis=1)
 
     def phi(self, force: Array, torsion: Array, omega: Weight = 1.0, lam: Weight = 0.01) -> float:
@@ -179,7 +156,7 @@ class Reference:
         With a = c - G^T nu + A^T prices in the dual cone a_n >= hypot(mu_o a_o, mu_t a_t) + gamma abs(a_tau) of every contact,
         -nu . w - prices . b bounds the objective. theta < 1: the multipliers given are not dual feasible.
         """
-        at_centre = np.concatenate([nu[:3] + np.cross(nu[3:], self.centre), nu[3:] * self.length])
+        at_centre = self._at_centre(nu)
         prices = np.maximum(prices, 0.0)
         g = np.einsum("rna,r->na", self.matrix, at_centre) - np.einsum("kna,k->na", self.rows, prices)
         need = g[:, 0] + np.hypot(self.mu[:, 0] * g[:, 1], self.mu[:, 1] * g[:, 2]) + self.gamma * np.abs(g[:, 3])
@@ -189,28 +166,23 @@ class Reference:
         value = -float(at_centre @ self.load(wrench)) - float(prices @ self.bound)
         return theta * value, theta
 
-    def separates(self, twist: Array, wrench: Array) -> float:
-        """How far a twist v separates the wrench: (v . w + least v . G f) / (size of v . w); > 0 proves infeasibility.
+    def proof(self, twist: Array, wrench: Array, prices: Array | None = None) -> float:
+        """Return the least slack of a proof of infeasibility, relative to its terms; >= 0 is a proof, up to rounding.
 
-        Without limits the least is 0 where G_i^T v is in every dual cone, -inf elsewhere; the violation of the dual cones relative
-        to v is then returned, negative. With limits the least is found by Clarabel.
+        q = G^T v + A^T y must lie in every dual cone, and v . w - y . b >= 0.
         """
-        v = np.concatenate([twist[:3] + np.cross(twist[3:], self.centre), twist[3:] * self.length])
-        v = v / np.abs(v).max()
-        load = self.load(wrench)
-        work = float(v @ load) / float(np.abs(load).max(initial=1e-300))
-        g = np.einsum("rna,r->na", self.matrix, v)
-        inside = g[:, 0] - np.hypot(self.mu[:, 0] * g[:, 1], self.mu[:, 1] * g[:, 2]) - self.gamma * np.abs(g[:, 3])
-        if not len(self.bound):
-            return min(work, float(inside.min())) if inside.min() < 0.0 else work
-        size = float(np.abs(load).max()) or 1.0
-        blocks, right, cones = self._cones(4 * self.count, size)
-        found = _run(g.reshape(-1), np.vstack(blocks), np.concatenate(right), cones, 1e-10)
-        if "PrimalInfeasible" in str(found.status):
-            return np.inf  # no force keeps the limits at all: every twist separates
-        # where Clarabel stops short of its own 1e-10, a closed gap will do
-        closed = str(found.status) in SOLVED or abs(found.obj_val - found.obj_val_dual) < 1e-6 * abs(found.obj_val)
-        return work + found.obj_val_dual if closed else -np.inf
+        y = np.zeros(len(self.bound)) if prices is None or not len(prices) else prices
+        v, load = self._at_centre(twist), self.load(wrench)
+        q = np.einsum("rna,r->na", self.matrix, v) + np.einsum("kna,k->na", self.rows, y)
+        need = np.hypot(self.mu[:, 0] * q[:, 1], self.mu[:, 1] * q[:, 2]) + self.gamma * np.abs(q[:, 3])
+        size = max(np.abs(q).max(), np.abs(self.rows * y[:, None, None]).max(initial=0.0))
+        terms = float(np.abs(v * load).sum()) + abs(float(y @ self.bound))
+        short = (float(v @ load) - float(y @ self.bound)) / (terms or 1.0)
+        return min(float((q[:, 0] - need).min()) / size, short, float(y.min(initial=0.0)))
+
+    def _at_centre(self, twist: Array) -> Array:
+        """A twist or multipliers (6,) about the origin, about the centre and per length."""
+        return np.concatenate([twist[:3] + np.cross(twist[3:], self.centre), twist[3:] * self.length])
 
     def _cones(self, width: int, size: float) -> tuple[list[Array], list[Array], list]:
         """Rows A x + s = b of everything but balance, for x = (n, o, t, tau) of each contact and `width - 4N` others."""
@@ -334,7 +306,7 @@ class Reference:
         return float("nan"), np.inf
 
     def margin(self, wrench: Array) -> float:
-        """How deep a force of total one (with the wrench's share) lies inside everything; < 0: infeasible; nan: unsolved.
+        """Return the depth of a force of total one inside all cones and limits; < 0: infeasible; nan: unsolved.
 
         max m  s.t.  G f + r w = 0,  f deeper than m in its cones, b r - A f >= m, r >= m,  sum n + r = 1.
         """
@@ -359,8 +331,7 @@ class Reference:
 
 
 def own_error(found: Any, cost: Array, matrix: Array, right: Array) -> float:
-    """How far Clarabel itself may be off, relative to its objective: its gap, what it misses of each row at the row's price, and of
-    each variable's price at that variable.
+    """Return Clarabel's own relative error: its gap, and its residuals times their prices.
 
     Its own residuals are relative to the largest numbers: forces of 1e6 N hide 4 mN in them, which cost 50 % at the edge of closure.
     """

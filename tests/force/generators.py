@@ -1,4 +1,4 @@
-"""Random grasps, wrenches and limits: every draw is one generator's, so that a seed nobody has seen is a blind trial."""
+"""Random grasps, wrenches and limits; every problem is drawn from its own seed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TROUBLES = ("plain", "clustered", "flat", "parallel", "edge", "friction")
 
 @dataclass(frozen=True)
 class Drawn:
-    """A problem, and what it is; weights: omega and lambda of Phi."""
+    """A problem; weights: omega and lambda of Phi."""
 
     kind: str
     grasp: Grasp
@@ -65,7 +65,7 @@ def random_grasp(rng: np.random.Generator, kind: str, most: int = 20) -> Grasp:
 
 
 def some_grasp(rng: np.random.Generator, kind: str, most: int = 20) -> Grasp:
-    """`random_grasp`, drawn again where its G has not rank 6 (frictionless contacts among few)."""
+    """`random_grasp`, drawn again while its G has not rank 6 (few contacts, some frictionless)."""
     while True:
         with suppress(RankDeficientGraspError):
             return random_grasp(rng, kind, most=most)
@@ -118,7 +118,7 @@ def finger_limits(rng: np.random.Generator, count: int, tight: float = 1.0) -> F
 
 
 def hard_problem(rng: np.random.Generator) -> Drawn:
-    """One of every kind of trouble."""
+    """A problem with one of the troubles."""
     trouble, model, grasp = troubled(rng)
     size = 10.0 ** rng.uniform(-6.0, 5.0)
     force = rng.standard_normal(3) * (rng.random() < 0.9)
@@ -130,7 +130,7 @@ def hard_problem(rng: np.random.Generator) -> Drawn:
 
 
 def troubled(rng: np.random.Generator, troubles: tuple[str, ...] = TROUBLES) -> tuple[str, str, Grasp]:
-    """A trouble, a contact model, and such a grasp."""
+    """Return a trouble, a contact model, and such a grasp."""
     while True:
         trouble, model = str(rng.choice(troubles)), str(rng.choice(MODELS, p=(0.4, 0.2, 0.05, 0.25, 0.1)))
         with suppress(RankDeficientGraspError, InvalidInputError):  # contacts on one line, or out of range: another
@@ -138,7 +138,7 @@ def troubled(rng: np.random.Generator, troubles: tuple[str, ...] = TROUBLES) -> 
 
 
 def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
-    """Contacts on an ellipsoid or a box, 3 to 50 of them, mostly few, made hard."""
+    """3 to 50 contacts, mostly few, on an ellipsoid or a box, with one of the troubles."""
     count = int(min(50, (9 if model == "frictionless" else 3) + rng.geometric(0.2) - 1 + 40 * (rng.random() < 0.02)))
     axes = rng.uniform(0.4, 1.0, 3)
     if trouble == "flat":
@@ -147,7 +147,7 @@ def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     points = directions * axes
     normals = -directions / axes if trouble != "flat" else -directions * (1.0, 1.0, 0.01)
-    if trouble == "parallel":  # two faces and what tilts them apart
+    if trouble == "parallel":  # two faces, slightly tilted
         normals = np.where(directions[:, 2:] > 0.0, -1.0, 1.0) * (0.0, 0.0, 1.0)
         normals = normals + 10.0 ** rng.uniform(-6.0, -1.0) * rng.standard_normal((count, 3))
     if trouble == "clustered":
@@ -172,17 +172,11 @@ def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
 
     if trouble != "edge" or model == "frictionless":
         return made(1.0)
-    low, high = 1e-3, 10.0  # friction a little above that of which no wrench is safe
+    low, high = 1e-3, 10.0  # friction slightly above the least one with force closure
     for _ in range(20):
         middle = np.sqrt(low * high)
         low, high = (low, middle) if Reference(made(middle)).margin(np.zeros(6)) > 1e-9 else (middle, high)
     return made(high * (1.0 + 10.0 ** rng.uniform(-6.0, -1.0)))
-
-
-def plain(rng: np.random.Generator) -> Drawn:
-    """Any contacts, wrenches over ten decades."""
-    grasp = some_grasp(rng, kind := str(rng.choice(KINDS)))
-    return Drawn(kind, grasp, random_wrench(rng, grasp), None, (1.0, 10.0 ** rng.uniform(-4.0, 0.0)))
 
 
 def limited(rng: np.random.Generator) -> Drawn:
@@ -201,7 +195,7 @@ def tight(rng: np.random.Generator) -> Drawn:
 
 
 def fingers(rng: np.random.Generator) -> Drawn:
-    """Hard contacts of fingers with joints of their own: the limits that the hard contacts' Newton serves itself."""
+    """Hard contacts of fingers with their own joints, the limits of the specialised Newton."""
     grasp = closed(rng, int(rng.integers(3, 8)))
     wrench = rng.standard_normal(6) * [1.0, 1.0, 1.0, 0.03, 0.03, 0.03]
     return Drawn("fingers", grasp, wrench, finger_limits(rng, grasp.n_contacts, 10.0 ** rng.uniform(-0.3, 0.3)))
@@ -216,7 +210,7 @@ def closed(rng: np.random.Generator, count: int) -> Grasp:
 
 
 def nearly_lost(rng: np.random.Generator) -> Drawn:
-    """The general program where it is hard; limits that no force reaches send hard contacts there too."""
+    """Problems that are hard for the general program; the loose limits send hard contacts there too."""
     trouble, _, grasp = troubled(rng, ("clustered", "flat", "edge"))
     return Drawn(trouble, grasp, random_wrench(rng, grasp, 0.1, 10.0), ForceLimits(max_normal=1e11))
 
@@ -225,9 +219,9 @@ def _size(grasp: Grasp, wrench: Array) -> float:
     return float(np.abs(Reference(grasp).load(wrench)).max())
 
 
-FAMILIES = {"plain": plain, "limited": limited, "tight": tight, "fingers": fingers, "nearly lost": nearly_lost, "hard": hard_problem}  # fmt: skip
+FAMILIES = {"limited": limited, "tight": tight, "fingers": fingers, "nearly lost": nearly_lost, "hard": hard_problem}
 
 
 def problem(family: str, seed: int, index: int) -> Drawn:
-    """The problem of that number of a seed."""
+    """Return problem number `index` of a seed."""
     return FAMILIES[family](np.random.default_rng([seed, index]))

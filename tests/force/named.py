@@ -1,8 +1,8 @@
-"""The named problems of `problems.json`, and how their objectives were found: python tests/force/named.py
+"""The named problems of `problems.json`; `python tests/force/named.py` computes their objectives again.
 
-Every objective is a solve at the tightest tolerance that the method keeps, and Clarabel's to `digits`: that command computes all of them
-anew, refuses those on which the two do not agree, and writes the file. Where Clarabel itself has fewer digits than that, `digits` is
-how far the certificate, computed from the geometry alone, leaves the objective open.
+Every objective comes from a solve at a tight tolerance and from Clarabel, to relative `digits`. The command refuses problems on which
+the two do not agree, and writes the file. If Clarabel has fewer digits, `digits` is the gap of the certificate, computed from the
+geometry alone.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ METHODS: dict[str, dict[str, Any]] = {
     "sum": {"method": "conic", "tolerance": 1e-7},
     "max": {"method": "conic", "criterion": "max", "tolerance": 1e-7},
 }
-"""What each name in the file asks; the tolerances are those at which every door is compared."""
+"""Options of each method of the file, with the tolerance of the comparisons."""
 JUDGED = 1e-6
-"""Clarabel's own error from which on a certificate is asked instead."""
+"""Largest error of Clarabel at which its objective counts; above it, the certificate does."""
 
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """A problem and what is known of it.
+    """A problem and its known results.
 
     Attributes:
         weights: omega and lambda of Phi.
-        elastic: whether limits may be exceeded where none keeps them.
-        known: by method: status, objective (None: infeasible) and its relative digits.
+        elastic: True if limits may be exceeded when no force satisfies them.
+        known: status, objective (None: infeasible) and its relative digits, by method.
     """
 
     name: str
@@ -61,7 +61,13 @@ class Named:
 
     def reference(self) -> Reference:
         """The independent constraints."""
-        return Reference.of(self.grasp, self.limits)
+        return Reference(self.grasp, self.limits)
+
+    def assert_infeasible(self, found: ForceSolution) -> None:
+        """Check the proof of a solution without a force; on the boundary of feasibility no proof has digits."""
+        reference = self.reference()
+        lack = reference.proof(found.certificate, self.wrench, found.limit_multipliers)
+        assert lack >= -1e-7 or reference.margin(self.wrench) < 1e-9, (self.name, lack)
 
     def phi_weights(self) -> tuple[Any, Any]:
         """omega and lambda, one or one each."""
@@ -69,7 +75,7 @@ class Named:
 
 
 def read(entry: dict[str, Any]) -> Named:
-    """A problem of the file."""
+    """Make a problem from its entry in the file."""
     models = {"contact_model": entry.get("models", "hard"), "torsional_friction": entry.get("torsional_friction")}
     contacts = [entry[name] for name in ("positions", "normals", "friction")]
     grasp, limits = Grasp.from_contacts(*contacts, tangents=entry.get("tangents"), **models), entry.get("limits")
@@ -92,7 +98,7 @@ CASES = [(name, method) for name, problem in NAMED.items() for method in problem
 
 
 def attempt(call: Callable[[], ForceSolution]) -> ForceSolution:
-    """The solution, or that of the proof."""
+    """Return the solution, or the one that contains the proof."""
     try:
         return call()
     except InfeasibleWrenchError as error:
@@ -100,7 +106,7 @@ def attempt(call: Callable[[], ForceSolution]) -> ForceSolution:
 
 
 def value(p: Named, method: str, found: ForceSolution, reference: Reference) -> float:
-    """The objective of a force, from the geometry alone."""
+    """Return the objective of a force, from the geometry alone."""
     if found.limit_excess > 0.0:
         return reference.excess(found.force, found.torsion)
     if method != "newton":
@@ -109,7 +115,7 @@ def value(p: Named, method: str, found: ForceSolution, reference: Reference) -> 
 
 
 def judged(p: Named, method: str) -> dict[str, Any]:
-    """Status, objective and digits, as solved here and by Clarabel.
+    """Return status, objective and digits, solved here and by Clarabel.
 
     Raises:
         AssertionError: they do not agree.
@@ -118,8 +124,7 @@ def judged(p: Named, method: str) -> dict[str, Any]:
     found = attempt(lambda: optimize_force(p.grasp, p.wrench, **(p.options(method) | tight)))
     name = f"{p.name}, {method}"
     if found.certificate is not None:
-        # where contacts can just not hold it, no proof has digits
-        assert reference.separates(found.certificate, p.wrench) > 0.0 or reference.margin(p.wrench) < 1e-9, name
+        p.assert_infeasible(found)
         return {"status": "infeasible"}
     if found.limit_excess > 0.0:
         want = reference.least_excess(p.wrench)
@@ -129,8 +134,7 @@ def judged(p: Named, method: str) -> dict[str, Any]:
     # a bound above the objective shows rounding, too
     digits = abs(mine - found.lower_bound) / mine if mine > 0.0 else 0.0
     if method != "newton":
-        prices = found.limit_multipliers[len(found.limit_multipliers) - len(reference.bound) :]
-        bound, _ = reference.dual_bound(found.multipliers, prices, p.wrench, method)
+        bound, _ = reference.dual_bound(found.multipliers, found.limit_multipliers, p.wrench, method)
         digits = (mine - bound) / mine if mine > 0.0 else 0.0
         best = reference.solve(p.wrench, method)
         want, error = best.objective, best.error if best.solved else np.inf
@@ -151,11 +155,10 @@ def line(value: Any) -> str:
 
 
 def write(entries: list[dict[str, Any]]) -> None:
-    """Computes what is known of every problem anew, and writes the file."""
+    """Compute the known results of every problem again, and write the file."""
     for entry in entries:
-        asked = list(entry.get("known", METHODS))
         p = read(json.loads(json.dumps(entry)))
-        entry["known"] = {method: judged(p, method) for method in asked}
+        entry["known"] = {method: judged(p, method) for method in entry.get("known", METHODS)}
         print(p.name, entry["known"])
     FILE.write_text("[\n" + ",\n".join(map(line, entries)) + "\n]\n", encoding="utf-8")
 

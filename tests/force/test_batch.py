@@ -1,35 +1,45 @@
-"""Batches: the answers of single calls, whatever stands beside them; statuses instead of errors; wrong input."""
+"""Batches give the answers of single calls, on any threads; processes, shared optimizers and interrupts."""
 
 from __future__ import annotations
+
+import multiprocessing
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
 from force.named import attempt
 from problems import closure_grasps
 
-from grasp_env.errors import InvalidInputError
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
 from grasp_env.force.many import CHUNK
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.wrench import sample_ball
 from policies import LearnedInitialForce
 
+ROOT = Path(__file__).parents[2]
 GRASP = presets.paper_cuboid()
-
-
 AGREES = 1e-9
-"""Of single calls: in a register of problems sums over contacts are taken in another order."""
+"""Relative difference from single calls: sums over contacts are taken in another order."""
 KINDS: dict[str, dict] = {
     "newton": {}, "newton to 1e-8": {"tolerance": 1e-8}, "other weights": {"force_weight": 3.0, "barrier_weight": 1e-4},
     "conic": {"method": "conic"}, "conic to 1e-9": {"method": "conic", "tolerance": 1e-9}, "flow": {"method": "reduced_flow"},
     "limits": {"limits": ForceLimits(max_normal=100.0)}, "network": {"initial": LearnedInitialForce.pretrained()},
 }  # fmt: skip
-"""What the core solves without Python between the problems."""
+
+
+def wide_loads(count: int) -> np.ndarray:
+    """Wrenches of 1e-3 to 10 times the ordinary ones."""
+    rng = np.random.default_rng(0)
+    return sample_ball(rng, count) * 10.0 ** rng.uniform(-3, 1, (count, 1))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_answers_of_single_calls(kind: str) -> None:
-    loads = wide_loads(300)
+    loads = wide_loads(100)
     batch, optimizer = optimize_forces(GRASP, loads, **KINDS[kind]), ForceOptimizer(GRASP, **KINDS[kind])
     agrees = 10 * AGREES if kind == "conic to 1e-9" else AGREES  # its last system has few digits left
     for k, load in enumerate(loads):
@@ -45,35 +55,13 @@ def test_the_answers_of_single_calls(kind: str) -> None:
     np.testing.assert_array_equal(batch[5:9].force, batch.force[5:9])
 
 
-def wide_loads(count: int) -> np.ndarray:
-    """Wrenches of 1e-3 to 10 times the ordinary ones."""
-    rng = np.random.default_rng(0)
-    return sample_ball(rng, count) * 10.0 ** rng.uniform(-3, 1, (count, 1))
-
-
 @pytest.mark.parametrize("kind", ["newton", "conic", "network", "limits"])
-def test_no_answer_hangs_on_threads_or_neighbours(kind: str) -> None:
-    loads = wide_loads(3 * CHUNK // 2)
-    options = KINDS[kind]
+def test_no_answer_depends_on_threads_or_neighbours(kind: str) -> None:
+    loads, options = wide_loads(3 * CHUNK // 2), KINDS[kind]
     batch = optimize_forces(GRASP, loads, workers=1, **options)
-    for workers in (2, 5):
-        np.testing.assert_array_equal(optimize_forces(GRASP, loads, workers=workers, **options).records, batch.records)
+    np.testing.assert_array_equal(optimize_forces(GRASP, loads, workers=5, **options).records, batch.records)
     order = np.random.default_rng(1).permutation(len(loads))
     np.testing.assert_array_equal(optimize_forces(GRASP, loads[order], **options).records, batch.records[order])
-
-
-@pytest.mark.parametrize("count", [3, 4, 5, 8, 9, 17])
-@pytest.mark.parametrize("method", ["newton", "conic"])
-def test_any_number_of_contacts(count: int, method: str) -> None:
-    grasps = [grasp for grasp in closure_grasps() if grasp.n_contacts == count] or [ring(count)]
-    for grasp in grasps[:3]:
-        loads = wide_loads(50)
-        batch = optimize_forces(grasp, loads, method=method)
-        optimizer = ForceOptimizer(grasp, method=method)
-        for k, load in enumerate(loads):
-            one = optimizer.solve(load)
-            close = 10 * AGREES * np.abs(one.force).max()  # some of these hardly span the wrenches
-            np.testing.assert_allclose(batch.force[k], one.force, rtol=0, atol=close)
 
 
 def ring(count: int) -> Grasp:
@@ -85,22 +73,27 @@ def ring(count: int) -> Grasp:
 
 
 @pytest.mark.parametrize("method", ["newton", "conic"])
-def test_hard_problems_are_not_lost(method: str) -> None:
-    """Wrenches of 1e-6 to 1e6 N, tight tolerances: as many optima as single calls find, none of them invented."""
+def test_any_number_of_contacts_and_wrenches_of_any_size(method: str) -> None:
+    """Batches find every optimum of single calls, and invent none."""
+    for grasp in (*closure_grasps(5), *map(ring, (8, 9, 17))):
+        loads = wide_loads(20)
+        batch, optimizer = optimize_forces(grasp, loads, method=method), ForceOptimizer(grasp, method=method)
+        for k, load in enumerate(loads):
+            one = optimizer.solve(load)
+            close = 10 * AGREES * np.abs(one.force).max()  # some of these hardly span the wrenches
+            np.testing.assert_allclose(batch.force[k], one.force, rtol=0, atol=close)
     rng = np.random.default_rng(7)
     loads = rng.standard_normal((400, 6)) * 10.0 ** rng.uniform(-6, 6, (400, 1)) * [1, 1, 1, 0.05, 0.05, 0.05]
     batch = optimize_forces(GRASP, loads, method=method, tolerance=1e-10)
     optimizer = ForceOptimizer(GRASP, method=method, tolerance=1e-10)
-    alone = np.array([optimizer.solve(load).status is Status.OPTIMAL for load in loads])
-    assert batch.optimal[alone].all()
-    gap = (batch.objective - batch.lower_bound) / batch.lower_bound
-    assert (gap[batch.optimal] <= 1e-10).all()
+    assert batch.optimal[[optimizer.solve(load).status is Status.OPTIMAL for load in loads]].all()
+    assert ((batch.objective - batch.lower_bound)[batch.optimal] <= 1e-10 * batch.lower_bound[batch.optimal]).all()
     assert (batch.cone_margin >= 0.0).all()
 
 
 @pytest.mark.parametrize("method", ["newton", "conic"])
 def test_grasps_of_every_kind_side_by_side(method: str) -> None:
-    """Nearly coplanar, without force closure, soft, elliptic and frictionless among ordinary ones: the statuses of single calls."""
+    """Nearly coplanar, without force closure, soft, elliptic and frictionless among ordinary ones: the results of single calls."""
     base = ring(8)
     positions, normals = base.positions, base.normals
     grasps = [Grasp.from_contacts(positions * scale, normals, 0.5) for scale in np.linspace(0.8, 1.2, 30)]
@@ -115,14 +108,17 @@ def test_grasps_of_every_kind_side_by_side(method: str) -> None:
         one = attempt(lambda g=grasp, w=loads[k]: optimize_force(g, w, method=method))
         assert batch[k].status is one.status
         assert batch[k].objective == pytest.approx(one.objective, rel=1e-4)
+        np.testing.assert_allclose(batch.torsion[k], one.torsion, atol=1e-6)
+        if one.status is Status.OPTIMAL:
+            assert grasp.residual(batch.force[k], batch.wrench[k], batch.torsion[k]) < 1e-9
     ordinary = [k for k in range(len(grasps)) if k not in (3, 7, 11, 12, 13)]
     without = optimize_forces([grasps[k] for k in ordinary], loads[ordinary], method=method)
     np.testing.assert_array_equal(without.records, batch.records[ordinary])
 
 
-@pytest.mark.parametrize("thin", [1e-3, 1e-4, 1e-5, 1e-6])
+@pytest.mark.parametrize("thin", [1e-3, 1e-6])
 def test_grasps_near_rank_loss_are_solved_alone(thin: float) -> None:
-    """Contacts nearly on a line, where sums of another order are worth more than rounding: the bits of single calls."""
+    """Contacts nearly on a line, where the order of sums matters more than rounding: the bits of single calls."""
     base = ring(8)
     points = [base.positions * [1.0, thin, thin] * (1.0 + 0.03 * k) for k in range(9)]
     grasps = [Grasp.from_contacts(each, base.normals, 0.5) for each in points]
@@ -131,28 +127,90 @@ def test_grasps_near_rank_loss_are_solved_alone(thin: float) -> None:
         np.testing.assert_array_equal(found.force, attempt(lambda g=grasp, w=load: optimize_force(g, w)).force)
 
 
+# threads, processes, interrupts
+
+LOADS = sample_ball(np.random.default_rng(0), 100)
+
+
+@pytest.mark.parametrize("kind", ["newton", "conic", "flow", "limits"])
+def test_eight_threads_with_an_optimizer_each_or_a_shared_one(kind: str) -> None:
+    """Use one optimizer in one thread; if it is shared all the same, its answers are still right."""
+    alone, shared = [ForceOptimizer(GRASP, **KINDS[kind]) for _ in range(8)], ForceOptimizer(GRASP, **KINDS[kind])
+    want = np.array([shared.solve(load).force for load in LOADS])
+    remembers = ForceOptimizer(GRASP, **KINDS[kind], initial=None if kind == "conic" else "previous")
+    with ThreadPoolExecutor(8) as pool:
+        for found in pool.map(lambda own: [own.solve(load).force for load in LOADS], alone):
+            np.testing.assert_array_equal(found, want)
+        np.testing.assert_array_equal([found.force for found in pool.map(shared.solve, LOADS)], want)
+        for load, solution in zip(LOADS, pool.map(remembers.solve, LOADS), strict=True):
+            np.testing.assert_array_equal(solution.wrench, load)
+            assert solution.equilibrium_residual < 1e-9
+            assert solution.optimality_gap <= 1e-4
+
+
+def in_a_child(optimizer: ForceOptimizer, answers: multiprocessing.SimpleQueue) -> None:
+    answers.put((optimizer.solve(LOADS[1]).force, optimize_forces(optimizer.grasp, LOADS, workers=2).force))
+
+
+@pytest.mark.parametrize("way", ["fork", "spawn"])
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_processes_after_use(way: str) -> None:
+    """The parent has used everything, threads of its batches too, before its child does."""
+    optimizer = ForceOptimizer(GRASP, initial="previous")
+    optimizer.solve(LOADS[0])
+    expected = optimize_forces(GRASP, LOADS, workers=2).force
+    context = multiprocessing.get_context(way)
+    answers = context.SimpleQueue()
+    child = context.Process(target=in_a_child, args=(optimizer, answers), daemon=True)
+    child.start()
+    here = optimize_forces(GRASP, LOADS, workers=2).force  # at the same time
+    force, batch = answers.get()
+    child.join(60.0)
+    assert child.exitcode == 0
+    np.testing.assert_array_equal(force, optimizer.solve(LOADS[1]).force)
+    for one in (here, batch):
+        np.testing.assert_array_equal(one, expected)
+
+
+INTERRUPTED = """
+import signal, sys, threading, time
+import numpy as np
+from grasp_env.force import optimize_forces
+from grasp_env.grasp import presets
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a background job
+grasp, method, workers, many, count = presets.paper_cuboid(), sys.argv[1], eval(sys.argv[2]), sys.argv[3] == "grasps", int(sys.argv[4])
+loads = np.random.default_rng(0).standard_normal((count, 6)) * [1, 1, 1, 0.05, 0.05, 0.05]
+before, sent = optimize_forces(grasp, loads[:50], method=method).force, []
+def interrupt():
+    sent.append(time.perf_counter())
+    signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+threading.Timer(0.1, interrupt).start()
+try:
+    optimize_forces([grasp] * count if many else grasp, loads, method=method, workers=workers, tolerance=1e-12)
+    sys.exit("finished")
+except KeyboardInterrupt:
+    took = time.perf_counter() - sent[0]
+assert (optimize_forces(grasp, loads[:50], method=method).force == before).all()
+begin = time.perf_counter()
+while threading.active_count() > 1 and time.perf_counter() < begin + 5.0:
+    time.sleep(0.01)
+print(took, threading.active_count())
+"""
+LONG = [("reduced_flow", "wrenches", 400_000), ("newton", "wrenches", 1_500_000), ("conic", "wrenches", 1_000_000), ("newton", "grasps", 300_000)]  # fmt: skip
+"""Batches of seconds, within 0.6 GiB."""
+
+
 @pytest.mark.parametrize(
-    ("grasps", "loads", "options", "message"),
-    [
-        (GRASP, np.zeros(6), {}, "wrenches must have shape"), (GRASP, np.full((2, 6), np.nan), {}, "wrenches must be finite"),
-        (GRASP, np.full((2, 6), 1e13), {}, "components up to"), (GRASP, np.zeros((2, 6)), {"workers": 0}, "workers must be an integer >= 1"),
-        (GRASP, np.zeros((2, 6)), {"initial": "previous"}, "no previous solution"), ([GRASP], np.zeros((2, 6)), {}, "as many grasps as wrenches"),
-        ([GRASP, presets.tripod()], np.zeros((2, 6)), {}, "one number of contacts"), ([GRASP, 3], np.zeros((2, 6)), {}, "entry 1 is int"),
-    ],
+    ("method", "kind", "count", "workers"),
+    [(*LONG[0], 2), *(pytest.param(*batch, workers, marks=pytest.mark.slow) for batch in LONG for workers in (1, 2, None))],
 )  # fmt: skip
-def test_wrong_input(grasps: object, loads: np.ndarray, options: dict, message: str) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        optimize_forces(grasps, loads, **options)
-
-
-def test_the_control_loops_path_is_the_careful_one() -> None:
-    """An array of floats takes the compiled call, a list every check: the same solution, bit for bit but for rounding."""
-    rng = np.random.default_rng(5)
-    fast, slow = (ForceOptimizer(GRASP, initial="previous", tolerance=1e-8) for _ in range(2))
-    load = sample_ball(rng, 1)[0]
-    for _ in range(50):
-        load = load * (1.0 + 10.0 ** rng.uniform(-4, 0.5) * rng.standard_normal(6))
-        one, other = fast.solve(load), slow.solve(load.tolist())
-        assert (one.status, one.initial) == (other.status, other.initial)
-        assert one.objective == pytest.approx(other.objective, rel=2e-8)
-        assert one.equilibrium_residual <= 1e-13 * np.abs(one.force).max()
+def test_an_interrupt_ends_a_batch(method: str, kind: str, count: int, workers: int | None) -> None:
+    """Within about a second, at any length; later batches have the same bits."""
+    command = [sys.executable, "-c", INTERRUPTED, method, str(workers), kind, str(count)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=ROOT, env=environment, timeout=120, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    took, threads = done.stdout.split()
+    assert float(took) < 1.0
+    assert threads == "1"

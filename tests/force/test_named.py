@@ -1,4 +1,4 @@
-"""Every named problem through every door: one status, one objective, and a summary that says what is true of its force."""
+"""Every named problem through every entry point: one status, one objective, and claims that hold for its force."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ SMOOTH = (
 """Problems of about one newton, whose least objective has derivatives."""
 
 
-def check(p: Named, method: str, found: ForceSolution, door: str) -> None:
-    """Everything that a solution says, computed anew from the geometry."""
+def check(p: Named, method: str, found: ForceSolution, entry: str) -> None:
+    """Recompute everything that a solution claims from the geometry."""
     known, reference = p.known[method], p.reference()
-    assert found.status.value == known["status"], (door, found)
+    assert found.status.value == known["status"], (entry, found)
     np.testing.assert_array_equal(found.wrench, p.wrench)
     if found.status is Status.INFEASIBLE:
-        assert not found.force.any(), door
-        assert (found.objective, found.lower_bound) == (np.inf, np.inf), door
-        assert reference.separates(found.certificate, p.wrench) > 0.0 or reference.margin(p.wrench) < 1e-9, door
+        assert not found.force.any(), entry
+        assert (found.objective, found.lower_bound) == (np.inf, np.inf), entry
+        p.assert_infeasible(found)
         return
     size, most = float(np.abs(reference.load(p.wrench)).max()), float(np.abs(found.force).max())
     exceeded = found.status is Status.LIMITS_EXCEEDED
@@ -38,31 +38,31 @@ def check(p: Named, method: str, found: ForceSolution, door: str) -> None:
     away = 1.0 + float(np.abs(p.grasp.positions).max()) / reference.length
     rounding = 1e-14 * away * max(size, most)
     residual = reference.residual(found.force, found.torsion, p.wrench)
-    assert residual <= 1e-9 * size + rounding, door
-    assert found.equilibrium_residual == pytest.approx(residual, abs=10.0 * rounding), door
+    assert residual <= 1e-9 * size + rounding, entry
+    assert found.equilibrium_residual == pytest.approx(residual, abs=10.0 * rounding), entry
     np.testing.assert_array_equal(found.force[reference.transmits[:, 1] == 0.0, 1:], 0.0)
     np.testing.assert_array_equal(found.torsion[reference.gamma == 0.0], 0.0)
-    held = Reference.of(p.grasp) if exceeded else reference
-    assert held.violation(found.force, found.torsion) <= 1e-14 * max(size, most), door
+    held = Reference(p.grasp) if exceeded else reference
+    assert held.violation(found.force, found.torsion) <= 1e-14 * max(size, most), entry
     known_to = 1e-14 * float((p.grasp.models.cone_scale * np.abs(found.force)).max()) + rounding
-    assert 0.0 <= found.cone_margin == pytest.approx(reference.cone_margin(found.force), abs=known_to), door
-    assert found.limit_excess == pytest.approx(reference.excess(found.force, found.torsion), rel=1e-9), door
+    assert 0.0 <= found.cone_margin == pytest.approx(reference.cone_margin(found.force), abs=known_to), entry
+    assert found.limit_excess == pytest.approx(reference.excess(found.force, found.torsion), rel=1e-9), entry
     # the objective: of this force, no more than the tolerance and the digits written above the least
     digits, tolerance = known["digits"], METHODS[method]["tolerance"]
-    assert found.objective == pytest.approx(value(p, method, found, reference), rel=1e-9, abs=1e-14), door
-    assert found.lower_bound <= known["objective"] * (1.0 + digits + 1e-9), door
-    # an excess is least to a hundredth, which `digits` says
+    assert found.objective == pytest.approx(value(p, method, found, reference), rel=1e-9, abs=1e-14), entry
+    assert found.lower_bound <= known["objective"] * (1.0 + digits + 1e-9), entry
+    # an excess is least to a hundredth, see `digits`
     least = known["objective"] * (1.0 - (1e-6 if exceeded else digits + 1e-11))
-    assert least <= found.objective <= known["objective"] * (1.0 + tolerance + digits + 1e-11) + 1e-11, door
-    assert exceeded or found.optimality_gap <= tolerance, door
+    assert least <= found.objective <= known["objective"] * (1.0 + tolerance + digits + 1e-11) + 1e-11, entry
+    assert exceeded or found.optimality_gap <= tolerance, entry
     prices = found.limit_multipliers
-    assert (prices >= 0.0).all(), door
+    assert (prices >= 0.0).all(), entry
     if method != "newton" and not exceeded:
         bound, theta = reference.dual_bound(found.multipliers, prices, p.wrench, method)
-        assert theta > 1.0 - 1e-8, door
-        assert found.lower_bound <= bound * (1.0 + 1e-8), door
+        assert theta > 1.0 - 1e-8, entry
+        assert found.lower_bound <= bound * (1.0 + 1e-8), entry
         room = reference.bound - np.einsum("kna,na->k", reference.rows, np.column_stack([found.force, found.torsion]))
-        assert float(room @ prices) <= 1e-6 * found.objective, door
+        assert float(room @ prices) <= 1e-6 * found.objective, entry
     # vectors along the axes of the positions
     np.testing.assert_allclose(found.frames, reference.frames, atol=1e-13)
     pushed = np.einsum("nij,nj->ni", reference.frames, found.force)
@@ -76,7 +76,7 @@ def check(p: Named, method: str, found: ForceSolution, door: str) -> None:
 
 
 def elsewhere(p: Named) -> tuple[Grasp, ForceLimits | None, dict[str, Any]]:
-    """Other contacts, limits with another Jacobian, and what a call is given so that it is the problem all the same."""
+    """Return other contacts, limits with another Jacobian, and the arguments of a call that restore the problem."""
     rng, grasp, models = np.random.default_rng(1), p.grasp, p.grasp.models
     normals = grasp.normals + 0.05 * rng.standard_normal(grasp.normals.shape)
     friction = np.where(models.friction > 0.0, models.friction, 0.7)
@@ -97,8 +97,8 @@ def elsewhere(p: Named) -> tuple[Grasp, ForceLimits | None, dict[str, Any]]:
 
 
 @EACH
-def test_every_door(name: str, method: str) -> None:
-    """They agree to their tolerance: what they solve is the same, the order of their sums and their starts are not."""
+def test_every_entry_point(name: str, method: str) -> None:
+    """They agree to their tolerance; only starts and the order of sums differ."""
     p = NAMED[name]
     grasp, wrench, options = p.grasp, p.wrench, p.options(method)
     there, limits, now = elsewhere(p)
@@ -123,10 +123,10 @@ def test_every_door(name: str, method: str) -> None:
         remembers = ForceOptimizer(grasp, initial="previous", **options)
         attempt(lambda: remembers.solve(0.95 * wrench))
         found["previous"] = attempt(lambda: remembers.solve(wrench))
-    for door, solution in found.items():
-        check(p, method, solution, door)
-    for door in ("function", "again"):
-        np.testing.assert_array_equal(found[door]._record, first._record)
+    for entry, solution in found.items():
+        check(p, method, solution, entry)
+    for entry in ("function", "again"):
+        np.testing.assert_array_equal(found[entry]._record, first._record)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(first))._record, first._record)
     # an optimum and a proof have prices, an excess has none
     labels, prices = optimizer.limit_labels, first.limit_multipliers
@@ -136,7 +136,7 @@ def test_every_door(name: str, method: str) -> None:
 
 @EACH
 def test_objectives_are_those_of_an_outside_judge(name: str, method: str) -> None:
-    """Solve each named problem again and compare with its file, and with Clarabel where that is accurate enough."""
+    """The file's results are found again, also by Clarabel."""
     pytest.importorskip("clarabel")
     found, known = judged(NAMED[name], method), NAMED[name].known[method]
     assert (found["status"], found.get("by")) == (known["status"], known.get("by"))
@@ -147,9 +147,9 @@ def test_objectives_are_those_of_an_outside_judge(name: str, method: str) -> Non
 
 
 @pytest.mark.parametrize("name", SMOOTH)
-@pytest.mark.parametrize("method", ["newton", "sum", "max"])
+@pytest.mark.parametrize("method", METHODS)
 def test_multipliers_and_prices_are_derivatives(name: str, method: str) -> None:
-    """Of the objective with respect to the wrench and to each limit."""
+    """They are those of the objective with respect to the wrench and to each limit."""
     p = NAMED[name]
     options = {**p.options(method), "tolerance": 1e-10 if method == "newton" else 1e-9}
 
@@ -201,16 +201,16 @@ def test_without_a_wrench(name: str, method: str) -> None:
 
 
 @EACH
-@pytest.mark.parametrize("most", [0, 1, 2, 4])
+@pytest.mark.parametrize("most", [0, 1, 4])
 def test_stopped_early_it_is_still_what_it_says(name: str, method: str, most: int) -> None:
-    """Balanced, inside and with a bound that is below the least: or no force at all."""
+    """Balanced, inside and with a valid bound, or no force at all."""
     p, known = NAMED[name], NAMED[name].known[method]
     found = attempt(lambda: optimize_force(p.grasp, p.wrench, **p.options(method), max_iterations=most))
     if found.status is Status.INFEASIBLE:
         assert known["status"] in ("infeasible", "limits_exceeded")
-        assert p.reference().separates(found.certificate, p.wrench) > 0.0 or p.reference().margin(p.wrench) < 1e-9
+        p.assert_infeasible(found)
         return
-    reference = Reference.of(p.grasp, None if p.elastic else p.limits)
+    reference = Reference(p.grasp, None if p.elastic else p.limits)
     size, largest = float(np.abs(reference.load(p.wrench)).max()), float(np.abs(found.force).max())
     assert reference.violation(found.force, found.torsion) <= 1e-13 * max(size, largest)
     away = 1.0 + float(np.abs(p.grasp.positions).max()) / reference.length

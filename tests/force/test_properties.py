@@ -1,4 +1,4 @@
-"""What must hold for every grasp and wrench, tried by hypothesis; every strategy draws from fixed seeds."""
+"""Properties of every grasp and wrench, by hypothesis; every strategy draws from fixed seeds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from grasp_env.grasp import Grasp
 hypothesis = pytest.importorskip("hypothesis")
 given, strategies = hypothesis.given, hypothesis.strategies
 
-hypothesis.settings.register_profile("grasp", derandomize=True, deadline=None, max_examples=30, database=None)
+hypothesis.settings.register_profile("grasp", derandomize=True, deadline=None, max_examples=20, database=None)
 properties = hypothesis.settings(hypothesis.settings.get_profile("grasp"))
 
 SEEDS = strategies.integers(0, 2**32 - 1)
@@ -29,7 +29,7 @@ Generator = np.random.Generator
 
 
 def case(seed: int, kind: str = "hard", most: int = 8) -> tuple[Grasp, np.ndarray, Generator]:
-    """A grasp of about 0.1 m that holds a wrench of about 1 N; other draws are not tried."""
+    """A grasp of about 0.1 m and a wrench of about 1 N that it can balance; other draws are rejected."""
     rng = np.random.default_rng(seed)
     try:
         grasp = random_grasp(rng, kind, most=most)
@@ -42,7 +42,7 @@ def case(seed: int, kind: str = "hard", most: int = 8) -> tuple[Grasp, np.ndarra
 
 
 def remade(grasp: Grasp, **changes: Any) -> Grasp:
-    """The same contacts but for `changes`; frames are kept by giving their tangents."""
+    """The same contacts and frames, except for `changes`."""
     friction, gamma = rubbing(grasp)
     same = {
         "positions": grasp.positions, "normals": grasp.normals, "friction": friction, "contact_model": grasp.models.names,
@@ -52,7 +52,7 @@ def remade(grasp: Grasp, **changes: Any) -> Grasp:
 
 
 def rubbing(grasp: Grasp) -> tuple[np.ndarray, np.ndarray]:
-    """Friction and torsional friction as they are given: some also where there is none."""
+    """Friction and torsional friction as arguments, which are not zero for any model."""
     friction, gamma = grasp.models.friction, grasp.models.torsional_friction
     return np.where(friction > 0.0, friction, 0.5), np.where(gamma > 0.0, gamma, 1.0)
 
@@ -68,7 +68,7 @@ def cost(grasp: Grasp, wrench: np.ndarray, criterion: str, **options: Any) -> fl
     return least(grasp, wrench, criterion=criterion, **options).objective
 
 
-# the same problem, said otherwise: (contacts, wrench, order, side of the tangent t)
+# the same problem in other words: (contacts, wrench, order, side of the tangent t)
 
 Same = tuple[Grasp, np.ndarray, Any, float]
 
@@ -99,27 +99,18 @@ def permuted(grasp: Grasp, wrench: np.ndarray, rng: Generator) -> Same:
     return Grasp.from_contacts(positions, normals, tangents=tangents, **each), wrench, order, 1.0
 
 
-def elliptic(grasp: Grasp, wrench: np.ndarray, rng: Generator) -> Same:
-    """A cone of equal axes is round."""
-    friction, _ = rubbing(grasp)
-    return remade(grasp, friction=np.broadcast_to(friction.T, (2, grasp.n_contacts)).T), wrench, slice(None), 1.0
-
-
 def in_another_unit(grasp: Grasp, wrench: np.ndarray, rng: Generator) -> Same:
-    """Of length."""
     unit = 10.0 ** rng.uniform(-3.0, 3.0)
     other = remade(grasp, positions=unit * grasp.positions, torsional_friction=unit * rubbing(grasp)[1])
     return other, wrench * [1, 1, 1, unit, unit, unit], slice(None), 1.0
 
 
-@pytest.mark.parametrize("change", [turned, mirrored, shifted, permuted, elliptic, in_another_unit])
+@pytest.mark.parametrize("change", [turned, mirrored, shifted, permuted, in_another_unit])
 @properties
 @given(SEEDS, KINDS, strategies.sampled_from(["sum", "max", "newton"]))
-def test_what_is_the_same_problem_has_the_same_answer(
-    change: Callable[..., Same], seed: int, kind: str, what: str
-) -> None:
-    """The same objective; the same force where the optimum is unique: Phi's."""
-    grasp, wrench, rng = case(seed, "hard" if change is elliptic else kind)
+def test_the_same_problem_has_the_same_answer(change: Callable[..., Same], seed: int, kind: str, what: str) -> None:
+    """The same objective, and for Phi, whose optimum is unique, the same force."""
+    grasp, wrench, rng = case(seed, kind)
     other, load, order, side = change(grasp, wrench, rng)
     if what != "newton":
         assert cost(other, load, what) == pytest.approx(cost(grasp, wrench, what), rel=CONIC)
@@ -145,61 +136,6 @@ def test_powers_of_two_scale_every_bit(seed: int, kind: str, criterion: str, pow
     assert other.iterations == one.iterations
 
 
-@properties
-@given(SEEDS, KINDS, strategies.sampled_from(["sum", "max", "newton"]), strategies.floats(-6.0, 4.0))
-def test_force_scales_with_the_wrench_and_the_root_of_lambda(seed: int, kind: str, what: str, power: float) -> None:
-    grasp, wrench, _ = case(seed, kind)
-    factor = 10.0 ** (power if what != "newton" else 0.4 * power)
-    costs = []
-    for k in (1.0, factor):
-        phi = {"method": "newton", "initial": "phase_one", "tolerance": 1e-9, "barrier_weight": 0.01 * k**2}
-        costs.append(least(grasp, k * wrench, **(phi if what == "newton" else {"criterion": what})).objective)
-    assert costs[1] == pytest.approx(factor * costs[0], rel=3e-9 if what == "newton" else CONIC)
-
-
-# more of something, which never costs more
-
-
-def rougher(grasp: Grasp, rng: Generator) -> tuple[Grasp, Grasp]:
-    return grasp, remade(grasp, friction=rng.uniform(1.0, 3.0) * rubbing(grasp)[0])
-
-
-def more_contacts(grasp: Grasp, rng: Generator) -> tuple[Grasp, Grasp]:
-    normal = rng.standard_normal(3)
-    normal /= np.linalg.norm(normal)
-    positions = [*grasp.positions, grasp.positions.mean(axis=0) - grasp.length * normal]
-    hard = remade(grasp, contact_model="hard")
-    return hard, Grasp.from_contacts(positions, [*grasp.normals, normal], [*hard.models.friction, [0.5, 0.5]])
-
-
-def softer(grasp: Grasp, rng: Generator) -> tuple[Grasp, Grasp]:
-    """More torsional friction, from hardly any to that of rigid discs."""
-    gamma = grasp.length * 10.0 ** rng.uniform(-9.0, 3.0)
-    one, other = (remade(grasp, contact_model="soft", torsional_friction=k * gamma) for k in (1.0, 2.0))
-    return one, other
-
-
-def soft(grasp: Grasp, rng: Generator) -> tuple[Grasp, Grasp]:
-    return remade(grasp, contact_model="hard"), softer(grasp, rng)[0]
-
-
-@pytest.mark.parametrize("more", [rougher, more_contacts, softer, soft])
-@properties
-@given(SEEDS, KINDS, CRITERIA)
-def test_what_never_costs_more(more: Callable[..., tuple[Grasp, Grasp]], seed: int, kind: str, criterion: str) -> None:
-    grasp, wrench, rng = case(seed, kind if more is rougher else "hard")
-    before, after = more(grasp, rng)
-    assert cost(after, wrench, criterion) <= cost(before, wrench, criterion) * (1.0 + CONIC)
-
-
-@properties
-@given(SEEDS, CRITERIA)
-def test_no_torsional_friction_to_speak_of_is_a_hard_contact(seed: int, criterion: str) -> None:
-    grasp, wrench, _ = case(seed)
-    almost = remade(grasp, contact_model="soft", torsional_friction=1e-9 * grasp.length)
-    assert cost(almost, wrench, criterion) == pytest.approx(cost(grasp, wrench, criterion), rel=1e-4)
-
-
 # limits, criteria, prices
 
 
@@ -208,34 +144,13 @@ def test_no_torsional_friction_to_speak_of_is_a_hard_contact(seed: int, criterio
 def test_limits_that_do_not_bind_change_nothing(seed: int, kind: str, criterion: str) -> None:
     grasp, wrench, rng = case(seed, kind)
     free = least(grasp, wrench, criterion=criterion)
+    if kind == "hard":
+        almost = remade(grasp, contact_model="soft", torsional_friction=1e-9 * grasp.length)
+        assert cost(almost, wrench, criterion) == pytest.approx(free.objective, rel=1e-4)
     jac = grasp.length * rng.standard_normal((grasp.n_contacts, 3, 4))
     torque = 2.0 * np.abs(np.einsum("nij,ni->j", jac, free.object_force)).max() + 1e-3 * grasp.length
     limits = ForceLimits(max_normal=2.0 * float(free.force[:, 0].max()), jacobian=jac, torque_limit=torque)
     assert cost(grasp, wrench, criterion, limits=limits) == pytest.approx(free.objective, rel=CONIC)
-
-
-@properties
-@given(SEEDS, KINDS, strategies.floats(0.3, 0.999))
-def test_a_limit_is_kept_and_never_saves_force(seed: int, kind: str, share: float) -> None:
-    grasp, wrench, _ = case(seed, kind)
-    free = least(grasp, wrench)
-    most = share * float(free.force[:, 0].max())
-    try:
-        held = least(grasp, wrench, limits=ForceLimits(max_normal=most))
-    except InfeasibleWrenchError:
-        assert most <= cost(grasp, wrench, "max") * (1.0 + 1e-5)
-        return
-    assert held.force[:, 0].max() <= most
-    assert held.objective >= free.objective * (1.0 - CONIC)
-
-
-@properties
-@given(SEEDS, KINDS)
-def test_the_criteria_bound_each_other(seed: int, kind: str) -> None:
-    grasp, wrench, _ = case(seed, kind)
-    total, largest = least(grasp, wrench), least(grasp, wrench, criterion="max")
-    assert largest.objective <= total.force[:, 0].max() * (1.0 + CONIC)
-    assert total.objective <= largest.force[:, 0].sum() * (1.0 + CONIC)
 
 
 @properties

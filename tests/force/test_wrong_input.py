@@ -1,10 +1,13 @@
-"""What errors say, rules between arguments, and rules of somebody else's that fail; `malformed` tries what else no call means."""
+"""Wrong input and the words of its errors, failing rules, and wrenches that no force balances.
+
+`tests/malformed` tries the rest at random.
+"""
 
 from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
-from dataclasses import replace
+from functools import partial
 from typing import Any, NoReturn
 
 import numpy as np
@@ -25,6 +28,11 @@ from grasp_env.force import (
     DESCENTS,
     METHODS,
     RULES,
+    AdaptiveStep,
+    ArmijoStep,
+    BarzilaiBorweinStep,
+    ExactStep,
+    FixedStep,
     ForceLimits,
     ForceOptimizer,
     LinearCombination,
@@ -32,6 +40,7 @@ from grasp_env.force import (
     Status,
     carry_over,
     initial_rule,
+    joint_torques,
     optimize_force,
     optimize_forces,
 )
@@ -39,115 +48,110 @@ from grasp_env.force.rules import CoreStart
 from grasp_env.grasp import Grasp, presets
 
 GRASP, PUSHED, SOFT = presets.paper_cuboid(), NAMED["pushed"].grasp, NAMED["soft"].grasp
+TRIPOD, ONES, JAC, SPUN = presets.tripod(), np.ones((4, 3)), np.ones((3, 3, 2)), np.zeros((4, 3, 2))
+TORQUES = ForceLimits(jacobian=0.05 * np.random.default_rng(0).standard_normal((4, 3, 5)), torque_limit=5.0)
+RING = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.arange(9) * 2.0 * np.pi / 9])
 SQUEEZE = np.array([[3.0, 0, 0], [1.2, 0, 0], [0.9, 0, 0], [0.9, 0, 0]])
 """Balanced: moments 1.2 * 0.03."""
 
 
-def solve(**options: Any) -> Any:
-    return optimize_force(wrench=PAPER_WRENCH, **{"grasp": GRASP, **options})
+def solve(**options: Any) -> Callable[[], Any]:
+    return partial(optimize_force, **{"grasp": GRASP, "wrench": PAPER_WRENCH, **options})
+
+
+def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
+    """A call of an optimizer with torque limits."""
+    optimizer = ForceOptimizer(GRASP, limits=TORQUES)
+    return partial(getattr(optimizer, name), *([] if name == "update" else [PAPER_WRENCH]), **given)
 
 
 @pytest.mark.parametrize(
-    ("wrench", "message"),
+    ("call", "message"),
     [
-        (np.zeros(5), r"wrench must have shape \(6,\), got \(5,\)"), (np.zeros((6, 1)), r"shape \(6,\), got \(6, 1\)"),
-        (0.0, r"wrench must have shape \(6,\), got \(\)"), (None, "wrench must"), ("down", "wrench must be numbers"),
-        ([1.0, 2.0, 3.0, [4.0], 5.0, 6.0], "wrench must be numbers"), (np.ones(6) * 1j, "wrench must"),
-        ([0.0, 0.0, np.nan, 0.0, 0.0, 0.0], r"wrench must be finite, got \[0\.0, 0\.0, nan"),
-        ([-np.inf, 0.0, 0.0, 0.0, 0.0, 0.0], r"wrench must be finite, got \[-inf"), ([1e13] * 6, "1e\\+12"),
+        # wrenches
+        *((solve(wrench=wrench, **way), message) for wrench, message in (
+            (np.zeros(5), r"wrench must have shape \(6,\), got \(5,\)"), (None, "wrench must"), ("down", "wrench must be numbers"),
+            ([0.0, 0.0, np.nan, 0.0, 0.0, 0.0], r"wrench must be finite, got \[0\.0, 0\.0, nan"), ([1e13] * 6, "1e\\+12"))
+          for way in ({"initial": "phase_one"}, {"method": "conic"}, {"limits": ForceLimits(max_normal=50.0)})),
+        # options
+        *((solve(**{name: odd}), f"{name} must be .*{odd!r}") for name in ("tolerance", "force_weight", "barrier_weight") for odd in (0.0, np.nan, "much")),
+        *((solve(max_iterations=odd), f"max_iterations must be an integer >= 0, got {odd!r}") for odd in (-1, 1.5, "ten", True)),
+        (solve(barrier_weight=(0.1, np.nan, 0.1, 0.1)), "barrier_weight"), (solve(force_weight=[1.0] * 3), "force_weight has 3 entries, the grasp 4"),
+        (solve(optimum=0.0), "optimum"), (solve(elastic=1), "elastic must be True or False, got 1"), (solve(elastic=True), "give limits"),
+        (solve(grasp="grasp"), "a Grasp is needed"), (solve(initial=3), "initial must be a rule's name"), (solve(limits={"max_normal": 3.0}), "limits must"),
+        (solve(limits=ForceLimits(max_normal=[3.0, 3.0])), "max_normal has 2 entries, the grasp 4 contacts: give one or 4"),
+        (solve(limits=ForceLimits(jacobian=JAC, torque_limit=1.0)), r"jacobian must have shape \(4, 3, J\)"),
+        *((solve(method="conic", **{name: odd}), name) for name, odd in (("initial", np.ones((4, 3))), ("initial", "previous"), ("optimum", 3.0), ("trace", True), ("step_rule", 0.1))),
+        (solve(method="conic", criterion="mean"), "unknown criterion"), (solve(criterion="max"), "belongs to method 'conic'"),
+        (solve(step_rule=FixedStep(0.1)), "step_rule belongs to the flows, got method 'newton'"), (solve(tolerance=-1.0, elastic=2), "tolerance[\\s\\S]*elastic"),
+        *((solve(method=flow, **given), "newton or conic") for flow in ("reduced_flow", "full_flow") for given in ({"limits": ForceLimits(max_normal=9.0)}, {"grasp": SOFT})),
+        (solve(method="full_flow", grasp=Grasp.from_contacts(0.05 * RING, -RING, 0.5)), "the full flow is dense: at most 8 contacts"),
+        (solve(initial=optimize_force(GRASPS["cuboid, 5"], PAPER_WRENCH)), "previous solution has 5 contacts, the grasp 4"),
+        (partial(setattr, ForceOptimizer(GRASP), "previous", 3), "previous must be a ForceSolution or None"), (solve(method="Newton"), "did you mean 'newton'"),
+        # names: each lists the choices
+        *((named, f"unknown {kind} 'simplex':.* choose one of .*{re}") for kind, re, named in (
+            ("method", METHODS[-1], solve(method="simplex")), ("initial-force rule", "previous", partial(ForceOptimizer, GRASP, initial="simplex")),
+            ("initial-force rule", "phase_one", call(initial="simplex")), ("initial-force rule", "phase_one", call("start", initial="simplex")),
+            ("initial-force rule", [*RULES][-1], partial(initial_rule, "simplex")), ("variant", "short", partial(BarzilaiBorweinStep, variant="simplex")),
+            ("correction", "tangent", partial(carry_over, GRASP, PAPER_WRENCH, SQUEEZE, Objective(), "simplex")))),
+        # step rules
+        (partial(FixedStep, 0.0), "size must be finite and > 0, got 0.0"), (partial(ArmijoStep, shrink=1.0), r"shrink must lie in \(0, 1\), got 1.0"),
+        (partial(AdaptiveStep, shrink=1e-9), "shrink must lie within 0.001 to 0.999, got 1e-09"), (partial(AdaptiveStep, grow=0.5), "grow must be a finite factor >= 1"),
+        (partial(ArmijoStep, slope=0.0), r"slope must lie in \(0, 1\)"), (partial(ExactStep, "fine"), r"precision must lie in \(0, 1\), got 'fine'"),
+        (solve(method="reduced_flow", step_rule="exact"), r"a FixedStep, ArmijoStep, .* or ExactStep, got 'exact'"),
+        # arguments of a call
+        *((call(name, **given), message) for name in ("solve", "update") for given, message in (
+            ({"positions": np.zeros((3, 3))}, r"positions must have shape \(4, 3\), got \(3, 3\)"), ({"positions": np.full((4, 3), np.nan)}, "positions must be finite"),
+            ({"normals": 2.0 * GRASP.normals}, "normal"), ({"friction": -0.1}, "friction"), ({"jacobian": np.zeros((4, 3, 4))}, "jacobian must be that of 5 joints"),
+            ({"torque_bias": np.zeros(4)}, "torque_bias"))),
+        *((call(contacts=odd), r"contacts must be \(4,\) of true and false") for odd in ([True] * 3, "1111", [1, 1, 1, 1])),
+        (partial(ForceOptimizer(GRASP).solve, PAPER_WRENCH, torque_bias=np.zeros(5)), "torque"), (partial(ForceOptimizer(GRASP, method="conic").start, PAPER_WRENCH), "takes no initial force"),
+        # limits and torques
+        (partial(ForceLimits, min_normal=-1), "min_normal must be >= 0 and finite, one for all or one per contact, got -1"),
+        (partial(ForceLimits, min_normal=np.inf), "min_normal must be >= 0 and finite"), (partial(ForceLimits, [[1.0]]), "min_normal must be"),
+        (partial(ForceLimits, max_normal=0), "max_normal must be > 0, inf for no limit"), (partial(ForceLimits, max_normal="a"), "a number or one per contact"),
+        (partial(ForceLimits, 2, [3, 2, 4]), "at contact 1 they are 2 and 2"), (partial(ForceLimits, [0, 0], [1, 1, 1]), "min_normal has 2 entries and max_normal 3"),
+        (partial(ForceLimits, jacobian=JAC), "together, got only jacobian"), (partial(ForceLimits, torque_limit=1), "together, got only torque_limit"),
+        (partial(ForceLimits, torque_bias=[1.0]), "torque_bias without torque limits has no effect"), (partial(ForceLimits, jacobian=JAC, torque_limit=0), "torque_limit must be > 0"),
+        (partial(ForceLimits, jacobian=JAC, torque_limit=[1, 1, 1]), "torque_limit has 3 entries, the jacobian 2 joints"),
+        (partial(ForceLimits().slack, TRIPOD, np.ones(3)), r"force must have shape \(3, 3\)"), (partial(ForceLimits().violations, TRIPOD, ONES), "force must have shape"),
+        (partial(ForceLimits().slack, TRIPOD, ONES[:3], np.ones(2)), r"torsion must have shape \(3,\)"),
+        *((partial(joint_torques, np.zeros(shape), ONES), rf"jacobian must have shape \(4, 3, J\), \(12, J\) or \(4, 6, J\) .*got \({shape[0]}") for shape in ((4, 4, 2), (4, 3, 0), (11, 2), (3, 3, 2))),
+        (partial(joint_torques, SPUN, np.zeros(12)), r"force must have shape \(N, 3\)"), (partial(joint_torques, SPUN, ONES, np.zeros(3)), r"bias must have shape \(2,\)"),
+        (partial(joint_torques, SPUN, ONES, moment=ONES), r"moment needs a jacobian of shape \(N, 6, J\)"),
+        # batches
+        (partial(optimize_forces, GRASP, np.zeros(6)), "wrenches must have shape"), (partial(optimize_forces, GRASP, np.full((2, 6), np.nan)), "wrenches must be finite"),
+        (partial(optimize_forces, GRASP, np.zeros((2, 6)), workers=0), "workers must be an integer >= 1"), (partial(optimize_forces, [GRASP], np.zeros((2, 6))), "as many grasps as wrenches"),
+        (partial(optimize_forces, GRASP, np.zeros((2, 6)), initial="previous"), "no previous solution"), (partial(optimize_forces, [GRASP, TRIPOD], np.zeros((2, 6))), "one number of contacts"),
+        (partial(optimize_forces, [GRASP, 3], np.zeros((2, 6))), "entry 1 is int"), (partial(optimize_forces, GRASP, np.zeros((2, 6)), tolerence=1e-3), "unknown option 'tolerence': did you mean 'tolerance'"),
+        (partial(Objective().gradient, np.ones(6)), "x must lie strictly inside the cones"), (partial(Objective().value, np.ones(4)), r"x must have shape \(3N,\)"),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize(
-    "options",
-    [{"initial": "phase_one"}, {"initial": "previous"}, {"method": "conic"}, {"limits": ForceLimits(max_normal=50.0)}],
-    ids=str,
-)
-def test_wrench(wrench: object, message: str, options: dict[str, Any]) -> None:
+def test_wrong_input(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(GraspError, match=message) as caught:
+        call()
+    kinds = {"unknown": UnknownNameError, "previous solution has": InfeasibleStartError}
+    kinds |= dict.fromkeys(("belongs to", "newton or conic", "dense", "no initial force"), UnsupportedProblemError)
+    kind = next((kind for words, kind in kinds.items() if words in str(caught.value)), InvalidInputError)
+    assert type(caught.value) is kind
+    assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize("options", [{"initial": "phase_one"}, {"initial": "previous"}, {"method": "conic"}], ids=str)
+def test_an_optimizer_works_after_an_error(options: dict[str, Any]) -> None:
     optimizer = ForceOptimizer(GRASP, **options)
     want = optimizer.solve(PAPER_WRENCH).force
-    for call in (optimizer.solve, optimizer.start) if "initial" in options else (optimizer.solve,):
-        with pytest.raises(InvalidInputError, match=message):
-            call(wrench)
+    for given in ({"wrench": np.zeros(5)}, {"wrench": PAPER_WRENCH, "positions": np.zeros((4, 3))}):
+        with pytest.raises(GraspError):
+            optimizer.solve(**given)
     optimizer.forget()
-    np.testing.assert_array_equal(optimizer.solve(PAPER_WRENCH).force, want)  # it works as before
+    np.testing.assert_array_equal(optimizer.solve(PAPER_WRENCH).force, want)
 
 
-@pytest.mark.parametrize(
-    ("error", "options", "told"),
-    [
-        *((InvalidInputError, {name: odd}, f"{name} must be .*{odd!r}")
-          for name in ("tolerance", "force_weight", "barrier_weight") for odd in (0.0, -1.0, np.nan, np.inf, "much")),
-        *((InvalidInputError, {"max_iterations": odd}, f"max_iterations must be an integer >= 0, got {odd!r}")
-          for odd in (-1, 1.5, np.nan, "ten", None, True)),
-        (InvalidInputError, {"barrier_weight": (0.1, np.nan, 0.1, 0.1)}, "barrier_weight must"),
-        (InvalidInputError, {"force_weight": [1.0] * 3}, "force_weight"),
-        (InvalidInputError, {"force_weight": [1.0] * 3, "grasp": SOFT}, "force_weight"),
-        (InvalidInputError, {"optimum": 0.0}, "optimum"), (InvalidInputError, {"elastic": 1}, "elastic must be True or False, got 1"),
-        (InvalidInputError, {"elastic": True}, "give limits"), (InvalidInputError, {"grasp": "grasp"}, "a Grasp is needed"),
-        (InvalidInputError, {"limits": {"max_normal": 3.0}}, "limits must"),
-        (InvalidInputError, {"limits": ForceLimits(max_normal=[3.0, 3.0])}, "max_normal has 2 entries"),
-        (InvalidInputError, {"limits": ForceLimits(jacobian=np.zeros((3, 3, 2)), torque_limit=1.0)}, "jacobian must have"),
-        (InvalidInputError, {"initial": 3}, "3"), (InvalidInputError, {"initial": {}}, "{}"),
-        *((InvalidInputError, {"method": "conic", **given}, next(iter(given))) for given in (
-            {"initial": np.ones((4, 3))}, {"initial": "previous"}, {"optimum": 3.0}, {"trace": True}, {"step_rule": 0.1})),
-        *((UnknownNameError, {"method": "conic", "criterion": odd}, "criterion") for odd in ("mean", None, ["sum"])),
-        (UnknownNameError, {"method": None}, "method"),
-        (UnsupportedProblemError, {"criterion": "max"}, "conic"),
-        *((UnsupportedProblemError, {"method": flow, **given}, "newton or conic") for flow in ("reduced_flow", "full_flow")
-          for given in ({"limits": ForceLimits(max_normal=9.0)}, {"limits": ForceLimits(min_normal=0.1)}, {"grasp": SOFT})),
-    ],
-)  # fmt: skip
-def test_options(error: type[Exception], options: dict[str, Any], told: str) -> None:
-    with pytest.raises(error, match=told) as caught:
-        solve(**options)
-    assert type(caught.value) is error
-    assert isinstance(caught.value, ValueError)
-    assert len(str(caught.value)) > 20
-
-
-@pytest.mark.parametrize(
-    ("kind", "call", "allowed"),
-    [
-        ("method", lambda name: solve(method=name), METHODS),
-        ("initial-force rule", lambda name: solve(initial=name), (*RULES, "previous")),
-        ("initial-force rule", lambda name: ForceOptimizer(GRASP, initial=name), (*RULES, "previous")),
-        ("initial-force rule", lambda name: ForceOptimizer(GRASP).solve(PAPER_WRENCH, initial=name), RULES),
-        ("initial-force rule", lambda name: ForceOptimizer(GRASP).start(PAPER_WRENCH, initial=name), RULES),
-        ("initial-force rule", initial_rule, RULES),
-        ("preset", presets.preset, presets.PRESETS),
-        ("correction", lambda name: carry_over(GRASP, PAPER_WRENCH, SQUEEZE, Objective(), name), ("tangent", "pseudoinverse")),
-    ],
-)  # fmt: skip
-@pytest.mark.parametrize("name", ["simplex", "", "Newton"])
-def test_names(kind: str, call: Callable[[str], object], allowed: tuple[str, ...], name: str) -> None:
-    with pytest.raises(UnknownNameError, match=f"^unknown {kind} {name!r}:.* choose one of") as caught:
-        call(name)
-    assert ("did you mean 'newton'?" in str(caught.value)) == (name == "Newton" and "newton" in allowed)
-    assert isinstance(caught.value, KeyError)
-    for choice in allowed:
-        assert repr(choice) in str(caught.value)
-
-
-def test_what_is_set_made_or_misspelt() -> None:
-    with pytest.raises(InvalidInputError, match=r"made by Grasp\.from_contacts"):
-        replace(GRASP, friction=np.full(4, 0.9))
-    optimizer = ForceOptimizer(GRASP, initial="previous")
-    for odd in (3, "previous", GRASP, Status.OPTIMAL):
-        with pytest.raises(InvalidInputError, match="previous must be a ForceSolution or None"):
-            optimizer.previous = odd
-    told = r"unknown option 'tolerence': did you mean 'tolerance'\? choose one of 'method', 'initial', "
-    with pytest.raises(UnknownNameError, match=told):
-        optimize_forces(GRASP, PAPER_WRENCH[None], tolerence=1e-3)
-    with pytest.raises(InfeasibleStartError, match="previous solution has 5 contacts, the grasp 4"):
-        solve(initial=optimize_force(GRASPS["cuboid, 5"], PAPER_WRENCH))
-
-
-# rules of somebody else's
+# rules that fail
 
 
 class Rule:
-    """Its parts can be made to fail."""
-
     name, remembers = "mine", False
 
     def __call__(self, grasp: Grasp, wrench: np.ndarray) -> Any:
@@ -155,7 +159,7 @@ class Rule:
 
 
 def ruled(**parts: object) -> Any:
-    """Such a rule with other parts."""
+    """A rule with other parts."""
     return type("Other", (Rule,), parts)()
 
 
@@ -167,61 +171,36 @@ def fail(*_: object) -> NoReturn:
     ("broken", "message"),
     [
         (lambda good: good[:3], r"initial force must have shape \(4, 3\), got \(3, 3\)"),
-        (lambda good: good.reshape(-1), r"initial force must have shape \(4, 3\), got \(12,\)"),
         (lambda _: None, "it returned None: does it end in a return"),
         (lambda _: "strong", "initial force must be numbers"),
-        (lambda good: np.where(np.eye(4, 3) > 0.0, np.nan, good), "initial force must be finite, got .*nan"),
         (lambda good: good + np.inf, "initial force must be finite, got .*inf"),
         (lambda good: 1.01 * good, r"misses balance by .* N \(G f \+ w = 0.*Repair"),
-        (lambda good: -good, "misses balance"),
         (lambda good: good + [[1e-4, 0.0, 0.0]] * 4, "misses balance by 0.000"),
-        (np.zeros_like, "misses balance"),
         (lambda good: good - 3.0 * SQUEEZE, r"leaves the friction cones \(margin -.* N\).*Repair"),
     ],
 )
 def test_a_rule_that_breaks_its_promise(broken: Callable[[np.ndarray], object], message: str) -> None:
-    force = broken(LinearCombination()(GRASP, PAPER_WRENCH))
-    rule = ruled(__call__=lambda *_: force)
-    for call in (solve, lambda initial: ForceOptimizer(GRASP).solve(PAPER_WRENCH, initial=initial)):
-        with pytest.raises(InfeasibleStartError, match=f"initial-force rule 'mine'.*{message}"):
-            call(initial=rule)
-    if isinstance(force, np.ndarray):
-        with pytest.raises(InfeasibleStartError, match=message):
-            solve(initial=force)
-
-
-def test_a_force_within_rounding_of_balance_is_taken() -> None:
     good = LinearCombination()(GRASP, PAPER_WRENCH)
-    found = solve(initial=ruled(__call__=lambda *_: good * (1.0 + 1e-12)))
+    force = broken(good)
+    for rule in (ruled(__call__=lambda *_: force), *([force] if isinstance(force, np.ndarray) else [])):
+        with pytest.raises(InfeasibleStartError, match=message):
+            solve(initial=rule)()
+    found = solve(initial=ruled(__call__=lambda *_: good * (1.0 + 1e-12)))()  # within rounding of balance
     assert (found.status, found.initial) == (Status.OPTIMAL, "mine")
-    assert solve(initial=good).initial == "given"
-    with pytest.raises(InfeasibleStartError, match="leaves the friction cones"):  # balanced, but P = 0
-        optimize_force(GRASP, np.zeros(6), initial=np.zeros((4, 3)))
 
 
 @pytest.mark.parametrize(
-    ("rule", "told"),
+    ("rule", "message"),
     [
-        (fail, "'fail' fails with LookupError: no table; a rule takes"),
-        (lambda: 1, "fails with TypeError"),
-        (ruled(__call__=fail), "'mine' fails with LookupError"),
-        (ruled(objective=property(fail)), "'mine' fails with LookupError"),
-        (ruled(model=fail), "'mine' fails with LookupError"),
-        (ruled(model=lambda *_: 3), "'mine' .*must be a Model, got 3"),
-        (ruled(model=lambda *_: None), "'mine' .*must be a Model, got None"),
+        (fail, "'fail' fails with LookupError: no table; a rule takes"), (lambda: 1, "fails with TypeError"),
+        (ruled(__call__=fail), "'mine' fails with LookupError"), (ruled(model=fail), "'mine' fails with LookupError"),
+        (ruled(model=lambda *_: 3), "'mine' .*must be a Model, got 3"), (ruled(model=lambda *_: None), "'mine' .*must be a Model, got None"),
     ],
-)
-@pytest.mark.parametrize("method", ["newton", "reduced_flow"])
-def test_a_rule_that_fails(rule: Any, told: str, method: str) -> None:
-    with pytest.raises(GraspError, match=told):
-        solve(method=method, initial=rule)
-
-
-def test_a_rule_whose_name_fails_is_called_after_its_class() -> None:
-    for rule in (ruled(name=property(fail)), ruled(name=3, __eq__=fail, __str__=fail, __repr__=fail)):
-        assert solve(initial=rule).initial == "Other"
-        with pytest.raises(InfeasibleStartError):
-            optimize_force(PUSHED, [0, 0, 1, 0, 0, 0], initial=rule)
+)  # fmt: skip
+def test_a_rule_that_fails(rule: Any, message: str) -> None:
+    for method in ("newton", "reduced_flow"):
+        with pytest.raises(GraspError, match=message):
+            solve(method=method, initial=rule)()
 
 
 # no force at all
@@ -236,12 +215,12 @@ def test_an_infeasible_wrench_carries_its_proof(initial: str | None, method: str
     solution = caught.value.solution
     assert (solution.status, solution.method, solution.force.any()) == (Status.INFEASIBLE, method, False)
     np.testing.assert_array_equal(solution.wrench, lift)
-    assert NAMED["pushed"].reference().separates(solution.certificate, lift) > 0.0
+    assert NAMED["pushed"].reference().proof(solution.certificate, lift) >= -1e-9
     with pytest.raises(InfeasibleWrenchError):
         solution.raise_for_status()
 
 
-def test_errors() -> None:
+def test_errors_are_of_one_tree_and_survive_pickling() -> None:
     error = pickle.loads(pickle.dumps(UnknownNameError("method", "newest", ("conic",), "; look again")))
     assert str(error) == "unknown method 'newest': choose one of 'conic'; look again"
     kinds = [each for each in vars(errors).values() if isinstance(each, type) and issubclass(each, Exception)]

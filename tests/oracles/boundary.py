@@ -1,4 +1,4 @@
-"""Where rays enter and leave the cones u > |(o, t)|, by the roots of (u^2 - o^2 - t^2) along them."""
+"""Intersections of rays with the cones u > |(o, t)|, by the roots of (u^2 - o^2 - t^2) along them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def inside(x: np.ndarray) -> np.ndarray:
-    """Whether points (..., 3) are strictly inside the cone."""
+    """True for points (..., 3) strictly inside the cone."""
     u, o, t = np.moveaxis(x, -1, 0)
     return u > np.hypot(o, t)
 
@@ -24,9 +24,9 @@ def crossings(point: np.ndarray, ray: np.ndarray) -> list[float]:
 
 
 def ray_interval(point: np.ndarray, ray: np.ndarray) -> tuple[float, float]:
-    """The k >= 0 with point + k ray strictly inside every cone: between two of their crossings, where a sample says so.
+    """Return the interval of k >= 0 with point + k ray strictly inside every cone; (inf, -inf) if it is empty.
 
-    (inf, -inf): none. That set is convex, so the pieces that samples find inside are one interval.
+    A sample between two crossings decides. The set is convex, so the pieces form one interval.
     """
     low, high = np.inf, -np.inf
     pairs = list(zip(point.reshape(-1, 3), ray.reshape(-1, 3), strict=True))

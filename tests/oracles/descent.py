@@ -13,9 +13,9 @@ from grasp_env.force.step_size import ADAPTIVE, BARZILAI_BORWEIN, EXACT, VARIANT
 SHORTEST = 1e-10
 """The first trial of an iteration moves x by at least this fraction of its length."""
 MOST_TRIALS = 60
-"""Of a search for the exact minimum, before it settles for any decrease."""
+"""Largest number of trials of the exact search before any decrease is accepted."""
 FLAT, LEAP = 1e-12, 10.0
-"""Where <s, y> is below this share of <s, s> / alpha Phi is straight to rounding: the step grows by this factor."""
+"""Share of <s, s> / alpha below which <s, y> counts as zero curvature, and the factor by which the step then grows."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Landscape:
 
 @dataclass
 class Descent:
-    """How a descent went. `values` and `steps` hold Phi of every iterate and every accepted step size."""
+    """Record of a descent: `values` holds Phi of every iterate, `steps` every accepted step size."""
 
     state: np.ndarray
     code: int = LIMIT
@@ -62,7 +62,7 @@ class Ray:
         here: Phi(x).
         past: (alpha, |d|^2, inner product with this d) of the step before; None at the first.
         count: accepted steps.
-        trials: how often Phi was asked for.
+        trials: number of evaluations of Phi.
     """
 
     land: Landscape
@@ -186,11 +186,6 @@ def descend(
         result.values.append(float(landscape.value(result.state)))
         result.steps.append(alpha)
         past = alpha, move
-
-
-def never(state: np.ndarray, value: float, iterations: int) -> bool:
-    """`converged` of a descent that only its number of steps ends."""
-    return False
 
 
 def followed(state: np.ndarray, landscape: Landscape, rule: StepRule, count: int) -> tuple[Descent, list[np.ndarray]]:

@@ -6,7 +6,6 @@ matrix is G (6, 3N) in cone coordinates, weights (N, 2) omega and lambda.
 from __future__ import annotations
 
 import numpy as np
-from oracles.descent import Landscape
 
 
 def constraints(matrix: np.ndarray) -> np.ndarray:
@@ -57,34 +56,6 @@ def drive(state: np.ndarray, weights: np.ndarray) -> np.ndarray:
     inverse = np.linalg.inv(_matrix(state))
     omega, lam = np.repeat(weights, 3, axis=0).T
     return (inverse * lam @ inverse - np.diag(omega)).reshape(-1, order="F")
-
-
-def value(state: np.ndarray, weights: np.ndarray) -> float:
-    """tr(W_p P) + tr(W_i P^-1) at vec(P) (Eq. 10), +inf unless P > 0."""
-    matrix = _matrix(state)
-    if np.linalg.eigvalsh(matrix)[0] <= 0.0:
-        return float("inf")
-    omega, lam = np.repeat(weights, 3, axis=0).T
-    return float(omega @ np.diag(matrix) + lam @ np.diag(np.linalg.inv(matrix)))
-
-
-def curvature(state: np.ndarray, move: np.ndarray, weights: np.ndarray) -> float:
-    """Second derivative 2 tr(W_i P^-1 M P^-1 M P^-1) of Phi at vec(P) along vec(M)."""
-    inverse, m = np.linalg.inv(_matrix(state)), _matrix(move)
-    lam = np.repeat(weights[:, 1], 3)
-    return float(2.0 * lam @ np.diag(inverse @ m @ inverse @ m @ inverse))
-
-
-def landscape(matrix: np.ndarray, weights: np.ndarray) -> Landscape:
-    """What the plain descent walks on: vec(P) and the dense projector."""
-    q = projector(matrix)
-    return Landscape(
-        value=lambda state: value(state, weights),
-        gradient=lambda state: -drive(state, weights),
-        curvature=lambda state, move: curvature(state, move, weights),
-        direction=lambda state: q @ drive(state, weights),
-        metric=np.ones(len(q)),
-    )
 
 
 def cone_coordinates(state: np.ndarray) -> np.ndarray:

@@ -49,7 +49,7 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def tangent_correction(x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """x + the change that is least in the Hessian of Phi at x and restores balance: H^-1 G^T S^-1 (G x + w), S = G H^-1 G^T."""
+    """Return x - H^-1 G^T S^-1 (G x + w), S = G H^-1 G^T: balance by the least change in the metric of the Hessian of Phi at x."""
     spread = np.linalg.solve(hessian(x, weights), matrix.T)
     return x - spread @ np.linalg.solve(matrix @ spread, matrix @ x + wrench)
 

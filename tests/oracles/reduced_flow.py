@@ -75,7 +75,7 @@ def flow_vector(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def landscape(matrix: np.ndarray, weights: np.ndarray) -> Landscape:
-    """What the plain descent walks on: VP and Q_bar."""
+    """Return Phi on VP with the closed-form projector, for the plain descent."""
     q_bar = reduced_projector(matrix)
     return Landscape(
         value=lambda x: float(phi(x, weights)),

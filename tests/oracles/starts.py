@@ -1,4 +1,4 @@
-"""What starts are made of: forces turned to other frames, and the least Phi on a segment by a fine search."""
+"""Parts of the starts: forces in other frames, and the least Phi on a segment by a fine search."""
 
 from __future__ import annotations
 

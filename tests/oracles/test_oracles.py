@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracles import boundary, geometry, newton, phi
-from problems import GRASPS, PROBLEMS, Problem
-
-from grasp_env.grasp.null_space import null_space_basis, reference_basis
+from problems import PROBLEMS, Problem
 
 WEIGHTS = np.array([[1.0, 0.01], [0.3, 2.0], [2.5, 1e-3]])
 X = np.array([1.0, 0.3, -0.2, 0.4, 0.1, 0.35, 2.0, 0.0, 0.0], dtype=np.longdouble)
@@ -47,14 +45,6 @@ def test_optima_are_those_of_the_named_problems(problem: Problem) -> None:
     )
     if problem.total_normal is not None:
         assert (x[0::3] / grasp.friction).sum() == pytest.approx(problem.total_normal, abs=5e-3)
-
-
-@pytest.mark.parametrize("name", GRASPS)
-def test_the_polar_basis_is_that_of_the_package(name: str) -> None:
-    grasp = GRASPS[name]
-    reference = reference_basis(grasp)
-    here = np.einsum("nba,nbk->nak", grasp.frames, reference.reshape(grasp.n_contacts, 3, -1)).reshape(reference.shape)
-    np.testing.assert_allclose(geometry.polar_basis(here, grasp.matrix), null_space_basis(grasp, reference), atol=1e-12)
 
 
 def test_steps_and_rays_end_at_the_same_place() -> None:

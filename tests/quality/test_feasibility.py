@@ -1,4 +1,4 @@
-"""Feasibility of a wrench against linear programs and Clarabel, and its certificates."""
+"""Feasibility and force closure against linear programs and Clarabel, with their witnesses."""
 
 from __future__ import annotations
 
@@ -7,86 +7,155 @@ import pytest
 from force.clarabel_reference import Reference
 from force.generators import problem
 from force.named import NAMED
-from problems import closure_grasps, pyramid_margin, random_grasp
+from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp
 
+from grasp_env.errors import NotConvergedError
 from grasp_env.force import ForceLimits
 from grasp_env.grasp import Grasp, presets
-from grasp_env.quality import feasibility
+from grasp_env.quality import feasibility, force_closure
 
-PRESETS = [presets.tripod(), presets.paper_cuboid(), presets.five_finger_cuboid()]
+CUBOID = presets.paper_cuboid()
+PALM = Grasp.from_contacts(CUBOID.positions, [[0, 0, 1]] * 4, 0.4)
+NOTHING = np.zeros(6)
 
 
 def assert_certificate(grasp: Grasp, wrench: np.ndarray, twist: np.ndarray) -> None:
     """The twist proves that nothing balances the wrench strictly inside: v . (G f + w) = 0 has no room."""
     assert np.abs(twist).max() == pytest.approx(1.0)
-    assert np.abs(grasp.cone_matrix.T @ twist).max() > 1e-6  # rank(G) = 6: a twist that moves no contact would be zero
-    # 1e-9: the scaled gap at which a wrench counts as balanced on the boundary only
-    assert Reference.of(grasp).separates(twist, wrench) >= -1e-7
+    assert np.abs(grasp.cone_matrix.T @ twist).max() > 1e-6  # rank(G) = 6: a twist moves some contact
+    assert Reference(grasp).proof(twist, wrench) >= -1e-7
 
 
 def test_verdicts_against_linear_programs() -> None:
     rng, verdicts, undecided = np.random.default_rng(41), {True: 0, False: 0}, 0
-    closed = [*PRESETS, *closure_grasps()]
-    for grasp in [*(random_grasp(rng, 3 + k % 5, cap=[-1.0, -0.3, 0.2][k % 3]) for k in range(60)), *closed]:
-        for size in (0.0, 1.0, 50.0):
-            wrench = size * rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
-            answer = feasibility(grasp, wrench)
-            inner, outer = (pyramid_margin(grasp, wrench, inner=inside)[0] for inside in (True, False))
-            # the linear solver's feasibility tolerance is 1e-7
-            if inner > 1e-6 or grasp in closed:  # force closure is feasibility of every wrench
-                assert answer.feasible
-            elif outer < 1e-6:
-                assert not answer.feasible
-            else:
-                undecided += 1  # between the pyramids the program cannot tell
-            verdicts[answer.feasible] += 1
-            assert (answer.force is None) == (answer.certificate is not None)
-            if answer.force is not None:
-                assert grasp.cone_margin(answer.force) > 0.0
-                scale = np.abs(answer.force).max() + np.abs(wrench).max() / grasp.length
-                assert grasp.residual(answer.force, wrench) <= 1e-9 * scale
-            else:
-                assert_certificate(grasp, wrench, answer.certificate)
-            if size == 1.0:  # the cones are cones
-                assert {feasibility(grasp, k * wrench).feasible for k in (1e-9, 1e-6, 1e4, 1e6)} == {answer.feasible}
-    assert min(verdicts.values()) > 30
-    assert undecided < 20
+    closed = [*GRASPS.values(), *closure_grasps(8)]
+    for k, grasp in enumerate([*(random_grasp(rng, 3 + k % 5, cap=[-1.0, -0.3, 0.2][k % 3]) for k in range(30)), *closed]):  # fmt: skip
+        wrench = [1.0, 50.0][k % 2] * rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
+        answer = feasibility(grasp, wrench)
+        inner, outer = (pyramid_margin(grasp, wrench, inner=inside)[0] for inside in (True, False))
+        # the linear solver's feasibility tolerance is 1e-7
+        if inner > 1e-6 or grasp in closed:  # force closure is feasibility of every wrench
+            assert answer.feasible
+        elif outer < 1e-6:
+            assert not answer.feasible
+        else:
+            undecided += 1  # between the pyramids the program cannot tell
+        verdicts[answer.feasible] += 1
+        if answer.force is not None:
+            assert answer.certificate is None
+            assert grasp.cone_margin(answer.force) > 0.0
+            scale = np.abs(answer.force).max() + np.abs(wrench).max() / grasp.length
+            assert grasp.residual(answer.force, wrench) <= 1e-9 * scale
+        else:
+            assert_certificate(grasp, wrench, answer.certificate)
+        # the cones are cones
+        assert {feasibility(grasp, size * wrench).feasible for size in (1e-9, 1e6)} == {answer.feasible}
+    assert min(verdicts.values()) > 8
+    assert undecided < 8
 
 
-def test_certificate_on_the_boundary() -> None:
-    """Without a wrench fingers that only push up have the zero force and no other: v . w = 0, every contact on its boundary."""
+def test_closure_against_linear_programs() -> None:
+    rng, verdicts = np.random.default_rng(11), {True: 0, False: 0}
+    for k in range(24):
+        grasp = random_grasp(rng, 3 + k % 5)
+        found = force_closure(grasp)
+        inner, outer = (pyramid_margin(grasp, NOTHING, inside, limited=True)[0] for inside in (True, False))
+        assert found or not inner > 1e-6
+        assert not found or outer > 1e-6
+        verdicts[found.closed] += 1
+        reversed_ = force_closure(Grasp.from_contacts(grasp.positions, -grasp.normals, grasp.friction))
+        assert (found.closed, found.margin) == (reversed_.closed, pytest.approx(reversed_.margin, rel=1e-6, abs=1e-9))
+        if not found:
+            assert (found.force, found.margin, found.witness is found.twist) == (None, 0.0, True)
+            assert found.error <= 1e-8
+            assert_certificate(grasp, NOTHING, found.twist)
+            assert "normals round gives no force closure either" in found.help + reversed_.help
+            continue
+        assert (found.twist, found.witness is found.force) == (None, True)
+        assert grasp.residual(found.force, NOTHING) <= 1e-14 * np.abs(found.force).sum()
+        assert (grasp.friction * found.force[:, 0]).sum() == pytest.approx(1.0)
+        least = grasp.cone_margin(found.force)
+        assert found.margin == pytest.approx(least / (1.0 + least), rel=1e-5, abs=1e-8)
+        # the pyramids inside and outside enclose the depth, for mu * normal that sum to one
+        deep = found.margin / (1.0 - found.margin) * grasp.n_contacts
+        assert inner * (1.0 - 1e-6) - 1e-7 <= deep <= outer * (1.0 + 1e-6) + 1e-7
+    assert min(verdicts.values()) > 4
+
+
+def test_margins_by_hand_and_soft_contacts() -> None:
+    pinch = Grasp.from_contacts(
+        [[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], 0.5, contact_model="soft", torsional_friction=0.005
+    )
+    assert force_closure(presets.tripod()).margin == pytest.approx(1 / 4, rel=1e-7)
+    assert force_closure(pinch).margin == pytest.approx(1 / 3, rel=1e-7)
+    positions = [[0.005, 0, -0.02], [-0.005, 0, 0.02], [0, 0.03, 0], [0, -0.03, 0]]
+    normals, models = [[0, 0, 1], [0, 0, -1], [0, -1, 0], [0, 1, 0]], ["soft"] * 2 + ["frictionless"] * 2
+    grasp = Grasp.from_contacts(positions, normals, [[0.5, 0.3]] * 4, contact_model=models, torsional_friction=0.004)
+    found = force_closure(grasp)
+    assert grasp.residual(found.force, NOTHING, found.torsion) <= 1e-14
+    assert (np.abs(found.torsion) < 0.004 * found.force[:, 0])[:2].all()
+    alone = Grasp.from_contacts(positions[:2], [[0, 0, 1]] * 2, 0.5, contact_model="soft", torsional_friction=0.004)
+    assert_certificate(alone, NOTHING, force_closure(alone).twist)
+
+
+def test_the_last_digits_of_friction_never_give_the_wrong_answer() -> None:
+    """Three fingers that do not face each other; bisect to the friction at which closure begins."""
+    tilted = np.array([[-1.0, 0.2, 0.0], [0.5, -0.9, 0.0], [0.5, 0.5, 0.3]])
+    tilted /= np.linalg.norm(tilted, axis=1)[:, None]
+    grasp, low, high = Grasp.from_contacts(presets.tripod().positions, tilted, 0.5), 0.01, 2.0
+    for _ in range(45):
+        there = grasp.with_friction(middle := 0.5 * (low + high))
+        try:
+            found = force_closure(there)
+        except NotConvergedError:
+            break
+        low, high = (low, middle) if found else (middle, high)
+        inner, outer = (pyramid_margin(there, NOTHING, inside, limited=True)[0] for inside in (True, False))
+        assert found or not inner > 1e-6
+        assert not found or outer > 1e-9
+    assert high - low < 1e-6
+
+
+def test_closure_within_limits() -> None:
+    limits, impossible = (ForceLimits(min_normal=[0.0, 2.0, 2.0, 2.0], max_normal=most) for most in (7.0, 5.0))
+    found, without = force_closure(CUBOID, limits), force_closure(CUBOID, impossible)
+    assert limits.violations(CUBOID, found.force, tolerance=0.0) == []
+    assert CUBOID.residual(found.force, NOTHING) <= 1e-13
+    assert not without
+    assert without.margin < 0.0
+    assert "widen the limits" in without.help
+    # what the cones forbid, limits do not mend; without a wrench the zero force is on the boundary
+    np.testing.assert_array_equal(force_closure(PALM, limits).twist, force_closure(PALM).twist)
     floor = NAMED["pushed"].grasp
-    assert_certificate(floor, np.zeros(6), feasibility(floor, np.zeros(6)).certificate)
+    assert_certificate(floor, NOTHING, feasibility(floor, NOTHING).certificate)
+    # the depth of a force without wrench is a fraction of the tightest limit
+    margins = [feasibility(CUBOID, NOTHING, ForceLimits(max_normal=most)).margin for most in (1e-12, 1e-3, 1.0)]
+    assert margins == pytest.approx([margins[-1]] * 3, rel=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_tight_limits_are_decided(seed: int) -> None:
+def test_one_outward_normal_is_named() -> None:
+    good = presets.tripod()
+    found = force_closure(Grasp.from_contacts(good.positions, good.normals * [[1.0], [-1.0], [1.0]], 0.5))
+    assert "normals of contacts [1] point away" in found.help
+    assert str(force_closure(good)).startswith("force closure")
+
+
+def test_tight_limits_are_decided() -> None:
     """Random contacts and limits: feasible exactly where Clarabel finds them feasible."""
     pytest.importorskip("clarabel")
-    for index in range(60):
-        p = problem("limited", 1000 + seed, index)
-        margin = Reference.of(p.grasp, p.limits).margin(p.wrench)
+    for index in range(50):
+        p = problem("limited", 1000, index)
+        margin = Reference(p.grasp, p.limits).margin(p.wrench)
         if abs(margin) > 1e-6:
             assert feasibility(p.grasp, p.wrench, p.limits).feasible == (margin > 0.0)
 
 
-@pytest.mark.parametrize("size", 10.0 ** -np.arange(2, 17.0, 2))
+@pytest.mark.parametrize("size", [1e-2, 1e-6, 1e-10, 1e-16])
 def test_grasps_next_to_a_symmetric_one(size: float) -> None:
-    """Unit normals that nearly balance make the least margin unbounded but for the bound on it."""
-    rng = np.random.default_rng(1)
-    for preset in (presets.tripod(), presets.five_finger_cuboid()):
-        positions = preset.positions + size * 0.05 * rng.standard_normal(preset.positions.shape)
-        grasp = Grasp.from_contacts(positions, preset.normals, preset.friction)
-        force = feasibility(grasp, np.zeros(6)).force
-        assert force is not None
-        assert grasp.cone_margin(force) > 0.0
-        assert grasp.residual(force, np.zeros(6)) < 1e-12 * np.abs(force).max()
-
-
-@pytest.mark.parametrize("most", [1e-12, 1e-8, 1e-3, 1.0])
-def test_a_rest_within_limits_knows_no_size(most: float) -> None:
-    """How deep a force without wrench lies is a part of the tightest limit."""
-    found = feasibility(presets.paper_cuboid(), np.zeros(6), ForceLimits(max_normal=most))
-    unit = feasibility(presets.paper_cuboid(), np.zeros(6), ForceLimits(max_normal=1.0))
-    assert found.feasible
-    assert found.margin == pytest.approx(unit.margin, rel=1e-6)
+    """The margin of unit normals that nearly balance is unbounded but for its own bound."""
+    rng, preset = np.random.default_rng(1), presets.five_finger_cuboid()
+    positions = preset.positions + size * 0.05 * rng.standard_normal(preset.positions.shape)
+    grasp = Grasp.from_contacts(positions, preset.normals, preset.friction)
+    force = feasibility(grasp, NOTHING).force
+    assert grasp.cone_margin(force) > 0.0
+    assert grasp.residual(force, NOTHING) < 1e-12 * np.abs(force).max()

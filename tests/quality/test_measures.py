@@ -1,4 +1,9 @@
+"""Epsilon, singular values and worst wrenches: closed forms, searches, sampling, and scaling laws."""
+
+from __future__ import annotations
+
 from collections.abc import Callable
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -8,13 +13,13 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.errors import GraspError
 from grasp_env.force import ForceLimits, ForceOptimizer
 from grasp_env.grasp import Grasp, presets, wrench
-from grasp_env.quality import force_closure
-from grasp_env.quality.measures import WrenchBall, epsilon, quality, singular_values, worst_case
+from grasp_env.quality import WrenchBall, epsilon, force_closure, quality, singular_values, worst_case
 
-UNEVEN = closure_grasps()[1]
+UNEVEN = closure_grasps(3)[1]
+CUBOID = presets.paper_cuboid()
 
 
 def scaled(grasp: Grasp) -> np.ndarray:
@@ -22,39 +27,12 @@ def scaled(grasp: Grasp) -> np.ndarray:
     return grasp.matrix / np.repeat([1.0, grasp.length], 3)[:, None]
 
 
-def pinch(friction: float, part: float) -> Grasp:
-    """Two opposed soft fingers with torsional friction `part` of the grasp's length."""
-    soft = {"contact_model": "soft", "torsional_friction": 0.02 * part}
-    return Grasp.from_contacts([[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], friction, **soft)
-
-
-def frictionless(seed: int) -> Grasp:
-    """Eight frictionless contacts with force closure."""
-    rng = np.random.default_rng(seed)
-    while True:
-        shape = random_grasp(rng, 8)
-        # normals of a rough surface: an ellipsoid's alone make hardly any moments
-        normals = shape.normals + 0.6 * rng.standard_normal((8, 3))
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        grasp = Grasp.from_contacts(shape.positions, normals, 0.0, contact_model="frictionless")
-        if force_closure(grasp).margin > 0.01:
-            return grasp
-
-
-def support(direction: np.ndarray, grasp: Grasp, criterion: str) -> float:
-    """Largest n . G f over forces of size one, contact by contact."""
-    best = [
-        max(0.0, n + mu * np.hypot(o, t))
-        for (n, o, t), mu in zip((direction @ scaled(grasp)).reshape(-1, 3), grasp.friction, strict=True)
-    ]
-    return max(best) if criterion == "sum" else sum(best)
-
-
-@pytest.mark.parametrize(("friction", "part"), [(0.5, 0.25), (0.2, 0.6), (1.5, 1.2), (0.9, 0.1)])
+@pytest.mark.parametrize(("friction", "part"), [(0.5, 0.25), (1.5, 1.2)])
 def test_two_opposed_soft_fingers(friction: float, part: float) -> None:
-    # torsion about the axis, or a sideways force at one finger with the axial force that takes half of it over:
-    # n = mu a, F_t = M_t = a, resisted by mu a
-    found = epsilon(pinch(friction, part))
+    """Least: torsion about the axis, or a sideways force at one finger: n = mu a, F_t = M_t = a, resisted by mu a."""
+    soft = {"contact_model": "soft", "torsional_friction": 0.02 * part}
+    pinch = Grasp.from_contacts([[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], friction, **soft)
+    found = epsilon(pinch, starts=8)
     exact = min(part, friction / np.sqrt(2.0 + friction**2))
     assert found.lower <= exact * (1 + 1e-9) <= found.upper * (1 + 1e-6)
     assert found.upper / found.lower < 1.01
@@ -62,81 +40,75 @@ def test_two_opposed_soft_fingers(friction: float, part: float) -> None:
 
 def test_symmetric_tripod() -> None:
     # four directions carried by three contacts each, the moments about x and y by z forces times cosines
-    values = singular_values(presets.tripod())
-    np.testing.assert_allclose(values, np.sqrt([3, 3, 3, 3, 1.5, 1.5]), rtol=1e-12)
-    found = quality(presets.tripod())
-    assert found.isotropy == pytest.approx(np.sqrt(0.5))
-    assert found.min_singular_value == pytest.approx(np.sqrt(1.5))
-    assert found.closure_margin == pytest.approx(0.25)
+    np.testing.assert_allclose(singular_values(presets.tripod()), np.sqrt([3, 3, 3, 3, 1.5, 1.5]), rtol=1e-12)
+    found, again = quality(presets.tripod(), starts=4), epsilon(presets.tripod(), starts=4)
+    assert (found.isotropy, found.min_singular_value) == pytest.approx((np.sqrt(0.5), np.sqrt(1.5)))
+    assert found.closure_margin == force_closure(presets.tripod()).margin == pytest.approx(0.25)
+    assert (found.epsilon_sum.lower, found.epsilon_sum.upper) == again[:2]
+    # sum <= 1 implies max <= 1, max <= 1 implies sum <= N
+    assert found.epsilon_sum.lower <= found.epsilon_max.upper <= 3 * found.epsilon_sum.upper * (1 + 1e-9)
     # the worst wrench turned by a third is as bad
     third = Rotation.from_euler("z", 120, degrees=True).as_matrix()
-    optimizer = ForceOptimizer(presets.tripod(), method="conic")
     turned = [third @ part for part in found.epsilon_sum.wrench.reshape(2, 3)]
-    assert optimizer.solve(np.concatenate(turned)).objective == pytest.approx(1 / found.epsilon_sum.upper, rel=1e-5)
+    least = ForceOptimizer(presets.tripod(), method="conic").solve(np.concatenate(turned)).objective
+    assert least == pytest.approx(1 / found.epsilon_sum.upper, rel=1e-5)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_frictionless_grasps_have_exact_facets(seed: int) -> None:
-    grasp = frictionless(seed)
+def frictionless(rng: np.random.Generator) -> Grasp:
+    """Eight frictionless contacts with force closure, normals as of a rough surface: an ellipsoid's make hardly any moments."""
+    while True:
+        shape = random_grasp(rng, 8)
+        normals = shape.normals + 0.6 * rng.standard_normal((8, 3))
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        grasp = Grasp.from_contacts(shape.positions, normals, 0.0, contact_model="frictionless")
+        if force_closure(grasp).margin > 0.01:
+            return grasp
+
+
+def test_frictionless_grasps_have_exact_facets() -> None:
+    grasp = frictionless(np.random.default_rng(0))
     columns = scaled(grasp)[:, ::3]
     # a zonotope for the largest force: five columns span each of its facets
     normals = np.array([np.linalg.svd(columns[:, list(five)].T)[2][-1] for five in combinations(range(8), 5)])
     zonotope = min(np.maximum(sign * normals @ columns, 0.0).sum(axis=1).min() for sign in (-1.0, 1.0))
     hull = (-ConvexHull(columns.T).equations[:, 6]).min()
-    for exact, options in ((hull, {}), (zonotope, {"criterion": "max", "starts": 4})):
-        found = epsilon(grasp, **options)
+    for exact, criterion in ((hull, "sum"), (zonotope, "max")):
+        found = epsilon(grasp, criterion=criterion, starts=4)
         assert found.lower <= exact * (1 + 1e-9)
         assert exact <= found.upper * (1 + 1e-5) <= found.lower * 1.01 * (1 + 1e-5)
 
 
-@pytest.mark.parametrize("grasp", [presets.paper_cuboid(), UNEVEN], ids=["cuboid", "uneven"])
-def test_pyramids_converge_from_inside(grasp: Grasp) -> None:
-    found = epsilon(grasp, tolerance=0.002)
-    assert found.upper / found.lower <= 1.002
-    inside = []
-    for edges in (4, 8, 16, 32):
-        angles = 2 * np.pi * np.arange(edges) / edges
-        points = [
-            scaled(grasp)[:, 3 * k : 3 * k + 3] @ np.stack([np.ones(edges), mu * np.cos(angles), mu * np.sin(angles)])
-            for k, mu in enumerate(grasp.friction)
-        ]
-        inside.append((-ConvexHull(np.concatenate(points, axis=1).T, qhull_options="QJ").equations[:, 6]).min())
-    assert (np.diff(inside) >= -1e-9).all()
-    assert inside[-1] <= found.upper * (1 + 1e-6)
-    assert inside[-1] >= 0.98 * found.lower
-    assert inside[0] < 0.97 * found.lower  # pyramids of four edges are visibly wrong
+def support(direction: np.ndarray, grasp: Grasp, criterion: str) -> float:
+    """Largest n . G f over forces of size one, contact by contact, for a unit direction."""
+    parts = (direction @ scaled(grasp)).reshape(-1, 3) / float(np.linalg.norm(direction))
+    best = [max(0.0, n + mu * np.hypot(o, t)) for (n, o, t), mu in zip(parts, grasp.friction, strict=True)]
+    return max(best) if criterion == "sum" else sum(best)
 
 
 @pytest.mark.parametrize("criterion", ["sum", "max"])
-@pytest.mark.parametrize("grasp", [closure_grasps()[0], UNEVEN, closure_grasps()[7]], ids=["N3", "N4", "N5"])
-def test_epsilon_against_a_search_over_directions(grasp: Grasp, criterion: str) -> None:
-    found = epsilon(grasp, criterion=criterion, starts=8)
-    rng = np.random.default_rng(3)
-
-    def value(direction: np.ndarray) -> float:
-        return support(direction, grasp, criterion) / float(np.linalg.norm(direction))
-
-    # from the best of many
-    starts = sorted(rng.standard_normal((1500, 6)), key=value)[:6]
-    options = {"method": "Nelder-Mead", "options": {"maxfev": 1500, "xatol": 1e-7}}
+def test_epsilon_against_a_search_over_directions(criterion: str) -> None:
+    found, rng = epsilon(UNEVEN, criterion=criterion, starts=8), np.random.default_rng(3)
+    value = partial(support, grasp=UNEVEN, criterion=criterion)
+    starts = sorted(rng.standard_normal((500, 6)), key=value)[:4]
+    options = {"method": "Nelder-Mead", "options": {"maxfev": 1000, "xatol": 1e-7}}
     best = min(minimize(value, start, **options).fun for start in starts)
     assert found.lower <= best * (1 + 1e-9)
     # the certified interval is narrow, and the ascent is no worse than the search
-    assert found.upper / found.lower <= 1.01
+    assert found.lower < found.upper <= 1.01 * found.lower
     assert found.upper <= best * (1 + 2e-3)
 
 
 @pytest.mark.parametrize("shape", ["ellipsoid", "product"])
 def test_no_wrench_of_the_ball_is_worse(shape: str) -> None:
     ball = WrenchBall(2.0, 0.05, shape)
-    worst = worst_case(UNEVEN, ball)
+    worst = worst_case(UNEVEN, ball, starts=8)
     assert worst.lower <= worst.least_force <= worst.upper <= worst.lower * 1.01
     force, moment = (np.linalg.norm(part) for part in worst.wrench.reshape(2, 3))
     inside = max(force / 2.0, moment / 0.05) if shape == "product" else np.hypot(force / 2.0, moment / 0.05)
     assert inside == pytest.approx(1.0)
     optimizer = ForceOptimizer(UNEVEN, method="conic")
     assert optimizer.solve(worst.wrench).objective == pytest.approx(worst.least_force, rel=1e-6)
-    drawn = wrench.sample_ball(np.random.default_rng(5), 2000, 2.0, 0.05)
+    drawn = wrench.sample_ball(np.random.default_rng(5), 500, 2.0, 0.05)
     parts = np.linalg.norm(drawn.reshape(-1, 2, 3), axis=2) / [2.0, 0.05]
     # onto the surface, where the worst ones are
     outward = parts.max(axis=1) if shape == "product" else np.hypot(*parts.T)
@@ -145,12 +117,10 @@ def test_no_wrench_of_the_ball_is_worse(shape: str) -> None:
     assert max(costs) >= 0.6 * worst.lower
 
 
-def test_finite_set_stands_for_its_convex_hull() -> None:
-    rng = np.random.default_rng(6)
+def test_a_finite_set_represents_its_convex_hull() -> None:
+    rng, optimizer = np.random.default_rng(6), ForceOptimizer(UNEVEN, method="conic")
     listed = wrench.sample_ball(rng, 20)
-    worst = worst_case(UNEVEN, listed)
-    optimizer = ForceOptimizer(UNEVEN, method="conic")
-    costs = [optimizer.solve(load).objective for load in listed]
+    worst, costs = worst_case(UNEVEN, listed), [optimizer.solve(load).objective for load in listed]
     assert worst.least_force == max(costs)
     np.testing.assert_array_equal(worst.wrench, listed[int(np.argmax(costs))])
     between = rng.dirichlet(np.ones(20), 50) @ listed
@@ -159,13 +129,10 @@ def test_finite_set_stands_for_its_convex_hull() -> None:
 
 @pytest.mark.parametrize("criterion", ["sum", "max"])
 def test_without_force_closure(criterion: str) -> None:
-    grasp = presets.paper_cuboid()
-    palm = Grasp.from_contacts(grasp.positions, [[0, 0, 1]] * 4, 0.4)
-    found = epsilon(palm, criterion=criterion)
-    assert (found.lower, found.upper) == (0.0, 0.0)
+    palm = Grasp.from_contacts(CUBOID.positions, [[0, 0, 1]] * 4, 0.4)
+    assert epsilon(palm, criterion=criterion)[:2] == (0.0, 0.0)
     worst = worst_case(palm, WrenchBall(1.0, 0.05), criterion)
     assert worst.least_force == worst.lower == worst.upper == np.inf
-    assert worst.solution is not None
     assert worst.solution.certificate @ worst.wrench > 0.0
     # the weight of the object alone lies on the palm
     assert worst_case(palm, [[0, 0, -1, 0, 0, 0]], criterion).least_force < np.inf
@@ -174,60 +141,34 @@ def test_without_force_closure(criterion: str) -> None:
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning", "ignore:invalid value:RuntimeWarning")
 def test_limits() -> None:
     ball = WrenchBall(1.0, 0.05, "product")
-    grasp = presets.paper_cuboid()
-    free = worst_case(grasp, ball)
-    loose = worst_case(grasp, ball, limits=ForceLimits(max_normal=100.0), starts=8)
+    free = worst_case(CUBOID, ball, starts=8)
+    loose, tight = (worst_case(CUBOID, ball, limits=ForceLimits(max_normal=most), starts=2) for most in (100.0, 2.0))
     assert loose.lower == pytest.approx(free.lower, rel=1e-4)
     assert free.lower <= loose.upper <= 1.12 * loose.lower
-    tight = worst_case(grasp, ball, limits=ForceLimits(max_normal=2.0), starts=8)
     assert tight.least_force == tight.lower == np.inf
-
-
-def test_scaling_laws() -> None:
-    before = epsilon(UNEVEN)
-    slipperier = epsilon(UNEVEN.with_friction(0.8 * UNEVEN.friction))
-    assert slipperier.upper <= before.upper * (1 + 1e-5)
-    assert slipperier.lower < before.lower
-    turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
-    turned = Grasp.from_contacts(UNEVEN.positions @ turn.T, UNEVEN.normals @ turn.T, UNEVEN.friction)
-    larger = Grasp.from_contacts(50.0 * UNEVEN.positions, UNEVEN.normals, UNEVEN.friction)
-    for other in (turned, larger):
-        found = epsilon(other)
-        assert found.upper == pytest.approx(before.upper, rel=1e-3)
-        assert max(found.lower, before.lower) <= min(found.upper, before.upper)
-        np.testing.assert_allclose(singular_values(other), singular_values(UNEVEN), rtol=1e-10)
-    one, seven = worst_case(UNEVEN, WrenchBall(1.0, 0.03)), worst_case(UNEVEN, WrenchBall(7.0, 0.21))
-    assert seven.lower == pytest.approx(7.0 * one.lower, rel=1e-4)
-
-
-def test_quality_gathers_and_repeats() -> None:
-    found, again = quality(UNEVEN, starts=4), quality(UNEVEN, starts=4)
-    assert (found.epsilon_sum.lower, found.epsilon_max.lower) == (again.epsilon_sum.lower, again.epsilon_max.lower)
-    # sum <= 1 implies max <= 1, max <= 1 implies sum <= N
-    assert found.epsilon_sum.lower <= found.epsilon_max.upper <= 4 * found.epsilon_sum.upper * (1 + 1e-9)
-    assert found.min_singular_value == pytest.approx(np.linalg.svd(scaled(UNEVEN))[1].min())
-    assert found.closure_margin == force_closure(UNEVEN).margin
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda: WrenchBall(1.0, 1.0, "cube"), lambda: WrenchBall(-1.0, 1.0), lambda: epsilon(UNEVEN, criterion="mean"),
-        lambda: epsilon(UNEVEN, length=0.0), lambda: worst_case(UNEVEN, [1.0, 0, 0, 0, 0, 0]), lambda: worst_case(UNEVEN, np.zeros((0, 6))),
-    ],
-)  # fmt: skip
-def test_wrong_input(call: Callable[[], object]) -> None:
-    with pytest.raises((InvalidInputError, UnknownNameError)):
-        call()
 
 
 @pytest.mark.parametrize("shape", ["ellipsoid", "product"])
 def test_ball_reaches_and_its_polytope_encloses_it(shape: str) -> None:
     ball = WrenchBall(2.0, 0.05, shape)
-    directions = np.random.default_rng(8).standard_normal((2000, 6)) / ball.radii
+    directions = np.random.default_rng(8).standard_normal((200, 6)) / ball.radii
     reach = ball.reach(directions)
     force, moment = np.linalg.norm((directions * ball.radii).reshape(-1, 2, 3), axis=2).T
     np.testing.assert_allclose(reach, force + moment if shape == "product" else np.hypot(force, moment))
     np.testing.assert_allclose([n @ ball.farthest(n) for n in directions], reach)
     assert ((directions @ ball.enclosing().T).max(axis=1) >= reach).all()
     assert (ball.reach(1.0 / ball.radii * np.eye(6)) <= 1.0 + 1e-12).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (partial(WrenchBall, 1.0, 1.0, "cube"), "unknown shape"), (partial(WrenchBall, -1.0, 1.0), "force must"),
+        (partial(epsilon, UNEVEN, criterion="mean"), "unknown criterion"), (partial(epsilon, UNEVEN, length=0.0), "length must"),
+        (partial(worst_case, UNEVEN, [1.0, 0, 0, 0, 0, 0]), "wrenches must have shape"),
+        (partial(worst_case, UNEVEN, np.zeros((0, 6))), "wrenches must hold at least one"), (partial(quality, "grasp"), "a Grasp is needed"),
+    ],
+)  # fmt: skip
+def test_wrong_input(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(GraspError, match=message):
+        call()

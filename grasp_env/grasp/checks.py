@@ -1,0 +1,98 @@
+"""Checks of contact geometry: points, tangents, the place and size of a grasp, and the rank of G."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from grasp_env import ranges
+from grasp_env._check import Array, as_array
+from grasp_env.core import along_normal, normalise
+from grasp_env.errors import InvalidInputError, RankDeficientGraspError, shown
+
+RANK_TOLERANCE = 1e-8
+"""Least ratio of singular values of G (moments divided by the grasp's length) that counts as rank 6."""
+DEFAULT_TANGENTS = np.zeros((0, 3))
+"""Tangents for the default rule."""
+
+
+def checked_points(positions: ArrayLike) -> Array:
+    """Return checked contact points (N, 3)."""
+    points = as_array(positions, (None, 3), "positions")
+    if len(points) > ranges.CONTACTS:
+        raise InvalidInputError(f"positions must be those of at most {ranges.CONTACTS} contacts, got {len(points)}")
+    return points
+
+
+def normalise_normals(normals: Array) -> None:
+    """Scale normals (N, 3) to unit length in place; raise if one is not of unit length to rounding."""
+    given = normals.copy()
+    worst = normalise(normals)
+    if worst >= 0:
+        raise InvalidInputError(
+            f"normals must be unit vectors into the object; normal {worst} is {given[worst].tolist()} with "
+            f"length {math.hypot(*given[worst]):.6g}: divide it by its length"
+        )
+
+
+def check_place(count: int, size: float, centre: Array) -> None:
+    """Raise if the contacts are too close together, too far apart, or too far from the origin.
+
+    Coincident contacts and empty grasps are left to the rank check.
+    """
+    if count < 2 or size == 0.0:
+        return
+    if not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
+        raise InvalidInputError(
+            f"positions must lie within {ranges.LENGTH} of their centre (root mean square), got {size:g} m: give them in metres"
+        )
+    raise InvalidInputError(
+        f"positions must have their centre within {ranges.DISTANCE:g} times their length, {size:g} m, of the origin, got {math.hypot(*centre.tolist()):g} m: "
+        "put the object frame's origin near the contacts"
+    )
+
+
+def check_torsion(gamma: Array, length: float) -> None:
+    """Raise if torsional friction is implausibly large for the size of the grasp."""
+    most = ranges.TORSIONAL_LEVER * length
+    if (gamma > most).any():
+        raise InvalidInputError(
+            f"torsional_friction must be at most {ranges.TORSIONAL_LEVER:g} times the grasp's length, {most:g} m, got {shown(gamma)}: "
+            "a fingertip has about 0.005 m"
+        )
+
+
+def checked_tangents(tangents: ArrayLike | None, normals: Array) -> Array:
+    """Return checked directions for o, (N, 3) and not along a normal; (0, 3) for the default rule."""
+    if tangents is None:
+        return DEFAULT_TANGENTS
+    along: Array = as_array(tangents, (len(normals), 3), "tangents")
+    worst = along_normal(along, normals)
+    if worst >= 0:
+        raise InvalidInputError(
+            f"tangent {worst} is {along[worst].tolist()}, along its normal {normals[worst].tolist()}: give a direction "
+            "in the tangent plane"
+        )
+    return along
+
+
+def checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
+    """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of unit moments.
+
+    Raises:
+        InvalidInputError: values that are not finite.
+        RankDeficientGraspError: rank(G) < 6.
+    """
+    if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
+        raise InvalidInputError("positions, normals and tangents must be finite")  # only from `unchecked`
+    u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
+    if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
+        rank = int((s > RANK_TOLERANCE * s.max(initial=1e-300)).sum())
+        raise RankDeficientGraspError(
+            f"rank(G) = {rank} < 6 with {count} contacts: some wrenches cannot be balanced. Use at least three "
+            "contacts with friction that do not lie on one line, or two soft ones"
+        )
+    # least norm in force: with full row rank (T G)^+ T = G^+
+    return (vt.T / s) @ u.T @ frame
