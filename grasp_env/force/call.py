@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import as_array, as_list, together
+from grasp_env._check import AllFaults, as_array, as_list
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.torques import checked_jacobian
 from grasp_env.grasp.grasp import Grasp
@@ -68,16 +68,15 @@ def checked_call(
             )
         return np.ascontiguousarray(mask)
 
-    return Call(
-        *together(
-            lambda: array(positions, (n, 3), "positions"),
-            lambda: array(normals, (n, 3), "normals"),
-            lambda: None if friction is None else grasp.models.other_friction(friction),
-            rows,
-            lambda: array(torque_bias, (joints,), "torque_bias", ranges.BIAS),
-            touching,
+    with AllFaults() as check:
+        return Call(
+            check(array, positions, (n, 3), "positions"),
+            check(array, normals, (n, 3), "normals"),
+            None if friction is None else check(grasp.models.other_friction, friction),
+            check(rows),
+            check(array, torque_bias, (joints,), "torque_bias", ranges.BIAS),
+            check(touching),
         )
-    )
 
 
 def touching_grasp(grasp: Grasp, call: Call) -> Grasp:

@@ -192,9 +192,9 @@ def start_names(initial: Any, options: Options) -> tuple[tuple[str, ...], str]:
         return STARTS, "central"
     if initial is None:
         return STARTS, "linear_combination" if options.flows else "internal_force"
-    if is_a(initial, ForceSolution):
+    if isinstance(initial, ForceSolution):
         return STARTS, "previous"
-    name = "given" if is_a(initial, np.ndarray | list | tuple) else rule_name(initial)
+    name = "given" if isinstance(initial, np.ndarray | list | tuple) else rule_name(initial)
     place = LEARNED if is_rule(initial, LearnedRule) else GIVEN
     return (STARTS if name in STARTS else (*STARTS[:place], name, *STARTS[place + 1 :])), name
 

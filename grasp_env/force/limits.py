@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core, ranges
-from grasp_env._check import Array, as_array, instance, number, together, whole
+from grasp_env._check import AllFaults, Array, as_array, instance, number, whole
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.torques import checked_jacobian
 from grasp_env.grasp.grasp import Grasp, as_grasp
@@ -103,10 +103,9 @@ class ForceLimits:
     torque_bias: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        least, most = together(
-            lambda: _bound(self.min_normal, "min_normal", "contact", ranges.LEAST_NORMAL_FORCE),
-            lambda: _bound(self.max_normal, "max_normal", "contact", ranges.NORMAL_FORCE),
-        )
+        with AllFaults() as check:
+            least = check(_bound, self.min_normal, "min_normal", "contact", ranges.LEAST_NORMAL_FORCE)
+            most = check(_bound, self.max_normal, "max_normal", "contact", ranges.NORMAL_FORCE)
         _check_order(least, most)
         arrays: dict[str, Array] = {"min_normal": least, "max_normal": most}
         if (self.jacobian is None) != (self.torque_limit is None):

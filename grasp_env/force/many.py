@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grasp_env import ranges
-from grasp_env._check import Array, as_array, checked_size, together, whole
+from grasp_env._check import AllFaults, Array, as_array, checked_size, whole
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force.record import (
     BOUND,
@@ -161,11 +161,10 @@ def checked_batch(wrenches: ArrayLike, workers: int | None) -> tuple[Array, int]
     Raises:
         InvalidInputError: wrong shapes, or values out of range.
     """
-    loads, given = together(
-        lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches"),
-        lambda: None if workers is None else whole(workers, "workers", 1, ranges.WORKERS),
-    )
-    return loads, given or os.cpu_count() or 1
+    with AllFaults() as check:
+        loads = check(lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches"))
+        threads = (os.cpu_count() or 1) if workers is None else check(whole, workers, "workers", 1, ranges.WORKERS)
+    return loads, threads
 
 
 def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:

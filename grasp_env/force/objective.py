@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_env import core, ranges
-from grasp_env._check import Array, as_array, as_list, instance, positive, together, whole
+from grasp_env._check import AllFaults, Array, as_array, as_list, instance, positive, whole
 from grasp_env.errors import InvalidInputError, shown
 
 Weight = float | Sequence[float]
@@ -34,10 +34,9 @@ class Objective:
     barrier_weight: Weight = 0.01
 
     def __post_init__(self) -> None:
-        omega, lam = together(
-            lambda: _weight(self.force_weight, "force_weight", ranges.FORCE_WEIGHT),
-            lambda: _weight(self.barrier_weight, "barrier_weight", ranges.BARRIER_WEIGHT),
-        )
+        with AllFaults() as check:
+            omega = check(_weight, self.force_weight, "force_weight", ranges.FORCE_WEIGHT)
+            lam = check(_weight, self.barrier_weight, "barrier_weight", ranges.BARRIER_WEIGHT)
         object.__setattr__(self, "force_weight", omega)
         object.__setattr__(self, "barrier_weight", lam)
 
@@ -120,10 +119,15 @@ def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
 
 def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:
     """Return a weight within its range, or one per contact as a tuple."""
-    if as_list(value) is None and not (is_a(value, np.ndarray) and np.asarray(value).ndim) and not is_a(value, range):
+    if (
+        as_list(value) is None
+        and not (isinstance(value, np.ndarray) and np.asarray(value).ndim)
+        and not isinstance(value, range)
+    ):
         return positive(value, name, within)
     each = as_array(value, (None,), name).tolist()
-    return tuple(together(*(lambda k=k, v=v: positive(v, f"{name}[{k}]", within) for k, v in enumerate(each))))
+    with AllFaults() as check:
+        return tuple(check(positive, value, f"{name}[{k}]", within) for k, value in enumerate(each))
 
 
 def as_objective(value: object) -> Objective:

@@ -12,16 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core
-from grasp_env._check import (
-    Array,
-    ContactForces,
-    Wrench,
-    as_wrench,
-    flag,
-    instance,
-    positive,
-    together,
-)
+from grasp_env._check import AllFaults, Array, ContactForces, Wrench, as_wrench, flag, instance, positive
 from grasp_env.errors import (
     GraspError,
     InfeasibleStartError,
@@ -112,19 +103,19 @@ class ForceOptimizer:
             self.limits = limits if limits is None else as_limits(limits)
             self._initial = initial if initial is None else checked_initial(initial)
         except GraspError:
-            together(  # reports all faults at once
-                lambda: checked_options(*settings),
-                lambda: as_grasp(grasp),
-                lambda: as_limits(limits),
-                lambda: checked_initial(initial),
-            )
+            with AllFaults() as check:
+                check(checked_options, *settings)
+                check(as_grasp, grasp)
+                check(as_limits, limits)
+                check(checked_initial, initial)
             raise
         if elastic and limits is None:
             raise InvalidInputError("elastic=True is for limits that no force satisfies: give limits")
         if initial is not None and self.options.method == "conic":
             raise InvalidInputError(f"method 'conic' starts from its own centre, got initial={shown(initial)}")
         self._make()
-        if is_a(self._initial, ForceSolution):
+        warn_of(grasp, None, self.limits)
+        if isinstance(self._initial, ForceSolution):
             self.previous, self._initial = self._checked_previous(self._initial), "previous"
 
     def _make(self) -> None:
@@ -165,7 +156,7 @@ class ForceOptimizer:
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
         self._solve, self._count = self.core.solve, grasp.n_contacts
-        if is_a(initial, str) and initial in FROM_BASIS:
+        if isinstance(initial, str) and initial in FROM_BASIS:
             OfflineBasis.of(grasp, options.objective)  # raises if the grasp has none
 
     def __repr__(self) -> str:
@@ -275,12 +266,11 @@ class ForceOptimizer:
         self, wrench: ArrayLike, given: tuple[Any, ...], initial: Initial | None, optimum: float | None, trace: bool
     ) -> ForceSolution:
         """Solve with converted arguments, Python rules and error messages: what the fast path of `solve` leaves out."""
-        load, known, _, now = together(
-            lambda: as_wrench(wrench),
-            lambda: float("nan") if optimum is None else positive(optimum, "optimum"),
-            lambda: flag(trace, "trace"),
-            lambda: self._arrays(*given),
-        )
+        with AllFaults() as check:
+            load = check(as_wrench, wrench)
+            known = float("nan") if optimum is None else check(positive, optimum, "optimum")
+            check(flag, trace, "trace")
+            now = check(self._arrays, *given)
         if self.method == "conic" and (initial is not None or known == known or trace):
             raise InvalidInputError("method 'conic' takes no start, optimum or trace: they belong to descents on Phi")
         if self.limits is None and (now.jacobian is not None or now.torque_bias is not None):
@@ -395,9 +385,9 @@ class ForceOptimizer:
         requested: Any = self._initial if initial is None else checked_initial(initial)
         if requested is None or self.method == "conic":
             return StartFrom(0)
-        if is_a(requested, ForceSolution):
+        if isinstance(requested, ForceSolution):
             return StartFrom(PREVIOUS, before=self._checked_previous(requested))
-        if is_a(requested, str):
+        if isinstance(requested, str):
             if initial is not None and requested in FROM_BASIS:
                 self.core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
             return StartFrom(STARTS.index(requested), before=self.previous if requested == "previous" else None)

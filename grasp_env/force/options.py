@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 from grasp_env import ranges
-from grasp_env._check import as_text, choice, flag, positive, together, whole
+from grasp_env._check import AllFaults, as_text, choice, flag, positive, whole
 from grasp_env.errors import UnsupportedProblemError
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.step_size import StepRule, checked_rule
@@ -70,17 +70,16 @@ def _checked(
     step_rule: StepRule | None,
     elastic: bool,
 ) -> Options:
-    made = Options(
-        *together(
-            lambda: choice(method, "method", METHODS),
-            lambda: choice(criterion, "criterion", CRITERIA),
-            lambda: Objective(force_weight, barrier_weight),
-            lambda: _tolerance(tolerance, method),
-            lambda: whole(max_iterations, "max_iterations", 0, ranges.ITERATIONS),
-            lambda: checked_rule(step_rule),
-            lambda: flag(elastic, "elastic"),
+    with AllFaults() as check:
+        made = Options(
+            check(choice, method, "method", METHODS),
+            check(choice, criterion, "criterion", CRITERIA),
+            check(Objective, force_weight, barrier_weight),
+            check(_tolerance, tolerance, method),
+            check(whole, max_iterations, "max_iterations", 0, ranges.ITERATIONS),
+            check(checked_rule, step_rule),
+            check(flag, elastic, "elastic"),
         )
-    )
     if made.criterion != "sum" and made.method != "conic":
         raise UnsupportedProblemError(f"criterion {criterion!r} belongs to method 'conic', got method {made.method!r}")
     if step_rule is not None and not made.flows:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import Array, ContactForces, Wrench, as_array, is_a, together
+from grasp_env._check import AllFaults, Array, ContactForces, Wrench, as_array
 from grasp_env.core import ContactReader, Contacts
 from grasp_env.errors import GraspError, InvalidInputError, shown
 from grasp_env.grasp.checks import (
@@ -152,11 +152,12 @@ class Grasp:
             inward = as_array(normals, (len(points), 3), "normals")
             models = ContactModels.checked(contact_model, friction, torsional_friction, len(points))
         except GraspError:
-            points = together(lambda: checked_points(positions), lambda: as_array(normals, (None, 3), "normals"))[0]
-            together(  # reports all faults at once; these depend on the number of contacts
-                lambda: as_array(normals, (len(points), 3), "normals"),
-                lambda: ContactModels.checked(contact_model, friction, torsional_friction, len(points)),
-            )
+            with AllFaults() as check:
+                points = check(checked_points, positions)
+                check(as_array, normals, (None, 3), "normals")
+            with AllFaults() as check:  # these depend on the number of contacts
+                check(as_array, normals, (len(points), 3), "normals")
+                check(ContactModels.checked, contact_model, friction, torsional_friction, len(points))
             raise
         normalise_normals(inward)
         grasp = cls._made(points, inward, models, checked_tangents(tangents, inward))

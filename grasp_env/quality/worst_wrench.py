@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from grasp_env import ranges
-from grasp_env._check import Array, Wrench, as_array, checked_size, choice, generator, positive, together, whole
+from grasp_env._check import AllFaults, Array, Wrench, as_array, checked_size, choice, generator, positive, whole
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.optimizer import ForceOptimizer
@@ -62,11 +62,10 @@ class WrenchBall:
     shape: str = "ellipsoid"
 
     def __post_init__(self) -> None:
-        together(
-            lambda: positive(self.force, "force", ranges.BALL),
-            lambda: positive(self.moment, "moment", ranges.BALL),
-            lambda: choice(self.shape, "shape", SHAPES),
-        )
+        with AllFaults() as check:
+            check(positive, self.force, "force", ranges.BALL)
+            check(positive, self.moment, "moment", ranges.BALL)
+            check(choice, self.shape, "shape", SHAPES)
 
     @property
     def radii(self) -> Array:
@@ -165,13 +164,12 @@ def worst_case(
         >>> worst_case(presets.paper_cuboid(), [[0, 0, -1, 0, 0, 0], [1, 0, 0, 0, 0, 0]]).wrench
         array([1., 0., 0., 0., 0., 0.])
     """
-    starts, points, rng, tolerance, _ = together(
-        lambda: whole(starts, "starts", 0, ranges.STARTS),
-        lambda: whole(points, "points", 64, ranges.POINTS),
-        lambda: generator(seed),
-        lambda: positive(tolerance, "tolerance", ranges.TOLERANCE),
-        lambda: choice(criterion, "criterion", CRITERIA),
-    )
+    with AllFaults() as check:
+        starts = check(whole, starts, "starts", 0, ranges.STARTS)
+        points = check(whole, points, "points", 64, ranges.POINTS)
+        rng = check(generator, seed)
+        tolerance = check(positive, tolerance, "tolerance", ranges.TOLERANCE)
+        check(choice, criterion, "criterion", CRITERIA)
     optimizer = ForceOptimizer(grasp, method="conic", criterion=criterion, limits=limits)
     if not isinstance(wrenches, WrenchBall):
         listed = checked_size(as_array(wrenches, (None, 6), "wrenches"), "wrenches")

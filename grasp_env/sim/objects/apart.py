@@ -52,7 +52,9 @@ def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Arr
                     child.wait()
             if child.returncode != 0:
                 output.seek(0)
-                raise ChildProcessError(output.read()[-500:].decode(errors="replace") or f"exit code {child.returncode}")
+                raise ChildProcessError(
+                    output.read()[-500:].decode(errors="replace") or f"exit code {child.returncode}"
+                )
         with np.load(Path(folder, "made.npz"), allow_pickle=False) as made:
             return {name: made[name] for name in made.files}
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from grasp_env._check import Array, together
+from grasp_env._check import AllFaults, Array, together
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import FileJoint, HandFile, names_of
@@ -101,11 +101,10 @@ class _Importer:
             self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
         bodies = [self._body(joint) for joint in self.moving]
         drivers = {joint.name: joint.mimic.joint for joint in self.moving if joint.mimic is not None}
-        torques, inertials, fitted = together(
-            lambda: options.torques([joint.name for joint in self.moving], drivers),
-            lambda: options.bodies([joint.child for joint in self.moving]),
-            lambda: self._tips(given_tips, options.radius()),
-        )
+        with AllFaults() as check:
+            torques = check(options.torques, [joint.name for joint in self.moving], drivers)
+            inertials = check(options.bodies, [joint.child for joint in self.moving])
+            fitted = check(lambda: self._tips(given_tips, options.radius()))
         palm = Palm(self.root, *self._shapes(self.root, None), self.links[self.root].color or (0.17, 0.19, 0.23))
         links = self._judged(bodies, torques, inertials)
         if given_tips is None and (rods := find_rods(links, [tip for tip, _ in fitted])):

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from grasp_env._check import together
+from grasp_env._check import AllFaults
 from grasp_env._extras import need
 from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError
@@ -49,13 +49,12 @@ def read_part(
     kept = set(part.links)
     inside = {joint for joint, parent, child in file.ends if parent in kept and child in kept}
     mimics = {joint: other for joint, other in file.mimics.items() if joint in inside}
-    (links, joints), *_ = together(
-        lambda: file.elements(kept),
-        lambda: _reraise(fault),
-        lambda: _known(tips, file.names, part),
-        lambda: check_mimics(file.ends, file.fixed, mimics),
-    )
-    return part, links, joints
+    with AllFaults() as check:
+        elements = check(file.elements, kept)
+        check(_reraise, fault)
+        check(_known, tips, file.names, part)
+        check(check_mimics, file.ends, file.fixed, mimics)
+    return part, *elements
 
 
 def _known(tips: Mapping[str, Any], links: Sequence[str], part: Part) -> None:

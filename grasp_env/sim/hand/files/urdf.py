@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from grasp_env._check import together
+from grasp_env._check import AllFaults, together
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Vector3, limits, numbers
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink, refuse
@@ -137,11 +137,11 @@ class UrdfReader:
             own = self._color_of_visual(shape, f"{where}, <visual>")
             color = color or own
             looks.append((shape, None if own == color else own))
-        (mass, frame, inertia), collision, visual = together(
-            lambda: _inertial(element.find("inertial"), where),
-            lambda: together(*(partial(self._placed, shape, name) for shape in element.findall("collision"))),
-            lambda: together(*(partial(self._placed, shape, name, own) for shape, own in looks)),
-        )
+        with AllFaults() as check:
+            inertial = check(_inertial, element.find("inertial"), where)
+            collision = [check(self._placed, shape, name) for shape in element.findall("collision")]
+            visual = [check(self._placed, shape, name, own) for shape, own in looks]
+        mass, frame, inertia = inertial
         self._shapes[name] = list(filter(None, collision)), list(filter(None, visual))
         return FileLink(name, mass, frame, inertia, color=color)
 
@@ -330,12 +330,12 @@ def _joint(element: Element) -> FileJoint:
     origin, rotation = _origin(element, where)
     if kind == _FIXED:
         return FileJoint(name, parent, child, True, origin, rotation)
-    axis, (lower, upper), effort, mimic = together(
-        lambda: _axis(element, where),
-        lambda: _limits(element.find("limit"), kind, where),
-        lambda: _effort(element.find("limit"), where),
-        lambda: _mimic(element.find("mimic"), where),
-    )
+    with AllFaults() as check:
+        axis = check(_axis, element, where)
+        limits = check(_limits, element.find("limit"), kind, where)
+        effort = check(_effort, element.find("limit"), where)
+        mimic = check(_mimic, element.find("mimic"), where)
+    lower, upper = limits
     return FileJoint(name, parent, child, False, origin, rotation, axis, lower, upper, effort, kind == _SLIDING, mimic)
 
 
