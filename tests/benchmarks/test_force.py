@@ -40,53 +40,36 @@ PULLED = made([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], frames=ONE_SIDE)
 
 
 @pytest.mark.parametrize("name", TRACKS)
-def test_the_seed_gives_the_bytes_of_the_file(name):
+def test_a_file_is_made_by_its_seed_and_its_references_hold(name):
     track = load(name)
     again = generate.generate(name, track.about["seed"])
     assert again.digest() == track.about["sha256"]
-    assert {key: again.about[key] for key in ("modes", "objectives", "place")} == {
-        key: track.about[key] if key == "place" else tuple(track.about[key]) for key in ("modes", "objectives", "place")
-    }
-    assert generate.generate(name, 1).digest() != track.about["sha256"]
+    for key in ("modes", "objectives"):
+        assert again.about[key] == tuple(track.about[key])
+    assert again.about["place"] == track.about["place"] == TRACKS.index(name) == list(generate.TRACKS).index(name)
+    # in 60 digits a check takes long: of those tracks a part
+    sessions = track.sessions[::3] if name == "hard" else track.sessions
+    assert reference.check(replace(track, sessions=sessions)) == []
 
 
-def test_all_tracks_are_there():
-    assert list(generate.TRACKS) == TRACKS
-
-
-@pytest.mark.parametrize("name", TRACKS)
-def test_references_hold_by_their_own_numbers(name):
-    track = load(name)
-    kept = (
-        [replace(session, arrays=session.arrays) for session in track.sessions[::3]]
-        if name == "hard"
-        else track.sessions
-    )
-    assert reference.check(replace(track, sessions=kept)) == []
-
-
-def test_a_changed_file_is_refused(tmp_path):
-    track = load("soft")
-    problems.save(track, tmp_path)
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"sha256": "0" * 64}, r"does not hold the problems of soft\.json"),
+        ({"schema": 9}, "has schema 9, this version reads 1"),
+        ({"modes": ["hot"]}, r"its modes are \['hot'\], known are cold, persistent, warm"),
+        (None, r"soft\.json lacks modes, objectives, sessions, sha256"),
+    ],
+)
+def test_a_changed_file_is_refused(change, words, tmp_path):
+    problems.save(load("soft"), tmp_path)
     about = json.loads((tmp_path / "soft.json").read_text())
-    (tmp_path / "soft.json").write_text(json.dumps(about | {"sha256": "0" * 64}))
-    with pytest.raises(ValueError, match=r"does not hold the problems of soft\.json"):
+    (tmp_path / "soft.json").write_text(json.dumps({"schema": 1} if change is None else about | change))
+    with pytest.raises(ValueError, match=words):
         load("soft", tmp_path)
-    (tmp_path / "soft.json").write_text(json.dumps(about | {"schema": 9}))
-    with pytest.raises(ValueError, match="has schema 9, this version reads 1"):
-        load("soft", tmp_path)
-    (tmp_path / "soft.json").write_text(json.dumps(about | {"modes": ["hot"]}))
-    with pytest.raises(ValueError, match=r"its modes are \['hot'\], known are cold, persistent, warm"):
-        load("soft", tmp_path)
-    (tmp_path / "soft.json").write_text(json.dumps({"schema": 1}))
-    with pytest.raises(ValueError, match=r"soft\.json lacks modes, objectives, sessions, sha256"):
-        load("soft", tmp_path)
-    (tmp_path / "soft.npz").write_bytes((tmp_path / "soft.npz").read_bytes()[:999])
     (tmp_path / "soft.json").write_text(json.dumps(about))
+    (tmp_path / "soft.npz").write_bytes((tmp_path / "soft.npz").read_bytes()[:999])
     with pytest.raises(ValueError, match="is not a track of this version: File is not a zip file; make it again"):
-        load("soft", tmp_path)
-    (tmp_path / "soft.json").write_text("{")
-    with pytest.raises(ValueError, match=r"the description of a track .*soft\.json is not a JSON object"):
         load("soft", tmp_path)
 
 
@@ -152,17 +135,7 @@ def test_scores_by_hand():
 
 
 @pytest.mark.parametrize(
-    "answer",
-    [
-        None,
-        np.full(12, np.nan),
-        np.zeros(11),
-        (FORCE, None, "failed"),
-        (FORCE, None, "nonsense"),
-        (None, None, "solved"),
-        (None, None, "text"),
-        "text",
-    ],
+    "answer", [None, np.full(12, np.nan), np.zeros(11), (FORCE, None, "failed"), (FORCE, None, "no"), "text"]
 )
 def test_what_is_no_answer_has_failed(answer):
     row = score(PROBLEM, "sum", BEST, parted(PROBLEM, answer))
@@ -186,13 +159,12 @@ def test_verdicts_need_their_witness():
     assert (feasible["wrong"], feasible["solved"]) == (True, False)
 
 
-@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
-def test_no_witness_against_a_feasible_wrench(scale):
+def test_no_witness_against_a_feasible_wrench():
     """Random twists, and those of the optimum, never separate what a force balances."""
-    rng = np.random.default_rng(0)
-    problem = made(scale * WRENCH)
-    twists = [*rng.standard_normal((200, 6)), OPTIMUM.multipliers, -OPTIMUM.multipliers]
-    assert max(bounds.witness(problem, twist) for twist in twists) <= 0.0
+    twists = [*np.random.default_rng(0).standard_normal((200, 6)), OPTIMUM.multipliers, -OPTIMUM.multipliers]
+    for scale in (1e-6, 1.0, 1e6):
+        problem = made(scale * WRENCH)
+        assert max(bounds.witness(problem, twist) for twist in twists) <= 0.0
 
 
 def test_bounds_bracket_every_balanced_force():
@@ -220,11 +192,6 @@ int echo(void *context, const force_problem *p, const double *start, double *for
     for (int k = 0; k < 6 + p->limits; ++k) multipliers[k] = p->touching + 100.0 * p->moved;
     if (iterations) *iterations = p->limits;
     return p->wrench[0] > 0.0 ? 0 : 2;
-}
-int bare(void *context, const force_problem *p, const double *start, double *force, double *multipliers, int *iterations) {
-    (void)start, (void)multipliers, (void)iterations;
-    for (int k = 0; k < p->contacts * p->width; ++k) force[k] = 0.0;
-    return context ? 0 : -1;
 }
 """
 
@@ -272,12 +239,6 @@ def test_c_is_timed_in_c_and_warm_starts(echo):
         assert timed.iterations.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_a_function_without_setup_is_called_and_its_errors_are_failures(echo):
-    timed = run.Timed(Library(str(echo), "bare"), Task("", "sum", "persistent", PROBLEM), [PROBLEM])
-    timed.passes(1)
-    assert [(answer.status, answer.force.tolist()) for (answer,) in timed.answers] == [("failed", [0.0] * 12)]
-
-
 class Told:
     """Answers with the force it was started from plus one; the clock that it is timed by goes as it says."""
 
@@ -316,30 +277,26 @@ def test_python_is_timed_by_the_least_of_its_passes(mode, monkeypatch):
     assert (timed.many is None) == (mode == "warm")
 
 
-class Sly:
-    """Answers once."""
+def test_the_answers_of_all_passes_are_scored():
+    """An entrant that answers in its first pass only has not solved the problem."""
 
-    def __init__(self) -> None:
-        self.asked = 0
+    class Once:
+        calls = 0
 
-    def setup(self, task):
-        pass
+        def setup(self, task):
+            pass
 
-    def solve(self, problem, start=None):
-        self.asked += 1
-        return FORCE if self.asked <= 2 else None  # a pass begins with a call that does not count
+        def solve(self, problem, start=None):
+            self.calls += 1
+            return FORCE if self.calls <= 2 else None  # a pass begins with a call that does not count
 
-
-def test_every_pass_counts():
-    """A solver that answers in the first pass alone has failed, though its least time is that of another pass."""
-    reference = problems.Reference(*(np.array([BEST]) for _ in range(4)), FORCE[None], OPTIMUM.multipliers[None])
+    optimum = problems.Reference(*(np.array([BEST]) for _ in range(4)), FORCE[None], OPTIMUM.multipliers[None])
     arrays = {name: np.array(getattr(PROBLEM, name))[None] for name in ("positions", "frames", "friction", "wrench")}
-    track = problems.Track(
-        "one", [problems.Session("", arrays, {"sum": reference})], {"objectives": ["sum"], "modes": ["persistent"]}
-    )
+    session = problems.Session("", arrays, {"sum": optimum})
+    track = problems.Track("one", [session], {"objectives": ["sum"], "modes": ["persistent"]})
     for passes, solved in ((1, True), (2, False)):
-        rows = run.measured([track], {"sly": Sly}, run.Effort(rounds=1, seconds=1.0, passes=passes))[0]
-        assert [row["solved"] for row in rows if row["method"] == "sly"] == [solved]
+        rows = run.measured([track], {"once": Once}, run.Effort(rounds=1, seconds=1.0, passes=passes))[0]
+        assert [row["solved"] for row in rows if row["method"] == "once"] == [solved]
 
 
 def test_an_entrant_writes_into_its_own_copies():
@@ -373,13 +330,9 @@ def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
     ran = rows[rows["status"].notna() & (rows["method"] != "empty")]
     assert ran[ran["method"] == "conic_python"]["solved"].all()
     assert ran["solved"].mean() > 0.97  # SLSQP leaves a few at 2e-6
-    assert {*zip(ran["method"], ran["case"], strict=True)} == {
-        ("mine", "smooth"),
-        ("conic_python", "smooth"),
-        ("conic_python", "soft"),
-    }
+    entered = {*zip(ran["method"], ran["case"], strict=True)}
+    assert entered == {("mine", "smooth"), ("conic_python", "smooth"), ("conic_python", "soft")}
     about = json.loads((tmp_path / "a/run.json").read_text())
-    assert about["quick"]
     assert about["tracks"]["smooth"] == load("smooth").about["sha256"]
     assert main(["run", *words, "--name", "b"]) == 0
     assert main(["report", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
@@ -392,11 +345,8 @@ def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
     ("words", "said"),
     [
         (["run", "--tracks", "smoth"], "no track 'smoth'"),
-        (["run", "--against", "mosek"], "no entrant 'mosek'"),
         (["run", "--solver", "nowhere.py:Mine"], "there is no file nowhere.py"),
-        (["run", "--solver", "benchmarks/force/example.py:Yours"], "has no Yours"),
         (["run", "--solver", "benchmarks/force/example.py:np"], "has no setup and no solve: see Entrant in"),
-        (["generate", "smoth"], "no track 'smoth'"),
         (["generate", "soft", "--seed", "-1"], "the seed must be at least 0, got -1"),
         (["report", "nowhere"], "not a finished run"),
         (["validate", "--sets", "docs"], "holds no track"),
@@ -432,14 +382,8 @@ def test_an_entrant_agrees_or_shows_its_failures(name, monkeypatch, tmp_path_fac
 def test_tables_of_known_rows():
     """Two entrants of known times: ratios, ties, failures, and profiles."""
     rng = np.random.default_rng(0)
-    base = {
-        "case": "smooth",
-        "objective": "sum",
-        "mode": "persistent",
-        "language": "Python",
-        "division": "closed",
-        "event": "4",
-    }
+    keys = ("case", "objective", "mode", "language", "division", "event")
+    base = dict(zip(keys, ("smooth", "sum", "persistent", "Python", "closed", "4"), strict=True))
     rows = []
     for k in range(100):
         common = {"problem": k, "solved_coarse": True, "proved": True, "wrong": False, "iterations": 5}
@@ -454,13 +398,11 @@ def test_tables_of_known_rows():
     found = report.standings(made).set_index("method")
     assert found["solved"].to_dict() == {"fast": 100, "same": 100, "slow": 99}
     assert found.loc["slow", "p50_ratio"] == pytest.approx(10.0, rel=0.05)
-    assert found.loc["slow", "first"] == ""
-    assert found.loc["fast", "first"] == "success, p50, p99"
+    assert found["first"].to_dict() == {"fast": "success, p50, p99", "same": found.loc["same", "first"], "slow": ""}
     assert "p50" in found.loc["same", "first"]
     times = made[made["method"] == "slow"]["microseconds"].to_numpy(float)
     logs = np.log(np.append(times[1:], report.PENALTY) + 1.0)
     assert found.loc["slow", "mean"] == pytest.approx(np.exp(logs.mean()) - 1.0)
-    assert report.profile(made.drop(columns="iterations"), "iterations") == {}
     factors, share = report.profile(made, "iterations")["slow"]
     assert factors.tolist() == [10.0] * 99
     assert share[-1] == pytest.approx(0.99)
