@@ -1,7 +1,6 @@
-"""The tracks, each made from a seed. A new one is a function of a generator and an entry of `TRACKS`.
+"""The tracks, each generated from a seed. A new track is a function of a random generator and an entry of `TRACKS`.
 
-Numbers are drawn, then rounded to `DIGITS` significant digits, so that the last digit of another machine's library does not show: a seed
-gives the same bytes everywhere.
+Numbers are drawn, then rounded to `DIGITS` significant digits, so that a seed gives the same bytes with other libraries and machines.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ from training.data.grasps import PRESETS, Recipe
 DIGITS = 12
 short = partial(rounded, digits=DIGITS)
 GRASPS = Recipe(friction=(0.3, 1.0), own_friction=True, margin=0.02, basis=False)
-"""Random grasps: contacts on cuboids, ellipsoids and cylinders, away from losing closure."""
+"""Random grasps on cuboids, ellipsoids and cylinders, with a margin of force closure."""
 LOAD = (2.0, 0.05)
-"""[N], [N m] radii of the balls that wrenches are drawn from."""
+"""Radii of the balls from which wrenches are drawn [N, N m]."""
 TICK = 0.002
-"""[s] between the problems of a path."""
+"""Time between the problems of a path [s]."""
 CLEAR = 1e-3
-"""Depth inside or outside of everything (`feasibility`) from which a problem counts as feasible or not."""
+"""Least margin (`feasibility`) of a feasible problem, and of an infeasible one with the opposite sign."""
 Arrays = dict[str, Any]
 Made = Iterator[tuple[str, Arrays]]
 
@@ -58,12 +57,12 @@ def of(grasp: Grasp) -> Arrays:
 
 
 def fixed(arrays: Arrays) -> Arrays:
-    """The same for all problems of a session."""
+    """Return arrays that are equal for all problems of a session."""
     return {name: array[None] for name, array in arrays.items()}
 
 
 def moving(each: list[Arrays]) -> Arrays:
-    """Arrays of one problem each, one after the other."""
+    """Return the arrays of consecutive problems."""
     return {name: np.concatenate([arrays[name] for arrays in each]) for name in each[0]}
 
 
@@ -122,7 +121,7 @@ def roll(rng: np.random.Generator) -> Made:
 
 
 def lost(rng: np.random.Generator) -> Made:
-    """Every ten problems another finger has let go, or none."""
+    """Sessions in which another finger loses contact every ten problems."""
     for n in (4, 5, 6):
         grasp = GRASPS.closed(rng, n)
         while not all(_closes_without(grasp, k) for k in range(n)):
@@ -210,14 +209,14 @@ def hard(rng: np.random.Generator) -> Made:
 
 @dataclass(frozen=True)
 class Recipes:
-    """A track.
+    """Recipe of a track.
 
     Attributes:
-        make: makes its sessions, as (name, arrays).
-        text: one line for people.
-        modes: in which it is run.
-        objectives: which it has.
-        digits: "exact": its references are computed in 60 digits.
+        make: yields its sessions as (name, arrays).
+        text: description in one line.
+        modes: modes of its runs.
+        objectives: objectives.
+        digits: "exact" if its references are computed in 60 digits.
     """
 
     make: Callable[[np.random.Generator], Made]
@@ -248,7 +247,7 @@ TRACKS = {
         digits="exact",
     ),
 }
-"""In the order of the reports; a track's place is a part of its seed, so new ones go to the end."""
+"""Tracks in the order of the reports; a track's place is part of its seed, so new ones go to the end."""
 
 
 def generate(name: str, seed: int) -> Track:
