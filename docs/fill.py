@@ -1,11 +1,11 @@
-"""The measured tables of README.md and of the pages: filled in from saved runs, so that no number is typed by hand.
+"""Fills the tables of measurements in README.md and the pages from saved runs.
 
-python -m docs.fill                 writes every block <!-- results: NAME --> ... <!-- /results --> anew
-python -m docs.fill --check         names the blocks that differ from the saved runs; exit code 1
-python -m docs.fill --save RUN...   keeps the summaries of run folders, of `grasp` or of the benchmarks
+python -m docs.fill                 writes every block <!-- results: NAME --> ... <!-- /results --> again
+python -m docs.fill --check         lists the blocks that differ from the saved runs; exit code 1
+python -m docs.fill --save RUN...   saves the summaries of run folders, of `grasp` or of the benchmarks
 
-docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json says how it was made, KIND.svg is its
-picture where it has one; of the benchmark of forces force.parquet holds all rows. A table of a page is a function of `TABLES`: a query on these summaries.
+docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json its settings and machine, KIND.svg its picture, if it
+has one. Of the force benchmark force.parquet holds all rows. Each table of a page is a function in `TABLES`, a query on these files.
 """
 
 from __future__ import annotations
@@ -62,26 +62,26 @@ VERDICTS = {True: "yes", False: "**NO**", None: "not measured"}
 
 @cache
 def force_rows() -> tuple[Rows, dict[str, Any]]:
-    """The rows of the benchmark of forces, which are kept whole."""
+    """Return all rows of the force benchmark, with its settings and machine."""
     return read(RESULTS / "force.parquet"), json.loads((RESULTS / "force.json").read_text(encoding="utf-8"))
 
 
 @cache
 def saved(kind: str) -> tuple[Rows, dict[str, Any]]:
-    """The summary of a saved run, and how it was made."""
+    """Return the summary of a saved run, with its settings and machine."""
     about = json.loads((RESULTS / f"{kind}.json").read_text(encoding="utf-8"))
     shown, means = module_of(about), read(RESULTS / f"{kind}.csv")
     return getattr(shown, "derive", lambda means: means)(means), about
 
 
 def judged(kind: str) -> list[Judged]:
-    """The claims of a saved run, the missed ones first."""
+    """Return the claims of a saved run, missed ones first."""
     means, about = saved(kind)
     return judge(claims_of(about), means)
 
 
 def markdown(kind: str | None, made: Rows, note: str = "") -> str:
-    """A table with what measured it below; None: nothing did."""
+    """Return a table with the command and machine of its run below; `kind` None: no run."""
     lines = [
         list(made.columns),
         ["---"] * len(made.columns),
@@ -99,28 +99,28 @@ def markdown(kind: str | None, made: Rows, note: str = "") -> str:
 
 
 def reported(kind: str, make: Callable[[Rows, Rows], Rows]) -> Callable[[], str]:
-    """A table of the report of a kind of run, on the saved summary."""
+    """Return a table of the report of a kind of run, made of the saved summary."""
     return lambda: markdown(kind, make(pd.DataFrame(), saved(kind)[0]))
 
 
-def asked(kind: str) -> Callable[[], str]:
-    """Claims of a saved run, the missed ones first."""
+def targets(kind: str) -> Callable[[], str]:
+    """Return the claims of a saved run with their targets, missed ones first."""
     return lambda: markdown(kind, pd.DataFrame(
-        [{"": row.claim.name, "asked": row.asked, "measured": row.found, "met": VERDICTS[row.met]} for row in judged(kind)]
+        [{"": row.claim.name, "target": row.asked, "measured": row.found, "met": VERDICTS[row.met]} for row in judged(kind)]
     ))  # fmt: skip
 
 
 def force_tracks() -> str:
-    """The tracks of the benchmark of forces, from their files."""
+    """Return the tracks of the force benchmark, from their files."""
     return markdown(None, pd.DataFrame([
-        {"track": f"`{track.name}`", "what happens in it": track.about["about"],
+        {"track": f"`{track.name}`", "description": track.about["about"],
          "problems": sum(len(session.problems) for session in track.sessions), "modes": ", ".join(track.about["modes"])}
         for track in map(load, names())
     ]))  # fmt: skip
 
 
 def force(objective: str) -> Callable[[], str]:
-    """The benchmark of forces by track and mode, for one objective."""
+    """Return the results of the force benchmark by track and mode, for one objective."""
     ours = {name for name, where in ENTRANTS.items() if where.rpartition(":")[0].endswith(".ours")}
     return lambda: markdown(
         "force", by_track(force_rows()[0], objective, ours), "Median / 99 % in us of the problems solved to 1e-6."
@@ -128,17 +128,17 @@ def force(objective: str) -> Callable[[], str]:
 
 
 def force_entrants() -> str:
-    """The entrants of the benchmark of forces over all tracks."""
+    """Return the entrants of the force benchmark over all tracks."""
     return markdown("force", by_entrant(force_rows()[0], force_rows()[1]["entrants"]))
 
 
 def solvers() -> str:
-    """Against other solvers, by number of contacts."""
+    """Return the times of all solvers by number of contacts."""
     return markdown("force", by_contacts(force_rows()[0]), "Median / 99 % in us, 25 random grasps each.")
 
 
 def batch() -> str:
-    """Solves per second."""
+    """Return solves per second by method and number of cores."""
     means = saved("batch")[0]
     made = means.assign(millions=means["per_second_median"] / 1e6).pivot(
         index="method", columns="workers", values="millions"
@@ -150,7 +150,7 @@ def batch() -> str:
 
 
 def step_rules() -> str:
-    """The flow from the 12-basis and from the network by every step rule: comparisons of starts use the one that is best for both."""
+    """Return the flow from the 12-basis and from the network with every step rule."""
     times = chosen(saved("reproduce")[0], "case == 'times'").set_index(["start", "rule"])
     made = [
         {"step rule, median / p99": label}
@@ -163,7 +163,7 @@ def step_rules() -> str:
 
 
 def table_one() -> str:
-    """The paper's Table I beside ours on the reference grasp."""
+    """Return Table I of the paper and our values on the reference grasp."""
     means = saved("reproduce")[0]
     ours, paper = (chosen(means, f"case == '{case}'").set_index("start") for case in ("table_one", "table_one_paper"))
     made = [
@@ -175,7 +175,7 @@ def table_one() -> str:
 
 
 def rl() -> str:
-    """Agents beside the paper's start, the previous solution and the learned start."""
+    """Return agents, the paper's start, the previous solution and the learned start."""
     means, made = chosen(saved("rl")[0], "case == 'held_out'"), []
     for environment in means["environment"].unique():
         here = means[means["environment"] == environment].set_index("agent")
@@ -191,7 +191,7 @@ def rl() -> str:
             made.append({
                 "environment": place(environment), "policy": label, "held": held,
                 "iterations, median / p95 / p99": " / ".join(cell(row[f"iterations_{part}"]) for part in ("median", "p95", "p99")),
-                "of the paper's": row["mean_iterations_median"] / zero["mean_iterations_median"],
+                "relative to the paper": row["mean_iterations_median"] / zero["mean_iterations_median"],
                 "force / torque saved [%]": " / ".join(f"{100.0 * part:.1f}" for part in saved_parts).replace("-0.0", "0.0"),
                 "return, interquartile mean": row["return_iqm"],
             })  # fmt: skip
@@ -199,7 +199,7 @@ def rl() -> str:
 
 
 def rl_speed() -> str:
-    """Steps per second, and what the trainings took."""
+    """Return steps per second and training times."""
     means, made = saved("rl")[0], []
     for environment in chosen(means, "case == 'with training'")["environment"].unique():
         here = means[means["environment"] == environment]
@@ -215,7 +215,7 @@ def rl_speed() -> str:
 
 
 def layer() -> str:
-    """The force layer beside other differentiable layers, forward and backward."""
+    """Return times of the force layer and of other differentiable layers, forward and backward."""
     means = saved("layer")[0]
     means = means[means["microseconds_median"].notna()]
     case = {"hard": "", "limits": ", within the limits of 12 joints", "soft": ", soft contacts"}
@@ -230,7 +230,7 @@ def layer() -> str:
     made = made.pivot(index="name", columns="batch", values="text").reindex(order).fillna("–")
     made.columns = [f"batch of {size}" for size in made.columns]
     agree = chosen(saved("layer")[0], "case == 'hard, answers' and method == 'cvxpylayers_clarabel'")
-    note = "Forward and backward in us a problem, and in brackets how many times as long as ours, on one core, four contacts. "
+    note = "Forward and backward in us per problem, in brackets relative to ours, on one core, four contacts. "
     if len(agree):
         row = agree.iloc[0]
         note += f"Forces differ from Clarabel's by at most {row['force_difference_max']:.0e}, gradients by {row['gradient_difference_median']:.0e} in the median."
@@ -238,7 +238,7 @@ def layer() -> str:
 
 
 def hand_loop() -> str:
-    """Latencies of the example for hardware, and what was lost."""
+    """Return latencies and losses of the hardware example."""
     means = saved("hand_loop")[0]
     names = {"cpp": "C++", "python": "Python"}
     made = [
@@ -246,8 +246,8 @@ def hand_loop() -> str:
         for row in chosen(means, "case != 'run'").to_dict("records")
     ]  # fmt: skip
     told = [
-        f"{names[row['method']]}: {row['lost_sum']:.0f} messages lost, {row['unanswered_sum']:.0f} overtaken by a newer one, {row['late_sum']:.0f} updates "
-        f"after a missed deadline, {row['over_budget_sum']:.0f} over their budget, the simulated hand late in {row['behind_sum']:.0f} steps; "
+        f"{names[row['method']]}: {row['lost_sum']:.0f} messages lost, {row['unanswered_sum']:.0f} replaced by a newer one, {row['late_sum']:.0f} updates "
+        f"after a missed deadline, {row['over_budget_sum']:.0f} over budget, the simulated hand late in {row['behind_sum']:.0f} steps; "
         f"the ball moved by at most {row['drift_max']:.2f} mm."
         for row in chosen(means, "case == 'run'").to_dict("records")
     ]  # fmt: skip
@@ -255,7 +255,7 @@ def hand_loop() -> str:
 
 
 def ros2() -> str:
-    """Round trips of the ROS 2 node."""
+    """Return round trips of the ROS 2 node."""
     means = saved("ros2")[0]
     unanswered = chosen(means, "case == 'run'").set_index("method")["unanswered_sum"]
     made = [
@@ -267,13 +267,13 @@ def ros2() -> str:
 
 
 def latencies(row: dict[str, Any]) -> dict[str, str]:
-    """The statistics of a latency [us] by their headings."""
+    """Return the statistics of a latency [us] by their headings."""
     names = {"median": "median [us]", "p99": "99 %", "p999": "99.9 %", "max": "largest"}
     return {label: cell(row[f"latency_{name}"]) for name, label in names.items()}
 
 
 def objects() -> str:
-    """Real objects in hands: whether they were held under gravity, and how often under the random wrench."""
+    """Return the real objects that hands held under gravity, and how often they held them under the random wrench."""
     means = saved("objects")[0]
     pairs = means.pivot(index=["object", "hand", "engine"], columns="case", values=["held_sum", "n"])
     made: dict[str, dict[str, str]] = {}
@@ -330,7 +330,7 @@ def overview() -> str:
 
 
 def fixed_contacts(method: str) -> str:
-    """p50 / p99 [us] of an entrant on jumps of the wrench, 3 to 5 fixed contacts."""
+    """Return p50 / p99 [us] of an entrant on jumps of the wrench, 3 to 5 fixed contacts."""
     rows = chosen(
         force_rows()[0], f"objective == 'sum' and case == 'jumps' and mode == 'persistent' and method == '{method}'"
     )
@@ -340,14 +340,14 @@ def fixed_contacts(method: str) -> str:
 TABLES: dict[str, Callable[[], str]] = {
     "summary": overview, "hand_loop": hand_loop, "ros2": ros2, "solvers": solvers, "force_tracks": force_tracks, "force_sum": force("sum"), "force_phi": force("phi"), "force_entrants": force_entrants, "batch": batch, "starts": reported("starts", starts.hardest_sets),
     "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps), "newton_first": reported("starts", starts.newton_first),
-    "starts_claims": asked("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
-    "objects": objects, "transfer": reported("transfer", holds.grid), "env_speed": asked("env_speed"),
+    "starts_claims": targets("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
+    "objects": objects, "transfer": reported("transfer", holds.grid), "env_speed": targets("env_speed"),
     "step_rules": step_rules, "layer": layer, "table_one": table_one, "rl": rl, "rl_speed": rl_speed,
 }  # fmt: skip
 
 
 def save(folder: Path) -> str:
-    """Keeps the summary of a run folder, and its picture; the kind under which it is kept."""
+    """Save the summary and the picture of a run folder, and return the kind of the run."""
     rows, about = Run.open(folder, "run.json").load()
     if about.get("quick"):
         raise SystemExit(f"{folder} is a quick run, whose numbers are not quoted: run it in full")
@@ -358,7 +358,7 @@ def save(folder: Path) -> str:
         write_csv(RESULTS / f"{about['kind']}.csv", summary(rows))
     with replacing(RESULTS / f"{about['kind']}.json") as target:
         kept = json.dumps({name: about[name] for name in PROVENANCE if name in about}, indent=1)
-        # a path says something about one machine only
+        # a path belongs to one machine
         target.write_text(re.sub(r"(?<![\w.])/[^\s\"]*/(?=[^\s\"])", "", kept) + "\n", encoding="utf-8")
     for picture in folder.glob("*.svg"):
         with replacing(RESULTS / f"{about['kind']}.svg") as target:
@@ -367,7 +367,7 @@ def save(folder: Path) -> str:
 
 
 def filled(text: str) -> tuple[str, list[str]]:
-    """The text with its blocks made anew, and the names of those that changed."""
+    """Return the text with new blocks, and the names of the blocks that changed."""
     changed = []
 
     def block(match: re.Match[str]) -> str:
@@ -383,7 +383,7 @@ def filled(text: str) -> tuple[str, list[str]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """See above."""
+    """Run the program, see the module."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--save", nargs="+", type=Path, default=[])
