@@ -171,7 +171,7 @@ def grasp_force(
         min_normal, max_normal, force_weight, barrier_weight, start,
     )  # fmt: skip
     settings = infeasible, tolerance, max_iterations, chunk
-    problems = _as_they_are(given)
+    problems = _read_in_place(given)
     if problems is None:
         tensors, dtype = _checked_tensors(given)
         force, torsion, multipliers, facts, _ = _call(_solve, _Solve, *tensors, *settings)
@@ -299,7 +299,7 @@ def _input_tails(count: int, rows: int, joints: int) -> tuple[tuple[int, ...], .
 # --- the core
 
 
-def _as_they_are(given: Sequence[Any]) -> core.ForceProblems | None:
+def _read_in_place(given: Sequence[Any]) -> core.ForceProblems | None:
     """Return the problems if the core can read the inputs in place; None if torch's operators must convert them."""
     if (
         not _CORE
@@ -626,7 +626,7 @@ class _Eager(torch.autograd.Function):
         *tensors, state = ctx.saved_tensors
         given = tuple([b if a is None else a for a, b in zip(tensors, ctx.numbers, strict=True)])
         wanted = ctx.needs_input_grad[2 : 2 + _INPUTS]
-        problems = None if torch.is_grad_enabled() else _as_they_are(given)
+        problems = None if torch.is_grad_enabled() else _read_in_place(given)
         if problems is None:  # the gradients of an operator refuse a second differentiation
             known, _ = _checked_tensors((*given, None))
             parts = _call(_gradients, _Gradients, *known[:-1], state, *losses[:3], list(wanted), ctx.elastic, ctx.chunk)

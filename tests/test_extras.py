@@ -1,4 +1,4 @@
-"""The solver installs alone; what needs more says so in one line, with the command that installs it."""
+"""The solver installs alone; a missing extra gives one line with the command that installs it."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ OPTIONAL: dict[str, list[str]] = PROJECT["optional-dependencies"]
 
 
 def _names(requirements: list[str]) -> set[str]:
-    """Distributions of a list of requirements, without those of extras it names."""
+    """Return the distributions of a list of requirements, without included extras."""
     return {re.split(r"[^\w.-]", one)[0] for one in requirements} - {"grasp-force"}
 
 
 def _brought(extra: str) -> set[str]:
-    """An extra and all that it names."""
+    """Return an extra and all extras that it includes."""
     named = re.findall(r"grasp-force\[(.*?)\]", " ".join(OPTIONAL[extra]))
     return {extra}.union(*(_brought(name) for listed in named for name in listed.split(",")))
 
 
 def _without(names: tuple[str, ...], script: str) -> subprocess.CompletedProcess[str]:
-    """A script where none of these packages can be found."""
+    """Run a script in which these packages cannot be found."""
     start = f"""
 import sys
 from importlib.machinery import PathFinder
@@ -49,7 +49,7 @@ sys.meta_path[sys.meta_path.index(PathFinder)] = Finder
 
 
 ENGINE, OTHER_PYTHONS = ("pybullet", ">= '3.12'") if sys.version_info < (3, 12) else ("mujoco", "< '3.12'")
-"""What the extra `sim` simulates with on this CPython, and the marker of what it takes on others."""
+"""Engine of the extra `sim` on this CPython, and the marker of the engine on others."""
 OTHER_MACHINES = f"platform_machine {'==' if EXTRAS['sim'].count('coacd') else '!='} 'aarch64'"
 HEAVY = tuple(name for extra in ("sim", "train", "report", "video") for name in EXTRAS[extra])
 
@@ -89,7 +89,7 @@ IMPORTS = {
 
 
 def test_imports_name_their_extra() -> None:
-    """All in one process, the one after the other: an import that failed leaves nothing behind."""
+    """In one process, because a failed import must leave nothing behind."""
     script = f"""
 for statement, extra in {IMPORTS}.items():
     try:

@@ -91,19 +91,19 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "commands": {"results", "demo", "fit", "compare", "report", "rl", "reproduce", "live"},
     },
 }
-"""The rooms of a package, the lowest first, and those that each may look into."""
+"""Rooms of a package, the lowest first, and the rooms that each may import."""
 DOORS = ("", "__main__", "cli")
-"""What is in no room: the package itself, its program."""
+"""Modules outside the rooms: the package itself and its program."""
 
 
 def _modules(package: str) -> dict[str, Path]:
-    """The files of a package by their names as modules."""
+    """Return the files of a package by module name."""
     found = {path.relative_to(ROOT).with_suffix("").parts: path for path in _files(package)}
     return {".".join(parts[:-1] if parts[-1] == "__init__" else parts): path for parts, path in found.items()}
 
 
 def _arrows(package: str) -> dict[str, set[str]]:
-    """Which modules of a package each of its modules imports, in functions too; `from room import module` means the module."""
+    """Return the modules of a package that each of its modules imports, also in functions; `from room import module` means the module."""
     modules = _modules(package)
     out = {}
     for name, path in modules.items():

@@ -1,4 +1,4 @@
-"""What `make wheel` left in dist/: installs and solves in an empty environment without a compiler, right at every level."""
+"""Wheels in dist/ install and solve in an empty environment without a compiler, with the same results at every level."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ pytestmark = [
 
 
 def _python_of(wheel: Path) -> str:
-    """An interpreter that is not this one's environment."""
+    """Return an interpreter for a wheel."""
     later = "-abi3-" in wheel.name
     (minor,) = map(int, re.findall(r"-cp3(\d+)-", wheel.name)[:1])
     for candidate in (minor, *range(minor + 1, 16)) if later else (minor,):
@@ -53,7 +53,7 @@ def _python_of(wheel: Path) -> str:
 
 
 def _levels(folder: Path) -> list[str]:
-    """The builds that this processor runs; [""]: there is but one."""
+    """Return the builds that this processor runs; [""] if there is only one."""
     held = sorted(path.name for path in (folder / CORE).glob("x86-64-v*"))
     return [name for name in held if int(name[-1]) <= _builds.processor_level(folder / CORE)] or [""]
 

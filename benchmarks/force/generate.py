@@ -51,7 +51,7 @@ def contacts(positions: Array, normals: Array, friction: Array | float) -> Array
     return {"positions": short(positions), "frames": frames, "friction": short(np.broadcast_to(friction, n.shape[:-1]))}
 
 
-def of(grasp: Grasp) -> Arrays:
+def arrays_of(grasp: Grasp) -> Arrays:
     """The arrays of one grasp."""
     return fixed(contacts(np.array(grasp.positions), np.array(grasp.normals), np.array(grasp.friction)))
 
@@ -86,14 +86,14 @@ def wave(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
 def cold(rng: np.random.Generator) -> Made:
     """Seven grasps of each size, in turn."""
     for n, preset in PRESETS.items():
-        grasps = [of(preset()), *(of(GRASPS.closed(rng, n)) for _ in range(6))]
+        grasps = [arrays_of(preset()), *(arrays_of(GRASPS.closed(rng, n)) for _ in range(6))]
         yield f"{n}", moving([grasps[k % len(grasps)] for k in range(70)]) | {"wrench": ball(rng, 70)}
 
 
 def smooth(rng: np.random.Generator) -> Made:
     """Known grasps along a smooth path."""
     for n, preset in PRESETS.items():
-        yield f"{n}", of(preset()) | {"wrench": wave(rng, 150)}
+        yield f"{n}", arrays_of(preset()) | {"wrench": wave(rng, 150)}
 
 
 def jumps(rng: np.random.Generator) -> Made:
@@ -102,7 +102,7 @@ def jumps(rng: np.random.Generator) -> Made:
         path, aims, shares = [ball(rng, 1)[0]], ball(rng, 99), rng.choice([0.1, 0.5, 1.0], 99)
         for aim, share in zip(aims, shares, strict=True):
             path.append(path[-1] + share * (aim - path[-1]))
-        yield f"{n}", of(preset()) | {"wrench": short(path)}
+        yield f"{n}", arrays_of(preset()) | {"wrench": short(path)}
 
 
 def roll(rng: np.random.Generator) -> Made:
@@ -129,19 +129,19 @@ def lost(rng: np.random.Generator) -> Made:
         touching = np.ones((100, n), dtype=bool)
         for k in range(10, 100, 20):
             touching[k : k + 10, (k // 20) % n] = False
-        yield f"{n}", of(grasp) | {"touching": touching, "wrench": wave(rng, 100)}
+        yield f"{n}", arrays_of(grasp) | {"touching": touching, "wrench": wave(rng, 100)}
 
 
 def random(rng: np.random.Generator) -> Made:
     """A new grasp for every problem."""
     for n in range(3, 17):
-        yield f"{n}", moving([of(GRASPS.closed(rng, n)) for _ in range(25)]) | {"wrench": ball(rng, 25)}
+        yield f"{n}", moving([arrays_of(GRASPS.closed(rng, n)) for _ in range(25)]) | {"wrench": ball(rng, 25)}
 
 
 def hands(rng: np.random.Generator) -> Made:
     """A hand's contacts with the object's weight and a random wrench."""
     for name, hand in recorded():
-        yield name, of(grasp_of_hand(hand)) | {"wrench": short(weight(hand) + ball(rng, 15, 0.5))}
+        yield name, arrays_of(grasp_of_hand(hand)) | {"wrench": short(weight(hand) + ball(rng, 15, 0.5))}
 
 
 def own(rng: np.random.Generator) -> Made:
@@ -175,7 +175,7 @@ def infeasible(rng: np.random.Generator) -> Made:
         while len(each) < 25:
             grasp, load = GRASPS.draw(rng, n), ball(rng, 1)[0]
             if feasibility(grasp, load).margin < -CLEAR:
-                each.append(of(grasp))
+                each.append(arrays_of(grasp))
                 loads.append(load)
         yield f"no closure, {n}", moving(each) | {"wrench": np.array(loads)}
     for name, hand in recorded()[::4]:
@@ -267,7 +267,7 @@ def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arra
     """A hand's contacts and torque limits, with loads of 0.3 to 0.95 of the largest in their direction."""
     grasp = grasp_of_hand(hand)
     limits = {name: short(hand[name])[None] for name in ("jacobian", "torque_limit", "torque_bias")}
-    arrays = of(grasp) | limits | {"wrench": ball(rng, count)}
+    arrays = arrays_of(grasp) | limits | {"wrench": ball(rng, count)}
     return arrays | {"wrench": short(arrays["wrench"] * (_most(arrays) * rng.uniform(0.3, 0.95, count))[:, None])}
 
 
@@ -317,7 +317,7 @@ def _slippery(rng: np.random.Generator, count: int, friction: float) -> Arrays:
     while True:
         for _ in range(200):
             try:
-                arrays = of(GRASPS.draw(rng, count).with_friction(float(f"{friction:.6g}")))
+                arrays = arrays_of(GRASPS.draw(rng, count).with_friction(float(f"{friction:.6g}")))
             except GraspError:
                 continue
             if _depth({name: array[0] for name, array in arrays.items()}, np.zeros(6)) > 1e-4:
@@ -338,4 +338,4 @@ def _next_to_losing_closure(rng: np.random.Generator, count: int, above: float) 
             low, high = (
                 (low, middle) if feasibility(grasp.with_friction(middle), np.zeros(6)).margin > 0.0 else (middle, high)
             )
-        return of(grasp.with_friction(float(f"{high * (1.0 + above):.7g}")))
+        return arrays_of(grasp.with_friction(float(f"{high * (1.0 + above):.7g}")))

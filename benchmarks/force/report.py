@@ -120,17 +120,15 @@ def beside(rows: Rows, earlier: Rows) -> Rows:
 
 def by_track(rows: Rows, objective: str, ours: set[str]) -> Rows:
     """Return a row for each track and mode: ours and the fastest other entrant of the closed division, p50 / p99 [us], in C and from Python."""
-    made = standings(rows[rows["division"].ne("learned").fillna(True)])
+    ran = _ran(rows[rows["division"].ne("learned").fillna(True)])
     out = []
-    for (case, mode), cell in made[made["objective"] == objective].groupby(["case", "mode"], sort=False):
+    for (case, mode), cell in ran[ran["objective"] == objective].groupby(["case", "mode"], sort=False):
         line = {"track": case, "mode": mode}
         for language in ("C", "Python"):
-            there = cell[cell["language"] == language]
-            for label, part in (
-                ("ours", there[there["method"].isin(ours)]),
-                ("fastest other", there[~there["method"].isin(ours)]),
-            ):
-                line[f"{label}, {language}"] = _told(part)
+            there = cell[cell["language"] == language].groupby("method", sort=False)
+            made = [_standing(name, part) for name, part in there]
+            for label, mine in (("ours", True), ("fastest other", False)):
+                line[f"{label}, {language}"] = _fastest([row for row in made if (row["method"] in ours) == mine])
         out.append(line)
     return pd.DataFrame(out)
 
@@ -221,16 +219,12 @@ def _absent(rows: Rows) -> Iterator[str]:
             yield f"{name} did not enter {', '.join(part['case'].unique())}: {reason}"
 
 
-def _told(part: Rows) -> str:
+def _fastest(made: list[dict[str, Any]]) -> str:
     """Return p50 / p99 of the fastest entrant that solves most problems, with its name and its number of failures."""
-    best = (
-        part[part["solved"] == part["solved"].max()].sort_values("p50")
-        if len(part) and part["solved"].max()
-        else part.iloc[:0]
-    )
-    if best.empty:
+    most = max((row["solved"] for row in made), default=0)
+    if not most:
         return "–"
-    row = best.iloc[0]
+    row = min((row for row in made if row["solved"] == most), key=lambda row: row["p50"])
     failed = "" if row["solved"] == row["n"] else f", {row['solved']} of {row['n']}"
     return f"{number(row['p50'])} / {number(row['p99'])} ({row['method']}{failed})"
 

@@ -22,7 +22,7 @@ from benchmarks.force.entrant import CProblem, Entrant, Library, Task, status_of
 from benchmarks.force.entrants import ENTRANTS
 from benchmarks.force.package import problem_of
 from benchmarks.force.problems import OBJECTIVES, Array, Problem, Session, Track
-from benchmarks.force.score import Parted, parted, score
+from benchmarks.force.score import Parts, parts_of, score
 from grasp_env.grasp import presets
 
 HERE = Path(__file__).parent
@@ -70,11 +70,11 @@ class Timed:
     solver: Any
     task: Task
     problems: list[Problem]
-    answers: list[list[Parted]] = field(init=False)
+    answers: list[list[Parts]] = field(init=False)
     iterations: Array = field(init=False)
     seconds: Array = field(init=False)
     calls: int = 0
-    many: tuple[list[Parted], float] | None = None
+    many: tuple[list[Parts], float] | None = None
 
     def __post_init__(self) -> None:
         self.answers = [[] for _ in self.problems]
@@ -96,7 +96,7 @@ class Timed:
             self._all_at_once()
         return taken
 
-    def _keep(self, m: int, answer: Parted, iterations: float) -> None:
+    def _keep(self, m: int, answer: Parts, iterations: float) -> None:
         """Keep an answer that differs from those before it."""
         kept = self.answers[m]
         if not kept:
@@ -122,7 +122,7 @@ class Timed:
             if m < 0:
                 continue
             self.seconds[m] = min(self.seconds[m], taken)
-            made = parted(problem, answer)
+            made = parts_of(problem, answer)
             start = made.force.copy() if warm and made.force is not None and made.status == "solved" else None
             self._keep(m, made, getattr(self.solver, "iterations", np.nan))
 
@@ -143,20 +143,20 @@ class Timed:
         for m, problem in enumerate(self.problems):
             prices = None if np.isnan(multipliers[m]).any() else multipliers[m]
             steps = np.nan if iterations[m] < 0 else float(iterations[m])
-            self._keep(m, parted(problem, (forces[m], prices, status_of(int(statuses[m])))), steps)
+            self._keep(m, parts_of(problem, (forces[m], prices, status_of(int(statuses[m])))), steps)
 
     def _all_at_once(self) -> None:
         began = time.perf_counter()
         try:
             answers = self.solver.solve_many(self.problems)
             taken = (time.perf_counter() - began) / len(self.problems)
-            made = [parted(problem, answer) for problem, answer in zip(self.problems, answers, strict=True)]
+            made = [parts_of(problem, answer) for problem, answer in zip(self.problems, answers, strict=True)]
         except Exception:  # such as NotImplementedError: this batch is not supported
             return
         self.many = made, min(taken, self.many[1] if self.many else np.inf)
 
 
-def same(one: Parted, other: Parted) -> bool:
+def same(one: Parts, other: Parts) -> bool:
     """True if two answers to a problem are equal up to `SAME`."""
     if one.status != other.status or (one.force is None) != (other.force is None):
         return False

@@ -14,7 +14,7 @@ LEVELS = {"solved_coarse": 1e-4, "solved": 1e-6}
 """Largest gap to the reference, and largest violation of balance, cones and limits, of a solved problem."""
 
 
-class Parted(NamedTuple):
+class Parts(NamedTuple):
     """Parts of a result: force (N k,) and multipliers (6 + L,), if there are any, status, and the message of an error."""
 
     force: Array | None
@@ -23,10 +23,10 @@ class Parted(NamedTuple):
     message: str = ""
 
 
-def parted(problem: Problem, answer: Answer | Exception) -> Parted:
+def parts_of(problem: Problem, answer: Answer | Exception) -> Parts:
     """Return copies of the parts of a solver's result; errors and results that do not fit the problem are failures."""
     if isinstance(answer, Exception):
-        return Parted(None, None, "failed", f"{type(answer).__name__}: {answer}"[:200])
+        return Parts(None, None, "failed", f"{type(answer).__name__}: {answer}"[:200])
     parts = answer if isinstance(answer, tuple) else (answer,)
     force, multipliers, status = (*parts, None, None, None)[:3]
     size, prices = problem.matrix.shape[1], 6 + len(problem.limit_bound)
@@ -35,13 +35,13 @@ def parted(problem: Problem, answer: Answer | Exception) -> Parted:
     if proof is not None:
         proof = np.pad(proof, (0, prices - proof.size))
     if not isinstance(status, str) or status not in STATUSES:
-        return Parted(made, proof, "failed", f"no status: {status!r}"[:200])
+        return Parts(made, proof, "failed", f"no status: {status!r}"[:200])
     if status == "solved" and made is None:
-        return Parted(None, proof, "failed", f"no force of {size} finite numbers")
-    return Parted(made, proof, status)
+        return Parts(None, proof, "failed", f"no force of {size} finite numbers")
+    return Parts(made, proof, status)
 
 
-def score(problem: Problem, objective: str, best: float, answer: Parted) -> dict[str, Any]:
+def score(problem: Problem, objective: str, best: float, answer: Parts) -> dict[str, Any]:
     """Return the columns of a result.
 
     Args:

@@ -1,4 +1,4 @@
-"""`python -m benchmarks`: every benchmark is described by known columns, is saved and compared; what is wrong is told in one line."""
+"""`python -m benchmarks`: every benchmark is described by known columns, is saved and compared; wrong input gives one line."""
 
 from __future__ import annotations
 

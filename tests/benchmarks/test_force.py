@@ -17,11 +17,12 @@ from benchmarks.force.entrant import CProblem, Library, Task
 from benchmarks.force.entrants import ENTRANTS
 from benchmarks.force.package import problem_of
 from benchmarks.force.problems import Problem, load, names
-from benchmarks.force.score import parted, score
+from benchmarks.force.score import parts_of, score
 from grasp_env.force import ForceLimits, ForceOptimizer
 from grasp_env.grasp import Grasp, presets
 from training.report.page import svg
 from training.results.table import pd, table
+from training.results.words import number
 
 TRACKS = names()
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
@@ -47,9 +48,8 @@ def test_a_file_is_made_by_its_seed_and_its_references_hold(name):
     for key in ("modes", "objectives"):
         assert again.about[key] == tuple(track.about[key])
     assert again.about["place"] == track.about["place"] == TRACKS.index(name) == list(generate.TRACKS).index(name)
-    # in 60 digits a check takes long: of those tracks a part
-    sessions = track.sessions[::3] if name == "hard" else track.sessions
-    assert reference.check(replace(track, sessions=sessions)) == []
+    # a part of the sessions; `validate` checks all of them
+    assert reference.check(replace(track, sessions=track.sessions[::4])) == []
 
 
 @pytest.mark.parametrize(
@@ -108,37 +108,39 @@ def test_objectives_against_the_oracle():
 
 
 def test_scores_by_hand():
-    good = score(PROBLEM, "sum", BEST, parted(PROBLEM, (FORCE, OPTIMUM.multipliers)))
+    good = score(PROBLEM, "sum", BEST, parts_of(PROBLEM, (FORCE, OPTIMUM.multipliers)))
     assert good["solved"]
     assert good["proved"]
-    assert not score(PROBLEM, "sum", BEST, parted(PROBLEM, FORCE))["proved"]
+    assert not score(PROBLEM, "sum", BEST, parts_of(PROBLEM, FORCE))["proved"]
     pressed = FORCE * (1.0 + 1e-5)  # misses balance and the optimum by 1e-5
-    missed = score(PROBLEM, "sum", BEST, parted(PROBLEM, pressed))
+    missed = score(PROBLEM, "sum", BEST, parts_of(PROBLEM, pressed))
     assert (missed["solved"], missed["solved_coarse"]) == (False, True)
     assert missed["balance"] == pytest.approx(1e-5, rel=1e-3)
     assert missed["gap"] == pytest.approx(1e-5, rel=1e-3)
     slid = FORCE.copy()
     slid[1] += 2.0 * PROBLEM.friction[0] * FORCE[0]
-    assert score(PROBLEM, "sum", BEST, parted(PROBLEM, slid))["violation"] > 0.1
+    assert score(PROBLEM, "sum", BEST, parts_of(PROBLEM, slid))["violation"] > 0.1
     held = made(max_normal=np.full(4, 2.0))
-    assert score(held, "sum", BEST, parted(held, FORCE))["limit_excess"] == pytest.approx(FORCE[::3].max() / 2.0 - 1.0)
-    still = score(PROBLEM, "sum", BEST, parted(PROBLEM, (np.zeros(12), OPTIMUM.multipliers)))
+    assert score(held, "sum", BEST, parts_of(held, FORCE))["limit_excess"] == pytest.approx(
+        FORCE[::3].max() / 2.0 - 1.0
+    )
+    still = score(PROBLEM, "sum", BEST, parts_of(PROBLEM, (np.zeros(12), OPTIMUM.multipliers)))
     assert not still["proved"]
     assert not still["solved_coarse"]
-    outside = score(PROBLEM, "phi", 10.0, parted(PROBLEM, (np.zeros(12), np.ones(6))))
+    outside = score(PROBLEM, "phi", 10.0, parts_of(PROBLEM, (np.zeros(12), np.ones(6))))
     assert not outside["proved"]
     assert not outside["solved_coarse"]
-    short = score(held, "sum", BEST, parted(held, (FORCE, OPTIMUM.multipliers)))  # without prices: they are zero
+    short = score(held, "sum", BEST, parts_of(held, (FORCE, OPTIMUM.multipliers)))  # without prices: they are zero
     assert not short["proved"]
     lost = made(touching=np.array([False, True, True, True]))
-    assert not score(lost, "sum", BEST, parted(lost, FORCE))["solved_coarse"]
+    assert not score(lost, "sum", BEST, parts_of(lost, FORCE))["solved_coarse"]
 
 
 @pytest.mark.parametrize(
     "answer", [None, np.full(12, np.nan), np.zeros(11), (FORCE, None, "failed"), (FORCE, None, "no"), "text"]
 )
 def test_what_is_no_answer_has_failed(answer):
-    row = score(PROBLEM, "sum", BEST, parted(PROBLEM, answer))
+    row = score(PROBLEM, "sum", BEST, parts_of(PROBLEM, answer))
     assert row["status"] == "failed"
     assert not any(row[name] for name in ("solved", "solved_coarse", "proved", "wrong"))
 
@@ -152,10 +154,10 @@ def test_verdicts_need_their_witness():
         (None, -twist, "infeasible"),
         (np.ones(12), None, "solved"),
     ]
-    rows = [score(PULLED, "sum", np.inf, parted(PULLED, answer)) for answer in answers]
+    rows = [score(PULLED, "sum", np.inf, parts_of(PULLED, answer)) for answer in answers]
     assert [row["solved"] for row in rows] == [True, False, False, False]
     assert [row["wrong"] for row in rows] == [False, False, False, True]
-    feasible = score(PROBLEM, "sum", BEST, parted(PROBLEM, (None, twist, "infeasible")))
+    feasible = score(PROBLEM, "sum", BEST, parts_of(PROBLEM, (None, twist, "infeasible")))
     assert (feasible["wrong"], feasible["solved"]) == (True, False)
 
 
@@ -299,31 +301,13 @@ def test_the_answers_of_all_passes_are_scored():
         assert [row["solved"] for row in rows if row["method"] == "once"] == [solved]
 
 
-def test_an_entrant_writes_into_its_own_copies():
-    session = load("jumps").sessions[0]
-    mine = session.made()[0]
-    for array in (mine.normals, mine.frames, mine.wrench):
-        array.setflags(write=True)
-        array *= -1.0
-    assert not np.allclose(mine.frames, session.made()[0].frames)
-    assert np.array_equal(session.problems[0].normals, session.made()[0].normals)
-
-
 SMALL = ["--tracks", "smooth", "soft", "--quick"]
 
 
 def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
     """The worked example of the page, beside ours, in runs that `report` compares."""
-    words = [
-        *SMALL,
-        "--solver",
-        "benchmarks/force/example.py:Mine",
-        "--against",
-        "conic_python",
-        "--out",
-        str(tmp_path),
-    ]
-    assert main(["run", *words, "--name", "a"]) == 0
+    entrants = ["--solver", "benchmarks/force/example.py:Mine", "--against", "conic_python"]
+    assert main(["run", *SMALL, *entrants, "--out", str(tmp_path), "--name", "a"]) == 0
     told = capsys.readouterr().out
     assert "mine did not enter soft: hard contacts without limits" in told
     rows = pd.read_parquet(tmp_path / "a/rows.parquet")
@@ -334,11 +318,8 @@ def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
     assert entered == {("mine", "smooth"), ("conic_python", "smooth"), ("conic_python", "soft")}
     about = json.loads((tmp_path / "a/run.json").read_text())
     assert about["tracks"]["smooth"] == load("smooth").about["sha256"]
-    assert main(["run", *words, "--name", "b"]) == 0
-    assert main(["report", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    assert main(["report", str(tmp_path / "a"), str(tmp_path / "a")]) == 0
     assert "before" in capsys.readouterr().out
-    assert main(["validate", *SMALL[:2], "--solver", "benchmarks/force/example.py:Mine"]) == 0
-    assert "mine" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -380,7 +361,7 @@ def test_an_entrant_agrees_or_shows_its_failures(name, monkeypatch, tmp_path_fac
 
 
 def test_tables_of_known_rows():
-    """Two entrants of known times: ratios, ties, failures, and profiles."""
+    """Entrants of known times: ratios, ties, failures, profiles, and the table of the page."""
     rng = np.random.default_rng(0)
     keys = ("case", "objective", "mode", "language", "division", "event")
     base = dict(zip(keys, ("smooth", "sum", "persistent", "Python", "closed", "4"), strict=True))
@@ -412,3 +393,8 @@ def test_tables_of_known_rows():
     assert both.loc["fast", ["ratio", "tie"]].tolist() == [2.0, False]
     assert report.beside(made, made)["tie"].all()
     assert any("an empty call: 0.1 us" in line for line in report.lines(made, 1000.0))
+    p50, p99 = np.percentile(times[1:], [50.0, 99.0])
+    (line,) = report.by_track(made[made["method"].isin(["slow", "fast"])], "sum", {"slow"}).to_dict("records")
+    assert line["ours, Python"] == f"{number(p50)} / {number(p99)} (slow, 99 of 100)"
+    assert line["fastest other, Python"].endswith(" (fast)")
+    assert line["ours, C"] == "–"

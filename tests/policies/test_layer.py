@@ -208,10 +208,10 @@ LAYOUTS: dict[str, Callable[[dict[str, Tensor]], dict[str, Tensor]]] = {
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_every_layout_is_read(layout: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where it lies and as torch's operators convert it: the same bits, and gradients in the layout of the inputs."""
+    """Read in place or converted by torch's operators: the same bits, and gradients in the layout of the inputs."""
     given = LAYOUTS[layout](problems("own joints", 6))
     result, by = gradients(given, max_normal=50.0)
-    monkeypatch.setattr(layer, "_as_they_are", lambda given: None)
+    monkeypatch.setattr(layer, "_read_in_place", lambda given: None)
     limit = torch.tensor(50.0, dtype=torch.float64)
     for again, by_again in (gradients(given, max_normal=50.0), gradients({**given, "max_normal": limit})):
         assert all(torch.equal(a, b) for a, b in zip(again, result, strict=True))
