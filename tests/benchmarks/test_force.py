@@ -112,6 +112,8 @@ def test_scores_by_hand():
     assert good["solved"]
     assert good["proved"]
     assert not score(PROBLEM, "sum", BEST, parts_of(PROBLEM, FORCE))["proved"]
+    weak = (1.0 - 1e-5) * OPTIMUM.multipliers  # prove the optimum to 1e-5
+    assert not score(PROBLEM, "sum", BEST, parts_of(PROBLEM, (FORCE, weak)))["proved"]
     pressed = FORCE * (1.0 + 1e-5)  # misses balance and the optimum by 1e-5
     missed = score(PROBLEM, "sum", BEST, parts_of(PROBLEM, pressed))
     assert (missed["solved"], missed["solved_coarse"]) == (False, True)
