@@ -2,6 +2,8 @@
 
 The hand runs in this process: MuJoCo steps at the rate, sends the messages of a hand, and converts the answers to torques. The contacts of each
 finger in turn are cut for a while, and messages stop now and then.
+
+The file is long because the hand, both controllers and their protocol of messages belong together.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ python -m docs.fill --save RUN...   saves the summaries of run folders, of `gras
 
 docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json its settings and machine, KIND.svg its picture, if it
 has one. Of the force benchmark force.parquet holds all rows. Each table of a page is a function in `TABLES`, a query on these files.
+The file is long because it holds all of these short functions.
 """
 
 from __future__ import annotations
