@@ -1,1 +1,1 @@
-"""Timings, side by side in one process: `python -m benchmarks`. Times belong to one machine and moment: compare rows of one run."""
+"""Timings in one process: `python -m benchmarks`. Times depend on machine and moment, so compare rows of one run."""

@@ -21,7 +21,7 @@ BENCHMARKS = {
     "layer": "the force layer beside cvxpylayers, Moreau's and ProxSuite's: forward and backward, how far answers differ",
     "core": "this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps",
 }
-"""Every benchmark is the `BENCHMARK` of the module of its name."""
+"""Benchmarks by name; each is the `BENCHMARK` of the module of that name."""
 USAGE = f"""usage: python -m benchmarks NAME [OPTIONS]
 
 {"".join(f"  {name:9} {text}{os.linesep}" for name, text in BENCHMARKS.items())}
@@ -31,13 +31,13 @@ python -m benchmarks NAME --help lists the options.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one benchmark.
+    """Run one benchmark.
 
     Args:
         arguments: words of the command line; None: those of this process.
 
     Returns:
-        0; 130 if it was interrupted; 2 where something given is wrong: stderr says what in one line, and with --json stdout as JSON.
+        0; 130 if it was interrupted; 2 after wrong input, with one line on stderr, and with --json as JSON on stdout.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
@@ -58,10 +58,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def execute(name: str, *words: str) -> None:
-    """Runs the benchmark of that name, with options.
+    """Run the benchmark of that name, with options.
 
     Raises:
-        GraspError: there is no such benchmark, or something given to it is wrong.
+        GraspError: there is no such benchmark, or an argument is wrong.
     """
     if name not in BENCHMARKS:
         raise UnknownNameError("benchmark", name, BENCHMARKS)

@@ -24,17 +24,17 @@ KINDS: dict[str, dict[str, Any]] = {
     "newton within limits": {"method": "newton", "limits": ForceLimits(max_normal=20.0)},
     "conic": {"method": "conic"},
 }
-"""What is measured: keywords of `optimize_forces`, the defaults where none is named."""
+"""Measured cases: keywords of `optimize_forces`."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How much is timed.
+    """Settings of a benchmark.
 
     Attributes:
-        wrenches: of a batch, at four contacts.
-        rounds: in which one core and all of them take turns.
-        seed: of the wrenches.
+        wrenches: wrenches in a batch, four contacts each.
+        rounds: rounds in which one core and all cores take turns.
+        seed: seed of the wrenches.
     """
 
     wrenches: int = 1_000_000

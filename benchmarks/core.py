@@ -1,6 +1,6 @@
-"""This checkout beside an earlier one: the same problems, the same calls, in short processes that take turns on one core.
+"""Comparison of this checkout with an earlier one: the same problems and calls, in short processes that take turns on one core.
 
-What is timed is `core_side.ROWS`. Every process writes its rows; here they are joined.
+`core_side.ROWS` lists what is timed. Every process writes its rows, and this module joins them.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from training.results.table import join, pd
 
 SIDE = Path(__file__).with_name("core_side.py")
 STEP = 0.03
-"""Between neighbours on a path [rad]: 200 calls go round once."""
+"""Step along a path [rad]: 200 calls make one turn."""
 SHIFT, TILT = 2e-3, 0.05
-"""How far contacts move on a path [m], how far their normals tilt [rad]."""
+"""Amplitudes of contacts [m] and of their normals [rad] along a path."""
 LEVER = 0.05
-"""How far a finger's joints move its contact [m/rad]."""
+"""Scale of a finger's Jacobian [m/rad]."""
 ROOM = 1.1
 """Torque limits over the largest torques of a path."""
 CALL, RATIO, FIRST = "call", "now over baseline, by rounds", "first solve of a process, newton"
@@ -43,10 +43,10 @@ CALL, RATIO, FIRST = "call", "now over baseline, by rounds", "first solve of a p
 
 @dataclass(frozen=True)
 class Settings(Effort):
-    """How much is timed.
+    """Settings of a benchmark.
 
     Attributes:
-        baseline: folder of another checkout with its own .venv (git worktree add PATH COMMIT; make -C PATH install); None: only
+        baseline: folder of another checkout with a .venv (git worktree add PATH COMMIT; make -C PATH install); None: only
             this one is timed.
     """
 
@@ -54,12 +54,12 @@ class Settings(Effort):
 
 
 def run(settings: Settings, names: tuple[str, ...] = tuple(ROWS)) -> pd.DataFrame:
-    """Times all rows in rounds, this checkout and the baseline in turns, never both at once.
+    """Time all rows in rounds, this checkout and the baseline in turns, never both at once.
 
     Returns:
-        For each side and method a row for each problem, the best of all rounds, and where there are two sides, in `apart` how far their
-        objectives differ; for each round the ratio of their medians; for each process its first solve, with the commit in `event`. A row
-        with a reason for what a side cannot time.
+        A row for each side, method and problem with the best of all rounds, and with two sides the difference of their objectives in
+        `apart`; a row for each round with the ratio of medians; a row for each process with its first solve and the commit in `event`; a
+        row with a reason for everything that a side cannot time.
 
     Raises:
         InvalidInputError: the baseline is no installed checkout.
@@ -119,7 +119,7 @@ def arrays(seed: int, count: int, wrenches: int) -> dict[str, Any]:
 
 
 def strongest(grasp: Grasp, points: Array, normals: Array, wrenches: Array, joints: Array) -> Array:
-    """(3N,) a little more than the largest torques [N m] that optimal forces need along a path: each step can keep them."""
+    """Return (3N,) torque limits [N m] a little above the largest torques of optimal forces along a path, so every step is feasible."""
     optimizer = ForceOptimizer(grasp)
     path = zip(wrenches, points, normals, joints, strict=True)
     torques = [
@@ -130,11 +130,11 @@ def strongest(grasp: Grasp, points: Array, normals: Array, wrenches: Array, join
 
 
 def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:
-    """The lines that a process of `core_side.py` in a checkout writes to the file that is its first word.
+    """Run `core_side.py` in a checkout and return the lines that it wrote.
 
     Raises:
         InvalidInputError: it imports grasp_env from elsewhere.
-        GraspError: it ended otherwise.
+        GraspError: the process failed.
     """
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     command = [str(python), "-c", SIDE.read_text(encoding="utf-8"), *words]
@@ -149,7 +149,7 @@ def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:
 
 
 def joined(lines: Any) -> list[pd.DataFrame]:
-    """The lines of all processes as rows: the best of the rounds, how far objectives differ, ratios of each round, and what is lacking."""
+    """Join the lines of all processes: best of the rounds, differences of objectives, ratios of each round, and missing rows."""
     keys = ["contacts", "method", "problem"]
     lines = lines.reindex(columns=[*keys, "side", "turn", "microseconds", "objective", "reason"])
     lacking = lines.loc[lines["reason"].notna(), ["contacts", "method", "side", "reason"]].drop_duplicates()
@@ -160,7 +160,7 @@ def joined(lines: Any) -> list[pd.DataFrame]:
         return [best.drop(columns="objective").assign(case=CALL), lacking]
     other = best.merge(best[best["side"] == "baseline"], on=keys, how="left")
     best["apart"] = (other["objective_x"] / other["objective_y"] - 1.0).abs()
-    # the sides of a method one below the other
+    # both sides of a method in consecutive rows
     pairs = [rows for _, rows in best.drop(columns="objective").assign(case=CALL).groupby(keys[:2], sort=False)]
     medians = lines.pivot_table("microseconds", ["contacts", "method", "turn"], "side", "median", sort=False)
     ratios = (medians["now"] / medians["baseline"]).rename("ratio").reset_index()

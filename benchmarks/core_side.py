@@ -1,6 +1,6 @@
 """One side of the benchmark `core`: `python -c <this source> OUT PROBLEMS PASSES BEGIN ROW...` in any checkout.
 
-It imports numpy and what old checkouts have of `grasp_env`, and writes its rows as lines of JSON.
+It imports only numpy and parts of `grasp_env` that old checkouts have, and writes its rows as lines of JSON.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 WARM_UP = 20
-"""Calls before the clock starts, for every row."""
+"""Call before the clock starts, for every row."""
 Case = dict[str, Any]
 """A grasp and its problems: wrenches (n, 6), and points (n, N, 3), normals, wrenches and Jacobians (n, N, 3, J) along a smooth path."""
 Answers = tuple[Any, list[float]]
@@ -134,7 +134,7 @@ def new_contacts(case: Case, passes: int, **options: Any) -> Answers:
 
 
 def grasps_of(case: Case) -> list[Any]:
-    """Those of the path, with nothing remembered."""
+    """Time the calls of the path without a previous solution."""
     from grasp_env.grasp import Grasp
 
     return [Grasp.from_contacts(points, normals, case["friction"]) for points, normals, _ in path_of(case)]
@@ -155,7 +155,7 @@ def batch(case: Case, passes: int, **options: Any) -> Answers:
 
 
 def constructor(case: Case, passes: int, **options: Any) -> Answers:
-    """`ForceOptimizer(grasp, **options)` of grasps that nothing is known of."""
+    """`ForceOptimizer(grasp, **options)` of new grasps."""
     from grasp_env.force import ForceOptimizer
 
     best = np.full(len(case["path_points"]), np.inf)
@@ -202,7 +202,7 @@ ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
     "soft": ("soft contacts, newton to 1e-4, ForceOptimizer.solve", lambda *given: python(*given, grasp="soft", method="newton", tolerance=1e-4)),
     "max": ("least largest normal force, conic to 1e-6, ForceOptimizer.solve", lambda *given: python(*given, method="conic", criterion="max")),
 }  # fmt: skip
-"""What is timed: a label, and a function of a case and the number of passes."""
+"""Timed calls by label, each a function of a case and the number of passes."""
 
 
 def cases(path: str) -> Iterator[Case]:
@@ -230,7 +230,7 @@ def jacobians(joints: Any) -> Any:
 
 
 def lines(problems: str, passes: int, names: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Microseconds and objective of all problems, or the reason why a row cannot be timed here."""
+    """Return microseconds and objectives of all problems, or the reason why a row cannot be timed."""
     made = list(cases(problems))
     for name in names:
         try:
@@ -245,7 +245,7 @@ def lines(problems: str, passes: int, names: tuple[str, ...]) -> Iterator[dict[s
 
 
 def main(out: str, problems: str, passes: str, begin: str, *names: str) -> None:
-    """Notes first where it imports from, and how long after `begin` (CLOCK_MONOTONIC [s]) a first solve was done."""
+    """Time all rows; report first the imported package and the time of the first solve after `begin` (CLOCK_MONOTONIC [s])."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     import grasp_env

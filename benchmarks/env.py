@@ -1,4 +1,4 @@
-"""The environment beside the bare PyBullet calls of the same episode: steps per second, resets, memory."""
+"""Comparison of the environment with the bare PyBullet calls of the same episode: steps per second, resets, memory."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ RESETS: dict[str, dict[str, Any]] = {
 }
 """Settings of the environments that are reset."""
 STEPS = 100
-"""Of the agent, in an episode that is timed."""
+"""Number of agent steps in a timed episode."""
 Recorded = list[tuple[list[float], list[float] | None]]
 """Torques and wrench of every physics step."""
 Row = dict[str, Any]
@@ -49,13 +49,13 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Settings:
-    """How much is timed.
+    """Settings of a benchmark.
 
     Attributes:
         rounds: episodes of the usual environment; a third as many of others.
-        resets: over which memory may grow; a quarter as many are timed.
-        envs: environments whose memory is weighed.
-        seed: of the episodes.
+        resets: resets during which the growth of memory is measured; a quarter as many are timed.
+        envs: environments whose memory is measured.
+        seed: seed of the episodes.
     """
 
     rounds: int = 30
@@ -65,7 +65,7 @@ class Settings:
 
 
 def run(settings: Settings) -> pd.DataFrame:
-    """Times steps and resets, weighs environments; all on one thread, warm-up excluded."""
+    """Time steps and resets and measure memory, on one thread, without warm-up."""
     rows: list[Row] = []
     fewer = max(4, settings.rounds // 3)
     for name, options in EPISODES.items():
@@ -90,10 +90,10 @@ def make(options: dict[str, Any], wrapped: bool = False) -> Any:
 
 
 def steps_beside_bare(name: str, options: dict[str, Any], seed: int, rounds: int, wrapped: bool = False) -> list[Row]:
-    """Microseconds of an agent step, and of the PyBullet calls alone that the same episode makes, taking turns.
+    """Return microseconds of an agent step and of its PyBullet calls alone, measured in turns.
 
-    The bare loop repeats the recorded episode: the same torques and wrenches from the same state, the same readings, so that it
-    passes through the same contacts; that it ends at the same pose, bit by bit, is checked.
+    The bare loop repeats the recorded episode: the same torques and wrenches from the same state, and the same readings, so it has
+    the same contacts. A check requires the same final pose, bit by bit.
     """
     env = make(options, wrapped)
     try:
@@ -123,7 +123,7 @@ def steps_beside_bare(name: str, options: dict[str, Any], seed: int, rounds: int
 
 
 def record(env: FourFingerGrasp, seed: int) -> Recorded:
-    """What the first `STEPS` agent steps of an episode ask of the physics engine."""
+    """Record the torques and wrenches of the first `STEPS` agent steps of an episode."""
     running = episode(env, seed, most=STEPS)
     scene: Any = env.scene
     out: Recorded = []
@@ -182,14 +182,14 @@ def reset_times(name: str, options: dict[str, Any], seed: int, count: int) -> li
 
 
 def memory_of(name: str, options: dict[str, Any], resets: int, envs: int) -> list[Row]:
-    """Resident memory in a process of its own: of an environment, and growth of one over `resets` resets."""
+    """Measure resident memory in a separate process: of an environment, and its growth over `resets` resets."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         found = pool.submit(weigh, options, resets, envs).result()
     return [{"case": case, "method": name, "mebibytes": value} for case, value in found.items()]
 
 
 def weigh(options: dict[str, Any], resets: int, envs: int) -> dict[str, float]:
-    """Memory of this process by what it is for [MiB]."""
+    """Return the memory of this process by purpose [MiB]."""
     warm = make(options)  # code and the first reset's caches belong to the process, not to an environment
     for k in range(max(20, resets // 10)):
         warm.reset(seed=k)

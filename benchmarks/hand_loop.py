@@ -1,7 +1,9 @@
-"""The controllers of `examples/hand_controller` in a process of their own, in real time against a simulated hand that holds an object.
+"""The controllers of `examples/hand_controller` in a separate process, in real time with a simulated hand that holds an object.
 
-The hand runs here: MuJoCo steps at the rate, sends what a hand would, and turns what comes back into torques. Contacts of each finger in
-turn are cut for a while, and messages stop now and then.
+The hand runs in this process: MuJoCo steps at the rate, sends the messages of a hand, and converts the answers to torques. The contacts of each
+finger in turn are cut for a while, and messages stop now and then.
+
+The file is long because the hand, both controllers and their protocol of messages belong together.
 """
 
 from __future__ import annotations
@@ -43,25 +45,25 @@ ROOT = Path(__file__).parents[1]
 UNITS = 240.0
 """Largest command, for the largest torque of each joint."""
 MARGIN = 0.9
-"""Share of the true friction that the controller believes in."""
+"""Fraction of the true friction that the controller assumes."""
 BANDWIDTH = 40.0, 60.0
 """Bandwidths of the feedback on position and orientation [rad/s]."""
 RISE = 0.05
-"""[s] before the hand carries the object."""
+"""Time before the hand carries the object [s]."""
 FIRST_CUT, CUT_EVERY, CUT_FOR = 0.5, 0.4, 0.1
-"""[s] when contacts of a finger are cut, the next one's after that, and for how long."""
+"""Time of cut contacts: first cut, interval between fingers, duration [s]."""
 FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR = 0.7, 1.2, 0.02
-"""[s] when messages stop; never while contacts are cut."""
+"""Time when messages stop, never while contacts are cut [s]."""
 SENSOR_AGE = 0.001
-"""[s] age of contacts when they are sent."""
+"""Age of contacts when they are sent [s]."""
 NUMBER, HEARD, UPDATES, DURATION, LATE, OVER_BUDGET, STATUS, COMMANDS = range(8)
-"""Places in what comes back."""
+"""Indices of an answer."""
 HELD = 5.0
-"""[mm] of drift within which the object counts as held."""
+"""Largest drift of a held object [mm]."""
 UPDATE, TRIP, WHOLE = "update", "round trip", "run"
 LANGUAGES = {"cpp": "C++", "python": "Python"}
 PATIENCE = 60.0
-"""[s] until the controller must have answered its first message."""
+"""Longest wait for the first answer of the controller [s]."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,10 @@ class Settings:
     """Hand, rate, duration and languages of a run.
 
     Attributes:
-        hand: that holds a ball of 60 mm and 150 g.
-        rate: of the hand's messages, and of the controller [Hz]; a divisor of 1000.
-        seconds: of simulated and real time.
-        language: of the controller, one after another.
+        hand: hand that holds a ball of 60 mm and 150 g.
+        rate: rate of the hand's messages and of the controller [Hz]; a divisor of 1000.
+        seconds: simulated and real time.
+        language: languages of the controller, one after another.
     """
 
     hand: Literal["allegro", "leap"] = "allegro"
@@ -82,7 +84,7 @@ class Settings:
 
 
 def run(settings: Settings) -> pd.DataFrame:
-    """Runs the loop, and returns a row for each update, one for each message that was answered, and one of counts."""
+    """Run the loop, and returns a row for each update, one for each message that was answered, and one of counts."""
     rows: list[dict[str, Any]] = []
     for language in settings.language:
         told = measure(settings.hand, settings.rate, settings.seconds, language)
@@ -115,7 +117,7 @@ def measure(name: str, rate: int, seconds: float, language: str, program: Path |
 
 
 class SimulatedHand:
-    """A hand that holds an object, as a driver of hardware shows it."""
+    """Simulated hand that holds an object, with the interface of a hardware driver."""
 
     def __init__(self, name: str, rate: int) -> None:
         ball = {"shape": "sphere", "size": (0.06,), "friction": 0.7, "mass": 0.15}
@@ -130,15 +132,15 @@ class SimulatedHand:
         self.target = resting_target(1)[0]
 
     def drift(self) -> float:
-        """How far the object is from where it was grasped [mm]."""
+        """Distance of the object from the pose at which it was grasped [mm]."""
         return 1e3 * float(np.linalg.norm(self.scene.look().position))
 
     def step(self, commands: Array) -> None:
-        """A period under commands in device units: motors turn them into torques."""
+        """Simulate a period with commands in device units, which the motors convert to torques."""
         self.scene.advance((commands / UNITS * self.limits).tolist(), None)
 
     def state(self, cut: int) -> Array:
-        """The numbers of a `HandState`; cut: a finger whose contact is not seen, -1: none."""
+        """Return the numbers of a `HandState`; `cut` is a finger without a reported contact, -1 for none."""
         seen = self.scene.look()
         touching = seen.touching.copy()
         if cut >= 0:
@@ -152,7 +154,7 @@ class SimulatedHand:
 
 
 class Loop:
-    """The hand's side of the loop: steps, sends, and takes what comes back until the next step is due.
+    """The hand's side of the loop: step, send, and receive answers until the next step is due.
 
     Attributes:
         durations: seconds of each update, as the controller measured it. statuses: what it did, places in `STATUSES`.
@@ -171,7 +173,7 @@ class Loop:
         self._answer = np.zeros(COMMANDS)
 
     def run(self, seconds: float) -> None:
-        """Runs for a time [s].
+        """Run for a time [s].
 
         Raises:
             SimulationError: the controller does not answer.
@@ -188,7 +190,7 @@ class Loop:
             if not _within(now, FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR):
                 cut = _within(now, FIRST_CUT, CUT_EVERY, CUT_FOR)
                 self._send(hand.state((cut - 1) % fingers if cut else -1))
-            if time.perf_counter() > due:  # this machine is busy: a hand would not be
+            if time.perf_counter() > due:  # a busy machine delays the simulated hand
                 due, behind = time.perf_counter() + 0.5 * self.period, behind + 1
             self._take(due)
         self._take(time.perf_counter() + 0.1)
@@ -200,7 +202,7 @@ class Loop:
         }  # fmt: skip
 
     def _rise(self) -> None:
-        """The object is carried until torques have risen; none of it is timed."""
+        """Carry the object until torques have risen, untimed."""
         self._send(self.hand.state(-1))
         self._take(time.perf_counter() + PATIENCE, first=True)
         if not self.durations:
@@ -218,7 +220,7 @@ class Loop:
         self.channel.send(message)
 
     def _take(self, until: float, first: bool = False) -> None:
-        """Takes the answers that come until a time of `perf_counter`, or only the first one."""
+        """Take the answers that come until a time of `perf_counter`, or only the first one."""
         while (left := until - time.perf_counter()) > 0.0:
             if not select.select([self.channel], [], [], left)[0]:
                 break
@@ -272,7 +274,7 @@ def python_controller(hand: SimulatedHand, rate: int) -> Iterator[socket.socket]
 
 
 def build(folder: Path) -> Path:
-    """Compiles the example in C++ for this processor.
+    """Compile the example in C++ for this processor.
 
     Raises:
         SimulationError: there is no CMake, or it fails.
@@ -302,7 +304,7 @@ def example() -> ModuleType:
 
 
 def state_of(shown: ModuleType, numbers: Array, joints: int, fingers: int) -> Any:
-    """Turns a message into a `HandState`."""
+    """Turn a message into a `HandState`."""
     ends = np.cumsum([joints, joints, fingers, 3 * fingers, 3 * fingers, 6, 3])
     angles, rates, touching, positions, normals, wrench, gravity, age = np.split(numbers, ends)
     rows = positions.reshape(-1, 3), normals.reshape(-1, 3)
@@ -310,7 +312,7 @@ def state_of(shown: ModuleType, numbers: Array, joints: int, fingers: int) -> An
 
 
 def controller_of(shown: ModuleType, hand: HandDescription, table: Any = None, **settings: Any) -> Any:
-    """Configures the controller in Python, with the calibration of `main` in C++ unless another `table` is given."""
+    """Configure the controller in Python, with the calibration of `main` in C++ unless another `table` is given."""
     limits, made = hand.torque_limits, shown.HandController()
     usual = shown.Calibration(np.outer(limits, [-1.0, 1.0]), np.tile([-UNITS, UNITS], (len(limits), 1)))
     made.configure(hand, shown.Settings(**settings), table or usual)
@@ -318,14 +320,14 @@ def controller_of(shown: ModuleType, hand: HandDescription, table: Any = None, *
 
 
 def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: float) -> None:
-    """Serves the example in Python as `main` serves the one in C++."""
+    """Serve the example in Python as `main` serves the one in C++."""
     shown = example()
     controller = controller_of(shown, hand, rate=rate, friction=friction)
     heard, updates, number, measured, last = 0, 0, 0.0, 0.0, 0.0
     state: Any = None
     channel.setblocking(False)
     gc.freeze()
-    gc.disable()  # nothing here makes circles
+    gc.disable()  # there are no reference cycles
     while True:
         select.select([channel], [], [], 1.5 / rate if heard else None)
         newest = b""
@@ -356,7 +358,7 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
 
 
 def draw(rows: pd.DataFrame, words: Mapping[str, str]) -> Figure:
-    """How many updates and round trips of each method took how long, on logarithmic axes; words: names of the methods."""
+    """Draw histograms of the times of updates and round trips on logarithmic axes; `words` are the names of the methods."""
     figure, panel = axes(3.4)
     timed = rows.dropna(subset="latency")
     edges = np.geomspace(max(timed["latency"].min(), 1.0), 1.01 * timed["latency"].max(), 70)

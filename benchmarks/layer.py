@@ -1,7 +1,7 @@
-"""The force layer beside other differentiable layers, forward and backward on one core: microseconds a problem, and how far answers differ.
+"""Comparison of the force layer with other differentiable layers, forward and backward on one core: microseconds per problem, and errors.
 
-Every problem has contacts, friction and a wrench of its own. Our layer takes those and gives gradients with respect to all of them; the time of
-the others (`layer_peers.py`) begins at the matrices that they ask for.
+Every problem has its own contacts, friction and wrench. Our layer takes them and returns gradients with respect to all of them. The times of
+other layers (`layer_peers.py`) start at the matrices that they need.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ with need("train"):
 JOINTS = 3
 """Joints of each finger."""
 LEVER = 0.05
-"""How far a finger's joints move its contact [m/rad]."""
+"""Scale of a finger's Jacobian [m/rad]."""
 ROOM = (0.8, 1.6)
 """Range of a torque limit over the largest torque of the optimum without limits. Below 1, for a quarter of the problems, it binds."""
 PATCH = (0.002, 0.01)
 """Range of torsional friction [m]."""
 BALANCED = 1e-3
-"""Most of A x + w over the largest component of w: above it, an answer counts as failed."""
+"""Largest residual A x + w of a valid result, relative to the largest component of w."""
 BASE = ("positions", "normals", "friction", "wrench")
 CASES = {"hard": BASE, "limits": (*BASE, "jacobian", "torque_limit"), "soft": (*BASE, "torsional_friction")}
 """Inputs of the layer in each case."""
@@ -100,14 +100,14 @@ CONTESTANTS = OURS | PEERS
 
 @dataclass(frozen=True)
 class Settings:
-    """How much is timed.
+    """Settings of a benchmark.
 
     Attributes:
-        batches: problems of a call.
-        calls: most calls of a pass; a pass takes new problems for each of them, as far as there are any.
-        rounds: in which the contestants take turns.
-        passes: of a round; the time of a call is the best of them.
-        seed: of the problems.
+        batches: numbers of problems in a call.
+        calls: largest number of calls in a pass, each with new problems as far as available.
+        rounds: rounds in which the contestants take turns.
+        passes: passes in a round; the time of a call is the best of them.
+        seed: seed of the problems.
     """
 
     batches: tuple[int, ...] = (1, 32, 1000)
@@ -119,7 +119,7 @@ class Settings:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch with one thread, on one core, as some layers start threads of their own."""
+    """Limit torch to one thread on one core, because some layers start threads."""
     threads, cores = torch.get_num_threads(), os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
     torch.set_num_threads(1)
     try:
@@ -133,7 +133,7 @@ def one_thread() -> Iterator[None]:
 
 
 def run(settings: Settings) -> pd.DataFrame:
-    """Times all layers in rounds, one after the other, and checks the answers for as many problems as the largest batch has.
+    """Time all layers in rounds, one after the other, and checks the answers for as many problems as the largest batch has.
 
     Returns:
         A row for each case, batch, layer, round and call: `ratio` is its time over that of ours in the same round. A row for each layer and
@@ -190,12 +190,12 @@ def timed(settings: Settings, case: str, batch: int, built: dict[str, Call], dat
 
 
 def leaves(given: Tensors) -> Tensors:
-    """The same numbers, which gradients are asked for."""
+    """Return copies of the tensors that require gradients."""
     return {name: values.detach().clone().requires_grad_() for name, values in given.items()}
 
 
 def seconds(call: Call, given: list[Tensors], backward: bool, passes: int) -> Array:
-    """(calls,) seconds of one call each, the best of the passes; the first call is not timed."""
+    """Return (calls,) seconds of each call, the best of the passes, without the first call."""
     best = np.full(len(given), np.inf)
     step(call, given[0], backward)
     for _ in range(passes):
@@ -207,7 +207,7 @@ def seconds(call: Call, given: list[Tensors], backward: bool, passes: int) -> Ar
 
 
 def step(call: Call, given: Tensors, backward: bool) -> None:
-    """One call, with the gradient of the sum of squared forces where `backward`."""
+    """Make one call, if `backward` with the gradient of the sum of squared forces."""
     if not backward:
         with torch.no_grad():
             call(**given)
@@ -246,7 +246,7 @@ def answers(call: Call, data: Tensors, cone: bool) -> tuple[Any, tuple[Any, ...]
     Args:
         call: a layer.
         data: inputs of ours.
-        cone: whether the layer takes the problem in cone coordinates.
+        cone: True if the layer takes the problem in cone coordinates.
     """
     given = leaves(data)
     if cone:
@@ -258,7 +258,7 @@ def answers(call: Call, data: Tensors, cone: bool) -> tuple[Any, tuple[Any, ...]
 
 
 def _apart(values: Any, known: Any) -> Any:
-    """(n,) largest difference from what is known, over its largest component."""
+    """Return (n,) largest differences from the known values, relative to their largest components."""
     return (values - known).flatten(1).abs().amax(dim=1) / known.flatten(1).abs().amax(dim=1)
 
 

@@ -1,6 +1,6 @@
-"""Other people's differentiable layers for grasp forces, each with the settings that serve it best. A new one is an entry of `PEERS`.
+"""Differentiable layers of other packages for grasp forces, each with its best settings. A new one is an entry of `PEERS`.
 
-They take what they ask for ready-made, in cone coordinates (u, o, t) as in `problem.py`: A (n, 6, 3N), w (n, 6) and the cost of each u (n, N).
+They receive precomputed inputs in cone coordinates (u, o, t) as in `problem.py`: A (n, 6, 3N), w (n, 6) and the cost of each u (n, N).
 Packages are imported when a layer is made, so that this module imports without them.
 """
 
@@ -21,7 +21,7 @@ with need("train"):
 Tensors: TypeAlias = dict[str, Any]
 """Tensors by name; the first dimension is that of the problems."""
 Call: TypeAlias = Callable[..., Any]
-"""Takes tensors by name, returns the forces of a batch."""
+"""Take tensors by name, returns the forces of a batch."""
 
 CONTACTS = 4
 """Contacts of each problem."""
@@ -36,10 +36,10 @@ class Contestant:
     """A layer.
 
     Attributes:
-        setting: how it is used, for people.
+        setting: settings, in words.
         build: makes the layer for batches of one size, not timed; raises `ImportError` where it is not installed.
         packages: what pip installs; "": ours.
-        phi: whether it minimizes Phi, so that its answers are ours.
+        phi: True if it minimises Phi, so its results should equal ours.
     """
 
     setting: str
@@ -59,7 +59,7 @@ def cone_form(positions: Any, normals: Any, friction: Any, wrench: Any) -> tuple
     across = torch.nn.functional.one_hot(inward.detach().abs().argmin(dim=-1), 3).to(inward)
     first = torch.nn.functional.normalize(torch.linalg.cross(inward, across), dim=-1)
     axes = torch.stack([inward / friction[..., None], first, torch.linalg.cross(inward, first)], dim=-2)
-    # another centre or unit gives equations with the same solutions: no gradient passes through them
+    # another centre or unit gives equations with the same solutions, so no gradient passes through them
     centre = positions.detach().mean(dim=-2, keepdim=True)
     arms = positions - centre
     unit = arms.detach().square().sum(dim=-1).mean(dim=-1).sqrt()[..., None]

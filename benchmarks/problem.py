@@ -11,7 +11,7 @@ from grasp_env.grasp.wrench import sample_ball
 from training.data.grasps import BENCH, PRESETS
 
 WARM_UP = 20
-"""Calls before any is timed."""
+"""Call before any is timed."""
 
 
 def closed_grasps(rng: np.random.Generator, count: int, number: int) -> list[Grasp]:

@@ -1,4 +1,4 @@
-"""`examples/ros2_node.py` in a process of its own: contacts are published, efforts come back, and the time between them is measured."""
+"""Round trips of `examples/ros2_node.py` in a separate process, from published contacts to received efforts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[1]
 SIDE = Path(__file__).with_name("ros2_side.py")
 VARIABLE = "GRASP_ROS_PYTHON"
 PATIENCE = 120.0
-"""Seconds that a run may take besides what is played."""
+"""Time of a run in addition to its phases [s]."""
 WEIGHT = (0.0, -1.5, 0.0, 0.0, 0.0, 0.0)
 """Wrench that the fingers balance [N, N m]."""
 
@@ -42,18 +42,18 @@ class Settings:
     """Duration of the measurement.
 
     Attributes:
-        seconds: of each rate.
+        seconds: duration for each rate.
     """
 
     seconds: int = 60
 
 
 def run(settings: Settings) -> pd.DataFrame:
-    """Measures the rates one after another.
+    """Measure the rates one after another.
 
     Returns:
-        A row for each contacts that an effort answers, with the time until its first answer; for each rate one that counts
-        contacts without.
+        A row for each answered message of contacts, with the time until its first answer, and a row for each rate with the number of
+        unanswered messages.
     """
     hand = HandDescription.four_finger()
     kinematics = HandKinematics(hand)
@@ -94,7 +94,7 @@ def interpreter() -> str:
     """The Python of a ROS 2 environment.
 
     Raises:
-        InvalidInputError: there is none.
+        InvalidInputError: no such environment was found.
     """
     if given := os.environ.get(VARIABLE):
         return given
@@ -106,7 +106,7 @@ def interpreter() -> str:
 
 
 def play(phases: list[dict[str, Any]], *parameters: str) -> dict[str, Any]:
-    """Starts the node with parameters, plays phases to it, and returns what `ros2_side.main` tells; "log" is what the node said.
+    """Start the node with parameters, play phases to it, and return the results of `ros2_side.main`, with the node's output under "log".
 
     Raises:
         GraspError: a process ended.

@@ -1,7 +1,7 @@
 """The hand's side of `examples/ros2_node.py`, run by an interpreter that has rclpy: starts the node, plays messages, records efforts.
 
-It imports nothing of this project. A task comes as JSON through stdin, what was seen goes as JSON to stdout. Both processes talk
-through shared memory only: no socket is opened, so nobody else can hear them, or be heard.
+It imports nothing of this project. A task is read as JSON from stdin, and the results are written as JSON to stdout. Both processes communicate
+through shared memory only, without sockets, so no other process can take part.
 """
 
 # pyright: reportMissingImports=false
@@ -20,13 +20,13 @@ from typing import Any
 ONLY_HERE = {"FASTDDS_BUILTIN_TRANSPORTS": "SHM", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
 """Environment in which Fast DDS opens no socket: LOCALHOST leaves UDP ports open on all interfaces."""
 ANSWER = 0.05
-"""Seconds in which the last message of a phase is answered."""
+"""Wait for the answer to the last message of a phase [s]."""
 PATIENCE = 20.0
-"""Seconds in which the node must answer."""
+"""Longest wait for an answer of the node [s]."""
 
 
 class Hand:
-    """A node that publishes what a hand would, and keeps the efforts that come back."""
+    """Node that publishes the messages of a hand, and records the received efforts."""
 
     def __init__(self) -> None:
         import rclpy
@@ -59,13 +59,13 @@ class Hand:
         self.seen: list[tuple[int, int]] = []
 
     def receive(self, message: Any) -> None:
-        """Keeps an effort, with the time stamp of the contacts that it answers and the current time [ns]."""
+        """Keep an effort, with the time stamp of the contacts that it answers and the current time [ns]."""
         now, stamp = time.time_ns(), message.header.stamp
         self.last = message
         self.seen.append((stamp.sec * 10**9 + stamp.nanosec, now))
 
     def change(self, transition: str) -> bool:
-        """Asks the node for a transition of its life cycle; whether it made it."""
+        """Request a transition of the node's life cycle, and return True if it succeeded."""
         if not self.service.wait_for_service(timeout_sec=PATIENCE):
             raise SystemExit("the node offers no service hand_controller/change_state")
         self.request.transition.label = transition
@@ -76,7 +76,7 @@ class Hand:
         return answer.result().success
 
     def fill(self, phase: dict[str, Any]) -> None:
-        """Makes the messages of a phase."""
+        """Make the messages of a phase."""
         self.joints.name, self.joints.position, self.joints.velocity = (
             phase["joints"][key] for key in ("name", "position", "velocity")
         )
@@ -90,7 +90,7 @@ class Hand:
         self.contacts.row_step = len(self.contacts.data)
 
     def play(self, phase: dict[str, Any]) -> dict[str, Any]:
-        """Publishes a phase's messages for its `seconds` at its `rate` [Hz], but for topics that are `silent`.
+        """Publish a phase's messages for its `seconds` at its `rate` [Hz], but for topics that are `silent`.
 
         A `transition` of the node comes first; contacts are stamped `ahead` of time [s].
         """
@@ -117,13 +117,13 @@ class Hand:
         return {"effort": effort, "sent": sent, "seen": seen}
 
     def spin(self, until: float) -> None:
-        """Receives until that time of the monotonic clock."""
+        """Receive until that time of the monotonic clock."""
         while (left := until - time.monotonic()) > 0.0:
             self.executor.spin_once(timeout_sec=left)
 
 
 def main() -> None:
-    """Plays a task: the `command` of the node, and its phases."""
+    """Play a task: the `command` of the node, and its phases."""
     task = json.load(sys.stdin)
     os.environ.update(ONLY_HERE)
     hand, found = Hand(), dict[str, Any]()

@@ -1,4 +1,4 @@
-"""What every benchmark is made of, and the settings that several share."""
+"""Parts of a benchmark, and common settings."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ RANGES = {"contacts": (3, ranges.CONTACTS), "wrenches": (8, 10_000_000), "seed":
 
 
 def tick(text: str) -> None:
-    """Tells a terminal what runs, on one line that the next overwrites."""
+    """Print the current case on one line of a terminal, which the next one overwrites."""
     if sys.stderr.isatty():
         sys.stderr.write(f"\r\033[K{text[: get_terminal_size().columns - 1]}\r")
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is timed.
+    """Settings of a benchmark.
 
     Attributes:
         contacts: numbers of contacts.
-        wrenches: problems for each number of contacts, shared out over four grasps.
-        rounds: in which the contestants take turns, so that a busy second of the machine hits all alike.
-        passes: of a round; the time of a problem is the best of rounds * passes calls.
-        seed: of the problems.
+        wrenches: problems for each number of contacts, divided among four grasps.
+        rounds: rounds in which the contestants take turns, so that a busy moment of the machine affects all alike.
+        passes: passes in a round; the time of a problem is the best of rounds * passes calls.
+        seed: seed of the problems.
     """
 
     contacts: tuple[int, ...]
@@ -53,13 +53,13 @@ class Benchmark:
     Attributes:
         run: takes settings, returns rows with columns of `training.results.columns`. A row with a `reason` says what
             could not be measured, and why.
-        settings: the usual ones, a dataclass whose fields are the options.
-        quick: changes to them for a small version, whose numbers are rough.
-        shown: columns of the summary that are printed besides its keys.
-        claims: about the summary.
+        settings: default settings, a dataclass whose fields are the options.
+        quick: changes to them for a small version with rough numbers.
+        shown: printed columns of the summary, in addition to its keys.
+        claims: claims about the summary.
         words: meaning of values of the column `method`.
         notes: takes the summary, returns lines to print below it.
-        draw: takes the rows and `words`, returns a figure that is kept beside them as picture.svg; None: there is none.
+        draw: takes the rows and `words`, returns a figure that is saved as picture.svg; None: no picture.
     """
 
     run: Callable[[Any], pd.DataFrame]
@@ -77,15 +77,15 @@ Settings = TypeVar("Settings")
 
 @dataclass(frozen=True)
 class Options(Generic[Settings]):
-    """Times, side by side in one run.
+    """Options of a run.
 
     Attributes:
-        settings: of the benchmark.
-        quick: a small version, whose numbers are rough.
+        settings: settings of the benchmark.
+        quick: run a small version with rough numbers.
         out: folder of runs.
-        name: of this run's folder in it; empty: kind and time.
-        compare: folder of an earlier run of the same kind to set beside.
-        json: print one JSON object, errors too.
+        name: name of this run's folder; empty: kind and time.
+        compare: folder of an earlier run of the same kind for comparison.
+        json: print one JSON object, also for errors.
     """
 
     settings: tyro.conf.OmitArgPrefixes[Settings]
@@ -97,7 +97,7 @@ class Options(Generic[Settings]):
 
 
 def checked(settings: Any) -> None:
-    """Refuses settings out of their ranges.
+    """Check the ranges of settings.
 
     Raises:
         InvalidInputError: a whole number is out of its range.

@@ -1,4 +1,4 @@
-"""The summary of a benchmark, alone or beside that of an earlier run, as text and as JSON."""
+"""Summary of a benchmark, alone or compared with an earlier run, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from training.results.words import number
 
 
 def lacking(rows: pd.DataFrame) -> dict[str, str]:
-    """What was not measured, and why."""
+    """Return the rows that were not measured, with reasons."""
     return dict(rows[["method", "reason"]].dropna().to_numpy().tolist()) if "reason" in rows else {}
 
 
 def summarised(rows: pd.DataFrame) -> pd.DataFrame:
-    """The summary of what was measured."""
+    """Return the summary of the measured rows."""
     return summary(rows.loc[rows["reason"].isna()].dropna(axis=1, how="all") if "reason" in rows else rows)
 
 
@@ -53,7 +53,7 @@ def beside(now: pd.DataFrame, before: pd.DataFrame, columns: tuple[str, ...]) ->
 
 
 def as_json(benchmark: Benchmark, rows: pd.DataFrame, about: dict[str, Any], before: pd.DataFrame | None) -> str:
-    """One object: what is known of the run, its summary and claims."""
+    """Return one object with the description of the run, its summary and claims."""
     found = summarised(rows)
     claims = [
         {"claim": row.claim.name, "asked": row.asked, "measured": row.measured, "met": row.met}
@@ -65,7 +65,7 @@ def as_json(benchmark: Benchmark, rows: pd.DataFrame, about: dict[str, Any], bef
 
 
 def as_text(benchmark: Benchmark, rows: pd.DataFrame, about: dict[str, Any], before: pd.DataFrame | None) -> str:
-    """A table for each case, and what is said about it."""
+    """Yield a table for each case, then notes and claims."""
     return "".join(f"{line}\n" for line in _lines(benchmark, summarised(rows), about, before))
 
 

@@ -1,4 +1,4 @@
-"""How the site is built: `make docs`. Nothing it shows comes from elsewhere when it is read."""
+"""Configuration of the site, which `make docs` builds. Its pages load nothing from elsewhere."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ extensions = [
 exclude_patterns = ["results"]
 nitpicky = True
 nitpick_ignore_regex = [
-    # other people's pages are not asked for when the site is built: their names are text
+    # no inventories of other projects are loaded: their names are text
     (r"py:.*", r"(numpy|np|gymnasium|gym|pybullet|mujoco|pathlib|collections|enum|os|stable_baselines3|torch)\..*"),
-    # `code` in a docstring: a link where it names something, else a word; what must be a link is a :class: or :func:
+    # `code` in a docstring becomes a link if it names something; :class: and :func: must be links
     (r"py:obj", r".*"),
 ]
 
@@ -42,7 +42,7 @@ myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "
 myst_heading_anchors = 3
 myst_dmath_double_inline = True
 
-autodoc_typehints = "none"  # the docstrings say shapes, units and frames, which types do not
+autodoc_typehints = "none"  # docstrings give shapes, units and frames
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 autodoc_class_signature = "mixed"
@@ -50,13 +50,13 @@ autodoc_default_options = {"members": True}
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False
-napoleon_custom_sections = [("Attributes", "params_style")]  # as arguments are: several names may share a line
+napoleon_custom_sections = [("Attributes", "params_style")]  # several names may share a line, as for arguments
 
 html_theme = "furo"
 html_title = "Grasp forces"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-html_show_search_summary = False  # it would fetch pages, which a browser refuses to a site on disk
+html_show_search_summary = False  # it would fetch pages, which browsers refuse for files on disk
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
@@ -68,7 +68,7 @@ pygments_style, pygments_dark_style = "friendly", "github-dark"
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
-# programs run where they are, and write files there: not in the source tree
+# programs write files where they run: not in the source tree
 RUN = ROOT / "build" / "examples"
 shutil.rmtree(RUN, ignore_errors=True)
 shutil.copytree(ROOT / "examples", RUN, ignore=shutil.ignore_patterns("__pycache__", "cpp"))
@@ -80,7 +80,7 @@ sphinx_gallery_conf = {
     "doc_module": ("grasp_env", "policies"),
     "filename_pattern": r"/\d\d_",
     "download_all_examples": False,
-    "notebook_extensions": set(),  # programs are programs
+    "notebook_extensions": set(),  # no notebooks
     "show_memory": False,
     "show_signature": False,
     "write_computation_times": False,

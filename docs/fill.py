@@ -1,11 +1,12 @@
-"""The measured tables of README.md and of the pages: filled in from saved runs, so that no number is typed by hand.
+"""Fills the tables of measurements in README.md and the pages from saved runs.
 
-python -m docs.fill                 writes every block <!-- results: NAME --> ... <!-- /results --> anew
-python -m docs.fill --check         names the blocks that differ from the saved runs; exit code 1
-python -m docs.fill --save RUN...   keeps the summaries of run folders, of `grasp` or of the benchmarks
+python -m docs.fill                 writes every block <!-- results: NAME --> ... <!-- /results --> again
+python -m docs.fill --check         lists the blocks that differ from the saved runs; exit code 1
+python -m docs.fill --save RUN...   saves the summaries of run folders, of `grasp` or of the benchmarks
 
-docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json says how it was made, KIND.svg is its
-picture where it has one; of the benchmark of forces force.parquet holds all rows. A table of a page is a function of `TABLES`: a query on these summaries.
+docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json its settings and machine, KIND.svg its picture, if it
+has one. Of the force benchmark force.parquet holds all rows. Each table of a page is a function in `TABLES`, a query on these files.
+The file is long because it holds all of these short functions.
 """
 
 from __future__ import annotations
@@ -49,31 +50,39 @@ LAYERS = {
     "moreau": "Moreau, exact cones",
     "qplayer": "ProxSuite, pyramids",
 }
+PLAIN = {
+    "time of cvxpylayers over ours, batch of 1": "time of cvxpylayers with SCS over ours, batch of 1",
+    "time of cvxpylayers_clarabel over ours, batch of 1": "time of cvxpylayers with Clarabel over ours, batch of 1",
+    "all four errors: rate of the paper's pipeline minus that of constant squeeze, each at its chosen setting":
+        "holding rate minus that of a constant squeeze, four errors at once",
+    "cost of a step over the bare PyBullet calls, median of pairs": "time of an environment step over that of its PyBullet calls",
+}  # fmt: skip
+"""Shorter names of claims in the table of README.md."""
 VERDICTS = {True: "yes", False: "**NO**", None: "not measured"}
 
 
 @cache
 def force_rows() -> tuple[Rows, dict[str, Any]]:
-    """The rows of the benchmark of forces, which are kept whole."""
+    """Return all rows of the force benchmark, with its settings and machine."""
     return read(RESULTS / "force.parquet"), json.loads((RESULTS / "force.json").read_text(encoding="utf-8"))
 
 
 @cache
 def saved(kind: str) -> tuple[Rows, dict[str, Any]]:
-    """The summary of a saved run, and how it was made."""
+    """Return the summary of a saved run, with its settings and machine."""
     about = json.loads((RESULTS / f"{kind}.json").read_text(encoding="utf-8"))
     shown, means = module_of(about), read(RESULTS / f"{kind}.csv")
     return getattr(shown, "derive", lambda means: means)(means), about
 
 
 def judged(kind: str) -> list[Judged]:
-    """The claims of a saved run, the missed ones first."""
+    """Return the claims of a saved run, missed ones first."""
     means, about = saved(kind)
     return judge(claims_of(about), means)
 
 
 def markdown(kind: str | None, made: Rows, note: str = "") -> str:
-    """A table with what measured it below; None: nothing did."""
+    """Return a table with the command and machine of its run below; `kind` None: no run."""
     lines = [
         list(made.columns),
         ["---"] * len(made.columns),
@@ -91,28 +100,28 @@ def markdown(kind: str | None, made: Rows, note: str = "") -> str:
 
 
 def reported(kind: str, make: Callable[[Rows, Rows], Rows]) -> Callable[[], str]:
-    """A table of the report of a kind of run, on the saved summary."""
+    """Return a table of the report of a kind of run, made of the saved summary."""
     return lambda: markdown(kind, make(pd.DataFrame(), saved(kind)[0]))
 
 
-def asked(kind: str) -> Callable[[], str]:
-    """Claims of a saved run, the missed ones first."""
+def targets(kind: str) -> Callable[[], str]:
+    """Return the claims of a saved run with their targets, missed ones first."""
     return lambda: markdown(kind, pd.DataFrame(
-        [{"": row.claim.name, "asked": row.asked, "measured": row.found, "met": VERDICTS[row.met]} for row in judged(kind)]
+        [{"": row.claim.name, "target": row.asked, "measured": row.found, "met": VERDICTS[row.met]} for row in judged(kind)]
     ))  # fmt: skip
 
 
 def force_tracks() -> str:
-    """The tracks of the benchmark of forces, from their files."""
+    """Return the tracks of the force benchmark, from their files."""
     return markdown(None, pd.DataFrame([
-        {"track": f"`{track.name}`", "what happens in it": track.about["about"],
+        {"track": f"`{track.name}`", "description": track.about["about"],
          "problems": sum(len(session.problems) for session in track.sessions), "modes": ", ".join(track.about["modes"])}
         for track in map(load, names())
     ]))  # fmt: skip
 
 
 def force(objective: str) -> Callable[[], str]:
-    """The benchmark of forces by track and mode, for one objective."""
+    """Return the results of the force benchmark by track and mode, for one objective."""
     ours = {name for name, where in ENTRANTS.items() if where.rpartition(":")[0].endswith(".ours")}
     return lambda: markdown(
         "force", by_track(force_rows()[0], objective, ours), "Median / 99 % in us of the problems solved to 1e-6."
@@ -120,17 +129,17 @@ def force(objective: str) -> Callable[[], str]:
 
 
 def force_entrants() -> str:
-    """The entrants of the benchmark of forces over all tracks."""
+    """Return the entrants of the force benchmark over all tracks."""
     return markdown("force", by_entrant(force_rows()[0], force_rows()[1]["entrants"]))
 
 
 def solvers() -> str:
-    """Against other solvers, by number of contacts."""
+    """Return the times of all solvers by number of contacts."""
     return markdown("force", by_contacts(force_rows()[0]), "Median / 99 % in us, 25 random grasps each.")
 
 
 def batch() -> str:
-    """Solves per second."""
+    """Return solves per second by method and number of cores."""
     means = saved("batch")[0]
     made = means.assign(millions=means["per_second_median"] / 1e6).pivot(
         index="method", columns="workers", values="millions"
@@ -142,7 +151,7 @@ def batch() -> str:
 
 
 def step_rules() -> str:
-    """The flow from the 12-basis and from the network by every step rule: comparisons of starts use the one that is best for both."""
+    """Return the flow from the 12-basis and from the network with every step rule."""
     times = chosen(saved("reproduce")[0], "case == 'times'").set_index(["start", "rule"])
     made = [
         {"step rule, median / p99": label}
@@ -155,7 +164,7 @@ def step_rules() -> str:
 
 
 def table_one() -> str:
-    """The paper's Table I beside ours on the reference grasp."""
+    """Return Table I of the paper and our values on the reference grasp."""
     means = saved("reproduce")[0]
     ours, paper = (chosen(means, f"case == '{case}'").set_index("start") for case in ("table_one", "table_one_paper"))
     made = [
@@ -167,7 +176,7 @@ def table_one() -> str:
 
 
 def rl() -> str:
-    """Agents beside the paper's start, the previous solution and the learned start."""
+    """Return agents, the paper's start, the previous solution and the learned start."""
     means, made = chosen(saved("rl")[0], "case == 'held_out'"), []
     for environment in means["environment"].unique():
         here = means[means["environment"] == environment].set_index("agent")
@@ -183,7 +192,7 @@ def rl() -> str:
             made.append({
                 "environment": place(environment), "policy": label, "held": held,
                 "iterations, median / p95 / p99": " / ".join(cell(row[f"iterations_{part}"]) for part in ("median", "p95", "p99")),
-                "of the paper's": row["mean_iterations_median"] / zero["mean_iterations_median"],
+                "relative to the paper": row["mean_iterations_median"] / zero["mean_iterations_median"],
                 "force / torque saved [%]": " / ".join(f"{100.0 * part:.1f}" for part in saved_parts).replace("-0.0", "0.0"),
                 "return, interquartile mean": row["return_iqm"],
             })  # fmt: skip
@@ -191,7 +200,7 @@ def rl() -> str:
 
 
 def rl_speed() -> str:
-    """Steps per second, and what the trainings took."""
+    """Return steps per second and training times."""
     means, made = saved("rl")[0], []
     for environment in chosen(means, "case == 'with training'")["environment"].unique():
         here = means[means["environment"] == environment]
@@ -207,7 +216,7 @@ def rl_speed() -> str:
 
 
 def layer() -> str:
-    """The force layer beside other differentiable layers, forward and backward."""
+    """Return times of the force layer and of other differentiable layers, forward and backward."""
     means = saved("layer")[0]
     means = means[means["microseconds_median"].notna()]
     case = {"hard": "", "limits": ", within the limits of 12 joints", "soft": ", soft contacts"}
@@ -222,7 +231,7 @@ def layer() -> str:
     made = made.pivot(index="name", columns="batch", values="text").reindex(order).fillna("–")
     made.columns = [f"batch of {size}" for size in made.columns]
     agree = chosen(saved("layer")[0], "case == 'hard, answers' and method == 'cvxpylayers_clarabel'")
-    note = "Forward and backward in us a problem, and in brackets how many times as long as ours, on one core, four contacts. "
+    note = "Forward and backward in us per problem, in brackets relative to ours, on one core, four contacts. "
     if len(agree):
         row = agree.iloc[0]
         note += f"Forces differ from Clarabel's by at most {row['force_difference_max']:.0e}, gradients by {row['gradient_difference_median']:.0e} in the median."
@@ -230,7 +239,7 @@ def layer() -> str:
 
 
 def hand_loop() -> str:
-    """Latencies of the example for hardware, and what was lost."""
+    """Return latencies and losses of the hardware example."""
     means = saved("hand_loop")[0]
     names = {"cpp": "C++", "python": "Python"}
     made = [
@@ -238,8 +247,8 @@ def hand_loop() -> str:
         for row in chosen(means, "case != 'run'").to_dict("records")
     ]  # fmt: skip
     told = [
-        f"{names[row['method']]}: {row['lost_sum']:.0f} messages lost, {row['unanswered_sum']:.0f} overtaken by a newer one, {row['late_sum']:.0f} updates "
-        f"after a missed deadline, {row['over_budget_sum']:.0f} over their budget, the simulated hand late in {row['behind_sum']:.0f} steps; "
+        f"{names[row['method']]}: {row['lost_sum']:.0f} messages lost, {row['unanswered_sum']:.0f} replaced by a newer one, {row['late_sum']:.0f} updates "
+        f"after a missed deadline, {row['over_budget_sum']:.0f} over budget, the simulated hand late in {row['behind_sum']:.0f} steps; "
         f"the ball moved by at most {row['drift_max']:.2f} mm."
         for row in chosen(means, "case == 'run'").to_dict("records")
     ]  # fmt: skip
@@ -247,7 +256,7 @@ def hand_loop() -> str:
 
 
 def ros2() -> str:
-    """Round trips of the ROS 2 node."""
+    """Return round trips of the ROS 2 node."""
     means = saved("ros2")[0]
     unanswered = chosen(means, "case == 'run'").set_index("method")["unanswered_sum"]
     made = [
@@ -259,13 +268,13 @@ def ros2() -> str:
 
 
 def latencies(row: dict[str, Any]) -> dict[str, str]:
-    """The statistics of a latency [us] by their headings."""
+    """Return the statistics of a latency [us] by their headings."""
     names = {"median": "median [us]", "p99": "99 %", "p999": "99.9 %", "max": "largest"}
     return {label: cell(row[f"latency_{name}"]) for name, label in names.items()}
 
 
 def objects() -> str:
-    """Real objects in hands: whether they were held under gravity, and how often under the random wrench."""
+    """Return the real objects that hands held under gravity, and how often they held them under the random wrench."""
     means = saved("objects")[0]
     pairs = means.pivot(index=["object", "hand", "engine"], columns="case", values=["held_sum", "n"])
     made: dict[str, dict[str, str]] = {}
@@ -286,52 +295,43 @@ def objects() -> str:
 
 
 def overview() -> str:
-    """The table of README.md: the main numbers beside what was asked."""
+    """Return the table of README.md: the main numbers, each with its target or a comparison."""
 
-    def of(kind: str, query: str) -> dict[str, Any]:
+    def row(kind: str, query: str) -> dict[str, Any]:
         return chosen(saved(kind)[0], query).to_dict("records")[0]
 
-    mine, python, other = (fixed_contacts(name) for name in ("conic", "conic_python", "qocogen_fast"))
-    varied = {
-        (row["start"], row["method"]): row
-        for row in chosen(saved("starts")[0], "case == 'ball_frictions'").to_dict("records")
-    }
-    newton = "; ".join(
-        pair(varied[start, "newton"], "microseconds")
-        for start in ("internal_force", "linear_combination", "learned_fixed")
-    )
-    flow = "; ".join(
-        pair(varied[start, "reduced_flow"], "microseconds") for start in ("linear_combination", "learned_fixed")
-    )
-    steps = "; ".join(pair(varied[start, "reduced_flow"], "iterations") for start in ("linear_combination", "network"))
-    times = chosen(saved("reproduce")[0], "case == 'times' and rule == 'fixed' and start == 'linear_combination'")
-    constant = pair(times.to_dict("records")[0], "iterations")
-    many, one = (
-        of("layer", f"case == 'hard' and method == 'layer' and batch == {size}")["microseconds_median"]
-        for size in (1000, 1)
-    )
-    slower = [
-        of("layer", f"case == 'hard' and method == 'cvxpylayers_clarabel' and batch == {size}")["ratio_median"]
-        for size in (1000, 1)
-    ]
+    def varied(start: str, method: str, column: str) -> str:
+        return pair(row("starts", f"case == 'ball_frictions' and start == '{start}' and method == '{method}'"), column)
+
+    def layer(method: str) -> dict[str, Any]:
+        return row("layer", f"case == 'hard' and method == '{method}' and batch == 1000")
+
+    constant = row("reproduce", "case == 'times' and rule == 'fixed' and start == 'linear_combination'")
+    engines = max(judged("transfer"), key=lambda one: abs(one.measured or 0.0))
     rows = [
-        ["exact optimum with its proof, 3 to 5 contacts: compiled; from Python", f"{mine}; {python} us", f"fastest peer (generated C): {other} us"],
-        ["optimum of Phi from cold, Newton, from Python: internal force; 12-basis; network", f"{newton} us",
-         f"the paper's flow, from Python: 12-basis; network: {flow} us"],
-        ["steps of the paper's flow, its best step rule: 12-basis; network", steps,
-         f"network: median <= 3, p99 <= 15; 12-basis with a constant step: {constant}"],
-        ["optimum of Phi and its gradient with respect to all inputs, in torch, a problem: batch of 1000; of 1 (medians)",
-         f"{number(many)}; {number(one)} us", "cvxpylayers with Clarabel: {:.0f} and {:.0f} times as long".format(*slower)],
-        ["random objects held 4 s against a random wrench", holds.held_cell(of("env", "case == 'objects' and controller == 'paper'")), "at least 99 %"],
-        *([row.claim.name, row.found, row.asked] for row in judged("transfer")),
-        *(["**missed**: " + row.claim.name, row.found, row.asked]
-          for kind in ("starts", "layer", "env", "env_speed") for row in judged(kind) if row.met is False),
+        ["exact optimum with certificate, 3 to 5 contacts, from Python (from C++)", f"{fixed_contacts('conic_python')} us ({fixed_contacts('conic')} us)",
+         f"fastest other solver (generated C): {fixed_contacts('qocogen_fast')} us"],
+        ["optimum of Phi from Python, Newton, cold start", f"{varied('internal_force', 'newton', 'microseconds')} us",
+         f"the paper's flow from the 12-basis: {varied('linear_combination', 'reduced_flow', 'microseconds')} us"],
+        ["optimum of Phi from Python, Newton, learned start", f"{varied('learned_fixed', 'newton', 'microseconds')} us",
+         f"the paper's flow from the learned start: {varied('learned_fixed', 'reduced_flow', 'microseconds')} us"],
+        ["iterations of the paper's flow from the 12-basis", varied("linear_combination", "reduced_flow", "iterations"),
+         f"with a constant step: {pair(constant, 'iterations')}"],
+        ["iterations of the paper's flow from the network", varied("network", "reduced_flow", "iterations"), "at most 3 / 15"],
+        ["optimum of Phi and its gradients in torch, batch of 1000", f"{number(layer('layer')['microseconds_median'])} us a problem",
+         f"cvxpylayers with Clarabel: {layer('cvxpylayers_clarabel')['ratio_median']:.0f} times as long"],
+        ["random objects held for 4 s under a random wrench", "{held_sum:.0f} of {n}".format(**row("env", "case == 'objects' and controller == 'paper'")), "at least 99 %"],
+        ["largest difference of the holding rate between MuJoCo and Bullet", engines.found, engines.asked],
+        *(["**missed**: " + PLAIN.get(one.claim.name, one.claim.name), one.found, one.asked]
+          for kind in ("starts", "layer", "env", "env_speed") for one in judged(kind) if one.met is False),
     ]  # fmt: skip
-    return markdown("starts", pd.DataFrame(rows, columns=["median / p99", "measured", "asked, or for comparison"]))
+    return markdown(
+        "starts", pd.DataFrame(rows, columns=["median / 99th percentile", "measured", "target or comparison"])
+    )
 
 
 def fixed_contacts(method: str) -> str:
-    """p50 / p99 [us] of an entrant on jumps of the wrench, 3 to 5 fixed contacts."""
+    """Return p50 / p99 [us] of an entrant on jumps of the wrench, 3 to 5 fixed contacts."""
     rows = chosen(
         force_rows()[0], f"objective == 'sum' and case == 'jumps' and mode == 'persistent' and method == '{method}'"
     )
@@ -341,14 +341,14 @@ def fixed_contacts(method: str) -> str:
 TABLES: dict[str, Callable[[], str]] = {
     "summary": overview, "hand_loop": hand_loop, "ros2": ros2, "solvers": solvers, "force_tracks": force_tracks, "force_sum": force("sum"), "force_phi": force("phi"), "force_entrants": force_entrants, "batch": batch, "starts": reported("starts", starts.hardest_sets),
     "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps), "newton_first": reported("starts", starts.newton_first),
-    "starts_claims": asked("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
-    "objects": objects, "transfer": reported("transfer", holds.grid), "env_speed": asked("env_speed"),
+    "starts_claims": targets("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
+    "objects": objects, "transfer": reported("transfer", holds.grid), "env_speed": targets("env_speed"),
     "step_rules": step_rules, "layer": layer, "table_one": table_one, "rl": rl, "rl_speed": rl_speed,
 }  # fmt: skip
 
 
 def save(folder: Path) -> str:
-    """Keeps the summary of a run folder, and its picture; the kind under which it is kept."""
+    """Save the summary and the picture of a run folder, and return the kind of the run."""
     rows, about = Run.open(folder, "run.json").load()
     if about.get("quick"):
         raise SystemExit(f"{folder} is a quick run, whose numbers are not quoted: run it in full")
@@ -359,7 +359,7 @@ def save(folder: Path) -> str:
         write_csv(RESULTS / f"{about['kind']}.csv", summary(rows))
     with replacing(RESULTS / f"{about['kind']}.json") as target:
         kept = json.dumps({name: about[name] for name in PROVENANCE if name in about}, indent=1)
-        # a path says something about one machine only
+        # a path belongs to one machine
         target.write_text(re.sub(r"(?<![\w.])/[^\s\"]*/(?=[^\s\"])", "", kept) + "\n", encoding="utf-8")
     for picture in folder.glob("*.svg"):
         with replacing(RESULTS / f"{about['kind']}.svg") as target:
@@ -368,7 +368,7 @@ def save(folder: Path) -> str:
 
 
 def filled(text: str) -> tuple[str, list[str]]:
-    """The text with its blocks made anew, and the names of those that changed."""
+    """Return the text with new blocks, and the names of the blocks that changed."""
     changed = []
 
     def block(match: re.Match[str]) -> str:
@@ -384,7 +384,7 @@ def filled(text: str) -> tuple[str, list[str]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """See above."""
+    """Run the program, see the module."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--save", nargs="+", type=Path, default=[])

@@ -1,4 +1,4 @@
-"""The picture of docs/objects.md: meshes down, hands across, each after four seconds of a random wrench.
+"""Draws the picture of docs/objects.md: a row for each mesh, a column for each hand, after four seconds of a random wrench.
 
 python -m docs.held --hands four_finger allegro leap --objects FILE[=SCALE]... --out docs/static/held.webp
 """
@@ -19,15 +19,15 @@ from training.compare.scenarios import PUSHES, mesh_settings, short_name
 from training.data.episodes import episode
 
 SIDE = 300
-"""Pixels of a picture."""
+"""Side of a picture [pixels]."""
 HEAD = 34
-"""Pixels of a line of names."""
+"""Height of a line of names [pixels]."""
 
 
 def tile(hand: str, text: str, seed: int = 0) -> Image.Image:
-    """The hand and the object of FILE[=SCALE] at the end of an episode, and a mark where it was not held."""
+    """Draw the hand and the object of FILE[=SCALE] at the end of an episode, and mark a lost object."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what was repaired in the mesh
+        warnings.simplefilter("ignore")  # repairs of the mesh
         env = FourFingerGrasp("rgb_array", hand=hand, **mesh_settings(text)[1], **PUSHES["random"])
     try:
         info = [step.info for step in episode(env, seed)][-1]

@@ -2,8 +2,8 @@
 Solve your own contacts
 =======================
 
-Three fingertips carry a mug of 0.3 kg; the contacts come from a drawing, in millimetres and with normals that point
-out of it. To learn: let ``advise`` look at your numbers before you trust a force; it names both mistakes. In C++:
+Three fingertips carry a mug of 0.3 kg. The contacts come from a drawing, in millimetres and with outward normals.
+To learn: check your numbers with ``advise`` before you trust a force; it names both mistakes. In C++:
 ``01_first_solve.cpp``.
 """
 
@@ -26,14 +26,14 @@ assert advise(grasp) == []
 
 weight = gravity_wrench(0.3)  # the force [N] and moment [N m] that act ON the mug
 solution = optimize_force(grasp, weight)
-solution.raise_for_status()  # an error unless the force is proven optimal
+solution.raise_for_status()  # raises an error unless the force is certified optimal
 print(f"\nin metres, inward: {solution.status.value}, squeezes with {solution.total_normal_force:.2f} N in all")
 print("contact   normal        o        t   [N]")
 for k, (normal, o, t) in enumerate(solution.force.round(3) + 0.0):
     print(f"{k:7d} {normal:8.3f} {o:8.3f} {t:8.3f}")
 print(f"{solution.cone_margin:.3f} N from slipping")
 
-# the fingers' forces in the object's own axes: with the weight they sum to nothing
+# the forces in the object's axes and the weight sum to zero
 vectors = grasp.to_object_frame(solution.force)
 print("fingers + weight:", (vectors.sum(axis=0) + weight[:3]).round(9) + 0.0, "N")
 assert abs(vectors.sum(axis=0) + weight[:3]).max() < 1e-9

@@ -2,8 +2,8 @@
 Contacts that move, at 1 kHz
 ============================
 
-Four fingers hold a cuboid that is turned, and their tips roll. To learn: ``solve`` takes the current contacts, and goes
-on from its last solution; a grasp and a solver made anew give the same forces, many times slower. In C++:
+Four fingers hold a cuboid that turns, and their tips roll. To learn: ``solve`` takes the current contacts and
+warm-starts from its last solution; a new grasp and solver at each tick give the same forces, many times slower. In C++:
 ``02_moving_contacts.cpp``.
 """
 
@@ -22,7 +22,7 @@ jacobian = np.kron(np.eye(4), [[0.05, 0, 0], [0.01, -0.02, -0.03], [0.06, 0.05, 
 
 def world(seconds):
     """Contact points [m], inward normals and the wrench [N, N m] at this moment, all in the object's frame."""
-    roll, turn = 6 * seconds + np.arange(4), np.pi * seconds  # the tips by a millimetre, the cuboid about y
+    roll, turn = 6 * seconds + np.arange(4), np.pi * seconds  # the tips move by a millimetre, the cuboid turns about y
     points = nominal.positions + 1e-3 * np.column_stack([np.sin(roll), np.cos(roll), np.zeros(4)])
     normals = nominal.normals + 1e-2 * np.column_stack([np.sin(roll), np.zeros((4, 2))])
     rotation = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
@@ -40,7 +40,7 @@ for tick in range(1000):
     anew = optimize_force(Grasp.from_contacts(points, normals, 0.4), wrench)
     stamps[tick] = begin, moved, perf_counter()
     assert np.allclose(anew.force, solution.force, atol=0.1)
-    margins[tick] = 0.4 * solution.force[:, 0] - np.hypot(*solution.force[:, 1:].T)  # [N] from slipping
+    margins[tick] = 0.4 * solution.force[:, 0] - np.hypot(*solution.force[:, 1:].T)  # distance from slipping [N]
     torques[tick] = joint_torques(jacobian, solution.object_force)
 
 moving, anew = np.median(1e6 * np.diff(stamps), axis=0)

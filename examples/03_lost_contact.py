@@ -1,9 +1,9 @@
 """
-A contact is lost, and comes back
-=================================
+A contact is lost and regained
+==============================
 
-One of four fingers leaves the object for 0.2 s. To learn: ``contacts`` says which fingers touch in a call; the others
-have no force in the answer, and the solver goes on from its last solution. In C++: ``03_lost_contact.cpp``.
+One of four fingers leaves the object for 0.2 s. To learn: ``contacts`` marks the fingers that touch in a call; the
+others have zero force, and the solver warm-starts from its last solution. In C++: ``03_lost_contact.cpp``.
 """
 
 import matplotlib.pyplot as plt

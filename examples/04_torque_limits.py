@@ -1,9 +1,9 @@
 """
-What the motors can give
-========================
+Torque limits
+=============
 
-The load grows, and one finger's motors are weak. To learn: forces keep torque limits where any force does; with
-``elastic=True`` the rest is answered by the force that exceeds them least, and says by how much. In C++:
+The load grows, and one finger has weak motors. To learn: forces are within the torque limits if possible; otherwise
+``elastic=True`` returns the force that exceeds them least, and the excess. In C++:
 ``04_torque_limits.cpp``.
 """
 
@@ -16,17 +16,17 @@ from grasp_env.grasp import presets
 grasp = presets.paper_cuboid()  # a thumb below, three fingers above
 # velocities of the contact points by the joints, object frame [m]: three rows a contact, three joints a finger
 jacobian = np.kron(np.eye(4), [[0.05, 0, 0], [0.01, -0.02, -0.03], [0.06, 0.05, 0.03]]).reshape(4, 3, 12)
-own_weight = np.tile([0.02, 0.01, 0.005], 4)  # what the links' weight asks of the joints [N m]
-motors = np.repeat([0.8, 0.4, 0.4, 0.1], 3)  # what they give [N m]
+own_weight = np.tile([0.02, 0.01, 0.005], 4)  # joint torques of the links' weight [N m]
+motors = np.repeat([0.8, 0.4, 0.4, 0.1], 3)  # torque limits [N m]
 free = ForceOptimizer(grasp, limits=ForceLimits(jacobian=jacobian, torque_limit=np.inf, torque_bias=own_weight))
 limited = ForceOptimizer(grasp, limits=ForceLimits(jacobian=jacobian, torque_limit=motors), elastic=True)
 
 loads = np.linspace(0, 15, 61)  # [N]
-shares = np.empty((2, len(loads)))  # largest torque of a joint, as a part of its limit
+shares = np.empty((2, len(loads)))  # largest torque relative to its limit
 excess = np.empty(len(loads))
 for k, load in enumerate(loads):
     wrench = [0.7 * load, 0, 0.7 * load, 0, 0, 0]
-    # a loop has another Jacobian and weight at every tick: they come with the call
+    # in a loop, pass the current Jacobian and weight to each call
     kept = limited.solve(wrench, jacobian=jacobian, torque_bias=own_weight)
     shares[:, k] = [(abs(solution.torques) / motors).max() for solution in (free.solve(wrench), kept)]
     excess[k] = kept.limit_excess

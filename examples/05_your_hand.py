@@ -2,9 +2,9 @@
 Your own hand
 =============
 
-A hand is read from its URDF, here one of three fingers written on the spot, put where it holds a ball, and simulated;
-the ``allegro`` preset beside it. To learn: ``HandDescription.from_urdf`` is all it takes; ``gym.make`` finds palm
-pose, posture and contacts.
+A hand with three fingers is read from a URDF, placed where it holds a ball, and simulated, as is the ``allegro``
+preset. To learn: ``HandDescription.from_urdf`` reads the hand, and ``gym.make`` finds the pose of the palm, the
+posture and the contacts.
 """
 
 from pathlib import Path

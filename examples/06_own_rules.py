@@ -2,9 +2,9 @@
 Your own start rule and your own disturbance
 ============================================
 
-Both are plain functions; no file of the package knows them. To learn: a start rule takes (grasp, wrench) and returns
-forces, and ``Repair`` makes any guess feasible; a disturbance takes the times of an episode. In a report beside the
-others: ``grasp evaluate --start firm=my_rules.py:firm``.
+Both are plain functions. To learn: a start rule takes (grasp, wrench) and returns forces, and ``Repair`` makes any
+guess feasible; a disturbance takes the times of an episode. To compare your rule with others:
+``grasp evaluate --start firm=my_rules.py:firm``.
 """
 
 import gymnasium as gym
@@ -36,7 +36,7 @@ same = optimizer.solve(wrench)
 paper = optimize_force(presets.paper_cuboid(), wrench, method="reduced_flow")
 print(f"iterations from {one.initial!r}: {one.iterations}; from {paper.initial!r}: {paper.iterations}")
 assert one.initial == same.initial == "firm" and (one.force == same.force).all()
-np.testing.assert_allclose(one.force, paper.force, atol=0.1)  # the start changes how long it takes, not where it ends
+np.testing.assert_allclose(one.force, paper.force, atol=0.1)  # the start changes the time, not the result
 
 env = gym.make("grasp_env:FourFingerGrasp-v0", initial_force=firm, disturbance=quake, duration=4.0)
 observation, info = env.reset(seed=0)

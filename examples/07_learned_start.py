@@ -2,9 +2,9 @@
 A learned start
 ===============
 
-A network that ships with the package starts the paper's flow close to its end. To learn: a model is a start rule like
-any other, for single calls, batches and the environment. One of your own: ``grasp fit --out runs/fit/mine``, then
-``LearnedInitialForce.load("runs/fit/mine")``, or ``grasp evaluate --start mine=runs/fit/mine`` beside all others.
+The shipped network starts the paper's flow close to its optimum. To learn: a model is a start rule like any other,
+for single calls, batches and the environment. Train your own with ``grasp fit --out runs/fit/mine``, load it with
+``LearnedInitialForce.load("runs/fit/mine")``, and compare it with ``grasp evaluate --start mine=runs/fit/mine``.
 In C++: ``07_learned_start.cpp``.
 """
 
@@ -16,7 +16,7 @@ from grasp_env.grasp import presets, wrench
 from policies import LearnedInitialForce
 
 grasp = presets.paper_cuboid()
-held_out = wrench.sample_ball(np.random.default_rng(1), 2000)  # none of them was trained on; 2 N, 0.05 N m at most
+held_out = wrench.sample_ball(np.random.default_rng(1), 2000)  # not used in training; up to 2 N, 0.05 N m
 
 network = LearnedInitialForce.pretrained()
 starts = {"the paper's 12-basis": "linear_combination", "four_finger, this grasp's network": network}
@@ -31,7 +31,7 @@ for name, rule in starts.items():
     print(f"{name:35} iterations: median {median:3.0f}, 99 % within {most:3.0f}")
     ax.step(np.sort(batch.iterations), np.linspace(0, 100, len(held_out)), where="post", label=name)
 assert medians[1] < 0.25 * medians[0]
-np.testing.assert_allclose(forces[1], forces[0], atol=0.5)  # the start changes how long it takes, not where it ends
+np.testing.assert_allclose(forces[1], forces[0], atol=0.5)  # the start changes the time, not the result
 ax.set(xlabel="iterations of the flow to a gap of 1e-4", ylabel="wrenches done [%]", xlim=(-3, 150), ylim=(0, 101))
 ax.legend(loc="lower right")
 
@@ -45,7 +45,7 @@ for size in (0.5, 1.0, 2.0):
     )
     print("normal forces", *learned.force[:, 0].round(3), "N")
 
-# the network knows four contacts: with five the solve starts from an internal force, and says so
+# the network is for four contacts: with five the solve starts from an internal force, and the solution names it
 print("five fingers:", optimize_force(presets.five_finger_cuboid(), load, initial=network).initial)
 
 plt.show()

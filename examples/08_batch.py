@@ -2,8 +2,8 @@
 Many wrenches, many grasps
 ==========================
 
-Sixty thousand directions of a load on one grasp, and a thousand places for its thumb. To learn: ``optimize_forces``
-answers whole arrays, side by side in the registers and on all cores, with the numbers of single calls. In C++:
+Sixty thousand directions of a load on one grasp, and a thousand positions of its thumb. To learn:
+``optimize_forces`` solves whole arrays, in vector registers and on all cores, with the results of single calls. In C++:
 ``08_batch.cpp``.
 """
 
@@ -28,7 +28,7 @@ print(f"{len(batch)} wrenches on one grasp: {len(batch) / took / 1e6:.2f} millio
 print(f"they take {batch.objective.mean():.3f} N on average, {batch.objective.max():.3f} N at most")
 np.testing.assert_allclose(batch[1234].force, optimize_force(grasp, loads[1234], method="conic").force, atol=1e-6)
 
-places = np.linspace(-0.03, 0.03, 31)  # of the thumb on the lower face [m]
+places = np.linspace(-0.03, 0.03, 31)  # positions of the thumb on the lower face [m]
 grasps = []
 for y in places:
     for x in places:

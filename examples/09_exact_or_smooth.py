@@ -2,9 +2,9 @@
 Exact or smooth
 ===============
 
-The exact optimum squeezes least and touches the friction cones; the paper's Phi keeps off them for a price. To learn:
-``barrier_weight`` (lambda) is that price, margin against squeeze; and forces by Phi move smoothly with the wrench
-where exact ones have corners.
+The exact optimum has the smallest squeeze and lies on the friction cones; the paper's Phi keeps a margin. To learn:
+``barrier_weight`` (lambda) trades margin against squeeze, and the forces of Phi change smoothly with the wrench,
+while exact ones have kinks.
 """
 
 import matplotlib.pyplot as plt
@@ -14,7 +14,7 @@ from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import presets
 
 grasp = presets.paper_cuboid()
-angles = np.linspace(0, 360, 361)  # of a load of 3 N that turns in the plane of the thumb and a finger [deg]
+angles = np.linspace(0, 360, 361)  # a load of 3 N turns in the plane of the thumb and a finger [deg]
 loads = np.zeros((361, 6))
 loads[:, 1], loads[:, 2] = 3 * np.cos(np.radians(angles)), 3 * np.sin(np.radians(angles))
 

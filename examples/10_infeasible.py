@@ -1,9 +1,9 @@
 """
-When no force will do
-=====================
+When no force exists
+====================
 
-A block lies on three fingertips, and the hand tilts. To learn: what cannot be balanced is an error that carries its
-proof, a twist: the motion that the weight drives and no force within the friction cones resists.
+A block lies on three fingertips, and the hand tilts. To learn: a wrench that cannot be balanced raises an error with a
+proof, a twist: the motion that the weight drives and that no force within the friction cones resists.
 """
 
 import matplotlib.pyplot as plt
@@ -18,7 +18,7 @@ grasp = Grasp.from_contacts(points, [[0, 0, 1]] * 3, friction=0.4)
 
 
 def tilted(degrees):
-    """The weight of 0.5 kg, 20 mm above the fingertips, in the frame of the block."""
+    """Return the weight of 0.5 kg, 20 mm above the fingertips, in the frame of the block."""
     angle = np.radians(degrees)
     down = 9.81 * np.array([np.sin(angle), 0, -np.cos(angle)])
     return gravity_wrench(0.5, com=[0, 0, 0.02], gravity=down)
@@ -34,7 +34,7 @@ for degrees in range(0, 41, 5):
         twist = found[degrees] = error.solution.certificate  # velocity [m/s] and angular velocity, up to scale
         slope = np.degrees(np.arctan2(twist[2], twist[0]))
         print(f"{degrees:2d} deg: no force; the proof slides along x, {slope:.0f} deg off the fingertips")
-        # the weight drives this motion, and all that a finger may do within its cone drives it too: nothing balances
+        # the weight and every force within the cones drive this motion: nothing balances the weight
         velocities = (grasp.matrix.T @ twist).reshape(3, 3)  # of the contact points: normal, o, t
         assert twist @ tilted(degrees) > 0 and (velocities[:, 0] >= 0.4 * np.hypot(*velocities[:, 1:].T) - 1e-9).all()
 assert [degrees for degrees, arrows in found.items() if arrows.shape == (6,)] == [25, 30, 35, 40]  # atan(0.4) is 21.8

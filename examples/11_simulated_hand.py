@@ -2,9 +2,9 @@
 In two simulators
 =================
 
-The hand holds a cuboid that is pushed at random, in PyBullet and in MuJoCo (from CPython 3.12 on in MuJoCo alone), with
-the wrench measured or estimated. To learn: the controller needs no force sensor on the object; what the estimate lags
-behind shows as drift, far below a millimetre, in either engine.
+The hand holds a cuboid under random pushes, in PyBullet and in MuJoCo (from CPython 3.12 on in MuJoCo only), with a
+measured or an estimated wrench. To learn: the controller needs no force sensor on the object; the lag of the estimate
+causes a drift far below a millimetre in both engines.
 """
 
 from importlib.util import find_spec
@@ -41,7 +41,7 @@ for engine in engines:
             right.imshow(env.render())
         env.close()
 
-# pictures as observations, beside the named parts of the observation
+# images in addition to the named parts of the observation
 env = gym.make("grasp_env:FourFingerGrasp-v0", observation="dict", render_mode="rgb_array", pictures={"size": (96, 96)})
 env = AddRenderObservation(env, render_only=False)
 observation, info = env.reset(seed=0)

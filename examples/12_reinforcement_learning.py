@@ -2,9 +2,9 @@
 Train an agent with stable-baselines3
 =====================================
 
-PPO adjusts the solver's start so that the paper's flow needs fewer iterations. To learn: one thread for so small a
-network, ``VecNormalize`` for observations of +-500, a TensorBoard row at every update, and the zero action, the paper's
-start, on the same episodes. The steps of this page teach next to nothing; with 65536 as argument, a minute of one
+PPO adjusts the solver's start so that the paper's flow needs fewer iterations. To learn: one thread for a small
+network, ``VecNormalize`` for observations up to 500, a TensorBoard row at every update, and a comparison with the zero
+action, the paper's start. The few steps of this page teach almost nothing; with 65536 as argument, a minute of one
 core, the agent's starts took 28.9 iterations, the paper's 56.3.
 """
 
@@ -20,20 +20,20 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
 STEPS = int(sys.argv[1]) if sys.argv[1:] else 4096
-FOLDER = Path("runs/example_ppo")  # `tensorboard --logdir runs/example_ppo` shows what is learned
+FOLDER = Path("runs/example_ppo")  # `tensorboard --logdir runs/example_ppo` shows the progress
 ENV, SETTINGS = "grasp_env:FourFingerGrasp-v0", {"disturbance": "random"}
 torch.set_num_threads(1)  # two threads train several times slower
-plain = make_vec_env(ENV, n_envs=8, seed=0, env_kwargs=SETTINGS)  # DummyVecEnv: a process each gains nothing
-envs = VecNormalize(plain, gamma=0.0, clip_reward=np.inf)  # gamma: an action changes its own step only
+plain = make_vec_env(ENV, n_envs=8, seed=0, env_kwargs=SETTINGS)  # DummyVecEnv: processes would not be faster
+envs = VecNormalize(plain, gamma=0.0, clip_reward=np.inf)  # gamma: an action affects only its own step
 kwargs = {"n_steps": 256, "batch_size": 256, "learning_rate": 1e-3, "policy_kwargs": {"log_std_init": np.log(0.1)}}
 model = PPO("MlpPolicy", envs, gamma=0.0, seed=0, device="cpu", tensorboard_log=str(FOLDER), **kwargs)
 model.learn(STEPS, log_interval=1)
 model.save(FOLDER / "agent")
-envs.save(str(FOLDER / "normaliser.pkl"))  # the agent is nothing without it; both are pickles: load only your own
+envs.save(str(FOLDER / "normaliser.pkl"))  # the agent needs it; both are pickles: load only your own
 
 
 def iterations(predict):
-    """Of the solver, at every step of ten episodes that training never saw."""
+    """Return the iterations of the solver at every step of ten held-out episodes."""
     env, found = gym.make(ENV, **SETTINGS), []
     for seed in range(1_000_000, 1_000_010):
         (observation, info), over = env.reset(seed=seed), False

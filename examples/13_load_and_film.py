@@ -2,10 +2,10 @@
 Load an agent, score it, film it
 ================================
 
-``grasp rl`` trains agents whose folders hold weights, normaliser and settings, and nothing pickled. To learn:
-``TrainedAgent.load`` runs one by numpy alone, on observations as the environment gives them, wherever
-stable-baselines3 expects a model; ``RecordVideo`` films it, forces and friction cones drawn in. Of 2048 steps, seconds
-of work, nothing is learned yet.
+``grasp rl`` trains agents whose folders hold weights, normaliser and settings without pickles. To learn:
+``TrainedAgent.load`` runs an agent with numpy alone, on the observations of the environment, and serves as a model
+for stable-baselines3; ``RecordVideo`` films it with forces and friction cones. The 2048 steps of this page, seconds of
+work, teach nothing yet.
 """
 
 import subprocess
@@ -25,7 +25,7 @@ options = "--steps 2048 --episodes 2 --curve-points 1 --curve-episodes 1 --seeds
 subprocess.run([sys.executable, "-m", "training", "rl", *options.split()], check=True)
 
 agent = TrainedAgent.load("runs/example_rl/seed-0")
-settings = agent.meta["env_settings"]  # trained with other prices than the environment's own
+settings = agent.meta["env_settings"]  # with other weights of the costs than the default
 print("trained:", {name: agent.meta[name] for name in ("algorithm", "action", "steps")})
 
 env = Monitor(gym.make("grasp_env:FourFingerGrasp-v0", config=settings))

@@ -1,11 +1,11 @@
 """
-Slide contacts to where they hold with least force
-==================================================
+Slide contacts to minimise the force
+====================================
 
-Fingertips slide over a screwdriver's handle by gradient descent until the worst of twelve loads needs least force. To
-learn: ``policies.grasp_force`` is a layer of torch, whose gradients reach whatever made positions and normals. Leading
-dimensions broadcast, here ``(grasps, 1, 4, 3)`` against ``(12, 6)``, so all grasps slide at once. Each ends in a
-minimum of its own, and the exact solver confirms the forces of the best.
+Gradient descent moves fingertips over a screwdriver's handle to minimise the force for the worst of twelve loads. To
+learn: ``policies.grasp_force`` is a torch function with gradients with respect to positions and normals. Leading
+dimensions broadcast, here ``(grasps, 1, 4, 3)`` with ``(12, 6)``, so all grasps move at once. Each ends in a local
+minimum, and the exact solver confirms the forces of the best.
 """
 
 import matplotlib.pyplot as plt
@@ -17,11 +17,11 @@ from grasp_env.grasp import Grasp
 from policies import grasp_force
 
 torch.set_num_threads(1)
-FRICTION, HALF = 0.5, torch.tensor([0.018, 0.018, 0.05])  # the handle: half the sides of a rounded box [m]
+FRICTION, HALF = 0.5, torch.tensor([0.018, 0.018, 0.05])  # half the sides of the handle, a rounded box [m]
 
 
 def contacts(u):
-    """Points of the surface sum((p / HALF)^4) = 1, by directions of any length, and the inward unit normals there."""
+    """Return points of the surface sum((p / HALF)^4) = 1 in given directions, and the inward unit normals there."""
     u = u / (u**4).sum(-1, keepdim=True) ** 0.25
     return HALF * u, torch.nn.functional.normalize(-(u**3) / HALF, dim=-1)
 

@@ -2,10 +2,10 @@
 Train a network through the forces
 ==================================
 
-A network chooses where four fingertips touch objects of random size and friction, for random tasks. No grasp is
-labelled: the loss is the force that the worst load needs. To learn: ``policies.GraspForceLayer`` as the last layer of a
-model, and ``infeasible="elastic"``, whose multipliers lead back from contacts that cannot hold a load. On held-out
-objects the network is compared with the best single grasp, and with descent on each object by itself.
+A network chooses the contacts of four fingertips on objects of random size and friction, for random tasks. It needs
+no labels: the loss is the force for the worst load. To learn: ``policies.GraspForceLayer`` as the last layer of a
+model, and ``infeasible="elastic"``, whose multipliers give gradients for contacts that cannot hold a load. On held-out
+objects the network is compared with the best single grasp and with descent on each object.
 """
 
 import matplotlib.pyplot as plt
@@ -18,28 +18,28 @@ from policies import GraspForceLayer
 torch.set_num_threads(1)
 torch.manual_seed(0)
 layer = GraspForceLayer(infeasible="elastic")
-weights = 2 * torch.cat([torch.eye(3), -torch.eye(3)])  # 2 N, whichever way the hand turns
+weights = 2 * torch.cat([torch.eye(3), -torch.eye(3)])  # 2 N in six directions
 
 
 def draw(count):
-    """Objects, by half sides [m] and friction, and tasks: where they are pushed, in half sides, and by which 8 N."""
+    """Draw half sides [m] and friction of objects, and tasks: a push of 8 N and its point in half sides."""
     half, place = 0.02 + 0.03 * torch.rand(count, 1, 3), 1.4 * torch.rand(count, 1, 3) - 0.7
     push = 8 * nn.functional.normalize(torch.randn(count, 1, 3), dim=-1)
     return half, 0.3 + 0.5 * torch.rand(count, 1, 1), place, push
 
 
 def squeeze(u, half, friction, place, push):
-    """The least sum of normal forces for each of six loads [N], and which are held; contacts u as in example 14."""
+    """Return the sum of normal forces for each of six loads [N], and True if held; contacts u as in example 14."""
     u = u / (u**4).sum(-1, keepdim=True) ** 0.25
     positions, normals = half * u, nn.functional.normalize(-(u**3) / half, dim=-1)
     loads = torch.cat([push + weights, torch.linalg.cross(half * place, push).expand(-1, 6, 3)], -1)
     result = layer(positions[:, None], normals[:, None], friction.expand(-1, 1, 4), loads)
-    price = torch.where(result.feasible, 0, result.multipliers[..., :3].norm(dim=-1))  # of the force that is missing
+    price = torch.where(result.feasible, 0, result.multipliers[..., :3].norm(dim=-1))  # penalty of the missing force
     return (result.force * normals[:, None]).sum((-1, -2)) + price, result.feasible
 
 
 def train(name, predict, parameters, steps, rate, objects=lambda: draw(64)):
-    """By Adam: no labels, only the forces that the predicted contacts need."""
+    """Train by Adam without labels, on the forces that the predicted contacts need."""
     optimizer, lost = torch.optim.Adam(parameters, rate), 0
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for _ in range(steps):
@@ -54,7 +54,7 @@ def train(name, predict, parameters, steps, rate, objects=lambda: draw(64)):
 
 
 def network(half, friction, place, push):
-    """Directions of the contacts (objects, 4, 3), as differences from those that suit all objects best."""
+    """Predict directions of the contacts (objects, 4, 3), relative to the best ones for all objects."""
     seen = torch.cat([50 * half - 1.75, 5 * friction - 2.75, 2 * place, push / 4], -1)
     return fixed.detach() + 0.3 * hidden(seen).reshape(-1, 4, 3)
 

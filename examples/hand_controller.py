@@ -2,9 +2,9 @@
 A controller for a torque-controlled hand
 =========================================
 
-Joint state, contacts and a wrench go in; commands in the units of the motors come out. To learn: a controller's life
-cycle, calibration, a watchdog, lost contacts, the hand's own weight and a budget of time around one solve in each
-update. In C++: ``hand_controller.hpp``.
+The inputs are joint state, contacts and a wrench; the outputs are commands in the units of the motors. To learn: the
+life cycle of a controller, calibration, a watchdog, lost contacts, gravity compensation and a time budget, with one
+solve in each update. In C++: ``hand_controller.hpp``.
 """
 
 from dataclasses import dataclass
@@ -21,37 +21,37 @@ STATUSES = ("inactive", "holding", "overloaded", "coasting", "released")
 
 @dataclass
 class HandState:
-    """A message of a hand with M joints and N fingertips: float64 arrays, in the frame of the hand's base."""
+    """Message of a hand with M joints and N fingertips: float64 arrays in the frame of the hand's base."""
 
     angles: np.ndarray  # (M,) [rad]
     rates: np.ndarray  # (M,) [rad/s]
-    touching: np.ndarray  # (N,) bool: which fingertips touch
-    positions: np.ndarray  # (N, 3) where they do [m]
+    touching: np.ndarray  # (N,) bool, True for a fingertip that touches
+    positions: np.ndarray  # (N, 3) contact points [m]
     normals: np.ndarray  # (N, 3) unit vectors into the object
-    wrench: np.ndarray  # (6,) that the fingers balance: the object's weight and feedback on its pose [N, N m]
+    wrench: np.ndarray  # (6,) external wrench: the object's weight and feedback on its pose [N, N m]
     gravity: np.ndarray  # (3,) [m/s^2]: the hand may be on an arm
-    age: float = 0.0  # [s] since the contacts were measured
+    age: float = 0.0  # time since the contacts were measured [s]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Parameters that are tuned for a hand and a task."""
+    """Parameters to tune for a hand and a task."""
 
     friction: float = 0.8
-    rate: float = 1000.0  # [Hz] of `update`
-    iterations: int = 40  # most steps of the solver in an update
-    budget: float = 1e-4  # [s] of an update: longer ones are counted
-    damping: float = 0.01  # [N m s/rad] of every joint
-    stiffness: float = 0.1  # [N m/rad] towards the posture at `activate`, for joints that the fingertips leave free
-    push: float = 0.1  # [N] of a finger without contact, along its last normal
-    slew: float = 50.0  # [1/s] fastest change of a torque, as a part of its limit
-    stale: float = 0.005  # [s] largest age of contacts that are solved for
-    grace: float = 0.1  # [s] for which the last forces are kept without a solution
-    fade: float = 0.2  # [s] in which they are then let go
+    rate: float = 1000.0  # rate of `update` [Hz]
+    iterations: int = 40  # largest number of solver steps in an update
+    budget: float = 1e-4  # time of an update, longer ones are counted [s]
+    damping: float = 0.01  # damping of every joint [N m s/rad]
+    stiffness: float = 0.1  # towards the posture at `activate`, for joints that contacts leave free [N m/rad]
+    push: float = 0.1  # force of a finger without contact, along its last normal [N]
+    slew: float = 50.0  # largest rate of a torque, relative to its limit [1/s]
+    stale: float = 0.005  # largest age of usable contacts [s]
+    grace: float = 0.1  # time for which the last forces are kept without a solution [s]
+    fade: float = 0.2  # time in which they then fade [s]
 
 
 class Calibration:
-    """Torques (M, K) [N m], ascending through zero, to units (M, K): linear between points, clipped at the ends."""
+    """Table from torques (M, K) [N m], ascending through zero, to units (M, K): linear, clipped at the ends."""
 
     def __init__(self, torques, units):
         torques, units = np.array(torques, dtype=float), np.array(units, dtype=float)
@@ -59,51 +59,51 @@ class Calibration:
             raise ValueError("a calibration needs for each joint torques that ascend, and as many units")
         self.knots, self.widths, self.first = torques[:, :-1], np.diff(torques), units[:, 0]
         self.slopes = np.diff(units) / self.widths
-        self.limits = np.minimum(-torques[:, 0], torques[:, -1])  # (M,) [N m] that it reaches in both directions
+        self.limits = np.minimum(-torques[:, 0], torques[:, -1])  # (M,) reached in both directions [N m]
 
     def __call__(self, torques):
-        """Whole device units (M,) for torques (M,)."""
+        """Return device units (M,) for torques (M,), as whole numbers."""
         covered = np.clip(torques[:, None] - self.knots, 0.0, self.widths)  # of each piece
         return np.rint(self.first + (self.slopes * covered).sum(axis=1))
 
 
 class HandController:
-    """`configure` and `activate` may raise, `update` never does; it commands `torques` [N m], and `status` says why.
+    """`configure` and `activate` may raise, `update` never does; it commands `torques` [N m], explained by `status`.
 
     "holding": forces that balance the wrench; "overloaded": those that exceed the motors' limits least; "coasting": the
     last forces, as contacts are stale, numbers broken or no force balances; "released": the hand carries itself.
     """
 
     def configure(self, hand: HandDescription, settings: Settings, calibration: Calibration):
-        """Makes all that an update needs."""
+        """Make all objects of an update."""
         self.kinematics, self.settings, self.calibration = HandKinematics(hand), settings, calibration
         self.limits = np.minimum(self.kinematics.torque_limits, calibration.limits)
         turn = 2 * np.pi * np.arange(hand.finger_count) / hand.finger_count
-        ring = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])  # any N contacts: every call brings its own
+        ring = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])  # any contacts: every call passes its own
         limits = ForceLimits(jacobian=np.zeros((len(turn), 3, hand.joint_count)), torque_limit=self.limits)
         options = {"initial": "previous", "elastic": True, "max_iterations": settings.iterations}
         grasp = Grasp.from_contacts(0.03 * ring, -ring, settings.friction)
         self.optimizer = ForceOptimizer(grasp, limits=limits, **options)
-        self.size = 2 * hand.joint_count + 7 * hand.finger_count + 10  # numbers of a state
+        self.size = 2 * hand.joint_count + 7 * hand.finger_count + 10  # size of a state
         self.duration, self.late, self.over_budget = 0.0, 0, 0
         self.deactivate()
 
     def activate(self, state: HandState):
-        """Begins where the hand is; torques rise from none."""
+        """Start at the current state; torques rise from zero."""
         if not self._good(state):
             raise ValueError(f"a state of {self.size} finite numbers is needed to begin with, got {state}")
         self.state, self.age, self.home = state, state.age, state.angles.copy()
         self.positions, self.normals = state.positions.copy(), state.normals.copy()
-        self.forces = np.zeros_like(state.positions)  # (N, 3) [N] of the last solution
+        self.forces = np.zeros_like(state.positions)  # (N, 3) of the last solution [N]
         self.blind, self.late, self.over_budget, self.status = np.inf, 0, 0, "released"
         self.optimizer.forget()
 
     def deactivate(self):
-        """From now on no torque is commanded."""
+        """Command zero torque from now on."""
         self.status, self.torques = "inactive", np.zeros(len(self.limits))
 
     def update(self, state: HandState, period: float):
-        """Commands (M,) in device units. state: the newest, however old; period: [s] since the last update."""
+        """Return commands (M,) in device units. state: the newest one; period: time since the last update [s]."""
         begin = perf_counter()
         if self.status != "inactive":
             self.late += period > 1.9 / self.settings.rate
@@ -118,10 +118,10 @@ class HandController:
         return numbers.size == self.size and np.isfinite(numbers).all()
 
     def _watch(self, state, period):
-        s, good = self.settings, self._good(state)  # else the last good message counts
+        s, good = self.settings, self._good(state)  # otherwise the last good message is used
         self.state, self.age = (state, state.age) if good else (self.state, self.age + period)
         now, touching = self.state, self.state.touching[:, None]
-        np.copyto(self.positions, now.positions, where=touching)  # a finger without contact keeps its last
+        np.copyto(self.positions, now.positions, where=touching)  # a finger without contact keeps its last values
         np.copyto(self.normals, now.normals, where=touching)
         jacobian, weight = self.kinematics.statics(now.angles, self.positions, now.gravity)
         levers = jacobian.reshape(-1, len(weight))  # forces at the fingertips @ levers are joint torques
@@ -133,18 +133,18 @@ class HandController:
             self.blind, self.forces, wanted = 0.0, solution.object_force + pushes, solution.torques
             self.status = "overloaded" if solution.status is Status.LIMITS_EXCEEDED else "holding"
         else:
-            # The object was in balance a moment ago: the same forces hold it until contacts have moved or the load has
-            # changed. Later a hand that does not know what it holds must not go on to squeeze it: forces fade.
+            # The same forces hold the object until contacts have moved or the load has changed. Later the forces fade,
+            # because a hand must not squeeze an object that it no longer senses.
             self.blind += period
             share = min(max(1.0 - (self.blind - s.grace) / s.fade, 0.0), 1.0)
             wanted = carry + share * (spring + self.forces.ravel() @ levers)
             self.status = "coasting" if share > 0.0 else "released"
-        most = s.slew * min(period, 2.0 / s.rate) * self.limits  # a missed deadline does not make torques jump
+        most = s.slew * min(period, 2.0 / s.rate) * self.limits  # torques do not jump after a missed deadline
         self.torques = np.clip(np.clip(wanted, self.torques - most, self.torques + most), -self.limits, self.limits)
 
     def _solve(self, jacobian, bias):
         now = {"positions": self.positions, "normals": self.normals, "contacts": self.state.touching}
         try:
             return self.optimizer.solve(self.state.wrench, **now, jacobian=jacobian, torque_bias=bias)
-        except ValueError:  # as every error of the solver is: no force balances the wrench, or numbers make no sense
+        except ValueError:  # base of the solver's errors: no force balances the wrench, or wrong numbers
             return None

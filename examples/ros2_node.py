@@ -2,8 +2,8 @@
 The hand controller as a ROS 2 node
 ===================================
 
-A managed (lifecycle) node around ``HandController`` publishes efforts. To learn: messages, ages by time stamps, a clean
-end. ``python ros2_node.py --ros-args -p hand:=allegro -p friction:=0.6 -r joint_states:=/hand/joint_states``
+A managed (lifecycle) node around ``HandController`` publishes efforts. To learn: messages, ages from time stamps, a
+clean shutdown. ``python ros2_node.py --ros-args -p hand:=allegro -p friction:=0.6 -r joint_states:=/hand/joint_states``
 """
 
 import signal
@@ -30,7 +30,7 @@ POINT = ("x", "y", "z", "normal_x", "normal_y", "normal_z")  # float32, as in PC
 
 
 class HandNode(LifecycleNode):
-    """`configure` reads the parameters, `activate` needs a message on every topic, `deactivate` commands no torque."""
+    """`configure` reads parameters, `activate` needs a message on every topic, `deactivate` commands zero torque."""
 
     def __init__(self):
         super().__init__("hand_controller")
@@ -41,7 +41,7 @@ class HandNode(LifecycleNode):
         self.declare_parameters("", [*PARAMETERS.items()])
 
     def on_configure(self, state):
-        """Makes the controller."""
+        """Make the controller."""
         hand, gravity, *rest = (self.get_parameter(name).value for name in PARAMETERS)
         self.gravity, self.settings = np.array(gravity), Settings(*rest)
         try:
@@ -56,7 +56,7 @@ class HandNode(LifecycleNode):
         return super().on_configure(state)
 
     def on_activate(self, state):
-        """Starts the loop where the hand is."""
+        """Start the loop at the current state of the hand."""
         self.last = self.get_clock().now()
         try:
             self.reading = self.read()
@@ -68,7 +68,7 @@ class HandNode(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state):
-        """Stops the loop; the last command is no torque."""
+        """Stop the loop with a last command of zero torque."""
         if self.timer is not None:
             self.destroy_timer(self.timer)
             self.timer = None
@@ -79,7 +79,7 @@ class HandNode(LifecycleNode):
     on_shutdown = on_deactivate  # from every state
 
     def tick(self):
-        """One update of the controller; while messages do not fit, the last state grows old."""
+        """Update the controller; while messages do not fit, the age of the last state grows."""
         before, status, self.last = self.last, self.controller.status, self.get_clock().now()
         period = (self.last - before).nanoseconds * 1e-9
         try:
@@ -93,12 +93,12 @@ class HandNode(LifecycleNode):
         self.publish()
 
     def publish(self):
-        """Efforts, with the time stamp of the contacts that they answer."""
+        """Publish efforts with the time stamp of their contacts."""
         header, efforts = self.newest["contacts"].header, self.controller.torques.tolist()
         self.publisher.publish(JointState(header=header, name=self.hand.joint_names, effort=efforts))
 
     def read(self):
-        """The newest messages as a state, or ValueError. Its age is by the older stamp; one of the future is as bad."""
+        """Return the newest messages as a state, or raise ValueError; its age is that of the older stamp."""
         if missing := [topic for topic, message in self.newest.items() if message is None]:
             raise ValueError(f"nothing came yet on {', '.join(missing)}")
         joints, contacts, wrench = self.newest.values()
@@ -112,7 +112,7 @@ class HandNode(LifecycleNode):
 
 
 def read_points(cloud, count):
-    """Which fingertips touch (count,), where (count, 3) [m], and unit normals; NaN stands for one without contact."""
+    """Return touching fingertips (count,), points (count, 3) [m] and unit normals; NaN means no contact."""
     places = {field.name: field.offset for field in cloud.fields if field.datatype == PointField.FLOAT32}
     offsets, number = pick(POINT, places, "float32 fields of contacts"), ">f4" if cloud.is_bigendian else "<f4"
     layout = np.dtype({"names": POINT, "formats": [number] * 6, "offsets": offsets, "itemsize": cloud.point_step})
@@ -125,15 +125,15 @@ def read_points(cloud, count):
 
 
 def pick(names, known, what):
-    """The values of these names."""
+    """Return the values of these names."""
     if missing := [name for name in names if name not in known]:
         raise ValueError(f"{what} lack {', '.join(missing)}")
     return [known[name] for name in names]
 
 
 def main():
-    """Spins until ctrl-C or SIGTERM; an active controller then commands no torque before it ends."""
-    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)  # its own would end the connection first
+    """Spin until ctrl-C or SIGTERM; an active controller then commands zero torque before the end."""
+    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)  # rclpy's would close the connection first
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())

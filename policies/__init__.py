@@ -1,4 +1,4 @@
-"""Learned initial forces, controllers and agents, and the optimum as a layer of torch. torch is imported only where it is needed."""
+"""Learned initial forces, controllers and agents, and the optimum as a torch layer. torch is imported only where it is needed."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from policies.layer import GraspForceLayer, GraspForces, grasp_force
 
 _LATER = {
-    "TrainedAgent": "policies.agent",  # asks the environment what it shows, which needs the extra "sim"
+    "TrainedAgent": "policies.agent",  # reads the layout of observations, which needs the extra "sim"
     "GraspForceLayer": "policies.layer",
     "GraspForces": "policies.layer",
     "grasp_force": "policies.layer",
 }
-"""What is imported when it is asked for, since it needs an extra."""
+"""Names that are imported on first use, because they need an extra."""
 
 
 def __getattr__(name: str) -> Any:

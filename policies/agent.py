@@ -1,4 +1,4 @@
-"""`TrainedAgent`: a saved reinforcement-learning agent as a `Policy`. Its networks are small: numpy runs them, no torch."""
+"""`TrainedAgent`: a saved reinforcement-learning agent as a `Policy`. numpy runs its small networks, without torch."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ NAMES = {
     "ppo": ("mlp_extractor.policy_net", "action_net", np.tanh),
     "sac": ("actor.latent_pi", "actor.mu", lambda x: np.maximum(x, 0.0)),
 }
-"""Of stable-baselines3's policies, by algorithm: hidden layers, last layer, activation."""
+"""Hidden layers, last layer and activation of stable-baselines3's policies, by algorithm."""
 
 
 class TrainedAgent:
-    """What `grasp rl` trained: predict(observation as the environment gives it) -> (action, state).
+    """An agent trained by `grasp rl`: predict(observation of the environment) -> (action, state).
 
-    Observations are normalised with the means and variances that were running in training, which lie in the same folder. It needs the
-    extra "sim", neither torch nor stable-baselines3, whose `evaluate_policy` takes it as a model.
+    Observations are normalised with the running means and variances of training, saved in the same folder. It requires the
+    extra "sim", but neither torch nor stable-baselines3, whose `evaluate_policy` accepts it as a model.
 
     Attributes:
-        meta: of its checkpoint: algorithm, action mode, steps, seed, versions, and `env_settings`, the `config` of its environment.
+        meta: algorithm, action mode, steps, seed, versions, and `env_settings`, the `config` of its environment.
 
     Args:
-        meta: what the checkpoint says of itself.
-        weights: of the policy, by stable-baselines3's names.
+        meta: description of the checkpoint.
+        weights: arrays of the policy, by stable-baselines3's names.
         normaliser: "mean", "var" (observation,), "epsilon", "clip".
-        seed: of the samples that are not deterministic.
+        seed: seed of random actions.
 
     Example:
         >>> import tempfile
@@ -88,10 +88,10 @@ class TrainedAgent:
 
     @classmethod
     def load(cls, folder: str | Path, seed: int = 0) -> TrainedAgent:
-        """The newest checkpoint of a seed's folder of `grasp rl`, or the checkpoint itself.
+        """Load the newest checkpoint of a seed's folder of `grasp rl`, or a checkpoint folder.
 
         Raises:
-            ModelFileError: missing, truncated, changed, or of another schema, environment or observation.
+            ModelFileError: files are missing, truncated, changed, or for another schema, environment or observation.
         """
         folder = find_checkpoint(folder)
         meta = read_meta(folder)
@@ -106,22 +106,16 @@ class TrainedAgent:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:
-        """The action(s) in [-1, 1] for one observation (size,) or several (n, size), and `state`.
+        """Return the action(s) in [-1, 1] for one observation (size,) or several (n, size), and `state`.
 
         Args:
-            observation: as the environment gives it.
-            state: given back as it is: agents have no memory.
-            episode_start: not looked at.
-            deterministic: the mean; False: a draw, as in training.
-
-        Args:
-            observation: as the environment gives it.
-            state: given back: an agent remembers nothing.
-            episode_start: not asked for.
-            deterministic: the mean action; else a sample, as in training.
+            observation: observation of the environment.
+            state: returned unchanged, because an agent has no memory.
+            episode_start: ignored.
+            deterministic: True for the mean action, False for a random one, as in training.
 
         Raises:
-            InvalidInputError: an observation of another size.
+            InvalidInputError: the observation has another size.
         """
         seen = as_array(observation, None, "observation")
         if seen.shape[-1:] != self._mean.shape or seen.ndim not in (1, 2):

@@ -1,4 +1,4 @@
-"""Folders of a reinforcement-learning agent: safetensors, npz and JSON, each with its hash. Nothing is pickled or unpickled."""
+"""Files of a reinforcement-learning agent: safetensors, npz and JSON, each with its hash. Nothing is pickled or unpickled."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ ENV_ID = "FourFingerGrasp-v0"
 META = "agent.json"
 STEM = "step-"
 ACTIONS = ("initial_force", "contact_force")
-"""Action modes that agents are trained for."""
+"""Action modes of agents."""
 LARGEST_HAND = 1000
-"""Fingers and joints of a hand are below it."""
+"""Upper bound of the numbers of fingers and of joints."""
 _AGAIN = "copy the whole folder again, or train anew with `grasp rl`"
 
 
@@ -36,17 +36,17 @@ def write_checkpoint(
     tensors: dict[str, dict[str, np.ndarray]],
     arrays: dict[str, dict[str, np.ndarray]],
 ) -> Path:
-    """Writes `<parent>/step-<steps>` whole: a hidden folder first, renamed when complete; then drops the older ones.
+    """Write `<parent>/step-<steps>` atomically, by renaming a hidden folder; then remove the older checkpoints.
 
     Args:
         parent: folder of the checkpoints.
-        steps: environment steps so far; names the folder.
-        meta: what the numbers mean, JSON-able.
-        tensors: by file stem, written as `<stem>.safetensors`.
-        arrays: by file stem, written as `<stem>.npz`.
+        steps: environment steps so far, part of the folder's name.
+        meta: description of the agent, JSON-serialisable.
+        tensors: arrays by file stem, written as `<stem>.safetensors`.
+        arrays: arrays by file stem, written as `<stem>.npz`.
 
     Raises:
-        ModelFileError: the disk is full or the folder cannot be written; the older checkpoints are still there.
+        ModelFileError: the disk is full or the folder cannot be written; the older checkpoints are kept.
     """
     folder = parent / f"{STEM}{steps:09d}"
     hidden = parent / f".{folder.name}.{os.getpid()}.tmp"
@@ -62,7 +62,7 @@ def write_checkpoint(
         body = {"schema": SCHEMA, "env_id": ENV_ID, **meta, "steps": steps, "files": hashes}
         text = json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False)
         (hidden / META).write_text(text + "\n", encoding="utf-8")
-        if folder.exists():  # the same steps once more: the files may differ, the newer ones stay
+        if folder.exists():  # the same steps again: the newer files are kept
             os.replace(folder, hidden.with_suffix(".old"))
         os.replace(hidden, folder)
     except OSError as error:
@@ -80,21 +80,21 @@ def write_checkpoint(
 
 
 def checkpoints(parent: Path) -> list[Path]:
-    """The whole checkpoints of a folder, oldest first."""
+    """Return the complete checkpoints of a folder, oldest first."""
     try:
         return sorted(path for path in parent.glob(f"{STEM}*") if os.path.isfile(path / META))
-    except OSError:  # a name too long, a folder that is closed
+    except OSError:  # the name is too long, or the folder is not readable
         return []
 
 
 def find_checkpoint(folder: str | Path) -> Path:
-    """The newest checkpoint of a seed's folder, or the folder itself where it is one.
+    """Return the newest checkpoint of a seed's folder, or the folder itself if it is a checkpoint.
 
     Raises:
-        ModelFileError: there is none.
+        ModelFileError: the folder holds no checkpoint.
     """
     folder = as_path(folder, ModelFileError, "an agent's folder")
-    if os.path.isfile(folder / META):  # which never raises, as names too long or closed folders make a Path do
+    if os.path.isfile(folder / META):  # unlike Path.is_file it never raises for long names or unreadable folders
         return folder
     for parent in (folder / "checkpoints", folder):
         if found := checkpoints(parent):
@@ -105,10 +105,10 @@ def find_checkpoint(folder: str | Path) -> Path:
 
 
 def read_meta(folder: Path) -> dict[str, Any]:
-    """What a checkpoint says of itself, checked.
+    """Read and check the description of a checkpoint.
 
     Raises:
-        ModelFileError: missing, not JSON, of another schema, environment or observation, or changed.
+        ModelFileError: the file is missing, not JSON, changed, or for another schema, environment or observation.
     """
     file = folder / META
     meta = parsed(file, json.loads, ModelFileError, f"agent {file}", "JSON", f": {_AGAIN}")
@@ -141,7 +141,7 @@ def read_meta(folder: Path) -> dict[str, Any]:
 
 
 def read_tensors(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.ndarray]:
-    """The tensors of `<stem>.safetensors`; raises `ModelFileError` where its hash is another."""
+    """Read `<stem>.safetensors`; raise `ModelFileError` if its hash differs."""
     try:
         return load(_checked(folder, meta, f"{stem}.safetensors"))
     except SafetensorError as error:
@@ -149,12 +149,12 @@ def read_tensors(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.
 
 
 def read_arrays(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.ndarray]:
-    """The arrays of `<stem>.npz`, no objects; raises `ModelFileError` where its hash is another."""
+    """Read `<stem>.npz` without objects; raise `ModelFileError` if its hash differs."""
     try:
         return unpacked(_checked(folder, meta, f"{stem}.npz"))
     except ModelFileError:
         raise
-    except Exception as error:  # zipfile, zlib and numpy each have their own
+    except Exception as error:  # zipfile, zlib and numpy raise different errors
         raise ModelFileError(f"agent file {folder / stem}.npz is malformed ({error}): {_AGAIN}") from None
 
 

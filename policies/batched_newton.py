@@ -1,11 +1,13 @@
-"""The optimum of Phi for many grasps at once, and its gradient, written in torch: any device, float64.
+"""The optimum of Phi for a batch of grasps, and its gradient, in torch: any device, float64.
 
-`GraspForceLayer` uses it for tensors that are not on the CPU, where the compiled core serves. Both solve the same problem: minimize
+`GraspForceLayer` uses it for tensors that are not on the CPU; on the CPU it uses the compiled core. Both solve the same problem: minimise
 
     E(z) = sum_i [3 omega u + lambda (1/u + 2u / (u^2 - o^2 - t^2))] + sum_soft lambda (1/(u - v) + 1/(u + v)) + sum_rows weight / slack
 
 under balance, in cone coordinates z = (u, o, t, v) = scale * (force along normal, o, t; torsion). The limits are rows a . z <= bound of
-length one. Wrenches are taken about the contacts' centre, in units of the contacts' spread, so that their components are of one size.
+length one. Wrenches are taken about the contacts' centre, in units of the contacts' spread, so that their components have similar sizes.
+
+The file is long because problem, Newton's method, starts and the adjoint share one formulation of the barrier.
 """
 
 from __future__ import annotations
@@ -22,21 +24,21 @@ with need("layer"):
     from torch import Tensor
 
 OPTIMAL, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED, RANK_LOST, UNDECIDED = range(8)
-"""`grasp::Code`."""
+"""Values of `grasp::Code`."""
 BALANCED, EXCEEDING, UNBALANCED, NOTHING = range(4)
-"""Which problem an element's state solves: the problem itself; limits may be exceeded; balance may be missed besides; none."""
+"""Problem that the state of an element solves: the original; with elastic limits; with elastic limits and balance; none."""
 EDGE = 0.1
 """Slack, in units of sqrt(lambda / omega), below which the elastic problems extend a limit's barrier quadratically."""
 SOFTNESS = 1e-2
-"""[N^2] per unit of Phi: where balance may be missed, it costs |G f + w|^2 / (2 SOFTNESS)."""
+"""Softness of elastic balance [N^2] per unit of Phi: a residual costs |G f + w|^2 / (2 SOFTNESS)."""
 
-_FIRST_EDGE, _LAST_EDGE = 8.0, 1e-6  # where a limit is still exceeded at the last one, no force keeps it
+_FIRST_EDGE, _LAST_EDGE = 8.0, 1e-6  # a limit that is exceeded at the last edge cannot be satisfied
 _SOFTNESSES = (1e-3, 1e-6, 1e-9, 1e-12)  # the optimum of a small one is one step from a balanced force, if there is one
 _SETTLED, _LOWER = 0.03, 0.25  # squared decrement, part of Phi, at which edge and softness are lowered; their factor
-_REACH = 0.95  # part of the way to the boundary that a step goes at most
+_REACH = 0.95  # largest part of the way to the boundary that a step goes
 _HALVINGS = 60
 _POLISH_STEPS = 2  # whole steps after convergence; each squares the error
-_RANK = 1e-8  # least ratio of singular values of G that counts as rank 6
+_RANK = 1e-8  # smallest ratio of singular values of G that counts as rank 6
 
 
 class Inputs(NamedTuple):
@@ -68,7 +70,7 @@ class Inputs(NamedTuple):
     barrier_weight: Tensor
 
     def map(self, change: Callable[[Tensor], Tensor]) -> Inputs:
-        """`change` of each tensor that is given."""
+        """Apply `change` to each given tensor."""
         return Inputs(*(None if a is None else change(a) for a in self))  # type: ignore[arg-type]
 
 
@@ -76,7 +78,7 @@ class Solved(NamedTuple):
     """Optima of B problems.
 
     Attributes:
-        state: (B, 4N + 7) z (N, 4), multipliers of balance in the unit frame, which problem was solved; for `gradients`.
+        state: (B, 4N + 7) z (N, 4), multipliers of balance in the unit frame, problem that was solved; for `gradients`.
         force: (B, N, 3) in the caller's frame [N].
         torsion: (B, N) [N m].
         multipliers: (B, 6) nu of balance: grad Phi = G^T nu.
@@ -102,17 +104,17 @@ def _unit(a: Tensor) -> Tensor:
 
 
 def _pick(where: Tensor, a: Tensor, b: Tensor | float) -> Tensor:
-    """`a` for the elements (B,) where it holds, else `b`."""
+    """Return `a` for the elements (B,) where the condition holds, else `b`."""
     return torch.where(where.view(-1, *(1,) * (a.ndim - 1)), a, b)
 
 
 def _finite(*tensors: Tensor) -> Tensor:
-    """(B,) whether all numbers of an element are finite."""
+    """Return (B,) True if all numbers of an element are finite."""
     return torch.stack([a.flatten(1).isfinite().all(1) for a in tensors]).all(0)
 
 
 class _Problem(NamedTuple):
-    """Placed contacts and limits, and how far limits and balance are softened at present.
+    """Contacts and limits in cone coordinates, and the current softness of limits and balance.
 
     A limit is a pair of rows a . z <= bounds[0], -a . z <= bounds[1]. Below the edge, its barrier is extended quadratically.
     """
@@ -134,11 +136,11 @@ class _Problem(NamedTuple):
     softness: Tensor  # (B,) missing balance costs |G f + w|^2 / (2 softness); 0: balance is exact
 
     def take(self, where: Tensor) -> _Problem:
-        """The problems at these places."""
+        """Return the problems at these indices."""
         return _Problem(*(part[where] for part in self))
 
     def without_limits(self) -> _Problem:
-        """The same problems, of cones and balance only."""
+        """Return the same problems without limits."""
         parts = {name: getattr(self, name)[:, :0] for name in ("rows", "bounds", "weights", "scales")}
         return self._replace(**parts)
 
@@ -170,7 +172,7 @@ class _Problem(NamedTuple):
         return torch.where(exact, 0.0, _dot(missed, missed) / (2.0 * torch.where(exact, 1.0, self.softness)))
 
     def softened(self, z: Tensor, edge: float, softness: float) -> Tensor:
-        """(B,) whether a limit at z or balance is still softer than with these."""
+        """Return (B,) True if a limit at z, or balance, is softer than at the given edge and softness."""
         limits = (self.slack(z) < self.floor).flatten(1).any(1) & (self.edge > edge)
         return limits | (self.softness > softness)
 
@@ -194,14 +196,14 @@ class _Problem(NamedTuple):
         return torch.stack([u, *(torch.zeros_like(u),) * 3], -1)
 
     def answers(self, z: Tensor, nu: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Force, torsion and multipliers as the caller sees them."""
+        """Return force, torsion and multipliers in the caller's frame and units."""
         made, moment = self.per * z, self.shrink.unsqueeze(-1) * nu[:, 3:]
         multipliers = torch.cat([nu[:, :3] - torch.linalg.cross(moment, self.centre), moment], -1)
         return torch.einsum("bna,bnax->bnx", made[..., :3], self.frames), made[..., 3], multipliers
 
 
 def _sane(given: Inputs) -> Tensor:
-    """(B,) whether the numbers make a problem: finite, within range, directions that are some."""
+    """Return (B,) True if the numbers are valid: finite, within range, directions not zero."""
     good = []
     for name, a in given._asdict().items():
         if a is None:
@@ -230,13 +232,13 @@ def _frames(given: Inputs) -> Tensor:
         along = torch.where(n[..., :1].abs() > TANGENT_SWITCH, axes[1], axes[0])
     else:
         along = _unit(given.tangents)
-    for _ in range(2):  # the second pass takes what rounding left for a tangent close to n
+    for _ in range(2):  # the second pass removes rounding for a tangent close to n
         along = _unit(along - _dot(along, n).unsqueeze(-1) * n)
     return torch.stack([n, along, torch.linalg.cross(n, along)], -2)
 
 
 def _place(given: Inputs) -> _Problem:
-    """Contacts, wrench and limits in cone coordinates and in the unit frame."""
+    """Return contacts, wrench and limits in cone coordinates and in the unit frame."""
     frames = _frames(given)
     rough = (given.friction > 0.0).all(-1, keepdim=True)
     mu = torch.where(rough, given.friction, 1.0)
@@ -262,7 +264,7 @@ def _place(given: Inputs) -> _Problem:
 
 
 def _limits(given: Inputs, frames: Tensor, per: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Rows of length one, bounds, weights and scales of the limits of joints and normal forces; see `_Problem`."""
+    """Return unit rows, bounds, weights and scales of the limits of joints and normal forces; see `_Problem`."""
     rows, no_bounds = [per.new_zeros(len(per), 0, *per.shape[1:])], per.new_zeros(len(per), 0)
     high, low = [no_bounds], [no_bounds]
     if given.jacobian is not None and given.torque_limit is not None:
@@ -282,7 +284,7 @@ def _limits(given: Inputs, frames: Tensor, per: Tensor) -> tuple[Tensor, Tensor,
         low.append(none if least is None else torch.where(least > 0.0, -least, math.inf))
     row, bound = torch.cat(rows, 1), torch.stack([torch.cat(high, 1), torch.cat(low, 1)], -1)
     there = bound < math.inf
-    # the length is that in (u, o, t, u - v), where opposite sides of a soft contact's cone are alike
+    # the norm is taken in (u, o, t, u - v), in which opposite sides of a soft contact's cone are symmetric
     skewed = torch.stack([row[..., 0] + row[..., 3], *row[..., 1:].unbind(-1)], -1)
     parts = _dot(skewed, skewed)
     square = parts.sum(-1, keepdim=True)
@@ -299,7 +301,7 @@ def _limits(given: Inputs, frames: Tensor, per: Tensor) -> tuple[Tensor, Tensor,
 
 
 class _NewtonSystem:
-    """The Newton system at z, factored.
+    """Factored Newton system at z.
 
     With H^-1 = L L^T contact by contact, and the rows of balance and of limits M = [A; sqrt(bend) R] L, the step L s solves
     s + M^T mu = -L^T gradient, M s - D mu = -(missed, 0), where D is the softness for balance and 1 for limits: one system
@@ -326,7 +328,7 @@ class _NewtonSystem:
         gradient = [3.0 * problem.omega - squeeze, across * o, across * t, lam_v * (m**-2 - n**-2)]
         self.gradient = torch.stack(gradient, -1) + problem.pulled(self.price)
 
-        # torsion v = lever * u + rest: the rest is an axis of its own, and u gains curvature
+        # torsion v = lever * u + rest: the rest is a separate axis, and u gains curvature
         cubes = m**3 + n**3
         lever = torch.where(soft, (n**3 - m**3) / cubes, 0.0)
         rest = torch.where(soft, ((m * n) ** 3 / (2.0 * lam * cubes)).sqrt(), 0.0)
@@ -353,7 +355,7 @@ class _NewtonSystem:
         self.lower = _pick(self.sound, lower, torch.eye(system.shape[-1], dtype=z.dtype, device=z.device))
 
     def solve(self, pull: Tensor, push: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """(x, nu) of [H -A^T; A softness] (x; nu) = (pull (B, N, 4); push (B, 6)), and whether they are numbers (B,)."""
+        """Solve [H -A^T; A softness] (x; nu) = (pull (B, N, 4); push (B, 6)) for (x, nu), and return (B,) True if they are finite."""
         right = torch.cat([push, torch.zeros_like(self.diagonal[:, 6:])], -1)
         s = torch.einsum("bnak,bna->bnk", self.axes, pull).flatten(1)
         mu = torch.zeros_like(self.diagonal)
@@ -416,7 +418,7 @@ def _lower_bound(problem: _Problem, at: _NewtonSystem, z: Tensor, step: Tensor, 
 
 
 class _Descent(NamedTuple):
-    """How a descent ended, each (B, ...): `status` as `Solved` has it."""
+    """Result of a descent, each (B, ...); `status` as in `Solved`."""
 
     z: Tensor
     nu: Tensor
@@ -427,10 +429,10 @@ class _Descent(NamedTuple):
 
 
 def _descend(problem: _Problem, z: Tensor, edge: float, softness: float, tolerance: float, limit: int) -> _Descent:
-    """Damped Newton from z strictly inside the cones and, where `softness` is 0, balanced; elements that end leave the batch.
+    """Minimise by damped Newton steps from z, strictly inside the cones and balanced if `softness` is 0; finished elements leave the batch.
 
-    The problem's edge is lowered to the one given, or until every slack is above it. If `edge` is 0 and no force keeps the limits, the
-    element ends with LIMITS_EXCEEDED. The softness begins where missing balance costs no more than all else, and is lowered, too.
+    The problem's edge is lowered to the given one, or until every slack is above it. If `edge` is 0 and no force is within the limits, the
+    element ends with LIMITS_EXCEEDED. The softness starts where the residual of balance costs no more than Phi, and is lowered, too.
     """
     none = torch.zeros_like(z[:, 0, 0])
     if softness > 0.0:
@@ -461,7 +463,7 @@ def _descend(problem: _Problem, z: Tensor, edge: float, softness: float, toleran
                 break
             alpha = torch.where(held, 0.5 * alpha, alpha)
         moved = going & ~held
-        harder = settled | (held & softened)  # or where only rounding is left
+        harder = settled | (held & softened)  # or only rounding is left
         lost = softened & (~good | (harder & (now.edge < _LAST_EDGE))) & (edge + softness == 0.0)
         steps = steps + moved
         bound = torch.where(good, torch.maximum(bound, _lower_bound(now, at, z, step, nu)), bound)
@@ -502,7 +504,7 @@ def _descend(problem: _Problem, z: Tensor, edge: float, softness: float, toleran
 
 
 def _internal(problem: _Problem) -> tuple[Tensor, Tensor]:
-    """An internal force strictly inside the cones, by infeasible-start Newton from their axes, and whether there is one."""
+    """Return an internal force strictly inside the cones, by infeasible-start Newton from their axes, and True where it exists."""
     free = problem.without_limits()._replace(load=torch.zeros_like(problem.load))
     z = free.axes()
     found = torch.zeros_like(z[:, 0, 0], dtype=torch.bool)
@@ -521,7 +523,7 @@ def _internal(problem: _Problem) -> tuple[Tensor, Tensor]:
 
 
 def _from_internal(problem: _Problem) -> tuple[Tensor, Tensor]:
-    """The least force that balances the wrench, and as much of an internal force as takes it inside the cones; whether it is there."""
+    """Return the least-norm balancing force plus enough of an internal force to be inside the cones, and True where it exists."""
     internal, found = _internal(problem)
     rows = problem.balance.flatten(2)
     lower, _ = torch.linalg.cholesky_ex(rows @ rows.mT)
@@ -532,9 +534,9 @@ def _from_internal(problem: _Problem) -> tuple[Tensor, Tensor]:
 
 
 def _from_penalty(problem: _Problem) -> tuple[Tensor, Tensor, Tensor]:
-    """A balanced force inside the cones where there is no internal one; whether it was found, or a bound shows that there is none."""
+    """Return a balanced force inside the cones without force closure, (B,) True if found, (B,) True if a bound excludes it."""
     free = problem.without_limits()
-    # a thousand times the objective that load and barriers explain
+    # a thousand times the objective expected from load and barriers
     impossible = 3e3 * (free.omega.amax(1) * free.load.abs().amax(1) + (free.omega * free.lam).sqrt().sum(1))
     z = best = free.axes()
     found = hopeless = impossible < 0.0
@@ -549,7 +551,7 @@ def _from_penalty(problem: _Problem) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _from_force(problem: _Problem, start: Tensor) -> tuple[Tensor, Tensor]:
-    """The balanced force nearest to an earlier one (B, N, 3) of the caller's frame, and whether both are inside the cones."""
+    """Return the balanced force nearest to an earlier force (B, N, 3) in the caller's frame, and True if both are inside the cones."""
     free, per = problem.without_limits(), problem.per[..., :3]
     z = torch.einsum("bnx,bnax->bna", start.nan_to_num(), problem.frames) / torch.where(per > 0.0, per, math.inf)
     z = torch.cat([z, torch.zeros_like(z[..., :1])], -1)
@@ -559,9 +561,9 @@ def _from_force(problem: _Problem, start: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _balanced(free: _Problem, z: Tensor) -> tuple[Tensor, Tensor]:
-    """The force with balance restored by the change that is least in the Hessian, and whether that is strictly inside the cones."""
+    """Return the force after the smallest change in the Hessian that restores balance, and True if it is strictly inside the cones."""
     good = torch.ones_like(z[:, 0, 0], dtype=torch.bool)
-    for _ in range(2):  # the second takes off rounding
+    for _ in range(2):  # the second removes rounding
         step, _, sound = _NewtonSystem(free, z).solve(torch.zeros_like(z), -free.missed(z))
         good = good & sound & (free.value(z + step) < math.inf)
         z = _pick(good, z + step, z)
@@ -570,7 +572,7 @@ def _balanced(free: _Problem, z: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _full_rank(problem: _Problem) -> Tensor:
-    """(B,) whether the contacts make wrenches of every direction."""
+    """Return (B,) True if the contacts span all wrenches."""
     columns = problem.balance / torch.where(problem.per > 0.0, problem.per, 1.0).unsqueeze(1)
     sizes = torch.linalg.svdvals(columns.flatten(2))
     return (sizes[:, -1] > 0.0) & (sizes[:, -1] >= _RANK * sizes[:, 0]) & (sizes.shape[1] == 6)
@@ -581,16 +583,16 @@ def _full_rank(problem: _Problem) -> Tensor:
 
 @torch.no_grad()
 def solve(given: Inputs, tolerance: float = 1e-10, max_iterations: int = 200, start: Tensor | None = None) -> Solved:
-    """Optimal forces of all problems.
+    """Return the optimal forces of all problems.
 
-    An element whose numbers are not finite or not possible never disturbs its neighbours: its answers are zeros. Elements without a
-    force inside the cones and limits have the elastic answer, see `GraspForces`.
+    An element with invalid numbers never affects others: its results are zeros. Elements without a
+    force inside the cones and limits have the elastic force, see `GraspForces`.
 
     Args:
         given: the problems.
         tolerance: relative certified gap.
-        max_iterations: most accepted steps.
-        start: (B, N, 3) earlier forces in the caller's frame [N]: used where a balanced force inside the cones is near.
+        max_iterations: largest number of accepted steps.
+        start: (B, N, 3) earlier forces in the caller's frame [N], used if a balanced force inside the cones is near.
     """
     batch, count = given.positions.shape[:2]
     tails = (4 * count + 7,), (count, 3), (count,), (6,), (4,)
@@ -601,7 +603,7 @@ def solve(given: Inputs, tolerance: float = 1e-10, max_iterations: int = 200, st
         part = _solve_sane(
             given.map(lambda a: a[sane]), tolerance, max_iterations, None if start is None else start[sane]
         )
-        # numbers so far apart that the answer overflows are refused, too
+        # numbers so far apart that the result overflows are refused, too
         finite = _finite(*part[:4], part.facts[:, 2:])
         for to, a in zip(whole, part, strict=True):
             to[sane[finite]] = a[finite]
@@ -653,15 +655,15 @@ def _solve_sane(given: Inputs, tolerance: float, max_iterations: int, start: Ten
 def gradients(
     given: Inputs, state: Tensor, d_force: Tensor, d_torsion: Tensor, d_multipliers: Tensor, elastic: bool = False
 ) -> Inputs:
-    """Gradients of a loss with respect to all inputs, from those with respect to the answers, by one adjoint solve.
+    """Return gradients of a loss with respect to all inputs, from those with respect to the results, by one adjoint solve.
 
     At the optimum R(x, nu; inputs) = (grad E - A^T nu, A x + w + softness nu) = 0. With the adjoint (p, q) of its Jacobian,
     [H -A^T; A softness] (p; q) = (dL/dx; -dL/dnu), the gradient is dL/dinputs = direct part - d ((p, -q) . R) / d inputs.
 
     Args:
-        given, state: of `solve`.
-        d_force, d_torsion, d_multipliers: the loss's gradients, (B, N, 3), (B, N), (B, 6).
-        elastic: whether elements without an optimum have the gradient of their elastic answer; else zero.
+        given, state: inputs and state of `solve`.
+        d_force, d_torsion, d_multipliers: gradients of the loss, (B, N, 3), (B, N), (B, 6).
+        elastic: True if elements without an optimum have the gradient of their elastic force, else zero.
     """
     made, mode = given.map(torch.zeros_like), state[:, -1]
     where = ((mode == BALANCED) | ((mode != NOTHING) & elastic)).nonzero().flatten()

@@ -1,6 +1,6 @@
-"""Saved models: `<name>.safetensors` (weights) beside `<name>.json` (what they mean). Nothing is unpickled.
+"""Saved models: `<name>.safetensors` (weights) and `<name>.json` (description). Nothing is unpickled.
 
-A file may come from anywhere: what is read, and what its numbers ask for, is bounded before anything is made of it.
+A file may come from an untrusted source: sizes and numbers are checked before anything is allocated.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from grasp_env.errors import ModelFileError, shown
 
 SCHEMA = "grasp-force/initial-force/5"
 MOST_TEXT, MOST_WEIGHTS = 1 << 20, 1 << 26
-"""Largest of either file, in bytes: the shipped ones have 6 and 63 thousand."""
+"""Largest sizes of the two files [bytes]; the shipped ones have 6,000 and 63,000."""
 MOST_CONTACTS = 64
-"""Of a model of one grasp."""
+"""Largest number of contacts of a model."""
 FAULTS = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
-"""What a description that lacks something, or holds something else, runs into."""
+"""Errors that an incomplete or malformed description causes."""
 _AGAIN = "copy both files again or train anew with `grasp fit`"
 
 
@@ -35,9 +35,9 @@ class Checkpoint:
 
     Attributes:
         tensors: arrays by name, float32 or float64.
-        numbers: shape and normalisation, as JSON has them.
-        ranges: (least, most) of what was seen in training, by name.
-        card: data, seed, command, time, scores, versions: for people.
+        numbers: shape and normalisation, as in the JSON file.
+        ranges: (least, largest) values of training, by name.
+        card: model card with data, seed, command, time, scores, versions.
     """
 
     tensors: dict[str, np.ndarray]
@@ -46,7 +46,7 @@ class Checkpoint:
     card: dict[str, Any] = field(default_factory=dict)
 
     def save(self, path: str | Path) -> Path:
-        """Writes `<path>.safetensors` and `<path>.json`, each under a temporary name first."""
+        """Write `<path>.safetensors` and `<path>.json`, each under a temporary name first."""
         stem = _stem(path)
         stem.parent.mkdir(parents=True, exist_ok=True)
         blob = save({name: np.ascontiguousarray(value) for name, value in self.tensors.items()})
@@ -64,7 +64,7 @@ class Checkpoint:
 
     @classmethod
     def load(cls, path: str | Path) -> Checkpoint:
-        """Reads and checks a saved model.
+        """Read and check a saved model.
 
         Args:
             path: either of the two files, or their common stem.
@@ -98,7 +98,7 @@ class Checkpoint:
         return checkpoint
 
     def expect(self, shapes: dict[str, tuple[int, ...]]) -> None:
-        """Raises `ModelFileError` unless the tensors are exactly these."""
+        """Raise `ModelFileError` unless the tensors have exactly these names and shapes."""
         got = {name: value.shape for name, value in self.tensors.items()}
         if got != shapes:
             wrong = sorted(name for name in {*got, *shapes} if got.get(name) != shapes.get(name))
@@ -108,21 +108,21 @@ class Checkpoint:
 
 
 def malformed(name: object, error: Exception) -> ModelFileError:
-    """The error for a file that lacks what it should hold."""
+    """Return the error for an incomplete file."""
     said = f"{type(error).__name__}: {error}"[:200]
     return ModelFileError(f"model {name}: incomplete or malformed ({said}); train anew with `grasp fit`")
 
 
 def whole(value: Any, name: str, least: int, most: int) -> int:
-    """An integer of a description within its bounds, or `ValueError`; 2.0 is none."""
+    """Return an integer of a description within its bounds, or raise `ValueError`; 2.0 is not an integer."""
     if type(value) is not int or not least <= value <= most:
         raise ValueError(f"{name} must be an integer from {least} to {most}, got {shown(value)}")
     return value
 
 
 def number(value: Any, name: str, least: float = -math.inf) -> float:
-    """A finite number of a description above `least`, or `ValueError`."""
-    # integers of any size are compared as they are, without a float
+    """Return a finite number of a description above `least`, or raise `ValueError`."""
+    # compared without conversion, because integers may exceed floats
     if type(value) not in (int, float) or not (-MOST_NUMBER <= value <= MOST_NUMBER and value > least):
         raise ValueError(
             f"{name} must be a finite number{f' > {least:g}' if least > -math.inf else ''}, got {shown(value)}"
@@ -131,7 +131,7 @@ def number(value: Any, name: str, least: float = -math.inf) -> float:
 
 
 MOST_NUMBER = 1e15
-"""Size of any number of a description; more is a mistake."""
+"""Largest magnitude of a number of a description."""
 
 
 def _pair(value: Any) -> tuple[float, float]:
@@ -142,7 +142,7 @@ def _pair(value: Any) -> tuple[float, float]:
 
 
 def signature(body: dict[str, Any]) -> str:
-    """Of all that a description says."""
+    """Return the hash of a description."""
     return digest(json.dumps(body, sort_keys=True, allow_nan=False).encode())
 
 
@@ -158,7 +158,7 @@ def _file(stem: Path, suffix: str) -> Path:
 
 
 def _read(file: Path, most: int) -> bytes:
-    """A regular file's bytes, no more than `most`."""
+    """Read a regular file of at most `most` bytes."""
     try:
         about = file.stat()
         if not stat.S_ISREG(about.st_mode):
@@ -167,14 +167,14 @@ def _read(file: Path, most: int) -> bytes:
             raise OSError(0, f"it is larger than {most >> 20} MiB")
         with file.open("rb") as opened:
             blob = opened.read(about.st_size)
-    except (OSError, ValueError) as error:  # ValueError: no path, a zero in it
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
         said = getattr(error, "strerror", None) or error
         raise ModelFileError(f"model file {file}: {said}; a model is two files, .safetensors and .json") from None
     return blob
 
 
 def _read_meta(file: Path) -> dict[str, Any]:
-    """A description that is whole: of this schema, and as it was written."""
+    """Read a description, and check its schema and its hash."""
     blob = _read(file, MOST_TEXT)
     try:
         meta = json.loads(blob.decode(), parse_constant=_refuse)
@@ -195,10 +195,10 @@ def _read_meta(file: Path) -> dict[str, Any]:
 
 
 def _refuse(constant: str) -> float:
-    raise ValueError(f"{constant} is no number")
+    raise ValueError(f"{constant} is not a number")
 
 
 def replace(file: Path, data: bytes) -> None:
-    """Writes a file whole or not at all."""
+    """Write a file atomically."""
     with replacing(file) as temporary:
         temporary.write_bytes(data)

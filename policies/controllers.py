@@ -1,4 +1,4 @@
-"""Controllers with stable-baselines3's `predict`, so that one evaluator scores the paper, a learned start, an agent."""
+"""Controllers with stable-baselines3's `predict`, so that one evaluator scores the paper, a learned start and an agent."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from grasp_env._check import as_array, whole
 
 
 class Policy(Protocol):
-    """What `stable_baselines3.common.evaluation.evaluate_policy` needs: `predict`, as its agents have."""
+    """Protocol of `stable_baselines3.common.evaluation.evaluate_policy`: a `predict` method."""
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:
-        """The action(s) for an `observation`, and the `state` of recurrent ones.
+        """Return the action(s) for an `observation`, and the `state` of a recurrent policy.
 
-        `episode_start` says which of several environments have begun anew, `deterministic` asks for the mean instead of a draw.
+        `episode_start` marks the environments that were reset, and `deterministic` selects the mean action instead of a random one.
         """
         ...
 
 
 class ZeroPolicy:
-    """No adjustment of the initial force: the environment's own start rule, the paper's by default.
+    """Policy without adjustment of the initial force: the environment's start rule, by default the paper's.
 
     Args:
-        action_size: numbers of an action, `env.action_space.shape[0]`.
+        action_size: size of an action, `env.action_space.shape[0]`.
 
     Example:
         >>> action, _ = ZeroPolicy(6).predict(np.zeros(83))
@@ -44,9 +44,9 @@ class ZeroPolicy:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:
-        """Zeros of the action's shape, one row per environment where `observation` is batched, and `state`.
+        """Return zeros, one row for each environment if `observation` is batched, and `state`.
 
-        `episode_start` and `deterministic` change nothing.
+        `episode_start` and `deterministic` have no effect.
         """
         shape = as_array(observation, None, "observation", finite=False).shape[:-1]
         return np.zeros((*shape, self.action_size), dtype=np.float32), state

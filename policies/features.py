@@ -1,12 +1,12 @@
-"""What the network reads: wrench and friction, normalised so that two decades of magnitude look alike.
+"""Inputs of the network: wrench and friction, normalised over two decades of magnitude.
 
-Wrenches are taken in the grasp's unit frame (`Grasp.unit_frame`): wherever the object's origin is and however large the object, force
-and moment are of one size. A grasp force is nearly proportional to its wrench, but Phi is not homogeneous: below about `floor` newtons
-the rest squeeze takes over. So the wrench is divided by m = sqrt(|w|^2 + floor^2), its logarithm is one feature, and the network's
+Wrenches are given in the grasp's unit frame (`Grasp.unit_frame`), in which force and moment have similar sizes for any origin and size
+of the object. A grasp force is nearly proportional to its wrench, but Phi is not homogeneous: below about `floor` newtons
+the squeeze at rest dominates. So the wrench is divided by m = sqrt(|w|^2 + floor^2), log m is a feature, and the network's
 output is multiplied by m.
 
-Friction cones bound the length of the force along each surface, and a perceptron makes the length of a vector out of its components
-with difficulty. So lengths are features, too: of M vectors that are linear in the wrench, see `surface_pairs`.
+Friction cones bound the tangential magnitude of each force, and a perceptron approximates the magnitude of a vector badly from its
+components. So the magnitudes of M vectors that are linear in the wrench are features, too, see `surface_pairs`.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from grasp_env.grasp import Grasp
 
 @dataclass(frozen=True)
 class Features:
-    """Normalisation, saved with the model.
+    """Normalisation of the inputs, saved with the model.
 
     Attributes:
-        floor: [N] magnitude below which features stop growing in relative terms.
-        smoothing: makes lengths smooth at zero; a share of m.
-        log_mean, log_scale: of log m.
-        friction_mean, friction_scale: of the friction coefficient.
+        floor: magnitude below which features no longer grow in relative terms [N].
+        smoothing: smoothing of magnitudes at zero, relative to m.
+        log_mean, log_scale: mean and scale of log m.
+        friction_mean, friction_scale: mean and scale of the friction coefficient.
     """
 
     floor: float = 0.2
@@ -39,12 +39,12 @@ class Features:
     friction_scale: float = 0.12
 
     def __call__(self, wrenches: Array, friction: Array, pairs: Array) -> tuple[Array, Array]:
-        """(B, 8 + M) features, the friction last, and (B,) magnitudes m [N].
+        """Return (B, 8 + M) features, the friction last, and (B,) magnitudes m [N].
 
         Args:
-            wrenches: (B, 6) [N], unit frame.
+            wrenches: (B, 6) in the unit frame [N].
             friction: (B,) mean coefficient of the contacts.
-            pairs: (2 M, 6) the M vectors of a wrench whose lengths are features, all first components first.
+            pairs: (2 M, 6) maps from a wrench to M tangential vectors, all first components first.
         """
         m = np.sqrt((wrenches**2).sum(axis=1) + self.floor**2)
         direction = wrenches / m[:, None]
@@ -56,12 +56,12 @@ class Features:
 
 
 def surface_pairs(grasp: Grasp, objective: Objective) -> Array:
-    """(4 N, 6) what two forces that balance a wrench (unit frame) have along the surfaces: first of all along o, then along t.
+    """Return (4 N, 6) maps from a wrench (unit frame) to the tangential parts of two balancing forces: all along o, then all along t.
 
-    They are linear in the wrench: the least force, and the change of the optimum at no wrench to first order. Cone coordinates.
+    The two forces are linear in the wrench: the least-norm force, and the first-order change of the optimum at zero wrench, in cone coordinates.
 
     Args:
-        grasp: the contacts, with the friction of that optimum.
+        grasp: contacts, with the friction of that optimum.
         objective: Phi.
     """
     omega, lambda_ = objective.force_weight, objective.barrier_weight

@@ -1,8 +1,10 @@
-"""Optimal grasp forces as a layer of a torch model, with gradients with respect to everything that is given.
+"""Optimal grasp forces as a layer of a torch model, with gradients with respect to all inputs.
 
 The optimum of Phi is smooth in contacts, friction, wrench, limits and weights. Its gradient is one linear solve with the matrix of the last
-Newton step. Tensors on the CPU are solved by the compiled core, in the vector registers and on `torch.get_num_threads()` threads;
-tensors elsewhere by `policies.batched_newton`. Inside all numbers are float64.
+Newton step. The compiled core solves tensors on the CPU, in vector registers and on `torch.get_num_threads()` threads;
+`policies.batched_newton` solves tensors on other devices. All internal numbers are float64.
+
+The file is long because the public function, its two torch operators and their rules for autograd and `vmap` depend on each other.
 """
 
 from __future__ import annotations
@@ -30,9 +32,9 @@ from policies import batched_newton
 from policies.batched_newton import Inputs
 
 MODES = ("mask", "elastic", "raise")
-"""What `infeasible` may be."""
+"""Values of `infeasible`."""
 PART = 512
-"""Elements that a thread solves at a time on the CPU."""
+"""Number of elements that a thread solves at a time on the CPU."""
 STATUS = {
     3: "no force inside the friction cones balances the wrench",
     4: "its numbers are not finite, out of range, or no directions",
@@ -40,14 +42,14 @@ STATUS = {
     6: "its contacts cannot balance a wrench of every direction",
     7: "no force inside the friction cones was found",
 }
-"""Why an element has no optimum, by its status."""
+"""Reasons why an element has no optimum, by status."""
 
 Given: TypeAlias = "Tensor | float"
 _TENSOR_RANKS = {
     "positions": 2, "normals": 2, "friction": 2, "tangents": 2, "torsional_friction": 1, "wrench": 1, "jacobian": 3, "torque_limit": 1,
     "torque_bias": 1, "min_normal": 1, "max_normal": 1, "force_weight": 1, "barrier_weight": 1, "start": 2,
 }  # fmt: skip
-"""The operator's tensors, and how many of their last dimensions are not leading ones."""
+"""Tensors of the operator, and the number of their last dimensions that are not leading ones."""
 _NAMES, _RANKS = tuple(_TENSOR_RANKS), tuple(_TENSOR_RANKS.values())
 _TENSORS = len(_NAMES)
 _INPUTS = len(Inputs._fields)  # all but the start
@@ -56,17 +58,16 @@ _NEEDED = ("positions", "normals", "friction", "wrench", "force_weight", "barrie
 _SCALARS = (
     "friction", "torsional_friction", "torque_limit", "torque_bias", "min_normal", "max_normal", "force_weight", "barrier_weight",
 )  # fmt: skip
-_PLAIN = (Tensor, nn.Parameter)  # no class derived from them
+_PLAIN = (Tensor, nn.Parameter)  # no derived classes
 _FLOATS = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
 
 
 class GraspForces(NamedTuple):
     """Optimal forces of a batch. `force`, `torsion` and `multipliers` carry gradients.
 
-    An element without an optimum still has a finite force strictly inside the friction cones. Where only the limits cannot be kept
-    (status 5), it is balanced and exceeds them least, by the sum of squares. Where nothing balances the wrench (3, 6, 7), it misses
-    balance least against Phi, by |G f + w|^2 / (2 * 0.01 N^2) with moments in units of the contacts' spread. Where the numbers make no
-    problem (4), it is zero.
+    An element without an optimum still has a finite force strictly inside the friction cones. If only the limits cannot be satisfied
+    (status 5), the force is balanced and has the least sum of squared excesses. If no force balances the wrench (3, 6, 7), it minimises
+    Phi + |G f + w|^2 / (2 * 0.01 N^2) with moments in units of the contacts' spread. If the numbers are invalid (4), it is zero.
 
     Attributes:
         force: (..., N, 3) in the frame of the positions [N].
@@ -77,7 +78,7 @@ class GraspForces(NamedTuple):
         gap: (...) certified relative distance of Phi to its minimum.
         residual: (...) largest component of G f + w, with moments in units of the contacts' spread [N].
         iterations: (...) int64, accepted Newton steps.
-        feasible: (...) bool, whether the force balances the wrench within cones and limits: status 0, 1 or 2.
+        feasible: (...) bool, True if the force balances the wrench within cones and limits: status 0, 1 or 2.
     """
 
     force: Tensor
@@ -111,10 +112,10 @@ def grasp_force(
     max_iterations: int = 200,
     chunk: int | None = None,
 ) -> GraspForces:
-    """The force of least Phi that balances each wrench, differentiable with respect to all tensors but `start`.
+    """Return the force of least Phi that balances each wrench, differentiable with respect to all tensors but `start`.
 
-    Leading dimensions broadcast. All vectors are given in one frame of the caller's choice, and forces are returned in it. An element's
-    answer does not depend on its neighbours: on the CPU it is the same bit for bit as in a batch of one.
+    Leading dimensions broadcast. All vectors are given in one frame of the caller's choice, and forces are returned in it. The result of an
+    element does not depend on other elements: on the CPU it has the same bits as in a batch of one.
 
     Outputs have the promoted type of the tensors with dimensions, at least float32; float16 and bfloat16 become float32. A number, or a
     tensor without dimensions, holds for all contacts or joints.
@@ -127,22 +128,22 @@ def grasp_force(
         wrench: (..., 6) external wrench ON the object [N, N m], moments about the origin: G f + w = 0.
         tangents: (..., N, 3) directions whose projection on the tangent plane is o; None: the default frames.
         torsional_friction: (..., N) gamma [m], abs(torsion) <= gamma * normal force; 0 is a hard contact.
-        jacobian: (..., N, 3, J) joint speeds to velocities of the contact points, or (..., N, 6, J) with angular velocities besides.
+        jacobian: (..., N, 3, J) from joint speeds to velocities of the contact points, or (..., N, 6, J) with angular velocities as well.
         torque_limit: (..., J) [N m]: abs(J^T f + torque_bias) <= torque_limit; inf: no limit.
-        torque_bias: (..., J) torques that act besides the grasp's [N m].
+        torque_bias: (..., J) joint torques that do not come from the grasp [N m].
         min_normal, max_normal: (..., N) limits of normal forces [N]; 0 and inf: none.
         force_weight, barrier_weight: (..., N) omega [-] and lambda [N^2] of Phi.
-        start: (..., N, 3) force of an earlier result, to begin from where it is near; its gradient is zero.
-        infeasible: what elements without an optimum get: "mask" the elastic force, see `GraspForces`, with zero gradient; "elastic" its
-            gradient, too; "raise" an error that names them.
+        start: (..., N, 3) force of an earlier result, used as a warm start if it is near; its gradient is zero.
+        infeasible: result of elements without an optimum: "mask" the elastic force, see `GraspForces`, with zero gradient; "elastic" this
+            force with its gradient; "raise" an error that names the elements.
         tolerance: relative certified gap at which the solver stops.
-        max_iterations: most Newton steps.
-        chunk: elements that are solved at a time; the results do not depend on it. None: all on a GPU, else 512 per thread.
+        max_iterations: largest number of Newton steps.
+        chunk: number of elements that are solved at a time; the results do not depend on it. None: all on a GPU, else 512 per thread.
 
     Raises:
-        InvalidInputError: shapes, types or devices that do not fit.
-        UnknownNameError: another `infeasible`.
-        InfeasibleWrenchError: with `infeasible="raise"`, if elements have no optimum.
+        InvalidInputError: shapes, types or devices do not fit.
+        UnknownNameError: `infeasible` has another value.
+        InfeasibleWrenchError: elements have no optimum, with `infeasible="raise"`.
 
     Example:
         >>> import torch
@@ -170,7 +171,7 @@ def grasp_force(
         min_normal, max_normal, force_weight, barrier_weight, start,
     )  # fmt: skip
     settings = infeasible, tolerance, max_iterations, chunk
-    problems = _as_they_are(given)
+    problems = _read_in_place(given)
     if problems is None:
         tensors, dtype = _checked_tensors(given)
         force, torsion, multipliers, facts, _ = _call(_solve, _Solve, *tensors, *settings)
@@ -191,9 +192,9 @@ def grasp_force(
 
 
 class GraspForceLayer(nn.Module):
-    """`grasp_force` as a module: its settings are kept, its `forward` takes the tensors by the same names.
+    """`grasp_force` as a module that holds the settings; `forward` takes the tensors by the same names.
 
-    It has no parameters. Copies, pickles and processes of a DataLoader carry the settings only.
+    It has no parameters. Copies, pickles and workers of a DataLoader carry only the settings.
 
     Args:
         infeasible, tolerance, max_iterations, chunk: see `grasp_force`.
@@ -219,13 +220,13 @@ class GraspForceLayer(nn.Module):
         self.chunk = chunk if chunk is None else whole(chunk, "chunk", 1)
 
     def extra_repr(self) -> str:
-        """The settings, for the module's repr."""
+        """Return the settings for the module's repr."""
         return f"infeasible={self.infeasible!r}, tolerance={self.tolerance:g}, max_iterations={self.max_iterations}, chunk={self.chunk}"
 
     def forward(
         self, positions: Tensor, normals: Tensor, friction: Given, wrench: Tensor, **others: Any
     ) -> GraspForces:
-        """The optimal forces.
+        """Return the optimal forces.
 
         Args:
             positions, normals, friction, wrench: see `grasp_force`.
@@ -246,7 +247,7 @@ def _refuse(name: str, given: Any, wanted: str) -> NoReturn:
 
 
 def _checked_tensors(given: tuple[Any, ...]) -> tuple[list[Tensor | None], torch.dtype]:
-    """The operator's tensors, whose last dimensions are now those that it asks for, and the type of the results."""
+    """Return the operator's tensors, expanded to its last dimensions, and the type of the results."""
     positions, jacobian = given[0], given[6]
     if not isinstance(positions, Tensor) or positions.ndim < 2 or not 1 <= positions.shape[-2] <= CONTACTS:
         _refuse("positions", positions, f"a tensor (..., N, 3) of 1 to {CONTACTS} contacts")
@@ -290,7 +291,7 @@ def _checked_tensors(given: tuple[Any, ...]) -> tuple[list[Tensor | None], torch
 
 
 def _input_tails(count: int, rows: int, joints: int) -> tuple[tuple[int, ...], ...]:
-    """The last dimensions of the operator's tensors."""
+    """Return the last dimensions of the operator's tensors."""
     n, n3, j = (count,), (count, 3), (joints,)
     return n3, n3, (count, 2), n3, n, (6,), (count, rows, joints), j, j, n, n, n, n, n3
 
@@ -298,8 +299,8 @@ def _input_tails(count: int, rows: int, joints: int) -> tuple[tuple[int, ...], .
 # --- the core
 
 
-def _as_they_are(given: Sequence[Any]) -> core.ForceProblems | None:
-    """The problems, where eager code gives what the core can read as it lies; None where torch's operators must convert it."""
+def _read_in_place(given: Sequence[Any]) -> core.ForceProblems | None:
+    """Return the problems if the core can read the inputs in place; None if torch's operators must convert them."""
     if (
         not _CORE
         or torch.compiler.is_compiling()
@@ -318,19 +319,19 @@ def _as_they_are(given: Sequence[Any]) -> core.ForceProblems | None:
 
 
 def _read(tensors: Sequence[Tensor | None]) -> core.ForceProblems:
-    """Tensors on the CPU for the core; those of torch before 2.10 are read as arrays."""
+    """Return the core's view of tensors on the CPU; before torch 2.10 they are read as arrays."""
     return _of(tensors) or _of([a if a is None else a.numpy() for a in tensors])
 
 
 def _of(given: Sequence[Any]) -> Any:
-    """`ForceProblems`, None where the core cannot read them."""
+    """Return `ForceProblems`, or None if the core cannot read them."""
     return core.ForceProblems.of(tuple(given), CONTACTS, JOINTS)
 
 
 def _optima(
     problems: core.ForceProblems, lead: Sequence[int], tolerance: float, max_iterations: int, chunk: int | None
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Force, torsion, multipliers, facts and state of all problems, with these leading dimensions."""
+    """Return force, torsion, multipliers, facts and state of all problems, with these leading dimensions."""
     arrays = [np.empty((*lead, *tail)) for tail in _tails(problems.contacts)]
     force, torsion, multipliers, facts, state = arrays
 
@@ -350,7 +351,7 @@ def _slopes(
     elastic: bool,
     chunk: int | None,
 ) -> list[Tensor | None]:
-    """Gradients by the inputs, with these leading dimensions."""
+    """Return gradients with respect to the inputs, with these leading dimensions."""
     tails = _input_tails(problems.contacts, problems.jacobian_rows, problems.joints)
     arrays = tuple([np.empty((*lead, *tail)) if w else None for w, tail in zip(wanted, tails, strict=False)])
     at, by_force, by_torsion, by_multipliers = [a if a is None else _array(a) for a in (state, *losses)]
@@ -363,15 +364,15 @@ def _slopes(
 
 
 def _array(a: Tensor) -> Any:
-    """A contiguous array; a conversion that changes nothing takes 0.7 us."""
+    """Return a contiguous array; an unnecessary conversion would take 0.7 us."""
     return (a if a.dtype is torch.float64 else a.to(torch.float64)).contiguous().resolve_neg().numpy()
 
 
-# --- the operators: what is given has any leading dimensions that broadcast, gradients have the shapes of what was given
+# --- the operators: inputs have leading dimensions that broadcast, and gradients have the shapes of the inputs
 
 
 def _lead(tensors: Sequence[Tensor | None]) -> torch.Size:
-    """The common leading dimensions of tensors in the order of the operators' arguments."""
+    """Return the common leading dimensions of tensors in the order of the operators' arguments."""
     leads = [a.shape[: a.ndim - rank] for a, rank in zip(tensors, _RANKS, strict=False) if a is not None]
     first, *others = [lead for lead in leads if len(lead)] or [torch.Size()]
     try:
@@ -382,7 +383,7 @@ def _lead(tensors: Sequence[Tensor | None]) -> torch.Size:
 
 
 def _flattened(tensors: Sequence[Any], ranks: Sequence[int], lead: torch.Size) -> list[Any]:
-    """(batch, ...) float64; what all elements share is not copied where one leading dimension is enough, and None stays None."""
+    """Return (batch, ...) float64 tensors; shared inputs are not copied if there is one leading dimension, and None stays None."""
     made = []
     for a, rank in zip(tensors, ranks, strict=True):
         if a is not None:
@@ -402,7 +403,7 @@ def _parts(batch: int, chunk: int | None) -> list[slice]:
 
 
 def _rows(group: Sequence[Any], part: slice) -> tuple[Any, ...]:
-    """Elements of arrays or tensors; None stays None."""
+    """Return a slice of arrays or tensors; None stays None."""
     return tuple([a if a is None else a[part] for a in group])
 
 
@@ -427,7 +428,7 @@ def _solve_impl(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
 
 
 def _tails(count: int) -> tuple[tuple[int, ...], ...]:
-    """The last dimensions of force, torsion, multipliers, facts and state."""
+    """Return the last dimensions of force, torsion, multipliers, facts and state."""
     return (count, 3), (count,), (6,), (4,), (4 * count + 7,)
 
 
@@ -455,7 +456,7 @@ def _raise_for(status: Tensor, lead: Sequence[int]) -> None:
 
 def _gradients_impl(*args: Any) -> list[Tensor]:
     tensors, answers, (wanted, elastic, chunk) = args[:_INPUTS], args[_INPUTS:-3], args[-3:]
-    lead = answers[0].shape[:-1]  # that of all tensors
+    lead = answers[0].shape[:-1]  # the lead of all tensors
     batch = lead.numel()
     given = _flattened(tensors, _RANKS[:_INPUTS], lead)
     made: Any = _flattened(answers, _ANSWER_RANKS, lead)
@@ -475,14 +476,14 @@ def _gradients_impl(*args: Any) -> list[Tensor]:
 
 
 def _as_given(gradient: Tensor, like: Tensor) -> Tensor:
-    """The gradient (lead, ...) in the shape and type of what was given: summed over what it was broadcast to."""
+    """Return the gradient (lead, ...) in the shape and type of the input, summed over broadcast dimensions."""
     if gradient.shape != like.shape:
         gradient = gradient.sum_to_size(like.shape)
     return gradient if gradient.dtype is like.dtype else gradient.to(like.dtype)
 
 
 def _differentiate(given: Inputs, *args: Any) -> Inputs:
-    """`batched_newton.gradients` on a thread of its own: within an operator autograd records nothing on the calling one."""
+    """Call `batched_newton.gradients` on another thread, because autograd records nothing on the thread that runs an operator."""
     module = torch.get_device_module(given.positions.device)
     stream = module.current_stream(given.positions.device)
 
@@ -504,7 +505,7 @@ def _gradients_fake(*args: Any) -> list[Tensor]:
 
 
 def _in_front(args: Sequence[Any], dims: Sequence[Any], ranks: Sequence[int], size: int) -> list[Any]:
-    """Tensors with the dimension of `vmap` in front of leading dimensions of one length."""
+    """Return tensors with the dimension of `vmap` in front, and equally many leading dimensions."""
     rank = max(a.ndim - (d is not None) - r for a, d, r in zip(args, dims, ranks, strict=True) if a is not None)
     out: list[Any] = []
     for a, d, r in zip(args, dims, ranks, strict=True):
@@ -551,7 +552,7 @@ def _no_second(ctx: Any, *_: Any) -> NoReturn:
 
 
 _CORE = True
-"""Whether tensors on the CPU go to the core; tests set it."""
+"""True if the core solves tensors on the CPU; tests change it."""
 
 _ARGUMENTS = ", ".join(f"Tensor{'' if name in _NEEDED else '?'} {name}" for name in _NAMES[:_INPUTS])
 _solve = torch.library.custom_op(
@@ -571,11 +572,13 @@ _gradients.register_autograd(_no_second)
 
 
 def _call(operator: Any, function: Any, *args: Any) -> Any:
-    """An operator; from eager code that differentiates it as a function of autograd with the same rules.
+    """Call an operator; eager code that differentiates calls it as an autograd function with the same rules.
 
-    That costs a fifth of the operator's own autograd kernel, which does not know `torch.func.grad`.
+    This costs a fifth of the operator's own autograd kernel, which does not support `torch.func.grad`.
     """
-    differentiated = torch.is_grad_enabled() or forward_ad._current_level >= 0  # a function refuses the latter
+    differentiated = (
+        torch.is_grad_enabled() or forward_ad._current_level >= 0
+    )  # an autograd function refuses forward mode
     if differentiated and not torch.compiler.is_compiling():
         return function.apply(*args)
     return operator(*args)
@@ -598,14 +601,14 @@ class _Gradients(torch.autograd.Function):
 
     @staticmethod
     def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-        """Keeps nothing."""
+        """Save nothing."""
 
     backward = staticmethod(_no_second)
     vmap = staticmethod(_gradients_vmap)
 
 
 class _Eager(torch.autograd.Function):
-    """The forces of eager code, read where they lie: without operators, and without what `torch.func` needs, which read a signature."""
+    """Forces of eager code, read in place, without the overhead of operators and `torch.func`."""
 
     @staticmethod
     def forward(ctx: Any, problems: core.ForceProblems, settings: tuple[Any, ...], *given: Any) -> Any:
@@ -623,14 +626,14 @@ class _Eager(torch.autograd.Function):
         *tensors, state = ctx.saved_tensors
         given = tuple([b if a is None else a for a, b in zip(tensors, ctx.numbers, strict=True)])
         wanted = ctx.needs_input_grad[2 : 2 + _INPUTS]
-        problems = None if torch.is_grad_enabled() else _as_they_are(given)
-        if problems is None:  # an operator's gradients refuse to be differentiated once more
+        problems = None if torch.is_grad_enabled() else _read_in_place(given)
+        if problems is None:  # the gradients of an operator refuse a second differentiation
             known, _ = _checked_tensors((*given, None))
             parts = _call(_gradients, _Gradients, *known[:-1], state, *losses[:3], list(wanted), ctx.elastic, ctx.chunk)
             each = iter(parts)
             found = [next(each) if w else None for w in wanted]
         else:
             found = _slopes(problems, problems.lead, state, losses[:3], wanted, ctx.elastic, ctx.chunk)
-        if found[2] is not None and found[2].shape[-2:] != given[2].shape[-2:]:  # one coefficient a contact
+        if found[2] is not None and found[2].shape[-2:] != given[2].shape[-2:]:  # one coefficient per contact
             found[2] = found[2].sum(-1)
         return (None, None, *[g if g is None else _as_given(g, a) for g, a in zip(found, given, strict=True)], None)

@@ -1,4 +1,4 @@
-"""`LearnedInitialForce`: a start that a network predicts, never worse in Phi than the paper's."""
+"""`LearnedInitialForce`: a start predicted by a network, never worse in Phi than the paper's."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ from policies.features import Features
 
 PRETRAINED = Path(__file__).parent / "pretrained"
 MOST_DEGREE = 8
-"""Largest degree of the polynomials of the friction that weights may be."""
+"""Largest degree of the weights as polynomials of the friction."""
 
 
 class LearnedInitialForce:
-    """An initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
+    """Initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
 
-    A network that was trained on one grasp predicts internal forces from the wrench and the friction. Where contacts have moved a
-    little, the null space moves along continuously. The start is the network's force, or the best on the segment from the
-    12-basis' combination where that has less Phi. So it is never worse in Phi than the 12-basis of the grasp AS IT IS NOW, per
-    call, by construction, at any wrench and whatever the weights say: the two are compared in every call. `newton` goes on from it
+    A network trained on one grasp predicts internal forces from the wrench and the friction. If contacts have moved a
+    little, the null space follows continuously. The start is the network's force, or the best force on the segment from the
+    12-basis' combination if that has less Phi. So it is never worse in Phi than the 12-basis of the current grasp, at any
+    wrench and for any weights, because the two are compared in every call. `newton` continues from it
     in the same compiled call and certifies the solution.
 
-    A grasp keeps its friction from call to call, so weights may be polynomials of the friction (`friction_degree` above 0), which
-    become numbers when the grasp is known: one perceptron per friction.
+    A grasp keeps its friction between calls, so weights may be polynomials of the friction (`friction_degree` above 0), which
+    are evaluated once for a grasp: one perceptron per friction.
 
     Args:
         checkpoint: weights, normalisation, training range and model card.
         objective: Phi; None: that of training.
-        remembers: whether it also starts from the previous solution, where that has less Phi.
+        remembers: True to start from the previous solution if that has less Phi.
 
     Attributes:
-        checkpoint, objective, remembers: as given.
-        sizes: of the network's stages, inputs and outputs included.
-        features: how its inputs are normalised.
-        n_contacts: of the grasp that it knows.
+        checkpoint, objective, remembers: the arguments.
+        sizes: widths of the network's layers, inputs and outputs included.
+        features: normalisation of its inputs.
+        n_contacts: number of contacts of its grasp.
 
     Raises:
         ModelFileError: the checkpoint does not describe such a model.
@@ -97,20 +97,20 @@ class LearnedInitialForce:
 
     @staticmethod
     def load(path: str | Path, *, remembers: bool = False) -> LearnedInitialForce:
-        """The model saved at `path` (either file or their stem).
+        """Load the model saved at `path` (either file or their stem).
 
         Args:
-            path: of a model that `grasp fit` saved.
-            remembers: start from the previous solution where that is better: for control loops.
+            path: model saved by `grasp fit`.
+            remembers: True to start from the previous solution if that is better, for control loops.
 
         Raises:
-            ModelFileError: missing, truncated, changed, of another schema, or not what a model must hold.
+            ModelFileError: the files are missing, truncated, changed, of another schema, or not a model.
         """
         return LearnedInitialForce(Checkpoint.load(path), remembers=remembers)
 
     @staticmethod
     def pretrained(*, remembers: bool = False) -> LearnedInitialForce:
-        """The model that ships with the package: for the contacts of `presets.paper_cuboid()`, a network of 64 x 64.
+        """Load the model shipped with the package, a network of 64 x 64 for the contacts of `presets.paper_cuboid()`.
 
         Args:
             remembers: see `load`.
@@ -118,14 +118,14 @@ class LearnedInitialForce:
         return LearnedInitialForce.load(PRETRAINED / "four_finger", remembers=remembers)
 
     def export(self, path: str | Path, grasp: Grasp) -> Path:
-        """Writes what C++ programs read: the model for the contacts of one grasp, and this rule's Phi.
+        """Write a file for C++ programs: the model for the contacts of one grasp, and this rule's Phi.
 
         Args:
-            path: of the file; `grasp::ModelFile::load` reads it.
-            grasp: hard contacts that this model knows.
+            path: path of the file, which `grasp::ModelFile::load` reads.
+            grasp: hard contacts as in training.
 
         Raises:
-            InfeasibleStartError: contacts that this model does not know.
+            InfeasibleStartError: the model does not support these contacts.
             ModelFileError: the file cannot be written.
         """
         file = as_path(path, ModelFileError, "a model's file")
@@ -140,14 +140,14 @@ class LearnedInitialForce:
 
     @property
     def name(self) -> str:
-        """What solutions say of their start."""
+        """Name of the start in solutions."""
         return f"learned_fixed_grasp{'_previous' if self.remembers else ''}"
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """The start (N, 3) [N].
+        """Return the start (N, 3) [N].
 
         Raises:
-            InfeasibleStartError: contacts that this model does not know, a grasp without force closure, or a wrench that
+            InfeasibleStartError: the model does not support these contacts, the grasp has no force closure, or the wrench
                 is not finite.
         """
         load = read_load(wrench)
@@ -157,28 +157,28 @@ class LearnedInitialForce:
         return force
 
     def with_objective(self, objective: Objective) -> LearnedInitialForce:
-        """The same model for another `objective`, exact up to scale: Phi knows forces in units of sqrt(lambda / omega) only."""
+        """Return the same model for another `objective`, exact up to scale: Phi depends on forces in units of sqrt(lambda / omega)."""
         return type(self)(self.checkpoint, objective, self.remembers)
 
     def model(self, grasp: Grasp, objective: Objective) -> core.Model:
-        """What optimizers predict with in their compiled call, for a Phi.
+        """Return the compiled model for a grasp and an objective.
 
         Args:
             grasp: the contacts.
             objective: Phi.
 
         Raises:
-            InfeasibleStartError: contacts that this model does not know.
+            InfeasibleStartError: the model does not support these contacts.
         """
         rule = self if objective == self.objective else self.with_objective(objective)
         return rule._model(as_grasp(grasp))[0]
 
     def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
-        """Whether grasp and wrench lie in the training range; elsewhere the start is still safe, and solutions say so."""
+        """Return True if grasp and wrench are in the training range; outside it the start is still safe, and solutions report it."""
         return self._prepare(grasp).model.covers(grasp.unit_frame @ read_load(wrench))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """The network's own force (N, 3) [N] for a `grasp` and a `wrench` (6,): balanced, perhaps outside the cones.
+        """Return the network's force (N, 3) [N] for a `grasp` and a `wrench` (6,): balanced, possibly outside the cones.
 
         Raises:
             InfeasibleStartError: see `__call__`.
@@ -191,7 +191,7 @@ class LearnedInitialForce:
         return (on.internal @ coordinates - grasp.pseudoinverse @ load).reshape(-1, 3)
 
     def _prepare(self, grasp: Grasp) -> _Prepared:
-        """The model on a grasp, kept for the last one."""
+        """Return the model on a grasp, cached for the last grasp."""
         prepared = self._prepared  # read once: threads may share a rule
         if prepared is None or prepared.grasp is not grasp:
             model, internal = self._model(as_grasp(grasp))
@@ -199,7 +199,7 @@ class LearnedInitialForce:
         return prepared
 
     def _model(self, grasp: Grasp) -> tuple[core.Model, Array]:
-        """The model that the core's start reads, and the basis of internal forces it predicts in, (3n, 3n - 6)."""
+        """Return the compiled model, and the basis of internal forces in which it predicts, (3n, 3n - 6)."""
         if set(grasp.models.names) != {"hard"}:
             raise InfeasibleStartError(
                 f"this model knows hard contacts, the grasp has {grasp.models.names}: use initial='linear_combination'"
@@ -211,8 +211,8 @@ class LearnedInitialForce:
             )
         (_, most), (low, high) = self._ranges
         friction, scale = float(grasp.friction.mean()), self._scale(grasp.n_contacts)
-        known = low <= friction <= high  # of a grasp only the friction is looked at
-        nearest = min(max(friction, low), high) if self._degree else friction  # beyond, polynomials know nothing
+        known = low <= friction <= high  # only the friction of a grasp is checked
+        nearest = min(max(friction, low), high) if self._degree else friction  # polynomials do not extrapolate
         model = core.Model.make(self._network(nearest), self._pairs)
         model.normalise(**asdict(self.features))
         internal = np.ascontiguousarray(null_space_basis(grasp, self._reference))
@@ -220,21 +220,21 @@ class LearnedInitialForce:
         return model, internal
 
     def _scale(self, count: int) -> float:
-        """sqrt(lambda / omega), mean over the contacts, over that of training."""
+        """Return sqrt(lambda / omega), averaged over the contacts, relative to that of training."""
         weights, trained = self.objective.weights(count), self._trained.weights(count)
         return float(np.sqrt((weights[:, 1] / weights[:, 0]).mean() * trained[0, 0] / trained[0, 1]))
 
     def _network(self, friction: float) -> core.Network:
-        """The network of a friction, kept for the last one: contacts move more often than they change it."""
+        """Return the network of a friction, cached for the last value, because friction changes less often than contacts."""
         made = self._made  # one tuple, read once: threads may share a rule
         if made is None or (made[0] != friction and self._degree):
             made = self._made = friction, core.Network.make(self.sizes, self._weights(friction))
         return made[1]
 
     def _weights(self, friction: float) -> Array:
-        """The weights at that friction, as the core reads them: stage by stage (inputs x outputs), then the bias."""
+        """Return the weights at a friction in the core's order: layer by layer (inputs x outputs), then the bias."""
         feature = (friction - self.features.friction_mean) / self.features.friction_scale
-        feature = min(max(feature, -1e3), 1e3)  # far beyond training, where powers are no numbers any more
+        feature = min(max(feature, -1e3), 1e3)  # far outside training powers would overflow
         powers, parts = feature ** np.arange(self._degree + 1), list[Array]()
         for layer in range(len(self.sizes) - 1):
             for name in ("weight", "bias"):
@@ -244,13 +244,13 @@ class LearnedInitialForce:
         return np.concatenate(parts).clip(-most, most)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # the prepared grasp is a cache; sub-process environments get the checkpoint
+        # without the cached grasp: environments in other processes get the checkpoint
         return type(self), (self.checkpoint, self.objective, self.remembers)
 
 
 @dataclass(frozen=True)
 class _Prepared:
-    """A model on the contacts of one grasp; its predictions are coordinates of the columns of `internal` (3N, 3N - 6)."""
+    """Model on the contacts of one grasp; predictions are coordinates in the columns of `internal` (3N, 3N - 6)."""
 
     grasp: Grasp
     model: core.Model
@@ -259,7 +259,7 @@ class _Prepared:
 
 
 def _features(numbers: dict[str, object]) -> Features:
-    """The saved normalisation; what divides is above 0."""
+    """Return the saved normalisation; divisors are above 0."""
     mean = ("log_mean", "friction_mean")
     return Features(**{name: number(v, name, -np.inf if name in mean else 0.0) for name, v in numbers.items()})
 
@@ -269,9 +269,9 @@ def _not_finite(wrench: Array) -> InfeasibleStartError:
 
 
 def read_load(wrench: Any) -> Array:
-    """A wrench as the core reads it, which looks for itself whether it is finite.
+    """Return a wrench (6,) for the core, which checks that it is finite.
 
     Raises:
-        InvalidInputError: not (6,) numbers.
+        InvalidInputError: the wrench is not (6,) numbers.
     """
     return as_array(wrench, (6,), "wrench", finite=False)

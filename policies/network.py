@@ -1,4 +1,4 @@
-"""The network: a small multilayer perceptron with an algebraic SiLU, which costs no exponential per call."""
+"""The network: a small multilayer perceptron with an algebraic SiLU, which needs no exponential."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ with need("train"):
 
 
 class _Activation(torch.autograd.Function):
-    """Its own derivative: a third less memory traffic than torch's chain of products."""
+    """Algebraic SiLU with an explicit derivative: a third less memory traffic than torch's chain of products."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor) -> Tensor:
@@ -30,25 +30,25 @@ class _Activation(torch.autograd.Function):
 
 
 def activation(x: Tensor) -> Tensor:
-    """X (1 + x / sqrt(1 + x^2)) / 2: smooth, SiLU-shaped, vectorises in the compiled inference."""
+    """Return x (1 + x / sqrt(1 + x^2)) / 2: smooth, shaped like SiLU, vectorised in the compiled inference."""
     return _Activation.apply(x)  # type: ignore[return-value]
 
 
 class Network(nn.Module):
-    """Features (F, B, inputs) -> null-space coordinates divided by the magnitude m (F, B, outputs).
+    """Map features (F, B, inputs) to null-space coordinates divided by the magnitude m, (F, B, outputs).
 
-    A grasp keeps its friction from call to call. So the weights are polynomials of the last feature, the friction, which is one number
-    per F: every friction has a perceptron of its own, and a call costs what one perceptron costs.
+    A grasp keeps its friction between calls. So the weights are polynomials of the last feature, the friction, which has one value
+    per F: each friction has its own perceptron, and a call costs as much as one perceptron.
 
     Args:
         inputs, hidden, outputs: widths.
-        degree: of the polynomials; 0: the same weights for every friction.
+        degree: degree of the polynomials; 0: the same weights for every friction.
     """
 
     def __init__(self, inputs: int, hidden: Sequence[int], outputs: int, degree: int) -> None:
         super().__init__()
         self.degree = degree
-        # per layer (degree + 1) blocks of inputs + 1 rows, the last of which are the bias: one matrix for the optimiser
+        # per layer (degree + 1) blocks of inputs + 1 rows, the last row of each is the bias: one matrix for the optimiser
         self.layers = nn.ParameterList()
         for a, b in pairwise([inputs, *hidden, outputs]):
             plain = nn.Linear(a, b)
@@ -57,7 +57,7 @@ class Network(nn.Module):
             self.layers.append(nn.Parameter(blocks.reshape(-1, b)))
 
     def forward(self, x: Tensor) -> Tensor:
-        """See the class."""
+        """Apply the network, see the class."""
         powers = x[:, 0, -1:] ** torch.arange(self.degree + 1)
         last = len(self.layers) - 1
         for index, layer in enumerate(self.layers):
@@ -67,7 +67,7 @@ class Network(nn.Module):
         return x
 
     def tensors(self) -> dict[str, Tensor]:
-        """Per layer the coefficients of "weight" (degree + 1, outputs, inputs) and "bias" (degree + 1, outputs), constant first."""
+        """Return the coefficients of "weight" (degree + 1, outputs, inputs) and "bias" (degree + 1, outputs) per layer, constant first."""
         out: dict[str, Tensor] = {}
         for index, layer in enumerate(self.layers):
             blocks = layer.detach().view(self.degree + 1, -1, layer.shape[1])

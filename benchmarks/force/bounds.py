@@ -122,7 +122,7 @@ class Measure:
         return np.concatenate([twist[:3] - np.cross(turn, self.centre), turn])
 
     def price(self, name: str) -> Numbers:
-        """(N,) what a newton of normal force costs without the barrier."""
+        """Return (N,) the cost of a newton of normal force without the barrier."""
         return 3 * self.friction if name == "phi" else 1 + 0 * self.friction
 
     def objective(self, name: str, force: Numbers) -> Any:
@@ -144,7 +144,7 @@ class Measure:
         return (self.rows.reshape(len(self.bound), len(force)) * force).sum(axis=1) - self.bound
 
     def inside(self, force: Numbers) -> Numbers:
-        """The force with normal forces raised into the cones, and without what a contact cannot transmit."""
+        """Return the force with normal forces raised into the cones, and without components that a contact cannot transmit."""
         f = force.reshape(len(self.friction), -1) * self.touching[:, None]
         s = np.sqrt(f[:, 1] ** 2 + f[:, 2] ** 2)
         f[:, 0] = np.maximum(f[:, 0], s / self.friction)
@@ -198,7 +198,7 @@ def balance(problem: Problem, force: Array) -> float:
 
 
 def violation(problem: Problem, force: Array) -> float:
-    """How far a force (N k,) is outside the cones [N], over the largest |normal force|; 0 inside.
+    """Return the distance of a force (N k,) from the cones, relative to the largest |normal force|; 0 inside.
 
     It is the largest of hypot(o, t) - friction * normal, -normal, and abs(torsion) / torsional_friction - normal over contacts that touch,
     and of |components| of the others. Torsion that a contact cannot transmit is divided by the length.
@@ -222,16 +222,16 @@ def excess(problem: Problem, force: Array) -> float:
 
 
 def primal_bound(problem: Problem, name: str, force: Array, multipliers: Array) -> float:
-    """An upper bound of the optimum from a force that may miss balance, cones and limits a little.
+    """Return an upper bound of the optimum from a force that may violate balance, cones and limits a little.
 
-    Normal forces are raised into the cones first. What the force then misses of balance and limits is added at its multipliers, each
-    component with its absolute value. By convexity that is a bound where the multipliers are the optimal ones.
+    Normal forces are raised into the cones first. Then the residuals of balance and limits are added at the prices of the multipliers, each
+    component with its absolute value. By convexity this is a bound if the multipliers are optimal.
     """
     return float(Measure.of(problem).upper(name, np.asarray(force, dtype=float), np.asarray(multipliers, dtype=float)))
 
 
 def dual_bound(problem: Problem, name: str, multipliers: Array) -> float:
-    """A lower bound of the optimum from any multipliers (6 + L,); no force that the problem allows has a smaller objective.
+    """Return a lower bound of the optimum from any multipliers (6 + L,).
 
     It is the least of the Lagrangian over the cones. With a = price - G^T nu + B^T p, the Lagrangian is a . f - nu . w - p . b and the
     barrier of `phi`. It has a least value where a_n >= friction hypot(a_o, a_t) + torsional_friction abs(a_tau) at every contact: the
@@ -242,11 +242,11 @@ def dual_bound(problem: Problem, name: str, multipliers: Array) -> float:
 
 
 def witness(problem: Problem, multipliers: Array) -> float:
-    """How clearly multipliers (v, p) prove that no force exists; <= 0 where they prove nothing, at most 1.
+    """Return the margin by which multipliers (v, p) prove that no force exists; <= 0 without proof, at most 1.
 
     Where G^T v + B^T p is in the dual cone of every contact, a force would give 0 <= f . (G^T v + B^T p) <= p . b - v . w. The result is
-    v . w - p . b over |v| |w| + p . |b|, with the moments of v and w as everywhere here, so that it does not depend on the scale of
-    (v, p). What a contact may miss of its dual cone, `ROUNDING` included, could be gained by its normal force and is subtracted first,
+    v . w - p . b over |v| |w| + p . |b|, with moments in the units of this module, so it does not depend on the scale of
+    (v, p). If a contact is outside its dual cone, `ROUNDING` included, its normal force could gain that distance. It is subtracted,
     times the largest normal force: that contact's limit, or `REACH` times the wrench (or the largest least normal force, if that is
     larger) for all contacts without a limit together. So the proof is complete where every contact has a limit or lies inside its dual
     cone, and else holds up to that total of normal forces.

@@ -18,7 +18,7 @@ def compiler(variable: str, *names: str) -> str:
     """The path of a compiler: that of an environment variable, or the first of these.
 
     Raises:
-        RuntimeError: there is none.
+        RuntimeError: no compiler was found.
     """
     each = (os.environ.get(variable), *names)
     found = next((found for name in each if name and (found := shutil.which(name))), None)
@@ -30,7 +30,7 @@ def compiler(variable: str, *names: str) -> str:
 def library(
     name: str, sources: Sequence[Path], flags: Sequence[str], depends: Sequence[Path] = (), cpp: bool = False
 ) -> Path:
-    """A shared library of sources in `BUILD`, compiled where it is not there yet.
+    """Return a shared library of sources in `BUILD`, compiled if it does not exist.
 
     Raises:
         RuntimeError: there is no compiler, or it fails.
@@ -46,7 +46,7 @@ def library(
 
 
 def execute(words: Sequence[str]) -> None:
-    """Runs a compiler.
+    """Run a compiler.
 
     Raises:
         RuntimeError: it fails.

@@ -1,4 +1,4 @@
-"""The two ways to enter: a Python class, or a C function in a shared library."""
+"""The two kinds of entrants: a Python class, and a C function in a shared library."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ class Entrant(Protocol):
     name: str
 
     def setup(self, task: Task) -> None:
-        """Prepares for a session.
+        """Prepare for a session.
 
         Raises:
-            NotImplementedError: such problems are not entered, for the reason given.
-            ImportError, RuntimeError: it cannot run here.
+            NotImplementedError: the entrant does not support such problems; the message gives the reason.
+            ImportError, RuntimeError: the entrant cannot run on this machine.
         """
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
-        """The forces of a problem; `start` is the force of the last answer, in mode warm."""
+        """Return the forces of a problem; `start` is the last force, in mode warm."""
 
 
 def status_of(returned: int) -> str:
@@ -75,7 +75,7 @@ class CProblem(ctypes.Structure):
 
     @classmethod
     def of(cls, problem: Problem) -> CProblem:
-        """A view of a problem, which must outlive it."""
+        """Return a view of a problem, which must outlive the view."""
         touching = np.ones(problem.n_contacts) if problem.touching is None else problem.touching
         made = cls(
             problem.n_contacts, problem.width, 0 if problem.torque_limit is None else len(problem.torque_limit),
@@ -93,10 +93,10 @@ class Compiled:
 
     Attributes:
         solve: address of a `force_solve`.
-        context: what it is given first.
+        context: its first argument.
         setup: address of a `force_setup`, called in mode cold before each solve; 0: none.
         close: address of a `force_close` for what `setup` returned; 0: none.
-        keep: whatever must live as long.
+        keep: objects that must live as long.
     """
 
     solve: int
@@ -118,13 +118,13 @@ class Library:
         self.open(path, function)
 
     def open(self, path: str, function: str) -> None:
-        """Finds the functions in a library."""
+        """Find the functions in a library."""
         self._library = ctypes.CDLL(path)
         self._solve = self._address(function)
         self._setup, self._close = (self._address(f"{function}_{which}", missing=0) for which in ("setup", "close"))
 
     def setup(self, task: Task) -> None:
-        """Calls FUNCTION_setup; null means that it does not enter."""
+        """Call FUNCTION_setup; null means that the problems are not supported."""
         self.close()
         if not self._setup:
             return
@@ -135,7 +135,7 @@ class Library:
             raise NotImplementedError(f"{self.name}_setup returned null")
 
     def close(self) -> None:
-        """Frees what the last `setup` made."""
+        """Free the context of the last `setup`."""
         if self._context and self._close:
             ctypes.CFUNCTYPE(None, ctypes.c_void_p)(self._close)(self._context)
         self._context = None

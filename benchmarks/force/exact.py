@@ -14,7 +14,7 @@ steps (`_follow`):
 
 with det x = u^2 - o^2 - t^2; the least is that of z . x + lambda sum (1 / u + 2 u / det x), c . x being the 3 sum u of `phi`. The primal
 `phi` ends at t = sqrt(lambda), the others where the gap 2 N t is `GAP` of the optimum. The primal algorithm starts from a phase one, the
-dual one from nu = 0. What they return are bounds by `bounds.Measure`, whatever their accuracy.
+dual one from nu = 0. Their results are bounds by `bounds.Measure`, for any accuracy.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Optimum:
 
 
 class _Scaled:
-    """A problem in units of its own: A, b, prices c, and x0 with A x0 = b."""
+    """Problem in dimensionless units: A, b, prices c, and x0 with A x0 = b."""
 
     def __init__(self, problem: Problem, name: str) -> None:
         self.name, self.measure = name, measure(problem)

@@ -10,7 +10,7 @@ class Mine:
     name, objectives = "mine", ("sum",)
 
     def setup(self, task):
-        """Once for a session: nothing to prepare but the cost."""
+        """Prepare a session: check that the problems are supported."""
         if task.first.width > 3 or len(task.first.limit_bound):
             raise NotImplementedError("hard contacts without limits")
         self.cost = np.tile([1.0, 0.0, 0.0], task.first.n_contacts)

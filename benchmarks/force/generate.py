@@ -1,7 +1,6 @@
-"""The tracks, each made from a seed. A new one is a function of a generator and an entry of `TRACKS`.
+"""The tracks, each generated from a seed. A new track is a function of a random generator and an entry of `TRACKS`.
 
-Numbers are drawn, then rounded to `DIGITS` significant digits, so that the last digit of another machine's library does not show: a seed
-gives the same bytes everywhere.
+Numbers are drawn, then rounded to `DIGITS` significant digits, so that a seed gives the same bytes with other libraries and machines.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ from training.data.grasps import PRESETS, Recipe
 DIGITS = 12
 short = partial(rounded, digits=DIGITS)
 GRASPS = Recipe(friction=(0.3, 1.0), own_friction=True, margin=0.02, basis=False)
-"""Random grasps: contacts on cuboids, ellipsoids and cylinders, away from losing closure."""
+"""Random grasps on cuboids, ellipsoids and cylinders, with a margin of force closure."""
 LOAD = (2.0, 0.05)
-"""[N], [N m] radii of the balls that wrenches are drawn from."""
+"""Radii of the balls from which wrenches are drawn [N, N m]."""
 TICK = 0.002
-"""[s] between the problems of a path."""
+"""Time between the problems of a path [s]."""
 CLEAR = 1e-3
-"""Depth inside or outside of everything (`feasibility`) from which a problem counts as feasible or not."""
+"""Least margin (`feasibility`) of a feasible problem, and of an infeasible one with the opposite sign."""
 Arrays = dict[str, Any]
 Made = Iterator[tuple[str, Arrays]]
 
@@ -52,18 +51,18 @@ def contacts(positions: Array, normals: Array, friction: Array | float) -> Array
     return {"positions": short(positions), "frames": frames, "friction": short(np.broadcast_to(friction, n.shape[:-1]))}
 
 
-def of(grasp: Grasp) -> Arrays:
+def arrays_of(grasp: Grasp) -> Arrays:
     """The arrays of one grasp."""
     return fixed(contacts(np.array(grasp.positions), np.array(grasp.normals), np.array(grasp.friction)))
 
 
 def fixed(arrays: Arrays) -> Arrays:
-    """The same for all problems of a session."""
+    """Return arrays that are equal for all problems of a session."""
     return {name: array[None] for name, array in arrays.items()}
 
 
 def moving(each: list[Arrays]) -> Arrays:
-    """Arrays of one problem each, one after the other."""
+    """Return the arrays of consecutive problems."""
     return {name: np.concatenate([arrays[name] for arrays in each]) for name in each[0]}
 
 
@@ -87,14 +86,14 @@ def wave(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
 def cold(rng: np.random.Generator) -> Made:
     """Seven grasps of each size, in turn."""
     for n, preset in PRESETS.items():
-        grasps = [of(preset()), *(of(GRASPS.closed(rng, n)) for _ in range(6))]
+        grasps = [arrays_of(preset()), *(arrays_of(GRASPS.closed(rng, n)) for _ in range(6))]
         yield f"{n}", moving([grasps[k % len(grasps)] for k in range(70)]) | {"wrench": ball(rng, 70)}
 
 
 def smooth(rng: np.random.Generator) -> Made:
     """Known grasps along a smooth path."""
     for n, preset in PRESETS.items():
-        yield f"{n}", of(preset()) | {"wrench": wave(rng, 150)}
+        yield f"{n}", arrays_of(preset()) | {"wrench": wave(rng, 150)}
 
 
 def jumps(rng: np.random.Generator) -> Made:
@@ -103,7 +102,7 @@ def jumps(rng: np.random.Generator) -> Made:
         path, aims, shares = [ball(rng, 1)[0]], ball(rng, 99), rng.choice([0.1, 0.5, 1.0], 99)
         for aim, share in zip(aims, shares, strict=True):
             path.append(path[-1] + share * (aim - path[-1]))
-        yield f"{n}", of(preset()) | {"wrench": short(path)}
+        yield f"{n}", arrays_of(preset()) | {"wrench": short(path)}
 
 
 def roll(rng: np.random.Generator) -> Made:
@@ -122,7 +121,7 @@ def roll(rng: np.random.Generator) -> Made:
 
 
 def lost(rng: np.random.Generator) -> Made:
-    """Every ten problems another finger has let go, or none."""
+    """Sessions in which another finger loses contact every ten problems."""
     for n in (4, 5, 6):
         grasp = GRASPS.closed(rng, n)
         while not all(_closes_without(grasp, k) for k in range(n)):
@@ -130,19 +129,19 @@ def lost(rng: np.random.Generator) -> Made:
         touching = np.ones((100, n), dtype=bool)
         for k in range(10, 100, 20):
             touching[k : k + 10, (k // 20) % n] = False
-        yield f"{n}", of(grasp) | {"touching": touching, "wrench": wave(rng, 100)}
+        yield f"{n}", arrays_of(grasp) | {"touching": touching, "wrench": wave(rng, 100)}
 
 
 def random(rng: np.random.Generator) -> Made:
     """A new grasp for every problem."""
     for n in range(3, 17):
-        yield f"{n}", moving([of(GRASPS.closed(rng, n)) for _ in range(25)]) | {"wrench": ball(rng, 25)}
+        yield f"{n}", moving([arrays_of(GRASPS.closed(rng, n)) for _ in range(25)]) | {"wrench": ball(rng, 25)}
 
 
 def hands(rng: np.random.Generator) -> Made:
     """A hand's contacts with the object's weight and a random wrench."""
     for name, hand in recorded():
-        yield name, of(grasp_of_hand(hand)) | {"wrench": short(weight(hand) + ball(rng, 15, 0.5))}
+        yield name, arrays_of(grasp_of_hand(hand)) | {"wrench": short(weight(hand) + ball(rng, 15, 0.5))}
 
 
 def own(rng: np.random.Generator) -> Made:
@@ -176,7 +175,7 @@ def infeasible(rng: np.random.Generator) -> Made:
         while len(each) < 25:
             grasp, load = GRASPS.draw(rng, n), ball(rng, 1)[0]
             if feasibility(grasp, load).margin < -CLEAR:
-                each.append(of(grasp))
+                each.append(arrays_of(grasp))
                 loads.append(load)
         yield f"no closure, {n}", moving(each) | {"wrench": np.array(loads)}
     for name, hand in recorded()[::4]:
@@ -210,14 +209,14 @@ def hard(rng: np.random.Generator) -> Made:
 
 @dataclass(frozen=True)
 class Recipes:
-    """A track.
+    """Recipe of a track.
 
     Attributes:
-        make: makes its sessions, as (name, arrays).
-        text: one line for people.
-        modes: in which it is run.
-        objectives: which it has.
-        digits: "exact": its references are computed in 60 digits.
+        make: yields its sessions as (name, arrays).
+        text: description in one line.
+        modes: modes of its runs.
+        objectives: objectives.
+        digits: "exact" if its references are computed in 60 digits.
     """
 
     make: Callable[[np.random.Generator], Made]
@@ -248,7 +247,7 @@ TRACKS = {
         digits="exact",
     ),
 }
-"""In the order of the reports; a track's place is a part of its seed, so new ones go to the end."""
+"""Tracks in the order of the reports; a track's place is part of its seed, so new ones go to the end."""
 
 
 def generate(name: str, seed: int) -> Track:
@@ -268,7 +267,7 @@ def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arra
     """A hand's contacts and torque limits, with loads of 0.3 to 0.95 of the largest in their direction."""
     grasp = grasp_of_hand(hand)
     limits = {name: short(hand[name])[None] for name in ("jacobian", "torque_limit", "torque_bias")}
-    arrays = of(grasp) | limits | {"wrench": ball(rng, count)}
+    arrays = arrays_of(grasp) | limits | {"wrench": ball(rng, count)}
     return arrays | {"wrench": short(arrays["wrench"] * (_most(arrays) * rng.uniform(0.3, 0.95, count))[:, None])}
 
 
@@ -318,7 +317,7 @@ def _slippery(rng: np.random.Generator, count: int, friction: float) -> Arrays:
     while True:
         for _ in range(200):
             try:
-                arrays = of(GRASPS.draw(rng, count).with_friction(float(f"{friction:.6g}")))
+                arrays = arrays_of(GRASPS.draw(rng, count).with_friction(float(f"{friction:.6g}")))
             except GraspError:
                 continue
             if _depth({name: array[0] for name, array in arrays.items()}, np.zeros(6)) > 1e-4:
@@ -339,4 +338,4 @@ def _next_to_losing_closure(rng: np.random.Generator, count: int, above: float) 
             low, high = (
                 (low, middle) if feasibility(grasp.with_friction(middle), np.zeros(6)).margin > 0.0 else (middle, high)
             )
-        return of(grasp.with_friction(float(f"{high * (1.0 + above):.7g}")))
+        return arrays_of(grasp.with_friction(float(f"{high * (1.0 + above):.7g}")))

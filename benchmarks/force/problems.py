@@ -51,7 +51,7 @@ FIELDS = {
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A problem as a solver gets it; arrays are read-only.
+    """Problem that a solver receives; arrays are read-only.
 
     Attributes:
         positions, frames, friction, wrench, touching, torsional_friction, min_normal, max_normal, jacobian, torque_limit, torque_bias:
@@ -157,7 +157,7 @@ class Reference:
         other: (M,) the optimum by the second source.
         force: (M, N k) an optimal force; nan where none exists.
         multipliers: (M, 6 + L) those of balance and limits; the witness where no force exists.
-        rest: force and multipliers (M, N k + 6 + L) below the last digit, of references in many digits (zero where doubles sufficed);
+        rest: rounding errors of force and multipliers (M, N k + 6 + L) of references in many digits (zero if doubles sufficed),
             else None.
     """
 
@@ -190,7 +190,7 @@ class Session:
         return self.made()
 
     def made(self) -> list[Problem]:
-        """The problems once more, in arrays of their own."""
+        """Return copies of the problems."""
         count = len(self.arrays["wrench"])
         each = {name: np.broadcast_to(array, (count, *array.shape[1:])) for name, array in self.arrays.items()}
         made = []
@@ -207,7 +207,7 @@ class Track:
     Attributes:
         name: of the file.
         sessions: in their order.
-        about: what the JSON says: schema, seed, how it was made, objectives, hashes.
+        about: contents of the JSON file: schema, seed, command, objectives, hashes.
     """
 
     name: str
@@ -238,8 +238,8 @@ def load(name: str, folder: Path = SETS) -> Track:
     """A track from its files.
 
     Raises:
-        ValueError: there is none of that name, its files are no track of this version, or the problems are not those whose hash the
-            JSON holds.
+        ValueError: there is no such track, its files are not of this version, or the hash of the problems differs from that in
+            the JSON file.
     """
     path = folder / f"{name}.npz"
     if not path.is_file():
@@ -279,7 +279,7 @@ def load(name: str, folder: Path = SETS) -> Track:
 
 
 def save(track: Track, folder: Path = SETS) -> None:
-    """Writes the files of a track, whole or not at all."""
+    """Write the files of a track, each atomically."""
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {}
     for session in track.sessions:

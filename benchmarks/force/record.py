@@ -1,6 +1,6 @@
-"""Contacts of real hands that hold objects, as the environment sees them after a reset: the source of the tracks with hands.
+"""Contacts of real hands that hold objects, recorded after a reset of the environment: the source of the tracks with hands.
 
-`python -m benchmarks.force record HAND...` writes hands.json anew, HAND a built-in hand or a file that describes one. This needs the
+`python -m benchmarks.force record HAND...` writes hands.json again, where HAND is a built-in hand or a file. It needs the
 simulator and the files; the tracks are made from hands.json alone.
 """
 
@@ -24,13 +24,13 @@ OBJECTS: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("cylinder", (0.025, 0.09)),
 )
 MASS, FRICTION = 0.2, 0.6
-"""[kg] and the coefficient of each object."""
+"""Mass [kg] and friction of each object."""
 DIGITS = 9
-"""Significant digits that are kept."""
+"""Number of significant digits in the file."""
 
 
 def record(hands: Sequence[str]) -> list[dict[str, Any]]:
-    """Each hand around each object: contacts, friction, Jacobian, torque limits and the torques that carry the hand, object frame."""
+    """Return contacts, friction, Jacobian, torque limits and gravity torques of each hand around each object, in the object frame."""
     import gymnasium as gym
 
     from grasp_env.errors import GraspError
@@ -61,7 +61,7 @@ def record(hands: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def write(hands: Sequence[str], file: Path = FILE) -> None:
-    """Writes the records."""
+    """Write the records."""
     lines = ",\n".join(json.dumps(each) for each in record(hands))
     with replacing(file) as temporary:
         temporary.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
@@ -94,7 +94,7 @@ def shares_joints(jacobian: Array) -> bool:
 
 
 def coupled(hand: dict[str, Any]) -> dict[str, Any]:
-    """The hand with one motor for each pair of joints of its two last fingers."""
+    """Return the hand with one motor for each pair of joints of its two last fingers."""
     jacobian = hand["jacobian"]
     first, second = (np.flatnonzero(np.abs(jacobian[k]).max(axis=0)) for k in (-2, -1))
     pairs = list(zip(first.tolist(), second.tolist(), strict=False))
@@ -126,6 +126,6 @@ def _seen(env: Any) -> dict[str, Any]:
 
 
 def short(values: Any, digits: int) -> Array:
-    """Values with so many significant digits."""
+    """Round values to a number of significant digits."""
     array = np.asarray(values, dtype=float)
     return np.array([float(f"{value:.{digits - 1}e}") for value in array.ravel().tolist()]).reshape(array.shape)

@@ -1,7 +1,7 @@
-"""References: certified optima by two independent solvers, and what `validate` checks of them.
+"""References: certified optima by two independent solvers, and their checks for `validate`.
 
-Source 1 is the package (conic for `sum`, newton for `phi`), source 2 Clarabel. `bounds` measures both. Where they leave an optimum of
-hard contacts without limits open, or on request, both algorithms of `exact` take their place.
+Source 1 is the package (conic for `sum`, newton for `phi`), source 2 Clarabel. `bounds` measures both. If they do not settle an
+optimum of hard contacts without limits, or on request, both algorithms of `exact` replace them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def refer(
         session: its references are not read.
         objectives: of the track.
         digits: "double": by the package and Clarabel, and by `exact` where they are not enough; "exact": all by `exact`.
-        processes: that work at once.
+        processes: number of parallel processes.
 
     Raises:
         ValueError: a problem is not settled; the message names it.

@@ -16,23 +16,23 @@ from training.results.table import Rows, numbers, pd
 from training.results.words import number
 
 CELL = ["objective", "case", "mode"]
-"""Columns of a cell: entrants are compared on equal problems that are asked in the same way."""
+"""Columns that define a cell: entrants are compared on equal problems in the same mode."""
 COUNTS = ["solved", "solved_coarse", "proved", "wrong"]
 SHIFT = 1.0
-"""[us] of the shifted geometric mean."""
+"""Shift of the geometric mean [us]."""
 PENALTY = 1e5
-"""[us] that a failure counts in the shifted geometric mean, or its own time where that is longer."""
+"""Least time of a failure in the shifted geometric mean [us]."""
 POINTS = 200
-"""Points of a curve."""
+"""Number of points of a curve."""
 
 
 def standings(rows: Rows) -> Rows:
-    """One row for each entrant in each cell and language, the least mean first.
+    """Return one row for each entrant in each cell and language, the least mean first.
 
     Returns:
-        n; solved_coarse, solved, proved, wrong: how many; p50, p99, max [us] of those that are solved; mean [us], the geometric one
+        n, solved_coarse, solved, proved, wrong: numbers of problems; p50, p99, max [us] over the solved ones; mean [us], the geometric mean
         shifted by `SHIFT` with `PENALTY` for failures; p50_ratio and p99_ratio to the best entrant of the cell and language with their
-        bootstrap intervals (_low, _high); first: the metrics of success, p50 and p99 in which no other is better, a tie included.
+        bootstrap intervals (_low, _high); first: the metrics (success, p50, p99) in which no other entrant is better, ties included.
     """
     ran = _ran(rows)
     out = []
@@ -61,7 +61,7 @@ def standings(rows: Rows) -> Rows:
 
 
 def lines(rows: Rows, unit: float) -> Iterator[str]:
-    """The standings as text, a table for each cell."""
+    """Yield the standings as text, a table for each cell."""
     shown = [
         "division",
         "n",
@@ -88,7 +88,7 @@ def lines(rows: Rows, unit: float) -> Iterator[str]:
 
 
 def answers(rows: Rows) -> Iterator[str]:
-    """How many answers of each entrant are right, without times, what failed with an error, and what is not entered."""
+    """Yield the numbers of correct results of each entrant, its errors, and the tracks that it does not enter."""
     ran = _ran(rows)
     groups = ran.groupby(["method", "objective", "case", "mode"], sort=False)
     if len(ran):
@@ -104,7 +104,7 @@ def answers(rows: Rows) -> Iterator[str]:
 
 
 def beside(rows: Rows, earlier: Rows) -> Rows:
-    """The medians of two runs by entrant and cell: `before`, `now`, their ratio and its interval; `tie` where that holds 1."""
+    """Return the medians of two runs by entrant and cell: `before`, `now`, their ratio and its interval; `tie` if it contains 1."""
     out = []
     before = dict(iter(_ran(earlier).groupby([*CELL, "language", "method"])))
     for key, part in _ran(rows).groupby([*CELL, "language", "method"], sort=False):
@@ -119,24 +119,22 @@ def beside(rows: Rows, earlier: Rows) -> Rows:
 
 
 def by_track(rows: Rows, objective: str, ours: set[str]) -> Rows:
-    """A line for each track and mode: ours and the fastest other entrant of the closed division, p50 / p99 [us], in C and from Python."""
-    made = standings(rows[rows["division"].ne("learned").fillna(True)])
+    """Return a row for each track and mode: ours and the fastest other entrant of the closed division, p50 / p99 [us], in C and from Python."""
+    ran = _ran(rows[rows["division"].ne("learned").fillna(True)])
     out = []
-    for (case, mode), cell in made[made["objective"] == objective].groupby(["case", "mode"], sort=False):
+    for (case, mode), cell in ran[ran["objective"] == objective].groupby(["case", "mode"], sort=False):
         line = {"track": case, "mode": mode}
         for language in ("C", "Python"):
-            there = cell[cell["language"] == language]
-            for label, part in (
-                ("ours", there[there["method"].isin(ours)]),
-                ("fastest other", there[~there["method"].isin(ours)]),
-            ):
-                line[f"{label}, {language}"] = _told(part)
+            there = cell[cell["language"] == language].groupby("method", sort=False)
+            made = [_standing(name, part) for name, part in there]
+            for label, mine in (("ours", True), ("fastest other", False)):
+                line[f"{label}, {language}"] = _fastest([row for row in made if (row["method"] in ours) == mine])
         out.append(line)
     return pd.DataFrame(out)
 
 
 def by_entrant(rows: Rows, told: dict[str, Any]) -> Rows:
-    """A line for each entrant and objective: how much it solves, and what it says of itself."""
+    """Return a row for each entrant and objective: numbers of solved problems, and its notes."""
     ran = _ran(rows)
     out = []
     for (objective, method), part in ran.groupby(["objective", "method"], sort=False):
@@ -152,7 +150,7 @@ def by_entrant(rows: Rows, told: dict[str, Any]) -> Rows:
 
 
 def by_contacts(rows: Rows) -> Rows:
-    """`sum` on the track `random`: p50 / p99 [us] by the number of contacts, of each entrant that solves it."""
+    """Return p50 / p99 [us] by the number of contacts for `sum` on the track `random`, of each entrant that solves it."""
     ran = _ran(rows)
     ran = ran[(ran["case"] == "random") & (ran["objective"] == "sum")]
     ran = ran[ran.groupby("method")["solved"].transform("mean") > 0.9]
@@ -168,7 +166,7 @@ def by_contacts(rows: Rows) -> Rows:
 
 
 def profiles(rows: Rows) -> Figure:
-    """Profiles of Dolan and More (2002): the share of problems solved within a factor of the best, in time and in iterations."""
+    """Draw profiles of Dolan and More (2002): the share of problems solved within a factor of the best, in time and in iterations."""
     ran = _ran(rows)
     objectives = list(ran["objective"].unique())
     figure = Figure(figsize=(9.0, 3.6 * max(len(objectives), 1)), layout="constrained")
@@ -195,7 +193,7 @@ def profiles(rows: Rows) -> Figure:
 
 
 def profile(rows: Rows, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """By entrant the factors of the best and the share of all problems solved within them; a track that is not entered is not solved."""
+    """Return by entrant the factors of the best and the share of all problems solved within them; tracks not entered are not solved."""
     ran = _ran(rows)
     if column not in ran:
         return {}
@@ -211,7 +209,7 @@ def profile(rows: Rows, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 def _ran(rows: Rows) -> Rows:
-    """The rows of entrants that took part."""
+    """Return the rows of entrants that took part."""
     return rows[rows["microseconds"].notna() & (rows["method"] != "empty")]
 
 
@@ -221,22 +219,18 @@ def _absent(rows: Rows) -> Iterator[str]:
             yield f"{name} did not enter {', '.join(part['case'].unique())}: {reason}"
 
 
-def _told(part: Rows) -> str:
-    """The fastest of those that solve most: p50 / p99, what it fails at, and its name."""
-    best = (
-        part[part["solved"] == part["solved"].max()].sort_values("p50")
-        if len(part) and part["solved"].max()
-        else part.iloc[:0]
-    )
-    if best.empty:
+def _fastest(made: list[dict[str, Any]]) -> str:
+    """Return p50 / p99 of the fastest entrant that solves most problems, with its name and its number of failures."""
+    most = max((row["solved"] for row in made), default=0)
+    if not most:
         return "–"
-    row = best.iloc[0]
+    row = min((row for row in made if row["solved"] == most), key=lambda row: row["p50"])
     failed = "" if row["solved"] == row["n"] else f", {row['solved']} of {row['n']}"
     return f"{number(row['p50'])} / {number(row['p99'])} ({row['method']}{failed})"
 
 
 def pair_of(times: np.ndarray) -> str:
-    """Median / 99 % of times [us]."""
+    """Return median / 99th percentile of times [us]."""
     return " / ".join(number(float(each)) for each in np.percentile(times, [50.0, 99.0]))
 
 
@@ -262,13 +256,13 @@ def _standing(name: Any, part: Rows) -> dict[str, Any]:
 
 
 def _by_problem(part: Rows) -> dict[Any, float]:
-    """Times of the solved problems."""
+    """Return the times of the solved problems."""
     solved = part[part["solved"].astype(bool)]
     return dict(zip(zip(solved["event"], solved["problem"], strict=True), numbers(solved, "microseconds"), strict=True))
 
 
 def _ratio(mine: dict[Any, float], other: dict[Any, float], percent: float) -> tuple[float, float, float]:
-    """A percentile of one over that of another on the problems that both solve, with its paired bootstrap interval."""
+    """Return the ratio of percentiles on the problems that both solve, with its paired bootstrap interval."""
     both = [key for key in mine if key in other]
     if not both:
         return np.nan, np.nan, np.nan
@@ -277,6 +271,6 @@ def _ratio(mine: dict[Any, float], other: dict[Any, float], percent: float) -> t
 
 
 def _places(rows: Rows) -> Any:
-    """A sorting key: values in the order in which they first appear."""
+    """Return a sorting key for the order of first appearance."""
     order = {column: {value: k for k, value in enumerate(rows[column].unique())} for column in [*CELL, "language"]}
     return lambda series: series.map(order[series.name])

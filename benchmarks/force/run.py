@@ -1,4 +1,4 @@
-"""Runs entrants on tracks: they take turns, and the time of a problem is the least of its calls."""
+"""Runs of entrants on tracks: they take turns, and the time of a problem is the least of its calls."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from benchmarks.force.entrant import CProblem, Entrant, Library, Task, status_of
 from benchmarks.force.entrants import ENTRANTS
 from benchmarks.force.package import problem_of
 from benchmarks.force.problems import OBJECTIVES, Array, Problem, Session, Track
-from benchmarks.force.score import Parted, parted, score
+from benchmarks.force.score import Parts, parts_of, score
 from grasp_env.grasp import presets
 
 HERE = Path(__file__).parent
@@ -31,13 +31,13 @@ Rows = list[dict[str, Any]]
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is timed.
+    """Amount of timing.
 
     Attributes:
-        rounds: in which the entrants take turns, so that a busy second of the machine hits all alike; each makes one pass at least.
-        seconds: an entrant may spend on further passes of a round.
-        passes: most passes of a round.
-        sessions: of each track at most, problems: of each of them; None: all.
+        rounds: rounds in which the entrants take turns, with one or more passes each, so that a busy moment affects all alike.
+        seconds: time for further passes of an entrant in a round.
+        passes: largest number of passes in a round.
+        sessions, problems: largest numbers of sessions of a track and of problems of a session; None: all.
     """
 
     rounds: int = 2
@@ -49,7 +49,7 @@ class Effort:
 
 QUICK = Effort(rounds=1, seconds=0.02, passes=3, sessions=3, problems=4)
 SAME = 1e-9
-"""Answers of two passes that differ by no more, of the largest force, are scored once."""
+"""Largest difference of equal results of two passes, relative to the largest force; they are scored once."""
 
 
 @dataclass(eq=False)
@@ -57,24 +57,24 @@ class Timed:
     """An entrant set up for a session.
 
     Attributes:
-        solver: it.
-        task: what it was told.
-        problems: of the session, its own copies.
-        answers: for each problem those of all passes that differ; every one of them counts.
-        iterations: of the first pass, nan where it does not tell.
-        seconds: (M,) the least of all passes.
-        calls: passes that were made.
-        many: answers and seconds of one problem in a call of `solve_many`, where it has that.
+        solver: the entrant.
+        task: argument of its `setup`.
+        problems: its own copies of the session's problems.
+        answers: different results of all passes for each problem; all of them are scored.
+        iterations: iterations of the first pass, nan if unknown.
+        seconds: (M,) least time of all passes.
+        calls: number of passes.
+        many: results and seconds per problem in a call of `solve_many`, if it exists.
     """
 
     solver: Any
     task: Task
     problems: list[Problem]
-    answers: list[list[Parted]] = field(init=False)
+    answers: list[list[Parts]] = field(init=False)
     iterations: Array = field(init=False)
     seconds: Array = field(init=False)
     calls: int = 0
-    many: tuple[list[Parted], float] | None = None
+    many: tuple[list[Parts], float] | None = None
 
     def __post_init__(self) -> None:
         self.answers = [[] for _ in self.problems]
@@ -86,7 +86,7 @@ class Timed:
         self.solver.setup(self.task)
 
     def passes(self, count: int) -> float:
-        """Makes passes over the problems in their order; returns the seconds that they took."""
+        """Make passes over the problems in their order; returns the seconds that they took."""
         began = time.perf_counter()
         for _ in range(count):
             self._pass()
@@ -96,8 +96,8 @@ class Timed:
             self._all_at_once()
         return taken
 
-    def _keep(self, m: int, answer: Parted, iterations: float) -> None:
-        """Keeps an answer that differs from those before it."""
+    def _keep(self, m: int, answer: Parts, iterations: float) -> None:
+        """Keep an answer that differs from those before it."""
         kept = self.answers[m]
         if not kept:
             self.iterations[m] = iterations
@@ -116,13 +116,13 @@ class Timed:
                 if cold:
                     setup(task)
                 answer = solve(problem, start)
-            except Exception as error:  # a solver's fault is no fault of the benchmark
+            except Exception as error:  # an error of a solver must not end the benchmark
                 answer = error
             taken = 1e-9 * (clock() - begin)
             if m < 0:
                 continue
             self.seconds[m] = min(self.seconds[m], taken)
-            made = parted(problem, answer)
+            made = parts_of(problem, answer)
             start = made.force.copy() if warm and made.force is not None and made.status == "solved" else None
             self._keep(m, made, getattr(self.solver, "iterations", np.nan))
 
@@ -143,20 +143,20 @@ class Timed:
         for m, problem in enumerate(self.problems):
             prices = None if np.isnan(multipliers[m]).any() else multipliers[m]
             steps = np.nan if iterations[m] < 0 else float(iterations[m])
-            self._keep(m, parted(problem, (forces[m], prices, status_of(int(statuses[m])))), steps)
+            self._keep(m, parts_of(problem, (forces[m], prices, status_of(int(statuses[m])))), steps)
 
     def _all_at_once(self) -> None:
         began = time.perf_counter()
         try:
             answers = self.solver.solve_many(self.problems)
             taken = (time.perf_counter() - began) / len(self.problems)
-            made = [parted(problem, answer) for problem, answer in zip(self.problems, answers, strict=True)]
-        except Exception:  # as NotImplementedError: these are not taken at once
+            made = [parts_of(problem, answer) for problem, answer in zip(self.problems, answers, strict=True)]
+        except Exception:  # such as NotImplementedError: this batch is not supported
             return
         self.many = made, min(taken, self.many[1] if self.many else np.inf)
 
 
-def same(one: Parted, other: Parted) -> bool:
+def same(one: Parts, other: Parts) -> bool:
     """True if two answers to a problem are equal up to `SAME`."""
     if one.status != other.status or (one.force is None) != (other.force is None):
         return False
@@ -171,7 +171,7 @@ class Empty:
     name, note = "empty", "an empty call, the control"
 
     def setup(self, task: Task) -> None:
-        """Makes the zeros."""
+        """Make the zeros."""
         self._zeros = np.zeros(task.first.matrix.shape[1])
 
     def solve(self, problem: Problem, start: Array | None = None) -> Array:
@@ -220,11 +220,11 @@ def measured(
     effort: Effort,
     tell: Callable[[str], None] = lambda text: None,
 ) -> tuple[Rows, dict[str, dict[str, Any]]]:
-    """Times the entrants on the tracks.
+    """Time the entrants on the tracks.
 
     Returns:
-        A row for each entrant, objective, mode and problem, and one with a `reason` where an entrant does not take part in a track;
-        and what the entrants say of themselves.
+        A row for each entrant, objective, mode and problem, and one with a `reason` if an entrant does not take part in a track;
+        and the notes of the entrants.
     """
     rows: Rows = []
     told: dict[str, dict[str, Any]] = {}
@@ -241,7 +241,7 @@ def measured(
                 ready[name] = [_prepared(make, session, task, effort) for session in sessions]
             except (ImportError, NotImplementedError) as error:
                 rows.append(key | {"method": name, "reason": f"{error}"[:300]})
-            except Exception as error:  # others go on
+            except Exception as error:  # other entrants continue
                 rows.append(
                     key | {"method": name, "reason": f"its setup failed: {type(error).__name__}: {error}"[:300]}
                 )
@@ -272,7 +272,7 @@ def cells(tracks: Sequence[Track]) -> Iterator[tuple[Track, str, str]]:
 
 
 def unit() -> float:
-    """[us] of a cold solve of the README's first problem by SciPy's SLSQP: what machines compare by. Median of 30."""
+    """Return the unit for comparing machines: median of 30 cold solves of the README's first problem by SciPy's SLSQP [us]."""
     slsqp = entrants(["slsqp"])["slsqp"]()
     problem = problem_of(presets.paper_cuboid(), [1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
     times = []

@@ -1,4 +1,4 @@
-"""Scores of answers, recomputed from their numbers and the problem alone."""
+"""Scores of solutions, recomputed from their numbers and the problem alone."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from benchmarks.force.entrant import STATUSES, Answer
 from benchmarks.force.problems import Array, Problem
 
 LEVELS = {"solved_coarse": 1e-4, "solved": 1e-6}
-"""Success: the gap to the reference and what is missed of balance, cones and limits are at most this."""
+"""Largest gap to the reference, and largest violation of balance, cones and limits, of a solved problem."""
 
 
-class Parted(NamedTuple):
-    """An answer: force (N k,) and multipliers (6 + L,), where there are any, status, and what an error said."""
+class Parts(NamedTuple):
+    """Parts of a result: force (N k,) and multipliers (6 + L,), if there are any, status, and the message of an error."""
 
     force: Array | None
     multipliers: Array | None
@@ -23,10 +23,10 @@ class Parted(NamedTuple):
     message: str = ""
 
 
-def parted(problem: Problem, answer: Answer | Exception) -> Parted:
-    """The parts of what a solver returned, copied; an error and what does not fit the problem are failures."""
+def parts_of(problem: Problem, answer: Answer | Exception) -> Parts:
+    """Return copies of the parts of a solver's result; errors and results that do not fit the problem are failures."""
     if isinstance(answer, Exception):
-        return Parted(None, None, "failed", f"{type(answer).__name__}: {answer}"[:200])
+        return Parts(None, None, "failed", f"{type(answer).__name__}: {answer}"[:200])
     parts = answer if isinstance(answer, tuple) else (answer,)
     force, multipliers, status = (*parts, None, None, None)[:3]
     size, prices = problem.matrix.shape[1], 6 + len(problem.limit_bound)
@@ -35,24 +35,24 @@ def parted(problem: Problem, answer: Answer | Exception) -> Parted:
     if proof is not None:
         proof = np.pad(proof, (0, prices - proof.size))
     if not isinstance(status, str) or status not in STATUSES:
-        return Parted(made, proof, "failed", f"no status: {status!r}"[:200])
+        return Parts(made, proof, "failed", f"no status: {status!r}"[:200])
     if status == "solved" and made is None:
-        return Parted(None, proof, "failed", f"no force of {size} finite numbers")
-    return Parted(made, proof, status)
+        return Parts(None, proof, "failed", f"no force of {size} finite numbers")
+    return Parts(made, proof, status)
 
 
-def score(problem: Problem, objective: str, best: float, answer: Parted) -> dict[str, Any]:
-    """The columns of an answer.
+def score(problem: Problem, objective: str, best: float, answer: Parts) -> dict[str, Any]:
+    """Return the columns of a result.
 
     Args:
-        problem: what was asked.
+        problem: the problem.
         objective: "sum" or "phi".
         best: the reference's optimum; inf: there is no force.
         answer: the parts.
 
     Returns:
         status; gap, balance, violation, limit_excess where there is a force; solved_coarse and solved; proved: the multipliers
-        prove the answer, to 1e-6, or that there is none; wrong: the verdict is the opposite of the truth.
+        prove the optimum to 1e-6, or that there is no force; wrong: the verdict is false.
     """
     force, multipliers, status, message = answer
     row: dict[str, Any] = {"status": status, "wrong": status == ("solved" if best == np.inf else "infeasible")}
@@ -82,7 +82,7 @@ def score(problem: Problem, objective: str, best: float, answer: Parted) -> dict
 
 
 def _numbers(given: Any, *sizes: int) -> Array | None:
-    """A copy as a flat array of one of these sizes; None where it is none, or not finite."""
+    """Return a copy as a flat array; None if its size is another, or a number is not finite."""
     try:
         array = np.array(given, dtype=float).reshape(-1)
     except (TypeError, ValueError):

@@ -27,9 +27,9 @@ class Found:
     """The answer of a source to a problem.
 
     Attributes:
-        force, multipliers: (N k,), (6 + L,); the force is nan where the multipliers are a witness.
-        lower, upper: bounds by `bounds`; inf where the witness proves that no force exists.
-        rest: (N k + 6 + L,) what is left of both below the last digit, of answers by `exact`; else None.
+        force, multipliers: (N k,), (6 + L,); the force is nan if the multipliers are a witness.
+        lower, upper: bounds by `bounds`; inf if the witness proves that no force exists.
+        rest: (N k + 6 + L,) rounding errors of both for results of `exact`, else None.
     """
 
     force: Array
@@ -63,7 +63,7 @@ def package(problem: Problem, name: str) -> Found:
     def answers() -> Iterator[tuple[Array, Array, bool]]:
         for tolerance in TOLERANCES:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", GraspWarning)  # sizes of a kilometre are meant
+                warnings.simplefilter("ignore", GraspWarning)  # sizes of a kilometre are intended
                 optimizer = ForceOptimizer(grasp, method=method, limits=limits, tolerance=tolerance)
             try:
                 solution = optimizer.solve(problem.wrench, contacts=problem.touching)

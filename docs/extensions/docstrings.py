@@ -1,4 +1,4 @@
-"""How docstrings and code are read: `code` is a word, and a link where a page has that name."""
+"""Reading of docstrings: `code` becomes a link if a page has that name."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ ROOMS = ("grasp_env", "policies", "training")
 
 
 class Word(PyXRefRole):
-    """The default role. A word that names nothing stays text, without a warning: most backticks are code."""
+    """Default role. A word without a page stays text, without a warning, because most backticks are code."""
 
     def process_link(
         self, env: BuildEnvironment, refnode: nodes.Element, has_explicit_title: bool, title: str, target: str
     ) -> tuple[str, str]:
-        """As a reference to any Python object; one that looks like a class may stand in any module."""
+        """Treat the word as a reference to any Python object; a class may be in any module."""
         refnode["reftype"] = "obj"
         if target[:1].isupper() and target.isidentifier():
             target = f".{target}"
@@ -31,9 +31,9 @@ class Word(PyXRefRole):
 
 
 def constant_docs(name: str, value: Any) -> list[str]:
-    """The text below a module's constant, in whichever of our modules it stands; empty: it has none.
+    """Return the text below a module's constant, in any of our modules; empty if there is none.
 
-    What Python itself says of a constant is the docstring of its type.
+    `__doc__` of a constant is the docstring of its type.
     """
     for module, found in list(sys.modules.items()):
         if module.partition(".")[0] in ROOMS and vars(found).get(name) is value:
@@ -44,7 +44,7 @@ def constant_docs(name: str, value: Any) -> list[str]:
 
 
 def from_markdown(lines: list[str]) -> list[str]:
-    """Headings and tables as Gymnasium's docstrings have them, in the language that Sphinx reads."""
+    """Convert headings and tables of Gymnasium's docstrings from Markdown to reStructuredText."""
     made: list[str] = []
     for k, line in enumerate(lines):
         if line.startswith("## "):
@@ -60,33 +60,33 @@ def from_markdown(lines: list[str]) -> list[str]:
 
 
 def mend(_app: Sphinx, what: str, name: str, value: Any, _options: Any, lines: list[str]) -> None:
-    """Before Google's sections are read."""
+    """Change a docstring before Google's sections are read."""
     if what == "data":
         lines[:] = constant_docs(name.rpartition(".")[2], value)
     if what in ("data", "attribute", "property"):
-        lines[:0] = ["..", ""]  # a comment: what stands before a colon in the first line is taken for its type
+        lines[:0] = ["..", ""]  # a comment: text before a colon in the first line would be taken as the type
     if any(line.startswith("## ") for line in lines):
         lines[:] = from_markdown(lines)
     for k, line in enumerate(lines):
         if not line.lstrip().startswith((">>>", "...")):
-            lines[k] = line.replace("|", r"\|")  # |x| is an absolute value here
+            lines[k] = line.replace("|", r"\|")  # |x| is an absolute value
 
 
 def skip(_app: Sphinx, _what: str, _name: str, value: Any, _skipped: bool, _options: Any) -> bool | None:
-    """A NamedTuple's fields stand under `Attributes`; what Python says of them is no documentation."""
+    """Skip the fields of a NamedTuple, which are documented under `Attributes`."""
     said = getattr(value, "__doc__", None) or ""
     return True if said.startswith("Alias for field number") else None
 
 
 def add_examples(app: Sphinx, what: str, name: str, _value: Any, _options: Any, lines: list[str]) -> None:
-    """The gallery's programs that use a class or function, as pictures below it."""
+    """Add the gallery's programs that use a class or function, as pictures below it."""
     found = app.srcdir / "gallery" / "backreferences" / f"{name}.examples"
     if what in ("class", "function") and found.is_file() and found.read_text(encoding="utf-8").strip():
         lines += ["", f".. minigallery:: {name}", "   :add-heading: In the gallery", "   :heading-level: ^", ""]
 
 
 def strip_blocks(_app: Sphinx, doctree: nodes.document) -> None:
-    """Code without the empty line at its end, which doctest wants before a fence."""
+    """Remove the empty line at the end of code, which doctest needs before a fence."""
     for block in doctree.findall(nodes.literal_block):
         if block.astext() != block.astext().rstrip("\n"):
             block.rawsource = block.astext().rstrip("\n")
@@ -94,9 +94,9 @@ def strip_blocks(_app: Sphinx, doctree: nodes.document) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Called by Sphinx."""
+    """Register the extension with Sphinx."""
     app.add_role_to_domain("py", "word", Word())
-    app.add_lexer("console", BashLexer)  # commands without a prompt, which are no output
+    app.add_lexer("console", BashLexer)  # commands without a prompt, and no output
     app.connect("autodoc-process-docstring", mend, priority=100)
     app.connect("autodoc-process-docstring", add_examples, priority=900)
     app.connect("autodoc-skip-member", skip)

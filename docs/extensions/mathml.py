@@ -1,4 +1,4 @@
-"""Formulas as MathML, which browsers draw by themselves: no script, no font and no request."""
+"""Formulas as MathML, which browsers render without scripts, fonts or requests."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
 
 
 def inline(translator: HTML5Translator, node: nodes.math) -> None:
-    """A formula within a line."""
+    """Write a formula within a line."""
     translator.body.append(convert(node.astext()))
-    raise nodes.SkipNode  # what is in it has been written
+    raise nodes.SkipNode  # its content is written
 
 
 def block(translator: HTML5Translator, node: nodes.math_block) -> None:
-    """A formula of its own, in a box that scrolls where the window is narrow."""
+    """Write a displayed formula, in a box that scrolls in a narrow window."""
     translator.body.append(f'<div class="formula">{convert(node.astext(), display="block")}</div>\n')
     raise nodes.SkipNode
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Called by Sphinx."""
+    """Register the extension with Sphinx."""
     app.add_html_math_renderer("latex2mathml", (inline, None), (block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""`program-help`: what `grasp COMMAND --help` prints, asked of the program while the site is built."""
+"""Directive `program-help`: the output of `grasp COMMAND --help`, taken while the site is built."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WIDTH = 88
 
 
 def help_of(*words: str) -> str:
-    """The help of a sub-command, or of the program."""
+    """Return the help of a sub-command, or of the program."""
     text = io.StringIO()
     with patch.dict(os.environ, {"COLUMNS": str(WIDTH)}), redirect_stdout(text):
         try:
@@ -32,10 +32,10 @@ def help_of(*words: str) -> str:
 
 
 class ProgramHelp(SphinxDirective):
-    """The program's own page, then that of every sub-command under a heading of its own."""
+    """Help of the program, then of every sub-command under a heading."""
 
     def run(self) -> list[nodes.Node]:
-        """The sections."""
+        """Return the sections."""
         text = help_of()
         return [nodes.literal_block(text, text, language="text"), *map(self._section, COMMANDS)]
 
@@ -48,6 +48,6 @@ class ProgramHelp(SphinxDirective):
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Called by Sphinx."""
+    """Register the extension with Sphinx."""
     app.add_directive("program-help", ProgramHelp)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""`all-settings`: the tables of every setting of the environment, made of the records while the site is built."""
+"""Directive `all-settings`: tables of every setting of the environment, made of the records while the site is built."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from grasp_env.settings import Settings, described
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-HEAD = "| Setting | Meaning | Default | May be |\n|---|---|---|---|"
+HEAD = "| Setting | Meaning | Default | Values |\n|---|---|---|---|"
 
 
 def plainly(value: Any) -> str:
-    """A default in words."""
+    """Return a default value as text."""
     if isinstance(value, Settings):
         return value.name or f"{type(value).__name__}()"
     if isinstance(value, tuple):
@@ -28,7 +28,7 @@ def plainly(value: Any) -> str:
 
 
 def tables() -> Iterator[tuple[str, str]]:
-    """A title and a Markdown table for the settings at the top, and for each record in them."""
+    """Yield a title and a Markdown table for the top-level settings and for each record."""
     plain = {path: name for name, path in KEYWORDS.items()}
     groups: dict[tuple[str, type], list[str]] = {}
     for path, record, about in described(EnvConfig):
@@ -45,10 +45,10 @@ def tables() -> Iterator[tuple[str, str]]:
 
 
 class AllSettings(SphinxDirective):
-    """The tables, each under a heading of its own."""
+    """Tables, each under a heading."""
 
     def run(self) -> list[nodes.Node]:
-        """The sections."""
+        """Return the sections."""
         return [self._section(title, text) for title, text in tables()]
 
     def _section(self, title: str, text: str) -> nodes.section:
@@ -59,6 +59,6 @@ class AllSettings(SphinxDirective):
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Called by Sphinx."""
+    """Register the extension with Sphinx."""
     app.add_directive("all-settings", AllSettings)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

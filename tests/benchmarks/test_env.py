@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-
 import pytest
 
 from grasp_env.errors import MissingExtraError
@@ -27,25 +25,9 @@ def test_steps_resets_and_memory(monkeypatch):
     weight = {row["case"]: row["mebibytes"] for row in env.memory_of("same", {}, 20, 1)}
     assert 0.0 < weight["memory of an environment"] < weight["memory in all"] < 2000.0
     assert abs(weight["growth over the resets"]) < 20.0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
-    assert 0.2 * peak < env._resident() <= 1.01 * peak
     monkeypatch.setattr(env, "bare_loop", lambda inner, recorded: 1)
     with pytest.raises(AssertionError, match="went another way"):
         env.steps_beside_bare("usual", {}, 0, 1)
-
-
-@pytest.mark.parametrize(("factor", "met"), [(0.99, True), (1.01, False)])
-def test_claims_ask_what_was_asked(factor, met):
-    rows = [
-        {"case": "step", "method": env.USUAL, "per_second": 1000.0 / factor, "ratio": 1.25 * factor},
-        {"case": "step", "method": "PD only", "per_second": 1.0, "ratio": 9.0},
-        {"case": "reset", "method": "same shape, new mass and friction", "milliseconds": 5.0 * factor},
-        {"case": "reset", "method": "new shape", "milliseconds": 40.0 * factor},
-        {"case": "memory of an environment", "method": "same object", "mebibytes": 60.0 * factor},
-        {"case": "growth over the resets", "method": "same object", "mebibytes": factor},
-        {"case": "growth over the resets", "method": "new shape", "mebibytes": factor},
-    ]
-    assert [row.met for row in judge(env.BENCHMARK.claims, summary(table(rows)))] == [met] * 7
 
 
 @pytest.mark.slow

@@ -142,24 +142,6 @@ def test_rows_of_known_layers(monkeypatch):
     assert np.isnan(found.loc[ANSWERS, 4, LAYER]["force_difference_max"])
 
 
-def test_torch_has_one_thread_only_while_it_runs():
-    threads = torch.get_num_threads()
-    try:
-        torch.set_num_threads(2)
-        with layer.one_thread():
-            assert torch.get_num_threads() == 1
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(threads)
-
-
-def test_a_time_is_the_best_of_the_passes_without_warm_up(monkeypatch):
-    now, took = [0.0], [99.0, 7.0, 5.0, 3.0, 6.0]
-    monkeypatch.setattr("time.perf_counter", lambda: now[0])
-    monkeypatch.setattr(layer, "step", lambda call, given, backward: now.__setitem__(0, now[0] + took.pop(0)))
-    np.testing.assert_allclose(layer.seconds(None, [{}, {}], True, 2), [3.0, 5.0])
-
-
 def test_the_layer_itself_is_called(problems):
     grasps, data = problems
     built = {LAYER: layer.ours(COUNT)}

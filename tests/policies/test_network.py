@@ -14,7 +14,7 @@ from policies.features import surface_pairs
 
 
 def network(rule: LearnedInitialForce, features: np.ndarray) -> np.ndarray:
-    """What the model's network says, plain; the last feature is the friction, of which its weights may be polynomials."""
+    """Return the output of the model's network by numpy; the last feature is the friction, of which its weights may be polynomials."""
     tensors, parts = rule.checkpoint.tensors, []
     powers = features[-1] ** np.arange(rule.checkpoint.numbers["friction_degree"] + 1)
     for k in range(len(rule.sizes) - 1):
@@ -24,7 +24,7 @@ def network(rule: LearnedInitialForce, features: np.ndarray) -> np.ndarray:
 
 
 def expected(rule: LearnedInitialForce, grasp: Grasp, w: np.ndarray, friction: float) -> np.ndarray:
-    """The force (3N,) that the network means, by numpy."""
+    """Return the force (3N,) of the network by numpy."""
     pairs, reference = (rule.checkpoint.tensors[name].astype(np.float64) for name in ("pairs", "reference"))
     inputs, size = rule.features((grasp.unit_frame @ w)[None], np.array([friction]), pairs)
     return -grasp.pseudoinverse @ w + null_space_basis(grasp, reference) @ (size[0] * network(rule, inputs[0]))

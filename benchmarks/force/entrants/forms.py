@@ -47,7 +47,7 @@ class Form:
         self._make(problem)
 
     def update(self, problem: Problem) -> str:
-        """Takes the numbers of another problem of the session, and says what has changed.
+        """Take the numbers of another problem of the session, and says what has changed.
 
         Returns:
             "wrench" alone; "numbers" of any kind; or "pattern", after which a solver must be set up again.
@@ -91,7 +91,7 @@ class Form:
         return force if self._touching is None else force * self._touching
 
     def _size(self, problem: Problem) -> float:
-        """The forces that a solver finds are to be multiplied by this."""
+        """Factor for the forces of a solver."""
         return math.sqrt(problem.wrench @ problem.wrench) / SIZE or 1.0
 
     def _rows(self, problem: Problem, matrix: Array, limit_matrix: Array) -> Array:
@@ -278,7 +278,7 @@ class Numbers:
         self.matrix = sparse.csc_matrix((dense[self._rows, self._columns], self._rows, begins), shape=dense.shape)
 
     def refresh(self, dense: Array) -> Array:
-        """Takes the numbers of a dense matrix, and returns those of the pattern."""
+        """Take the numbers of a dense matrix, and returns those of the pattern."""
         numbers = dense[self._rows, self._columns]
         self.matrix.data[:] = numbers
         return numbers
@@ -303,7 +303,7 @@ class Conic:
         return self.form.answer(*self.run(changed == "numbers"))
 
     def build(self) -> None:
-        """Sets the solver up with the numbers of `form`."""
+        """Set the solver up with the numbers of `form`."""
         raise NotImplementedError
 
     def run(self, moved: bool) -> tuple[Array, Array, str]:

@@ -47,7 +47,7 @@ class Highs:
             solver.changeRowsBounds(6, self._balance, -problem.wrench, -problem.wrench)
         solver.run()
         self.iterations = solver.getInfo().simplex_iteration_count
-        # where the pyramids hold no force, the cones may
+        # without a force in the pyramids, there may be one in the cones
         solved = solver.getModelStatus() == self._highspy.HighsModelStatus.kOptimal
         return self._pyramids.force(np.array(solver.getSolution().col_value)), None, "solved" if solved else "failed"
 

@@ -23,7 +23,7 @@ CORE = HERE.parents[3] / "grasp_env/core"
 
 
 class _FromPython:
-    """`ForceOptimizer.solve`; what is moved comes with the call."""
+    """`ForceOptimizer.solve`; changed contacts and limits are arguments of the call."""
 
     objectives: tuple[str, ...] = ("phi",)
     options: dict[str, Any] = {"method": "newton"}  # noqa: RUF012  it is not changed
@@ -58,7 +58,7 @@ class _FromPython:
         return self._answer(solution)
 
     def solve_many(self, problems: Sequence[Problem]) -> list[Answer]:
-        """Side by side in the vector registers, one thread."""
+        """Solve a batch in vector registers, on one thread."""
         if self._loses or any(problem.moved for problem in problems):
             raise NotImplementedError
         return [
@@ -97,7 +97,7 @@ class FlowPython(_FromPython):
 
 
 class LearnedPython(_FromPython):
-    """Newton from the shipped network, which knows four contacts near the paper's cuboid; elsewhere it starts as Newton does."""
+    """Newton from the shipped network for four contacts near the paper's cuboid; other problems have the default start."""
 
     name, division = "learned_python", "learned"
 

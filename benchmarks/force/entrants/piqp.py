@@ -41,7 +41,7 @@ class Piqp:
             self._solver.update(c=self._cost, G=self._rows())
         else:
             self._solver.update(c=self._cost)
-        # where the pyramids hold no force, the cones may
+        # without a force in the pyramids, there may be one in the cones
         status = "solved" if self._solver.solve() == self._solved else "failed"
         self.iterations = self._solver.result.info.iter
         return self._pyramids.force(np.array(self._solver.result.z_u)), None, status

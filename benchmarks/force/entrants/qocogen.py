@@ -51,7 +51,7 @@ class Qocogen(Library):
     """Steps of iterative refinement of each linear solve."""
 
     def __init__(self) -> None:
-        """Opens nothing: the library depends on the session."""
+        """Start without a library, which depends on the session."""
 
     def setup(self, task: Task) -> None:
         """See `Entrant`."""
@@ -69,7 +69,7 @@ class Qocogen(Library):
 
 
 class QocogenFast(Qocogen):
-    """The same with the compiler's every liberty."""
+    """QOCOGEN with -Ofast -flto and without iterative refinement."""
 
     name = "qocogen_fast"
     note = "qocogen with -Ofast -flto and no iterative refinement of its linear solves."
@@ -115,7 +115,7 @@ def _versions() -> tuple[str, ...]:
 
 
 def _generate(form: forms.Form, folder: str) -> None:
-    """Writes the code into folder/code; random numbers on the pattern, lest a cancellation look like a zero.
+    """Write the code into folder/code; random numbers on the pattern, lest a cancellation look like a zero.
 
     Numbers that never change, those of the barrier, are the form's.
     """

@@ -1,4 +1,4 @@
-"""SciPy's SLSQP, which people try first, on the problem as it stands."""
+"""SciPy's SLSQP, a common first choice, on the original problem."""
 
 from __future__ import annotations
 

@@ -1,0 +1,252 @@
+"""The benchmark of forces: both kinds of entrants, their times, the program, and the tables of known rows."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.force import build, problems, report, run
+from benchmarks.force.__main__ import main
+from benchmarks.force.entrant import CProblem, Library, Task
+from benchmarks.force.entrants import ENTRANTS
+from benchmarks.force.package import problem_of
+from benchmarks.force.problems import Problem, load
+from grasp_env.force import ForceOptimizer
+from grasp_env.grasp import presets
+from training.report.page import svg
+from training.results.table import pd, table
+from training.results.words import number
+
+
+def made(wrench, **other) -> Problem:
+    return problem_of(presets.paper_cuboid(), np.array(wrench), **other)
+
+
+WRENCH = [1.0, 0.5, -0.6, -0.1, 0.2, 0.0]
+
+
+ECHO = """
+#include "force.h"
+void *echo_setup(const force_problem *p, const char *objective) { return objective[0] == 's' ? (void *)p->friction : 0; }
+int echo(void *context, const force_problem *p, const double *start, double *force, double *multipliers, int *iterations) {
+    double sum = 0.0;
+    for (int k = 0; k < 3 * p->contacts; ++k) sum += p->positions[k] + p->normals[k];
+    for (int k = 0; k < 6 * p->contacts * p->joints; ++k) sum += p->jacobian[k];
+    for (int k = 0; k < 6 * p->contacts * p->width; ++k) sum += p->matrix[k];
+    for (int k = 0; k < p->limits; ++k) sum += p->limit_bound[k];
+    for (int k = 0; k < p->contacts * p->width; ++k) force[k] = start ? start[k] + 1.0 : sum;
+    for (int k = 0; k < 6 + p->limits; ++k) multipliers[k] = p->touching + 100.0 * p->moved;
+    if (iterations) *iterations = p->limits;
+    return p->wrench[0] > 0.0 ? 0 : 2;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def echo(tmp_path_factory) -> Path:
+    if not shutil.which("gcc"):
+        pytest.skip("there is no gcc")
+    folder = tmp_path_factory.mktemp("echo")
+    source = folder / "echo.c"
+    source.write_text(ECHO)
+    return build.library("echo", [source], ["-O1", "-Wall", "-Werror", f"-I{Path(run.__file__).parent}"])
+
+
+def test_c_sees_the_problem(echo):
+    rng = np.random.default_rng(0)
+    torques = {"jacobian": rng.standard_normal((4, 6, 5)), "torque_limit": np.full(5, 2.0), "torque_bias": np.zeros(5)}
+    problem = made(WRENCH, touching=np.array([True, True, False, True]), moved=True, **torques)
+    library = Library(str(echo), "echo")
+    with pytest.raises(NotImplementedError):
+        library.setup(Task("", "phi", "persistent", problem))
+    library.setup(Task("", "sum", "persistent", problem))
+    force, multipliers, status = library.solve(problem)
+    arrays = (problem.positions, problem.normals, problem.jacobian, problem.matrix, problem.limit_bound)
+    np.testing.assert_allclose(force, sum(array.sum() for array in arrays if array is not None))
+    assert set(multipliers) == {0b1011 + 100.0}
+    assert (status, len(multipliers)) == ("solved", 16)
+    assert library.solve(problem, np.ones(12))[0].tolist() == [2.0] * 12
+    assert CProblem.of(problem).joints == 5
+
+
+def test_c_is_timed_in_c_and_warm_starts(echo):
+    each = [made([1.0, k, 0.0, 0.0, 0.0, 0.0]) for k in range(3)]
+    first = Library(str(echo), "echo").solve(each[0])[0][0]
+    for mode, expected in (
+        ("persistent", [first] * 3),
+        ("warm", [first, first + 1.0, first + 2.0]),
+        ("cold", [first] * 3),
+    ):
+        timed = run.Timed(Library(str(echo), "echo"), Task("", "sum", mode, each[0]), each)
+        timed.passes(1)
+        timed.passes(3)
+        assert [answer.force[0] for (answer,) in timed.answers] == pytest.approx(expected)
+        assert (timed.seconds < 1e-3).all()
+        assert timed.iterations.tolist() == [0.0, 0.0, 0.0]
+
+
+class Told:
+    """Answers with the force it was started from plus one; the clock that it is timed by goes as it says."""
+
+    name, division = "told", "learned"
+
+    def __init__(self, now: list[int]) -> None:
+        self.now, self.took = now, [1, 5, 7, 9, 2, 6, 3, 8]
+
+    def setup(self, task):
+        self.iterations = 0
+
+    def solve(self, problem, start=None):
+        self.now[0] += 1000 * self.took.pop(0)
+        self.iterations += 1
+        if problem.wrench[0] > 2.0:
+            raise ZeroDivisionError("none")
+        return np.zeros(12) if start is None else start + 1.0
+
+    def solve_many(self, problems):
+        return [np.zeros(12)] * len(problems)
+
+
+@pytest.mark.parametrize("mode", ["persistent", "warm"])
+def test_python_is_timed_by_the_least_of_its_passes(mode, monkeypatch):
+    now = [0]
+    monkeypatch.setattr("time.perf_counter_ns", lambda: now[0])
+    each = [made([wrench, 0.0, 0.0, 0.0, 0.0, 0.0]) for wrench in (1.0, 2.0, 3.0)]
+    timed = run.Timed(Told(now), Task("", "sum", mode, each[0]), each)
+    timed.passes(2)
+    np.testing.assert_allclose(1e6 * timed.seconds, [5.0, 3.0, 8.0])
+    assert timed.iterations.tolist() == [2.0, 3.0, 4.0]
+    assert [answer.status for (answer,) in timed.answers] == ["solved", "solved", "failed"]
+    assert timed.answers[2][0].message == "ZeroDivisionError: none"
+    assert timed.answers[1][0].force[0] == (mode == "warm")
+    assert timed.calls == 2
+    assert (timed.many is None) == (mode == "warm")
+
+
+def test_the_answers_of_all_passes_are_scored():
+    """An entrant that answers in its first pass only has not solved the problem."""
+
+    class Once:
+        calls = 0
+
+        def setup(self, task):
+            pass
+
+        def solve(self, problem, start=None):
+            self.calls += 1
+            return force if self.calls <= 2 else None  # a pass begins with a call that does not count
+
+    best = ForceOptimizer(presets.paper_cuboid(), method="conic", tolerance=1e-10).solve(WRENCH)
+    force = best.force.reshape(-1)
+    optimum = problems.Reference(*(np.array([best.objective]) for _ in range(4)), force[None], best.multipliers[None])
+    arrays = {
+        name: np.array(getattr(made(WRENCH), name))[None] for name in ("positions", "frames", "friction", "wrench")
+    }
+    session = problems.Session("", arrays, {"sum": optimum})
+    track = problems.Track("one", [session], {"objectives": ["sum"], "modes": ["persistent"]})
+    for passes, solved in ((1, True), (2, False)):
+        rows = run.measured([track], {"once": Once}, run.Effort(rounds=1, seconds=1.0, passes=passes))[0]
+        assert [row["solved"] for row in rows if row["method"] == "once"] == [solved]
+
+
+SMALL = ["--tracks", "smooth", "soft", "--quick"]
+
+
+def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
+    """The worked example of the page, beside ours, in runs that `report` compares."""
+    entrants = ["--solver", "benchmarks/force/example.py:Mine", "--against", "conic_python"]
+    assert main(["run", *SMALL, *entrants, "--out", str(tmp_path), "--name", "a"]) == 0
+    told = capsys.readouterr().out
+    assert "mine did not enter soft: hard contacts without limits" in told
+    rows = pd.read_parquet(tmp_path / "a/rows.parquet")
+    ran = rows[rows["status"].notna() & (rows["method"] != "empty")]
+    assert ran[ran["method"] == "conic_python"]["solved"].all()
+    assert ran["solved"].mean() > 0.97  # SLSQP leaves a few at 2e-6
+    entered = {*zip(ran["method"], ran["case"], strict=True)}
+    assert entered == {("mine", "smooth"), ("conic_python", "smooth"), ("conic_python", "soft")}
+    about = json.loads((tmp_path / "a/run.json").read_text())
+    assert about["tracks"]["smooth"] == load("smooth").about["sha256"]
+    assert main(["report", str(tmp_path / "a"), str(tmp_path / "a")]) == 0
+    assert "before" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["run", "--tracks", "smoth"], "no track 'smoth'"),
+        (["run", "--solver", "nowhere.py:Mine"], "there is no file nowhere.py"),
+        (["run", "--solver", "benchmarks/force/example.py:np"], "has no setup and no solve: see Entrant in"),
+        (["generate", "soft", "--seed", "-1"], "the seed must be at least 0, got -1"),
+        (["report", "nowhere"], "not a finished run"),
+        (["validate", "--sets", "docs"], "holds no track"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(words, said, capsys):
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ENTRANTS)
+def test_an_entrant_agrees_or_shows_its_failures(name, monkeypatch, tmp_path_factory):
+    """On three problems of a session of each kind; entrants with pyramids miss the optimum, and what cannot run here is skipped with its reason."""
+    if name in ("conic", "newton", "flow"):
+        pytest.skip("compiling the C++ front takes minutes: `python -m benchmarks.force validate --solver conic`")
+    monkeypatch.setattr(build, "BUILD", tmp_path_factory.getbasetemp() / "force")
+    tracks = [load(track) for track in ("cold", "own", "soft")]
+    rows, _ = run.measured(tracks, run.entrants([name]), run.Effort(rounds=1, seconds=0.0, sessions=1, problems=3))
+    rows = table(rows)
+    ran = rows[(rows["method"] == name) & rows["status"].notna()]
+    if ran.empty:
+        pytest.skip(str(rows["reason"].dropna().iloc[-1]))
+    assert not ran["wrong"].any()
+    if name in ("highs", "piqp"):
+        assert 0.0 < ran["gap"].median() < 0.1
+        assert ran["balance"].max() < 1e-4
+    else:
+        assert ran["solved"].all()
+
+
+def test_tables_of_known_rows():
+    """Entrants of known times: ratios, ties, failures, profiles, and the table of the page."""
+    rng = np.random.default_rng(0)
+    keys = ("case", "objective", "mode", "language", "division", "event")
+    base = dict(zip(keys, ("smooth", "sum", "persistent", "Python", "closed", "4"), strict=True))
+    rows = []
+    for k in range(100):
+        common = {"problem": k, "solved_coarse": True, "proved": True, "wrong": False, "iterations": 5}
+        time = rng.uniform(1.0, 2.0)
+        rows += [
+            base | common | {"method": "fast", "microseconds": time, "solved": True},
+            base | common | {"method": "same", "microseconds": time * rng.uniform(0.98, 1.03), "solved": True},
+            base | common | {"method": "slow", "microseconds": 10.0 * time, "solved": k > 0, "iterations": 50},
+            base | common | {"method": "empty", "microseconds": 0.1, "solved": False},
+        ]
+    made = table(rows)
+    found = report.standings(made).set_index("method")
+    assert found["solved"].to_dict() == {"fast": 100, "same": 100, "slow": 99}
+    assert found.loc["slow", "p50_ratio"] == pytest.approx(10.0, rel=0.05)
+    assert found["first"].to_dict() == {"fast": "success, p50, p99", "same": found.loc["same", "first"], "slow": ""}
+    assert "p50" in found.loc["same", "first"]
+    times = made[made["method"] == "slow"]["microseconds"].to_numpy(float)
+    logs = np.log(np.append(times[1:], report.PENALTY) + 1.0)
+    assert found.loc["slow", "mean"] == pytest.approx(np.exp(logs.mean()) - 1.0)
+    factors, share = report.profile(made, "iterations")["slow"]
+    assert factors.tolist() == [10.0] * 99
+    assert share[-1] == pytest.approx(0.99)
+    assert "mathdefault" not in svg(report.profiles(made))  # pictures hold plain text
+    again = made.assign(microseconds=2.0 * made["microseconds"])
+    both = report.beside(again, made).set_index("method")
+    assert both.loc["fast", ["ratio", "tie"]].tolist() == [2.0, False]
+    assert report.beside(made, made)["tie"].all()
+    assert any("an empty call: 0.1 us" in line for line in report.lines(made, 1000.0))
+    p50, p99 = np.percentile(times[1:], [50.0, 99.0])
+    (line,) = report.by_track(made[made["method"].isin(["slow", "fast"])], "sum", {"slow"}).to_dict("records")
+    assert line["ours, Python"] == f"{number(p50)} / {number(p99)} (slow, 99 of 100)"
+    assert line["fastest other, Python"].endswith(" (fast)")
+    assert line["ours, C"] == "–"
