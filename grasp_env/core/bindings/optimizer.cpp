@@ -273,12 +273,12 @@ void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
 // f(limits, wrench) with what Python gives of a wrench (6,), a Jacobian (N, 3 or 6, J) and torque limits (J,), each an array or None.
 template <class F>
 auto with_limits(const Contacts& contacts, nb::handle wrench, nb::handle jacobian, nb::handle torque_limit, F&& f) {
-    const auto numbers = [](const Given& array, std::initializer_list<npy_intp> shape) {
+    const auto numbers = [](const ArrayArgument& array, std::initializer_list<npy_intp> shape) {
         if (array.given() && !array.has(shape)) throw nb::type_error("a C-contiguous float64 array of another shape is needed");
         return array.given() ? array.numbers() : Doubles{};
     };
-    const Doubles load = numbers(Given(wrench), {6}), limit = numbers(Given(torque_limit), {-1}),
-                  rows = numbers(Given(jacobian), {contacts.count, -1, npy_intp(limit.size())});
+    const Doubles load = numbers(ArrayArgument(wrench), {6}), limit = numbers(ArrayArgument(torque_limit), {-1}),
+                  rows = numbers(ArrayArgument(jacobian), {contacts.count, -1, npy_intp(limit.size())});
     return f(ForceLimits{.jacobian = rows, .torque_limit = limit}, load);
 }
 nb::list advice(const Contacts& contacts, nb::handle wrench, nb::handle jacobian, nb::handle torque_limit) {
