@@ -118,7 +118,7 @@ def test_a_drop_earns_nothing_and_may_cost(cost):
     [
         ({"method": "newton"}, "Newton|newton"),
         ({"method": "conic"}, "no start"),
-        ({"controller": {"kind": "pd"}}, "does not optimize"),
+        ({"controller": {"kind": "pd"}}, "does not optimise"),
         ({"object": {"torsional_friction": 0.01}}, "soft contacts"),
     ],
 )
