@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,17 +119,6 @@ def test_inertial_wrench_of_a_moving_target() -> None:
         np.testing.assert_allclose(balanced(s, target), [*force, *moment], rtol=1e-4, atol=1e-6)
 
 
-class Tick(NamedTuple):
-    """One control tick: what the loop knew, what it commanded and what Bullet then measured."""
-
-    fingers: tuple[int, ...]
-    touching: np.ndarray
-    force: np.ndarray
-    wrench: np.ndarray
-    closure: bool
-    matrix: np.ndarray
-
-
 class Trial:
     """An episode in which the tips of some fingers are pulled off the object for a while.
 
@@ -145,7 +133,7 @@ class Trial:
         env = FourFingerGrasp(disturbance="none", **settings)
         env.reset(seed=0)
         scene, loop = env.scene, env._loop
-        self.ticks: list[Tick] = []
+        self.ticks: list[dict[str, Any]] = []  # what the loop knew and commanded, and the fingers that really touch
         self.infos: list[dict[str, Any]] = []
         self.friction = loop.friction
         advance = scene.advance
@@ -157,8 +145,11 @@ class Trial:
                 skew = np.cross(np.eye(3), s.points[finger])  # skew @ f = p x f
                 matrix[:3, 3 * finger : 3 * finger + 3] = frames[finger]
                 matrix[3:, 3 * finger : 3 * finger + 3] = skew @ frames[finger]
-            fingers, given = tuple(loop.fingers.tolist()), loop.force.copy()
-            self.ticks.append(Tick(fingers, s.touching > 0, given, loop.wrench.copy(), loop.closure, matrix))
+            missing = matrix @ loop.force.reshape(-1) + loop.wrench
+            self.ticks.append({
+                "fingers": loop.fingers.tolist(), "touching": s.touching > 0, "force": loop.force.copy(), "closure": loop.closure,
+                "missing": np.abs(missing).max(),
+            })  # fmt: skip
             if len(self.ticks) <= 5:
                 expected = grasp_torques(scene, np.einsum("nij,nj->ni", frames, loop.force))
                 np.testing.assert_allclose(torques, expected, atol=1e-9)
@@ -182,29 +173,25 @@ class Trial:
 
 
 @needs_bullet
-@pytest.mark.parametrize(
-    ("finger", "rate"), [(1, 1000.0), (3, 1000.0), (2, 25.0)], ids=["middle", "right", "left, slow"]
-)
-def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finger: int, rate: float) -> None:
-    trial = Trial((finger,), range(51, 61), 200, duration=4.0, controller={"force_rate": rate})
-    others = tuple(k for k in range(4) if k != finger)
-    alone = [tick for tick in trial.ticks if tick.fingers == others]
+@pytest.mark.parametrize("finger", [1, 2])
+def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finger: int) -> None:
+    trial = Trial((finger,), range(51, 61), 200, duration=4.0)
+    others = [k for k in range(4) if k != finger]
+    alone = [tick for tick in trial.ticks if tick["fingers"] == others]
     assert len(alone) > 10
     assert [info["contacts"] for info in trial.infos[:10]] == [4] * 10
     for tick in alone:
-        assert tick.closure
-        np.testing.assert_array_equal(tick.force[finger], 0.0)  # no command for a finger that touches nothing
-        inside = trial.friction * tick.force[:, 0] - np.hypot(tick.force[:, 1], tick.force[:, 2])
-        assert (inside[list(others)] > 0.0).all()
-    assert (
-        np.percentile([np.abs(tick.matrix @ tick.force.reshape(-1) + tick.wrench).max() for tick in alone], 95) < 1e-8
-    )  # balance over the three
+        assert tick["closure"]
+        np.testing.assert_array_equal(tick["force"][finger], 0.0)  # no command for a finger that touches nothing
+        inside = trial.friction * tick["force"][:, 0] - np.hypot(tick["force"][:, 1], tick["force"][:, 2])
+        assert (inside[others] > 0.0).all()
+    assert np.percentile([tick["missing"] for tick in alone], 95) < 1e-8  # balance over the three
     for info in trial.infos:
         assert (info["force_closure"], info["failure"]) == (True, "")
         assert info["contacts"] == 4 or info["status"] == "optimal"
     assert max(info["drift"] for info in trial.infos) < 5e-3
-    lost = next(k for k, tick in enumerate(trial.ticks) if not tick.touching[finger])
-    noticed = next(k for k, tick in enumerate(trial.ticks) if finger not in tick.fingers)
+    lost = next(k for k, tick in enumerate(trial.ticks) if not tick["touching"][finger])
+    noticed = next(k for k, tick in enumerate(trial.ticks) if finger not in tick["fingers"])
     assert lost <= noticed <= lost + RELEASE + 1  # not at the next agent step, nor at the first tick without force
     last = trial.infos[-1]
     assert last["touching"].all()
@@ -212,26 +199,6 @@ def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finge
     assert last["drift"] < 1e-4
     assert last["commanded_force"][finger, 0] > 0.1
     assert last["force_error"] < 0.05
-    commands_are_continuous(trial, finger, rate / 250.0, 1.0 if rate > 100.0 else 3.0)
-
-
-def commands_are_continuous(trial: Trial, finger: int, most: float, slack: float) -> None:
-    """Check that forces change by at most `most` [N] per tick beyond what balance needs; a finger that lands starts from zero."""
-    for before, now in pairwise(trial.ticks):
-        change = np.abs(now.force - before.force).max()
-        spread = np.abs(np.linalg.pinv(now.matrix)).sum(axis=1).max()
-        if before.fingers == now.fingers:
-            needed = slack * spread * np.abs(now.wrench - before.wrench).max()
-            assert change <= most + needed + 1e-9
-        elif len(now.fingers) < len(before.fingers):
-            # what the lost finger carried goes to the others at once, and what holds that inside their cones
-            left = before.force.copy()
-            left[finger] = 0.0
-            missing = now.matrix @ left.reshape(-1) + now.wrench
-            given_up = 4.0 * np.abs(np.linalg.pinv(now.matrix) @ missing).max() + np.abs(before.force[finger]).max()
-            assert change <= most + given_up
-        else:
-            assert 0.0 < now.force[finger, 0] <= max(most, 0.3) + 1e-9
 
 
 @needs_bullet
@@ -255,14 +222,7 @@ def test_gaps_of_force_closure_are_survived_each_on_its_own() -> None:
     trial = Trial((2, 3), [*range(51, 54), *range(401, 404)], 200, gravity=(0.0, 0.0, 0.0), limits=limits)
     last = trial.infos[-1]
     assert (last["contacts"], last["failure"], last["force_closure"]) == (4, "", True)
-    assert sum(not tick.closure for tick in trial.ticks) > 0.4 * 250
-
-
-@needs_bullet
-def test_a_hand_that_lets_go_is_reported() -> None:
-    last = Trial((0, 1, 2, 3), range(51, 251)).infos[-1]
-    assert last["failure"] in ("dropped", "closure_lost")
-    assert (last["force_closure"], last["contacts"], last["touching"].any()) == (False, 0, False)
+    assert sum(not tick["closure"] for tick in trial.ticks) > 0.4 * 250
 
 
 def test_one_missed_tick_does_not_let_a_finger_go() -> None:

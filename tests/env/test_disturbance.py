@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import ObjectDescription
-from grasp_env.task import Disturbed, Impulses, PaperPath, RandomWrench, TiltingGravity
+from grasp_env.task import Disturbed, Impulses, RandomWrench, TiltingGravity
 from grasp_env.task.disturbance import disturb
 
 TICK = 0.004
@@ -65,17 +65,6 @@ def test_gravity_tilts_about_a_horizontal_axis_from_rest() -> None:
     assert np.ptp(headings) > 2.0
     assert not tilted(0, (0.0, 0.0, 0.0)).any()
     np.testing.assert_allclose(np.linalg.norm(tilted(0, (1.0, -2.0, 0.5)), axis=1), np.sqrt(5.25))
-
-
-def test_the_papers_wrench_acts_as_it_is_printed() -> None:
-    """W_ext(t) = [cos pi t, cos^2 pi t, 8 cos^2(pi t / 2) - 5, 0.2 sin pi t, 0.2 cos pi t, sin^2(pi t / 2)]."""
-    t, pi, cos, sin = TIMES, np.pi, np.cos, np.sin
-    printed = [
-        cos(pi * t), cos(pi * t) ** 2, 8 * cos(0.5 * pi * t) ** 2 - 5,
-        0.2 * sin(pi * t), 0.2 * cos(pi * t), sin(0.5 * pi * t) ** 2,
-    ]  # fmt: skip
-    wrench, _ = disturb(PaperPath(scale=0.05), t, rng(), EnvConfig())
-    np.testing.assert_allclose(wrench, 0.05 * np.transpose(printed), rtol=0.0, atol=1e-14)
 
 
 def gust(times: np.ndarray, rng: np.random.Generator, settings: EnvConfig) -> np.ndarray:

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 from episodes import episode
 
 from grasp_env.config.records import CONTROLLERS
-from grasp_env.sim import HANDS, HandDescription
-from grasp_env.sim.hand.frames import roll_pitch_yaw, rotation_matrix
-from grasp_env.sim.hand.urdf import hand_urdf
+from grasp_env.sim import HANDS
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH
-from grasp_env.task import ConstantWrench, Move, Payload
-
-POINTS = ((0.0, 0.0, -0.05), (0.0, 0.03, 0.05), (-0.03, -0.02, 0.05), (0.03, -0.02, 0.05))
+from grasp_env.task import DISTURBANCES, MOTIONS, ConstantWrench, Move, Payload
 
 
 def whole(drift: float = np.inf, steps: int = 100, **settings: Any) -> list[dict[str, Any]]:
@@ -33,20 +27,22 @@ def whole(drift: float = np.inf, steps: int = 100, **settings: Any) -> list[dict
     return infos
 
 
-@pytest.mark.parametrize("disturbance", ["none", "constant", "paper_path", "random", "impulses", "tilting_gravity"])
-def test_disturbances_are_held(disturbance: str) -> None:
+@pytest.mark.parametrize(
+    "settings",
+    [
+        *({"disturbance": name} for name in DISTURBANCES),
+        *({"task": Move(motion)} for motion in MOTIONS),
+        {"gravity": (0.0, 3.0, 0.0)},
+    ],
+    ids=str,
+)
+def test_disturbances_are_held_and_motions_followed(settings: dict[str, Any]) -> None:
     """Drift below 1 mm, no contact lost, and measured forces are the commanded ones: 0.05 N is 1 % of the thumb's force."""
-    infos = whole(1e-3, disturbance=disturbance)
-    assert max(info["tilt"] for info in infos) < 0.01
-    assert all(info["contacts"] == 4 and info["force_closure"] for info in infos)
-    assert infos[-1]["slip_distance"] < 1e-4
-    assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
-
-
-@pytest.mark.parametrize("motion", ["lift", "shake", "rotate"])
-def test_motions_are_followed(motion: str) -> None:
-    infos = whole(1e-3, 200, task=Move(motion))
+    infos = whole(1e-3, 200 if "task" in settings else 100, **settings)
     assert max(info["tilt"] for info in infos) < 0.02
+    assert all(info["contacts"] == 4 and info["force_closure"] for info in infos)
+    assert infos[-1]["slip_distance"] < (1e-3 if "task" in settings else 1e-4)  # tips roll on a moving object
+    assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
 
 
 def test_a_payload_that_nobody_announced_stretches_the_pose_spring() -> None:
@@ -125,7 +121,7 @@ def test_an_estimated_wrench_holds(settings: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        {"sensors.delay": 0.008}, {"sensors.pose_noise": 1e-5}, {"controller.force_noise": 0.01},
+        {"sensors.delay": 0.008, "controller.motor_strength": 0.98}, {"sensors.pose_noise": 1e-5}, {"controller.force_noise": 0.01},
         {"sensors.tactile_noise": 0.05, "sensors.wrench": "estimated"},
     ],
     ids=str,
@@ -139,33 +135,9 @@ def test_imperfect_sensors_and_motors_hold_and_are_drawn(settings: dict[str, Any
     assert same == ("sensors.delay" in settings)  # a delay alone is nothing random
 
 
-def test_the_true_friction_suffices_in_an_ideal_simulation() -> None:
-    held = episode(50, controller={"friction_margin": 1.0}, solver={"barrier_weight": 1e-4})[1]
-    assert held[-1]["is_success"]
-
-
 @pytest.mark.parametrize("hand", sorted(name for name, make in HANDS.items() if make().placed))
 def test_every_hand_holds(hand: str) -> None:
-    made, last = HANDS[hand](), whole(1e-3, hand=hand)[-1]
-    assert last["measured_force"].shape == (made.finger_count, 3)
-
-
-def test_a_users_urdf_hand_and_mesh_are_held_like_what_they_are(tmp_path: Path) -> None:
-    """A file whose palm frame is elsewhere and turned, placed with `position` and `rotation`; a cube in millimetres."""
-    place, angles = (0.3, -0.2, 0.1), (0.4, -0.3, 0.8)
-    hand, path = HandDescription.three_finger(), tmp_path / "hand.urdf"
-    path.write_text(hand_urdf(hand.moved(place, angles)), encoding="utf-8")
-    back = rotation_matrix(angles).T
-    x, y, z = (-back @ np.array(place)).tolist()
-    tips = ["thumb_distal", "left_distal", "right_distal"]
-    mine = HandDescription.from_urdf(path, tips, home=hand.home, position=(x, y, z), rotation=roll_pitch_yaw(back))
-    trimesh.creation.box((100.0,) * 3).export(tmp_path / "cube.obj")
-    item = {"shape": "mesh", "mesh": tmp_path / "cube.obj", "size": (0.001,)}
-    for theirs, ours, off in (
-        ({"hand": mine}, {"hand": "three_finger"}, 1e-3),
-        ({"object": item, "contact_points": POINTS}, {}, 0.02),
-    ):
-        np.testing.assert_allclose(whole(**theirs)[-1]["measured_force"], whole(**ours)[-1]["measured_force"], atol=off)
+    assert whole(1e-3, hand=hand)[-1]["measured_force"].shape == (HANDS[hand]().finger_count, 3)
 
 
 @pytest.mark.parametrize(

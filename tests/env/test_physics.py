@@ -1,4 +1,4 @@
-"""Physics of the held object: forces against wrenches, stillness, torques, faults of an episode that is not held.
+"""Physics of the held object: forces against wrenches, stillness, pushes, faults of an episode that is not held.
 
 Free fall and the friction cone are tested without a controller, in tests/sim.
 """
@@ -14,7 +14,7 @@ from engines import bullet, needs_bullet
 
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import HandDescription, SceneConfig
-from grasp_env.task import PaperPath, RandomWrench
+from grasp_env.task import RandomWrench
 
 ZERO = np.zeros(6, dtype=np.float32)
 STRONG = RandomWrench(force=2.0, moment=0.06)
@@ -45,21 +45,6 @@ def test_contact_forces_sum_to_the_applied_wrench(hand: str, shape: str) -> None
     np.testing.assert_allclose(force, -applied[:3], atol=part * np.linalg.norm(applied[:3]))
     for found in (moment, np.cross(s.points, s.forces).sum(axis=0)):
         np.testing.assert_allclose(found, -applied[3:], atol=part * np.linalg.norm(applied[3:]))
-    env.close()
-
-
-def test_what_the_solver_balances_is_what_acts() -> None:
-    env, pushes = FourFingerGrasp(disturbance="paper_path"), []
-    advance = env.scene.advance
-    env.scene.advance = lambda torques, push: (pushes.append(push), advance(torques, push))[1]  # type: ignore[method-assign]
-    env.reset(seed=0)
-    for _ in range(50):
-        info = env.step(ZERO)[4]
-        s = env.scene.look()
-        acts = pushes[-1] + np.concatenate([s.rotation.T @ [0.0, -0.2 * 9.81, 0.0], np.zeros(3)])
-        np.testing.assert_allclose(info["wrench"], acts, atol=0.02)  # plus a little pose feedback
-        forces = np.einsum("nkq,nq->nk", env._loop.frames, info["commanded_force"])
-        np.testing.assert_allclose(forces.sum(axis=0), -info["wrench"][:3], atol=1e-9)
     env.close()
 
 
@@ -144,48 +129,19 @@ def test_stillness(seconds: int) -> None:
     """The pose stays, and the kinetic energy of object and links does not grow."""
     env = FourFingerGrasp(disturbance="none", duration=seconds + 1.0)
     env.reset(seed=0)
-    poses, energy = [], []
+    positions, energy = [], []
     masses = np.array([link.mass for link in env.scene.config.hand.links])
     for _ in range(50 * seconds):
         info = env.step(ZERO)[4]
         s = env.scene.look()
-        poses.append(np.concatenate([s.position, (s.rotation - np.eye(3)).reshape(-1)]))
+        positions.append(s.position.copy())
         moving = 0.2 * s.linear @ s.linear + 0.2 * 0.1**2 / 6.0 * s.angular @ s.angular
         energy.append(0.5 * (moving + (masses * 0.1**2) @ s.rates**2))  # links turn about points at most 0.1 m away
     env.close()
     assert info["failure"] == ""
-    assert np.linalg.norm(np.array(poses)[:, :3], axis=1).max() < 5e-5
-    assert np.abs(poses[-1][1]) < 1e-6  # nothing creeps down
-    assert np.abs(poses[-1][3:]).max() < 1e-3
+    assert np.linalg.norm(positions, axis=1).max() < 5e-5
+    assert np.abs(positions[-1][1]) < 1e-6  # nothing creeps down
+    assert np.abs(s.rotation - np.eye(3)).max() < 1e-3
     assert info["slip_distance"] < 5e-5
     assert max(energy[150:]) <= max(*energy[:50], 1e-16)
     assert max(energy[-50:]) < 1e-12  # [J]: 3 um/s of the object
-
-
-@pytest.mark.parametrize("beyond", [False, True])
-def test_torques_stay_within_the_limits(beyond: bool) -> None:
-    """The full W_ext needs 9 N m of 12; three newton metres about z need more than there is."""
-    env = FourFingerGrasp(disturbance=PaperPath(scale=1.0))
-    torques, advance = [], env.scene.advance
-    env.scene.advance = lambda given, push: (torques.append(given), advance(given, push))[1]  # type: ignore[method-assign]
-    env.reset(seed=0, options={"wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 3.0]} if beyond else {})
-    terminated = truncated = False
-    while not (terminated or truncated):
-        _, _, terminated, truncated, info = env.step(ZERO)
-    env.close()
-    peak = np.abs(torques).max()
-    assert peak <= 12.0
-    assert info["peak_torque"] == pytest.approx(peak)
-    assert terminated == beyond
-    assert beyond or (5.0 < info["peak_torque"] < 12.0 and info["is_success"])
-
-
-@pytest.mark.parametrize("gravity", [(9.81, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 0.0)])
-def test_gravity_may_point_anywhere(gravity: tuple[float, ...]) -> None:
-    env = FourFingerGrasp(gravity=gravity, disturbance="none")
-    env.reset(seed=0)
-    drift = max(env.step(ZERO)[4]["drift"] for _ in range(50))
-    s = env.scene.look()
-    np.testing.assert_allclose(s.rotation @ s.forces.sum(axis=0), -0.2 * np.array(gravity), atol=0.02)
-    assert drift < 1e-3
-    env.close()

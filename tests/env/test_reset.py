@@ -73,37 +73,6 @@ def test_contact_forces_carry_the_weight_at_every_reset(tmp_path: Path, settings
     env.close()
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_a_kept_state_continues_as_if_it_had_not_been_kept(tmp_path: Path, shape: str) -> None:
-    """A turning object: tilted, moving, its contacts rolling."""
-    records: list[np.ndarray] = []
-
-    def record(scene: Scene) -> None:
-        rows = []
-        for _ in range(6):
-            rows.append(numbers(scene))
-            scene.advance([0.02] * scene.kinematics.hand.joint_count, None)
-        records.append(np.array(rows))
-
-    for kept in (False, True):
-        env = make(tmp_path, shape=shape, task={"name": "move", "motion": "rotate"})
-        env.reset(seed=1)
-        for _ in range(40):
-            env.step(ZERO)
-        scene = env.scene
-        assert np.abs(scene.look().rotation - np.eye(3)).max() > 0.1
-        if kept:
-            scene.keep("here")
-        record(scene)
-        for seed in range(2 * kept):
-            shake(scene, seed, 60)
-            scene.reset("here")
-            record(scene)
-        env.close()
-    for again in records[1:]:
-        np.testing.assert_array_equal(again, records[0])
-
-
 def test_a_hand_without_a_place_holds() -> None:
     hand = replace(HANDS["three_finger"]().moved((3.0, 2.0, 1.0), (1.0, 2.0, 3.0)), placed=False)
     ball = {"shape": "sphere", "size": 0.06, "friction": 0.7, "mass": 0.15}

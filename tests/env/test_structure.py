@@ -92,14 +92,6 @@ def test_a_reset_reports_what_structure_carries_once() -> None:
     env.close()
 
 
-def test_two_soft_contacts_are_measured() -> None:
-    """Hard contacts at the places of two jaws are no grasp."""
-    env = FourFingerGrasp(hand=gripper(2, 2), engine="mujoco", object={"torsional_friction": 0.004}, **BALL)
-    _, info = env.reset(seed=0)
-    assert ((info["structure_share"] > 0.0) & (info["structure_share"] < 1.0)).all()
-    env.close()
-
-
 @needs_bullet
 @pytest.mark.usefixtures("careless")
 def test_bullet_holds_with_fingers_of_one_motor(monkeypatch: pytest.MonkeyPatch) -> None:

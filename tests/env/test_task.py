@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from grasp_env.config import EnvConfig
 from grasp_env.env.plan import Plan, make_plan
 from grasp_env.errors import GraspError
-from grasp_env.task import DISTURBANCES, TASKS, ConstantWrench, Hold, Move, NoDisturbance, Payload, SixDirections
+from grasp_env.task import DISTURBANCES, TASKS, ConstantWrench, Move, NoDisturbance, Payload, SixDirections
 from grasp_env.task import motion as m
 from grasp_env.task.tasks import PUSH_RAMP
 
@@ -94,14 +94,6 @@ def test_tasks_and_motions_have_their_own_defaults() -> None:
     pushed, usual = EnvConfig(task=SixDirections(push_time=0.5)).resolved().limits, EnvConfig().resolved().limits
     assert (pushed.duration, pushed.max_drift, pushed.max_tilt) == (3.0, 0.05, SixDirections.tilt_limit)
     assert (usual.duration, usual.max_drift, usual.max_tilt) == (2.0, 0.02, 0.35)
-
-
-def test_how_near_to_its_place_an_object_must_be_for_success() -> None:
-    assert all(task.in_place(0.019, 0.3) for task in (Hold(), Move(), Payload()))
-    limits = {"drift": 0.049, "tilt": np.radians(14.9)}
-    assert SixDirections().in_place(**limits)
-    for broken in ({"drift": 0.05}, {"tilt": np.radians(15.1)}, {"drift": np.nan}, {"tilt": np.nan}):
-        assert not SixDirections().in_place(**(limits | broken))
 
 
 @pytest.mark.parametrize("record", [*DISTURBANCES.values(), *TASKS.values()])

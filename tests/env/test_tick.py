@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from grasp_env import core
 from grasp_env.force import ForceLimits, ForceOptimizer, Objective, Status
-from grasp_env.force.record import CODE, CONVERGED, INFEASIBLE, LIMIT, RANK_LOST, REFUSED
+from grasp_env.force.record import CODE, CONVERGED, INFEASIBLE, RANK_LOST
 from grasp_env.grasp import Grasp, presets, reference_basis
 from grasp_env.task.motion import resting_target
 
@@ -231,46 +231,6 @@ def test_lost_closure_is_the_elastic_answer(touching: tuple[int, ...]) -> None:
         np.testing.assert_allclose(x, wanted, atol=1e-4 * np.abs(wanted).max())
     assert codes
     assert codes <= {INFEASIBLE, RANK_LOST}
-
-
-def test_a_start_of_the_callers_must_be_balanced_and_inside() -> None:
-    loop = Loop(method="newton")
-    start = ForceOptimizer(GRASP).start(PAPER_WRENCH)
-    for force, code in ((start, CONVERGED), (start + 1.0, REFUSED)):
-        loop.core.see(None, PAPER_WRENCH, STILL, TARGET, None)
-        loop.core.act(True, None, np.ascontiguousarray(force), None)
-        assert loop.core.code == loop.arrays["solution"][CODE] == code
-        assert loop.core.closure == (code == CONVERGED)
-
-
-def test_the_budget_holds_for_every_tick() -> None:
-    loop = Loop(method="reduced_flow", max_iterations=3)
-    for k, (positions, normals, wrench) in enumerate(path(10, 10)):
-        loop.place(positions, normals)
-        loop.core.begin_step()
-        force = loop.tick(5.0 * wrench, k % 2 == 0)
-        assert loop.core.effort.iterations + loop.core.effort.followed == 3  # to 1e-10 it takes more
-        assert loop.grasp.residual(force, 5.0 * wrench) < 1e-7
-        assert loop.grasp.cone_margin(force) > 0.0
-    assert loop.arrays["solution"][CODE] == LIMIT
-
-
-@pytest.mark.parametrize("due", [True, False])
-def test_forces_change_no_faster_than_asked(due: bool) -> None:
-    """A finger that lands takes over its share by 0.01 N a tick, while every command balances the wrench."""
-    loop = Loop(method="newton", most_change=0.01)
-    loop.place(GRASP.positions, GRASP.normals, (1, 1, 1, 0))
-    loop.tick(PAPER_WRENCH, True)
-    loop.place(GRASP.positions, GRASP.normals)
-    force, best = loop.tick(PAPER_WRENCH, due), ForceOptimizer(GRASP, tolerance=1e-10).solve(PAPER_WRENCH).force
-    for tick in range(200):
-        assert loop.grasp.residual(force, PAPER_WRENCH) < 1e-9
-        before, force = force, loop.tick(PAPER_WRENCH, due)
-        assert np.abs(force - before).max() <= 0.01 * (1.0 + 1e-6)
-        if np.abs(force - best).max() < 1e-4:
-            assert tick > 5
-            return
-    pytest.fail("the finger never takes over its share")
 
 
 @pytest.mark.parametrize("fingers", [(1, 1, 1, 1), (1, 1, 1, 0)])
