@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from hands import gripper, numbers
 
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim import HANDS, ObjectDescription, Scene
+from grasp_env.sim import ObjectDescription, Scene
 from grasp_env.sim.grasping import plan_grasp
 from grasp_env.sim.objects.description import SHAPES
 
@@ -70,17 +69,6 @@ def test_contact_forces_carry_the_weight_at_every_reset(tmp_path: Path, settings
     for seed, steps in ((0, 200), (2, 20), (3, 60)):
         shake(env.scene, seed, steps)
         np.testing.assert_array_equal(start(env, mass), first)
-    env.close()
-
-
-def test_a_hand_without_a_place_holds() -> None:
-    hand = replace(HANDS["three_finger"]().moved((3.0, 2.0, 1.0), (1.0, 2.0, 3.0)), placed=False)
-    ball = {"shape": "sphere", "size": 0.06, "friction": 0.7, "mass": 0.15}
-    env = FourFingerGrasp(hand=hand, disturbance="none", duration=0.5, **ball)
-    env.reset(seed=0)
-    assert np.abs(env.scene.look().position).max() < 1e-4
-    steps = [env.step(np.zeros(env.action_space.shape or (), dtype=np.float32)) for _ in range(25)]
-    assert [step[2:4] for step in steps] == [(False, False)] * 24 + [(False, True)]
     env.close()
 
 

@@ -13,7 +13,7 @@ from engines import needs_bullet
 from episodes import episode
 from hands import gripper
 
-from grasp_env.control.structure import FingerStructure, finger_structure
+from grasp_env.control.structure import finger_structure
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspWarning
 from grasp_env.force import optimize_force
@@ -61,16 +61,6 @@ def test_the_structure_of_a_finger_carries_what_takes_no_torque() -> None:
     assert share > 0.05
     np.testing.assert_allclose(found.share, [0.0, share, 0.0, 0.0], atol=1e-6)
     scene.close()
-
-
-def test_the_warning_names_fingers_and_numbers() -> None:
-    found = FingerStructure(np.array([3, 1, 3, 2]), np.array([0.0, 0.83, 0.71, 0.4]))
-    said = found.warning(("thumb", "index", "ring", "little"))
-    assert (
-        "83% of the force of 'index' (motors make 1 of 3 components), 71% of the force of 'ring' (other fingers" in said
-    )
-    assert "thumb" not in said
-    assert "little" not in said
 
 
 @pytest.mark.usefixtures("careless")
