@@ -99,7 +99,7 @@ class Stage:
         raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
 
     def _hold(self, item: ObjectDescription) -> None:
-        """Let the hand hold an object: in its place for the first object, else, if its place is free, in one for this object.
+        """Let the hand hold an object: from its place for the first object or, if it is not `placed`, from one for this object.
 
         Raises:
             GraspError: the hand holds it in none of the places.
