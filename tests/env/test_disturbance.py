@@ -88,3 +88,17 @@ def test_any_function_is_a_disturbance() -> None:
     pushes = [env.step(np.zeros(6, np.float32))[4]["wrench"][0] for _ in range(60)]
     env.close()
     assert 0.2 * 4.0 - 0.1 < pushes[-1] - pushes[0] < 0.2 * 5.0 + 0.1
+
+
+def test_gravity_is_that_of_the_settings_again_after_an_episode_that_tilted_it() -> None:
+    tilts = [3.0, 0.0]
+
+    def sideways(times: np.ndarray, rng: np.random.Generator, settings: EnvConfig) -> Disturbed:
+        return Disturbed(gravity=np.array(settings.gravity) + np.outer(times, [tilts.pop(0), 0.0, 0.0]))
+
+    env = FourFingerGrasp(disturbance=sideways)
+    for tilted in (True, False):
+        env.reset(seed=0)
+        env.step(np.zeros(6, np.float32))
+        assert (env.scene.gravity != [0.0, -9.81, 0.0]).any() == tilted
+    env.close()
