@@ -212,7 +212,6 @@ def test_a_picture_is_in_the_world_frame_and_names_the_end() -> None:
         env.step(ZERO)
     assert np.trace(env.scene.look().rotation) < 1.0 + 2.0 * np.cos(0.28)  # the object is turned by 16 degrees
     note = env._annotation(env.scene)
-    assert note is not None
     np.testing.assert_allclose(note.forces.sum(axis=0), -note.wrench[:3], atol=1e-9)  # balance, N
     moments = np.cross(note.points - note.center, note.forces).sum(axis=0)
     np.testing.assert_allclose(moments, -note.wrench[3:], atol=1e-4)
@@ -223,7 +222,6 @@ def test_a_picture_is_in_the_world_frame_and_names_the_end() -> None:
     while not env.step(ZERO)[2]:
         pass
     note = env._annotation(env.scene)
-    assert note is not None
     assert (note.title, note.hand, note.alarm[:6]) == ("move: rotate, push", "four finger", "lost: ")
     assert note.lines[0] == ("lost after", f"{env._tick * env._loop.dt:.2f} s")
     assert note.lines[1] == ("drift", f"{1e3 * env._outcome.drift:.2f} mm")

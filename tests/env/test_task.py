@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from grasp_env.config import EnvConfig
 from grasp_env.env.plan import Plan, make_plan
 from grasp_env.errors import GraspError
-from grasp_env.task import DISTURBANCES, TASKS, ConstantWrench, Move, NoDisturbance, Payload, SixDirections
+from grasp_env.task import DISTURBANCES, TASKS, Move, NoDisturbance, Payload, SixDirections
 from grasp_env.task import motion as m
 from grasp_env.task.tasks import PUSH_RAMP
 
@@ -52,13 +52,6 @@ def test_a_seed_gives_the_same_plan_in_a_longer_episode(settings: dict[str, Any]
     for generator, config in zip(generators, (BASE, BASE.override(**settings)), strict=True):
         make_plan(config, generator, 0.2)
     assert len({generator.random() for generator in generators}) == 1  # one draw, whatever the settings
-
-
-def test_hold_is_only_its_disturbance() -> None:
-    made = plan(disturbance=ConstantWrench(scale=0.5))
-    rows = ([0.5, 0.25, -0.3, -0.05, 0.1, 0.0], 0.0, [0.0, -9.81, 0.0], m.resting_target(1)[0], 1.0)
-    for array, row in zip(arrays(made), rows, strict=True):
-        np.testing.assert_array_equal(array, np.broadcast_to(row, array.shape))
 
 
 def test_payload_changes_the_mass_within_a_tenth_of_a_second() -> None:
