@@ -1,7 +1,7 @@
 """Grasp-force optimisation in a simulated hand: `grasp_env.grasp`, `grasp_env.force`, and a Gymnasium environment.
 
-Importing registers `FourFingerGrasp-v0` with Gymnasium, whichever of the two is imported first. It imports nothing heavy
-itself: Gymnasium is left to those who use it, and pybullet loads with the first environment.
+Importing the package registers `FourFingerGrasp-v0` with Gymnasium, whichever of the two is imported first. The import stays
+light: it does not import Gymnasium, and PyBullet loads with the first environment.
 """
 
 import sys
@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 
 def _register() -> bool:
-    """Registers the environment if Gymnasium's registry is there."""
+    """Register the environment; return False if Gymnasium is not imported yet."""
     registration = sys.modules.get("gymnasium.envs.registration")
     if not hasattr(registration, "register"):
         return False
@@ -24,13 +24,13 @@ def _register() -> bool:
 
 
 class _Watch:
-    """Registers while Gymnasium is imported later. It finds no module itself, and leaves once it has registered.
+    """Import hook that registers the environment once Gymnasium is imported, and then removes itself. It finds no module.
 
-    Gymnasium has no plugins since 1.0, and to import it here would cost everybody who only solves 30 to 100 ms.
+    Gymnasium has had no plugins since 1.0. Importing it here would take 30 to 100 ms, also for users of the solver alone.
     """
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> None:
-        if _register():  # a new list: the search under way still reads the old one
+        if _register():  # a new list: the current search still iterates over the old one
             sys.meta_path = [finder for finder in sys.meta_path if finder is not self]
 
 

@@ -1,4 +1,4 @@
-"""What the solver does without and may not be installed: the extras of `pyproject.toml`, asked for where they are imported."""
+"""The optional dependencies, as the extras of `pyproject.toml`: checked where they are imported."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from importlib.util import find_spec
 from grasp_env.errors import MissingExtraError
 
 _ENGINE = "pybullet" if sys.version_info < (3, 12) or find_spec("pybullet") else "mujoco"
-"""The engine that `sim` brings: pip finds PyBullet for CPython 3.10 and 3.11 only."""
+"""Engine that `sim` installs: PyBullet has wheels for CPython 3.10 and 3.11 only."""
 
 _CUTTERS = ("vhacdx",) if platform.machine() == "aarch64" and not find_spec("coacd") else ("coacd", "vhacdx")
-"""What cuts meshes into convex pieces: CoACD has no wheel for ARM and Linux."""
+"""Packages that cut meshes into convex pieces: CoACD has no wheel for Linux on ARM."""
 
 EXTRAS = {
     "cli": ("rich", "tyro"),
@@ -39,14 +39,14 @@ EXTRAS = {
     "ray": ("ray",),
     "video": ("imageio_ffmpeg", "moviepy"),
 }
-"""What each brings, as it is imported."""
+"""Modules that each extra installs."""
 
 
 def need(*extras: str) -> nullcontext[None]:
-    """Refuses where one of these extras is not installed: before the imports it stands for, alone or in a `with`.
+    """Raise an error if one of these extras is not installed. Call it before importing from them, alone or in a `with`.
 
     Raises:
-        MissingExtraError: one line with the command that installs what is missing.
+        MissingExtraError: with the command that installs the missing extras.
 
     Example:
         >>> with need("sim"):

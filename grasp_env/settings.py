@@ -1,7 +1,7 @@
 """Records of settings that check themselves.
 
-A setting is described at its field and nowhere else: default, unit, what it may be, one sentence. The record's docstring, the page of all
-settings, the help of the command line and the messages of errors are made of that.
+A setting is described once, at its field: default, unit, accepted values, one sentence. The record's docstring, the page of all
+settings, the help of the command line and the error messages are made from this description.
 
 Example:
     >>> @dataclass(frozen=True)
@@ -30,20 +30,20 @@ from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.ranges import Range
 
 ANY, POSITIVE, NOT_NEGATIVE = Range(-1e9, 1e9), Range(1e-9, 1e9), Range(0.0, 1e9)
-"""Ranges of settings whose sign alone matters; in the units of the settings nothing is larger."""
+"""Ranges of settings of which only the sign is restricted; no sensible value is larger in the units of the settings."""
 S = TypeVar("S", bound="Settings")
 _ABOUT = "about"
 _PATH: ContextVar[str] = ContextVar("path", default="")
-"""Path of the record that is being made; error messages name it."""
+"""Path of the record under construction, for error messages."""
 
 
 class Kind(NamedTuple):
     """The values that a setting accepts.
 
     Attributes:
-        take: (value, name) to the value as it is kept; raises a `GraspError` that has the name.
-        text: the same in words, for the page of settings.
-        records: what a setting may be that is a record, or one of several.
+        take: function (value, name) that returns the value to store, or raises a `GraspError` with the name.
+        text: the accepted values in words, for the page of settings.
+        records: the accepted classes, if the setting is a record.
     """
 
     take: Callable[[Any, str], Any]
@@ -52,7 +52,7 @@ class Kind(NamedTuple):
 
 
 class About(NamedTuple):
-    """All that is said of a setting: default, what it may be, a sentence, unit, what None stands for, whether it may be drawn at a reset."""
+    """Description of a setting; its fields are the arguments of `setting`."""
 
     default: Any
     kind: Kind
@@ -63,15 +63,15 @@ class About(NamedTuple):
 
 
 def setting(default: Any, kind: Kind, doc: str, *, unit: str = "", none: str = "", random: bool = False) -> Any:
-    """A field of a `Settings` record.
+    """Declare a field of a `Settings` record.
 
     Args:
-        default: its value unless given.
-        kind: what it may be.
+        default: its default value.
+        kind: the accepted values.
         doc: one sentence.
-        unit: of its numbers.
-        none: the meaning of None; empty: None is refused.
-        random: whether it may be drawn anew at each reset.
+        unit: unit of its numbers.
+        none: the meaning of None; if empty, None is an error.
+        random: True if it may be drawn at each reset.
     """
     about = About(default, kind, f"{doc} None: {none}." if none else doc, unit, none, random)
     return field(default=default, metadata={_ABOUT: about})
@@ -79,10 +79,10 @@ def setting(default: Any, kind: Kind, doc: str, *, unit: str = "", none: str = "
 
 @dataclass(frozen=True)
 class Settings:
-    """Base of the records: every field is a `setting`, and all faults of a record are told at once.
+    """Base class of the records: every field is a `setting`. One error reports all faults of a record.
 
     Attributes:
-        name: of a record that is one of several, such as the disturbance "random".
+        name: name of a record that is one of several, such as the disturbance "random".
     """
 
     name: ClassVar[str] = ""
@@ -90,33 +90,33 @@ class Settings:
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
         cls.__doc__ = inspect.cleandoc(vars(cls).get("__doc__") or "")
-        # what is inherited, and what `dataclass` has not seen yet
+        # inherited fields, and those that `dataclass` has not processed yet
         known = {**getattr(cls, "__dataclass_fields__", {}), **vars(cls)}
         abouts = {name: each.metadata.get(_ABOUT) for name, each in known.items() if isinstance(each, Field)}
-        said = [_sentence(name, about) for name, about in abouts.items() if about]
-        if said:
-            cls.__doc__ += "\n\nAttributes:\n" + "\n".join(said)
+        lines = [_sentence(name, about) for name, about in abouts.items() if about]
+        if lines:
+            cls.__doc__ += "\n\nAttributes:\n" + "\n".join(lines)
 
     def __post_init__(self) -> None:
         known = [(item.name, item.metadata[_ABOUT]) for item in fields(self)]
-        values = together(*(partial(_taken, about, getattr(self, name), name) for name, about in known))
+        values = together(*(partial(_checked, about, getattr(self, name), name) for name, about in known))
         for (name, _), value in zip(known, values, strict=True):
             object.__setattr__(self, name, value)
         self.agree()
 
     def agree(self) -> None:
-        """Refuses values that are good alone and do not fit each other; all are checked and converted before."""
+        """Raise an error if values that are valid alone contradict each other; called after each is checked and converted."""
 
     def replaced(self: S, given: Mapping[str, Any], path: str = "") -> S:
-        """A copy with the settings of a dict replaced.
+        """Return a copy with some settings replaced.
 
         Args:
             given: settings by name.
-            path: of the record, for messages: "sensors".
+            path: path of the record for error messages, such as "sensors".
 
         Raises:
-            UnknownSettingError: it has no setting of that name.
-            InvalidInputError: all that is wrong with the values.
+            UnknownSettingError: the record has no setting of that name.
+            InvalidInputError: invalid values; the message lists all of them.
         """
         before = _PATH.set(path)
         try:
@@ -130,11 +130,11 @@ class Settings:
 
 
 def described(record: type[Settings], path: str = "") -> Iterator[tuple[str, type[Settings], About]]:
-    """All settings of a record, and of the records in it, in order: path, the class that has it, what is said of it.
+    """Yield all settings of a record and of its nested records, in order: path, class, description.
 
     Args:
         record: the class.
-        path: of the record itself: "" or "sensors".
+        path: path of the record itself, such as "" or "sensors".
     """
     for item in fields(record):
         about = item.metadata[_ABOUT]
@@ -151,10 +151,10 @@ def real(within: Range = ANY) -> Kind:
         found = as_number(value)
         if found is None or not within.low <= found <= within.high:
             most = f" and up to {within.high:g}" if found is not None and found > within.high >= 1e9 else ""
-            raise InvalidInputError(f"{name} must be a number {_words(within)}{most}, got {shown(value)}")
+            raise InvalidInputError(f"{name} must be a number {_range_text(within)}{most}, got {shown(value)}")
         return found
 
-    return Kind(take, _words(within))
+    return Kind(take, _range_text(within))
 
 
 def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
@@ -163,12 +163,12 @@ def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
 
 
 def one_of(names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] = lambda _: False) -> Kind:
-    """One of some names, or what else fits.
+    """One of several names, or another value that fits.
 
     Args:
-        names: those that exist.
-        instead: in words what else fits: "a rule".
-        fits: whether a value, which is no text, is that.
+        names: the accepted names.
+        instead: the other accepted values in words, such as "a rule".
+        fits: function that returns True if a value that is not a string is accepted.
     """
     allowed = tuple(names)
 
@@ -181,10 +181,10 @@ def one_of(names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] 
 
 
 def numbers(count: int, within: Range = ANY) -> Kind:
-    """So many numbers, kept as a tuple."""
+    """A given count of numbers, stored as a tuple."""
     return Kind(
         lambda value, name: tuple(as_array(value, (count,), name, within).tolist()),
-        f"{count} numbers, {_words(within)}",
+        f"{count} numbers, {_range_text(within)}",
     )
 
 
@@ -206,9 +206,9 @@ def any_of(table: Mapping[str, type[Settings]], base: type[Settings], hint: str,
 
     Args:
         table: the classes by name.
-        base: of them all.
-        hint: the end of the message about an unknown name.
-        calls: whether a function will do, too.
+        base: their base class.
+        hint: end of the error message about an unknown name.
+        calls: True if a function is accepted, too.
     """
 
     def take(value: Any, name: str) -> Any:
@@ -228,19 +228,19 @@ def any_of(table: Mapping[str, type[Settings]], base: type[Settings], hint: str,
 
 
 def placed(name: str) -> str:
-    """A setting's name for messages of `Settings.agree`: with the path of the record that is being made."""
+    """Return a setting's full path for error messages, with that of the record under construction."""
     return f"{_PATH.get()}.{name}" if _PATH.get() else name
 
 
 def to_json(value: Any, path: str = "") -> Any:
-    """Settings as JSON has them, with the name of a record that is one of several.
+    """Return settings as JSON values; a record that is one of several has its name, too.
 
     Args:
         value: a record, or one of its values.
-        path: of it, for messages.
+        path: its path, for error messages.
 
     Raises:
-        InvalidInputError: a function, which has no JSON.
+        InvalidInputError: a value without JSON, such as a function.
     """
     if isinstance(value, Settings):
         named, start = {"name": value.name} if value.name else {}, path and f"{path}."
@@ -250,17 +250,17 @@ def to_json(value: Any, path: str = "") -> Any:
     if value is None or isinstance(value, str | int | float | bool):
         return value
     raise InvalidInputError(
-        f"{path} is {shown(value)}, which has no JSON: settings in a file name what is built in; give your own when the environment is made"
+        f"{path} is {shown(value)}, which has no JSON: files hold built-in names only; give your own when the environment is made"
     )
 
 
-def _taken(about: About, value: Any, name: str) -> Any:
+def _checked(about: About, value: Any, name: str) -> Any:
     if value is None and about.none:
         return None
     return about.kind.take(value, placed(name) + (about.unit and f" [{about.unit}]"))
 
 
-def _words(within: Range) -> str:
+def _range_text(within: Range) -> str:
     if within == ANY:
         return "of any size"
     least = "> 0" if 0.0 < within.low <= 1e-9 else f">= {within.low:g}"

@@ -1,4 +1,4 @@
-"""The settings of the environment: `EnvConfig` and the records that it is made of."""
+"""The settings of the environment: `EnvConfig` and its nested records."""
 
 from grasp_env.config.env import KEYWORDS, EnvConfig, all_settings, as_config
 from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver

@@ -1,4 +1,4 @@
-"""`EnvConfig`: all settings of the environment, of keywords, dicts and JSON."""
+"""`EnvConfig`: all settings of the environment, from keywords, dicts and JSON."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ KEYWORDS = {
     "action_mode": "agent.action_mode",
     "observation": "agent.observation",
 }
-"""The plain keywords of `gym.make`, besides the fields of `EnvConfig`, and the setting that each of them is."""
-_MOST_TICKS = 1_000_000
-"""Most control ticks of an episode, which is planned as a whole at 0.7 kB per tick."""
+"""The plain keywords of `gym.make`, besides the fields of `EnvConfig`, and the setting that each one sets."""
+_MAX_TICKS = 1_000_000
+"""Largest number of control ticks of an episode; its plan takes 0.7 kB per tick."""
 
 
-def _points(value: Any, name: str) -> tuple[tuple[float, ...], ...]:
+def _contact_points(value: Any, name: str) -> tuple[tuple[float, ...], ...]:
     points = as_array(value, None, name, ANY)
     return tuple(map(tuple, as_array(points, (None, 3), name).tolist())) if points.size else ()
 
@@ -53,7 +53,7 @@ class EnvConfig(Settings):
 
     Raises:
         UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
-        InvalidInputError: values out of range; all faults are told at once, each with the setting's path, `sensors.delay`.
+        InvalidInputError: values out of range; the message lists all of them with their paths, such as `sensors.delay`.
 
     Example:
         >>> config = EnvConfig(task={"name": "move", "motion": "lift"}, sensors=Sensors(delay=0.004))
@@ -64,31 +64,31 @@ class EnvConfig(Settings):
     """
 
     hand: str | HandDescription = setting(
-        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_file('my_hand.urdf')", lambda value: isinstance(value, HandDescription)),
-        "The hand; one that is not `placed` is put around the object by `place_hand`.",
+        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_file('my_hand.urdf')", lambda value: is_a(value, HandDescription)),
+        "The hand. If it is not `placed`, `place_hand` puts it around the object.",
     )  # fmt: skip
     object: ObjectDescription = setting(
         ObjectDescription(), record(ObjectDescription),
-        "What it holds. Two fingers hold with soft contacts: without `torsional_friction` it gets that of pads of 12 mm radius, with a "
-        "warning.",
+        "The object to hold. Two fingers need soft contacts: if `torsional_friction` is missing, that of pads of 12 mm radius is assumed, "
+        "with a warning.",
     )  # fmt: skip
     approach: str | tuple[float, float, float] | None = setting(
         None, Kind(as_approach, f"{', '.join(f'`{name}`' for name in DIRECTIONS)}, or 3 numbers"),
-        "Direction from the palm to the object, world frame, of a hand that is put around it; it may differ by 30 degrees.", none="any",
+        "Direction from the palm to the object, world frame, for a hand that is placed around it; met within 30 degrees.", none="any",
     )  # fmt: skip
     contact_points: tuple[tuple[float, float, float], ...] = setting(
-        (), Kind(_points, "(N, 3)"),
-        "Places of the tips on the object's surface, object frame, in the hand's order; (): chosen.", unit="m",
+        (), Kind(_contact_points, "(N, 3)"),
+        "Contact points of the tips on the object's surface, object frame, in the hand's order; (): chosen automatically.", unit="m",
     )  # fmt: skip
     randomize: tuple[tuple[str, Any], ...] = setting(
         (), RANDOMIZE,
-        "What is drawn anew at each reset: names of the object's settings, or a dict from the path of a setting to its (low, high) or to a "
+        "Settings drawn at each reset: names of the object's settings, or a dict from the path of a setting to its (low, high) or to a "
         "function of the episode's generator.",
     )  # fmt: skip
-    task: Task = setting(Hold(), TASK, "What is asked of the grasp.")
+    task: Task = setting(Hold(), TASK, "Task of an episode.")
     disturbance: Disturbance | None = setting(
         None, DISTURBANCE,
-        "What acts on the object besides gravity: a record, its name, or any function f(times, rng, settings), see "
+        "Disturbance of the object, besides gravity: a record, its name, or any function f(times, rng, settings), see "
         "`grasp_env.task.Disturbance`.", none="the task's own",
     )  # fmt: skip
     gravity: tuple[float, float, float] = setting(
@@ -97,35 +97,35 @@ class EnvConfig(Settings):
     engine: Engine | None = setting(
         None, ENGINE, "Physics engine: its name, or its settings.", none="the default engine"
     )
-    sensors: Sensors = setting(Sensors(), record(Sensors), "What the controller knows.")
-    solver: Solver = setting(Solver(), record(Solver), "The force optimization.")
-    controller: Controller = setting(Controller(), record(Controller), "From forces to torques.")
-    agent: Agent = setting(Agent(), record(Agent), "How an agent acts and what it observes.")
-    reward: Reward = setting(Reward(), record(Reward), "Prices of a step.")
-    limits: EpisodeLimits = setting(EpisodeLimits(), record(EpisodeLimits), "When an episode ends.")
-    pictures: Pictures = setting(Pictures(), record(Pictures), "What `render` draws.")
+    sensors: Sensors = setting(Sensors(), record(Sensors), "Sensors of the controller.")
+    solver: Solver = setting(Solver(), record(Solver), "Force optimisation.")
+    controller: Controller = setting(Controller(), record(Controller), "Controller: from forces to torques.")
+    agent: Agent = setting(Agent(), record(Agent), "Actions and observations of an agent.")
+    reward: Reward = setting(Reward(), record(Reward), "Reward of a step.")
+    limits: EpisodeLimits = setting(EpisodeLimits(), record(EpisodeLimits), "Limits that end an episode.")
+    pictures: Pictures = setting(Pictures(), record(Pictures), "Pictures that `render` draws.")
 
     def agree(self) -> None:
-        """Rates divide each other, an episode has a plan that fits into memory, and what is drawn can be drawn."""
+        """Check rates, the length of an episode, and the settings to draw, against each other."""
         engine, drawn = engine_of(self.engine, quiet=True), dict(self.randomize)
         rates = ("agent.rate", self.agent.rate), ("controller.rate", self.controller.rate), ("engine.rate", engine.rate)
         for (slow, low), (fast, high) in pairwise(rates):
             if high < low or high % low:
                 raise InvalidInputError(f"{fast} must be a multiple of {slow}, got {high} and {low}")
         for name, seconds in (("limits.duration", self.limits.duration or 0.0), ("sensors.delay", self.sensors.delay)):
-            if seconds * self.controller.rate > _MOST_TICKS:
+            if seconds * self.controller.rate > _MAX_TICKS:
                 raise InvalidInputError(
-                    f"{name} must be at most {_MOST_TICKS / self.controller.rate:g} s, {_MOST_TICKS} control ticks, got "
+                    f"{name} must be at most {_MAX_TICKS / self.controller.rate:g} s, {_MAX_TICKS} control ticks, got "
                     f"{seconds} s: make episodes shorter, or lower controller.rate"
                 )
         resized = drawn.keys() & {"object.shape", "object.size"}
         if resized and self.object.shape == "mesh":
             raise InvalidInputError(
-                "a mesh keeps its shape and size: randomize=('mass', 'friction'), or take another object.shape"
+                "a mesh keeps its shape and size: use randomize=('mass', 'friction'), or another object.shape"
             )
         if resized and self.contact_points:
             raise InvalidInputError(
-                "contact_points belong to one shape and size: leave them out where these are randomized"
+                "contact_points belong to one shape and size: leave them out if these are randomised"
             )
         if self.approach is not None and (self.contact_points or self.hand_description.placed):
             given = "contact_points are given" if self.contact_points else "the hand is placed already"
@@ -138,15 +138,15 @@ class EnvConfig(Settings):
             )
 
     def override(self, **settings: Any) -> EnvConfig:
-        """A copy with some settings replaced.
+        """Return a copy with some settings replaced.
 
         Args:
-            **settings: fields, keywords of `KEYWORDS`, or paths, `**{"sensors.delay": 0.01}`. A dict changes some settings of a record,
-                and makes a new one where it has a "name".
+            **settings: fields, keywords of `KEYWORDS`, or paths, `**{"sensors.delay": 0.01}`. A dict changes some settings of a record;
+                with a "name" it makes a new one.
 
         Raises:
             UnknownSettingError: no setting of that name.
-            InvalidInputError: all that is wrong with the values.
+            InvalidInputError: invalid values; the message lists all of them.
         """
         kinds = {item.name: all_settings()[item.name].kind for item in fields(self)}
         whole: dict[str, Any] = {}
@@ -154,7 +154,7 @@ class EnvConfig(Settings):
         for name, value in settings.items():
             place, _, inner = KEYWORDS.get(name, name).partition(".")
             if place not in kinds:
-                raise UnknownSettingError(name, (*kinds, *KEYWORDS), _likely(name))
+                raise UnknownSettingError(name, (*kinds, *KEYWORDS), _similar(name))
             if inner:
                 parts.setdefault(place, {})[inner] = value
             elif isinstance(value, dict) and "name" not in value and isinstance(getattr(self, place), Settings):
@@ -175,10 +175,10 @@ class EnvConfig(Settings):
         return replace(self, **whole | dict(zip(parts, made, strict=True)))
 
     def resolved(self) -> EnvConfig:
-        """A copy in which what is None has its value: the task's own, and the default engine; and two fingers have soft contacts.
+        """Return a copy with defaults filled in: those of the task, the default engine, and soft contacts for two fingers.
 
         Warns:
-            GraspWarning: The torsional friction that is assumed for two fingers.
+            GraspWarning: the torsional friction assumed for two fingers.
         """
         task, limits = self.task, self.limits
         own = {
@@ -197,13 +197,13 @@ class EnvConfig(Settings):
         )
 
     def drawn(self, rng: np.random.Generator) -> EnvConfig:
-        """The settings of an episode: a copy in which what is randomized has its value.
+        """Return the settings of one episode: a copy with the randomised settings drawn.
 
         Args:
             rng: generator of the episode.
 
         Raises:
-            GraspError: a function that fails, or returns what the setting may not be.
+            GraspError: a function fails, or returns an invalid value.
 
         Example:
             >>> config = EnvConfig(randomize={"mass": (0.1, 0.2), "sensors.delay": lambda rng: rng.choice([0.0, 0.004])})
@@ -215,32 +215,32 @@ class EnvConfig(Settings):
 
     @property
     def hand_description(self) -> HandDescription:
-        """The hand as a description, also where it is given by its name."""
+        """The hand's description, also if the setting is a name."""
         return self.hand if isinstance(self.hand, HandDescription) else HANDS[self.hand]()
 
     def to_dict(self) -> dict[str, Any]:
-        """All settings as JSON has them, with the version of their schema; `as_config` reads them.
+        """Return all settings as JSON values, with the version of the schema; `as_config` reads them.
 
         Raises:
-            InvalidInputError: a function, or a hand of your own, which have no JSON.
+            InvalidInputError: a function, or a hand that is not built in; these have no JSON.
         """
         hand = next((name for name, make in HANDS.items() if self.hand in (name, make())), self.hand)
         drawn = {path: to_json(rule, f"randomize[{path!r}]") for path, rule in self.randomize}
         return {"schema": SCHEMA, **to_json(replace(self, hand=hand, randomize=())), "randomize": drawn}
 
     def to_json(self) -> str:
-        """`to_dict` as text."""
+        """Return `to_dict()` as text."""
         return json.dumps(self.to_dict(), indent=2)
 
 
 def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
-    """The settings in any of their forms: a record, its `to_dict` or `to_json`, where what is left out has its default; None: the defaults.
+    """Return the settings as a record.
 
     Args:
-        config: the settings.
+        config: a record, or its `to_dict()` or `to_json()`, in which missing settings have their defaults; None: the defaults.
 
     Raises:
-        InvalidInputError: nothing of that kind, no schema, or another one than this version reads; or wrong values.
+        InvalidInputError: not settings, no schema or another one than this version reads, or invalid values.
         UnknownSettingError: no setting of that name.
 
     Example:
@@ -258,7 +258,7 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
     schema = given.get("schema") if isinstance(given, dict) else None
     if type(schema) is not int:
         raise InvalidInputError(
-            f'config must be an EnvConfig, or a dict or JSON with "schema": {SCHEMA}, got {shown(given)}; single settings are keywords'
+            f'config must be an EnvConfig, or a dict or JSON with "schema": {SCHEMA}, got {shown(given)}; give single settings as keywords'
         )
     if schema != SCHEMA:
         newer = "written by a newer version: install that one" if schema > SCHEMA else "too old"
@@ -268,7 +268,9 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
 
 @cache
 def all_settings() -> dict[str, About]:
-    """The description of every setting by its path, in order: "hand", "object", "object.shape", ...; of those that share a path the first.
+    """Return the description of every setting by its path, in order: "hand", "object", "object.shape", ....
+
+    If settings of several records share a path, such as "disturbance.force", the first is kept.
 
     Example:
         >>> about = all_settings()["sensors.delay"]
@@ -281,8 +283,8 @@ def all_settings() -> dict[str, About]:
     return found
 
 
-def _likely(name: str) -> list[str]:
-    """Settings that somebody may mean by a name that is none: found by their last words, or by their whole paths."""
+def _similar(name: str) -> list[str]:
+    """Return settings with names similar to an unknown one: with the same last part, or else with a similar path."""
     words = {path.replace(".", "_"): path for path in (*all_settings(), *KEYWORDS)}
     same = [path for path in all_settings() if path.rpartition(".")[2] == name]
     return same or [words[found] for found in get_close_matches(name, words, 3, 0.6)]

@@ -1,4 +1,4 @@
-"""Randomization: the settings that are drawn anew at each reset."""
+"""Randomization: settings that are drawn at each reset."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ OBJECT: dict[str, Any] = {
     "object.mass": (0.05, 0.5),
     "object.friction": (0.3, 0.8),
 }
-"""Settings of the object that may be drawn, with their default ranges [m], [kg], [1]."""
+"""Object settings that may be drawn, with their default ranges [m], [kg], [1]."""
 SHORT = {path.partition(".")[2]: path for path in OBJECT}
 _RECORDS = {"object": ObjectDescription, "sensors": Sensors, "controller": Controller}
 RANDOM = {
     path: about.kind for name, kind in _RECORDS.items() for path, _, about in described(kind, name) if about.random
 }
-"""Settings that may be drawn at a reset, and what each may be; gravity besides."""
+"""Settings that may be drawn at a reset, and their kinds; gravity may be drawn, too."""
 ALLOWED = (*SHORT, *RANDOM, "gravity")
 
 
-def _rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
-    given = list(value.items()) if isinstance(value, dict) else as_list([value] if isinstance(value, str) else value)
+def _checked_rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
+    given = list(value.items()) if is_a(value, dict) else as_list([value] if is_a(value, str) else value)
     if given is None:
         raise InvalidInputError(
             f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"
@@ -40,12 +40,12 @@ def _rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
         path, rule = each if isinstance(each, tuple) and len(each) == 2 else (each, True)
         path = choice(path, name, ALLOWED)
         path = SHORT.get(path, path)
-        found[path] = _rule(path, rule)
+        found[path] = _checked_rule(path, rule)
     return tuple(found.items())
 
 
-def _rule(path: str, rule: Any) -> Any:
-    """(low, high), a function, or True for a shape."""
+def _checked_rule(path: str, rule: Any) -> Any:
+    """Return a checked rule: (low, high), a function, or True for a shape."""
     if callable(rule):
         return rule
     if rule is True and path in OBJECT:
@@ -62,28 +62,28 @@ def _rule(path: str, rule: Any) -> Any:
     return low, high
 
 
-RANDOMIZE = Kind(_rules, "names, or dict from paths")
-"""The kind of `EnvConfig.randomize`, which is kept as pairs of path and rule."""
+RANDOMIZE = Kind(_checked_rules, "names, or dict from paths")
+"""Kind of `EnvConfig.randomize`, which is stored as pairs of path and rule."""
 
 
 def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict[str, Any]:
-    """The settings of an episode that are drawn, by path: the object's first, then the others in their order.
+    """Draw the settings of an episode, by path: the object's first, then the others in their order.
 
-    As soon as one number of the object is drawn, all are: what is kept of them does not change what is drawn later.
+    If one number of the object is drawn, all are drawn, used or not. The later draws then do not depend on which ones are used.
 
     Args:
-        rules: by path, as `EnvConfig` keeps them.
-        shape: of the settings' object.
+        rules: the rules of `EnvConfig.randomize` by path.
+        shape: shape of the settings' object.
         rng: generator of the episode.
 
     Raises:
-        GraspError: a function that fails, or returns what the object may not be.
+        GraspError: a function fails, or returns an invalid value.
     """
     found: dict[str, Any] = {}
     if rules.keys() & OBJECT.keys():
         ranges = OBJECT | {path: rule for path, rule in rules.items() if not callable(rule)}
         if shape != "mesh":
-            drawn = _drawn("object.shape", rules["object.shape"], rng) if "object.shape" in rules else shape
+            drawn = _draw_one("object.shape", rules["object.shape"], rng) if "object.shape" in rules else shape
             drawn = choice(drawn, "object.shape", SHAPES)
             low, high = ranges["object.size"]
             sides = rng.uniform(low, high, 3).tolist()[: len(SIZES[drawn])]
@@ -96,11 +96,11 @@ def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict
                 found[path] = value
     for path in dict.fromkeys((*OBJECT, *rules)):
         if path in rules and path != "object.shape" and (path not in OBJECT or callable(rules[path])):
-            found[path] = _drawn(path, rules[path], rng)
+            found[path] = _draw_one(path, rules[path], rng)
     return found
 
 
-def _drawn(path: str, rule: Any, rng: np.random.Generator) -> Any:
+def _draw_one(path: str, rule: Any, rng: np.random.Generator) -> Any:
     if rule is True:
         return SHAPES_WITHOUT_MESH[int(rng.integers(len(SHAPES_WITHOUT_MESH)))]
     if not callable(rule):

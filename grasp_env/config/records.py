@@ -14,18 +14,18 @@ from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Kind, Settings, integer, 
 CONTROLLERS = ("optimized", "constant_squeeze", "pd")
 ACTION_MODES = ("initial_force", "contact_force", "none")
 COSTS = ("iterations", "force", "torque", "force_change")
-"""Costs of a step in the reward; each name is a weight of `Reward` and, after "reward/", a term."""
+"""Costs of a step in the reward; each name is a weight of `Reward` and, with "reward/" before it, a term."""
 MAX_COST = 0.9
-"""Largest share of what a step pays for holding that its costs may take."""
+"""Largest share of the reward for holding that the costs of a step may take."""
 WEIGHT = Range(0.0, MAX_COST)
 ROUNDING = 1e-12
-"""Rounding by which a sum of weights may exceed its limit."""
+"""Rounding error by which the sum of the weights may exceed `MAX_COST`."""
 _PIXELS = numbers(2, Range(16, 8192))
 
 
 @dataclass(frozen=True)
 class Sensors(Settings):
-    """What the controller knows, how late and how exactly.
+    """Measurements of the controller, their delay and their noise.
 
     Example:
         >>> Sensors(wrench="estimated", delay=0.01).delay
@@ -34,16 +34,16 @@ class Sensors(Settings):
 
     wrench: str = setting(
         "measured", one_of(("measured", "estimated", "none")),
-        "What is known of the external wrench: measured, estimated from the object's motion and the mean contact forces of a tick, or "
-        "nothing, which leaves pose feedback alone. The hand always knows gravity for its own weight.",
+        "Source of the external wrench: measured, estimated from the object's motion and the mean contact forces of a tick, or none, "
+        "which leaves pose feedback alone. The hand always knows gravity for its own weight.",
     )  # fmt: skip
-    wrench_delay: int = setting(0, integer(0), "Control ticks by which the measured wrench comes late.")
+    wrench_delay: int = setting(0, integer(0), "Delay of the measured wrench in control ticks.")
     estimator_time: float = setting(
-        0.005, real(POSITIVE), "Time constant of the estimate, against tactile noise; light objects drift by what it lags.",
+        0.005, real(POSITIVE), "Time constant of the estimate, against tactile noise; its lag lets light objects drift.",
         unit="s",
     )  # fmt: skip
     delay: float = setting(
-        0.0, real(NOT_NEGATIVE), "Between measurement and torque, for everything; rounded up to control ticks.",
+        0.0, real(NOT_NEGATIVE), "Delay of all measurements, rounded up to control ticks.",
         unit="s", random=True,
     )  # fmt: skip
     tactile_noise: float = setting(
@@ -56,29 +56,33 @@ class Sensors(Settings):
 
 @dataclass(frozen=True)
 class Solver(Settings):
-    """The force optimization of an agent's step; see `grasp_env.force.optimize_force`.
+    """Force optimisation of an agent's step; see `grasp_env.force.optimize_force`.
 
     Example:
         >>> Solver(method="newton", initial_force="previous").method
         'newton'
     """
 
-    method: str = setting("reduced_flow", one_of(METHODS), "Method of the optimization.")
+    method: str = setting("reduced_flow", one_of(METHODS), "Method of the optimisation.")
     initial_force: str | InitialForceRule = setting(
         "linear_combination", one_of((*RULES, "previous"), "a rule(grasp, wrench) -> (N, 3) forces [N]", callable),
         "Start rule: its name, or any function.",
     )  # fmt: skip
     force_weight: float = setting(1.0, real(ranges.FORCE_WEIGHT), "Weight of the forces in Phi.")
     barrier_weight: float = setting(
-        0.01, real(ranges.BARRIER_WEIGHT), "Weight of the barrier in Phi: more of it holds further from slipping.", unit="N^2"
+        0.01, real(ranges.BARRIER_WEIGHT), "Weight of the barrier in Phi: a larger one keeps the forces further from slipping.", unit="N^2"
     )  # fmt: skip
-    tolerance: float = setting(1e-4, real(ranges.TOLERANCE), "Relative gap to the certified bound.")
-    max_iterations: int = setting(5000, integer(0), "Most iterations of one optimization: what real time allows.")
+    tolerance: float = setting(
+        1e-4, real(ranges.TOLERANCE), "Relative gap to the certified bound at which the optimisation ends."
+    )
+    max_iterations: int = setting(
+        5000, integer(0), "Largest number of iterations of one optimisation, such as real time allows."
+    )
 
 
 @dataclass(frozen=True)
 class Controller(Settings):
-    """From forces to joint torques.
+    """Controller: from contact forces to joint torques.
 
     Example:
         >>> Controller(kind="pd", pd_stiffness=500.0).pd_damping
@@ -87,32 +91,32 @@ class Controller(Settings):
 
     kind: str = setting(
         "optimized", one_of(CONTROLLERS),
-        "The paper's optimized forces; a fixed internal force and the least-norm balance; or tips held at their places by springs.",
+        "Optimised forces as in the paper; a constant internal force plus the least-norm balance; or springs that hold the tips in place.",
     )  # fmt: skip
     rate: int = setting(250, integer(1), "Control ticks per second; a multiple of `agent.rate`.", unit="Hz")
     position_bandwidth: float = setting(
-        30.0, real(POSITIVE), "Feedback of the object's position, critically damped; at most 0.3 / `sensors.delay` is used.",
+        30.0, real(POSITIVE), "Bandwidth of the feedback of the object's position, critically damped; limited to 0.3 / `sensors.delay`.",
         unit="rad/s",
     )  # fmt: skip
-    rotation_bandwidth: float = setting(60.0, real(POSITIVE), "The same of its orientation.", unit="rad/s")
+    rotation_bandwidth: float = setting(60.0, real(POSITIVE), "The same for its orientation.", unit="rad/s")
     friction_margin: float = setting(
-        0.85, real(POSITIVE), "Factor on the believed friction that the solver may use, so that force errors do not slip."
+        0.85, real(POSITIVE), "Factor on the assumed friction that the solver may use, so that force errors cause no slip."
     )  # fmt: skip
     friction_error: float = setting(
-        0.0, real(Range(-1.0 + 1e-9, 1e9)), "Relative error of the friction that the controller believes in; 0.25 is a quarter too much.",
+        0.0, real(Range(-1.0 + 1e-9, 1e9)), "Relative error of the friction that the controller assumes; 0.25 is a quarter too much.",
         random=True,
     )  # fmt: skip
     force_rate: float = setting(
-        1000.0, real(POSITIVE), "By how much the internal force may change; balance is restored at once.", unit="N/s"
+        1000.0, real(POSITIVE), "Largest rate of change of the internal force; balance is restored at once.", unit="N/s"
     )
     force_noise: float = setting(
-        0.0, real(NOT_NEGATIVE), "Relative standard deviation of the torques that the motors deliver.", random=True
+        0.0, real(NOT_NEGATIVE), "Relative standard deviation of the delivered torques.", random=True
     )
     motor_strength: float = setting(
-        1.0, real(POSITIVE), "Factor on the commanded torques as the motors deliver them.", random=True
+        1.0, real(POSITIVE), "Delivered torque as a share of the commanded one.", random=True
     )
     squeeze: float = setting(
-        40.0, real(POSITIVE), "Total normal force of the controllers that do not optimize.", unit="N"
+        40.0, real(POSITIVE), "Total normal force of the controllers that do not optimise.", unit="N"
     )
     pd_stiffness: float = setting(800.0, real(POSITIVE), "Stiffness of each tip under `pd`.", unit="N/m")
     pd_damping: float = setting(4.0, real(NOT_NEGATIVE), "Damping of each tip under `pd`.", unit="N s/m")
@@ -120,7 +124,7 @@ class Controller(Settings):
 
 @dataclass(frozen=True)
 class Agent(Settings):
-    """How an agent acts and what it observes.
+    """Actions and observations of an agent.
 
     Example:
         >>> Agent(action_mode="contact_force", action_scale=8.0).rate
@@ -129,23 +133,25 @@ class Agent(Settings):
 
     rate: int = setting(50, integer(1), "Agent steps per second.", unit="Hz")
     action_mode: str = setting(
-        "initial_force", one_of(ACTION_MODES), "Adjusts the solver's start, gives the contact forces, or is ignored."
+        "initial_force",
+        one_of(ACTION_MODES),
+        "Action: an adjustment of the solver's start, the contact forces, or ignored.",
     )
     action_scale: float = setting(5.0, real(POSITIVE), "Force at action 1.", unit="N")
     observation: str = setting("vector", one_of(("vector", "dict")), "One vector, or a dict of named parts.")
     info: str = setting(
         "all",
         one_of(("all", "numbers")),
-        "Everything, or numbers only, as arrays: for readers that make tensors of them.",
+        "Contents of info: everything, or numbers only, as arrays, for code that makes tensors of them.",
     )
 
 
 @dataclass(frozen=True)
 class Reward(Settings):
-    """The reward of a step: `held` * (1 - c), with c the weighted sum of the costs, each from 0 to 1.
+    """Reward of a step: `held` * (1 - c), with c the weighted sum of the costs, each from 0 to 1.
 
-    The weights add up to at most `MAX_COST`, so that a step with the object held always pays more than 0: whatever the object, the
-    hand, the method and the discount, holding on pays more than letting go.
+    The weights add up to at most `MAX_COST`, so a step with the object held always pays more than 0. Holding on therefore pays more
+    than letting go for every object, hand, method and discount.
 
     Example:
         >>> Reward(iterations=0.8, force=0.0, torque=0.0, force_change=0.0).failure_cost
@@ -159,41 +165,41 @@ class Reward(Settings):
     iterations: float = setting(
         0.5,
         real(WEIGHT),
-        "Weight of the method's iterations as a share of `iteration_scale`; it buys starts near the optimum.",
+        "Weight of the method's iterations as a share of `iteration_scale`; rewards starts near the optimum.",
     )
     force: float = setting(
         0.1, real(WEIGHT),
-        "Weight of the share of the commanded normal forces above the least that balances the wrench; it buys a light grip.",
+        "Weight of the share of the commanded normal forces above the least that balances the wrench; rewards a light grip.",
     )  # fmt: skip
     torque: float = setting(
         0.1, real(WEIGHT),
-        "Weight of the step's largest torque as a share of its limit; it buys distance from saturated motors.",
+        "Weight of the step's largest torque as a share of its limit; rewards distance from saturated motors.",
     )  # fmt: skip
     force_change: float = setting(
         0.1, real(WEIGHT),
-        "Weight of the change of the commanded forces in the step, as a share of the forces before and after; it buys calm fingers.",
+        "Weight of the change of the commanded forces in the step, as a share of the forces before and after; rewards calm fingers.",
     )  # fmt: skip
     iteration_scale: float = setting(
-        200.0, real(POSITIVE), "Iterations that cost the whole weight, and beyond which more cost no more."
+        200.0, real(POSITIVE), "Number of iterations that costs the whole weight; more cost the same."
     )
     failure_cost: float = setting(0.0, real(NOT_NEGATIVE), "Cost of the step in which the object is lost.")
 
     def agree(self) -> None:
-        """Holding always pays."""
+        """Raise an error if the costs could exceed the reward for holding."""
         if not sum(weights := [getattr(self, name) for name in COSTS]) <= MAX_COST + ROUNDING:
-            told = ", ".join(f"{name} {weight:g}" for name, weight in zip(COSTS, weights, strict=True))
+            listed = ", ".join(f"{name} {weight:g}" for name, weight in zip(COSTS, weights, strict=True))
             raise InvalidInputError(
-                f"the weights of the reward's costs ({told}) add up to {sum(weights):g}, allowed is at most {MAX_COST:g}, so that "
+                f"the weights of the reward's costs ({listed}) add up to {sum(weights):g}, allowed is at most {MAX_COST:g}, so that "
                 "holding the object always pays: lower one of them"
             )
 
     def terms(self, held: bool, iterations: float, costs: Sequence[float]) -> dict[str, float]:
-        """The terms that add up to a step's reward.
+        """Return the terms that add up to a step's reward.
 
         Args:
-            held: whether the object is still held; a step that loses it pays -`failure_cost` and nothing else.
-            iterations: of the method in this step.
-            costs: the others of `COSTS`, in their order, from 0 to 1.
+            held: True if the object is still held; a step that loses it pays -`failure_cost` and nothing else.
+            iterations: iterations of the method in this step.
+            costs: the other costs of `COSTS`, in their order, from 0 to 1.
         """
         shares = (min(1.0, iterations / self.iteration_scale), *costs) if held else (0.0,) * len(COSTS)
         paid = self.held if held else 0.0 - self.failure_cost
@@ -206,7 +212,7 @@ class Reward(Settings):
 
 @dataclass(frozen=True)
 class EpisodeLimits(Settings):
-    """When an episode ends, and what counts as held: an episode that breaks one of the last three goes on, but is no success.
+    """Limits that end an episode. The last three only decide on success: an episode that exceeds one of them goes on.
 
     Example:
         >>> EpisodeLimits(duration=1.0).max_contact_gap
@@ -215,11 +221,11 @@ class EpisodeLimits(Settings):
 
     duration: float | None = setting(None, real(POSITIVE), "Time until truncation.", unit="s", none="the task's own")
     max_drift: float | None = setting(
-        None, real(POSITIVE), "Distance from where it should be at which the object counts as lost, usually 0.02 m.", unit="m",
+        None, real(POSITIVE), "Distance from the wanted position at which the object counts as lost, usually 0.02 m.", unit="m",
         none="the task's own",
     )  # fmt: skip
     max_tilt: float | None = setting(
-        None, real(POSITIVE), "Rotation at which the object counts as lost, usually 0.35 rad.", unit="rad", none="the task's own"
+        None, real(POSITIVE), "Angle from the wanted orientation at which the object counts as lost, usually 0.35 rad.", unit="rad", none="the task's own"
     )  # fmt: skip
     max_contact_gap: float = setting(
         0.1, real(POSITIVE), "Time without force closure before the grasp counts as lost.", unit="s"
@@ -227,19 +233,21 @@ class EpisodeLimits(Settings):
     max_slide: float = setting(
         3e-3,
         real(NOT_NEGATIVE),
-        "Way that a touching fingertip may have slid from where it was on the object.",
+        "Distance that a touching fingertip may have slid on the object.",
         unit="m",
     )
-    max_overlap: float = setting(5e-4, real(NOT_NEGATIVE), "Depth that a fingertip may reach in the object.", unit="m")
+    max_overlap: float = setting(
+        5e-4, real(NOT_NEGATIVE), "Largest penetration of a fingertip into the object.", unit="m"
+    )
     max_stray: float = setting(
         0.1, real(NOT_NEGATIVE),
-        "Force on the object by parts that are no fingertips, as a share of the load: external force and weight, the weight at least.",
+        "Largest force on the object by parts other than fingertips, as a share of the load: external force and weight, at least the weight.",
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Pictures(Settings):
-    """What `render` draws.
+    """Pictures that `render` draws.
 
     Example:
         >>> Pictures(size=(320, 240)).size
@@ -253,7 +261,7 @@ class Pictures(Settings):
         unit="pixels",
     )
     force: float | None = setting(
-        None, real(POSITIVE), "Force that pictures have room for, which fixes the scale of their arrows.", unit="N",
-        none="the largest that an episode's plan asks for, of all episodes so far",
+        None, real(POSITIVE), "Largest force that a picture has room for; it sets the scale of the arrows.", unit="N",
+        none="the largest of the plans of all episodes so far",
     )  # fmt: skip
     moment: float | None = setting(None, real(POSITIVE), "The same for moments.", unit="N m", none="as of `force`")

@@ -1,4 +1,4 @@
-"""How an episode starts: the fingers approach, touch, and take over the object's weight."""
+"""The start of an episode: the fingers approach, touch the object, and take over its weight."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from grasp_env.sim.scene import Scene
 from grasp_env.task.motion import resting_target
 
 CLOSING_TIME, SETTLING_TIME = 4.0, 0.6
-"""[s] at most until every finger touches, and until the hand carries the weight at rest."""
-_STILL, _PLACED = 2e-3, 3e-5  # [m/s], [m] of the object, below which it is at rest in its place
-_QUIET, _SETTLED = 8, 4  # control ticks in a row
-_SLOW, _ENERGY = 0.1, 1e-5  # [rad/s], [J] of the fingers
+"""Longest times [s] until every finger touches, and until the hand carries the weight at rest."""
+_STILL, _PLACED = 2e-3, 3e-5  # speed [m/s] and distance [m] below which the object is at rest in its place
+_QUIET, _SETTLED = 8, 4  # control ticks in a row at rest: of the fingers, of the object
+_SLOW, _ENERGY = 0.1, 1e-5  # joint speed [rad/s] and kinetic energy [J] below which the fingers are at rest
 _WEIGHT_ERROR = 0.01
-_BESIDE, _GONE = 1e-3, 5e-3  # [m] of the object: still in its place if it stays there, being lost
-_NEARLY = 1.0 - 1e-6  # of a torque limit
-_END, _STRAY = 5e-3, 0.05  # [rad] from a joint's limit; [N] of links on the object
-_JIG = 100.0  # [rad/s], critically damped: what holds the object until the hand does
-_LIGHT, _LOADED = 0.1, 0.3  # [kg] of an object that fingers would push about in the jig, and with what the jig loads it
+_NEAR, _LOST = 1e-3, 5e-3  # [m] from its place: accepted at the end of the settling; lost
+_AT_LIMIT = 1.0 - 1e-6  # share of a torque limit that counts as the limit
+_END, _STRAY = 5e-3, 0.05  # angle from a joint's limit [rad]; force of links on the object [N]
+_JIG_BANDWIDTH = 100.0  # [rad/s] bandwidth of the critically damped jig that holds the object until the hand does
+_LIGHT, _LOADED = 0.1, 0.3  # [kg]: lighter objects would be pushed around in the jig, so they get the second mass there
 
 
 def close_hand(scene: Scene, loop: ForceLoop) -> None:
-    """Brings all tips into contact while a jig holds the object.
+    """Bring all tips into contact while a jig holds the object.
 
     Raises:
-        SimulationError: a finger did not arrive in `CLOSING_TIME`.
+        SimulationError: a finger did not arrive within `CLOSING_TIME`.
     """
     loop.begin(scene)
     mass = scene.config.object.mass
@@ -41,7 +41,7 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
 
 def _close(scene: Scene, loop: ForceLoop) -> None:
     target, quiet = resting_target(1)[0], 0
-    jig = critically_damped(scene.config.object, _JIG, _JIG)
+    jig = critically_damped(scene.config.object, _JIG_BANDWIDTH, _JIG_BANDWIDTH)
     for _ in range(round(CLOSING_TIME / loop.dt)):
         torques = loop.reach(scene.gravity, target)
         scene.look()
@@ -57,7 +57,7 @@ def _close(scene: Scene, loop: ForceLoop) -> None:
 
 
 def _slow(scene: Scene) -> bool:
-    """Whether the fingers are nearly at rest, heavy ones more so: their motion would carry the object away."""
+    """Return True if the fingers are nearly at rest, by speed and by energy: heavy moving fingers would carry the object away."""
     rates = scene.look().rates
     if not np.abs(rates).max() < _SLOW:
         return False
@@ -65,7 +65,7 @@ def _slow(scene: Scene) -> bool:
 
 
 def take_over(scene: Scene, loop: ForceLoop) -> None:
-    """The jig is gone: the force loop carries the weight, until all is at rest.
+    """Remove the jig and let the force loop carry the weight until everything is at rest.
 
     Raises:
         SimulationError: the object was lost, or the contact forces do not carry its weight within 1 %.
@@ -87,14 +87,14 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         error = float(np.linalg.norm(total + weight)) / (scale or max(float(np.abs(snapshot.forces).sum()), 1e-9))
         still = np.abs(snapshot.linear).max() < _STILL and snapshot.touching.all() and error < _WEIGHT_ERROR
         away = np.abs(snapshot.position).max()
-        # fingers that cannot push every way leave the object a little beside its place
-        quiet = quiet + 1 if still and away < (_PLACED if tick < latest else _BESIDE) else 0
+        # fingers that cannot push in every direction leave the object slightly off its place
+        quiet = quiet + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
         if quiet == _SETTLED:
             return
-        if away > _GONE:
+        if away > _LOST:
             break
     friction = (
-        f"the contact forces miss the weight by {error:.1%} ({_WEIGHT_ERROR:.0%} allowed); the solver believes in friction "
+        f"the contact forces miss the weight by {error:.1%} ({_WEIGHT_ERROR:.0%} allowed); the solver assumes friction "
         f"{loop.friction:.3g}, the object has {scene.config.object.friction:.3g}: lower friction_margin or friction_error, raise "
         "barrier_weight or squeeze, or make the object lighter"
     )
@@ -102,14 +102,14 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
 
 
 def _causes(scene: Scene, loop: ForceLoop, otherwise: str, settling: bool) -> str:
-    """What keeps the hand from holding, with what helps, as far as it shows: torques, joints' ranges, links, gaps."""
+    """Return the likely causes of a failed grasp, with advice: torque limits, joint ranges, links in contact, gaps."""
     snapshot, hand, kinematics = scene.look(), scene.config.hand, scene.kinematics
     names, causes = [hand.palm.name, *(link.name for link in hand.links)], []
-    weak = np.flatnonzero(np.abs(loop.torques) >= _NEARLY * kinematics.torque_limits)
+    weak = np.flatnonzero(np.abs(loop.torques) >= _AT_LIMIT * kinematics.torque_limits)
     if loop.effort.saturated and len(weak):
-        said = ", ".join(f"{hand.joint_names[j]} ({kinematics.torque_limits[j]:g} N m)" for j in weak)
+        listed = ", ".join(f"{hand.joint_names[j]} ({kinematics.torque_limits[j]:g} N m)" for j in weak)
         causes.append(
-            f"joints at their torque limits: {said}. No force within them carries the object where it is: raise torque_limit, make "
+            f"joints at their torque limits: {listed}. No force within them carries the object where it is: raise torque_limit, make "
             "the object lighter or rougher, or grasp it elsewhere"
         )
     pairs = [f"{names[first + 1]} and {names[second + 1]}" for first, second in scene.simulator.self_contacts()]
@@ -122,9 +122,9 @@ def _causes(scene: Scene, loop: ForceLoop, otherwise: str, settling: bool) -> st
         _END, 0.01 * span
     )
     if near.any():
-        said = ", ".join(f"{hand.joint_names[j]} ({snapshot.angles[j]:.3f})" for j in np.flatnonzero(near))
+        listed = ", ".join(f"{hand.joint_names[j]} ({snapshot.angles[j]:.3f})" for j in np.flatnonzero(near))
         causes.append(
-            f"joints at the ends of their ranges: {said}. Give contact_points or a home posture away from these"
+            f"joints at the ends of their ranges: {listed}. Give contact_points or a home posture away from these"
         )
     if snapshot.stray[0] > _STRAY:
         causes.append(
@@ -133,10 +133,10 @@ def _causes(scene: Scene, loop: ForceLoop, otherwise: str, settling: bool) -> st
     if not causes and settling:
         return otherwise
     if not snapshot.touching.all():
-        said = ", ".join(
+        listed = ", ".join(
             f"{hand.finger_names[i]} ({1e3 * snapshot.gaps[i]:.2f} mm)" for i in np.flatnonzero(snapshot.touching == 0)
         )
         causes.append(
-            f"fingers that do not touch, with their gaps: {said}. Give contact_points that they reach unhindered"
+            f"fingers that do not touch, with their gaps: {listed}. Give contact_points that they reach unhindered"
         )
     return "; ".join(causes or [otherwise])

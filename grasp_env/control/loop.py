@@ -1,4 +1,4 @@
-"""The force loop: contacts and wrench in, joint torques out, at the control rate; optimized once per agent step."""
+"""The force loop: contacts and wrench in, joint torques out, at the control rate; optimised once per agent step."""
 
 from __future__ import annotations
 
@@ -28,42 +28,42 @@ from grasp_env.sim.scene import Scene
 from grasp_env.sim.snapshot import Snapshot
 
 FOLLOW_ITERATIONS = 200
-"""Most steps of a solve after the method's; Newton takes 1 to 15."""
+"""Largest number of iterations at the control ticks between two agent steps; Newton takes 1 to 15."""
 RELEASE = 2
 """Control ticks without force after which a finger no longer counts as in contact."""
 REACH_STIFFNESS, REACH_FORCE, REACH_LIMIT = 60.0, 0.3, 1.0
-"""Of a finger that reaches for its place: [N/m], force against the object [N], the most on its way [N]."""
-POSTURE_STIFFNESS, POSTURE_LOSS = 0.01, 0.001
-"""[N m/rad] and [N m s/rad] by which the joints of a redundant hand return to their rest posture."""
+"""Stiffness [N/m] of a finger that reaches for its place, its force against the object [N], its largest force on the way [N]."""
+POSTURE_STIFFNESS, POSTURE_DAMPING = 0.01, 0.001
+"""Stiffness [N m/rad] and damping [N m s/rad] that draw the joints of a redundant hand to their rest posture."""
 REACH_MASS = 0.03
-"""[kg] of the lightest tip for which reaching is critically damped; heavier ones are, too."""
-SPRINGY, LOSSY = 0.5, 1.0
-"""Most of stiffness * dt^2 / mass and of damping * dt / mass: with what is sampled, a light link swings up from 4 and from 2 on."""
-STABLE = 0.3
-"""Most bandwidth times delay: critically damped feedback oscillates from 0.65 on."""
+"""Mass [kg] of the lightest tip for which reaching is critically damped."""
+MAX_STIFFNESS, MAX_DAMPING = 0.5, 1.0
+"""Largest stiffness * dt^2 / mass and damping * dt / mass; sampled control of a light link diverges from 4 and from 2 on."""
+MAX_BANDWIDTH = 0.3
+"""Largest bandwidth times delay; critically damped feedback oscillates from 0.65 on."""
 
 
 class ForceLoop:
-    """Optimizes the contact forces at every agent step and holds the object in between.
+    """Optimises the contact forces at every agent step and holds the object in between.
 
     One compiled call is one control tick, from a reading to joint torques. At an agent's step the configured method solves from its
-    start. At the other ticks Newton (conic after conic) continues from the last command. Both take the current contacts of the
-    fingers that touch; the other fingers reach for their places. Where the motors cannot make a force, Newton within their limits
-    follows. Contacts that cannot balance the wrench get the force inside the cones that misses balance least.
+    start. At the other ticks Newton (conic after conic) continues from the last command. Both use the current contacts of the
+    fingers that touch; the other fingers reach for their places. If the motors cannot produce a force, Newton within their limits
+    follows. If the contacts cannot balance the wrench, the forces inside the cones with the smallest imbalance are commanded.
 
     Attributes:
         optimizer: the method, made for the planned contacts of all fingers.
-        seen: what the controller sees of the scene.
-        wrench: (6,) that the forces balance [N, N m], object frame.
-        torques: (M,) of the joints, commanded [N m].
+        seen: the scene as the controller measures it.
+        wrench: (6,) wrench that the forces balance [N, N m], object frame.
+        torques: (M,) commanded joint torques [N m].
         force: (N, 3) commanded contact forces [N], contact frames; frames: (N, 3, 3) columns (n, o, t), object frame.
-        friction, torsional_friction: those that the solver believes in; the latter in metres, above 0 contacts are soft.
+        friction, torsional_friction: coefficients that the solver assumes; the latter in metres, above 0 contacts are soft.
     """
 
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
         self.config = config
         self.initial_force = initial_force
-        # a user's rule that has no start is an error; a named rule has none when the grasp is being lost
+        # no start is an error of a user's rule, but normal for a named rule while the grasp is being lost
         named = (InfeasibleStartError,) if isinstance(initial_force, str) else ()
         self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *named)
         self.dt = 1.0 / config.controller.rate
@@ -73,7 +73,7 @@ class ForceLoop:
         return f"ForceLoop({self.config.solver.method} from {rule_name(self.initial_force)})"
 
     def begin(self, scene: Scene) -> None:
-        """Makes everything that depends on the object and the grasp.
+        """Prepare everything that depends on the object and the grasp.
 
         Raises:
             RankDeficientGraspError, InfeasibleStartError: the planned contacts cannot hold an object.
@@ -95,7 +95,7 @@ class ForceLoop:
         self.wrench, self.force, self.frames, self.torques, self._row = (
             arrays[name] for name in ("wrench", "force", "frames", "torques", "solution")
         )
-        # joints that the tips leave free stay as the grasp was planned: from far away they would be drawn to their limits
+        # joints that the tips leave free stay in the planned posture: a far home posture would draw them to their limits
         arrays["home"][:] = scene.config.start_angles or hand.home
         arrays["goals"][:] = points
         arrays["inwards"][:] = normals
@@ -104,7 +104,7 @@ class ForceLoop:
         self.reset()
 
     def grasp(self, points: Array, normals: Array) -> Grasp:
-        """Contacts (N, 3) [m] with inward unit normals (N, 3), object frame, with the friction that the solver believes in.
+        """Return the grasp of contacts (N, 3) [m] with inward unit normals (N, 3), object frame, and the assumed friction.
 
         Raises:
             RankDeficientGraspError: they cannot hold an object.
@@ -113,10 +113,10 @@ class ForceLoop:
         return Grasp.from_contacts(points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {})
 
     def reset(self, rng: np.random.Generator | None = None) -> None:
-        """Forgets the episode: the next solve starts as the first ever did.
+        """Forget the episode: the next solve starts as the first one did.
 
         Args:
-            rng: where noise is drawn from (one number, whatever the settings); None: the last one goes on.
+            rng: source of the noise's seed (one draw, whatever the settings); None: keep the current noise.
         """
         self.scene.look()
         self._core.reset()
@@ -130,7 +130,7 @@ class ForceLoop:
 
     @property
     def settling(self) -> bool:
-        """True while the hand takes over the object. Until then every controller uses optimized forces and exact sensors."""
+        """True until the hand has taken over the object; until then every controller uses optimised forces and exact sensors."""
         return self._settling
 
     @settling.setter
@@ -139,12 +139,12 @@ class ForceLoop:
         self._hold(Hold.optimized if value else HOLDS[self.config.controller.kind])
 
     def _hold(self, hold: Hold) -> None:
-        self._holds = self._core.hold = hold
-        self._asks_rule = hold == Hold.optimized and not self.optimizer.compiled
+        self._held = self._core.hold = hold
+        self._needs_rule = hold == Hold.optimized and not self.optimizer.compiled
 
     @property
     def solution(self) -> ForceSolution | None:
-        """The method's last solution; None before the first, after a solve without a force, and for controllers without any."""
+        """The method's last solution; None before the first one, after a solve without a force, and for controllers without a solver."""
         if self._core.code not in RESULTS:
             return None
         row, rule = self._row.copy(), self._start
@@ -155,7 +155,7 @@ class ForceLoop:
 
     @property
     def status(self) -> str:
-        """How the method's last solve ended, as a `Status` says it; empty without a solution."""
+        """Status of the method's last solve, the value of a `Status`; empty without a solution."""
         code = self._core.code
         return STATUSES[code].value if code in RESULTS else ""
 
@@ -166,12 +166,12 @@ class ForceLoop:
 
     @property
     def fingers(self) -> Indices:
-        """(n,) in contact, as far as the controller knows."""
+        """Numbers (n,) of the fingers in contact, as far as the controller knows."""
         mask = self._core.mask
         return np.array([finger for finger in range(self.count) if mask >> finger & 1], dtype=np.int64)
 
     def begin_step(self) -> None:
-        """Begins an agent's step: `effort` is counted anew."""
+        """Begin an agent's step: reset `effort`."""
         self._core.begin_step()
 
     @property
@@ -180,16 +180,16 @@ class ForceLoop:
         return self._core.effort
 
     def costs(self) -> tuple[float, float, float]:
-        """Force, torque and change of force since `begin_step`, as costs from 0 to 1 for a reward; see `core.Costs`."""
+        """Return force, torque and change of force since `begin_step`, as costs from 0 to 1; see `core.Costs`."""
         found = self._core.costs()
         return found.force, found.torque, found.change
 
     def outcome(self, target: Array, error: Array, measured: Array) -> core.Outcome:
-        """How the object is held, by the truth; see `core.Controller.outcome`."""
+        """Return the true state of the hold; see `core.Controller.outcome`."""
         return self._core.outcome(target, error, measured)
 
     def told(self, outcome: core.Outcome, measured: Array) -> dict[str, Any]:
-        """The entries of `info` that the core knows, by name; see `core.Controller.told`."""
+        """Return the entries of `info` that the core computes, by name; see `core.Controller.told`."""
         return self._core.told(outcome, measured)
 
     def tick(
@@ -201,44 +201,44 @@ class ForceLoop:
         adjustment: Array | None = None,
         given: Array | None = None,
     ) -> list[float]:
-        """One control tick: reads the scene, finds forces, and returns the torques that make them.
+        """Run one control tick: read the scene, find the forces, and return the torques that produce them.
 
         Args:
-            external: (6,) external wrench [N, N m], object frame, as a perfect sensor would tell it.
-            gravity: (3,) [m/s^2], world frame, as known.
-            target: (19,) the wanted motion, see `env.plan.Plan`.
-            due: whether the agent's step begins.
+            external: (6,) external wrench [N, N m], object frame, as a perfect sensor would measure it.
+            gravity: (3,) gravity that the controller assumes [m/s^2], world frame.
+            target: (19,) wanted motion, see `env.plan.Plan`.
+            due: True at the first tick of an agent's step.
             adjustment: (3N - 6,) [N] along internal forces of the planned contacts, added to the start, which is then repaired.
-            given: (N, 3) forces to command instead of optimized ones [N], contact frames.
+            given: (N, 3) forces to command instead of optimised ones [N], contact frames.
 
         Returns:
             Joint torques (M,) [N m].
 
         Raises:
-            GraspError: a start rule of the user's that does not fit.
+            GraspError: a user's start rule does not fit.
         """
         core, noise, reading = self._core, self._noise, self.scene.unread()
-        if given is not None and self._holds != Hold.direct:
+        if given is not None and self._held != Hold.direct:
             self._hold(Hold.direct)
         row = None if noise is None else noise()
-        if due and self._asks_rule:
-            self._row[CODE] = REFUSED  # nothing stale is left where the rule fails
+        if due and self._needs_rule:
+            self._row[CODE] = REFUSED  # no stale solution is left if the rule fails
             seen = core.see(reading, external, gravity, target, row)
             torques = self._from_rule(adjustment) if seen else None
         else:
             torques = core.tick(reading, external, gravity, target, row, due, adjustment, given)
         if torques is None:
-            assert reading is not None  # what was read before is finite
+            assert reading is not None  # earlier readings are finite
             raise self.scene.diverged(reading)
         return torques
 
     def _from_rule(self, adjustment: Array | None) -> list[float]:
-        """The tick of a method whose start is a Python rule's, on the contacts as they are seen."""
+        """Run the tick of a method with a Python start rule, on the contacts as they are measured."""
         touching = self.fingers
         try:
             grasp = Grasp.from_contacts(self.seen.points[touching], self.seen.normals[touching], self.friction)
             start = rule_start(self.optimizer.initial, grasp, self.wrench, self.optimizer.objective)
-        except self._lost_closure:  # the method reports it from its own start
+        except self._lost_closure:  # the method reports this from its own start
             self._start = None
             return self._core.act(True, adjustment, None, None)
         force = np.zeros((self.count, 3))
@@ -250,13 +250,13 @@ class ForceLoop:
         return torques
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
-        """What the hand does at rest, before the first tick: contacts, frames, measured forces as the commanded ones."""
+        """Set the state of the hand at rest, before the first tick: contacts, frames, measured forces as the commanded ones."""
         self._core.see(None, external, gravity, target, None if self._noise is None else self._noise())
         self._core.rest()
         self._core.rewind()
 
     def reach(self, gravity: Array, target: Array) -> list[float]:
-        """Joint torques (M,) [N m] of the next control tick with which all fingers reach for their places."""
+        """Return the joint torques (M,) [N m] of the next control tick, with which all fingers reach for their places."""
         self._hold(Hold.reach)
         return self.tick(np.zeros(6), gravity, target, False)
 
@@ -266,7 +266,7 @@ HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Ho
 
 
 def make_optimizer(grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule) -> ForceOptimizer:
-    """The method of the settings for contacts near those of `grasp`; on soft contacts, which the flows do not know, Newton.
+    """Return the method of the settings for contacts near those of `grasp`; on soft contacts, which the flows do not support, Newton.
 
     Raises:
         RankDeficientGraspError, InfeasibleStartError: these contacts cannot hold an object.
@@ -286,7 +286,7 @@ def make_optimizer(grasp: Grasp, config: EnvConfig, initial_force: str | Initial
 
 
 def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: HandKinematics) -> core.ControlSettings:
-    """The controller's belief, the object without its payload, and all gains."""
+    """Return the controller's settings: the object without its payload, and all gains."""
     tips, joints = kinematics.mobility(kinematics.home)
     dt = 1.0 / config.controller.rate
     made = core.ControlSettings()
@@ -301,7 +301,11 @@ def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: Han
     made.reach_depth = REACH_FORCE / REACH_STIFFNESS
     made.posture = [
         stable_spring(
-            POSTURE_STIFFNESS, max(POSTURE_LOSS, 2.0 * math.sqrt(POSTURE_STIFFNESS / max(each, 1.0))), np.inf, each, dt
+            POSTURE_STIFFNESS,
+            max(POSTURE_DAMPING, 2.0 * math.sqrt(POSTURE_STIFFNESS / max(each, 1.0))),
+            np.inf,
+            each,
+            dt,
         )
         for each in joints
     ]
@@ -315,23 +319,25 @@ def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: Han
 
 
 def stable_spring(stiffness: float, damping: float, limit: float, mobility: float, dt: float) -> core.Spring:
-    """A spring and damper for what moves by `mobility` [1/kg], [1/(kg m^2)], as soft as sampling every `dt` [s] asks."""
+    """Return a spring and damper for a given mobility [1/kg], [1/(kg m^2)], soft enough to be stable when sampled every `dt` [s]."""
     if not mobility > 0.0:
         return core.Spring(0.0, 0.0, limit)
-    return core.Spring(min(stiffness, SPRINGY / (mobility * dt**2)), min(damping, LOSSY / (mobility * dt)), limit)
+    return core.Spring(
+        min(stiffness, MAX_STIFFNESS / (mobility * dt**2)), min(damping, MAX_DAMPING / (mobility * dt)), limit
+    )
 
 
 def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:
-    """The object and the pose feedback, critically damped and no faster than the delay of the sensors allows."""
+    """Return the object with its pose feedback, critically damped and no faster than the delay of the sensors allows."""
     late = late_ticks(config) / config.controller.rate
-    most = STABLE / late if late > 0.0 else np.inf
+    most = MAX_BANDWIDTH / late if late > 0.0 else np.inf
     return critically_damped(
         item, min(config.controller.position_bandwidth, most), min(config.controller.rotation_bandwidth, most)
     )
 
 
 def critically_damped(item: ObjectDescription, push: float, turn: float) -> core.Body:
-    """An object with pose feedback of two bandwidths [rad/s]."""
+    """Return an object with pose feedback of two bandwidths [rad/s]."""
     made = core.Body()
     made.mass, made.inertia = item.mass, item.inertia_matrix.reshape(-1).tolist()
     made.position_gain, made.position_damping = item.mass * push**2, 2.0 * item.mass * push

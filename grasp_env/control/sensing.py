@@ -1,4 +1,4 @@
-"""What the controller sees of the scene: late and noisy where asked for, else the scene's own numbers."""
+"""Settings of the controller's sensors: delay, noise, and the estimate of the external wrench."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from grasp_env.config import EnvConfig
 
 
 def sensor_settings(config: EnvConfig) -> core.SensorSettings:
-    """The settings of the core's sensors: `sensors.delay`, which the controller knows and makes good, and the noise."""
+    """Return the settings of the core's sensors; the controller knows the delay and extrapolates over it."""
     made = core.SensorSettings()
     made.wrench = getattr(core.WrenchSource, config.sensors.wrench)
     made.tick = 1.0 / config.controller.rate
@@ -24,12 +24,12 @@ def sensor_settings(config: EnvConfig) -> core.SensorSettings:
 
 
 def late_ticks(config: EnvConfig) -> int:
-    """Whole control ticks by which everything is seen late."""
+    """Return the delay of all measurements in whole control ticks."""
     return math.ceil(config.sensors.delay * config.controller.rate - 1e-9)
 
 
 def keep_factor(time: float, tick: float) -> float:
-    """The share of its last value that a first-order filter of time constant `time` [s] keeps over `tick` [s].
+    """Return the share of its last value that a first-order filter of time constant `time` [s] keeps over `tick` [s].
 
     Example:
         >>> keep_factor(0.0, 0.004), keep_factor(0.02, 0.004)
@@ -39,10 +39,10 @@ def keep_factor(time: float, tick: float) -> float:
 
 
 class NoiseRows:
-    """Rows of standard normal numbers for the sensors, the same for a seed however many are asked for.
+    """Rows of standard normal numbers; a seed gives the same rows however many are drawn.
 
     Args:
-        rng: source; used up in blocks of rows, so give it one of its own.
+        rng: generator of its own: the numbers are drawn in blocks of rows.
         width: numbers per row.
 
     Example:
@@ -59,7 +59,7 @@ class NoiseRows:
         self._next = self._BLOCK
 
     def __call__(self) -> Array:
-        """The next row (width,): a view, valid until the next call."""
+        """Return the next row (width,): a view, valid until the next call."""
         if self._next == self._BLOCK:
             self._rng.standard_normal(out=self._rows)
             self._next = 0

@@ -1,4 +1,4 @@
-"""The content of an environment's pictures: forces, cones, the wrench that is balanced, the state of the episode; all to one scale."""
+"""Annotations of an environment's pictures: forces, cones, the wrench to balance, the state of the episode; all at one scale."""
 
 from __future__ import annotations
 
@@ -34,28 +34,27 @@ DISTURBANCES = {
     "paper_path": "the paper's wrench",
     "random": "random wrench",
 }
-"""Words for disturbances whose names do not explain them."""
+"""Words for disturbances with unclear names."""
 
 PALETTE = np.array([(0.85, 0.33, 0.24), (0.20, 0.50, 0.80), (0.95, 0.69, 0.20), (0.27, 0.65, 0.42), (0.55, 0.40, 0.75),
                     (0.35, 0.70, 0.75), (0.80, 0.45, 0.60), (0.50, 0.55, 0.30)])  # fmt: skip
-"""Colours of the fingers of hands of one colour, red, green and blue in [0, 1]; beyond eight they repeat."""
+"""Colours of the fingers of a hand of one colour: red, green and blue in [0, 1]; they repeat after eight."""
 
 LEAST_FORCE, LEAST_MOMENT = 0.1, 0.02
-"""Force [N] and moment [N m] of the largest scales, so that rounding errors are not drawn as long arrows."""
+"""Smallest force [N] and moment [N m] that set the scale, so that rounding errors are not drawn as long arrows."""
 
-_ALIKE = 0.1  # largest difference between colours that count as one
+_ALIKE = 0.1  # largest difference between colours that count as equal
 
 
 class Annotator:
-    """Describes the pictures of one environment.
+    """Makes the annotations of one environment's pictures.
 
-    Their scales are those of the largest force and moment that the plan of an episode asks for, known at reset. Within an
-    episode they stay. A later episode makes them smaller where it asks for more, never larger. `pictures.force` and
-    `pictures.moment` fix them.
+    The scales follow from the largest force and moment in the plan of an episode, known at reset. They stay constant within an episode.
+    A later episode with larger forces makes them smaller; they never grow. `pictures.force` and `pictures.moment` fix them.
 
     Args:
-        config: resolved.
-        hand: the hand that holds.
+        config: the settings, `resolved`.
+        hand: the hand in the scene.
     """
 
     def __init__(self, config: EnvConfig, hand: HandDescription) -> None:
@@ -67,12 +66,12 @@ class Annotator:
         self._scale = self._turn = np.inf
 
     def expect(self, plan: Plan, scene: Scene, friction: float) -> None:
-        """Makes room for the largest arrows of an episode.
+        """Adapt the scales to the largest arrows of an episode.
 
         Args:
-            plan: the episode's.
-            scene: with its object in the hand.
-            friction: the coefficient that the controller assumes.
+            plan: plan of the episode.
+            scene: the scene, with the object in the hand.
+            friction: friction coefficient that the controller assumes.
         """
         config, wrenches = self._config, _wrenches(plan, scene)
         pull, moment = (float(np.linalg.norm(part, axis=1).max()) for part in (wrenches[:, :3], wrenches[:, 3:]))
@@ -81,14 +80,14 @@ class Annotator:
         self._turn = min(self._turn, LONGEST_TURN / max(config.pictures.moment or moment, LEAST_MOMENT))
 
     def __call__(self, loop: ForceLoop, scene: Scene, time: float, outcome: Outcome, failure: str) -> Annotation:
-        """The overlay of the current picture.
+        """Return the annotation of the current picture.
 
         Args:
-            loop: its last command and solution.
-            scene: as it is.
-            time: since reset [s].
-            outcome: how the object is held.
-            failure: "" while it is held.
+            loop: the force loop with its last command and solution.
+            scene: the current scene.
+            time: time since reset [s].
+            outcome: state of the hold.
+            failure: cause of failure; "" while the object is held.
         """
         snapshot, solution = scene.look(), loop.solution
         to_world, count = snapshot.rotation, len(loop.force)
@@ -118,10 +117,10 @@ class Annotator:
 
 
 def title(config: EnvConfig) -> str:
-    """Task and disturbance in words.
+    """Return task and disturbance in words.
 
     Args:
-        config: resolved.
+        config: the settings, `resolved`.
 
     Example:
         >>> title(EnvConfig(disturbance="tilting_gravity").resolved())
@@ -136,7 +135,7 @@ def title(config: EnvConfig) -> str:
 
 
 def _wrenches(plan: Plan, scene: Scene) -> Array:
-    """Wrenches (T, 6) that the forces will have to balance while the object is where it should be, upright."""
+    """Return the wrenches (T, 6) to balance while the object follows its target, upright."""
     item = scene.config.object
     mass = (item.mass * plan.mass_factor)[:, None]
     force = plan.wrench[:, :3] + plan.push + mass * (plan.gravity - plan.target[:, LINEAR_ACCELERATION])
@@ -145,7 +144,7 @@ def _wrenches(plan: Plan, scene: Scene) -> Array:
 
 
 def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) -> float:
-    """The largest force of a finger [N] at the largest wrench of the episode."""
+    """Return the largest force of a finger [N] at the largest wrench of the episode."""
     points = np.array(scene.config.contact_points)
     if config.agent.action_mode == "contact_force":
         return 2.0 * config.agent.action_scale
@@ -160,5 +159,5 @@ def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) 
             grasp, wrenches[worst], force_weight=config.solver.force_weight, barrier_weight=config.solver.barrier_weight
         )
         return float(np.linalg.norm(solution.force, axis=1).max())
-    except GraspError:  # two fingers, torsion: half of the wrench by friction
+    except GraspError:  # two fingers, which need torsion: each holds half of the wrench by friction
         return 0.5 * asked[worst] / friction

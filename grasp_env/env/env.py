@@ -1,4 +1,7 @@
-"""`FourFingerGrasp-v0`: a simulated hand whose grasp forces are optimised at every step."""
+"""`FourFingerGrasp-v0`: a simulated hand with grasp forces that are optimised at every step.
+
+The file is long because the docstring of the class is the manual of the environment.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +36,8 @@ from grasp_env.sim.picture.overlay import room
 from grasp_env.sim.picture.painter import Painter
 from grasp_env.task.disturbance import name_of
 
-NOTHING = (0.0, 0.0, 0.0)
-"""Costs of force, torque and change of force where no step was taken, or the object was lost."""
+NO_COSTS = (0.0, 0.0, 0.0)
+"""Costs of force, torque and change of force at reset and after a failure."""
 
 
 class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
@@ -42,22 +45,22 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     ## Step
     The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster (see `EnvConfig`). A control tick reads the
-    contacts from the simulator and builds G from those that exist. The wrench to balance is external wrench + gravity - inertial
-    wrench of the wanted motion + object-pose feedback. At the first tick of a step the initial force is the start rule's (by default
-    the paper's linear combination of 12 offline optima) plus the action, and the method optimizes it (by default the reduced gradient
-    flow; on soft contacts, which the flows do not know, Newton). At the other ticks Newton continues from the last command
+    contacts from the simulator and builds G from the existing ones. The wrench to balance is external wrench + gravity - inertial
+    wrench of the wanted motion + object-pose feedback. At the first tick of a step the initial force comes from the start rule (by
+    default the paper's linear combination of 12 offline optima) plus the action, and the method optimises it (by default the reduced
+    gradient flow; on soft contacts, which the flows do not support, Newton). At the other ticks Newton continues from the last command
     (`info["followed"]`). The forces become joint torques. A finger without contact reaches for its place. When a finger slips off or
-    lands, the forces of all others change at the next tick, by at most `controller.force_rate` beyond what balance asks. Contacts that
-    cannot balance the wrench get the force inside the cones that misses balance least.
+    lands, the forces of all others change at the next tick, by at most `controller.force_rate` beyond what balance needs. If the
+    contacts cannot balance the wrench, the forces inside the cones with the smallest imbalance are commanded.
 
-    Torques keep the motors' limits. Where a force needs more than the links' weight leaves of them, Newton within the limits continues
-    from it in the same control tick (`info["limited"]`). Where no force keeps them, the one that exceeds them least is commanded and
-    cut at the limits (`info["saturated"]`), and the episode goes on. A finger with fewer than three motors (missing or coupled joints)
-    pushes with what they can; its structure carries the rest of its force, as balance and torques leave it. Any remaining internal
-    force that no motor can produce is determined by the physics engine.
+    Torques stay within the motors' limits, reduced by what the links' weight takes. If a force needs more, Newton within the limits
+    continues from it in the same control tick (`info["limited"]`). If no force is within the limits, the one with the smallest excess
+    is commanded, its torques are cut at the limits (`info["saturated"]`), and the episode goes on. A finger with fewer than three
+    motors (missing or coupled joints) pushes in the directions of its motors, and its structure carries the rest of its force. Any
+    remaining internal force that no motor can produce is determined by the physics engine.
 
-    An episode starts from true contacts: the fingers close on the object and take over its weight; at reset the contact
-    forces sum to it within 1 %. A hand that nobody placed (`HandDescription.placed`) is put where it holds the object well.
+    An episode starts from true contacts: the fingers close on the object and take over its weight. At reset the contact
+    forces balance the weight within 1 %. A hand that is not `HandDescription.placed` is put where it holds the object well.
 
     ## Tasks
     `Hold()` against `disturbance`, `Move(motion)`, `Payload()` (the mass grows), `SixDirections()` (pushes of 10 N/kg).
@@ -65,19 +68,19 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     for each control tick; see `grasp_env.task.Disturbance`.
 
     ## Action space
-    By `agent.action_mode`, `Box(-1, 1, float32)`, clipped:
+    `Box(-1, 1, float32)`, clipped; `agent.action_mode` gives its meaning and shape:
 
     - "initial_force" (3N - 6,): an adjustment of the initial force along internal forces (null-space coordinates, times
       `action_scale` newtons). The six directions of the four-finger hand are squeezes along the lines between two contacts
-      (thumb-middle, thumb-left, thumb-right, middle-left, middle-right, left-right), orthonormalised, and move
-      continuously with the contacts; with fewer contacts they are projected. Zero is the paper. An adjusted start is repaired: the
-      force of least Phi between the linear combination and it.
-    - "contact_force" (3N,): the contact forces themselves, no solver: per finger normal in [0, 2 `action_scale`], o and t in
+      (thumb-middle, thumb-left, thumb-right, middle-left, middle-right, left-right), orthonormalised. They move
+      continuously with the contacts; with fewer contacts they are projected. Zero is the paper's start. An adjusted start is repaired:
+      the solver starts from the force with the smallest Phi on the line between the linear combination and the adjusted force.
+    - "contact_force" (3N,): the contact forces themselves, without a solver: per finger normal in [0, 2 `action_scale`], o and t in
       +-`action_scale`.
     - "none" (1,): ignored.
 
-    Where "initial_force" would leave an agent nothing to improve, `gym.make` warns: controllers that do not optimise, `conic`,
-    which has no start, and Newton, which takes as many iterations from any start.
+    `gym.make` warns if "initial_force" leaves an agent nothing to improve: with controllers that do not optimise, with `conic`,
+    which has no start, and with Newton, which takes as many iterations from any start.
 
     ## Observation space
     `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:
@@ -103,38 +106,40 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     ## Reward
     `reward.held` * (1 - c) while the object is held. c is the sum of four costs, each from 0 to 1 and times its weight in `Reward`:
 
-    - `iterations`: iterations of the method / `iteration_scale`, at most 1; 1 where the contacts cannot balance the wrench.
-    - `force`: the share of the commanded normal forces above the least that balances the wrench; 1 where none does.
+    - `iterations`: iterations of the method / `iteration_scale`, at most 1; 1 if the contacts cannot balance the wrench.
+    - `force`: the share of the commanded normal forces above the least that balances the wrench; 1 if none does.
     - `torque`: the largest torque of the step as a share of its limit.
     - `force_change`: the change of the commanded forces in the step, as a share of the forces before and after.
 
     The weights add up to at most 0.9, so every step with the object held pays more than 0. The step that loses the object pays
-    -`failure_cost`, by default 0. The terms stand in `info["reward/held"]`, `info["reward/iterations"]`, ... and add up to the reward.
+    -`failure_cost`, by default 0. The terms `info["reward/held"]`, `info["reward/iterations"]`, ... add up to the reward.
 
     ## Episode end
     Terminated when the object is lost (`info["failure"]`: "dropped", "closure_lost" (no force closure for `limits.max_contact_gap`),
-    "force_optimisation" (a start rule that does not fit) or "simulation_diverged"). Truncated after `limits.duration`, by default the task's
-    own (hold 2 s, move and payload 4 s, six_directions 12 s).
+    "force_optimisation" (a start rule that does not fit) or "simulation_diverged"). Truncated after `limits.duration`, by default that of
+    the task (hold 2 s, move and payload 4 s, six_directions 12 s).
 
-    Held is more than not lost: `is_success` asks that up to this step no fingertip has slid on the object by more than `limits.max_slide`,
-    none has been deeper in it than `limits.max_overlap`, and other parts of the hand have never pushed it by more than `limits.max_stray` of
-    the load. `info["fault"]` says what is wrong: `failure`, "drifted" (beyond the task's own limits), "slid", "overlap" or "stray_force".
+    `is_success` needs more than an object that is not lost. Since reset no fingertip may have slid on the object by more than
+    `limits.max_slide` or penetrated it by more than `limits.max_overlap`, and other parts of the hand may not have pushed it with more than
+    `limits.max_stray` of the load. `info["fault"]` is the reason against success: the `failure`, "drifted" (beyond the task's own limits),
+    "slid", "overlap" or "stray_force".
 
     ## Info
-    The same keys at every reset and step: `iterations`, `trials`, `status` (a `Status`; "none" at reset and where nothing was optimised; "failed"), `objective`, `optimality_gap`,
-    `cone_margin` of the optimisation; `force_closure`, `contacts` (fingers), `contact_changes`; `wrench` (6,), `commanded_force` (N, 3),
-    `measured_force` (N, 3), `force_error` [N], `touching` (N,), `stray_force` (of links on the object) [N], `slip` [m/s]; the worst since
-    reset: `slip_distance` (of a fingertip from where it was on the object, by sliding) [m], `overlap` (of a fingertip and the object) [m],
-    `stray_share` (of `stray_force`, as a share of the load); `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `followed` (iterations at
-    the control ticks after the step's first), `limited` (iterations of Newton within the torque limits, where a force exceeds them), `torque_margin` (least of limit - |torque| in the step;
-    [N m]), `torque_share` (largest torque of the step as a share of its limit), `saturated` (torques were cut: no force within the limits balances the wrench),
-    `structure_share` (N,) (part of each finger's force under the episode's loads that no motor makes, known at reset: above 0.65 the
-    environment warns once), `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
-    the hand could not hold), `failure`, `fault`, `is_success`, and the reward terms. `agent={"info": "numbers"}` leaves the words out and makes
-    arrays of all numbers, which readers of tensors such as torchrl's take.
+    The same keys at every reset and step. Of the optimisation: `iterations`, `trials`, `status` (a `Status`; "none" at reset and without
+    optimisation; "failed"), `objective`, `optimality_gap`, `cone_margin`. Of the contacts: `force_closure`, `contacts` (number of fingers),
+    `contact_changes`, `wrench` (6,), `commanded_force` (N, 3), `measured_force` (N, 3), `force_error` [N], `touching` (N,), `stray_force` (of
+    links on the object) [N], `slip` [m/s]. The largest since reset: `slip_distance` (of a fingertip on the object) [m], `overlap` (of a
+    fingertip with the object) [m], `stray_share` (`stray_force` as a share of the load). Of the object: `drift` [m] and `tilt` [rad] from its
+    wanted pose. Of the motors: `peak_torque` [N m], `followed` (iterations at the control ticks after the step's first), `limited`
+    (iterations of Newton within the torque limits), `torque_margin` (smallest limit - |torque| in the step) [N m], `torque_share` (largest
+    torque of the step as a share of its limit), `saturated` (torques were cut: no force within the limits balances the wrench). Of the
+    episode: `structure_share` (N,) (share of each finger's force under the episode's loads that no motor can produce, computed at reset;
+    above 0.65 the environment warns once), `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m],
+    `redrawn` (number of random objects that the hand could not hold), `failure`, `fault`, `is_success`, and the reward terms.
+    `agent={"info": "numbers"}` leaves the strings out and makes arrays of all numbers, for readers such as torchrl's.
 
-    Without optimisation (`controller.kind`, "contact_force") `force_closure` stays True; "pd" commands no forces: its `commanded_force` and the
-    force terms are 0.
+    Without optimisation (`controller.kind`, "contact_force") `force_closure` stays True. "pd" commands no forces: its `commanded_force` and
+    the force terms are 0.
 
     ## Reset options
     `options={"wrench": (6,)}` replaces the episode's external wrench by a constant one [N, N m].
@@ -142,18 +147,18 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     Args:
         render_mode: None, "rgb_array" or "human" (needs a display).
         config: all settings, an `EnvConfig` or its dict or JSON; None: the defaults.
-        **settings: what is different: fields of `EnvConfig`, each as a record or a dict of its settings, and the plain keywords `shape`,
+        **settings: changes to `config`: fields of `EnvConfig`, each as a record or a dict of its settings, and the plain keywords `shape`,
             `size`, `mass`, `friction`, `method`, `initial_force`, `duration`, `action_mode` and `observation`.
 
     Attributes:
         config: the settings, resolved.
-        episode: the same with what was drawn for the current episode.
+        episode: the settings of the current episode, including drawn ones.
 
     Raises:
-        UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
-        UnknownSettingError: a keyword that is no setting; also a TypeError.
+        UnknownNameError: an unknown task, shape, ...; the message lists the known ones.
+        UnknownSettingError: an unknown keyword; also a TypeError.
         InvalidInputError: a value out of range, contacts off the surface or out of reach, a mesh that cannot be closed.
-        SimulationError: the hand cannot hold the object, or a window without a display.
+        SimulationError: the hand cannot hold the object, or there is no display for a window.
 
     Example:
         >>> import gymnasium as gym
@@ -187,11 +192,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._annotator = Annotator(config, hand)
         self._observer = Observer(tips, joints)
         vector = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
-        self._named = config.agent.observation == "dict"
+        self._as_dict = config.agent.observation == "dict"
         parts: dict[str, gym.Space[Any]] = {
             block.key: gym.spaces.Box(-block.bound, block.bound, (block.size,)) for block in self._observer.fields
         }
-        self.observation_space = gym.spaces.Dict(parts) if self._named else vector
+        self.observation_space = gym.spaces.Dict(parts) if self._as_dict else vector
         self._action_shape = (action_size(config.agent.action_mode, tips),)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
         self._ticks_per_step = config.controller.rate // config.agent.rate
@@ -199,7 +204,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         assert limits.duration is not None
         assert limits.max_drift is not None
         assert limits.max_tilt is not None
-        self._most_drift, self._most_tilt, self._most_open = limits.max_drift, limits.max_tilt, limits.max_contact_gap
+        self._max_drift, self._max_tilt, self._max_open = limits.max_drift, limits.max_tilt, limits.max_contact_gap
         self._step_limit = max(1, round(limits.duration * config.agent.rate))
         self._camera: Camera | None = None
         self._window: Painter | None = None
@@ -211,12 +216,12 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return f"FourFingerGrasp({self.config.task.name}, {name_of(self.config.disturbance)}, {self._loop!r})"
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Back to the settled grasp, with a new disturbance, and a new object where asked for; see the class.
+        """Return to the settled grasp, with a new disturbance, and a new object if randomised; see the class.
 
-        A closed environment opens anew.
+        A closed environment opens again.
 
         Args:
-            seed: of everything that is drawn; None: goes on from the last one.
+            seed: seed of everything that is drawn; None: the generator continues.
             options: None, or {"wrench": (6,)}; see the class.
         """
         super().reset(seed=None if seed is None else whole(seed, "seed", 0))
@@ -250,8 +255,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             "object_size": max(item.extent),
             "redrawn": stage.redrawn,
         }
-        self._falling = not (plan.gravity == plan.gravity[0]).all()
-        self._growing = not (plan.mass_factor == 1.0).all()
+        self._gravity_varies = not (plan.gravity == plan.gravity[0]).all()
+        self._mass_varies = not (plan.mass_factor == 1.0).all()
         self._last_row = len(plan) - 1
         self._loop.reset(self.np_random)
         self._motor_noise = NoiseRows(
@@ -259,22 +264,22 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         )
         self._tick, self._open = 0, 0.0
         self._failure, self._ended, self._started = "", False, True
-        self._acts = self._falling or self._growing or self._world_pushes is not None
-        self._weakened = self._noise or self._strength != 1.0
-        external, _ = self._act(scene, 0)
+        self._plan_acts = self._gravity_varies or self._mass_varies or self._world_pushes is not None
+        self._imperfect_motors = self._noise or self._strength != 1.0
+        external, _ = self._apply_plan(scene, 0)
         self._observer.watch(scene.look(), self._loop)
         self._loop.rest(external, self._believed_gravity(scene), self._targets[0])
         self._report_structure(scene, plan)
-        terms = self.config.reward.terms(True, 0, NOTHING)
+        terms = self.config.reward.terms(True, 0, NO_COSTS)
         self._observed = self._observe(scene)
-        return self._seen(), self._info(scene, terms)
+        return self._observation(), self._info(scene, terms)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One agent step; see the class.
+        """Run one agent step; see the class.
 
         Raises:
-            InvalidInputError: an action of the wrong shape or not finite.
-            SimulationError: before `reset`, after `close`, or after the episode ended.
+            InvalidInputError: the action has the wrong shape or is not finite.
+            SimulationError: called before `reset`, after `close`, or after the end of the episode.
         """
         scene = self._open_stage().scene
         if not self._started:
@@ -285,23 +290,23 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         try:
             self._simulate(scene, numbers)
             self._observed = self._observe(scene)
-            self._failure = self._lost()
+            self._failure = self._failure_cause()
         except SimulationError:
             self._failure = "simulation_diverged"
         except GraspError:
             self._failure = "force_optimisation"
         loop, held = self._loop, not self._failure
         iterations = loop.effort.iterations if loop.closure else math.inf
-        terms = self.config.reward.terms(held, iterations, loop.costs() if held else NOTHING)
+        terms = self.config.reward.terms(held, iterations, loop.costs() if held else NO_COSTS)
         truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step
         self._ended = bool(self._failure) or truncated
         info = self._info(scene, terms)
         if self.render_mode == "human":
             self.render()
-        return self._seen(), float(sum(terms.values())), bool(self._failure), truncated, info
+        return self._observation(), float(sum(terms.values())), bool(self._failure), truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """An (H, W, 3) picture in "rgb_array" mode; the window of "human" mode draws itself."""
+        """Return an (H, W, 3) picture in "rgb_array" mode; update the window in "human" mode."""
         scene = self._open_stage().scene
         annotation = self._annotation(scene)
         if self.render_mode == "human" and annotation is not None:
@@ -323,17 +328,17 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The specification that `gym.make` used; its `max_episode_steps` are those of `limits.duration`."""
+        """The specification that `gym.make` used; its `max_episode_steps` follows from `limits.duration`."""
         return self._spec
 
     def truncate_after(self, steps: int) -> None:
-        """Truncates episodes after so many agent steps from the next reset on, as `max_episode_steps` of `gym.make` asks.
+        """Truncate episodes after a given number of agent steps from the next reset on, as `max_episode_steps` of `gym.make` does.
 
         Args:
-            steps: of an episode.
+            steps: number of agent steps of an episode.
 
         Raises:
-            InvalidInputError: more than can be planned.
+            InvalidInputError: more steps than can be planned.
         """
         self.config = self.config.override(duration=whole(steps, "max_episode_steps", 1) / self.config.agent.rate)
         self._open_stage().config = self._open_stage().episode = self.config
@@ -347,7 +352,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._spec = None if spec is None else replace(spec, max_episode_steps=self._step_limit)
 
     def close(self) -> None:
-        """Frees the simulator; twice is fine, and `reset` opens it anew."""
+        """Free the simulator; a second call does nothing, and `reset` opens it again."""
         if self._stage is not None:
             self._stage.scene.close()
             self._stage = self._camera = self._window = None
@@ -358,30 +363,32 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         adjustment = given = None
         if agent.action_mode == "contact_force":
             given = self._forces(np.array(numbers))
-        elif agent.action_mode == "initial_force" and any(numbers) and loop.count > 2:  # two have none to adjust along
+        elif (
+            agent.action_mode == "initial_force" and any(numbers) and loop.count > 2
+        ):  # two contacts have no internal directions
             adjustment = agent.action_scale * np.array(numbers)
-        believed, acts = scene.gravity if self._measured_wrench else self._upright, self._acts
+        believed, acts = scene.gravity if self._measured_wrench else self._upright, self._plan_acts
         for k in range(self._ticks_per_step):
             tick = min(self._tick, self._last_row)
-            external, push = self._act(scene, tick) if acts else (self._wrenches[tick], self._pushes[tick])
+            external, push = self._apply_plan(scene, tick) if acts else (self._wrenches[tick], self._pushes[tick])
             if acts:
                 believed = self._believed_gravity(scene)
             torques = loop.tick(external, believed, self._targets[tick], k == 0, adjustment, given)
-            scene.advance(self._delivered(torques) if self._weakened else torques, push)
+            scene.advance(self._delivered(torques) if self._imperfect_motors else torques, push)
             self._tick += 1
             self._open = 0.0 if loop.closure else self._open + loop.dt
 
     def _delivered(self, torques: list[float]) -> list[float]:
-        """The torques that the motors deliver for the commanded ones, within their limits."""
+        """Return the torques that the motors deliver for the commanded ones, within their limits."""
         delivered = np.array(torques) * (self._strength * (1.0 + self._noise * self._motor_noise()))
         return np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
 
-    def _act(self, scene: Scene, tick: int) -> tuple[Array, list[float] | None]:
-        """Lets the plan of a tick act; the external wrench (6,), object frame, and the same for the simulator, None: none."""
+    def _apply_plan(self, scene: Scene, tick: int) -> tuple[Array, list[float] | None]:
+        """Apply the plan of a tick; return the external wrench (6,), object frame, and the same for the simulator, None if zero."""
         plan = self._plan
-        if self._falling:
+        if self._gravity_varies:
             scene.set_gravity(plan.gravity[tick])
-        if self._growing and (tick == 0 or plan.mass_factor[tick] != plan.mass_factor[tick - 1]):
+        if self._mass_varies and (tick == 0 or plan.mass_factor[tick] != plan.mass_factor[tick - 1]):
             scene.change_object(self._mass * float(plan.mass_factor[tick]))
         external, push = self._wrenches[tick], self._pushes[tick]
         if self._world_pushes is not None:
@@ -391,16 +398,16 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return external, push
 
     def _believed_gravity(self, scene: Scene) -> Array:
-        """(3,) [m/s^2] that the controller counts on: the current one only where wrenches are measured."""
+        """Return the gravity (3,) [m/s^2] that the controller assumes: the true one only if wrenches are measured."""
         return scene.gravity if self._measured_wrench else self._upright
 
-    def _lost(self) -> str:
-        if self._outcome.drift > self._most_drift or self._outcome.tilt > self._most_tilt:
+    def _failure_cause(self) -> str:
+        if self._outcome.drift > self._max_drift or self._outcome.tilt > self._max_tilt:
             return "dropped"
-        return "closure_lost" if self._open > self._most_open else ""
+        return "closure_lost" if self._open > self._max_open else ""
 
     def _fault(self) -> str:
-        """Why an object that was not lost does not count as held; empty where it does."""
+        """Return the reason why an object that was not lost does not count as held; empty if it does."""
         outcome, limits = self._outcome, self.config.limits
         if not self.config.task.in_place(outcome.drift, outcome.tilt):
             return "drifted"
@@ -414,11 +421,13 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         values, plain, fault = action, type(action) is np.ndarray and action.dtype.kind == "f", ""
         if not (plain and action.itemsize <= 8):
             try:
-                with np.errstate(all="ignore"):  # more than a double holds is infinite
+                with np.errstate(all="ignore"):  # numbers too large for a double become infinite
                     values = np.asarray(action, np.float64) if plain else as_array(action, None, "it", finite=False)
-            except InvalidInputError as error:  # no numbers at all
+            except InvalidInputError as error:  # not numbers
                 values, fault = np.empty(0), f" ({error})"
-        numbers = values.tolist() if values.shape == self._action_shape else ()  # plain: six are too few for numpy
+        numbers = (
+            values.tolist() if values.shape == self._action_shape else ()
+        )  # plain Python: faster than numpy for six numbers
         if not numbers or not all(map(math.isfinite, numbers)):
             raise InvalidInputError(
                 f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {shown(action)}{fault}"
@@ -428,7 +437,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return [min(max(number, -1.0), 1.0) for number in numbers]
 
     def _forces(self, numbers: Array) -> Array:
-        """Forces (N, 3) of an action in mode "contact_force": normals in [0, 2 action_scale], tangentials in +-action_scale."""
+        """Return the forces (N, 3) of an action in mode "contact_force": normal in [0, 2 action_scale], tangential in +-action_scale."""
         scale = self.config.agent.action_scale
         forces = scale * numbers.reshape(-1, 3)
         forces[:, 0] += scale
@@ -439,13 +448,13 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         observed, self._outcome = self._observer(self._targets[min(self._tick, self._last_row)])
         return observed
 
-    def _seen(self) -> Any:
-        return self._observer.named(self._observed) if self._named else self._observed
+    def _observation(self) -> Any:
+        return self._observer.named(self._observed) if self._as_dict else self._observed
 
     def _info(self, scene: Scene, terms: dict[str, float]) -> dict[str, Any]:
         outcome, failure = self._outcome, self._failure
         told = self._loop.told(outcome, self._observer.measured)
-        if failure == "simulation_diverged":  # what was read last, but no forces
+        if failure == "simulation_diverged":  # the last reading, without forces
             told |= {name: np.zeros_like(told[name]) for name in ("measured_force", "touching")}
             told |= dict.fromkeys(("force_error", "stray_force", "slip"), 0.0)
         fault = failure or self._fault()
@@ -466,13 +475,13 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return {name: np.asarray(value) for name, value in info.items() if not isinstance(value, str)}
 
     def _annotation(self, scene: Scene) -> Annotation | None:
-        """What is drawn over a picture; nothing before the first reset, or where the simulation diverged."""
+        """Return the annotation of a picture; None before the first reset and after the simulation diverged."""
         if not self._started or self._failure == "simulation_diverged":
             return None
         return self._annotator(self._loop, scene, self._tick * self._loop.dt, self._outcome, self._failure)
 
     def _report_structure(self, scene: Scene, plan: Plan) -> None:
-        """Notes what structure carries of the forces under the plan's loads; warns once where fingers press through it."""
+        """Compute the forces that structure carries under the plan's loads; warn once if it carries much of a finger's force."""
         snapshot = scene.look()
         gravity = plan.gravity[:: self._ticks_per_step]
         loads = plan.wrench[:: self._ticks_per_step].copy()
@@ -480,9 +489,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         grasp = self._loop.grasp(snapshot.points, snapshot.normals)
         structure = finger_structure(snapshot, scene.kinematics, grasp, loads)
         self._share = structure.share
-        if not self._warned and (said := structure.warning(scene.config.hand.finger_names)):
+        if not self._warned and (message := structure.warning(scene.config.hand.finger_names)):
             self._warned = True
-            warn(said)
+            warn(message)
 
     def _open_stage(self) -> Stage:
         if self._stage is None:
@@ -494,27 +503,27 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
 
 def why_idle(config: EnvConfig) -> str:
-    """Why adjusting the initial force would change nothing; empty where it changes something, or where actions are ignored on purpose."""
+    """Return the reason why adjusting the initial force changes nothing; empty if it does, or if actions are ignored on purpose."""
     if config.agent.action_mode != "initial_force":
         return ""
     if config.controller.kind != "optimized":
-        return f"controller.kind={config.controller.kind!r} does not optimize"
+        return f"controller.kind={config.controller.kind!r} does not optimise"
     if config.solver.method == "conic":
         return "method='conic' has no start"
     if config.object.torsional_friction > 0.0:
-        return "on soft contacts Newton optimizes, which takes as many iterations from any start"
+        return "on soft contacts Newton optimises, which takes as many iterations from any start"
     if config.solver.method == "newton":
         return "method='newton' takes as many iterations from any start"
     return ""
 
 
 def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """The last thing that `gym.make` calls.
+    """Complete an environment: `gym.make` calls this last.
 
-    An episode lasts as long as its `max_episode_steps` say, shorter or longer than the task's. Where actions change nothing, it warns.
+    `max_episode_steps` sets the length of an episode, shorter or longer than the task's. Warn if actions change nothing.
 
     Args:
-        env: with Gymnasium's wrappers.
+        env: the environment with Gymnasium's wrappers.
     """
     made, layer = env.unwrapped, env
     if not isinstance(made, FourFingerGrasp):
@@ -526,6 +535,6 @@ def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         )
     while isinstance(layer, gym.Wrapper):
         if isinstance(layer, gym.wrappers.TimeLimit):
-            made.truncate_after(layer._max_episode_steps)  # `layer.spec` says it, too, and would keep the old settings
+            made.truncate_after(layer._max_episode_steps)  # `layer.spec` has it, too, but keeps the old settings
         layer = layer.env
     return env

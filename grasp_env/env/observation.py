@@ -1,4 +1,4 @@
-"""The observation, as one table: key, name, size, unit, frame, bound. The class docstring of the env is tested against it."""
+"""The layout of the observation: key, name, size, unit, frame, bound. A test compares the docstring of the environment with it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Field:
-    """One block of the observation; `key` is its name in a dict."""
+    """A block of the observation; `key` is its name in a dict."""
 
     key: str
     name: str
@@ -29,7 +29,7 @@ class Field:
 
 
 def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
-    """The blocks for a hand of so many tips and joints."""
+    """Return the blocks for a hand with given numbers of tips and joints."""
     return (
         Field("force", "wrench to balance: force", 3, "N", "object", 200.0),
         Field("moment", "wrench to balance: moment", 3, "N m", "object", 20.0),
@@ -48,22 +48,22 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
 
 
 def action_size(mode: str, tips: int) -> int:
-    """Numbers of an action in mode "initial_force", "contact_force" or "none" for a hand of so many tips."""
+    """Return the size of an action in mode "initial_force", "contact_force" or "none" for a hand with a given number of tips."""
     return {"initial_force": max(3 * tips - 6, 1), "contact_force": 3 * tips, "none": 1}[mode]
 
 
 def bounds(tips: int, joints: int) -> NDArray[np.float32]:
-    """The bound of each entry; observations are clipped to +-bound."""
+    """Return the bound of each entry; observations are clipped to +-bound."""
     blocks = fields(tips, joints)
     return np.repeat([block.bound for block in blocks], [block.size for block in blocks]).astype(np.float32)
 
 
 class Observer:
-    """Fills observations for one hand.
+    """Computes the observations of one hand.
 
     Attributes:
-        fields: the blocks. bound: (size,) float32 of each entry.
-        error: (12,) position, orientation, velocities of the object against the wanted ones, world frame.
+        fields: the blocks; bound: (size,) bound of each entry, float32.
+        error: (12,) errors of the object's position, orientation and velocities, world frame.
         measured: (N, 3) measured forces in the commanded contact frames [N].
     """
 
@@ -73,11 +73,11 @@ class Observer:
         self.error, self.measured = np.zeros(12), np.zeros((tips, 3))
 
     def named(self, vector: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-        """The parts of an observation (size,) by their keys."""
+        """Return the blocks of an observation (size,) by their keys."""
         return {block.key: part for block, part in zip(self.fields, np.split(vector, self._ends), strict=True)}
 
     def watch(self, snapshot: Snapshot, loop: ForceLoop) -> None:
-        """Whose numbers are observed, in the order of `fields`: views that a reading and a tick overwrite."""
+        """Select the arrays to observe, in the order of `fields`: views that each reading and each tick overwrite."""
         self._loop = loop
         parts = (
             loop.wrench, self.error, snapshot.points, snapshot.normals, loop.force, self.measured, snapshot.touching,
@@ -86,6 +86,6 @@ class Observer:
         self._gather = Gather(list(parts), self.bound)
 
     def __call__(self, target: Array) -> tuple[NDArray[np.float32], Outcome]:
-        """The clipped observation, and how the object is held; target: (19,) the wanted motion."""
+        """Return the clipped observation and the state of the hold; target: (19,) wanted motion."""
         outcome = self._loop.outcome(target, self.error, self.measured)
         return self._gather(), outcome

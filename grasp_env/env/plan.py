@@ -1,4 +1,4 @@
-"""What happens to the object in an episode, planned for every control tick."""
+"""The plan of an episode: disturbance, gravity, mass and target at every control tick."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from grasp_env.task.disturbance import disturb
 
 @dataclass(frozen=True)
 class Plan:
-    """What happens to the object in an episode, one row per control tick; row k holds from tick k to tick k + 1.
+    """Plan of an episode, one row per control tick; row k holds from tick k to tick k + 1.
 
     Attributes:
         wrench: (T, 6) external wrench on the object [N, N m], object frame.
         push: (T, 3) force at the object's centre [N], world frame.
-        gravity: (T, 3) [m/s^2], world frame.
+        gravity: (T, 3) gravity [m/s^2], world frame.
         target: (T, 19) desired motion of the object, world frame; see `grasp_env.task.motion`.
-        mass_factor: (T,) of the object's mass.
+        mass_factor: (T,) factor on the object's mass.
     """
 
     wrench: Array
@@ -34,15 +34,15 @@ class Plan:
 
 
 def make_plan(config: EnvConfig, rng: np.random.Generator, mass: float) -> Plan:
-    """The plan of one episode, T = round(limits.duration * controller.rate) + 1 rows.
+    """Make the plan of one episode, T = round(limits.duration * controller.rate) + 1 rows.
 
-    A seed gives the same disturbance whatever the duration: a longer episode extends a shorter one. (Only the desired
-    motion of "move" knows its end, to be at rest there.)
+    A seed gives the same disturbance for every duration: a longer episode extends a shorter one. (Only the desired
+    motion of "move" depends on the duration, as it ends at rest.)
 
     Args:
         config: the settings, `resolved`.
-        rng: drawn from once, whatever the settings.
-        mass: [kg] of the object, for the pushes of "six_directions".
+        rng: generator, drawn from once, whatever the settings.
+        mass: mass of the object [kg], for the pushes of "six_directions".
     """
     own, limits, tick = np.random.default_rng(int(rng.integers(2**63))), config.limits, 1.0 / config.controller.rate
     assert limits.duration is not None

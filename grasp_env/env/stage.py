@@ -1,4 +1,4 @@
-"""Sets the stage of an episode: which object, how it is grasped, and the state in which the hand holds it at rest."""
+"""The start of an episode: the object, its grasp, and the state in which the hand holds it at rest."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping import place_hand, plan_grasp
 
 PLACINGS = 3
-"""Places that a hand without its own is tried in, for each object."""
+"""Number of places that are tried for each object, for a hand without a place of its own."""
 REDRAWS = 20
-"""Random objects that are tried at a reset until the hand can hold one."""
+"""Largest number of random objects that are tried at a reset until the hand can hold one."""
 
 
 class Stage:
     """One scene, and the object that the hand holds in it.
 
-    While shape and size stay, the fingers close once ("closed", the state in which they just touch, is kept) and take over each
-    mass and friction from there; another shape is built and closed anew. Either way an episode starts from the same bits
+    While shape and size stay the same, the fingers close only once. The state "closed", in which they just touch, is kept, and every
+    mass and friction settles from there. Another shape is built and closed anew. In both cases an episode starts from the same bits,
     whatever came before.
 
     Args:
@@ -35,12 +35,12 @@ class Stage:
         gui, visuals: see `Scene`.
 
     Attributes:
-        episode: the settings of the episode, with what was drawn for it.
-        redrawn: random objects of the last draw that the hand could not hold.
+        episode: the settings of the episode, including drawn ones.
+        redrawn: number of random objects of the last draw that the hand could not hold.
 
     Raises:
         SimulationError: the hand cannot hold the object.
-        InvalidInputError: it cannot reach it.
+        InvalidInputError: the hand cannot reach the object.
     """
 
     def __init__(self, config: EnvConfig, loop: ForceLoop, gui: bool, visuals: bool) -> None:
@@ -67,7 +67,7 @@ class Stage:
         return self._scene
 
     def set(self, rng: np.random.Generator) -> None:
-        """The hand holds the object of the next episode at rest: as in the settings, or with what is drawn from `rng`.
+        """Let the hand hold the object of the next episode at rest, with randomised settings drawn from `rng`.
 
         Raises:
             SimulationError: none of `REDRAWS` random objects could be held.
@@ -76,18 +76,18 @@ class Stage:
         if not self.config.randomize:
             scene.set_gravity(np.array(self.config.gravity))
             mass = self.config.object.mass
-            if scene.config.object.mass != mass:  # a payload, which `Scene.reset` does not take off
+            if scene.config.object.mass != mass:  # a payload, which `Scene.reset` does not remove
                 scene.change_object(mass)
             scene.reset("settled")
             return
-        anew = dict(self.config.randomize).keys() & {"object.shape", "object.size"}
+        rebuilds = dict(self.config.randomize).keys() & {"object.shape", "object.size"}
         failed: GraspError | None = None
         for self.redrawn in range(REDRAWS):
             self.episode = self._loop.config = self.config.drawn(rng)
             drawn = self.episode.object
             scene.set_gravity(np.array(self.episode.gravity))
             try:
-                if anew:
+                if rebuilds:
                     self._hold(drawn)
                 else:
                     scene.reset("closed")
@@ -99,16 +99,16 @@ class Stage:
         raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
 
     def _hold(self, item: ObjectDescription) -> None:
-        """The hand holds an object: where it held the first, else, if nobody placed it, where it is placed for this one.
+        """Let the hand hold an object: from its place for the first object or, if it is not `placed`, from one for this object.
 
         Raises:
-            GraspError: nowhere.
+            GraspError: the hand holds it in none of the places.
         """
         first, failures = self._nominal is None, list[GraspError]()
         for place in self._places(item):
             try:
                 self.kinematics = place()
-                grasp = self._grasp_of(item)
+                grasp = self._scene_config(item)
                 if self._scene is None:
                     self._scene = Scene(grasp, *self._visible)
                 else:
@@ -125,11 +125,11 @@ class Stage:
         raise failures[-1]
 
     def _places(self, item: ObjectDescription) -> Iterator[Callable[[], HandKinematics]]:
-        """Where the hand may hold an object, each found when it is asked for."""
+        """Yield functions that find the places of the hand to try for an object."""
         hand, least, nominal = self._given, None, self._nominal
         if nominal is not None:
             yield lambda: nominal
-            touching = set(nominal.hand.finger_names)  # what is observed of them keeps its shape
+            touching = set(nominal.hand.finger_names)  # observations keep their shape
             tips = tuple(tip for tip in hand.fingertips if tip.name in touching)
             hand, least = replace(hand, fingertips=tips), len(touching)
         elif self._fixed:
@@ -138,7 +138,7 @@ class Stage:
         for seed in range(0 if self._fixed else PLACINGS):
             yield lambda seed=seed: HandKinematics(place_hand(hand, item, seed=seed, least=least, approach=side))
 
-    def _grasp_of(self, item: ObjectDescription) -> SceneConfig:
+    def _scene_config(self, item: ObjectDescription) -> SceneConfig:
         config, engine = self.config, engine_of(self.config.engine)
         points, start = config.contact_points, ()
         if not points:

@@ -1,4 +1,4 @@
-"""What is asked of the grasp in an episode: tasks, motions of the object, disturbances."""
+"""Tasks of an episode, motions of the object, and disturbances."""
 
 from grasp_env.task.disturbance import (
     DISTURBANCES,

@@ -1,6 +1,6 @@
-"""What disturbs the object over an episode: external wrenches, tilting gravity, pushes; one row per control tick.
+"""Disturbances of the object over an episode: external wrenches and tilting gravity, one row per control tick.
 
-A disturbance is called as f(times, rng, settings), whether it is a record of `DISTURBANCES` or a user's function.
+A disturbance is called as f(times, rng, settings); it is a record of `DISTURBANCES` or a user's function.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Settings, any_of, numbers
 from grasp_env.task.motion import blend
 
 _BLOCK = 64
-"""Impulses drawn at a time: fixed, so that a longer episode extends a shorter one."""
+"""Number of impulses drawn at a time: fixed, so that a longer episode extends a shorter one."""
 
 
 @dataclass(frozen=True)
 class Disturbed:
-    """What acts in an episode of T rows; row k acts from control tick k to k + 1.
+    """Disturbance of an episode in T rows; row k acts from control tick k to k + 1.
 
     Attributes:
-        wrench: (T, 6) external wrench on the object [N, N m], object frame; None: nothing.
-        gravity: (T, 3) [m/s^2], world frame; None: that of the settings.
+        wrench: (T, 6) external wrench on the object [N, N m], object frame; None: no wrench.
+        gravity: (T, 3) gravity [m/s^2], world frame; None: that of the settings.
 
     Example:
         >>> def lighter(times, rng, settings):
@@ -47,24 +47,24 @@ class Disturbed:
 
 
 Disturbance: TypeAlias = "Callable[[Array, np.random.Generator, Any], ArrayLike | Disturbed]"
-"""f(times, rng, settings) -> (T, 6) wrenches [N, N m] in the object frame, or a `Disturbed`.
+"""Function f(times, rng, settings) -> (T, 6) wrenches [N, N m] in the object frame, or a `Disturbed`.
 
-times: (T,) [s] of the control ticks; rng: the episode's own generator; settings: the environment's `EnvConfig`. For a seed to give the same
-disturbance in a longer episode, it draws from rng in an order that does not depend on T.
+times: (T,) times of the control ticks [s]; rng: the episode's own generator; settings: the environment's `EnvConfig`. If the order of draws
+from rng does not depend on T, a seed gives the same disturbance in a longer episode.
 """
 
 
 def name_of(disturbance: Disturbance | None) -> str:
-    """The name of a built-in disturbance or of a function; "" where it has none."""
+    """Return the name of a built-in disturbance or of a function; "" if it has none."""
     name = disturbance.name if isinstance(disturbance, DisturbanceSettings) else getattr(disturbance, "__name__", "")
     return name if isinstance(name, str) else ""
 
 
 def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings: Any) -> tuple[Array, Array]:
-    """(T, 6) external wrench [N, N m], object frame, and (T, 3) gravity [m/s^2], world frame, of a disturbance.
+    """Return the external wrench (T, 6) [N, N m], object frame, and the gravity (T, 3) [m/s^2], world frame, of a disturbance.
 
     Raises:
-        InvalidInputError: it failed, or returned something else, or what is not finite.
+        InvalidInputError: the disturbance failed, or its return value has the wrong shape or is not finite.
     """
     what, rows = f"the disturbance {name_of(rule) or shown(rule)}", len(times)
     takes = "a disturbance takes (times, rng, settings) and returns (T, 6) wrenches [N, N m], a row per tick"
@@ -86,7 +86,7 @@ def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings:
 
 @dataclass(frozen=True)
 class DisturbanceSettings(Settings):
-    """Base of the built-in disturbances: records of their numbers, called as any function that disturbs.
+    """Base class of the built-in disturbances: records of their settings that are called like a user's function.
 
     Example:
         >>> from grasp_env.config import EnvConfig
@@ -101,7 +101,7 @@ class DisturbanceSettings(Settings):
 
 @dataclass(frozen=True)
 class NoDisturbance(DisturbanceSettings):
-    """Nothing besides gravity."""
+    """No disturbance: gravity alone."""
 
     name: ClassVar[str] = "none"
 
@@ -126,8 +126,8 @@ class ConstantWrench(DisturbanceSettings):
 class PaperPath(DisturbanceSettings):
     """The paper's W_ext(t).
 
-    It peaks at 1 N m about z, which takes 153 N of normal force and 9 N m at the joints. A tenth keeps the joints near 1 N m, what motors
-    of a hand this size give (the simulated joints allow 12 N m).
+    Its moment about z peaks at 1 N m, which takes 153 N of normal force and 9 N m at the joints. A tenth of it takes about 1 N m, which
+    motors of a hand of this size can deliver (the simulated joints allow 12 N m).
     """
 
     name: ClassVar[str] = "paper_path"
@@ -141,7 +141,7 @@ class PaperPath(DisturbanceSettings):
 
 @dataclass(frozen=True)
 class RandomWrench(DisturbanceSettings):
-    """An Ornstein-Uhlenbeck process per axis, from zero on, as the settled hand is."""
+    """An Ornstein-Uhlenbeck process per axis; it starts at zero, as the hand settled without a wrench."""
 
     name: ClassVar[str] = "random"
 
@@ -152,12 +152,12 @@ class RandomWrench(DisturbanceSettings):
     def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Array:
         """See `Disturbance`."""
         ticks = self.time / (1.0 / settings.controller.rate)
-        decay = 1.0 / max(ticks, 1e-3)  # within a thousandth of a tick nothing is left to correlate
+        decay = 1.0 / max(ticks, 1e-3)  # a shorter correlation time changes nothing
         path = rng.standard_normal((len(times), 6))
         path *= math.sqrt(-math.expm1(-2.0 * decay)) * np.repeat([self.force, self.moment], 3)
         path[0] = 0.0
         keep = math.exp(-decay)
-        for column in path.T:  # a plain loop: scipy's filter does the same, but takes half a second to import
+        for column in path.T:  # scipy.signal.lfilter computes the same, but takes half a second to import
             column[:] = list(accumulate(column.tolist(), lambda before, drawn: drawn + keep * before))
         return path
 
@@ -166,8 +166,8 @@ class RandomWrench(DisturbanceSettings):
 class Impulses(DisturbanceSettings):
     """Half-sine pushes and twists in random directions, with exponential waits between them.
 
-    Each row is the mean over its tick, so that every impulse delivers its 2 / pi * force * time [N s] however short it is. They never
-    overlap: a wait runs from the end of one to the start of the next, and starts are at least a tick apart.
+    Each row is the mean over its tick, so an impulse of any duration delivers 2 / pi * force * time [N s]. Impulses never overlap: a wait
+    runs from the end of one to the start of the next, and starts are at least a tick apart.
     """
 
     name: ClassVar[str] = "impulses"
@@ -181,7 +181,7 @@ class Impulses(DisturbanceSettings):
         """See `Disturbance`."""
         tick = 1.0 / settings.controller.rate
         length = max(self.time, 1e-6 * tick)
-        steps, peaks = [np.array([-length])], [np.zeros((1, 6))]  # one of nothing, which ends at time 0
+        steps, peaks = [np.array([-length])], [np.zeros((1, 6))]  # a first impulse of zero, which ends at time 0
         end, reached = len(times) * tick, -length
         while reached <= end:
             direction = rng.standard_normal((_BLOCK, 2, 3))
@@ -200,15 +200,15 @@ class Impulses(DisturbanceSettings):
 
 @dataclass(frozen=True)
 class TiltingGravity(DisturbanceSettings):
-    """Gravity swings about a horizontal axis drawn at random, as if the hand were tilted slowly.
+    """Gravity swings about a random horizontal axis, as if the hand were tilted slowly.
 
-    The swing is a sinusoid that fades in over its first period: it starts upright and without rate. The hand's own accelerations, were it
-    really tilted, are left out.
+    The swing is a sinusoid that fades in over its first period, so it starts upright and at rest. The accelerations of a hand that really
+    tilts are left out.
     """
 
     name: ClassVar[str] = "tilting_gravity"
 
-    angle: float = setting(0.7, real(NOT_NEGATIVE), "Largest tilt either way.", unit="rad")
+    angle: float = setting(0.7, real(NOT_NEGATIVE), "Largest tilt to either side.", unit="rad")
     period: float = setting(2.0, real(POSITIVE), "Period of the swing.", unit="s")
 
     def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Disturbed:
@@ -233,4 +233,4 @@ DISTURBANCES: dict[str, type[DisturbanceSettings]] = {
 DISTURBANCE = any_of(
     DISTURBANCES, DisturbanceSettings, ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]", calls=True
 )  # fmt: skip
-"""The kind of a setting that holds a disturbance."""
+"""Kind of a setting that holds a disturbance."""

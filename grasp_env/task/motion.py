@@ -1,4 +1,4 @@
-"""Desired motions of the object: smooth, exactly differentiated, at rest at their start and end."""
+"""Desired motions of the object: smooth, with exact derivatives, at rest at start and end."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ MOTIONS: dict[str, str] = {
     "shake": "a sinusoid along x, fading in over the first period and out over the last",
     "rotate": "about z, the line through the thumb: turned in the first third of a period, held, turned back",
 }
-"""What `motion` may be, and what it does.
+"""The motions by name, with descriptions.
 
-About z, a thumb at -z turns on the spot and the fingers at +z follow within their faces: the built-in four-finger hand
-reaches beyond 90 degrees there, 61 about y and 24 about x.
+During a rotation about z, the thumb at -z turns on the spot and the fingers at +z stay on their face: the built-in four-finger hand
+reaches beyond 90 degrees about z, 61 about y and 24 about x.
 """
 
 MOTION_SIZES: dict[str, float] = {"lift": 0.015, "shake": 0.015, "rotate": 0.3}
-"""Sizes [m], [m], [rad] unless given."""
+"""Default sizes [m], [m], [rad]."""
 
 TARGET_SIZE = 19
 POSITION, QUATERNION = slice(0, 3), slice(3, 7)
 LINEAR, ANGULAR = slice(7, 10), slice(10, 13)
 LINEAR_ACCELERATION, ANGULAR_ACCELERATION = slice(13, 16), slice(16, 19)
-"""The parts of a target row: [m], (x, y, z, w), [m/s], [rad/s], [m/s^2], [rad/s^2], world frame."""
+"""Parts of a target row: [m], (x, y, z, w), [m/s], [rad/s], [m/s^2], [rad/s^2], world frame."""
 
 
 def blend(phase: Array) -> Array:
-    """The minimum-jerk step from 0 (phase <= 0) to 1 (phase >= 1), with its first two derivatives by phase: (3, T).
+    """Return the minimum-jerk step from 0 (phase <= 0) to 1 (phase >= 1) and its first two derivatives by phase, (3, T).
 
     Example:
         >>> blend(np.array([-1.0, 0.5, 2.0]))[0]
@@ -47,23 +47,23 @@ def blend(phase: Array) -> Array:
 
 
 def resting_target(ticks: int) -> Array:
-    """(ticks, 19) rows of the nominal pose, at rest."""
+    """Return rows (ticks, 19) of the nominal pose, at rest."""
     target = np.zeros((ticks, TARGET_SIZE))
     target[:, QUATERNION.stop - 1] = 1.0
     return target
 
 
 def motion_target(motion: str, times: Array, size: float, period: float) -> Array:
-    """The object's desired motion.
+    """Return the object's desired motion.
 
-    Whole periods are repeated while they fit before `times[-1]`, then the object rests; when not even one fits, it is
-    cut short. A shake reaches its full size when three or more periods fit.
+    As many whole periods as fit before `times[-1]` are done, then the object rests; if not even one fits, it is cut short.
+    A shake reaches its full size if three or more periods fit.
 
     Args:
         motion: a key of `MOTIONS`.
-        times: (T,) [s], from 0 on.
-        size: [m] height of "lift", amplitude of "shake"; [rad] angle of "rotate".
-        period: [s].
+        times: (T,) times [s], starting at 0.
+        size: height of "lift" [m], amplitude of "shake" [m], angle of "rotate" [rad].
+        period: duration of one motion [s].
 
     Returns:
         (T, 19): position [m], quaternion (x, y, z, w), linear and angular velocity, linear and angular acceleration,
@@ -89,7 +89,7 @@ def motion_target(motion: str, times: Array, size: float, period: float) -> Arra
 
 
 def _there_and_back(times: Array, period: float, repeats: float) -> Array:
-    """(3, T): 0 to 1 in a third of each period, held, back in the last third; with two derivatives by time."""
+    """Return 0 to 1 in a third of each period, held, and back in the last third, with two derivatives by time: (3, T)."""
     phase = times / period
     phase = 3.0 * np.where(phase < repeats, phase - np.floor(phase), 0.0)
     rate = 3.0 / period
@@ -97,7 +97,7 @@ def _there_and_back(times: Array, period: float, repeats: float) -> Array:
 
 
 def _shake(times: Array, period: float, repeats: float) -> Array:
-    """(3, T): a unit sinusoid that fades in and out; with two derivatives by time."""
+    """Return a unit sinusoid that fades in and out, with two derivatives by time: (3, T)."""
     fade = period * min(1.0, 0.5 * repeats)
     a, da, dda = blend(times / fade) * np.array([[1.0], [1.0 / fade], [1.0 / fade**2]])
     b, db, ddb = blend((repeats * period - times) / fade) * np.array([[1.0], [-1.0 / fade], [1.0 / fade**2]])

@@ -1,4 +1,4 @@
-"""Tasks: what is asked of the grasp in an episode, and what counts as success."""
+"""Tasks of an episode and their criteria of success."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from grasp_env.task.disturbance import ConstantWrench, DisturbanceSettings, NoDi
 from grasp_env.task.motion import MOTION_SIZES, MOTIONS, blend, motion_target, resting_target
 
 PAYLOAD_RAMP = 0.1
-"""[s] in which the mass of "payload" changes."""
+"""Time [s] in which the mass of "payload" changes."""
 PUSH_RAMP = 0.05
-"""[s] in which a push of "six_directions" changes into the next, at most a quarter of `push_time`."""
+"""Time [s] in which a push of "six_directions" changes into the next, at most a quarter of `push_time`."""
 
 
 @dataclass(frozen=True)
 class Task(Settings):
-    """A kind of episode: a record of its numbers. Another one is a class here and its place in `TASKS`.
+    """Base class of the tasks: records of their settings. A new task is a class here and an entry of `TASKS`.
 
     Example:
         >>> Hold().duration, SixDirections(push_time=1.0).duration
@@ -35,42 +35,42 @@ class Task(Settings):
     pushes: ClassVar[bool] = False
     """True if the task pushes the object itself; then no disturbance may be given."""
     max_drift: ClassVar[float] = 0.02
-    """[m] at which the object counts as lost unless settings say otherwise."""
+    """Default distance [m] from its place at which the object counts as lost."""
     max_tilt: ClassVar[float] = 0.35
-    """[rad], the same."""
+    """Default angle [rad] at which the object counts as lost."""
     drift_limit: ClassVar[float] = math.inf
-    """[m] below which the object must be from its place for success; infinite: only not lost."""
+    """Largest distance [m] of the object from its place for success; infinite: it only must not be lost."""
     tilt_limit: ClassVar[float] = math.inf
-    """[rad], the same."""
+    """Largest angle [rad] for success; infinite: it only must not be lost."""
     duration: ClassVar[Any] = 4.0
-    """[s] of an episode, unless given."""
+    """Default duration of an episode [s]."""
     caption: ClassVar[str] = ""
     """A short description for pictures, with settings in braces."""
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
-        """(T, 3) force at the object's centre [N], world frame.
+        """Return the force (T, 3) at the object's centre [N], world frame.
 
         Args:
-            times: (T,) of the control ticks [s].
-            tick: between them [s].
-            mass: of the object [kg].
+            times: (T,) times of the control ticks [s].
+            tick: time between two ticks [s].
+            mass: mass of the object [kg].
         """
         return np.zeros((len(times), 3))
 
     def target(self, times: Array, tick: float) -> Array:
-        """(T, 19) desired motion of the object, see `grasp_env.task.motion`; arguments as of `push`: times and tick."""
+        """Return the desired motion (T, 19) of the object, see `grasp_env.task.motion`; times and tick as in `push`."""
         return resting_target(len(times))
 
     def mass_factor(self, times: Array) -> Array:
-        """(T,) by which the object's mass has grown at the times (T,)."""
+        """Return the factors (T,) on the object's mass at the times (T,)."""
         return np.ones(len(times))
 
     def in_place(self, drift: float, tilt: float) -> bool:
-        """Returns True if an object there is near enough to its place for success.
+        """Return True if the object is near enough to its place for success.
 
         Args:
-            drift: [m] of the object from where it should be.
-            tilt: [rad] of the object from how it should stand.
+            drift: distance from the wanted position [m].
+            tilt: angle from the wanted orientation [rad].
         """
         return bool(drift < self.drift_limit) and bool(tilt < self.tilt_limit)
 
@@ -86,14 +86,14 @@ class Hold(Task):
 
 @dataclass(frozen=True)
 class Move(Task):
-    """Follow a motion of the object: gravity and inertia must be balanced."""
+    """Move the object along a path: the forces must balance gravity and inertia."""
 
     name: ClassVar[str] = "move"
     caption: ClassVar[str] = "{motion}"
 
     motion: str = setting("lift", one_of(MOTIONS), "Motion of the object.")
     size: float | None = setting(
-        None, real(POSITIVE), "How far: lift and shake in metres, rotate in radians.", unit="m or rad",
+        None, real(POSITIVE), "Size of the motion: lift and shake in metres, rotate in radians.", unit="m or rad",
         none=f"{MOTION_SIZES['lift']:g} m, {MOTION_SIZES['rotate']:g} rad",
     )  # fmt: skip
     period: float = setting(1.0, real(POSITIVE), "Duration of one motion.", unit="s")
@@ -106,13 +106,13 @@ class Move(Task):
 
 @dataclass(frozen=True)
 class Payload(Task):
-    """Hold while the mass changes, which the controller is not told."""
+    """Hold while the mass changes, unknown to the controller."""
 
     name: ClassVar[str] = "payload"
     caption: ClassVar[str] = "{factor:g} times the mass at {time:g} s"
 
     factor: float = setting(2.0, real(POSITIVE), "Factor by which the mass changes.")
-    time: float = setting(1.0, real(NOT_NEGATIVE), "When it changes.", unit="s")
+    time: float = setting(1.0, real(NOT_NEGATIVE), "Time of the change.", unit="s")
 
     def mass_factor(self, times: Array) -> Array:
         """See `Task`: times [s]."""
@@ -121,9 +121,9 @@ class Payload(Task):
 
 @dataclass(frozen=True)
 class SixDirections(Task):
-    """Pushes along +x, -x, +y, -y, +z, -z in one episode; success is to stay below 50 mm and 15 degrees.
+    """Hold against pushes along +x, -x, +y, -y, +z, -z in one episode; success is to stay within 50 mm and 15 degrees.
 
-    DexGraspBench pushes so, and starts a fresh grasp for each.
+    DexGraspBench applies the same pushes, with a new grasp for each.
     """
 
     name: ClassVar[str] = "six_directions"
@@ -143,9 +143,9 @@ class SixDirections(Task):
     def push(self, times: Array, tick: float, mass: float) -> Array:
         """See `Task`: times [s], tick [s], mass [kg].
 
-        Each push grows out of the one before by a minimum-jerk ramp: a step would ask for a jump of the contact forces.
+        Each push changes into the next by a minimum-jerk ramp, as a step would need a jump of the contact forces.
         """
-        length, pushes = max(self.push_time, tick), np.zeros((8, 3))  # nothing before the first and after the last
+        length, pushes = max(self.push_time, tick), np.zeros((8, 3))  # zero before the first push and after the last
         pushes[1:7:2] = self.push_per_mass * mass * np.eye(3)
         pushes[2:7:2] = -pushes[1:7:2]
         index = np.minimum(times / length, 6.0).astype(np.int64)
@@ -154,6 +154,6 @@ class SixDirections(Task):
 
 
 TASKS: dict[str, type[Task]] = {made.name: made for made in (Hold, Move, Payload, SixDirections)}
-"""The tasks by name."""
+"""The tasks, by name."""
 TASK = any_of(TASKS, Task, ", or give its settings, such as Move(motion='lift')")
-"""The kind of a setting that holds a task."""
+"""Kind of a setting that holds a task."""

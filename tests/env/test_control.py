@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from grasp_env import core
 from grasp_env.config import EnvConfig
-from grasp_env.control.loop import RELEASE, believed_body, control_settings
+from grasp_env.control.loop import RELEASE, control_settings
 from grasp_env.control.sensing import sensor_settings
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import ObjectDescription
@@ -24,6 +23,7 @@ from grasp_env.task.motion import motion_target, resting_target
 ITEM = ObjectDescription(size=(0.06, 0.1, 0.14), mass=0.3)
 KINEMATICS = HandKinematics(HandDescription.four_finger())
 GRAVITY = np.array([0.0, -9.81, 0.0])
+REST, NO_WRENCH = resting_target(1)[0], np.zeros(6)
 
 
 def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0)) -> core.Scene:
@@ -34,9 +34,9 @@ def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0
     return scene
 
 
-def controller(scene: core.Scene, **settings: Any) -> core.Controller:
+def controller(scene: core.Scene) -> core.Controller:
     """A control loop with the default gains."""
-    config = EnvConfig().override(**settings)
+    config = EnvConfig()
     return controller_alone(scene, 4, control_settings(config, ITEM, KINEMATICS), sensor_settings(config))
 
 
@@ -47,36 +47,29 @@ def pose_error(scene: core.Scene, target: np.ndarray) -> np.ndarray:
     return error
 
 
-def balanced(scene: core.Scene, target: np.ndarray | None = None, told: np.ndarray | None = None) -> np.ndarray:
+def balanced(scene: core.Scene, target: np.ndarray = REST, external: np.ndarray = NO_WRENCH) -> np.ndarray:
     """The wrench to balance with the default gains, (6,)."""
     made = controller(scene)
-    made.see(
-        None, np.zeros(6) if told is None else told, GRAVITY, resting_target(1)[0] if target is None else target, None
-    )
-    wrench = made.arrays()["wrench"]
-    body = believed_body(EnvConfig(), ITEM)
-    own = np.array(body.wrench(scene, resting_target(1)[0] if target is None else target, GRAVITY))
-    np.testing.assert_allclose(wrench, own + (0.0 if told is None else told), rtol=1e-14)
-    return wrench
+    made.see(None, external, GRAVITY, target, None)
+    return made.arrays()["wrench"]
 
 
-def test_pose_error_against_scipy():
+def test_pose_error_against_scipy() -> None:
     """Position, orientation and velocities against the target's; small turns keep their digits."""
     rng, target = np.random.default_rng(0), motion_target("rotate", np.linspace(0.0, 1.0, 51), 0.3, 1.0)[10]
     wanted = Rotation.from_quat(target[3:7])
-    for size in (0.0, 1e-12, 1e-8, 1e-6, *[1.5] * 100):
+    for size in (0.0, 1e-12, 1e-8, 1e-6, *[1.5] * 6):
         turn = size * rng.uniform(-0.6, 0.6, 3)
         turned = (Rotation.from_rotvec(turn) * wanted).as_rotvec()
         error = pose_error(state((0.1, 0.2, 0.3), turned, (1, 2, 3), (4, 5, 6)), target)
         np.testing.assert_allclose(error[3:6], turn, atol=1e-12)
         np.testing.assert_allclose(error[:3], np.array([0.1, 0.2, 0.3]) - target[:3])
         np.testing.assert_allclose(error[6:], np.arange(1.0, 7.0) - target[7:13])
-    for tiny in (1e-12, 1e-8, 1e-6):
-        error = pose_error(state(turn=(tiny, 0.0, 0.0)), resting_target(1)[0])
-        np.testing.assert_allclose(error[3:6], [tiny, 0.0, 0.0], rtol=1e-6)
+    error = pose_error(state(turn=(1e-12, 0.0, 0.0)), REST)
+    np.testing.assert_allclose(error[3:6], [1e-12, 0.0, 0.0], rtol=1e-6)
 
 
-def test_wrench_to_balance_signs():
+def test_wrench_to_balance_signs() -> None:
     np.testing.assert_allclose(balanced(state()), [0, -0.3 * 9.81, 0, 0, 0, 0], atol=1e-15)
     # displaced to +x: the grasp must push back, so the wrench it balances points to +x
     assert balanced(state(position=(0.01, 0, 0)))[0] == pytest.approx(0.3 * 30.0**2 * 0.01)
@@ -86,11 +79,13 @@ def test_wrench_to_balance_signs():
     # gravity stays in the world while the object turns
     turned = balanced(state(turn=(0, 0, np.pi / 2)))
     np.testing.assert_allclose(turned[:3], [-0.3 * 9.81, 0, 0], atol=1e-12)
-    told = np.arange(1.0, 7.0)  # in the object frame
-    np.testing.assert_allclose(balanced(state(turn=(0, 0, np.pi / 2)), told=told) - turned, told, atol=1e-12)
+    external = np.arange(1.0, 7.0)  # in the object frame
+    np.testing.assert_allclose(
+        balanced(state(turn=(0, 0, np.pi / 2)), external=external) - turned, external, atol=1e-12
+    )
 
 
-def test_inertial_wrench_of_a_moving_target():
+def test_inertial_wrench_of_a_moving_target() -> None:
     """On the target the grasp must give what its motion needs: d(m v)/dt and dL/dt, here by differences."""
     inertia, step = ITEM.inertia_matrix, 1e-4
 
@@ -124,43 +119,21 @@ def test_inertial_wrench_of_a_moving_target():
         np.testing.assert_allclose(balanced(s, target), [*force, *moment], rtol=1e-4, atol=1e-6)
 
 
-@dataclass
-class Tick:
-    """One control tick: what the loop knew, what it commanded and what Bullet then measured."""
-
-    fingers: tuple[int, ...]
-    touching: np.ndarray
-    force: np.ndarray
-    wrench: np.ndarray
-    closure: bool
-    matrix: np.ndarray
-
-    @property
-    def missing(self) -> np.ndarray:
-        """G f + w, (6,)."""
-        return self.matrix @ self.force.reshape(-1) + self.wrench
-
-
 class Trial:
     """An episode in which the tips of some fingers are pulled off the object for a while.
 
     Args:
-        pulled: the fingers, by number.
-        ticks: for so many control ticks.
-        steps: of the agent.
-        force: [N] away from the object, on each.
-        settings: of the environment.
+        pulled: numbers of the fingers.
+        ticks: control ticks at which they are pulled with 8 N.
+        steps: largest number of agent steps.
+        settings: settings of the environment.
     """
 
-    START = 50
-
-    def __init__(
-        self, pulled: tuple[int, ...], ticks: int = 10, steps: int = 100, force: float = 8.0, **settings: Any
-    ) -> None:
+    def __init__(self, pulled: tuple[int, ...], ticks: Sequence[int], steps: int = 100, **settings: Any) -> None:
         env = FourFingerGrasp(disturbance="none", **settings)
         env.reset(seed=0)
         scene, loop = env.scene, env._loop
-        self.ticks: list[Tick] = []
+        self.ticks: list[dict[str, Any]] = []  # what the loop knew and commanded, and the fingers that really touch
         self.infos: list[dict[str, Any]] = []
         self.friction = loop.friction
         advance = scene.advance
@@ -172,15 +145,18 @@ class Trial:
                 skew = np.cross(np.eye(3), s.points[finger])  # skew @ f = p x f
                 matrix[:3, 3 * finger : 3 * finger + 3] = frames[finger]
                 matrix[3:, 3 * finger : 3 * finger + 3] = skew @ frames[finger]
-            fingers, given = tuple(loop.fingers.tolist()), loop.force.copy()
-            self.ticks.append(Tick(fingers, s.touching > 0, given, loop.wrench.copy(), loop.closure, matrix))
-            if len(self.ticks) <= 5 and loop.fingers.size == 4:
+            missing = matrix @ loop.force.reshape(-1) + loop.wrench
+            self.ticks.append({
+                "fingers": loop.fingers.tolist(), "touching": s.touching > 0, "force": loop.force.copy(), "closure": loop.closure,
+                "missing": np.abs(missing).max(),
+            })  # fmt: skip
+            if len(self.ticks) <= 5:
                 expected = grasp_torques(scene, np.einsum("nij,nj->ni", frames, loop.force))
                 np.testing.assert_allclose(torques, expected, atol=1e-9)
-            if self.START < len(self.ticks) <= self.START + ticks:
+            if len(self.ticks) in ticks:
                 for finger in pulled:
                     link = scene.simulator.world.joints[int(scene.kinematics.tip_links[finger])]
-                    away = -force * (s.rotation @ s.normals[finger])
+                    away = -8.0 * (s.rotation @ s.normals[finger])
                     bullet.applyExternalForce(
                         scene.simulator.world.hand, link, away.tolist(), s.tips[finger].tolist(), bullet.WORLD_FRAME,
                         scene.simulator.client.number,
@@ -189,121 +165,64 @@ class Trial:
 
         scene.advance = pull  # type: ignore[method-assign]
         for _ in range(steps):
-            obs, reward, terminated, truncated, info = env.step(np.zeros(6, dtype=np.float32))
-            assert np.isfinite(obs).all()
-            assert np.isfinite(reward)
+            _, _, terminated, truncated, info = env.step(np.zeros(6, dtype=np.float32))
             self.infos.append(info)
             if terminated or truncated:
                 break
         env.close()
 
 
-@pytest.fixture(scope="module", params=[1, 2, 3], ids=["middle", "left", "right"])
-def slipped(request: pytest.FixtureRequest) -> tuple[int, Trial]:
-    """One finger of the front is pulled off; thumb and two fingers are left."""
-    return request.param, Trial((request.param,), duration=4.0, steps=200)
-
-
 @needs_bullet
-def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(slipped):
-    finger, trial = slipped
-    others = tuple(k for k in range(4) if k != finger)
-    alone = [tick for tick in trial.ticks if tick.fingers == others]
+@pytest.mark.parametrize("finger", [1, 2])
+def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finger: int) -> None:
+    trial = Trial((finger,), range(51, 61), 200, duration=4.0)
+    others = [k for k in range(4) if k != finger]
+    alone = [tick for tick in trial.ticks if tick["fingers"] == others]
     assert len(alone) > 10
-    counts = [info["contacts"] for info in trial.infos]
-    assert counts[:10] == [4] * 10
-    assert 3 in counts
+    assert [info["contacts"] for info in trial.infos[:10]] == [4] * 10
     for tick in alone:
-        assert tick.closure
-        np.testing.assert_array_equal(tick.force[finger], 0.0)  # nothing is commanded where there is nothing to push
-        inside = trial.friction * tick.force[:, 0] - np.hypot(tick.force[:, 1], tick.force[:, 2])
-        assert (inside[list(others)] > 0.0).all()
-    assert np.percentile([np.abs(tick.missing).max() for tick in alone], 95) < 1e-8  # balance over the three
+        assert tick["closure"]
+        np.testing.assert_array_equal(tick["force"][finger], 0.0)  # no command for a finger that touches nothing
+        inside = trial.friction * tick["force"][:, 0] - np.hypot(tick["force"][:, 1], tick["force"][:, 2])
+        assert (inside[others] > 0.0).all()
+    assert np.percentile([tick["missing"] for tick in alone], 95) < 1e-8  # balance over the three
     for info in trial.infos:
         assert (info["force_closure"], info["failure"]) == (True, "")
-        if info["contacts"] == 3:
-            assert info["status"] == "optimal"
-            np.testing.assert_array_equal(info["commanded_force"][finger], 0.0)
+        assert info["contacts"] == 4 or info["status"] == "optimal"
     assert max(info["drift"] for info in trial.infos) < 5e-3
-    lost = next(k for k, tick in enumerate(trial.ticks) if not tick.touching[finger])
-    noticed = next(k for k, tick in enumerate(trial.ticks) if finger not in tick.fingers)
+    lost = next(k for k, tick in enumerate(trial.ticks) if not tick["touching"][finger])
+    noticed = next(k for k, tick in enumerate(trial.ticks) if finger not in tick["fingers"])
     assert lost <= noticed <= lost + RELEASE + 1  # not at the next agent step, nor at the first tick without force
-    assert noticed % 5 != 0 or noticed == lost + RELEASE
     last = trial.infos[-1]
     assert last["touching"].all()
-    assert (last["contacts"], last["failure"]) == (4, "")
-    assert last["contact_changes"] >= 2
+    assert (last["contacts"], last["failure"], last["contact_changes"] >= 2) == (4, "", True)
     assert last["drift"] < 1e-4
     assert last["commanded_force"][finger, 0] > 0.1
     assert last["force_error"] < 0.05
 
 
 @needs_bullet
-def test_the_commanded_force_is_continuous(slipped):
-    """By at most force_rate * dt = 4 N per tick beyond what balance asks; a finger that lands starts from nothing."""
-    finger, trial = slipped
-    most = 1000.0 / 250.0
-    assert len(trial.ticks) > 200
-    for before, now in pairwise(trial.ticks):
-        change = np.abs(now.force - before.force).max()
-        if before.fingers == now.fingers:
-            asked = np.abs(np.linalg.pinv(now.matrix)).sum(axis=1).max() * np.abs(now.wrench - before.wrench).max()
-            assert change <= most + asked + 1e-9
-        elif len(now.fingers) < len(before.fingers):
-            # what the lost finger carried goes to the others at once, and what holds that inside their cones
-            left = before.force.copy()
-            left[finger] = 0.0
-            missing = now.matrix @ left.reshape(-1) + now.wrench
-            given_up = 4.0 * np.abs(np.linalg.pinv(now.matrix) @ missing).max() + np.abs(before.force[finger]).max()
-            assert change <= most + given_up
-        else:
-            assert 0.0 < now.force[finger, 0] <= most + 1e-9
-
-
-@needs_bullet
-def test_a_slow_force_rate_is_kept():
-    """The internal force of a finger that lands grows by 0.1 N per tick, not more."""
-    trial = Trial((2,), duration=4.0, steps=200, controller={"force_rate": 25.0})
-    assert trial.infos[-1]["contacts"] == 4
-    landed = max(k for k, tick in enumerate(trial.ticks) if 2 not in tick.fingers) + 1
-    after = trial.ticks[landed : landed + 60]
-    for before, now in pairwise(after):
-        asked = 3.0 * np.abs(np.linalg.pinv(now.matrix)).sum(axis=1).max() * np.abs(now.wrench - before.wrench).max()
-        assert np.abs(now.force - before.force).max() <= 0.1 + asked + 1e-9
-    assert after[0].force[2, 0] < 0.3
-    assert after[-1].force[2, 0] > after[0].force[2, 0]
-
-
-@needs_bullet
-def test_without_force_closure_the_episode_ends_with_that_cause():
-    trial = Trial((2, 3), ticks=200, limits={"max_drift": 10.0, "max_tilt": 3.0})
+def test_without_force_closure_the_episode_ends_with_that_cause() -> None:
+    trial = Trial((2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
     last = trial.infos[-1]
-    assert last["failure"] == "closure_lost"
-    assert not last["is_success"]
-    assert not last["force_closure"]
-    assert last["contacts"] == 2
+    assert (last["failure"], last["is_success"], last["force_closure"]) == ("closure_lost", False, False)
+    assert (last["contacts"], last["status"] in ("none", "failed")) == (2, True)
     lost = [info["force_closure"] for info in trial.infos].index(False)
-    assert last["status"] in ("none", "failed")
     assert 5 <= len(trial.infos) - lost <= 7  # max_contact_gap = 0.1 s, at 50 Hz
     assert all(info["iterations"] == 0 for info in trial.infos[lost + 1 :])  # the first lost it after its optimisation
     for info in trial.infos[lost:]:  # the last forces are kept, inside their cones
         force = info["commanded_force"]
         assert (np.hypot(force[:, 1], force[:, 2]) <= 0.4 * force[:, 0] + 1e-9).all()
-        assert info["reward/iterations"] == (0.0 if info["failure"] else -0.5)  # a failed optimisation is no free one
 
 
 @needs_bullet
-def test_gaps_of_force_closure_are_survived_and_a_hand_let_go_is_reported():
-    """Without gravity two fingers are pulled off and come back: closure is lost, then found again."""
-    limits = {"duration": 4.0, "max_contact_gap": 2.0, "max_drift": 0.05}
-    trial = Trial((2, 3), ticks=3, steps=200, gravity=(0.0, 0.0, 0.0), limits=limits)
-    closed = [info["force_closure"] for info in trial.infos]
-    assert closed.count(False) > 3
-    assert closed[-1]
-    assert (trial.infos[-1]["contacts"], trial.infos[-1]["failure"]) == (4, "")
-    last = Trial((0, 1, 2, 3), ticks=200).infos[-1]
-    assert last["failure"] in ("dropped", "closure_lost")
-    assert (last["force_closure"], last["contacts"], last["touching"].any()) == (False, 0, False)
+def test_gaps_of_force_closure_are_survived_each_on_its_own() -> None:
+    """Without gravity two fingers are pulled off twice and come back; the gaps together are longer than one may be."""
+    limits = {"duration": 4.0, "max_contact_gap": 0.4, "max_drift": 0.05}
+    trial = Trial((2, 3), [*range(51, 54), *range(401, 404)], 200, gravity=(0.0, 0.0, 0.0), limits=limits)
+    last = trial.infos[-1]
+    assert (last["contacts"], last["failure"], last["force_closure"]) == (4, "", True)
+    assert sum(not tick["closure"] for tick in trial.ticks) > 0.4 * 250
 
 
 def test_one_missed_tick_does_not_let_a_finger_go() -> None:
@@ -315,7 +234,7 @@ def test_one_missed_tick_does_not_let_a_finger_go() -> None:
     held = []
     for touches in (0, 1, 1, 0, 1, 0, 1, 0, 0, 0):  # the thumb
         touching[:] = [touches, 1, 1, 1]
-        core.see(None, np.zeros(6), env.scene.gravity, resting_target(1)[0], None)
+        core.see(None, NO_WRENCH, env.scene.gravity, REST, None)
         held.append(core.mask)
     assert held == [15] * 9 + [14]
     env.close()

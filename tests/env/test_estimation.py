@@ -1,4 +1,4 @@
-"""The wrench estimate on a free rigid body with known wrenches; delays, and what late measurements mean now; noise."""
+"""The wrench estimate on a free rigid body with known wrenches; delayed and noisy measurements."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ TICK = 0.004
 MASS = 0.2
 INERTIA = np.diag([3e-4, 4e-4, 2e-4]) + 2e-5 * (np.ones((3, 3)) - np.eye(3))
 GRAVITY = np.array([0.0, -9.81, 0.0])
+TARGET = resting_target(1)[0]
 POINTS = np.array([[0.0, 0.0, -0.05], [0.0, 0.03, 0.05], [-0.03, -0.02, 0.05], [0.03, -0.02, 0.05]])
 GRASP = np.concatenate(
     [np.tile(np.eye(3), 4), np.concatenate([np.cross(p, np.eye(3), axisb=0, axisc=0) for p in POINTS], axis=1)]
 )
 SQUEEZE = np.array([[0, 0, 6.0], [0, 0, -2.4], [0, 0, -1.8], [0, 0, -1.8]])
+Trial = list[tuple[np.ndarray, ...]]
 
 
-def hold(wrench: np.ndarray, seed: int, mass: float = MASS, spin=(0.0, 0.0, 0.0), substeps: int = 4):
+def hold(wrench: np.ndarray, seed: int, mass: float = MASS, spin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Trial:
     """A rigid body under `wrench` (T, 6), pushed back by contact forces with a soft pose feedback.
 
     Returns rotation, linear and angular velocity and contact forces, at the start and after each tick.
     """
-    rng = np.random.default_rng(seed)
+    rng, h = np.random.default_rng(seed), TICK / 4
     position, linear, turn = np.zeros(3), np.zeros(3), Rotation.identity()
-    angular = np.array(spin, dtype=float)
-    inertia = INERTIA * mass / MASS
-    spread = np.linalg.pinv(GRASP)
+    angular, inertia, spread = np.array(spin), INERTIA * mass / MASS, np.linalg.pinv(GRASP)
     trial = [(turn.as_matrix(), linear, angular, SQUEEZE)]
     for row in wrench:
         rotation = turn.as_matrix()
@@ -44,50 +44,35 @@ def hold(wrench: np.ndarray, seed: int, mass: float = MASS, spin=(0.0, 0.0, 0.0)
         ])  # fmt: skip
         forces = SQUEEZE - (spread @ feedback).reshape(4, 3) + 0.05 * rng.standard_normal((4, 3))
         acting = GRASP @ forces.reshape(-1) + row
-        h = TICK / substeps
-        for _ in range(substeps):  # the wrenches are constant in the object frame within a tick
+        for _ in range(4):  # the wrenches are constant in the object frame within a tick
             middle = turn * Rotation.from_rotvec(0.5 * h * turn.inv().apply(angular))
             linear = linear + h * (middle.apply(acting[:3]) / mass + GRAVITY)
             position = position + h * linear
             body = middle.inv().apply(angular)
-            gain = np.linalg.solve(inertia, acting[3:] - np.cross(body, inertia @ body))
-            angular = angular + h * middle.apply(gain)
+            angular = angular + h * middle.apply(np.linalg.solve(inertia, acting[3:] - np.cross(body, inertia @ body)))
             turn = Rotation.from_rotvec(h * angular) * turn
         trial.append((turn.as_matrix(), linear, angular, forces))
     return trial
 
 
-class Estimator:
-    """The core's estimate of the external wrench, of a scene that is written by hand."""
-
-    def __init__(self, fingers: int = 4, time: float = 0.0, keep: float | None = None, noise: float = 0.0) -> None:
-        self.scene, self.views = scene_alone(fingers=fingers)
-        self.target = resting_target(1)[0]
-        control, sensors = core.ControlSettings(), core.SensorSettings()
-        self.body = core.Body()
-        self.body.mass, self.body.inertia = MASS, INERTIA.reshape(-1).tolist()
-        control.body = self.body
-        sensors.wrench, sensors.tick, sensors.tactile_noise = core.WrenchSource.estimated, TICK, noise
-        sensors.keep = keep_factor(time, TICK) if keep is None else keep
-        self.core = controller_alone(self.scene, fingers, control, sensors)
-        self.noise = NoiseRows(np.random.default_rng(0), 3 + 3 * fingers)
-
-    def __call__(self, rotation, linear, angular, points, forces, gravity=GRAVITY) -> np.ndarray:
-        s = self.views
-        s.rotation[:], s.linear[:], s.angular[:], s.points[:], s.forces[:] = rotation, linear, angular, points, forces
-        self.core.see(None, np.full(6, 9.0), gravity, self.target, self.noise())  # it does not look at the true wrench
-        return self.core.arrays()["wrench"] - self.body.wrench(self.scene, self.target, gravity)
+def estimates(trial: Trial, time: float = 0.0, noise: float = 0.0) -> np.ndarray:
+    """(T + 1, 6) estimates of the external wrench along a trial of `hold`."""
+    scene, views = scene_alone()
+    control, sensors, body = core.ControlSettings(), core.SensorSettings(), core.Body()
+    body.mass, body.inertia = MASS, INERTIA.reshape(-1).tolist()
+    control.body = body
+    sensors.wrench, sensors.tick, sensors.tactile_noise = core.WrenchSource.estimated, TICK, noise
+    sensors.keep = keep_factor(time, TICK)
+    made, rows, out = controller_alone(scene, 4, control, sensors), NoiseRows(np.random.default_rng(0), 15), []
+    for rotation, linear, angular, forces in trial:
+        views.rotation[:], views.linear[:], views.angular[:] = rotation, linear, angular
+        views.points[:], views.forces[:] = POINTS, forces
+        made.see(None, np.full(6, 9.0), GRAVITY, TARGET, rows())  # it must not use the true wrench
+        out.append(made.arrays()["wrench"] - body.wrench(scene, TARGET, GRAVITY))
+    return np.array(out)
 
 
-def estimates(trial, time=0.0, noise=0.0):
-    """(T + 1, 6) estimates along a trial of `hold`."""
-    estimator = Estimator(time=time, noise=noise)
-    return np.array(
-        [estimator(rotation, linear, angular, POINTS, forces) for rotation, linear, angular, forces in trial]
-    )
-
-
-def test_constant_wrench_is_found_at_once_and_filtered_as_asked():
+def test_a_constant_wrench_is_found_at_once_and_filtered_as_asked() -> None:
     wrench = np.tile([1.0, 0.5, -0.6, -0.01, 0.02, 0.005], (100, 1))
     trial = hold(wrench, 0)
     raw = estimates(trial)
@@ -96,41 +81,25 @@ def test_constant_wrench_is_found_at_once_and_filtered_as_asked():
     np.testing.assert_allclose(raw[1:, :3], wrench[:, :3], atol=0.02)
     np.testing.assert_allclose(raw[1:, 3:], wrench[:, 3:], atol=2e-4)
     slow = estimates(trial, time=0.05)
-    lag = 1.0 - np.exp(-np.arange(101) * TICK / 0.05)
-    np.testing.assert_allclose(slow[:, 0], lag, atol=0.02)
+    np.testing.assert_allclose(slow[:, 0], 1.0 - np.exp(-np.arange(101) * TICK / 0.05), atol=0.02)
 
 
-def test_a_spinning_body_needs_no_wrench():
-    """Without the change of R I R^T omega the gyroscopic moment, here 0.02 N m, would be taken for a wrench."""
+def test_a_spinning_body_needs_no_wrench_and_a_payload_is_a_weight() -> None:
+    """Without the change of R I R^T omega the gyroscopic moment would be taken for a wrench."""
     quiet = estimates(hold(np.zeros((100, 6)), 0, spin=(6.0, 5.0, 0.0)))
     gyroscopic = np.cross([6.0, 5.0, 0.0], INERTIA @ [6.0, 5.0, 0.0])
-    assert np.abs(gyroscopic).max() > 2e-3
     assert np.abs(quiet[1:, 3:]).max() < 0.1 * np.abs(gyroscopic).max()
+    heavy = estimates(hold(np.zeros((250, 6)), 0, mass=1.5 * MASS))
+    np.testing.assert_allclose(heavy[150:, :3].mean(axis=0), 0.5 * MASS * GRAVITY, atol=0.03)
 
 
-def test_payload_shows_up_as_its_weight():
-    heavy = estimates(hold(np.zeros((500, 6)), 0, mass=1.5 * MASS))
-    settled = heavy[300:, :3].mean(axis=0)
-    np.testing.assert_allclose(settled, 0.5 * MASS * GRAVITY, atol=0.03)
-
-
-@pytest.fixture(scope="module")
-def random_trial():
-    wrench = RandomWrench()(TICK * np.arange(1000), np.random.default_rng(1), EnvConfig())
-    return wrench, hold(wrench, 1)
-
-
-def test_random_wrench_without_noise_is_found_within_a_tick(random_trial):
-    wrench, trial = random_trial
-    error = estimates(trial)[1:] - wrench
-    assert np.sqrt((error[:, :3] ** 2).mean()) < 0.02
-    assert np.sqrt((error[:, 3:] ** 2).mean()) < 5e-4
-
-
-def test_noise_against_lag(random_trial):
-    """5 % of the thumb's 6 N and the fingers' 2 N is 0.34 N per axis; a filter trades it for lag: the best is between."""
-    wrench, trial = random_trial
-    error = {}
+def test_a_random_wrench_is_found_and_a_filter_trades_noise_for_lag() -> None:
+    """5 % of the thumb's 6 N and the fingers' 2 N is 0.34 N per axis; the best filter is between none and a slow one."""
+    wrench = RandomWrench()(TICK * np.arange(500), np.random.default_rng(1), EnvConfig())
+    trial, error = hold(wrench, 1), {}
+    exact = estimates(trial)[1:] - wrench
+    assert np.sqrt((exact[:, :3] ** 2).mean()) < 0.02
+    assert np.sqrt((exact[:, 3:] ** 2).mean()) < 5e-4
     for time in (0.0, 0.02, 0.3):
         late = estimates(trial, time=time, noise=0.05)[1:] - wrench
         error[time] = np.sqrt((late[:, :3] ** 2).mean())
@@ -139,13 +108,13 @@ def test_noise_against_lag(random_trial):
     assert error[0.02] < 0.7 * error[0.3]
 
 
-def look(seen: core.Controller, wrench: np.ndarray, noise: np.ndarray) -> Snapshot:
-    """What the controller sees at the next tick."""
-    seen.see(None, wrench, GRAVITY, resting_target(1)[0], noise)
-    return Snapshot(**seen.seen())
+def look(made: core.Controller, wrench: np.ndarray, noise: np.ndarray) -> Snapshot:
+    """The scene as the controller measures it at the next tick."""
+    made.see(None, wrench, GRAVITY, TARGET, noise)
+    return Snapshot(**made.seen())
 
 
-def test_force_noise_statistics():
+def test_noise_statistics() -> None:
     scene, truth = scene_alone(fingers=2)
     truth.forces[:] = forces = np.array([[3.0, 0.0, 4.0], [0.0, 0.0, 0.0]])
     sensors = core.SensorSettings()
@@ -159,18 +128,13 @@ def test_force_noise_statistics():
     np.testing.assert_allclose(samples[:, 0].mean(axis=0), forces[0], atol=0.04)
     assert not samples[:, 1].any()
     np.testing.assert_allclose(places.std(axis=0), 1e-3, rtol=0.06)
-    np.testing.assert_array_equal(truth.forces, forces)  # the scene itself is left alone
+    np.testing.assert_array_equal(truth.forces, forces)  # the scene itself is unchanged
+    rows, expected = NoiseRows(np.random.default_rng(5), 7), np.random.default_rng(5).standard_normal((200, 7))
+    np.testing.assert_array_equal([rows().copy() for _ in range(200)], expected)
 
 
-def test_noise_rows_are_the_seeds():
-    noise = NoiseRows(np.random.default_rng(5), 7)
-    many = np.array([noise().copy() for _ in range(200)])
-    np.testing.assert_array_equal(many, np.random.default_rng(5).standard_normal((200, 7)))
-
-
-@pytest.mark.parametrize("late", [0, 1, 5])
-@pytest.mark.parametrize("later", [0, 2])
-def test_delays(late, later):
+@pytest.mark.parametrize(("late", "later"), [(0, 2), (1, 0), (5, 2)])
+def test_delays(late: int, later: int) -> None:
     """The scene and forces come `late` ticks late, measured wrenches `later` ticks more; before the first tick it stood still."""
     scene, truth = scene_alone()
     sensors = core.SensorSettings()
@@ -187,22 +151,22 @@ def test_delays(late, later):
             np.testing.assert_array_equal(made.arrays()["wrench"], known)  # of a body without mass
 
 
-def test_carried_forward_is_what_comes() -> None:
-    """A free object turns and drifts at constant speed, one joint moves slowly: what is seen 20 ms late is carried to now."""
+def test_late_measurements_are_extrapolated_to_the_present() -> None:
+    """A free object turns and drifts at constant speed, one joint moves slowly; measurements are 20 ms late."""
     late = 5
     scene = Scene(SceneConfig(clearance=0.03, gravity=(0.0, 0.0, 0.0)))
-    hand = scene.config.hand
+    joints = scene.config.hand.joint_count
     sensors = core.SensorSettings()
     sensors.tick, sensors.delay = scene.timestep, late
     controller = controller_alone(scene.core, sensors=sensors)
     controller.reset()
-    torques, still = np.zeros(hand.joint_count), (np.zeros(6), np.zeros(3), resting_target(1)[0], np.zeros(15))
+    torques, still = np.zeros(joints), (np.zeros(6), np.zeros(3), TARGET, np.zeros(15))
     torques[2] = 1e-4  # [N m]
     scene.step(torques, [0.5, -0.2, 0.3, 0.01, 0.02, -0.03])
     before = scene.look().points.copy()
     for _ in range(late):
         controller.see(None, *still)
-        scene.step(np.zeros(hand.joint_count))
+        scene.step(np.zeros(joints))
         scene.look()
     controller.see(None, *still)
     seen, now = Snapshot(**controller.seen()), scene.look()
@@ -212,5 +176,5 @@ def test_carried_forward_is_what_comes() -> None:
     # the joint's own speed changes by Coriolis torques only: (0.05 rad/s)^2 * 0.02 s
     for name in ("angles", "points", "touch", "gaps"):
         np.testing.assert_allclose(getattr(seen, name), getattr(now, name), atol=1e-5)
-    assert np.abs(now.points - before).max() > 1e-4  # and something did move
+    assert np.abs(now.points - before).max() > 1e-4
     scene.close()

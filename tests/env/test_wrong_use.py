@@ -1,7 +1,8 @@
-"""Wrong input and faults: clear errors, named causes, and never a number that is none."""
+"""Wrong input gets an error that names it and changes nothing; a lost object ends the episode with its cause and finite numbers."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -10,113 +11,158 @@ import numpy as np
 import pytest
 from engines import bullet, needs_bullet
 
+from grasp_env.config import EnvConfig, Reward, as_config
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownNameError
+from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownSettingError
 from grasp_env.sim import HandDescription, SceneConfig
+from grasp_env.task import Disturbed
+from grasp_env.task.disturbance import disturb
 
 ZERO = np.zeros(6, dtype=np.float32)
+FOUR = HandDescription.four_finger()
+POINTS = SceneConfig().contact_points
+TIMES = np.arange(501) * 0.004
+
+
+CALLS: dict[str, Callable[..., Any]] = {
+    "override": EnvConfig().override,
+    "draw": lambda **rules: EnvConfig().override(randomize=rules).drawn(np.random.default_rng(0)),
+    "disturb": lambda rule: disturb(rule, TIMES, np.random.default_rng(0), EnvConfig()),
+    "return": lambda value: disturb(lambda *_: value, TIMES, np.random.default_rng(0), EnvConfig()),
+    "to_json": lambda **settings: EnvConfig().override(**settings).to_json(),
+    "as_config": as_config,
+    "reward": Reward,
+}
+WRONG: list[tuple[str, dict[str, Any], str]] = [
+    ("override", {"disturbance": "wind"}, r"unknown disturbance 'wind'.*'none'.*or give a function"),
+    ("override", {"disturbance": {"force": 1.0}}, "disturbance needs a name"),
+    ("override", {"disturbance": {"name": "random", "force": -1.0}}, r"disturbance.force \[N\] must"),
+    ("override", {"disturbance": {"name": "random", "speed": 1.0}}, r"disturbance.speed': .*'disturbance.force'"),
+    ("override", {"disturbance.force": 1.0}, "give disturbance a name"),
+    ("override", {"task": "juggle"}, "'hold', 'move', 'payload', 'six_directions'"),
+    ("override", {"task": {"size": 0.01}}, r"task.size'.*\(none\)"),
+    ("override", {"task": "six_directions", "disturbance": "random"}, "pushes by itself"),
+    ("override", {"initial_force": "best"}, r"'linear_combination'.* or give a rule\(grasp, wrench\)"),
+    ("override", {"hand": "six_finger"}, "HandDescription.from_file"),
+    ("override", {"mass": float("nan")}, r"object.mass \[kg\]"),
+    ("override", {"object": 3}, "object must be a ObjectDescription, or a dict"),
+    ("override", {"engine": "bulet"}, r"unknown engine 'bulet': did you mean 'bullet'\? .* or give its settings"),
+    ("override", {"engine": {"name": "bullet", "rate": 100}}, "engine.rate must be a multiple of controller.rate"),
+    ("override", {"controller": {"rate": 333}}, "controller.rate must be a multiple of agent.rate, got 333 and 50"),
+    ("override", {"sensors": {"delay": 1e6}}, "sensors.delay must be at most 4000 s"),
+    ("override", {"sensors": {"delay": -1.0}, "reward": {"held": "a"}}, r"sensors.delay .*; reward.held must"),
+    ("override", {"approach": "down", "contact_points": POINTS}, "leave one of them out"),
+    ("override", {"randomize": ("colour",)}, "'shape', 'size', 'mass', 'friction'"),
+    ("override", {"randomize": None}, "randomize must be a list of some of shape, size, mass, friction"),
+    ("override", {"randomize": {"mass": (0.3, 0.1)}}, "low <= high"),
+    ("override", {"randomize": {"mass": (0.0, 0.05)}}, "object.mass must be a number > 0"),
+    ("override", {"randomize": {"gravity": (1.0, 2.0)}}, "must be a function"),
+    ("override", {"randomize": "size", "contact_points": POINTS}, "contact_points belong to one shape"),
+    ("reward", {"force": 0.3}, r"iterations 0\.5, force 0\.3, torque 0\.1, force_change 0\.1.* 1, .* at most 0\.9"),
+    ("draw", {"mass": lambda rng: -1.0}, r"object.mass \[kg\] must"),
+    ("draw", {"mass": lambda: 1.0}, r"randomize\['object.mass'\] fails with TypeError"),
+    ("draw", {"shape": lambda rng: "torus"}, "unknown object.shape 'torus'"),
+    ("return", {"value": np.zeros((501, 3))}, r"lambda.*\(501, 6\), got \(501, 3\)"),
+    ("return", {"value": np.full((501, 6), np.nan)}, "lambda.*finite"),
+    ("return", {"value": None}, "lambda.*None.*return"),
+    ("return", {"value": Disturbed(gravity=np.zeros((500, 3)))}, r"lambda.*\(501, 3\), got \(500, 3\)"),
+    ("disturb", {"rule": lambda times: times}, r"lambda.*fails with TypeError: .*takes \(times, rng, settings\)"),
+    ("to_json", {"disturbance": lambda times, rng, settings: None}, "disturbance is <function .*no JSON"),
+    ("to_json", {"initial_force": lambda grasp, wrench: None}, "solver.initial_force is <function"),
+    ("to_json", {"randomize": {"gravity": lambda rng: (0, 0, 0)}}, r"randomize\['gravity'\] is <function"),
+    ("to_json", {"hand": FOUR.moved((0.0, 0.1, 0.0))}, "hand is HandDescription.* no JSON"),
+    ("as_config", {"config": {"schema": 2}}, "schema 2, this version reads 1: it is written by a newer version"),
+    ("as_config", {"config": {"schema": 0}}, "too old"),
+    ("as_config", {"config": "{"}, "config must be JSON"),
+    ("as_config", {"config": {"schema": 1, "colour": "red"}}, "colour"),
+]
+
+
+@pytest.mark.parametrize(("call", "given", "message"), WRONG, ids=range(len(WRONG)))
+def test_wrong_input_is_named(call: str, given: dict[str, Any], message: str) -> None:
+    with pytest.raises(GraspError, match=message):
+        CALLS[call](**given)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("frameskip", "settings are 'hand', 'object'"), ("disturbence", "did you mean 'disturbance'"),
+        ("tolerance", "did you mean .*'solver.tolerance'"), ("motion", "did you mean 'task.motion'"),
+        ("object_mass", "did you mean 'object.mass'"), ("sensors.dely", "did you mean 'sensors.delay'"),
+        ("mas", "got an unexpected keyword argument 'mas': did you mean 'mass'"),
+    ],
+)  # fmt: skip
+def test_an_unknown_keyword_names_the_likely_setting(name: str, meant: str) -> None:
+    for call in (EnvConfig().override, lambda **given: gym.make("grasp_env:FourFingerGrasp-v0", **given)):
+        with pytest.raises(UnknownSettingError, match=meant) as caught:
+            call(**{name: 1})
+        assert isinstance(caught.value, TypeError)
 
 
 def connections() -> int:
     return sum(bullet.isConnected(number) for number in range(64)) if bullet else 0
 
 
-FOUR = HandDescription.four_finger()
-POINTS = SceneConfig().contact_points
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"sensors": {"delay": -1.0}}, "sensors.delay"),
         ({"render_mode": "ascii"}, "'ascii'"),
-        ({"config": 3}, "config"),
+        ({"render_mode": "human"}, r"display.*rgb_array"),
         ({"shape": "mesh"}, "mesh"),
-        ({"contact_points": POINTS[:1]}, "contact_points"),  # three fingers are left over
         ({"contact_points": (*POINTS[:3], (0.03, -0.02, 0.04))}, "surface"),
         ({"contact_points": (*POINTS[:3], (0.0, -0.05, 0.0))}, "reach|clear|unhindered"),
         ({"hand": FOUR.moved((0.0, 0.5, 0.0))}, "cannot be grasped by the hand 'four_finger': finger .* out of reach"),
-        ({"size": (0.5, 0.02, 0.5)}, "cannot be grasped|did not settle|cannot hold"),  # it lies under the fingers
         ({"size": (0.1, 0.4, 0.1)}, "palm"),
-        ({"hand": replace(FOUR, fingertips=FOUR.fingertips[:1])}, "more fingers"),  # no force closure
+        ({"hand": replace(FOUR, fingertips=FOUR.fingertips[:1])}, "more fingers"),
+        ({"initial_force": lambda grasp, wrench: np.ones((4, 3))}, "misses balance"),
+        ({"controller": {"friction_margin": 1.0, "friction_error": 0.3}, "solver.barrier_weight": 1e-3}, "friction_margin"),
+        pytest.param(
+            {"hand": replace(FOUR, links=tuple(replace(link, torque_limit=0.3) for link in FOUR.links)), "contact_points": POINTS},
+            r"torque limits: .*_joint \(0\.3 N m\).*raise torque_limit", marks=needs_bullet,
+        ),
     ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_what_cannot_be_held_opens_nothing(settings: dict[str, Any], message: str) -> None:
-    """Settings by themselves are in test_settings.py, motors that are too weak in test_torque_limits.py."""
+    ids=range(11),
+)  # fmt: skip
+def test_what_cannot_be_held_or_shown_opens_nothing(
+    monkeypatch: pytest.MonkeyPatch, settings: Any, message: str
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     before = connections()
     with pytest.raises(GraspError, match=message):
         FourFingerGrasp(**settings)
     assert connections() == before
 
 
-WRONG_ACTIONS: list[Any] = [
-    np.array([np.nan, 0, 0, 0, 0, 0]), np.array([0, 0, np.inf, 0, 0, 0]), np.array([0, 0, 0, 0, 0, -np.inf]),
-    np.zeros(5), np.zeros((1, 6)), np.float32(0.0), "x", None, {}, [None] * 6, [object()],
-]  # fmt: skip
-
-
-def test_wrong_actions_change_nothing():
-    env = FourFingerGrasp(disturbance="random")
-    rows = []
-    for wrong in ([], WRONG_ACTIONS):
-        env.reset(seed=0)
-        env.step(ZERO)
-        for action in wrong:
-            with pytest.raises(InvalidInputError, match="action must be 6 finite numbers"):
-                env.step(action)
-        rows.append(env.step(ZERO)[0])
-    np.testing.assert_array_equal(*rows)
-    env.close()
-
-
-def test_calls_in_the_wrong_order():
+def test_wrong_calls_change_nothing_and_a_closed_environment_opens_again() -> None:
     before = connections()
-    env = FourFingerGrasp(duration=0.1)
-    assert connections() - before == (bullet is not None)
-    with pytest.raises(SimulationError, match="reset"):
+    env, rows = FourFingerGrasp(disturbance="random", duration=0.1), []
+    with pytest.raises(SimulationError, match="step before reset"):
         env.step(ZERO)
-    env.reset(seed=0)
-    with pytest.raises(UnknownNameError, match="wrench"):
-        env.reset(options={"wrnch": 1})
-    for options in ("x", 5, [("wrench", np.zeros(6))]):
-        with pytest.raises(InvalidInputError, match="options must be a dict"):
-            env.reset(options=options)  # type: ignore[arg-type]
-    for wrench in ([1, 2, np.inf, 0, 0, 0], [1, 2], "push", [1e300] * 6):
-        with pytest.raises(GraspError, match="wrench"):
-            env.reset(options={"wrench": wrench})
-    env.reset(seed=0)
-    assert [env.step(ZERO)[3] for _ in range(5)] == [False] * 4 + [True]
-    with pytest.raises(SimulationError, match=r"time is up.*reset"):
-        env.step(ZERO)
-    env.close()
-    env.close()
-    assert connections() == before
-    for call in (lambda: env.step(ZERO), env.render, lambda: env.scene):
-        with pytest.raises(SimulationError, match=r"closed: call reset\(\)"):
-            call()
-
-
-def test_a_refused_reset_leaves_no_half_episode():
-    """What was running goes on, or asks for a reset; it never runs with parts of the next episode."""
-    rows = []
-    for refused in (False, True):
-        env = FourFingerGrasp(disturbance="random")
+    for wrong in (True, False):
         env.reset(seed=0)
-        if refused:
-            with pytest.raises(GraspError):
-                env.reset(seed=1, options={"wrench": [np.nan] * 6})
-        rows.append([env.reset(seed=0)[0], *(env.step(ZERO)[0] for _ in range(3))])
+        for options in ({"wrnch": 1}, "x", {"wrench": [1, 2]}, {"wrench": [1, 2, np.inf, 0, 0, 0]}) if wrong else ():
+            with pytest.raises(GraspError, match=r"wrench|options must be a dict"):
+                env.reset(options=options)  # type: ignore[arg-type]
+        seen = [env.reset(seed=0)[0]]
+        for k in range(5):
+            for action in ([0, 0, np.nan, 0, 0, 0], np.zeros(5), np.zeros((1, 6)), "x", None) if wrong else ():
+                with pytest.raises(InvalidInputError, match="action must be 6 finite numbers"):
+                    env.step(action)  # type: ignore[arg-type]
+            observed, _, _, truncated, _ = env.step(ZERO)
+            assert truncated == (k == 4)
+            seen.append(observed)
+        with pytest.raises(SimulationError, match=r"time is up.*reset"):
+            env.step(ZERO)
+        rows.append(seen)
         env.close()
+        env.close()
+        assert connections() == before
+        for call in (lambda: env.step(ZERO), env.render, lambda: env.scene):
+            with pytest.raises(SimulationError, match=r"closed: call reset\(\)"):
+                call()
     np.testing.assert_array_equal(*rows)
-
-
-def finite(env: FourFingerGrasp, obs: np.ndarray, reward: float, info: dict[str, Any]) -> None:
-    """No number that is none."""
-    assert env.observation_space.contains(obs)
-    assert np.isfinite([*obs, reward]).all()
-    for key, value in info.items():
-        assert isinstance(value, str) or np.isfinite(value).all(), key
 
 
 FAR = {"max_drift": 1e9, "max_tilt": 10.0, "max_contact_gap": 1e9}
@@ -127,70 +173,32 @@ FAR = {"max_drift": 1e9, "max_tilt": 10.0, "max_contact_gap": 1e9}
     [
         ({}, [0, 0, 0, 0, 0, 3.0], ("dropped", "closure_lost")),  # far beyond the joint torques
         ({"max_drift": 1e9, "max_contact_gap": 1e9}, [0, 0, 0, 0, 0, 3.0], ("dropped",)),  # it turns
-        *((FAR, [push, push, 0, 0, 0, push], ("simulation_diverged",)) for push in (1e5, 1e9, 1e12)),
+        *((FAR, [push, push, 0, 0, 0, push], ("simulation_diverged",)) for push in (1e5, 1e12)),
     ],
 )
-def test_a_lost_object_ends_the_episode_with_its_cause(limits, wrench, failures):
+def test_a_lost_object_ends_the_episode_with_its_cause(
+    limits: Any, wrench: list[float], failures: tuple[str, ...]
+) -> None:
     env = FourFingerGrasp(limits=limits)
     calm = env.reset(seed=0)[0]
     env.reset(seed=0, options={"wrench": wrench})
     terminated = False
     while not terminated:
-        obs, reward, terminated, truncated, info = env.step(ZERO)
+        observed, reward, terminated, truncated, info = env.step(ZERO)
         assert not truncated
-        finite(env, obs, reward, info)
+        assert env.observation_space.contains(observed)
+        assert all(isinstance(value, str) or np.isfinite(value).all() for value in [*observed, reward, *info.values()])
     assert info["failure"] in failures
-    assert reward == 0.0  # nothing more is earned
-    assert not info["is_success"]
+    assert (reward, info["is_success"]) == (0.0, False)
     with pytest.raises(SimulationError, match=info["failure"]):
         env.step(ZERO)
-    np.testing.assert_array_equal(env.reset(seed=0)[0], calm)  # whole again, to the last bit
+    np.testing.assert_array_equal(env.reset(seed=0)[0], calm)  # intact again, to the last bit
     assert not env.step(ZERO)[2]
     env.close()
 
 
-@needs_bullet
-def test_numbers_that_bullet_makes_none(monkeypatch):
-    """Contact forces that are NaN, as Bullet gives after a divergence."""
-    env = FourFingerGrasp()
-    env.reset(seed=0)
-    env.step(ZERO)
-    real, broken = bullet.getContactPoints, []
-
-    def contacts(*args: Any, **kwargs: Any) -> Any:
-        rows = real(*args, **kwargs)
-        broken.append(len(rows))
-        return tuple((*row[:9], float("nan"), *row[10:]) for row in rows)
-
-    monkeypatch.setattr(bullet, "getContactPoints", contacts)
-    obs, reward, terminated, _, info = env.step(ZERO)
-    monkeypatch.undo()
-    assert sum(broken) > 0
-    assert terminated
-    assert info["failure"] == "simulation_diverged"
-    finite(env, obs, reward, info)
-    env.reset(seed=0)
-    assert env.step(ZERO)[4]["status"] == "optimal"
-    env.close()
-
-
-@needs_bullet
-def test_human_mode_without_a_display_is_a_clear_error(monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    before = connections()
-    with pytest.raises(SimulationError, match=r"display.*rgb_array"):
-        FourFingerGrasp(render_mode="human")
-    with pytest.raises(SimulationError, match="display"):
-        gym.make("grasp_env:FourFingerGrasp-v0", render_mode="human")
-    assert connections() == before
-
-
-def test_objects_that_none_can_hold_are_not_drawn_for_ever():
-    env = FourFingerGrasp(randomize={"mass": (0.1, 0.3), "friction": True})
-    env.reset(seed=0)
-    env.close()
-    slippery = FourFingerGrasp(randomize={"mass": (60.0, 90.0), "friction": (0.011, 0.012)})
+def test_a_reset_gives_up_on_objects_that_cannot_be_held() -> None:
+    env = FourFingerGrasp(randomize={"mass": (60.0, 90.0), "friction": (0.011, 0.012)})
     with pytest.raises(SimulationError, match="random objects could be held"):
-        slippery.reset(seed=0)
-    slippery.close()
+        env.reset(seed=0)
+    env.close()
