@@ -26,7 +26,7 @@ from training.compare.cases import (
 )
 from training.compare.recorded import IMPACT, SLIP, record, without
 from training.compare.scenarios import HOLDS_OF_STARTS, LABELS
-from training.compare.starts import STARTS, STORED, DoesNotApply, carried, require_near_fixed
+from training.compare.starts import STARTS, STORED, DoesNotApply, carry_force, require_near_fixed
 from training.data.grasps import BENCH, EVALUATION, HALF, SOLIDS
 
 RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
@@ -122,7 +122,7 @@ def test_forces_are_carried_by_place(changes):
     for case in changes:
         old, now = case.before[0], case.grasp
         force = np.random.default_rng(0).uniform(0.5, 1.0, (old.n_contacts, 3))
-        new = carried(old, force, now, Objective())
+        new = carry_force(old, force, now, Objective())
         vectors, before = now.to_object_frame(new), old.to_object_frame(force)
         apart = np.linalg.norm(now.positions[:, None] - old.positions, axis=2)
         for finger in range(now.n_contacts):

@@ -16,7 +16,7 @@ from training.compare.case import Case
 from training.compare.cases import make_cases
 from training.compare.given import Problem
 from training.compare.methods import METHODS, optimizer
-from training.compare.starts import GIVEN_COLOURS, STARTS, DoesNotApply, Made, Row, Workshop
+from training.compare.starts import GIVEN_COLOURS, STARTS, DoesNotApply, PreparedStart, StartFactory, StartInfo
 from training.compare.trial import FINE, LIMIT, TOLERANCE, trials
 from training.results.table import chosen, numbers, table
 
@@ -25,7 +25,7 @@ PHI = Objective()
 
 @pytest.fixture(scope="module")
 def starts():
-    return Workshop(PHI).made()
+    return StartFactory(PHI).made()
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +106,8 @@ def test_what_does_not_apply_has_no_row_and_a_start_that_fails_has_one(starts):
         raise ValueError("many words " * 30)
 
     cases = make_cases("random_5", 12, 0)
-    more = Workshop(PHI, {"boom": boom, "flat": lambda grasp, load: np.ones(3)}).made()
-    rows = table(trials("random_5", cases, {**more, "lagrange": Made(never, {})}, {}, PHI))
+    more = StartFactory(PHI, {"boom": boom, "flat": lambda grasp, load: np.ones(3)}).made()
+    rows = table(trials("random_5", cases, {**more, "lagrange": PreparedStart(never, {})}, {}, PHI))
     for key in ("learned_fixed", "nearest_tangent", "previous_tangent", "network"):
         assert of(rows, key).empty
         with pytest.raises(DoesNotApply):
@@ -136,7 +136,7 @@ def test_forces_that_are_no_starts_are_told_from_each_other(starts):
     }
     chosen_ = {
         key: made
-        for key, made in Workshop(PHI, given).made().items()
+        for key, made in StartFactory(PHI, given).made().items()
         if key in (*given, "single_value", "linear_combination")
     }
     cases = make_cases("ball", 5, 0)
@@ -158,7 +158,7 @@ def test_forces_that_are_no_starts_are_told_from_each_other(starts):
 
 def test_slopes_are_differences_along_a_path():
     grasp = presets.paper_cuboid()
-    start = Workshop(PHI).named("linear_combination")
+    start = StartFactory(PHI).named("linear_combination")
     loads = np.array([[1, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0.05], [0, 0, 0, 0, 0, 0.05]], float)
     cases = [Case(grasp, loads[0]), Case(grasp, loads[1], (grasp, loads[0])), Case(grasp, loads[2], (grasp, loads[0]))]
     slopes = numbers(table(trials("x", cases, {"linear_combination": start}, {}, PHI, solved=False)), "start_slope")
@@ -239,10 +239,10 @@ def test_a_previous_solution_is_exact_where_nothing_changed(starts):
 
 def test_one_entry_is_all_that_a_start_needs(monkeypatch):
     monkeypatch.setitem(
-        STARTS, "new", Row("three corrections", "three", "#101010", lambda shop: shop.stepped("lagrange", 3))
+        STARTS, "new", StartInfo("three corrections", "three", "#101010", lambda shop: shop.stepped("lagrange", 3))
     )
     monkeypatch.setitem(RULES, "newest", StartRule("the newest of all", partial(CoreStart, "single_value")))
-    made = Workshop(PHI, {"mine": CoreStart("single_value")}).made()
+    made = StartFactory(PHI, {"mine": CoreStart("single_value")}).made()
     assert [*made][-3:] == ["new", "newest", "mine"]
     rows = table(trials("ball", make_cases("ball", 2, 0), made, {}, PHI))
     assert {"new", "newest", "mine"} <= {*rows["start"]}
@@ -264,7 +264,9 @@ def test_colours_differ_and_are_seen_on_white_and_on_dark():
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(10))
 def test_the_learned_start_is_never_worse_than_the_paper_s(part):
-    starts = {key: made for key, made in Workshop(PHI).made().items() if key in ("linear_combination", "learned_fixed")}
+    starts = {
+        key: made for key, made in StartFactory(PHI).made().items() if key in ("linear_combination", "learned_fixed")
+    }
     cases = [Case(grasp, load) for grasp in [presets.paper_cuboid()]
              for load in wrench.sample_magnitudes(np.random.default_rng([7, part]), 100_000, 1e-3, 1e3)]  # fmt: skip
     rows = table(trials("many", cases, starts, {}, PHI, solved=False))

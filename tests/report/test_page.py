@@ -120,12 +120,12 @@ def test_cells_are_what_numpy_makes_of_the_rows(made):
     for key in ("linear_combination", "lagrange", "network"):
         ball = rows[(rows["case"] == "ball") & (rows["start"] == key) & (rows["method"] == "reduced_flow")]
         steps = ball["iterations"].to_numpy(float)
-        cell = shown[starts.row_of(key).label]["flow"]
+        cell = shown[starts.start_info(key).label]["flow"]
         assert [float(part) for part in cell.split(" / ")] == pytest.approx(
             [np.median(steps), np.percentile(steps, 99)], rel=5e-3
         )
         gaps = ball["start_gap"].to_numpy(float)
-        told = [float(part) for part in shown[starts.row_of(key).label]["start gap"].split(" / ")]
+        told = [float(part) for part in shown[starts.start_info(key).label]["start gap"].split(" / ")]
         assert told == pytest.approx([np.median(gaps), np.percentile(gaps, 99)], rel=5e-3)
 
 
@@ -279,7 +279,7 @@ def test_the_charts_show_every_main_start_at_its_numbers(made):
     assert figure.get_figwidth() == WIDTH
     (panel,) = figure.axes
     labels = [tick.get_text() for tick in panel.get_yticklabels()]
-    assert labels == [starts.row_of(key).short for key in starts.shown(means)]
+    assert labels == [starts.start_info(key).short for key in starts.shown(means)]
     flow = chosen(means, "case == 'ball' and method == 'reduced_flow'").set_index("start")
     for place, key in enumerate(starts.shown(means)):
         ends = {
