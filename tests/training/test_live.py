@@ -35,7 +35,7 @@ from training.cli import main
 from training.commands.rules import rule
 from training.live import look
 from training.live.answer import STARTS, answer
-from training.live.contacts import SHAPES, BareContacts, body_of, placed, under
+from training.live.contacts import SHAPES, BareContacts, body_of, cast_ray, place_contacts
 from training.live.hand import STIFFNESS, SimulatedHand
 from training.live.server import LocalServer
 from training.live.window import Window
@@ -116,7 +116,9 @@ def test_what_cannot_be_held_is_proved_and_mended():
     assert (speeds[:, 0] >= 0.4 * np.hypot(speeds[:, 1], speeds[:, 2]) - 1e-6 * np.abs(speeds).max()).all()
     assert "More friction alone does not help" in found.words
     sphere = look.object_mesh("sphere", (0.1,))
-    met = [under(sphere, np.array(eye), np.zeros(3)) for eye in ((0.5, 1.0, 0.0), (-0.5, 1.0, 0.3), (0.0, 0.2, -1.0))]
+    met = [
+        cast_ray(sphere, np.array(eye), np.zeros(3)) for eye in ((0.5, 1.0, 0.0), (-0.5, 1.0, 0.3), (0.0, 0.2, -1.0))
+    ]
     places, normals = zip(*filter(None, met), strict=True)
     smooth = Grasp.from_contacts(np.array(places), np.array(normals), 0.1)
     said = float(answer(smooth, LOAD).words.split("Friction ")[1].split()[0])
@@ -142,17 +144,17 @@ def test_contacts_lie_on_the_object_under_the_mouse(shape):
     rng, mesh, surface = np.random.default_rng(1), look.object_mesh(shape, (0.1,) * 3), ObjectDescription(shape).surface
     for _ in range(50):
         eye, mouse = rng.normal(size=3), 0.01 * rng.normal(size=3)
-        met = under(mesh, eye, mouse)
+        met = cast_ray(mesh, eye, mouse)
         assert met is not None
         place, inward = met
         nearest, normal, _ = surface.nearest(place)
         np.testing.assert_allclose([*place, inward @ normal], [*nearest, 1.0], atol=2e-3)
         assert inward @ (mouse - eye) > 0.0  # the side that the eye sees
         np.testing.assert_allclose(np.cross(place - eye, mouse - eye), 0.0, atol=1e-12)
-        assert under(mesh, eye, eye + np.cross(eye, inward)) is None  # beside the object
+        assert cast_ray(mesh, eye, eye + np.cross(eye, inward)) is None  # beside the object
     for count in range(3, 9):
-        assert answer(Grasp.from_contacts(*placed(mesh, count), 0.5), LOAD).mood == "good"
-    assert body_of(Grasp.from_contacts(*placed(mesh, 8), 0.5))[0] == shape
+        assert answer(Grasp.from_contacts(*place_contacts(mesh, count), 0.5), LOAD).mood == "good"
+    assert body_of(Grasp.from_contacts(*place_contacts(mesh, 8), 0.5))[0] == shape
 
 
 def test_grasps_find_their_bodies_and_others_a_hull():
