@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import atexit
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple
+from types import SimpleNamespace
 from unittest.mock import patch
 
 from training.cli import main
@@ -48,21 +50,12 @@ two = 2
 """
 
 
-class SmallRun(NamedTuple):
-    """The finished run, the command that made it, and its output."""
-
-    folder: Run
-    words: list[str]
-    out: str
-    err: str
-
-
 @contextmanager
 def shrunk(names: tuple[str, ...] = NAMES, holds: tuple[str, ...] = HOLDS) -> Iterator[None]:
     """Leave a few sets with six cases each, a few scenarios and one start of the environment."""
     with (
         patch.object(comparison, "SETS", {name: SETS[name] for name in names}),
-        patch.object(comparison, "make_cases", lambda *asked: make_cases(*asked)[:6]),
+        patch.object(comparison, "make_cases", lambda *given: make_cases(*given)[:6]),
         patch.object(comparison, "HOLDS_OF_STARTS", {name: scenarios.HOLDS_OF_STARTS[name] for name in holds}),
         patch.object(comparison, "HELD_WITH", {"linear_combination": "linear_combination"}),
     ):
@@ -73,13 +66,14 @@ def shrunk(names: tuple[str, ...] = NAMES, holds: tuple[str, ...] = HOLDS) -> It
 def own_file() -> Path:
     """A user's file with starts and solvers."""
     path = Path(tempfile.mkdtemp()) / "my_rules.py"
+    atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
     path.write_text(OWN)
     return path
 
 
 @cache
-def small_run() -> SmallRun:
-    """Run the command once in this process."""
+def small_run() -> SimpleNamespace:
+    """Run the command once in this process; return the run's folder, the words of the command, stdout and stderr."""
     out, own = own_file().parent, own_file()
     words = ["evaluate", "--quick", "--on", "inline", "--out", str(out), "--name", "small"]
     for name in ("wrenches", "timed", "repeats", "episodes", "steps"):
@@ -87,7 +81,7 @@ def small_run() -> SmallRun:
     for given in (f"sometimes={own}:Sometimes", f"outside={own}:outside"):
         words += ["--start", given]
     words += ["--solver", f"mine={own}:Solver"]
-    printed, told = StringIO(), StringIO()
-    with shrunk(), patch.object(comparison, "_QUICK", {}), redirect_stdout(printed), redirect_stderr(told):
-        assert main(words) == 0, told.getvalue()
-    return SmallRun(Run(out / "small"), words, printed.getvalue(), told.getvalue())
+    printed, errors = StringIO(), StringIO()
+    with shrunk(), patch.object(comparison, "_QUICK", {}), redirect_stdout(printed), redirect_stderr(errors):
+        assert main(words) == 0, errors.getvalue()
+    return SimpleNamespace(folder=Run(out / "small"), words=words, out=printed.getvalue(), err=errors.getvalue())

@@ -35,19 +35,9 @@ def test_a_file_is_printed_and_drawn(tmp_path, capsys):
     assert "is no motor's limit" not in out
 
 
-def test_presets_and_the_palm_of_an_arm(tmp_path, capsys):
+def test_a_preset_is_printed(capsys):
     assert main(["hand", "leap"]) == 0
     assert "0.95 N m" in capsys.readouterr().out
-    bodies = "<geom type='box' size='0.01 0.01 0.02' pos='0 0 0.02'/>"
-    for name in ("left", "right"):
-        bodies += f"<body name='{name}' pos='0 0 0.04'><joint name='{name}_joint' axis='0 1 0'/><geom size='0.01' pos='0 0 0.03'/></body>"
-    for number in range(4):
-        bodies = f"<body name='arm{number}' pos='0 0 0.1'><joint name='j{number}' axis='0 1 0'/><geom size='0.02'/>{bodies}</body>"
-    (tmp_path / "arm.xml").write_text(f"<mujoco model='arm'><worldbody>{bodies}</worldbody></mujoco>")
-    assert main(["hand", str(tmp_path / "arm.xml"), "--palm", "arm0"]) == 0
-    out = capsys.readouterr().out
-    assert "arm: 2 joints" in out
-    assert "hold still" in out
 
 
 @pytest.mark.parametrize(
