@@ -1,4 +1,4 @@
-"""A headless Chromium, driven over a pipe by its DevTools protocol: what a page shows, loads and complains about."""
+"""Headless Chromium, driven over a pipe by its DevTools protocol."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 
 def find_browser() -> str | None:
-    """The browser's path; None: there is none."""
+    """Return the browser's path; None if there is none."""
     return next((path for path in map(shutil.which, NAMES) if path), None)
 
 
 class Browser:
-    """One tab. Everything that it asks the network for, and every error, is kept in `requests` and `errors`."""
+    """One tab. `requests` lists all that it asks the network for, `errors` its warnings and errors."""
 
     def __init__(self, write: int, read: int, seconds: float = 30.0) -> None:
         self._write, self._read, self._seconds = write, read, seconds
@@ -39,7 +39,7 @@ class Browser:
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """Calls a method of the protocol and waits for its answer."""
+        """Call a method of the protocol and wait for its answer."""
         self._number += 1
         message = {"id": self._number, "method": method, "params": params}
         if self._session:
@@ -52,45 +52,34 @@ class Browser:
                     raise RuntimeError(f"{method}: {answer['error']}")
                 return answer["result"]
 
-    def show(
-        self, path: Path | str, width: int, height: int, *, scale: float = 1.0, media: str = "", **features: str
-    ) -> None:
-        """Opens a file, or an address, in a window of that size, for `media` "screen" or "print", with media features (prefers_...)."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=scale,
-            mobile=width < 600,
-        )
+    def show(self, path: Path | str, width: int, height: int, **features: str) -> None:
+        """Open a file, or an address, in a window of that size, with media features (prefers_...)."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1.0, "mobile": width < 600}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
         wanted = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
-        self.call("Emulation.setEmulatedMedia", media=media, features=wanted)
+        self.call("Emulation.setEmulatedMedia", features=wanted)
         self._seen.discard("Page.loadEventFired")
         self.call("Page.navigate", url=path if isinstance(path, str) else path.absolute().as_uri())
         while "Page.loadEventFired" not in self._seen:
             self._next()
 
     def value(self, expression: str) -> Any:
-        """The value of a JavaScript expression in the page; a promise is awaited."""
+        """Return the value of a JavaScript expression in the page; a promise is awaited."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def picture(self, out: Path, *, whole: bool = True) -> None:
-        """Saves what it shows as PNG, the whole page or the window."""
-        shot = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+    def picture(self, out: Path) -> None:
+        """Save the window as PNG."""
+        shot = self.call("Page.captureScreenshot", format="png")
         out.write_bytes(base64.b64decode(shot["data"]))
 
-    def pdf(self) -> bytes:
-        """The page as it prints."""
-        return base64.b64decode(self.call("Page.printToPDF", printBackground=False)["data"])
-
     def _next(self) -> dict[str, Any]:
-        """The next message; events are noted on the way."""
+        """Return the next message, and record events."""
         end = time.monotonic() + self._seconds
         while b"\0" not in self._buffer:
             if not select.select([self._read], [], [], max(0.0, end - time.monotonic()))[0]:
-                raise TimeoutError(f"the browser said nothing for {self._seconds} s")
+                raise TimeoutError(f"the browser did not answer for {self._seconds} s")
             part = os.read(self._read, 1 << 20)
             if not part:
                 raise RuntimeError("the browser has ended")
@@ -114,11 +103,11 @@ class Browser:
 
 @contextmanager
 def browser(executable: str, *, local: bool = False) -> Iterator[Browser]:
-    """A browser without network, its profile in a temporary folder; ended and removed at the end.
+    """Start a browser without network, with a temporary profile; end it afterwards.
 
     Args:
-        executable: its path.
-        local: it reaches servers on 127.0.0.1, and draws WebGL in software.
+        executable: path of the browser.
+        local: allow servers on 127.0.0.1, and draw WebGL in software.
     """
     rules, graphics = "MAP * ~NOTFOUND", ["--disable-gpu"]
     if local:
@@ -130,7 +119,7 @@ def browser(executable: str, *, local: bool = False) -> Iterator[Browser]:
             f"--host-resolver-rules={rules}", "--disable-background-networking", "--disable-dev-shm-usage",
             f"--user-data-dir={profile}", *(["--no-sandbox"] if os.geteuid() == 0 else []), "about:blank",
         ]  # fmt: skip
-        # the protocol has its pipe at descriptors 3 and 4: put there by a process that then becomes the browser
+        # the protocol uses descriptors 3 and 4; a small process sets them and then becomes the browser
         become = "import fcntl, os, sys; a, b = (fcntl.fcntl(int(n), fcntl.F_DUPFD, 10) for n in sys.argv[1:3]); "
         become += "os.dup2(a, 3); os.dup2(b, 4); os.execv(sys.argv[3], sys.argv[3:])"
         python = [sys.executable, "-S", "-E", "-c", become, str(child_read), str(child_write), *command]
@@ -141,7 +130,7 @@ def browser(executable: str, *, local: bool = False) -> Iterator[Browser]:
             try:
                 yield Browser(write, read)
             finally:
-                os.close(write)  # the browser ends with its pipe
+                os.close(write)  # the browser ends when its pipe closes
                 os.close(read)
                 try:
                     process.wait(timeout=10)

@@ -1,4 +1,4 @@
-"""Processes that tests start."""
+"""Processes started by tests."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 class _Process(subprocess.Popen[Any]):
-    """A process that ends with its `with` block, and is killed after some seconds, so that nobody waits for its pipes for ever."""
+    """Process that is killed at the end of its `with` block, or after some seconds."""
 
     def __init__(self, command: Sequence[str], seconds: float, **options: Any) -> None:
         super().__init__(command, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL), **options)
@@ -25,11 +25,11 @@ class _Process(subprocess.Popen[Any]):
 
 
 def start(command: Sequence[str], seconds: float = 300.0, **options: Any) -> subprocess.Popen[Any]:
-    """Starts a process that ctrl-C ends, also where the tests ignore SIGINT, as in `nohup make test &`.
+    """Start a process that ctrl-C ends, even if the tests ignore SIGINT, as in `nohup make test &`.
 
     Args:
-        command: the program and its words.
-        seconds: after which it is killed.
-        options: of `subprocess.Popen`.
+        command: program and arguments.
+        seconds: time after which it is killed.
+        options: options of `subprocess.Popen`.
     """
     return _Process(command, seconds, **options)

@@ -1,1 +1,1 @@
-"""Training, evaluation and reports, with the `grasp` program (`training.cli`)."""
+"""Training, evaluation, reports, and the program `grasp` (`training.cli`)."""

@@ -1,4 +1,4 @@
-"""`python -m training` is the `grasp` program."""
+"""Program `grasp`, as `python -m training`."""
 
 import sys
 

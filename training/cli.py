@@ -1,4 +1,4 @@
-"""The program `grasp`: runs one sub-command, tells errors in one line or as JSON, and says by its exit code how it went."""
+"""Program `grasp`: run one sub-command, report errors in one line or as JSON, and return an exit code."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from grasp_env.errors import (
 
 COMMANDS = {
     "solve": ("Solve", "Optimise one grasp force and print it."),
-    "hand": ("Hand", "Read a hand's URDF, and say what was repaired in it."),
-    "object": ("Object", "Show what an object's mesh becomes, mend it, list what is kept."),
-    "live": ("Live", "Show a grasp in the browser, to be pulled at."),
+    "hand": ("Hand", "Read a hand's file, and list what was repaired in it."),
+    "object": ("Object", "Show what an object's mesh becomes, mend it, or list the cache."),
+    "live": ("Live", "Show a grasp in the browser and pull at it."),
     "demo": ("Demo", "Save a picture or a video of the simulated hand."),
     "evaluate": ("Evaluate", "Compare starts, controllers, hands or engines."),
     "report": ("Report", "Make a run's page again, or compare two runs."),
-    "fit": ("Fit", "Train a model of the initial force."),
+    "fit": ("Fit", "Train a model that predicts the initial force."),
     "rl": ("RL", "Train a reinforcement-learning agent, and score it."),
     "reproduce": ("Reproduce", "Study what the paper leaves open, and its claims."),
 }
-"""Each sub-command is the class of that name in `training.commands.<sub-command>`; the line is what `grasp --help` says of it."""
+"""Class in `training.commands.<sub-command>`, and line in `grasp --help`, of each sub-command."""
 EXIT_CODES = {
     0: "done",
     1: "a fault of the program",
@@ -44,9 +44,9 @@ EXIT_CODES = {
     4: "no certified optimum: iteration limit, stalled, or without a start",
     130: "interrupted",
 }
-"""How `grasp` ends, for scripts."""
+"""Exit codes of `grasp` and their meaning."""
 _CODES: dict[type[GraspError], int] = {InfeasibleWrenchError: 3, NotConvergedError: 4, InfeasibleStartError: 4}
-"""Errors that are no wrong usage."""
+"""Exit codes of errors other than wrong usage."""
 HELP = """usage: grasp COMMAND [OPTIONS]
 
 Grasp forces: solve, simulate, learn, report.
@@ -70,7 +70,7 @@ class UsageError(InvalidInputError):
     """Options that a sub-command does not have.
 
     Attributes:
-        page: the message as the option parser printed it, and a question where a name is almost right.
+        page: the message as the option parser printed it, with a "did you mean" line if a name is misspelt.
     """
 
     def __init__(self, page: str, words: Sequence[str]) -> None:
@@ -78,13 +78,13 @@ class UsageError(InvalidInputError):
 
         text = " ".join(Text.from_ansi(page).plain.translate(_FRAME).split())
         super().__init__(text)
-        named = {name.strip("'(),.") for name in text.split()}  # what was given, and what is allowed
-        meant = [alike(word, named - {word}) for word in words if word in named and not word.startswith("-")]
-        self.page = page + "".join(f"grasp:{question}\n" for question in meant if question)
+        names = {name.strip("'(),.") for name in text.split()}  # both the given and the allowed ones
+        questions = [alike(word, names - {word}) for word in words if word in names and not word.startswith("-")]
+        self.page = page + "".join(f"grasp:{question}\n" for question in questions if question)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one sub-command. Errors are printed on stderr and, with --json among the arguments, as JSON on stdout.
+    """Run one sub-command. Errors are printed on stderr and, with --json among the arguments, as JSON on stdout.
 
     Args:
         arguments: words of the command line; None: those of this process.
@@ -93,13 +93,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         One of `EXIT_CODES`.
 
     Raises:
-        SystemExit: help, the version or a shell's completion was asked for and is printed.
+        SystemExit: after printing help, the version or a shell completion.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         _parse(words).execute()
         sys.stdout.flush()
-    except BrokenPipeError:  # whoever read our output has read enough
+    except BrokenPipeError:  # the reader closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (Exception, KeyboardInterrupt) as error:
         return _fail(error, "--json" in words)
@@ -107,32 +107,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parse(words: list[str]) -> Any:
-    """The sub-command that the words ask for, with its options; only that one is imported.
+    """Parse the words into a sub-command with its options. Only that sub-command is imported.
 
     Raises:
         UnknownNameError: no sub-command has this name.
-        UsageError: it has no such options.
-        SystemExit: help, the version or a completion was asked for.
+        UsageError: the sub-command has no such options.
+        SystemExit: after printing help, the version or a completion.
     """
     name, rest = (words or ["--help"])[0], words[1:]
     if name in ("--help", "-h", "--version"):
         sys.stdout.write(f"{_version()}\n" if name == "--version" else HELP)
         raise SystemExit(0)
     if name not in COMMANDS and not name.startswith("--tyro-"):
-        raise UnknownNameError("sub-command", name, COMMANDS, "; grasp --help tells what each does")
+        raise UnknownNameError("sub-command", name, COMMANDS, "; grasp --help describes each")
     need("cli")
     import tyro
 
-    told = StringIO()
+    printed = StringIO()
     try:
-        with redirect_stderr(told):
+        with redirect_stderr(printed):
             if name in COMMANDS:
                 return tyro.cli(_load(name), prog=f"grasp {name}", args=rest)
             every: Any = reduce(or_, (Annotated[_load(each), tyro.conf.subcommand(each)] for each in COMMANDS))
-            return tyro.cli(every, prog="grasp", args=words)  # a completion knows all options
+            return tyro.cli(every, prog="grasp", args=words)  # a completion lists all options
     except SystemExit as stop:
         if stop.code:
-            raise UsageError(told.getvalue(), rest) from None
+            raise UsageError(printed.getvalue(), rest) from None
         raise
 
 
@@ -154,13 +154,13 @@ def _version() -> str:
 
 
 def _fail(error: BaseException, as_json: bool) -> int:
-    """Tells an error to people on stderr, and to machines on stdout where they ask; returns the exit code."""
+    """Print an error on stderr, and as JSON on stdout if `as_json`; return the exit code."""
     code, message, page = 2, str(error), getattr(error, "page", "")
     if isinstance(error, GraspError):
         code = next((code for kind, code in _CODES.items() if isinstance(error, kind)), 2)
     elif isinstance(error, KeyboardInterrupt):
         code, message = 130, "interrupted"
-    elif isinstance(error, OSError):  # a disk that is full, a folder that is closed, a name too long: of whatever file
+    elif isinstance(error, OSError):  # for any file: a full disk, no permission, a name that is too long
         from grasp_env._files import shown_path
 
         message = f"{shown_path(error.filename)}: {error.strerror or error}; choose another path"
@@ -175,7 +175,7 @@ def _fail(error: BaseException, as_json: bool) -> int:
         described = {"kind": type(error).__name__, "message": message, "exit_code": code}
         if isinstance(error, UnknownNameError):
             described["allowed"] = list(error.allowed)
-        # a command that has numbers for machines in spite of its error hands them on with it
+        # some commands attach numbers to their error
         write_json({"error": described} | getattr(error, "numbers", {}))
     return code
 

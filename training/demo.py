@@ -1,6 +1,6 @@
-"""A picture or a video of the hand, without a display.
+"""Pictures and videos of the hand, without a display.
 
-README and site show two of them:
+These commands made the pictures of the README and the site:
 grasp demo --video training/assets/hand.webp --task move --motion rotate --disturbance paper_path --seconds 4 --size 600 600
 grasp demo --video training/assets/hand.png --task move --motion rotate --disturbance paper_path --seconds 0.6 --size 720 540
 """
@@ -36,12 +36,12 @@ FRAME_RATE = 25
 
 @dataclass
 class Ending:
-    """How an episode ended.
+    """Outcome of an episode.
 
     Attributes:
-        seconds: simulated.
-        drift: largest distance [m] of the object from where it should be.
-        failure: why the object was lost, in words; "" where it was held.
+        seconds: simulated time.
+        drift: largest distance [m] of the object from its target.
+        failure: reason why the object was lost, in words; "" if it was held.
 
     Example:
         >>> print(Ending(4.0, 1.2e-3), Ending(1.24, 0.03, "no force closure"), sep="; ")
@@ -68,19 +68,19 @@ def record(
     policy: Policy | None = None,
     **settings: Any,
 ) -> Ending:
-    """Rolls out the hand, saves the last frame (.png) or a video (.mp4, .gif, .webp) at 25 frames/s, and says how it ended.
+    """Roll out the hand, save the last frame (.png) or a video (.mp4, .gif, .webp) at 25 frames/s, and return the outcome.
 
-    Frames go to the file one by one; those of .webp, the smallest that a page shows without a player, all at the end. The
-    file gets its name when it is complete. If ctrl-C stops the recording, an older file stays as it was.
+    Frames are written one by one, but those of .webp, the smallest format that browsers play, at the end. The file gets its
+    name when it is complete. If ctrl-C stops the recording, an older file stays unchanged.
 
     Args:
         out: the file.
-        seconds: simulated time; None: the task's own. The video is shorter where the object is lost.
+        seconds: simulated time; None: the task's own. The video is shorter if the object is lost.
         initial_force: the start rule; None: that of the settings.
-        seed: of the episode.
+        seed: seed of the episode.
         env_id: the environment.
-        policy: the agent; None: no adjustment.
-        **settings: more keywords of the environment: config, task, shape, disturbance, pictures.
+        policy: the agent; None: zero actions.
+        **settings: further keywords of the environment: config, task, shape, disturbance, pictures.
 
     Raises:
         InvalidInputError: another suffix, no time, or a folder that does not exist.
@@ -98,7 +98,7 @@ def record(
         raise InvalidInputError(f"the folder {out.absolute().parent} does not exist: make it first")
     ending = Ending()
     with catch_warnings():
-        if policy is None:  # nobody acts
+        if policy is None:
             simplefilter("ignore", GraspWarning)
         env = gym.make(env_id, render_mode="rgb_array", **settings)
     frames = _frames(env, seed, policy, out.suffix == ".png", ending)
@@ -110,7 +110,7 @@ def record(
 def _frames(
     env: gym.Env[Any, Any], seed: int, policy: Policy | None, only_last: bool, ending: Ending
 ) -> Generator[np.ndarray]:
-    """Yields the pictures of one episode and keeps `ending` up to date; a bar on a terminal shows the progress."""
+    """Yield the pictures of one episode and keep `ending` up to date; a terminal shows a progress bar."""
     rate = int(env.metadata["render_fps"])
     every = max(1, round(rate / FRAME_RATE))
     with progress(Console(stderr=True)) as bar:

@@ -1,7 +1,7 @@
-"""The classical linear program: least total normal force with a friction pyramid inside every cone, by HiGHS.
+"""Linear program of grasp forces: least total normal force with a friction pyramid inside every cone, by HiGHS.
 
-What `grasp reproduce` compares with. Its forces lie on edges of the pyramids: along a path of the wrench they have kinks, and where
-several forces cost the same they may jump. Kerr, Roth 1986 and Cheng, Orin 1990 used it for hands.
+`grasp reproduce` compares with it. Its forces lie on edges of the pyramids: along a path of the wrench they have kinks, and they may
+jump where several forces cost the same. Kerr, Roth 1986 and Cheng, Orin 1990 used it for hands.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from grasp_env.errors import NotConvergedError
 from grasp_env.grasp import Grasp
 
 _TOLERANCE = 1e-10
-"""[N] HiGHS's least."""
+"""Smallest feasibility tolerance of HiGHS [N]."""
 
 
 def pyramid_forces(grasp: Grasp, wrench: Wrench, facets: int = 8) -> ContactForces:
-    """(N, 3) forces [N] of least total normal force that balance a wrench, each a sum of edges of an inscribed friction pyramid.
+    """Return the (N, 3) forces [N] of least total normal force that balance a wrench, each inside an inscribed friction pyramid.
 
     min sum normal_i s.t. G f + w = 0, f_i = sum_k c_ik e_ik, c >= 0, where the `facets` edges e_ik lie on the cone of contact i, the
     first at normal + mu_o o. 8 facets cost 3 % more than the cones in the median, at most 8 %.
 
     Args:
         grasp: hard contacts.
-        wrench: (6,) external wrench on the object [N, N m], object frame; of about a newton, as balance is kept to 1e-10 N.
+        wrench: (6,) external wrench on the object [N, N m], object frame; about 1 N, since balance holds to 1e-10 N.
         facets: edges of each pyramid, at least 3.
 
     Raises:
-        NotConvergedError: no force inside the pyramids balances the wrench (one inside the cones may), or none was found.
+        NotConvergedError: HiGHS found no force inside the pyramids that balances the wrench. One inside the cones may exist.
 
     Example:
         >>> from grasp_env.grasp import presets

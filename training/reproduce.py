@@ -1,7 +1,7 @@
-"""What the paper leaves open, as one table: weights, step rules, rates, forms, forces along W_ext(t) and Table I.
+"""Study of what the paper leaves open: weights, step rules, rates, forms, forces along W_ext(t) and Table I.
 
-The paper prints neither omega, lambda nor alpha_k and names their influence as future work. `run` computes the rows; the page of
-`training.report.reproduce` shows them.
+The paper prints neither omega, lambda nor alpha_k and names their influence as future work. `run` computes one table of rows;
+`training.report.reproduce` shows it.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from training.results.table import pd, table
 TOLERANCE = 1e-4
 """Relative gap of Phi at which a run ends."""
 LAMBDA = 0.01
-"""[N^2] of Phi wherever it is not what is studied."""
+"""Barrier weight of Phi [N^2] where it is not varied."""
 WEIGHTS = tuple((1.0, barrier) for barrier in (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)) + tuple(
     (omega, barrier) for omega in (0.5, 2.0) for barrier in (0.01, 0.1)
 )
-"""(omega, lambda [N^2]) that are compared. Scaling Phi by omega changes neither its optimum nor, with steps in units of 1 / omega, the
-iterates: only lambda / omega matters. Rows with omega != 1 show what is left, the first trial step."""
+"""Pairs (omega, lambda [N^2]) to compare. Scaling Phi by omega changes neither its optimum nor, with steps in units of 1 / omega, the
+iterates: only lambda / omega matters. Rows with omega != 1 show the one remaining effect, the first trial step."""
 FIXED_SIZES = tuple(float(size) for size in 10.0 ** np.arange(0.5, -4.6, -0.125))
 """Constant steps to try [N / omega], longest first."""
 ITERATION_LIMIT = 20_000
 FORMS = ("full", "paper", "reduced")
-"""Ways to make the same step: Q times vec(P^-1 W_i P^-1 - W_p) (Eqs. 9-12), Q_bar times VWP (Eqs. 18-26), and the fewest products."""
+"""Ways to compute the same step: Q times vec(P^-1 W_i P^-1 - W_p) (Eqs. 9-12), Q_bar times VWP (Eqs. 18-26), and the fewest products."""
 PAPER_TABLE: dict[str, tuple[tuple[float, ...], int | None]] = {
     "single_value": ((8.30, 2.73, 2.57, 2.40), 160),
     "lagrange": ((5.19, 1.59, 1.50, 1.51), 120),
@@ -53,7 +53,7 @@ Rows = Iterator[dict[str, Any]]
 
 
 def run(quick: bool = False, console: Console | None = None) -> pd.DataFrame:
-    """Computes every part, one after another in this process: some of them are times.
+    """Compute every part, one after another in this process, since some parts measure times.
 
     Args:
         quick: few wrenches, repetitions and samples.
@@ -140,7 +140,7 @@ class Cases:
         limit: int = ITERATION_LIMIT,
         trace: Array | None = None,
     ) -> Array:
-        """The record of wrench k from its start."""
+        """Descend from the start of wrench k and return the core's record."""
         record = np.empty(record_size(self.grasp.n_contacts))
         core.descend_flow(
             self.contacts, self.form, rule.parameters(), tolerance, limit, self.wrenches[k], self.starts[k], optimum,
@@ -149,17 +149,17 @@ class Cases:
         return record
 
     def descents(self, rule: StepRule, count: int | None = None) -> list[Array]:
-        """The records of the first `count` wrenches to a gap of 1e-4."""
+        """Return the records of the first `count` wrenches, each run to a gap of 1e-4."""
         return [self.run(rule, k, float(self.optima[k])) for k in range(len(self.wrenches[:count]))]
 
     def gaps(self, rule: StepRule, limit: int = 5000) -> Array:
-        """(steps + 1,) the relative gap of Phi of the first wrench at every iterate, to 1e-12."""
+        """Return the relative gap of Phi (steps + 1,) at every iterate of the first wrench, down to 1e-12."""
         trace, best = np.full(limit + 1, np.nan), float(self.optima[0])
         record = self.run(rule, 0, best, 1e-12, limit, trace)
         return trace[: int(record[ITERATIONS]) + 1] / best - 1.0
 
     def certified(self, rule: StepRule, initial: str | InitialForceRule, repeats: int = 5) -> tuple[Array, Array]:
-        """(n,) shortest of `repeats` certified compiled calls per wrench [us], and (n,) their iterations."""
+        """Return the shortest time (n,) [us] of `repeats` certified compiled calls per wrench, and their iterations (n,)."""
         weights = {"force_weight": self.omega, "barrier_weight": self.objective.barrier_weight}
         flow = ForceOptimizer(self.grasp, method="reduced_flow", step_rule=rule, initial=initial, **weights)
         best, rows = np.empty(len(self.wrenches)), np.empty((len(self.wrenches), flow.core.size))
@@ -167,7 +167,7 @@ class Cases:
         return 1e6 * best, rows[:, ITERATIONS]
 
     def tuned_step(self, count: int = 20) -> float:
-        """The longest constant step that never has to be halved on the first wrenches: their fastest, up to rounding."""
+        """Return the longest constant step that is never halved on the first `count` wrenches; it is the fastest on them."""
         for size in FIXED_SIZES:
             records = self.descents(FixedStep(size / self.omega), count)
             if all(record[CODE] == CONVERGED and record[ITERATIONS] == record[TRIALS] for record in records):
@@ -176,7 +176,7 @@ class Cases:
 
 
 def weights(grasp: Grasp, wrenches: Array, omega: float, barrier: float) -> Rows:
-    """Iterations of every step rule on every wrench with these weights, and the normal force above the least of the exact cones."""
+    """Yield the iterations of every step rule on every wrench with these weights, and the excess over the least normal force."""
     conic = ForceOptimizer(grasp, method="conic")
     least = np.array([conic.solve(load).raise_for_status().total_normal_force for load in wrenches])
     cases = Cases(grasp, wrenches, omega, barrier)
@@ -192,7 +192,7 @@ def weights(grasp: Grasp, wrenches: Array, omega: float, barrier: float) -> Rows
 
 
 def times(grasp: Grasp, wrenches: Array) -> Rows:
-    """Microseconds and iterations of a compiled call to a certified gap of 1e-4, lambda 0.01, per rule and start: the 12-basis, the network."""
+    """Yield microseconds and iterations of a compiled call to a certified gap of 1e-4, lambda 0.01, per rule and start."""
     cases = Cases(grasp, wrenches)
     starts = {"linear_combination": "linear_combination", "learned_fixed": LearnedInitialForce.pretrained()}
     for name, rule in step_rules(cases.tuned_step()).items():
@@ -203,7 +203,7 @@ def times(grasp: Grasp, wrenches: Array) -> Rows:
 
 
 def spectrum(cases: Cases) -> tuple[float, float]:
-    """(least, largest) eigenvalue of the Hessian of Phi on ker G at the first optimum, orthonormal in the metric of P: the flow's rates."""
+    """Return the least and largest eigenvalue of the Hessian of Phi at the first optimum, on ker G in the metric of P."""
     grasp, force = cases.grasp, cases.forces[0]
     root = np.sqrt(np.tile(METRIC, grasp.n_contacts))
     basis = null_space(grasp.cone_matrix / root) / root[:, None]
@@ -213,7 +213,7 @@ def spectrum(cases: Cases) -> tuple[float, float]:
 
 
 def rates(grasp: Grasp, load: Array) -> Rows:
-    """The gap against iterations on one wrench per rule, fitted and predicted rates, and how far the forms differ.
+    """Yield the gap along the iterations on one wrench per rule, fitted and predicted rates, and the difference between the forms.
 
     A fitted rate is the factor per iteration of the gap between 1e-3 and 1e-9. Predicted, kappa = L / m the condition
     number of the projected Hessian at the optimum: (1 - alpha m)^2 for a constant step alpha < 2 / (L + m), at worst
@@ -239,7 +239,7 @@ def rates(grasp: Grasp, load: Array) -> Rows:
 
 
 def _fitted(gaps: Array) -> float | None:
-    """Factor per iteration by least squares on the logarithm; None with fewer than three points."""
+    """Fit the factor per iteration by least squares on the logarithm; None with fewer than three points."""
     inside = np.flatnonzero((gaps < 1e-3) & (gaps > 1e-9))
     if len(inside) < 3:
         return None
@@ -247,10 +247,10 @@ def _fitted(gaps: Array) -> float | None:
 
 
 def costs(grasps: tuple[Grasp, ...], repeats: int) -> Rows:
-    """Multiplications counted and nanoseconds measured, per product step and per whole iteration of every form.
+    """Yield counted multiplications and measured nanoseconds, per product step and per whole iteration of every form.
 
-    Forms take turns, `repeats` times. The rest of an iteration is Phi, its gradient and the step rule; the matrices are in the
-    cache, as in a control loop that does nothing else.
+    The forms take turns, `repeats` times. The rest of an iteration is Phi, its gradient and the step rule. The matrices are in
+    the cache, as in a control loop that does nothing else.
     """
     load = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
     for grasp in grasps:
@@ -264,26 +264,26 @@ def costs(grasps: tuple[Grasp, ...], repeats: int) -> Rows:
 
 
 def _product(cases: Cases) -> float:
-    """Nanoseconds of one product step."""
+    """Return the nanoseconds of one product step."""
     x = cases.grasp.to_cone(cases.starts[0])
-    # a fifth of a millisecond: seldom interrupted
-    return _each(
+    # a measurement takes a fifth of a millisecond, so it is rarely interrupted
+    return _time_repetition(
         lambda count: core.repeat_step(cases.contacts, cases.form, x, count), 100 if cases.form == "full" else 5000
     )
 
 
 def _iteration(cases: Cases) -> float:
-    """Nanoseconds per accepted step with a step short enough that neither trials fail nor an optimum comes near."""
+    """Return the nanoseconds per accepted step, with a step so short that no trial fails and the optimum stays far."""
 
     def descend(count: int) -> None:
         record = cases.run(FixedStep(1e-6), 0, 1e-9, limit=count)
         assert (record[CODE], record[ITERATIONS], record[TRIALS]) == (LIMIT, count, count)
 
-    return _each(descend, 100 if cases.form == "full" else 1000)
+    return _time_repetition(descend, 100 if cases.form == "full" else 1000)
 
 
-def _each(call: Callable[[int], object], count: int) -> float:
-    """Nanoseconds of each of `count` repetitions, without what one call costs besides."""
+def _time_repetition(call: Callable[[int], object], count: int) -> float:
+    """Return the nanoseconds per repetition, without the overhead of a call."""
 
     def clock(times: int) -> int:
         begin = time.perf_counter_ns()
@@ -295,16 +295,15 @@ def _each(call: Callable[[int], object], count: int) -> float:
 
 
 def path(name: str, grasp: Grasp, fine: float) -> Rows:
-    """Forces along W_ext(t), 2 s: the pyramid linear program beside the continuous optima of Phi and of the exact cones.
+    """Yield the forces along W_ext(t), 2 s, of the pyramid linear program, of Phi and of the exact cones.
 
-    "jump", the change of a finger's force since the sample before, is ten times less between samples ten times closer where forces
-    are continuous, and the same at a jump. "kink", the change of its rate, is ten times less where forces are smooth, and the same
-    at a kink.
+    "jump" is the change of a finger's force since the sample before. With samples ten times closer it becomes ten times smaller if
+    the forces are continuous, and stays the same at a jump. "kink", the change of the rate, tells smooth forces from kinks likewise.
 
     Args:
-        name: of the grasp.
+        name: name of the grasp.
         grasp: the grasp.
-        fine: time between samples [s]; the coarse ones are ten times as far apart.
+        fine: time between samples [s]; the coarse samples are ten times as far apart.
     """
     times = np.arange(0.0, 2.0, fine)
     loads = wrench.paper_path(times)
@@ -321,7 +320,7 @@ def path(name: str, grasp: Grasp, fine: float) -> Rows:
             for k, contact in np.ndindex(part.shape[:2]):
                 row = {"case": f"path_{name}", "method": key, "interval": interval, "time": interval * k}
                 row |= {"contact": contact, "contact_force": part[k, contact, 0]}
-                if interval == fine and contact == 0:  # one value for all fingers
+                if interval == fine and contact == 0:  # once for all fingers
                     row["force_excess"] = excess[k]
                 if k > 0:
                     row["jump"] = jumps[k - 1, contact]
@@ -331,10 +330,10 @@ def path(name: str, grasp: Grasp, fine: float) -> Rows:
 
 
 def table_one(grasp: Grasp, load: Array) -> Rows:
-    """Normal forces of the paper's starts and of the optimum on its constant wrench, and the flow's steps, beside the printed ones.
+    """Yield normal forces and flow steps of the paper's starts and the optimum on its constant wrench, beside the printed ones.
 
-    Not an acceptance test: contact positions, weights, step size and two of the three starts are not printed. The balance of
-    0.6 N, the order of the starts, and ratios can be compared.
+    This is no acceptance test: the paper does not print contact positions, weights, step size and two of the three starts. The
+    balance of 0.6 N, the order of the starts, and ratios can be compared.
     """
     phi = Objective(1.0, LAMBDA)
     optimum = ForceOptimizer(grasp, method="newton", barrier_weight=LAMBDA, tolerance=1e-10).solve(load)

@@ -1,4 +1,4 @@
-"""Run by test_ray.py in a network namespace of its own: two Ray nodes on this machine, and the map on them."""
+"""Program of test_shards.py, for a network namespace of its own: two Ray nodes on this machine, and the map on them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from training.results.table import write  # noqa: E402
 
 
 def main(folder: Path) -> None:
-    """Writes the rows of the map, and of a comparison of starts, on Ray and inline; a killed worker's shard must run again."""
+    """Write the rows of the map on Ray and inline; the shard of a killed worker must run again."""
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "object_store_memory": 80_000_000})
     cluster.add_node(num_cpus=1, object_store_memory=80_000_000)
     os.environ["RAY_ADDRESS"] = cluster.address
@@ -28,26 +28,9 @@ def main(folder: Path) -> None:
         mapped = map_shards(work.squares, shards, on="ray")
         write(folder / "ray.parquet", mapped.rows)
         write(folder / "inline.parquet", map_shards(work.squares, shards, on="inline").rows)
-        where = map_shards(work.process, names([(k, folder) for k in range(8)]), on="ray").rows
-        dead = map_shards(work.dies_once, names([(k, folder) for k in range(4)]), on="ray", keep=folder / "shards").rows
-        kept = sorted(path.name for path in (folder / "shards").iterdir())
-        from training.compare.comparison import Shard, StartsConfig
-        from training.compare.comparison import work as compare
-        from training.compare.given import Given
-        from training.compare.starts import Objective
-
-        (folder / "rule.py").write_text(
-            "from grasp_env.force import LinearCombination\n\ndef mine(grasp, wrench):\n    return LinearCombination()(grasp, wrench)\n"
-        )
-        given = Given.of((f"mine={folder / 'rule.py'}:mine",))
-        (folder / "rule.py").unlink()  # another machine has no such file
-        config = StartsConfig(wrenches=4)
-        starts = {name: Shard(name, config, given, Objective()) for name in ("ball", "jump_10", "random_4")}
-        for on in ("ray", "processes", "inline"):
-            write(folder / f"starts-{on}.parquet", map_shards(compare, starts, on=on).rows)
-        print(
-            f"workers {mapped.workers}, processes {where['bytes'].nunique()}, dead {dead['problem'].tolist()}, kept {len(kept)}"
-        )
+        where = map_shards(work.process, names([(k, folder) for k in range(8)]), on="ray").rows["bytes"].nunique()
+        dead = map_shards(work.dies_once, names([(k, folder) for k in range(4)]), on="ray").rows["problem"].tolist()
+        print(f"workers {mapped.workers}, processes {where}, dead {dead}")
     finally:
         ray.shutdown()
         cluster.shutdown()

@@ -20,23 +20,14 @@ def names(shards: Sequence[Any]) -> dict[str, Any]:
 
 
 def squares(shard: tuple[int, int]) -> pd.DataFrame:
-    """Rows of a few numbers, of a generator of the shard's own."""
+    """Rows of random numbers from the shard's own generator."""
     first, count = shard
     rng = np.random.default_rng(first)
     return table([{"case": f"shard {first}", "problem": k, "gap": rng.random()} for k in range(count)])
 
 
-def slow_first(shard: tuple[int, Path]) -> pd.DataFrame:
-    """The first shard ends last."""
-    place, folder = shard
-    while place == 0 and len(list(folder.iterdir())) < 3:
-        pass
-    (folder / str(place)).touch()
-    return table([{"problem": place}])
-
-
 def dies_once(shard: tuple[int, Path]) -> pd.DataFrame:
-    """A worker is killed in the middle of its work, the first time only."""
+    """Shard 1 kills its worker the first time. The rows hold the number of threads of a worker."""
     place, folder = shard
     mark = folder / "died"
     if place == 1 and not mark.exists():
@@ -44,17 +35,17 @@ def dies_once(shard: tuple[int, Path]) -> pd.DataFrame:
         os.kill(os.getpid(), signal.SIGKILL)
     with (folder / "calls").open("a") as file:
         file.write(f"{place}\n")
-    return table([{"problem": place}])
+    return table([{"problem": place, "workers": int(os.environ.get("OMP_NUM_THREADS", 0))}])
 
 
 def dies(shard: int) -> pd.DataFrame:
-    """A worker is killed whenever it tries."""
+    """Kill the worker every time."""
     os.kill(os.getpid(), signal.SIGKILL)
     raise AssertionError
 
 
 def fails(shard: tuple[int, Path]) -> pd.DataFrame:
-    """The third shard fails until a file is there."""
+    """Shard 2 fails until a file exists."""
     place, folder = shard
     with (folder / "calls").open("a") as file:
         file.write(f"{place}\n")
@@ -63,13 +54,8 @@ def fails(shard: tuple[int, Path]) -> pd.DataFrame:
     return table([{"problem": place}])
 
 
-def threads(shard: int) -> pd.DataFrame:
-    """How many threads the libraries of a worker may use."""
-    return table([{"problem": shard, "workers": int(os.environ.get("OMP_NUM_THREADS", 0))}])
-
-
 def process(shard: tuple[int, Path]) -> pd.DataFrame:
-    """Which process runs a shard. It waits for a second one, which a busy machine may take many seconds to start, for a minute at most."""
+    """Wait, for a minute at most, until two processes run shards; the rows hold the process."""
     place, folder = shard
     (folder / f"process-{os.getpid()}").touch()
     until = time.monotonic() + 60

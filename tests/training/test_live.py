@@ -1,17 +1,14 @@
-"""`grasp live` without a browser: what is answered, what mouse and controls change, who may connect, what is recorded."""
+"""`grasp live` without a browser: answers, mouse and controls, connections, recordings."""
 
 from __future__ import annotations
 
 import asyncio
 import base64
 import http.client
-import os
 import re
 import signal
-import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,19 +22,18 @@ import zstandard
 from processes import start
 
 from grasp_env.config import EnvConfig
-from grasp_env.errors import InvalidInputError, SimulationError
+from grasp_env.errors import SimulationError
 from grasp_env.force import METHODS
-from grasp_env.grasp import Grasp, presets, save_grasp
+from grasp_env.grasp import Grasp, presets
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.hand.urdf import hand_urdf
-from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription
+from grasp_env.sim.objects.description import ObjectDescription
 from training.cli import main
 from training.commands.rules import rule
 from training.live import look
 from training.live.answer import STARTS, answer
-from training.live.contacts import SHAPES, BareContacts, body_of, placed, under
+from training.live.contacts import SHAPES, BareContacts, body_of, cast_ray, place_contacts
 from training.live.hand import STIFFNESS, SimulatedHand
-from training.live.server import LocalServer
 from training.live.window import Window
 
 ROOT = Path(__file__).parents[2]
@@ -71,7 +67,7 @@ def panel(page: Window) -> str:
 
 
 def until(page: Window, seen: Callable[[], Any]) -> None:
-    """Steps until what was sent has arrived and is drawn."""
+    """Step until the events have arrived and are drawn."""
     for _ in range(200):
         if seen():
             return
@@ -80,7 +76,7 @@ def until(page: Window, seen: Callable[[], Any]) -> None:
 
 
 def drag(page: Window, name: str, *points: Any, ends: bool = False) -> None:
-    """Drags a node from the first of some points to the others, scene units, seen from `EYE`."""
+    """Drag a node from the first of some points to the others, scene units, seen from `EYE`."""
     phases = ["start", *["update"] * (len(points) - 1), *(["end"] if ends else [])]
     for phase, point in zip(phases, [*points, points[-1]], strict=False):
         camera = SimpleNamespace(camera=SimpleNamespace(position=EYE))
@@ -95,14 +91,12 @@ def test_forces_balance_the_load_within_their_cones(method, start):
     found = answer(GRASP, LOAD, method, rule(start))
     again = answer(GRASP, LOAD, method, rule(start), previous=found.solution)
     assert (found.mood, found.status, again.status, found.twist) == ("good", "held", "held", None)
-    assert found.solution is not None
     forces, margins = GRASP.to_object_frame(found.solution.force), found.columns["margin, N"]
     balance = [*forces.sum(axis=0), *np.cross(GRASP.positions, forces).sum(axis=0)]
     np.testing.assert_allclose(balance, -LOAD, atol=1e-9)
     np.testing.assert_allclose(found.columns["normal, N"], np.einsum("ni,ni->n", forces, GRASP.normals), atol=1e-12)
     assert margins.min() > 0.0
-    assert 0.0 < float(found.facts["one solve"].removesuffix(" µs")) < 1e5
-    if start == "previous":  # what is timed does not start from itself
+    if start == "previous":  # the timed solve does not start from itself
         assert again.facts["iterations"] == "0 from previous"
 
 
@@ -116,11 +110,12 @@ def test_what_cannot_be_held_is_proved_and_mended():
     assert (speeds[:, 0] >= 0.4 * np.hypot(speeds[:, 1], speeds[:, 2]) - 1e-6 * np.abs(speeds).max()).all()
     assert "More friction alone does not help" in found.words
     sphere = look.object_mesh("sphere", (0.1,))
-    met = [under(sphere, np.array(eye), np.zeros(3)) for eye in ((0.5, 1.0, 0.0), (-0.5, 1.0, 0.3), (0.0, 0.2, -1.0))]
-    places, normals = zip(*filter(None, met), strict=True)
-    smooth = Grasp.from_contacts(np.array(places), np.array(normals), 0.1)
-    said = float(answer(smooth, LOAD).words.split("Friction ")[1].split()[0])
-    moods = [answer(smooth.with_friction(friction), LOAD).mood for friction in (said, said - 0.05)]
+    met = [
+        cast_ray(sphere, np.array(eye), np.zeros(3)) for eye in ((0.5, 1.0, 0.0), (-0.5, 1.0, 0.3), (0.0, 0.2, -1.0))
+    ]
+    smooth = Grasp.from_contacts(*map(np.array, zip(*met, strict=True)), 0.1)
+    advised = float(answer(smooth, LOAD).words.split("Friction ")[1].split()[0])
+    moods = [answer(smooth.with_friction(friction), LOAD).mood for friction in (advised, advised - 0.05)]
     assert moods == ["good", "bad"]
     limited = answer(GRASP, LOAD, max_normal=3.0)
     assert (limited.mood, limited.status) == ("bad", "beyond the limit")
@@ -140,31 +135,29 @@ def test_a_screw_is_drawn_about_its_axis():
 @pytest.mark.parametrize("shape", SHAPES)
 def test_contacts_lie_on_the_object_under_the_mouse(shape):
     rng, mesh, surface = np.random.default_rng(1), look.object_mesh(shape, (0.1,) * 3), ObjectDescription(shape).surface
-    for _ in range(50):
+    for _ in range(20):
         eye, mouse = rng.normal(size=3), 0.01 * rng.normal(size=3)
-        met = under(mesh, eye, mouse)
+        met = cast_ray(mesh, eye, mouse)
         assert met is not None
         place, inward = met
         nearest, normal, _ = surface.nearest(place)
         np.testing.assert_allclose([*place, inward @ normal], [*nearest, 1.0], atol=2e-3)
         assert inward @ (mouse - eye) > 0.0  # the side that the eye sees
         np.testing.assert_allclose(np.cross(place - eye, mouse - eye), 0.0, atol=1e-12)
-        assert under(mesh, eye, eye + np.cross(eye, inward)) is None  # beside the object
+        assert cast_ray(mesh, eye, eye + np.cross(eye, inward)) is None  # beside the object
     for count in range(3, 9):
-        assert answer(Grasp.from_contacts(*placed(mesh, count), 0.5), LOAD).mood == "good"
-    assert body_of(Grasp.from_contacts(*placed(mesh, 8), 0.5))[0] == shape
-
-
-def test_grasps_find_their_bodies_and_others_a_hull():
-    assert [body_of(presets.preset(name))[0] for name in ("paper_cuboid", "tripod")] == ["cuboid", "sphere"]
+        assert answer(Grasp.from_contacts(*place_contacts(mesh, count), 0.5), LOAD).mood == "good"
+    assert body_of(Grasp.from_contacts(*place_contacts(mesh, 8), 0.5))[0] == shape
     positions = np.random.default_rng(2).normal(size=(5, 3))
-    name, mesh = body_of(Grasp.from_contacts(positions, -positions / np.linalg.norm(positions, axis=1)[:, None], 0.5))
-    assert (name, mesh.is_watertight) == ("hull of the contacts", True)
+    name, hull = body_of(Grasp.from_contacts(positions, -positions / np.linalg.norm(positions, axis=1)[:, None], 0.5))
+    assert (name, hull.is_watertight) == ("hull of the contacts", True)
 
 
-def test_what_is_set_is_what_is_solved(bare):
-    heavy = np.array([40.0, 0.0, 0.0, *LOAD[3:]])  # it takes more than the 50 N at the end of the slider, no limit
-    for control, value, asked in (
+def test_the_controls_set_the_problem(bare):
+    heavy = np.array(
+        [40.0, 0.0, 0.0, *LOAD[3:]]
+    )  # needs more than the 50 N at the end of the slider, which is no limit
+    for control, value, changes in (
         (bare.friction, 0.8, {"grasp": GRASP.with_friction(0.8)}),
         (bare.force, tuple(heavy[:3]), {"wrench": heavy}),
         (bare.moment, (0.0, 0.0, 0.02), {"wrench": np.array([*LOAD[:3], 0.0, 0.0, 0.02])}),
@@ -174,7 +167,7 @@ def test_what_is_set_is_what_is_solved(bare):
         (bare.weight, -4.0, {"barrier_weight": 1e-4}),
     ):
         before, control.value = control.value, value
-        expected = answer(**{"grasp": GRASP, "wrench": LOAD, **asked})
+        expected = answer(**{"grasp": GRASP, "wrench": LOAD, **changes})
         normals = expected.columns["normal, N"]
         until(bare, lambda told=f"{normals[2]:.2f}</td>": told in panel(bare))
         np.testing.assert_allclose(bare.answer.columns["normal, N"], normals, atol=1e-9)
@@ -182,7 +175,7 @@ def test_what_is_set_is_what_is_solved(bare):
         control.value = before
 
 
-def test_forces_and_cones_are_drawn_as_they_are(bare):
+def test_forces_and_cones_are_drawn_to_scale_and_errors_become_words(bare):
     tails, heads = np.swapaxes(node(bare, "/contacts/forces").points, 0, 1)
     np.testing.assert_allclose(heads, 10.0 * GRASP.positions, atol=1e-6)  # they push from outside
     forces = GRASP.to_object_frame(bare.answer.solution.force)
@@ -192,6 +185,14 @@ def test_forces_and_cones_are_drawn_as_they_are(bare):
         outward = -rim @ normal
         sideways = np.linalg.norm(rim + np.outer(outward, normal), axis=1)
         np.testing.assert_allclose(sideways, 0.4 * outward, atol=1e-6)
+    bare.start.value = "none"
+    until(bare, lambda: bare.answer.status == "not solved")
+    assert "choose" in panel(bare)
+    bare.again.value = True
+    until(bare, lambda: bare.answer.status == "held")
+    bare.normals = -GRASP.normals
+    bare.draw()
+    assert "INTO the object" in panel(bare)
 
 
 def test_the_mouse_drags_the_load_and_a_contact_until_nothing_holds(bare):
@@ -213,23 +214,9 @@ def test_the_mouse_drags_the_load_and_a_contact_until_nothing_holds(bare):
     bare.count.value, bare.shape.value = 6, "sphere"
     until(bare, lambda: "contact 6" in panel(bare) and bare.answer.status == "held")
     np.testing.assert_allclose(np.linalg.norm(bare.positions, axis=1), 0.05, rtol=2e-3)
-    assert not node(bare, "/screw").visible
     bare.again.value = True  # pressed
     until(bare, lambda: bare.shape.value == "cuboid")
     assert (bare.force.value, bare.count.value, bare.answer.status) == ((1.0, 0.5, -0.6), 4, "held")
-    np.testing.assert_array_equal(bare.positions, GRASP.positions)
-
-
-def test_errors_become_words_and_the_next_question_is_answered(bare):
-    for method, limit, begun, words in (("reduced_flow", 4.0, STARTS[0], "newton"), ("newton", 50.0, "none", "choose")):
-        bare.method.value, bare.limit.value, bare.start.value = method, limit, begun
-        until(bare, lambda: bare.answer.status == "not solved")
-        assert words in panel(bare)
-        bare.again.value = True
-        until(bare, lambda: bare.answer.status == "held")
-    bare.normals = -GRASP.normals
-    bare.draw()
-    assert "INTO the object" in panel(bare)
 
 
 def test_only_the_page_itself_may_connect(bare):
@@ -239,98 +226,43 @@ def test_only_the_page_itself_may_connect(bare):
     for host, origin, page, websocket in (
         (f"127.0.0.1:{port}", f"http://127.0.0.1:{port}", 200, 101),
         (f"localhost:{port}", f"http://localhost:{port}", 200, 101),
-        (f"127.0.0.1:{port}", None, 200, 403),  # so the page is opened; browsers send an origin with every websocket
-        (f"127.0.0.1:{port}", "http://example.org", 403, 403),  # the page of another site
-        (f"127.0.0.1:{port}", "http://localhost:1", 403, 403),  # the page of another program at this machine
+        (f"127.0.0.1:{port}", None, 200, 403),  # opens the page; browsers send an origin with every websocket
+        (f"127.0.0.1:{port}", "http://example.org", 403, 403),  # another site
+        (f"127.0.0.1:{port}", "http://localhost:1", 403, 403),  # another program on this machine
         (f"127.0.0.1:{port}", "null", 403, 403),  # a file, or a frame without rights
         (f"example.org:{port}", f"http://example.org:{port}", 403, 403),  # DNS rebinding
         (f"127.0.0.1.example.org:{port}", None, 403, 403),
     ):
         for more, expected in (({}, page), (upgrade, websocket)):
             connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
-            origins = {} if origin is None else {"Origin": origin}
-            connection.request("GET", "/", headers={"Host": host, **origins, **more})
+            connection.request("GET", "/", headers={"Host": host, **({"Origin": origin} if origin else {}), **more})
             answered = connection.getresponse()
-            framed = answered.headers["X-Frame-Options"]
-            assert (answered.status, framed) == (expected, "DENY" if expected == 200 else None), (host, origin)
+            framed = "DENY" if expected == 200 else None
+            assert (answered.status, answered.headers["X-Frame-Options"]) == (expected, framed), (host, origin)
             connection.close()
-
-
-def test_the_server_listens_to_this_machine_only_at_the_next_free_port(capsys):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        server = LocalServer(port := taken.getsockname()[1], "test")
-    own, folder = server.get_port(), f"/proc/{os.getpid()}/net"
-    rows = [line.split() for name in ("tcp", "tcp6") for line in Path(folder, name).read_text().splitlines()[1:]]
-    listening = [row[1] for row in rows if row[3] == "0A" and int(row[1].rsplit(":", 1)[1], 16) == own]
-    assert listening == [f"0100007F:{own:04X}"]  # 127.0.0.1, as the kernel writes it
-    assert own > port
-    assert capsys.readouterr() == ("", f"grasp: port {port} is taken: port {own} instead\n")
-    assert server.request_share_url() is None
-    server.stop()
-    for wrong in (80, 70_000, -1):
-        with pytest.raises(InvalidInputError, match="port must be 0"):
-            LocalServer(wrong, "test")
+    rows = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
+    listening = [row[1] for row in rows if row[3] == "0A" and int(row[1].rsplit(":", 1)[1], 16) == port]
+    assert listening == [f"0100007F:{port:04X}"]  # 127.0.0.1 alone, as the kernel writes it
 
 
 def recorded(path: Path) -> dict[str, Any]:
-    """What a recording's page plays."""
+    """The film in a recording."""
     data = base64.b64decode(re.findall(r'__VISER_EMBED_DATA__="([^"]+)"', path.read_text(encoding="utf-8"))[-1])
     whole = zstandard.ZstdDecompressor().decompress(data[8:], int.from_bytes(data[:8], "little"))
     return msgspec.msgpack.decode(whole[8 : 8 + int.from_bytes(whole[:8], "little")])
 
 
-def test_recordings_are_whole_files_with_all_that_moved(bare, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("training.live.window.MAX_RECORDED", 0.6)
-    draw, drawn = bare.draw, iter(range(1000))
-
-    def drag_and_press() -> None:
-        time.sleep(0.02)
-        count = next(drawn)
-        bare.force.value = (1.0, 0.01 * count, 0.0)
-        if count in (10, 20, 30, 40):  # the first recording and the second end by the button, the third by itself
-            bare._button.value = True
-        draw()
-
-    monkeypatch.setattr(bare, "draw", drag_and_press)
-    bare.run(2.5, tmp_path / "whole.html")
-    names = ["whole.html", "grasp-live-1.html", "grasp-live-2.html"]
-    assert capsys.readouterr().out.splitlines()[1:] == [str(tmp_path / name) for name in names]
-    assert {path.name for path in tmp_path.iterdir()} == {*names}
-    for path in tmp_path.iterdir():
-        film = recorded(path)
-        moves = [(when, each["name"]) for when, each in film["messages"] if each["type"] == "SetPositionMessage"]
-        assert len({when for when, name in moves if name == "/load/0"}) > 5
-        assert 0.1 < film["durationSeconds"] < 1.0
-        assert path.stat().st_size < 3e6
-
-
-@pytest.mark.parametrize(("seconds", "ends"), [("0.5", (0, "")), ("0", (130, "grasp: interrupted\n"))])
-def test_the_command_ends_after_its_time_or_at_ctrl_c(tmp_path, seconds, ends):
+def test_the_command_saves_its_recording_at_ctrl_c(tmp_path):
     record = tmp_path / "live.html"
-    command = [sys.executable, "-m", "training", "live", "--port", "0", "--seconds", seconds, "--record", str(record)]
+    command = [sys.executable, "-m", "training", "live", "--port", "0", "--record", str(record)]
     with start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("http://127.0.0.1:")
-        if seconds == "0":
-            process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == ends
-    assert recorded(record)["messages"]
-
-
-def test_what_cannot_be_shown_is_an_error(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    soft = {"contact_model": "soft", "torsional_friction": 0.005}
-    save_grasp(Grasp.from_contacts(GRASP.positions, GRASP.normals, 0.5, **soft), tmp_path / "soft.json")
-    for option, value, said in (
-        ("--seconds", "-1", "seconds"), ("--record", "x.gif", ".html"), ("--record", "missing/x.html", "folder"),
-        ("--grasp", "missing.json", "missing.json"), ("--hand", "nothing.urdf", "nothing.urdf"), ("--grasp", "soft.json", "hard contacts"),
-    ):  # fmt: skip
-        assert main(["live", "--port", "0", option, value]) == 2
-        out, err = capsys.readouterr()
-        assert (out, err.count("\n")) == ("", 1)
-        assert said in err
+    assert (process.returncode, err) == (130, "grasp: interrupted\n")
+    film = recorded(record)
+    assert any(each["type"] == "SetPositionMessage" for _, each in film["messages"])
 
 
 def pushes(hand: SimulatedHand) -> np.ndarray:
@@ -339,12 +271,8 @@ def pushes(hand: SimulatedHand) -> np.ndarray:
 
 
 def test_the_controls_change_hand_and_object_while_it_holds(hand, monkeypatch):
-    squeeze, margin, stage = hand.loop.force[:, 0].sum(), hand.loop.effort.margin, hand.stage
-    hand.friction.value = 0.2
-    hand.draw()
-    hand.advance(50)
-    assert hand.loop.force[:, 0].sum() > 1.4 * squeeze  # smoother
-    hand.friction.value, hand.mass.value = 0.4, 0.4
+    margin, stage = hand.loop.effort.margin, hand.stage
+    hand.mass.value = 0.4
     hand.draw()
     hand.advance(100)
     np.testing.assert_allclose(pushes(hand).sum(axis=0), [0.0, 0.4 * 9.81, 0.0], atol=1e-3)
@@ -358,13 +286,9 @@ def test_the_controls_change_hand_and_object_while_it_holds(hand, monkeypatch):
         hand.draw()
     assert hand.stage is stage
     assert "the hand cannot hold this" in panel(hand)
-    for shape in SHAPES_WITHOUT_MESH:
-        hand.shape.value = shape
-        hand.draw()
-        assert (hand.status()[1], hand.stage.scene.config.object.shape) == ("held", shape)
-        body, extent = node(hand, "/object/body").vertices, np.array(ObjectDescription(shape).extent)
-        np.testing.assert_allclose(np.ptp(body, axis=0), extent / extent.max(), rtol=2e-3)
-    assert "cannot hold" not in panel(hand)
+    hand.shape.value = "cylinder"
+    hand.draw()
+    assert (hand.status()[1], hand.stage.scene.config.object.shape) == ("held", "cylinder")
     hand.motors.value = 10
     hand.draw()
     hand.advance(25)
@@ -372,8 +296,6 @@ def test_the_controls_change_hand_and_object_while_it_holds(hand, monkeypatch):
 
 
 def test_the_mouse_pulls_the_object_until_it_is_lost(hand):
-    hand.advance(50)
-    np.testing.assert_allclose(pushes(hand).sum(axis=0), [0.0, 0.2 * 9.81, 0.0], atol=1e-3)
     drag(hand, "/object/body", (0.5, 0.0, 0.0), (0.5, 0.1, 0.0))
     np.testing.assert_allclose(hand.grip, [0.05, 0.0, 0.0], atol=1e-4)  # in metres: it is drawn ten times as large
     np.testing.assert_allclose(hand.pull(), [0.0, 0.01 * STIFFNESS, 0.0], atol=0.05)
@@ -384,17 +306,13 @@ def test_the_mouse_pulls_the_object_until_it_is_lost(hand):
     moments = np.cross(hand.stage.scene.look().touch, pushes(hand)).sum(axis=0)
     np.testing.assert_allclose(moments, [0.0, 0.0, -0.05 * 5.0], atol=3e-3)
     hand.draw()
-    assert node(hand, "/pull").visible
-    normal, *tangential = hand.loop.force[0]
-    margin = hand.loop.friction * normal - np.hypot(*tangential)
-    assert all(text in panel(hand) for text in ("held", "5.0 N", f"{margin:.2f}</td>"))
+    assert all(text in panel(hand) for text in ("held", "5.0 N"))
     drag(hand, "/object/body", (0.5, 0.0, 0.0), ends=True)
     assert not node(hand, "/pull").visible
     hand.max_pull.value, hand.friction.value = 40.0, 0.1
     drag(hand, "/object/body", (0.0, 0.5, 0.0), (0.0, 30.0, 0.0))
     until(hand, lambda: hand.status()[1] == "lost")
     assert (tuple(node(hand, "/object/body").color), node(hand, "/status").text) == (look.BAD, "lost")
-    assert "Take hold again" in panel(hand)
     hand.again.value = True
     until(hand, lambda: hand.status()[1] == "held")
     assert (hand.mouse, hand.friction.value, hand.outcome.drift < 1e-3) == (None, 0.4, True)
@@ -402,12 +320,9 @@ def test_the_mouse_pulls_the_object_until_it_is_lost(hand):
     hand.step(0.0)
     assert "simulation diverged" in panel(hand)
     assert hand.status()[1] == "held"
-    hand._config = hand._config.override(limits={"max_drift": 1e-9})
-    hand.advance(25)
-    assert "It moved" in hand.status()[2]
 
 
-def test_every_hand_has_looks_and_somebodys_urdf_is_shown(tmp_path, capsys):
+def test_every_hand_has_looks_and_a_urdf_is_shown(tmp_path, capsys):
     assert all(look.link_meshes(link) for make in HANDS.values() for link in make().links)
     path, record = tmp_path / "mine.urdf", tmp_path / "mine.html"
     path.write_text(hand_urdf(HandDescription.four_finger()), encoding="utf-8")

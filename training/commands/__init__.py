@@ -1,1 +1,1 @@
-"""The sub-commands of `grasp`, one per file: a dataclass of options that executes itself. Heavy imports wait for `execute`."""
+"""Sub-commands of `grasp`, one per file: a dataclass of options with a method `execute`, which does the heavy imports."""

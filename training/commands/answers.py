@@ -1,4 +1,4 @@
-"""The JSON that a sub-command prints for machines."""
+"""JSON output of sub-commands."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def write_json(answer: dict[str, Any]) -> None:
-    """Prints one object on a line of stdout; arrays become lists, and NaN and infinity, which JSON lacks, null."""
+    """Print one object on a line of stdout. Arrays become lists; NaN and infinity, which JSON lacks, become null."""
     sys.stdout.write(json.dumps(_plain(answer), allow_nan=False, default=str) + "\n")
 
 

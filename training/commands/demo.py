@@ -10,35 +10,37 @@ import tyro
 
 from grasp_env._extras import need
 from grasp_env.task import DISTURBANCES, MOTIONS, TASKS
-from training.commands.options import left_out, listed, one_of, settings_of, told
+from training.commands.options import left_out, listed, one_of, setting_help, settings_of
 from training.commands.rules import rule
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Roll out the hand, save a picture or a video, and say how it ended.
+    """Roll out the hand, save a picture or a video, and print the outcome.
 
-    Forces, friction cones and wrench are drawn in.
+    The picture shows forces, friction cones and the wrench.
 
     Attributes:
         video: .mp4, .gif or .webp for a video, .png for its last picture.
-        setting: more settings of the environment, each PATH=VALUE: sensors.delay=0.01, controller.kind=pd,
+        setting: further settings of the environment, each PATH=VALUE: sensors.delay=0.01, controller.kind=pd,
             disturbance='{"name": "random", "force": 2}'.
         seconds: simulated time.
         initial: start rule, "learned" for the shipped network, or the path of a fitted one.
-        agent: a seed's folder of `grasp rl`, runs/rl/agent/seed-0: it acts, in the environment that it was trained in.
+        agent: the folder of one seed of `grasp rl`, such as runs/rl/agent/seed-0. The agent acts in the environment it was trained in.
         size: width and height [pixels].
-        seed: of the episode.
+        seed: seed of the episode.
     """
 
     video: Path = Path("hand.mp4")
-    task: Annotated[str, one_of(TASKS), told("task")] = "hold"
-    disturbance: Annotated[str, one_of(DISTURBANCES), told("disturbance", "the task's own, of hold paper_path")] = ""
-    motion: Annotated[str, one_of(MOTIONS), told("task.motion")] = "lift"
-    shape: Annotated[str, listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH"), told("object.shape")] = (
-        "cuboid"
-    )
-    hand: Annotated[str, listed("grasp_env.sim", "HANDS"), told("hand")] = "four_finger"
+    task: Annotated[str, one_of(TASKS), setting_help("task")] = "hold"
+    disturbance: Annotated[
+        str, one_of(DISTURBANCES), setting_help("disturbance", "the task's own, of hold paper_path")
+    ] = ""
+    motion: Annotated[str, one_of(MOTIONS), setting_help("task.motion")] = "lift"
+    shape: Annotated[
+        str, listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH"), setting_help("object.shape")
+    ] = "cuboid"
+    hand: Annotated[str, listed("grasp_env.sim", "HANDS"), setting_help("hand")] = "four_finger"
     setting: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH=VALUE")] = ()
     seconds: Annotated[float, left_out("the task's own")] = 0.0
     initial: str = "linear_combination"
@@ -47,7 +49,7 @@ class Demo:
     seed: int = 0
 
     def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
+        """Run the command."""
         need("sim", "report")
         from rich.console import Console
 

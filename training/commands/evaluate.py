@@ -18,38 +18,38 @@ OWN = {
     "env": ("hands", "objects", "engines", "episodes"),
     "transfer": ("hands", "episodes"),
 }
-"""Options that belong to some of the comparisons only."""
+"""Options that apply to some comparisons only."""
 
 
 @dataclass(frozen=True)
 class Evaluate:
     """Compare starts, controllers, hands or engines: a table and a report.
 
-    An interrupted run goes on by its name.
+    To continue an interrupted run, give its name.
 
     Attributes:
         what: starts (every start on every set of cases by both methods, times, roll-outs: about a minute on two cores), env (how often
-            controllers hold random objects; with --hands how often these hands hold objects: hours) or transfer (the same hands
+            controllers hold random objects; with --hands, how often these hands hold objects: hours) or transfer (the same hands
             in Bullet and in MuJoCo: hours).
         out: folder of runs.
-        name: of this run; empty: <what>-<date>-<time>. The name of an interrupted run continues it.
-        seed: of everything held out, or of the first episode.
-        quick: a small version that ends within a minute and says that it is quick.
-        on: where the work is done: inline, processes (of this machine), ray (the cluster of RAY_ADDRESS or of this machine) or
-            ray://HOST:PORT. The rows do not depend on it; times are always measured alone, in this process.
-        workers: processes; 0: one for each core.
-        wrenches: of starts: number of cases of a full set; the other sets have their share of it.
-        timed: of starts: number of wrenches whose calls are timed.
-        repeats: of starts: how often each of those calls is timed.
-        episodes: of each random scenario, or of each main scenario; 0: 10 of starts, 500 of env, 100 of env --hands, 10 with --objects,
-            300 of transfer.
-        steps: of starts: of each roll-out, at 50 per second.
-        start: of starts: starts of your own that are compared with the others, each NAME=module:rule, NAME=file.py:rule or NAME=saved
-            model's path; a rule takes (grasp, wrench) and returns an (N, 3) force.
-        solver: of starts: solvers of your own, each NAME=module:Class or NAME=file.py:Class; solve(problem) returns the (N, 3) forces.
-        hands: of env and transfer: names, or files (URDF, xacro, MJCF); none: the four-finger hand, of transfer also allegro and leap.
-        objects: of env --hands: mesh files to be held instead of our objects, each FILE or FILE=SCALE; 150 g, friction 0.7.
-        engines: of env --hands, the engines in which they hold; none: the default one.
+        name: name of this run; empty: <what>-<date>-<time>. The name of an interrupted run continues it.
+        seed: seed of all held-out problems, or of the first episode.
+        quick: a small version that ends within a minute; its report is marked as quick.
+        on: where the work runs: inline, processes (on this machine), ray (the cluster of RAY_ADDRESS or of this machine) or
+            ray://HOST:PORT. It does not change the rows; times are always measured alone, in this process.
+        workers: number of processes; 0: one per core.
+        wrenches: starts: number of cases in a full set; the other sets have a share of it.
+        timed: starts: number of wrenches whose calls are timed.
+        repeats: starts: number of times each of those calls is timed.
+        episodes: episodes per random scenario, or per main scenario; 0: 10 for starts, 500 for env, 100 for env --hands, 10 with
+            --objects, 300 for transfer.
+        steps: starts: steps of each roll-out, at 50 per second.
+        start: starts: your own starts to compare with the others, each NAME=module:rule, NAME=file.py:rule or NAME=path of a saved
+            model. A rule takes (grasp, wrench) and returns an (N, 3) force.
+        solver: starts: your own solvers, each NAME=module:Class or NAME=file.py:Class. solve(problem) returns the (N, 3) forces.
+        hands: env and transfer: names, or files (URDF, xacro, MJCF); none: the four-finger hand, for transfer also allegro and leap.
+        objects: env --hands: mesh files to hold instead of the built-in objects, each FILE or FILE=SCALE; 150 g, friction 0.7.
+        engines: env --hands: physics engines; none: the default one.
     """
 
     what: tyro.conf.Positional[Literal["starts", "env", "transfer"]] = "starts"
@@ -71,7 +71,7 @@ class Evaluate:
     engines: tuple[Annotated[str, one_of(ENGINES)], ...] = ()
 
     def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
+        """Run the command."""
         self._check()
         need("sim", "report")
         from grasp_env.sim.engine import class_of, engine_of
@@ -81,7 +81,7 @@ class Evaluate:
 
         if self.what == "transfer":
             for name in BOTH:
-                class_of(engine_of(name), "simulator")  # says what is not installed before there is a folder
+                class_of(engine_of(name), "simulator")  # a missing engine is reported before the folder is made
         kind = self.what
         if kind == "env" and self.hands:
             kind = "objects" if self.objects else "hands"
@@ -95,7 +95,7 @@ class Evaluate:
         sys.stdout.writelines(f"{line}\n" for line in lines(report.claims))
 
     def _check(self) -> None:
-        """Refuses options that belong to another comparison."""
+        """Refuse options that belong to another comparison."""
         unused = {name for names in OWN.values() for name in names} - {*OWN[self.what]}
         if self.what == "env" and not self.hands:
             unused |= {"engines", "objects"}
@@ -109,7 +109,7 @@ class Evaluate:
             )
 
     def _measure(self, kind: str, folder: Any) -> tuple[Any, dict[str, Any]]:
-        """The rows of the comparison and what run.json says of them."""
+        """Return the rows of the comparison and the settings for run.json."""
         shared = {"on": self.on, "workers": self.workers}
         if kind == "starts":
             from training.compare.comparison import StartsConfig, run

@@ -19,19 +19,19 @@ from training.results.interrupts import interruptible
 class Fit(FitConfig):
     """Train a network for one grasp: wrench and friction to the initial force.
 
-    Two files are saved, one of them with the model card.
+    It saves the weights, and a JSON file with the model card.
 
-    To learn your own contacts, write a file to start from:
+    To train for your own contacts, write a file to start from:
     `grasp solve --save-grasp mine.json`
 
     Change positions [m], normals (INTO the object) and friction in it. Then:
     `grasp fit --grasp mine.json --out runs/fit/mine`
 
     Attributes:
-        preset: the named grasp to learn.
-        grasp: a grasp's JSON file instead: three and more hard contacts, round or elliptic.
-        out: their common stem.
-        resume: go on with the interrupted training that lies beside it, same settings.
+        preset: name of the grasp.
+        grasp: JSON file of a grasp instead: at least three hard contacts, round or elliptic.
+        out: path of both files, without suffix.
+        resume: continue the interrupted training kept beside `out`, with the same settings.
     """
 
     preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
@@ -40,8 +40,8 @@ class Fit(FitConfig):
     resume: bool = False
 
     def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
-        with interruptible(orderly=False):  # until the training itself takes them
+        """Run the command."""
+        with interruptible(orderly=False):  # until the training handles interrupts itself
             from training.fit.one_grasp import fit
             from training.fit.state import StateFile
 
@@ -52,7 +52,7 @@ class Fit(FitConfig):
         ball, flow = (checkpoint.card["held_out_gap"][name] for name in ("ball", "ball, friction of the grasp"))
         most = 100 * sum(ball["newton steps"][steps] for steps in ("0", "1"))
         console = Console(highlight=False)
-        # one line, which a terminal shows in as many as it needs, broken between words
+        # one line; a terminal wraps it between words
         console.print(
             f"{path}{' (quick: a rough model)' if self.quick else ''}: on the standard ball a gap of {ball['gap']['median']:.1e} median, "
             f"{ball['gap']['p99']:.1e} p99, {most:.0f} % certified within one Newton step; alone {flow['flow iterations']['median']:g} "

@@ -1,4 +1,4 @@
-"""`grasp hand`: what a hand's file says, and what was repaired in it."""
+"""`grasp hand`: contents of a hand's file, and repairs to it."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Hand:
-    """Read a hand's file, and say what was repaired in it.
+    """Read a hand's file, and list what was repaired in it.
 
     Prints the joints, fingertips and links that `HandDescription.from_file` reads.
 
     Attributes:
         hand: a file (URDF, xacro, MJCF), or the name of a hand: allegro, leap, four_finger, ...
-        fingertips: links that the fingers touch with; none: every moving link that ends a branch.
-        torque_limit: of all joints [N m]; 0: what the file says.
-        palm: link of an arm or a robot that is the hand's palm.
-        draw: .png for a picture of its looks beside what of it touches, the fingertips red.
-        size: of the picture's height [pixels].
+        fingertips: links that touch the object; none: every moving link that ends a branch.
+        torque_limit: torque limit of all joints [N m]; 0: the file's own limits.
+        palm: palm link, if the file describes an arm or a whole robot.
+        draw: .png for a picture of the visual shapes beside the collision shapes, the fingertips red.
+        size: height of the picture [pixels].
     """
 
     hand: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")]
@@ -46,13 +46,13 @@ class Hand:
     size: int = 640
 
     def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
+        """Run the command."""
         need("sim")
         from grasp_env._check import choice, whole
         from grasp_env.sim.hand.description import HANDS, HandDescription
 
         whole(self.size, "size", 16, 4096)
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as repairs:
             warnings.simplefilter("always")
             if self.hand in HANDS:
                 if self.fingertips or self.torque_limit or self.palm:
@@ -70,7 +70,7 @@ class Hand:
         console = Console()
         for table in (_joints(hand), _fingers(hand), _links(hand)):
             console.print(table)
-        for warning in told:
+        for warning in repairs:
             console.print(f"repaired: {warning.message}", style="yellow", highlight=False, soft_wrap=True)
         if self.draw is not None:
             from PIL import Image

@@ -1,4 +1,4 @@
-"""`grasp live`: a grasp in the browser, to be pulled at."""
+"""`grasp live`: an interactive grasp in the browser."""
 
 from __future__ import annotations
 
@@ -24,24 +24,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Live:
-    """Show a grasp in the browser, to be pulled at.
+    """Show a grasp in the browser and pull at it.
 
     Drag the load and the contacts, or the object in a simulated hand.
 
     Only this machine can open the page.
 
     Attributes:
-        preset: bare contacts of a named grasp.
-        grasp: bare contacts of a grasp's JSON file instead.
-        wrench: the first load on bare contacts: fx fy fz [N] mx my mz [N m].
-        hand: a simulated hand instead: four_finger, three_finger, five_finger, four_finger_4dof, allegro, leap, or a file (URDF, xacro, MJCF).
-        fingertips: of a file, links that the fingers touch with; none: every moving link that ends a branch.
-        torque_limit: of a file, of all joints [N m]; 0: what the file says.
-        shape: of the object in the hand.
-        method: that solves.
-        port: of the page on 127.0.0.1, 1024 to 65000; if it is taken, the next free one, with a note; 0: any free one.
-        record: an .html file that records all that is seen, up to two minutes, and opens from disk.
-        seconds: after which the page closes; 0: at ctrl-C.
+        preset: show the bare contacts of a named grasp.
+        grasp: show the bare contacts of a grasp's JSON file instead.
+        wrench: initial load on bare contacts: fx fy fz [N] mx my mz [N m].
+        hand: show a simulated hand instead: four_finger, three_finger, five_finger, four_finger_4dof, allegro, leap, or a file (URDF, xacro,
+            MJCF).
+        fingertips: for a file: links that touch the object; none: every moving link that ends a branch.
+        torque_limit: for a file: torque limit of all joints [N m]; 0: the file's own limits.
+        shape: shape of the object in the hand.
+        method: optimisation method.
+        port: port of the page on 127.0.0.1, 1024 to 65000; if it is taken, the next free one is used and printed; 0: any free port.
+        record: .html file to record into, at most two minutes; it opens from disk.
+        seconds: time after which the page closes; 0: at ctrl-C.
     """
 
     preset: Annotated[str, one_of(presets.PRESETS)] = "paper_cuboid"
@@ -57,7 +58,7 @@ class Live:
     seconds: float = 0.0
 
     def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
+        """Run the command."""
         need(*("live",) if self.hand is None else ("live", "sim"))
         if not 0.0 <= self.seconds < 1e9:
             raise InvalidInputError(f"seconds must be 0 (until ctrl-C) or up to 1e9, got {self.seconds}")
@@ -83,10 +84,10 @@ class Live:
         from grasp_env.sim.hand.description import HANDS, HandDescription
         from training.live.hand import SimulatedHand
 
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as repairs:
             warnings.simplefilter("always")
             tips, limit = self.fingertips or None, self.torque_limit or None
             hand = HANDS[name]() if name in HANDS else HandDescription.from_file(name, tips, torque_limit=limit)
-        sys.stderr.writelines(f"grasp: repaired: {warning.message}\n" for warning in told)
+        sys.stderr.writelines(f"grasp: repaired: {warning.message}\n" for warning in repairs)
         config = EnvConfig().override(hand=hand, shape=self.shape, method=self.method)
         return SimulatedHand(self.port, config, rule)

@@ -1,4 +1,4 @@
-"""A closed mesh of a torn one, by MeshFix (Attene 2010), for `grasp object mend`."""
+"""Closing of torn meshes by MeshFix (Attene 2010), for `grasp object mend`."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
 
 LONGEST = 180.0
-"""[s] that MeshFix may take: 80,000 faces with a twentieth of them missing take 8, and some heaps of faces for ever."""
-_GRAIN = 1e-5  # of the extent: corners this near are one
-_FEWEST = 3  # faces, of a part that may have been a solid
-_LEFT = 0.5  # of the volume with its holes filled, that must be left where MeshFix has taken away faces that cross
+"""Longest run of MeshFix [s]. 80,000 faces with a twentieth of them missing take 8; on some inputs it never ends."""
+_GRAIN = 1e-5  # share of the extent within which corners are welded
+_FEWEST = 3  # faces that a solid exceeds
+_LEFT = 0.5  # least share of the volume that must remain after MeshFix has removed crossing faces
 _REMESH = (
     "remesh it in Blender (modifier Remesh, mode Voxel) or in MeshLab (filter Surface Reconstruction: Screened Poisson), and export it "
     "as .obj"
@@ -26,10 +26,10 @@ class Mended(NamedTuple):
 
     Attributes:
         corners: (V, 3).
-        faces: Numbers of their corners, counterclockwise from outside, (F, 3) int64.
-        parts: How many it has.
-        left_out: How many parts of the file are not in it, as they enclose nothing.
-        changes: What else had to be changed to make one solid of it, in words.
+        faces: (F, 3) int64 indices of corners, counterclockwise from outside.
+        parts: number of parts.
+        left_out: number of parts of the file that enclose no volume and are left out.
+        changes: further changes needed to make it one solid, in words.
     """
 
     corners: Array
@@ -40,17 +40,17 @@ class Mended(NamedTuple):
 
 
 def mended(corners: Array, faces: Any, name: str) -> Mended:
-    """All parts of a mesh, each closed, as one solid that an object can be.
+    """Close every part of a mesh and return them as one solid that an object can have.
 
-    MeshFix runs in a process of its own: it can run for ever, and nothing else runs beside it in its process.
+    MeshFix runs in a process of its own, since it may never end.
 
     Args:
         corners: (V, 3).
         faces: (F, 3).
-        name: Of the mesh, for messages.
+        name: name of the mesh, for messages.
 
     Raises:
-        InvalidInputError: Nothing closed comes of it; the message says what to do.
+        InvalidInputError: the mesh cannot be closed; the message says what to do.
     """
     need("mend")
     from grasp_env.sim.objects.apart import apart
@@ -75,10 +75,10 @@ def mended(corners: Array, faces: Any, name: str) -> Mended:
 
 
 def as_obj(mesh: Mended, name: str) -> bytes:
-    """The text of an .obj with all digits, which has been read again.
+    """Return the text of an .obj file with all digits, after checking that it reads back as a solid.
 
     Raises:
-        InvalidInputError: It is too large to be read, or is no solid once it is read.
+        InvalidInputError: the text is too large to be read, or is not a solid when read back.
     """
     from grasp_env.sim.mesh_files import obj_text, read_mesh_bytes
     from grasp_env.sim.objects.closing import closed
@@ -90,14 +90,14 @@ def as_obj(mesh: Mended, name: str) -> bytes:
 
 
 def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
-    """Corners and faces of all parts, closed, their number, and the number of those that enclose nothing and are left out.
+    """Close all parts; return corners, faces, the number of parts, and the number left out because they enclose no volume.
 
-    Closed parts stay as they are, unless all are closed: then MeshFix looks at each for faces that cross.
+    Parts that are closed already stay as they are. If all are, MeshFix checks each for faces that cross.
     """
     from grasp_env.sim.mesh_shape import connected, extent_of, open_edges, welded
 
     corners, faces = welded(corners, faces, _GRAIN * extent_of(corners))
-    faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]  # double ones once
+    faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]  # no duplicates
     parts = [_own_corners(corners, part) for part in connected(faces)]
     whole = [not open_edges(numbers) for _, numbers in parts]
     points, made, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
@@ -116,15 +116,15 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
 
 
 def _own_corners(corners: Array, faces: Any) -> tuple[Array, Any]:
-    """Corners and faces of a part without the corners of others."""
+    """Return a part's faces, and only the corners that they use."""
     used, numbers = np.unique(faces, return_inverse=True)
     return corners[used], numbers.reshape(-1, 3)
 
 
 def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
-    """A part whose holes are filled and whose faces do not cross, as far as MeshFix can; its faces look in or out as they did.
+    """Fill the holes of a part and remove crossing faces, as far as MeshFix can. The faces keep their orientation.
 
-    MeshFix cuts a part where holes meet in a corner; what it has cut is joined again.
+    MeshFix cuts a part where holes meet in a corner; the pieces are joined again.
     """
     from pymeshfix import PyTMesh
 
@@ -140,7 +140,7 @@ def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
     filled = _arrays(fix)
     fix.clean(10, 3)
     cleaned = _arrays(fix)
-    if open_edges(cleaned[1]) or _size(cleaned) < _LEFT * _size(filled):  # of rough ones it may leave a crumb
+    if open_edges(cleaned[1]) or _size(cleaned) < _LEFT * _size(filled):  # it may leave only a fragment
         cleaned = filled
     if len(cleaned[1]) and volume(corners, faces) * volume(*cleaned) < 0.0:
         return cleaned[0], cleaned[1][:, ::-1]

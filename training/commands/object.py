@@ -1,4 +1,4 @@
-"""`grasp object`: what becomes of a mesh file, a closed mesh of a torn one, and what is kept of meshes."""
+"""`grasp object`: show what a mesh file becomes, close a torn mesh, list and clear the cache of meshes."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from grasp_env.sim.objects.mesh import Mesh
 
 OWN = {"show": ("file", "scale", "draw", "size"), "mend": ("file", "out"), "list": (), "clear": ()}
-"""What belongs to some of the actions only."""
-_NEAR = 1e-5  # of the extent: triangles whose centres are this near are the same
+"""Options that apply to some actions only."""
+_NEAR = 1e-5  # share of the extent within which the centres of equal triangles lie
 
 
 @dataclass(frozen=True)
 class Object:
-    """Show what an object's mesh becomes, mend it, list what is kept.
+    """Show what an object's mesh becomes, mend it, or list the cache.
 
     `grasp object show mug.obj --draw mug.png`
     `grasp object mend torn.obj`
@@ -39,13 +39,13 @@ class Object:
     `grasp object clear`
 
     Attributes:
-        what: show (what a mesh file becomes), mend (write a closed mesh made of a torn one by MeshFix), list (what is kept of the
-            meshes of objects and hands) or clear (remove that).
-        file: of show and mend: a mesh, .obj, .stl, .ply, .off, .glb or .dae.
-        scale: of show: what its coordinates are multiplied by to give metres, 0.001 for a file in millimetres.
-        draw: of show: .png for a picture of the mesh beside its convex pieces, each in a colour.
-        size: of show: of the picture's height [pixels].
-        out: of mend: an .obj; it may exist and is then overwritten, as no other file is.
+        what: show (what a mesh file becomes), mend (close a torn mesh by MeshFix and write it), list (the cached meshes of objects and
+            hands) or clear (that cache).
+        file: show and mend: a mesh, .obj, .stl, .ply, .off, .glb or .dae.
+        scale: show: factor from the file's unit to metres, 0.001 for millimetres.
+        draw: show: .png for a picture of the mesh beside its convex pieces, each in its own colour.
+        size: show: height of the picture [pixels].
+        out: mend: .obj file to write. It is overwritten if it exists.
         json: print one JSON object, errors too.
     """
 
@@ -58,13 +58,13 @@ class Object:
     json: bool = False
 
     def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
+        """Run the command."""
         self._check()
         need("sim")
         action = {"show": self._show, "mend": self._mend, "list": _list, "clear": _clear}[self.what]
-        told, page = action()
+        facts, page = action()
         if self.json:
-            write_json(told)
+            write_json(facts)
             return
         console = Console()
         for part in page:
@@ -72,7 +72,7 @@ class Object:
             console.print(part, style=style, highlight=False, soft_wrap=isinstance(part, str))
 
     def _check(self) -> None:
-        """Refuses a missing file, and options of another action."""
+        """Refuse a missing file, and options of another action."""
         if self.file is None and "file" in OWN[self.what]:
             raise InvalidInputError(f"`grasp object {self.what}` needs a FILE: `grasp object {self.what} mug.obj`")
         others = {name for names in OWN.values() for name in names} - {*OWN[self.what]}
@@ -97,12 +97,12 @@ class Object:
         check_extent(mesh.extent, "mesh", "give --scale 0.001 if the file is in millimetres", "give another --scale")
         if self.draw is not None:
             _save_picture(mesh, self.size, self.draw)
-        told = {
+        facts = {
             "file": self.file, "faces": len(mesh.faces), "extent": mesh.extent, "volume": mesh.volume,
             "center": mesh.center, "pieces": len(mesh.pieces), "repaired": [str(warning.message) for warning in warned],
             "kept_in": folder() if os.access(folder(), os.W_OK) else None, "picture": self.draw,
         }  # fmt: skip
-        return told, _shown(told)
+        return facts, _shown_page(facts)
 
     def _mend(self) -> tuple[dict[str, Any], list[Any]]:
         from grasp_env.sim.mesh_files import read_mesh
@@ -115,21 +115,19 @@ class Object:
         made = mended(*before, name)
         with replacing(out) as path:
             path.write_bytes(as_obj(made, name))
-        told = {
+        facts = {
             "file": self.file, "out": out, "faces_before": len(before[1]), "faces_after": len(made.faces),
-            "faces_kept": _common(before[0][before[1]], made.corners[made.faces]), "parts": made.parts,
+            "faces_kept": _count_common(before[0][before[1]], made.corners[made.faces]), "parts": made.parts,
             "parts_left_out": made.left_out, "volume": volume(made.corners, made.faces), "changes": made.changes,
         }  # fmt: skip
-        return told, _mended_page(told)
+        return facts, _mended_page(facts)
 
     def _out(self, file: Path) -> Path:
-        """The file that the mended mesh is written to."""
+        """Return the path of the mended mesh."""
         _check_suffix(self.out, "--out", ".obj")
         out = file.with_name(f"{file.stem}_mended.obj") if self.out is None else self.out
         if self.out is None and os.path.lexists(out):
-            raise InvalidInputError(
-                f"{out} exists and is not overwritten unasked: name it by --out {out}, or name another file"
-            )
+            raise InvalidInputError(f"{out} exists: to overwrite it give --out {out}, or name another file")
         return out
 
 
@@ -155,30 +153,30 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _shown(told: dict[str, Any]) -> list[Any]:
-    table = _table(told["file"].name)
-    table.add_row("faces", str(told["faces"]))
-    table.add_row("size, mm", " x ".join(f"{1e3 * side:.1f}" for side in told["extent"]))
-    table.add_row("volume, cm^3", f"{1e6 * told['volume']:.4g}")
+def _shown_page(facts: dict[str, Any]) -> list[Any]:
+    table = _table(facts["file"].name)
+    table.add_row("faces", str(facts["faces"]))
+    table.add_row("size, mm", " x ".join(f"{1e3 * side:.1f}" for side in facts["extent"]))
+    table.add_row("volume, cm^3", f"{1e6 * facts['volume']:.4g}")
     table.add_row(
-        "centre of mass in the file, mm", " ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in told["center"])
+        "centre of mass in the file, mm", " ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in facts["center"])
     )
-    table.add_row("convex pieces", str(told["pieces"]))
-    repaired = [f"repaired: {text}" for text in told["repaired"]]
-    kept = f"kept in {told['kept_in']}" if told["kept_in"] else "not kept: the cache folder cannot be written"
-    return [table, *repaired, kept, *([] if told["picture"] is None else [str(told["picture"])])]
+    table.add_row("convex pieces", str(facts["pieces"]))
+    repaired = [f"repaired: {text}" for text in facts["repaired"]]
+    kept = f"kept in {facts['kept_in']}" if facts["kept_in"] else "not kept: the cache folder cannot be written"
+    return [table, *repaired, kept, *([] if facts["picture"] is None else [str(facts["picture"])])]
 
 
-def _mended_page(told: dict[str, Any]) -> list[Any]:
-    table = _table(told["out"].name)
-    table.add_row("faces in the file", str(told["faces_before"]))
-    table.add_row("faces now", f"{told['faces_after']}, {told['faces_kept']} of them as in the file")
-    table.add_row("parts", str(told["parts"]))
-    if told["parts_left_out"]:
-        table.add_row("parts left out, as they enclose nothing", str(told["parts_left_out"]))
-    table.add_row("volume, in the file's unit", f"{told['volume']:.6g}")
-    changes = [f"repaired: {text}" for text in told["changes"]]
-    out = told["out"]
+def _mended_page(facts: dict[str, Any]) -> list[Any]:
+    table = _table(facts["out"].name)
+    table.add_row("faces in the file", str(facts["faces_before"]))
+    table.add_row("faces now", f"{facts['faces_after']}, {facts['faces_kept']} of them as in the file")
+    table.add_row("parts", str(facts["parts"]))
+    if facts["parts_left_out"]:
+        table.add_row("parts left out, as they enclose nothing", str(facts["parts_left_out"]))
+    table.add_row("volume, in the file's unit", f"{facts['volume']:.6g}")
+    changes = [f"repaired: {text}" for text in facts["changes"]]
+    out = facts["out"]
     return [table, *changes, str(out), f"look at it: grasp object show {out} --draw {out.with_suffix('.png')}"]
 
 
@@ -197,11 +195,11 @@ def _list() -> tuple[dict[str, Any], list[Any]]:
 
 
 def _pieces(path: Path) -> int | None:
-    """How many convex pieces an entry has; only that array of it is read."""
+    """Return the number of convex pieces of a cache entry, reading only that array; None if it cannot be read."""
     try:
         with np.load(path, allow_pickle=False) as arrays:
             return len(arrays["counts"])
-    except Exception:  # cut short, or somebody else's
+    except Exception:  # truncated, or not a cache entry
         return None
 
 
@@ -212,8 +210,8 @@ def _clear() -> tuple[dict[str, Any], list[Any]]:
     return {"folder": folder(), "removed": count}, [f"removed {count} {'mesh' if count == 1 else 'meshes'} from {folder()}"]  # fmt: skip
 
 
-def _common(before: Array, after: Array) -> int:
-    """How many of the triangles (F, 3, 3) `after` are among those `before`, by their centres."""
+def _count_common(before: Array, after: Array) -> int:
+    """Return the number of triangles (F, 3, 3) `after` that are among those `before`, compared by their centres."""
     grain = _NEAR * float(np.ptp(before.reshape(-1, 3), axis=0).max())
     cells = (np.round(each.mean(axis=1) / grain).astype(np.int64).tolist() for each in (before, after))
     known, found = ([tuple(cell) for cell in rows] for rows in cells)

@@ -1,4 +1,4 @@
-"""Types of options: closed lists, which help and a shell's completion show, and options that may be left out."""
+"""Types of options: closed lists, which help and completions show, and options that may be left out."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from grasp_env.errors import InvalidInputError, MissingExtraError
 
 
 def one_of(names: Iterable[str]) -> tyro.constructors.PrimitiveConstructorSpec[str]:
-    """Makes an `Annotated[str, ...]` one of these names, as `Literal` does of names that are written out."""
+    """Restrict an `Annotated[str, ...]` to these names, as `Literal` does for names written out."""
     allowed = tuple(names)
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
@@ -26,12 +26,12 @@ def one_of(names: Iterable[str]) -> tyro.constructors.PrimitiveConstructorSpec[s
 
 
 def left_out(otherwise: str, what: str | None = None) -> Any:
-    """Shows `otherwise` as the default of an option whose default is no value of its own, and `what` as what it takes."""
+    """Show `otherwise` in the help as the default of an option, and `what` as its metavar."""
     return tyro.conf.arg(metavar=what, help_behavior_hint=f"(default: {otherwise})")
 
 
-def told(path: str, otherwise: str | None = None) -> Any:
-    """Takes an option's help from the environment's setting at this path; `otherwise` as of `left_out`."""
+def setting_help(path: str, otherwise: str | None = None) -> Any:
+    """Take an option's help from the environment's setting at this path; `otherwise` as in `left_out`."""
     try:
         sentence = import_module("grasp_env.config").all_settings()[path].doc
     except MissingExtraError:  # the command names the extra
@@ -40,7 +40,7 @@ def told(path: str, otherwise: str | None = None) -> Any:
 
 
 def settings_of(words: Iterable[str]) -> dict[str, Any]:
-    """Settings of the environment from words PATH=VALUE; values are JSON, or else text.
+    """Parse words PATH=VALUE into settings of the environment. A value that is not JSON is text.
 
     Raises:
         InvalidInputError: a word without "=".
@@ -66,7 +66,7 @@ Wrench = Annotated[tuple[float, float, float, float, float, float], tyro.conf.ar
 
 
 def listed(module: str, table: str) -> Any:
-    """`one_of` the names in a module's table. Without the extra that the module needs any text, as the command then names the extra."""
+    """Restrict an option to the names in a module's table. If the module's extra is missing, any text passes: the command names the extra."""
     try:
         return one_of(getattr(import_module(module), table))
     except MissingExtraError:

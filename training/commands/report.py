@@ -15,20 +15,20 @@ from grasp_env.errors import InvalidInputError
 
 @dataclass(frozen=True)
 class Report:
-    """Make a run's page again from its table, or set two runs side by side.
+    """Make a run's page again from its table, or compare two runs.
 
     Nothing is solved.
 
     Attributes:
-        run: the run's folder.
-        compare: two run folders A B: what differs, with 95 % intervals, goes to compare.html in B and to the terminal.
+        run: folder of the run.
+        compare: two run folders A B. The differences, with 95 % intervals, go to compare.html in B and to the terminal.
     """
 
     run: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = None
     compare: Annotated[tuple[Path, Path] | None, tyro.conf.arg(metavar="A B")] = None
 
     def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
+        """Run the command."""
         if (self.run is None) == (self.compare is None):
             raise InvalidInputError(
                 "name one run's folder, `grasp report runs/NAME`, or two to compare, `grasp report --compare runs/A runs/B`"

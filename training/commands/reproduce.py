@@ -1,4 +1,4 @@
-"""`grasp reproduce`: what the paper leaves open."""
+"""`grasp reproduce`: study of what the paper leaves open."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Reproduce:
     Weights, step rules, rates and costs: a table of rows and a page.
 
     Attributes:
-        out: the folder that gets a run.
+        out: folder of runs.
         quick: few wrenches, for a first look.
     """
 
@@ -23,7 +23,7 @@ class Reproduce:
     quick: bool = False
 
     def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
+        """Run the command."""
         need("report")
         from training.report.page import write
         from training.reproduce import run

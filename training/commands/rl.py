@@ -13,13 +13,13 @@ from training.rl.settings import RLConfig
 class RL(RLConfig):
     """Train PPO or SAC on FourFingerGrasp-v0.
 
-    The agent is scored beside the paper's start, and a report is written.
+    The agent is compared with the paper's start, and a report is written.
 
     Attributes:
         out: folder of the run: seed-<seed>/ with checkpoints and TensorBoard events, rows.parquet, rows.csv, run.json, report.html.
-        resume: go on from the last whole checkpoint of each seed; the other options as before, but for --steps: more go on from a finished run.
-        compare: folders of finished runs: nothing is trained, one report of them all goes to `out`.
-        on: where seeds run: inline, processes, ray or ray://HOST:PORT; empty: inline for one seed, else a process for each. Ray needs
+        resume: continue from the last complete checkpoint of each seed, with the same options. A larger --steps continues a finished run.
+        compare: folders of finished runs. Nothing is trained; one report of all of them goes to `out`.
+        on: where seeds run: inline, processes, ray or ray://HOST:PORT; empty: inline for one seed, else one process each. Ray needs
             an --out that all its machines share.
     """
 
@@ -29,7 +29,7 @@ class RL(RLConfig):
     on: str = ""
 
     def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
+        """Run the command."""
         config = RLConfig(**{name: getattr(self, name) for name in RLConfig.__dataclass_fields__})
         need("sim", "train", "report")
         from training.report.page import write

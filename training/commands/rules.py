@@ -1,4 +1,4 @@
-"""Start rules as the command line names them."""
+"""Start rules by their names on the command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from grasp_env.force.initial import NAMES
 
 
 def rule(name: str) -> str | InitialForceRule:
-    """A rule's name, "learned" for the shipped model, or the path of a saved one."""
+    """Return the rule of a name: a rule of the package, "learned" for the shipped model, or the path of a saved one."""
     if name in NAMES:
         return name
     from policies import LearnedInitialForce

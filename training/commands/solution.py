@@ -1,4 +1,4 @@
-"""One solution printed: a table for people, numbers for machines."""
+"""Output of one solution: a table for the terminal, numbers for JSON."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ ALWAYS = (
     "wrench", "method", "initial", "iterations", "trials", "objective", "lower_bound", "equilibrium_residual", "limit_excess",
 )  # fmt: skip
 WITH_A_FORCE = ("force", "torsion", "optimality_gap", "cone_margin", "multipliers", "total_normal_force")
-"""Numbers that are null where no force balances the wrench."""
+"""Numbers that are null if no force balances the wrench."""
 
 
 def numbers(solution: ForceSolution, grasp: Grasp, advice: list[str]) -> dict[str, Any]:
-    """The numbers of a solution and those that certify it, for `write_json`."""
+    """Return the numbers of a solution and those that certify it, for `write_json`."""
     none = solution.status is Status.INFEASIBLE
-    told: dict[str, Any] = {"status": solution.status.value, "advice": advice}
-    told |= {name: getattr(solution, name) for name in ALWAYS}
-    told |= {name: None if none else getattr(solution, name) for name in WITH_A_FORCE}
-    told["force_in_object_frame"] = None if none else grasp.to_object_frame(solution.force)
+    values: dict[str, Any] = {"status": solution.status.value, "advice": advice}
+    values |= {name: getattr(solution, name) for name in ALWAYS}
+    values |= {name: None if none else getattr(solution, name) for name in WITH_A_FORCE}
+    values["force_in_object_frame"] = None if none else grasp.to_object_frame(solution.force)
     if solution.certificate is not None:
-        told["separating_twist"] = solution.certificate
-    return told
+        values["separating_twist"] = solution.certificate
+    return values
 
 
 def print_solution(solution: ForceSolution, grasp: Grasp, title: str) -> None:
-    """Prints forces, status and certificates of a solution to stdout."""
+    """Print forces, status and certificates of a solution."""
     from rich.console import Console
     from rich.table import Table
 

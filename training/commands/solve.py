@@ -22,8 +22,8 @@ from training.commands.options import Wrench, left_out, one_of
 from training.commands.rules import rule
 from training.commands.solution import numbers, print_solution
 
-_UNSAID = (math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
-"""No wrench was given."""
+_NOT_GIVEN = (math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
+"""Value of --wrench if none is given."""
 
 
 @dataclass(frozen=True)
@@ -39,23 +39,23 @@ class Solve:
     Advice about contacts that look wrong goes to stderr.
 
     Attributes:
-        wrench: what acts on the object besides the fingers: force fx fy fz [N], moment mx my mz [N m] about the object frame's origin.
+        wrench: external wrench on the object: force fx fy fz [N], moment mx my mz [N m] about the object frame's origin.
         preset: a named grasp.
-        grasp: a grasp's JSON file instead of a preset.
+        grasp: JSON file of a grasp instead of a preset.
         save_grasp: also write the grasp as such a file.
-        friction: replaces the preset's or the file's coefficient.
+        friction: replaces the friction coefficient of the preset or the file.
         initial: start of the methods on Phi: internal_force, linear_combination (the paper's), single_value, lagrange, phase_one,
             "learned" for the shipped network, or the path of a fitted one.
-        method: newton, reduced_flow and full_flow (the paper's) make Phi least, conic the normal forces.
-        criterion: what conic makes least: sum or maximum of the normal forces.
-        barrier_weight: lambda of Phi [N^2]: more of it holds further from slipping, and squeezes more.
+        method: newton, reduced_flow and full_flow (the paper's) minimise Phi, conic the normal forces.
+        criterion: objective of conic: the sum or the maximum of the normal forces.
+        barrier_weight: lambda of Phi [N^2]: a larger one keeps further from slipping, and squeezes more.
         tolerance: relative gap to the certified bound.
         min_normal: least normal force of every contact [N].
         max_normal: largest normal force of every contact [N].
         json: print one JSON object, errors too.
     """
 
-    wrench: Annotated[Wrench, left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}")] = _UNSAID
+    wrench: Annotated[Wrench, left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}")] = _NOT_GIVEN
     preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
     grasp: Annotated[Path | None, left_out("the preset", "FILE")] = None
     save_grasp: Annotated[Path | None, left_out("nothing is written", "FILE")] = None
@@ -70,7 +70,7 @@ class Solve:
     json: bool = False
 
     def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
+        """Run the command."""
         grasp, title = self._grasp()
         wrench = self._wrench()
         title = f"{title}, wrench {' '.join(f'{part:g}' for part in wrench)}"
@@ -96,26 +96,26 @@ class Solve:
             write_json(numbers(solution, grasp, advice))
 
     def _grasp(self) -> tuple[Grasp, str]:
-        """The contacts, and what they are called."""
+        """Return the contacts and their name."""
         if self.grasp is None:
             return preset(self.preset, self.friction), self.preset
         grasp = load_grasp(self.grasp)
         return grasp if self.friction is None else grasp.with_friction(self.friction), self.grasp.name
 
     def _wrench(self) -> tuple[float, ...]:
-        """What acts on the object; the paper's belongs to the presets only."""
-        unsaid = all(map(math.isnan, self.wrench))
-        if unsaid and self.grasp is not None:
+        """Return the external wrench; only presets have the paper's as default."""
+        missing = all(map(math.isnan, self.wrench))
+        if missing and self.grasp is not None:
             raise InvalidInputError(
-                "--grasp needs --wrench FX FY FZ MX MY MZ, what acts on the object besides the fingers [N, N m]: its weight in the "
-                "object's own frame, for example --wrench 0 0 -5 0 0 0"
+                "--grasp needs --wrench FX FY FZ MX MY MZ, the external wrench on the object [N, N m]: for example its weight in the "
+                "object frame, --wrench 0 0 -5 0 0 0"
             )
-        return PAPER_CONSTANT if unsaid else self.wrench
+        return PAPER_CONSTANT if missing else self.wrench
 
     def _solution(self, grasp: Grasp, wrench: tuple[float, ...]) -> ForceSolution:
         limited = (self.min_normal, self.max_normal) != (0.0, math.inf)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", GraspWarning)  # all advice is told
+            warnings.simplefilter("ignore", GraspWarning)  # `advise` has printed it
             return optimize_force(
                 grasp,
                 np.array(wrench),

@@ -1,1 +1,1 @@
-"""Comparisons of starts, controllers, hands and engines: each is a function that takes settings and returns rows."""
+"""Comparisons of starts, controllers, hands and engines: each is a function of settings that returns rows."""

@@ -1,4 +1,4 @@
-"""A case of the comparison of starts."""
+"""Cases of the comparison of starts."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Problem = tuple[Grasp, Wrench]
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One optimisation.
+    """One optimisation problem.
 
     Attributes:
         grasp: the contacts.
         wrench: (6,) [N, N m].
-        before: the problem that was solved before it; None: a cold start.
-        group: the path, episode or grasp that it belongs to.
-        event: what happened since `before`, or which variant it is.
+        before: the problem solved before it; None: a cold start.
+        group: number of the path, episode or grasp it belongs to.
+        event: event since `before`, or name of the variant.
     """
 
     grasp: Grasp

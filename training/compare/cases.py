@@ -1,6 +1,6 @@
-"""The sets of cases of the comparison of starts: one entry of `SETS` each, with all that makes it.
+"""Sets of cases of the comparison of starts, one entry of `SETS` each.
 
-No training set uses these generators or their seeds.
+Training uses neither these generators nor their seeds.
 """
 
 from __future__ import annotations
@@ -15,44 +15,44 @@ from grasp_env._check import Array
 from grasp_env.grasp import Grasp, presets, wrench
 from grasp_env.grasp.wrench import FORCE_RADIUS, MAGNITUDE_LENGTH, MOMENT_RADIUS
 from training.compare.case import Case
-from training.data.grasps import EVALUATION, slid
+from training.data.grasps import EVALUATION, slide_contacts
 
 HELD_OUT = 0x5EED
-"""First word of the generators' seeds, with which no training set draws."""
+"""First word of the generators' seeds; training does not use it."""
 MAGNITUDES = (1e-3, 1e3)
-"""[N] least and largest |(force, moment / 0.05 m)| of the set "six_decades", log-uniform."""
+"""Range of |(force, moment / 0.05 m)| of the set "six_decades" [N], log-uniform."""
 DIRECTION_SIZES = (0.5, 1.0, 2.0)
 TRAINED, _LEVELS = (0.25, 0.6), 20
-"""Range of friction on which the model of the fixed grasp is trained, and how many frictions of it are compared."""
+"""Range of friction on which the model of the fixed grasp is trained, and number of frictions compared in it."""
 FRICTIONS = (0.2, 0.7, 0.8)
-"""Outside that range."""
+"""Frictions outside that range."""
 DISPLACEMENT = 0.010
-"""[m] by which contacts are moved on their faces, at most."""
+"""Largest displacement of a contact on its face [m]."""
 _PER_GRASP = 4
 _LINE = 401
-"""Points of a straight path."""
+"""Number of points of a straight path."""
 _AXES = ("x", "y", "z", "mx", "my", "mz")
 _PAIRS = ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3))
 _RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
 
 
 Maker = Callable[[np.random.Generator, int], list[Case]]
-"""(generator, about how many cases) -> cases."""
+"""Function (generator, approximate number of cases) -> cases."""
 
 
 @dataclass(frozen=True)
 class CaseSet:
-    """A set of cases.
+    """Set of cases.
 
     Attributes:
-        label: for tables.
-        note: what its "previous solution" is.
-        make: makes its cases; sets with a share of 0 have a number of their own.
-        share: of the number of cases asked for.
-        fixed: whether its contacts are those of `presets.paper_cuboid()`, or near them.
-        solved: whether the methods run; otherwise only the starts are looked at.
-        starts: the only starts that it looks at, besides those of a user; empty: all.
-        cost: how long a case takes beside one of "ball", for the order of the work.
+        label: name in tables.
+        note: meaning of "previous solution" in this set.
+        make: function that makes the cases; sets with a share of 0 have a fixed number of cases.
+        share: share of the requested number of cases.
+        fixed: True if the contacts are those of `presets.paper_cuboid()`, or near them.
+        solved: True if the methods run; otherwise only the starts are evaluated.
+        starts: the only starts evaluated, besides those of a user; empty: all.
+        cost: time of a case relative to one of "ball", for the order of the work.
     """
 
     label: str
@@ -66,18 +66,18 @@ class CaseSet:
 
 
 def make_cases(name: str, count: int, seed: int) -> list[Case]:
-    """The cases of a set of `SETS`, about `count` times its share."""
+    """Make the cases of a set of `SETS`, about `count` times its share."""
     rng = np.random.default_rng([HELD_OUT, seed, list(SETS).index(name)])
     return SETS[name].make(rng, max(2, round(count * SETS[name].share)))
 
 
-def along(grasp: Grasp, path: Array, group: int = 0, event: str = "") -> list[Case]:
-    """Cases of wrenches (n, 6) on one grasp, each with the one before it; the first is cold."""
+def path_cases(grasp: Grasp, path: Array, group: int = 0, event: str = "") -> list[Case]:
+    """Return the cases of a path of wrenches (n, 6) on one grasp, each with its predecessor; the first is cold."""
     return [Case(grasp, load, (grasp, path[k - 1]) if k else None, group, event) for k, load in enumerate(path)]
 
 
 def directions() -> list[tuple[str, Array]]:
-    """18 named wrenches (6,) of 1 N or 0.05 N m: every axis both ways, and six pairs of axes.
+    """Return 18 named wrenches (6,) of 1 N or 0.05 N m: both directions of every axis, and six pairs of axes.
 
     Example:
         >>> [name for name, _ in directions()][::5]
@@ -89,12 +89,12 @@ def directions() -> list[tuple[str, Array]]:
 
 
 def trajectory(rng: np.random.Generator, samples: int, rate: float = 100.0) -> Array:
-    """(samples, 6) wrenches: per component two sines of 0.2 to 2 Hz, inside the standard ball.
+    """Return wrenches (samples, 6) inside the standard ball; each component is the sum of two sines of 0.2 to 2 Hz.
 
     Args:
         rng: draws frequencies, phases and amplitudes.
-        samples: how many.
-        rate: [Hz].
+        samples: number of samples.
+        rate: sampling rate [Hz].
     """
     time = np.arange(samples)[:, None, None] / rate
     frequency, phase = rng.uniform(0.2, 2.0, (2, 6)), rng.uniform(0.0, 2.0 * np.pi, (2, 6))
@@ -104,16 +104,16 @@ def trajectory(rng: np.random.Generator, samples: int, rate: float = 100.0) -> A
 
 
 def scaled(loads: Array) -> Array:
-    """Wrenches (..., 6) with moments divided by 0.05 m [N]."""
+    """Return wrenches (..., 6) with moments divided by 0.05 m [N]."""
     return loads / np.repeat([1.0, MAGNITUDE_LENGTH], 3)
 
 
 def _paths(paths: Callable[[np.random.Generator, int], Iterable[Array]]) -> Maker:
-    """Paths of wrenches on the fixed grasp, a group each."""
+    """Return a maker of cases along paths of wrenches on the fixed grasp; each path is a group."""
 
     def make(rng: np.random.Generator, count: int) -> list[Case]:
         grasp = presets.paper_cuboid()
-        return [case for group, path in enumerate(paths(rng, count)) for case in along(grasp, path, group)]
+        return [case for group, path in enumerate(paths(rng, count)) for case in path_cases(grasp, path, group)]
 
     return make
 
@@ -137,7 +137,7 @@ def _directions(rng: np.random.Generator, count: int) -> list[Case]:
 
 
 def _jumps(size: float, rng: np.random.Generator, count: int) -> list[Case]:
-    """Two wrenches of the ball, `size` of its radius apart, in force and in moment."""
+    """Make pairs of wrenches in the ball, `size` times its radius apart in force and in moment."""
     grasp, cases = presets.paper_cuboid(), list[Case]()
     while len(cases) < count:
         old = wrench.sample_ball(rng, 1)[0]
@@ -150,7 +150,7 @@ def _jumps(size: float, rng: np.random.Generator, count: int) -> list[Case]:
 
 
 def _lines(rng: np.random.Generator, count: int) -> list[Array]:
-    """Straight lines through the ball, along which every component changes its sign once."""
+    """Make straight lines through the ball along which every component changes its sign once."""
     number = max(1, count // _LINE)
     ends = wrench.sample_ball(rng, 2 * number).reshape(2, number, 6)
     ends[1] = -np.sign(ends[0]) * np.abs(ends[1])
@@ -162,12 +162,12 @@ def _frictions(rng: np.random.Generator, count: int) -> list[Case]:
     cases, fixed = list[Case](), presets.paper_cuboid()
     for group, mu in enumerate(FRICTIONS):
         path = wrench.sample_ball(rng, max(2, count // len(FRICTIONS)))
-        cases += along(fixed.with_friction(mu), path, group, f"{mu:g}")
+        cases += path_cases(fixed.with_friction(mu), path, group, f"{mu:g}")
     return cases
 
 
 def _ball_frictions(rng: np.random.Generator, count: int) -> list[Case]:
-    """Cold starts on the ball; the frictions, each of its own part of the trained range, take turns."""
+    """Make cold starts on the ball, cycling through frictions that are each drawn from one part of the trained range."""
     low, high = TRAINED
     drawn = low + (high - low) * (np.arange(_LEVELS) + rng.random(_LEVELS)) / _LEVELS
     grasps = [presets.paper_cuboid().with_friction(mu) for mu in drawn.tolist()]
@@ -180,7 +180,7 @@ def _ball_frictions(rng: np.random.Generator, count: int) -> list[Case]:
 def _positions(rng: np.random.Generator, count: int) -> list[Case]:
     cases, fixed = list[Case](), presets.paper_cuboid()
     for group in range(max(1, count // _PER_GRASP)):
-        cases += along(slid(rng, fixed, 0.0, DISPLACEMENT), wrench.sample_ball(rng, _PER_GRASP), group)
+        cases += path_cases(slide_contacts(rng, fixed, 0.0, DISPLACEMENT), wrench.sample_ball(rng, _PER_GRASP), group)
     return cases
 
 
@@ -193,7 +193,7 @@ def _random(contacts: int, rng: np.random.Generator, count: int) -> list[Case]:
 
 
 def _recorded(name: str, rng: np.random.Generator, count: int) -> list[Case]:
-    from training.compare import recorded  # the simulator is loaded where it is needed
+    from training.compare import recorded  # loads the simulator
 
     return recorded.CASES[name](rng, count)[:count]
 
@@ -258,8 +258,8 @@ SETS: dict[str, CaseSet] = {
     ),
     "lines": CaseSet("straight lines through the ball in 401 points, the starts alone", _STEP, _paths(_lines), 2.0, solved=False, cost=0.4),
     "ball_frictions": CaseSet(
-        "the ball, friction 0.25 to 0.6", _COLD, _ball_frictions, 4.0,  # what is claimed of its 99 % rests on 40 wrenches
+        "the ball, friction 0.25 to 0.6", _COLD, _ball_frictions, 4.0,  # so that 40 wrenches lie above its p99
         starts=("internal_force", "linear_combination", "network", "learned_fixed"),
     ),
 }  # fmt: skip
-"""All sets, in the order of the tables. A new set stands at the end: its place is a part of its seed."""
+"""All sets, in the order of the tables. Add a new set at the end, since the position is part of its seed."""

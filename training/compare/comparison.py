@@ -1,4 +1,4 @@
-"""`grasp evaluate`: every start on every set of cases by every method, roll-outs of the hand, and times, as rows."""
+"""Comparison of starts (`grasp evaluate`): rows of every start, set of cases and method, of roll-outs of the hand, and times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from training.compare.cases import SETS, make_cases
 from training.compare.given import Given
 from training.compare.holds import HOLDS_OF_STARTS, hold_of_start
 from training.compare.methods import FLOW, METHODS, optimizer
-from training.compare.starts import Made, Workshop
+from training.compare.starts import PreparedStart, StartFactory
 from training.compare.trial import TOLERANCE, problem_of, trials
 from training.results.bars import progress
 from training.results.run import Run, check_counts
@@ -29,12 +29,12 @@ from training.results.shards import map_shards
 from training.results.table import join, pd, table
 
 WARM_UP = 20
-"""Calls of every kind that are not counted."""
+"""Warm-up calls before each timing."""
 TIMED_SETS = ("ball", "ball_frictions")
 MODEL = "model"
 """Case of the row about the shipped model."""
 HELD_WITH = {"single_value": "single_value", "linear_combination": "linear_combination", "previous_tangent": "previous"}
-"""Starts of the roll-outs besides the shipped model and a user's, and what the environment calls them."""
+"""Starts of the roll-outs, besides the shipped model and a user's, and their names in the environment."""
 _QUICK = {"wrenches": 50, "timed": 50, "repeats": 3, "episodes": 1}
 
 
@@ -43,13 +43,13 @@ class StartsConfig:
     """Settings of the comparison of starts.
 
     Attributes:
-        wrenches: number of cases of a full set of wrenches; the other sets have their share of it.
+        wrenches: number of cases in a full set of wrenches; the other sets have a share of it.
         timed: number of wrenches whose calls are timed.
-        repeats: how often each of those calls is timed.
-        episodes: of each random scenario of the roll-outs, per start.
-        steps: of each roll-out, at 50 per second.
-        seed: of everything held out.
-        quick: a small version that ends within a minute and says that it is quick.
+        repeats: number of times each of those calls is timed.
+        episodes: episodes of each random scenario of the roll-outs, per start.
+        steps: steps of each roll-out, at 50 per second.
+        seed: seed of all held-out problems.
+        quick: a small version that ends within a minute; its report is marked as quick.
     """
 
     wrenches: int = 1000
@@ -65,14 +65,14 @@ class StartsConfig:
         check_counts(self, {**dict.fromkeys(counts, 1), "seed": 0})
 
     def resolved(self) -> StartsConfig:
-        """The settings in force: `quick` shrinks everything but the protocol."""
+        """Return the settings, with smaller counts if `quick`; the protocol is the same."""
         least = {name: min(getattr(self, name), value) for name, value in _QUICK.items()}
         return replace(self, **least) if self.quick else self
 
 
 @dataclass(frozen=True)
 class Shard:
-    """A part of the comparison, for a worker: a set of cases, or the roll-outs of a scenario from a start."""
+    """Part of the comparison for a worker: a set of cases, or the roll-outs of a scenario from one start."""
 
     name: str
     config: StartsConfig
@@ -89,10 +89,10 @@ def run(
     workers: int = 0,
     console: Console | None = None,
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """The rows of the comparison, and what the run folder should say of it.
+    """Run the comparison; return its rows, and the settings for run.json.
 
     Args:
-        config: what is compared.
+        config: the settings.
         given: starts and solvers of a user.
         folder: keeps finished shards; None: nothing is kept.
         on: where the shards run, see `map_shards`. Times are measured in this process alone.
@@ -118,21 +118,21 @@ def run(
 
 
 def _place(case: str) -> int:
-    """The place of a case in the table: the sets in their order, the roll-outs, the model."""
+    """Return the position of a case in the table: the sets in their order, the roll-outs, the model."""
     return [*SETS, *(f"hold_{name}" for name in HOLDS_OF_STARTS), MODEL].index(case)
 
 
 def _shipped() -> pd.DataFrame:
-    """The cost of the shipped model: processor time of its training, and the size of its files."""
+    """Return one row about the shipped model: processor time of its training, and size of its files."""
     stem = PRETRAINED / "four_finger"
-    card = Workshop(Objective()).model.checkpoint.card
+    card = StartFactory(Objective()).model.checkpoint.card
     size = sum(path.stat().st_size for path in stem.parent.glob(f"{stem.name}.*"))
     cpu = card.get("cpu_seconds", card.get("seconds"))
     return table([{"case": MODEL, "start": "learned_fixed", "cpu_seconds": cpu, "bytes": size}])
 
 
 def plan(given: Given) -> list[str]:
-    """The shards, longest first: "holds/<scenario>/<start>" and "<set>"."""
+    """Return the names of the shards, longest first: "<set>" and "holds/<scenario>/<start>"."""
     rules, _ = given.unpack()
     sets = sorted(SETS, key=lambda name: -SETS[name].share * SETS[name].cost)
     holds = [
@@ -142,12 +142,12 @@ def plan(given: Given) -> list[str]:
 
 
 def work(shard: Shard) -> pd.DataFrame:
-    """The rows of a shard, in a worker."""
+    """Return the rows of a shard; this runs in a worker."""
     config = shard.config
     rules, solvers, made = _made(shard.given, shard.objective)
     if shard.name.startswith("holds/"):
         _, scenario, start = shard.name.split("/")
-        rule = HELD_WITH.get(start) or rules.get(start) or Workshop(shard.objective).model
+        rule = HELD_WITH.get(start) or rules.get(start) or StartFactory(shard.objective).model
         return table(hold_of_start(scenario, start, rule, config.episodes, config.seed, config.steps))
     which, starts = SETS[shard.name], _looked_at(shard.name, made, rules)
     cases = make_cases(shard.name, config.wrenches, config.seed)
@@ -158,13 +158,15 @@ def work(shard: Shard) -> pd.DataFrame:
 @cache
 def _made(
     given: Given, objective: Objective
-) -> tuple[Mapping[str, InitialForceRule], Mapping[str, Any], dict[str, Made]]:
+) -> tuple[Mapping[str, InitialForceRule], Mapping[str, Any], dict[str, PreparedStart]]:
     rules, solvers = given.unpack()
-    return rules, solvers, Workshop(objective, rules).made()
+    return rules, solvers, StartFactory(objective, rules).made()
 
 
-def _looked_at(name: str, made: Mapping[str, Made], given: Mapping[str, InitialForceRule]) -> dict[str, Made]:
-    """The starts that a set looks at."""
+def _looked_at(
+    name: str, made: Mapping[str, PreparedStart], given: Mapping[str, InitialForceRule]
+) -> dict[str, PreparedStart]:
+    """Return the starts that are evaluated on a set."""
     only = SETS[name].starts
     return {key: one for key, one in made.items() if not only or key in only or key in given}
 
@@ -172,10 +174,10 @@ def _looked_at(name: str, made: Mapping[str, Made], given: Mapping[str, InitialF
 def time_calls(
     name: str, config: StartsConfig, given: Given, objective: Objective, console: Console | None
 ) -> pd.DataFrame:
-    """Microseconds of every start and solver on wrenches of a set: best of the repeats, the starts taking turns.
+    """Measure the microseconds of every start and solver on wrenches of a set: the shortest of the repeats, the starts taking turns.
 
-    A block of one start's calls on one grasp in a row is what a control loop that does nothing else pays: its code and data are in the
-    cache. The previous solution is that of the wrench before, as in a loop. A call that raises has no time.
+    All calls of one start on one grasp are made in a row, so code and data are in the cache as in a control loop that does nothing
+    else. The previous solution is that of the wrench before, as in a loop. A call that raises has no time.
 
     Returns:
         Columns case, problem, start, method, microseconds (the whole public call), start_microseconds (the start alone) and, of starts
@@ -197,7 +199,7 @@ def time_calls(
     compiled = dict[tuple[str | None, str], np.ndarray]()
     for key, start in made.items():
 
-        def alone(k: int, start: Made = start) -> ContactForces:
+        def alone(k: int, start: PreparedStart = start) -> ContactForces:
             return start.start(cases[k].grasp, cases[k].wrench, optima[before[k]])
 
         for method in METHODS:
@@ -245,9 +247,9 @@ def time_calls(
 
 
 def _time(call: Callable[[int], object], best: np.ndarray, block: list[int], counted: bool) -> None:
-    """Warms up on the problems of a block, then calls on each where `counted`; `best` (n,) keeps the shortest time [us]."""
+    """Warm up on the problems of a block, then, if `counted`, time one call on each; `best` (n,) keeps the shortest time [us]."""
     for k in range(WARM_UP):
-        with suppress(Exception):  # a user's rule: its errors are counted in the trials
+        with suppress(Exception):  # a user's rule may raise; the trials count its errors
             call(block[k % len(block)])
     for k in block if counted else ():
         begin = time.perf_counter_ns()

@@ -1,4 +1,4 @@
-"""Starts and solvers that a user brings to the comparison by name: an object of a module or a file, a saved model, Python objects."""
+"""Starts and solvers that a user adds to the comparison: objects of a module or a file, saved models, Python objects."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ _NAME = re.compile("[A-Za-z][A-Za-z0-9_-]{0,39}")
 
 @dataclass(frozen=True)
 class Problem:
-    """A problem for a user's solver, all in the object frame.
+    """Problem for a user's solver, in the object frame.
 
     Attributes:
         positions: (N, 3) contact points [m].
         normals: (N, 3) unit normals that point into the object.
         friction: (N,) friction coefficients.
-        wrench: (6,) on the object: force [N], moment about the origin [N m].
-        frames: (N, 3, 3) columns are the normal and two tangents of each contact.
+        wrench: (6,) external wrench on the object: force [N], moment about the origin [N m].
+        frames: (N, 3, 3) contact frames; the columns are the normal and two tangents.
         weights: (N, 2) omega and lambda of Phi for each contact, for solvers that minimise it.
     """
 
@@ -52,10 +52,10 @@ class Problem:
 
 
 class Solver(Protocol):
-    """A user's solver."""
+    """Solver of a user."""
 
     def solve(self, problem: Problem) -> Any:
-        """The forces (N, 3) [N] of the fingers on the object that balance the wrench, in the object frame."""
+        """Return the forces (N, 3) [N] of the fingers on the object that balance the wrench, in the object frame."""
         ...
 
 
@@ -64,8 +64,8 @@ class Given:
     """Starts and solvers of a user, ready to be sent to workers.
 
     Attributes:
-        packed: (starts, solvers) by name, pickled; files travel by value, so that other machines need no copy of them.
-        names: (name, what stands behind it).
+        packed: (starts, solvers) by name, pickled; code from files is pickled by value, so other machines need no copy.
+        names: pairs (name, origin as text).
     """
 
     packed: bytes
@@ -78,15 +78,15 @@ class Given:
         solvers: tuple[str, ...] = (),
         objects: Mapping[str, InitialForceRule | str | Path] | None = None,
     ) -> Given:
-        """Reads and checks everything before anything runs.
+        """Load and check all starts and solvers before anything runs.
 
         Args:
-            starts: texts as `START` says.
-            solvers: texts as `SOLVER` says.
+            starts: texts of the form `START`.
+            solvers: texts of the form `SOLVER`.
             objects: starts from Python: rules, or paths of saved models.
 
         Raises:
-            InvalidInputError: a name that is none or is taken, an object that is not there or is no rule or solver; all at once.
+            InvalidInputError: an invalid or used name, a missing object, or one that is no rule or solver. It lists all of them.
         """
         paths = {name: os.fspath(made) for name, made in (objects or {}).items() if isinstance(made, str | os.PathLike)}
         rules = {name: made for name, made in (objects or {}).items() if name not in paths}
@@ -107,12 +107,12 @@ class Given:
                 f"the starts and solvers {', '.join(names)} cannot be sent to the worker processes ({type(error).__name__}: "
                 f"{str(error)[:200]}): leave open files, locks and the like out of them"
             ) from error
-        said = {text.partition("=")[0]: text.partition("=")[2] for text in (*texts, *solvers)}
-        said |= {name: _called(rule) for name, rule in rules.items()}
-        return cls(packed, tuple(said.items()))
+        origins = {text.partition("=")[0]: text.partition("=")[2] for text in (*texts, *solvers)}
+        origins |= {name: _origin(rule) for name, rule in rules.items()}
+        return cls(packed, tuple(origins.items()))
 
     def unpack(self) -> tuple[dict[str, InitialForceRule], dict[str, Solver]]:
-        """(starts, solvers) by name."""
+        """Return the starts and the solvers, each by name."""
         return pickle.loads(self.packed)
 
 
@@ -136,7 +136,7 @@ def _check_names(names: list[str]) -> None:
 
 
 def model_path(what: str) -> Path | None:
-    """The saved model that a text means, a folder's only one; None: it means none."""
+    """Return the path of the saved model that a text names, of a folder its only one; None if it names no model."""
     if os.path.isdir(what):
         stems = sorted(path.with_suffix("") for path in Path(what).glob("*.safetensors"))
         if len(stems) != 1:
@@ -154,9 +154,7 @@ def _start(text: str) -> InitialForceRule:
     if path is not None:
         return LearnedInitialForce.load(path)
     if what and ":" not in what and not os.path.exists(what):
-        raise InvalidInputError(
-            f"--start {text}: no such file or saved model is there ({what}.json is missing, too): give {START}"
-        )
+        raise InvalidInputError(f"--start {text}: no such file or saved model is there (nor {what}.json): give {START}")
     return _rule(_read(text, "--start", START), f"--start {text}")
 
 
@@ -181,7 +179,7 @@ def _rule(made: Any, what: str) -> InitialForceRule:
 
 
 def _instance(made: Any, what: str) -> Any:
-    """An object; a class is called without arguments."""
+    """Return the object, or of a class an instance made without arguments."""
     if not inspect.isclass(made):
         return made
     try:
@@ -194,7 +192,7 @@ def _instance(made: Any, what: str) -> Any:
 
 
 def _read(text: str, option: str, how: str) -> Any:
-    """The object that NAME=module:object or NAME=file.py:object means."""
+    """Load the object that NAME=module:object or NAME=file.py:object names."""
     place, _, attribute = text.partition("=")[2].rpartition(":")
     if not place or not attribute:
         raise InvalidInputError(f"{option} {text} names nothing: give {how}")
@@ -208,9 +206,9 @@ def _read(text: str, option: str, how: str) -> Any:
         ) from None
 
 
-def _imported(place: str, said: str, how: str) -> ModuleType:
-    """A module of the working directory or installed, or a file, which is pickled by value."""
-    if os.getcwd() not in sys.path:  # as `python -m` has it; at the end, where it hides nothing
+def _imported(place: str, context: str, how: str) -> ModuleType:
+    """Import a module of the working directory, an installed module, or a file, which is then pickled by value."""
+    if os.getcwd() not in sys.path:  # as with `python -m`; at the end, where it hides no other module
         sys.path.append(os.getcwd())
     try:
         if not place.endswith(".py"):
@@ -219,7 +217,7 @@ def _imported(place: str, said: str, how: str) -> ModuleType:
         spec = importlib.util.spec_from_file_location(name, place)
         assert spec is not None
         assert spec.loader is not None
-        module = sys.modules[name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up there
+        module = sys.modules[name] = importlib.util.module_from_spec(spec)  # dataclasses look up their module there
         spec.loader.exec_module(module)
         cloudpickle.register_pickle_by_value(module)
         return module
@@ -232,8 +230,8 @@ def _imported(place: str, said: str, how: str) -> ModuleType:
             if missing
             else f"fails with {type(error).__name__}: {str(error)[:200]}"
         )
-        raise InvalidInputError(f"{said}: {place} {why}; give {how}") from error
+        raise InvalidInputError(f"{context}: {place} {why}; give {how}") from error
 
 
-def _called(rule: Any) -> str:
+def _origin(rule: Any) -> str:
     return f"{type(rule).__module__}.{getattr(rule, '__qualname__', type(rule).__qualname__)}"

@@ -1,6 +1,6 @@
 """Hold rates: episodes of the simulated hand under scenarios, controllers, hands, engines and starts, one row each.
 
-An episode depends on its scenario and seed alone, so the same seeds serve all that is compared.
+An episode depends on its scenario and seed alone, so everything compared uses the same seeds.
 """
 
 from __future__ import annotations
@@ -45,31 +45,31 @@ from training.results.shards import map_shards
 from training.results.table import pd, table
 
 NO_START, NOT_PLACED = "no_start", "not_placed"
-"""Failures of an episode whose grasp did not close or settle, and of one for which no place of hand or fingers was found."""
+"""Failures of an episode whose grasp did not close or settle, and of one for which no pose of hand or fingers was found."""
 QUICK_EPISODES = {"env": 4, "hands": 2, "objects": 2, "transfer": 2}
 _CHUNK = 4
-"""Seeds of a shard."""
+"""Number of seeds in a shard."""
 _REDRAWS = 100
 _BEFORE, _IN_PLACE = 25, 1e-3
-"""Agent steps before an object is lost, and how far it has drifted [m], in which torques that were cut are the cause."""
+"""Last agent steps of an episode, and drift [m], in which a cut torque counts as the cause of the loss."""
 _TIMED, _ROUNDS = 100, 3
-"""Agent steps whose rate is measured, and how often."""
+"""Number of agent steps whose rate is measured, and of repetitions."""
 
 
 @dataclass(frozen=True)
 class HoldsConfig:
-    """How well hands hold.
+    """Settings of a comparison of hold rates.
 
     Attributes:
         kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and disturbances), "objects" (the same with
             objects from mesh files) or "transfer" (the same hands in both engines).
         hands: names, or files (URDF, xacro, MJCF); none: for "transfer" four_finger, allegro and leap.
-        engines: of "hands" and "objects", in which they hold: keys of `scenarios.ENGINES`; none: the default one.
-        episodes: of each main scenario; 0: 500 of "env", 100 of "hands", 10 of "objects", 300 of "transfer". The other scenarios have
-            fewer.
-        objects: of "objects", mesh files, see `scenarios.mesh_settings`.
-        seed: of the first episode; the next ones follow.
-        quick: a small version that says that it is quick.
+        engines: for "hands" and "objects": keys of `scenarios.ENGINES`; none: the default engine.
+        episodes: episodes of each main scenario; 0: 500 of "env", 100 of "hands", 10 of "objects", 300 of "transfer". The other
+            scenarios have fewer.
+        objects: for "objects": mesh files, see `scenarios.mesh_settings`.
+        seed: seed of the first episode; the next ones follow.
+        quick: a small version; its report is marked as quick.
     """
 
     kind: str = "env"
@@ -100,7 +100,7 @@ class HoldsConfig:
             raise InvalidInputError("name at least one hand, got none")
 
     def plan(self) -> list[Scenario]:
-        """The scenarios."""
+        """Return the scenarios."""
         usual = {"env": 500, "hands": 100, "objects": 10, "transfer": 300}[self.kind]
         episodes = QUICK_EPISODES[self.kind] if self.quick else self.episodes or usual
         if self.kind == "env":
@@ -127,7 +127,7 @@ def run(
     workers: int = 0,
     console: Console | None = None,
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """The rows of the episodes, and what the run folder should say of them.
+    """Play the episodes; return their rows, and the settings for run.json.
 
     Args:
         config: the settings.
@@ -135,15 +135,15 @@ def run(
         plan: scenarios instead of the config's.
         on: where the shards run, see `map_shards`.
         workers: see `map_shards`.
-        console: for the progress bar and for what was repaired in files of hands.
+        console: for the progress bar and the repairs to files of hands.
     """
     console, plan = console or Console(stderr=True), config.plan() if plan is None else plan
     for name in {ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines}:
-        class_of(engine_of(name), "simulator")  # says here, not in the workers, what is not installed
+        class_of(engine_of(name), "simulator")  # reports a missing engine here, not in the workers
     for name in config.hands:
         if name not in HANDS:
             _print_repairs(lambda name=name: HandDescription.from_file(name), console)
-    for text in config.objects:  # cut into pieces once, here
+    for text in config.objects:  # cut into convex pieces once, here
         _print_repairs(lambda text=text: ObjectDescription(**mesh_settings(text)[1]["object"]), console)
     shards: dict[str, Shard] = {}
     for scenario in plan:
@@ -161,7 +161,7 @@ def run(
 
 
 def work(shard: Shard) -> pd.DataFrame:
-    """The rows of a shard, in a worker: a seed in all engines before the next, as they share what is drawn."""
+    """Return the rows of a shard; this runs in a worker. A seed runs in all engines before the next seed."""
     scenario = shard.scenario
     return table(
         {
@@ -175,7 +175,7 @@ def work(shard: Shard) -> pd.DataFrame:
 def hold_of_start(
     scenario: str, start: str, rule: str | InitialForceRule, episodes: int, seed: int, steps: int
 ) -> Iterator[dict[str, Any]]:
-    """The rows of the roll-outs of a scenario from a start: a deterministic one once, a random one with paired seeds."""
+    """Yield the rows of the roll-outs of a scenario from a start: one episode if it is deterministic, else one for each seed."""
     settings = {**HOLDS_OF_STARTS[scenario], "duration": steps / 50}
     for k in range(episodes if scenario in RANDOM_STARTS else 1):
         keys = {"case": f"hold_{scenario}", "start": start, "method": "reduced_flow", "seed": seed + k, "problem": k}
@@ -185,13 +185,13 @@ def hold_of_start(
 def trial(
     settings: dict[str, Any], random_objects: bool, seed: int, rule: str | InitialForceRule | None = None
 ) -> dict[str, Any]:
-    """The columns of one episode in an environment of its own.
+    """Play one episode in a new environment and return its columns.
 
     Args:
-        settings: of the environment, see `settings_of`.
-        random_objects: whether the seed draws the object.
-        seed: gives the object and everything random of the episode.
-        rule: the start of its optimisations; None: the environment's own.
+        settings: settings of the environment, see `settings_of`.
+        random_objects: True if the seed draws the object.
+        seed: seed of the object and of everything random in the episode.
+        rule: start of the optimisations; None: the environment's own.
     """
     config, redrawn = settings_of(settings), 0
     if random_objects:
@@ -204,7 +204,7 @@ def trial(
         with warnings.catch_warnings():
             warnings.simplefilter(
                 "ignore", GraspWarning
-            )  # of structure, once for every episode: the rows tell what it leads to
+            )  # about the hand's structure, for every episode; the rows show the effect
             env = FourFingerGrasp(config=config)
             try:
                 infos = [step.info for step in episode(env, seed)]
@@ -217,11 +217,11 @@ def trial(
 
 
 def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
-    """The random object of a seed: any shape, size, mass and friction in the ranges of `randomize` that the hand can reach.
+    """Draw the random object of a seed: shape, size, mass and friction in the ranges of `randomize`, within reach of the hand.
 
     Returns:
-        The object, its contact points (N, 3) [m] in the object frame, and how many objects drawn before it no grasp was found for.
-        None of it depends on the controller or the engine. A hand without a place of its own goes to every object anew: no points.
+        The object, its contact points (N, 3) [m] in the object frame, and the number of objects drawn before it without a grasp.
+        None of these depends on the controller or the engine. A hand without a fixed pose is placed anew for every object: no points.
     """
     rng, kinematics = np.random.default_rng([seed, 0x0B1EC7]), _kinematics(config.hand)
     drawn = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})
@@ -237,15 +237,15 @@ def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.nda
 
 
 def settings_of(settings: dict[str, Any]) -> EnvConfig:
-    """The environment's settings of a scenario; "hand" may be a file's path."""
+    """Return the environment's settings of a scenario; "hand" may be the path of a file."""
     hand = {"hand": _hand(settings["hand"])} if "hand" in settings else {}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GraspWarning)  # what was repaired was printed when the run began
+        warnings.simplefilter("ignore", GraspWarning)  # repairs were printed when the run began
         return EnvConfig().override(**{**settings, **hand})
 
 
 def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The columns of an episode, from the `info` of its steps. Drift, tilt and slip count where the object was held."""
+    """Return the columns of an episode from the `info` of its steps. Drift, tilt and slip are given only if the object was held."""
     last = infos[-1]
     held = bool(last["is_success"])
     cut = any(info["saturated"] and info["drift"] < _IN_PLACE for info in infos[-_BEFORE:])
@@ -286,10 +286,10 @@ def _object(config: EnvConfig, info: dict[str, Any] | None = None) -> dict[str, 
 
 
 def _print_repairs(read: Callable[[], Any], console: Console) -> None:
-    """Prints once what reading a file repairs; the workers read it silently.
+    """Print the repairs made in reading a file, once; the workers read it silently.
 
     Raises:
-        InvalidInputError: it cannot be read.
+        InvalidInputError: the file cannot be read.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -299,7 +299,7 @@ def _print_repairs(read: Callable[[], Any], console: Console) -> None:
 
 
 def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
-    """Agent steps per second of every hand in every engine, alone in this process, best of some rounds of its first scenario."""
+    """Measure agent steps per second of every hand in every engine, alone in this process: the best round of its first scenario."""
     first: dict[str, dict[str, Any]] = {}
     for scenario in plan:
         for engine in scenario.engines:
@@ -330,5 +330,5 @@ def _kinematics(hand: str | HandDescription) -> HandKinematics:
 
 @cache
 def _hand(name: str) -> str | HandDescription:
-    """A hand's name, or the description of one in a file."""
+    """Return the name of a preset hand, or the description of a hand in a file."""
     return name if name in HANDS else HandDescription.from_file(name)

@@ -1,4 +1,4 @@
-"""The methods that every start is compared with, each at its best."""
+"""Methods with which every start is compared, each with its best options."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from grasp_env.grasp import Grasp
 
 FLOW = "reduced_flow"
 METHODS: dict[str, dict[str, Any]] = {FLOW: {"step_rule": BarzilaiBorweinStep()}, "newton": {}}
-"""Options of `ForceOptimizer` by method. From the 12-basis as from the network the flow takes the fewest iterations and the least time
-with this step rule, see `training.reproduce`, which compares all of them, the constant step included."""
+"""Options of `ForceOptimizer` by method. With this step rule the flow takes the fewest iterations and the least time, both from the
+12-basis and from the network; `training.reproduce` compares all step rules."""
 
 
 def optimizer(grasp: Grasp, method: str, objective: Objective, tolerance: float, **options: Any) -> ForceOptimizer:
-    """A method on a Phi, to a relative gap; further options of `ForceOptimizer`."""
+    """Return an optimizer for a method and Phi, to a relative gap; `options` are further options of `ForceOptimizer`."""
     return ForceOptimizer(
         grasp, method=method, tolerance=tolerance, **METHODS[method], **phi_options(objective), **options
     )
 
 
 def phi_options(objective: Objective) -> dict[str, Any]:
-    """Phi as keywords of `ForceOptimizer`."""
+    """Return the weights of Phi as keywords of `ForceOptimizer`."""
     return {"force_weight": objective.force_weight, "barrier_weight": objective.barrier_weight}

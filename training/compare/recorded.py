@@ -1,4 +1,4 @@
-"""Cases from the simulated hand: what its solver was asked, step by step, and what a change of contact makes of it."""
+"""Cases recorded from the simulated hand: the problems its solver gets, step by step, and changes of contact in them."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from grasp_env.grasp import Grasp
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
 from training.compare.case import Case, Problem
 from training.data.episodes import episode
-from training.data.grasps import EVALUATION, slid
+from training.data.grasps import EVALUATION, slide_contacts
 
 HANDS = ("three_finger", "four_finger", "five_finger")
 STEPS = 100
-"""Most steps of a recorded episode, at 50 per second."""
+"""Largest number of steps of a recorded episode, at 50 per second."""
 IMPACT = 0.25
-"""Of the ball's radius: a wrench that moves by more between two steps is an impact."""
+"""Change of the wrench between two steps, in radii of the ball, from which on it is an impact."""
 SLIP = (0.003, 0.010)
-"""[m] least and largest slip."""
+"""Least and largest slip [m]."""
 RANDOM_OBJECTS: dict[str, Any] = {"randomize": ("shape", "size", "mass", "friction")}
 
 
 class Recorder:
-    """The paper's start rule, which notes every problem that it is asked."""
+    """Start rule of the paper that records every problem it is called with."""
 
     def __init__(self) -> None:
         self.problems: list[Problem] = []
@@ -51,15 +51,15 @@ def record(
     steps: int = STEPS,
     **settings: Any,
 ) -> list[list[Problem]]:
-    """Episodes of some hands in turn: the problems of each, in order.
+    """Record the problems of episodes, in order; the hands take turns.
 
     Args:
-        episodes: how many in all.
+        episodes: number of episodes in all.
         rng: draws the episodes' seeds.
-        disturbance: of the environment.
-        hands: which.
-        steps: most steps of an episode.
-        settings: of the environment; none: random objects.
+        disturbance: disturbance of the environment.
+        hands: names of the hands.
+        steps: largest number of steps of an episode.
+        settings: settings of the environment; none: random objects.
     """
     recorder, seeds = Recorder(), rng.integers(0, 2**31, episodes).tolist()
     found: list[list[Problem]] = [[] for _ in range(episodes)]
@@ -74,7 +74,7 @@ def record(
         try:
             for k in range(place, episodes, len(hands)):
                 running = episode(env, seeds[k], most=steps)
-                recorder.problems = found[k]  # what closing the fingers asked is none of them
+                recorder.problems = found[k]  # without the problems of closing the fingers
                 deque(running, maxlen=0)
         finally:
             env.close()
@@ -118,13 +118,13 @@ CASES: dict[str, Callable[[np.random.Generator, int], list[Case]]] = {
     "rollout_fixed": partial(_impulses, hands=("four_finger",), randomize=()),
     "rollout_changes": _changes,
 }
-"""Makers of the recorded sets; they make fewer cases than asked only where the roll-outs hold fewer."""
+"""Makers of the recorded sets. They return fewer cases than requested only if the roll-outs have fewer."""
 
 
 def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int) -> list[Case]:
-    """What the solver is asked when a finger is lost, when it lands again, and when one slips, between two recorded steps.
+    """Return the cases of a finger that is lost, one that lands and one that slips, between two recorded steps.
 
-    A finger without which the others still have force closure is taken away; hands of three fingers only slip.
+    The finger that is lost is one without which the others still have force closure; hands with three fingers only slip.
     """
     cases, count = [], now[0].n_contacts
     for finger in rng.permutation(count).tolist():
@@ -134,7 +134,7 @@ def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int)
             cases.append(Case(*now, (fewer_before, old[1]), group, "landed"))
             break
     try:
-        slipped = slid(rng, now[0], *SLIP, only=int(rng.integers(count)))
+        slipped = slide_contacts(rng, now[0], *SLIP, only=int(rng.integers(count)))
         if EVALUATION.closes(slipped):
             cases.append(Case(slipped, now[1], old, group, "slipped"))
     except GraspError:
@@ -143,7 +143,7 @@ def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int)
 
 
 def without(grasp: Grasp, finger: int) -> Grasp | None:
-    """The grasp without one contact; None where the rest has no force closure worth the name."""
+    """Return the grasp without one contact; None if the rest does not close with the margin of `EVALUATION`."""
     keep = np.arange(grasp.n_contacts) != finger
     if keep.sum() < 3:
         return None
@@ -155,6 +155,6 @@ def without(grasp: Grasp, finger: int) -> Grasp | None:
 
 
 def _distance(old: Wrench, now: Wrench) -> float:
-    """How far the wrench moved, in radii of the ball."""
+    """Return the change of the wrench, in radii of the ball."""
     move = now - old
     return float(max(np.linalg.norm(move[:3]) / FORCE_RADIUS, np.linalg.norm(move[3:]) / MOMENT_RADIUS))

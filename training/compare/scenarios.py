@@ -1,4 +1,4 @@
-"""The scenarios of the hold rates, as data: controllers, sensor errors, hands, objects, disturbances, engines, starts."""
+"""Scenarios of the hold rates, as data: controllers, sensor errors, hands, objects, disturbances, engines, starts."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from grasp_env.errors import InvalidInputError
 
 
 def usual_engines() -> tuple[str, ...]:
-    """The default engine alone."""
-    from grasp_env.sim.engine import engine_of  # needs the extra `sim`, which the names below do not
+    """Return the name of the default engine, in a tuple."""
+    from grasp_env.sim.engine import engine_of  # needs the extra `sim`, unlike the names below
 
     return (engine_of().name,)
 
@@ -23,10 +23,10 @@ class Scenario:
     Attributes:
         case: a key of `LABELS`.
         keys: the other key columns of its rows: controller, hand, friction_margin, squeeze.
-        episodes: in each engine.
-        settings: of the environment, JSON-able.
-        engines: keys of `ENGINES`, the first the one that others are compared with.
-        random_objects: whether each seed draws its object.
+        episodes: number of episodes in each engine.
+        settings: settings of the environment, JSON-able.
+        engines: keys of `ENGINES`; the others are compared with the first.
+        random_objects: True if each seed draws its object.
     """
 
     case: str
@@ -38,7 +38,7 @@ class Scenario:
 
     @property
     def name(self) -> str:
-        """Unique in a plan."""
+        """Name that is unique in a plan."""
         return "/".join(
             [self.case, *(f"{value:g}" if isinstance(value, float) else str(value) for value in self.keys.values())]
         )
@@ -53,10 +53,10 @@ ENGINES: dict[str, dict[str, Any]] = {
     "soft": {"engine": {"name": "mujoco", "time_constant": 0.02, "impedance": (0.9, 0.95, 1e-3, 0.5, 2.0), "impratio": 1.0}},
     "noslip": {"engine": {"name": "mujoco", "noslip_iterations": 20}},
 }  # fmt: skip
-"""Settings of the environment by name."""
+"""Settings of the environment by name of the engine."""
 BOTH = ("bullet", "mujoco")
 PRESETS = ("four_finger", "allegro", "leap")
-"""Hands of the comparison of engines where none are named."""
+"""Default hands of the comparison of engines."""
 CONTROLLERS: dict[str, dict[str, Any]] = {
     "paper": {},
     "estimated": {"sensors.wrench": "estimated"},
@@ -71,7 +71,7 @@ ERRORS: dict[str, dict[str, Any]] = {
     "force": {"controller.force_noise": 0.05},
 }
 SAFE_START = {"controller.friction_margin": 0.6}
-"""Friction margin of the baselines where friction is over-estimated: all controllers start from the optimised grasp, which then settles."""
+"""Friction margin of the baselines if friction is over-estimated. All controllers start from the optimised grasp, which settles with it."""
 ALL_ERRORS: dict[str, Any] = {name: value for error in ERRORS.values() for name, value in error.items()}
 RANDOM_WRENCH: dict[str, Any] = {
     "disturbance": {"name": "random", "force": 2.0, "moment": 0.06}, "duration": 4.0,
@@ -81,13 +81,13 @@ CURVES: dict[str, dict[str, Any]] = {
     "mild": {**ERRORS["friction"], **ERRORS["force"], **SAFE_START},
     "all": {**ALL_ERRORS, **SAFE_START},
 }
-"""Scenarios in which friction margin or squeeze is swept."""
+"""Scenarios in which the friction margin or the squeeze is varied."""
 MARGINS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0)
 SQUEEZES = (10.0, 20.0, 40.0, 60.0, 80.0, 120.0)
 SMALL_OBJECTS: dict[str, Any] = {
     "randomize": {"shape": True, "size": (0.04, 0.08), "mass": (0.05, 0.3), "friction": (0.5, 1.0)},
 }  # fmt: skip
-"""Objects for hands of a human's size."""
+"""Objects for hands of human size."""
 OBJECTS: dict[str, dict[str, Any]] = {
     "cube": {"shape": "cuboid", "size": (0.05, 0.05, 0.05), "mass": 0.15, "friction": 0.7},
     "sphere": {"shape": "sphere", "size": (0.06,), "mass": 0.15, "friction": 0.7},
@@ -111,7 +111,7 @@ HOLDS_OF_STARTS: dict[str, dict[str, Any]] = {
 }
 """Scenarios of the four-finger hand in which starts are compared; their rows have the case hold_<name>."""
 RANDOM_STARTS = ("random", "late", "unknown", "impulses")
-"""Those of them in which something is random."""
+"""Those of them that are random."""
 
 _ERROR_LABELS = {
     "friction": f"friction over-estimated by {100 * ALL_ERRORS['controller.friction_error']:g} %",
@@ -157,10 +157,10 @@ CONTROLLER_LABELS = {
 
 
 def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
-    """Every controller of the four-finger hand: `episodes` of the main scenarios, fewer of the others.
+    """Plan the scenarios of all controllers of the four-finger hand: `episodes` of the main scenarios, fewer of the others.
 
-    At most 100 of each scenario with errors (60 where it is swept and not the paper's pipeline), an eighth of the six directions
-    where the controller is not the paper's.
+    Scenarios with errors have at most 100 episodes (60 for the varied settings of the baselines). The six directions have an eighth
+    of `episodes` for controllers other than the paper's.
     """
     robust, long = (episodes, episodes) if quick else (min(episodes, 100), max(1, episodes // 8))
 
@@ -176,7 +176,7 @@ def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
         scenario("six_directions", key, episodes if key == "paper" else long, {"task": "six_directions"})
         for key in CONTROLLERS
     ]
-    for scale in (0.25, 1.0):  # nothing is random here: one episode says it all
+    for scale in (0.25, 1.0):  # deterministic: one episode suffices
         path = {"disturbance": {"name": "paper_path", "scale": scale}, "duration": 4.0}
         plan += [scenario(f"path_{scale:g}", key, 1, path) for key in CONTROLLERS]
     for error, wrong in ERRORS.items():
@@ -194,11 +194,11 @@ def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
 
 
 def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
-    """The same hand, object and controller in both engines; contact models are varied with the four-finger hand alone.
+    """Plan the same hands, objects and controllers in both engines; only the four-finger hand varies the contact models.
 
     Args:
         hands: names or files of hands.
-        episodes: of each hand's random objects under a random wrench; the other scenarios have a third.
+        episodes: episodes of each hand's random objects under a random wrench; the other scenarios have a third.
     """
     plan: list[Scenario] = []
     for hand in hands:
@@ -224,14 +224,14 @@ def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
 
 
 def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
-    """Name and settings of an object from a mesh file, FILE or FILE=SCALE.
+    """Return name and settings of an object from a mesh file, FILE or FILE=SCALE.
 
     Example:
         >>> mesh_settings("parts/duck.obj=0.06")
         ('duck', {'object': {'shape': 'mesh', 'mesh': 'parts/duck.obj', 'size': (0.06,), 'mass': 0.15, 'friction': 0.7}})
     """
     path, equals, scale = text.rpartition("=")
-    if not equals or "/" in scale or "\\" in scale:  # a folder's name may have one
+    if not equals or "/" in scale or "\\" in scale:  # the sign belongs to a folder's name
         path, scale = text, "1"
     try:
         size = (float(scale),)
@@ -245,12 +245,12 @@ def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
 def hands_plan(
     hands: Iterable[str], engines: Sequence[str], episodes: int, objects: Sequence[str] = ()
 ) -> list[Scenario]:
-    """Hands x objects x disturbances.
+    """Plan all combinations of hands, objects and disturbances.
 
     Args:
         hands: names or files of hands.
         engines: keys of `ENGINES`.
-        episodes: of each scenario in which something is random; where nothing is, one says it all.
+        episodes: episodes of each random scenario; a deterministic one has one.
         objects: mesh files, see `mesh_settings`, instead of those of `OBJECTS`.
     """
     if objects:
@@ -271,7 +271,7 @@ def hands_plan(
 
 
 def short_name(hand: str) -> str:
-    """A hand's name in tables and files: that of its file, without what says of which kind that is.
+    """Return a hand's name in tables and files: the name of its file, without suffixes.
 
     Example:
         >>> short_name("/robots/leap/leap_right.urdf.xacro"), short_name("hands/2f85.xml"), short_name("allegro")

@@ -1,4 +1,4 @@
-"""The starts that the comparison knows, one entry of `STARTS` each: what it is called, how it is drawn, how it is made."""
+"""Starts of the comparison, one entry of `STARTS` each: its label, its looks in charts and its maker."""
 
 from __future__ import annotations
 
@@ -32,32 +32,32 @@ from training.compare.cases import HELD_OUT, scaled
 from training.compare.methods import phi_options
 
 Start = Callable[[Grasp, Wrench, "ContactForces | None"], ContactForces]
-"""(grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3) [N]."""
+"""Function (grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3) [N]."""
 
 BASIS = "linear_combination"
-"""The paper's start, which the others are compared with."""
+"""Start of the paper, with which the others are compared."""
 STORED = 10_000
 STORED_RANGE = (0.1, 20.0)
-"""[N] magnitudes of the stored solutions: those on which the model of the fixed grasp is trained."""
+"""Range of magnitudes of the stored solutions [N], the same as in the training of the shipped model."""
 KEPT = 0.95
-"""Part of the way from the 12-basis to the cones at which a network's force outside them is put."""
+"""Share of the way from the 12-basis to the cones that is kept of a network's force outside them."""
 NEAR_PLACE, NEAR_NORMAL = 0.02, 0.95
-"""[m] and cosine by which contacts may differ from the fixed grasp's where what knows that grasp alone applies."""
+"""Largest distance [m], and least cosine between normals, for starts that apply near the fixed grasp only."""
 _FIXED = presets.paper_cuboid()
 
 
 class DoesNotApply(Exception):
-    """The start knows nothing about this grasp, or needs a previous solution: such cases have no row."""
+    """Raised by a start that does not apply to this grasp, or needs a previous solution. Such cases have no row."""
 
 
 @dataclass(frozen=True)
-class Made:
-    """A start that has been made.
+class PreparedStart:
+    """Start that is ready for use.
 
     Attributes:
-        start: for the trials.
-        options: of a `ForceOptimizer` that has it, for the clock; none: it is given the force.
-        compiled: whether the core makes it, from the wrench alone.
+        start: function for the trials.
+        options: options of a `ForceOptimizer` with this start, for the timing; none: the optimizer gets the force.
+        compiled: True if the core computes it from the wrench alone.
     """
 
     start: Start
@@ -65,13 +65,13 @@ class Made:
     compiled: bool = False
 
     @classmethod
-    def of(cls, rule: InitialForceRule, timed: str | InitialForceRule | None = None) -> Made:
-        """A rule that does not look at the previous solution; a control loop may have it by a name."""
+    def of(cls, rule: InitialForceRule, timed: str | InitialForceRule | None = None) -> PreparedStart:
+        """Make the start of a rule that ignores the previous solution; `timed` replaces the rule in timings."""
         return cls(lambda grasp, load, before: rule(grasp, load), {"initial": timed or rule}, timed is not None)
 
 
-class Workshop:
-    """Makes starts: knows Phi, the shipped model, and what a user brings.
+class StartFactory:
+    """Maker of starts for one Phi.
 
     Args:
         objective: Phi.
@@ -83,27 +83,27 @@ class Workshop:
 
     @cached_property
     def model(self) -> LearnedInitialForce:
-        """The model that ships with the package."""
+        """Shipped model."""
         return LearnedInitialForce.pretrained()
 
     @cached_property
     def stored(self) -> Stored:
-        """Solved once for all starts that look a solution up."""
+        """Stored solutions, computed once."""
         return Stored(self.objective)
 
-    def made(self) -> dict[str, Made]:
-        """Every start of `STARTS`, the rules of the package that it does not name, then those of the user."""
+    def made(self) -> dict[str, PreparedStart]:
+        """Make every start of `STARTS`, then the package's other rules, then those of the user."""
         named = {key: STARTS[key].make(self) for key in STARTS}
         own = {key: self.rule(rule(self.objective)) for key, rule in RULES.items() if key not in named}
         return {**named, **own, **{key: self.rule(rule) for key, rule in self.given.items()}}
 
-    def named(self, name: str) -> Made:
-        """A start of optimizers by name."""
+    def named(self, name: str) -> PreparedStart:
+        """Make a start that optimizers know by name."""
         rule = initial_rule(name, self.objective) if name in RULES else CoreStart(name, self.objective)
-        return Made.of(rule, name)
+        return PreparedStart.of(rule, name)
 
-    def previous(self, correction: Correction) -> Made:
-        """The previous solution, corrected to the new balance: as optimizers do it, or by the least change."""
+    def previous(self, correction: Correction) -> PreparedStart:
+        """Make the previous solution, corrected to the new balance as optimizers do ("tangent") or by the least change."""
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
             if before is None:
@@ -112,34 +112,34 @@ class Workshop:
                 return self._after(grasp, load, before, "previous")
             return carry_over(grasp, load, before, self.objective, correction)
 
-        return Made(start, {"initial": "previous"} if correction == "tangent" else {})
+        return PreparedStart(start, {"initial": "previous"} if correction == "tangent" else {})
 
     def _after(
         self, grasp: Grasp, load: Wrench, before: ContactForces, initial: str | InitialForceRule
     ) -> ContactForces:
-        """The start of an optimizer that has solved before; the paper's where nothing else can be had."""
+        """Return the start of an optimizer that has solved before; the paper's if it has no other."""
         optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=initial, **phi_options(self.objective))
         optimizer.previous = as_solution(grasp, before)
         return optimizer.start(load)
 
-    def nearest(self, correction: Correction) -> Made:
-        """The solution stored for the nearest wrench, corrected; on the fixed grasp and those near it."""
+    def nearest(self, correction: Correction) -> PreparedStart:
+        """Make the corrected stored solution of the nearest wrench, on the fixed grasp and near it."""
 
         def rule(grasp: Grasp, load: Wrench) -> ContactForces:
             require_near_fixed(grasp)
             return carry_over(grasp, load, self.stored.nearest(load), self.objective, correction)
 
-        return Made.of(rule)
+        return PreparedStart.of(rule)
 
-    def stepped(self, rule: InitialForceRule | str, steps: int) -> Made:
-        """Another start after a few plain Newton steps: the control for whatever takes such steps inside."""
-        return Made.of(
+    def stepped(self, rule: InitialForceRule | str, steps: int) -> PreparedStart:
+        """Make another start followed by a few Newton steps, as a control for starts that take such steps inside."""
+        return PreparedStart.of(
             NewtonSteps(initial_rule(rule, self.objective) if isinstance(rule, str) else rule, self.objective, steps)
         )
 
     @property
     def network(self) -> InitialForceRule:
-        """The network of the shipped model without any step, on the fixed grasp and those near it."""
+        """Network of the shipped model without any step, on the fixed grasp and near it."""
         alone = NetworkAlone(self.model)
 
         def rule(grasp: Grasp, load: Wrench) -> ContactForces:
@@ -148,12 +148,12 @@ class Workshop:
 
         return rule
 
-    def remembering(self) -> Made:
-        """The shipped model, which also starts from the previous solution where that has less Phi."""
+    def remembering(self) -> PreparedStart:
+        """Make the shipped model that starts from the previous solution instead if that has less Phi."""
         return self.rule(type(self.model)(self.model.checkpoint, self.model.objective, True))
 
-    def rule(self, rule: InitialForceRule) -> Made:
-        """A saved model, where it knows the grasp, or any callable of a user."""
+    def rule(self, rule: InitialForceRule) -> PreparedStart:
+        """Make the start of a saved model, on grasps it supports, or of any rule."""
         remembers = is_rule(rule, LearnedRule) and rule.remembers
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
@@ -163,104 +163,104 @@ class Workshop:
                 return call_rule(rule, rule, grasp, load.copy())
             return self._after(grasp, load, before, rule)
 
-        return Made(start, {"initial": rule}, is_rule(rule, LearnedRule) and not remembers)
+        return PreparedStart(start, {"initial": rule}, is_rule(rule, LearnedRule) and not remembers)
 
 
 @dataclass(frozen=True)
-class Row:
-    """A start of the comparison.
+class StartInfo:
+    """Description of a start.
 
     Attributes:
-        label: for tables.
-        short: for charts.
-        colour: of its line; no other line has it.
-        make: makes it.
-        main: whether charts that cannot show all starts show it.
-        dashed: whether its line is dashed.
+        label: name in tables.
+        short: name in charts.
+        colour: unique colour of its line.
+        make: makes the start.
+        main: True if charts of a few starts show it.
+        dashed: True if its line is dashed.
     """
 
     label: str
     short: str
     colour: str
-    make: Callable[[Workshop], Made]
+    make: Callable[[StartFactory], PreparedStart]
     main: bool = False
     dashed: bool = False
 
 
-STARTS: dict[str, Row] = {
-    "single_value": Row("single value", "single value", "#8a8a8b", lambda shop: shop.named("single_value")),
-    "phase_one": Row(
-        "phase one, any force inside", "phase one", "#8a9a22", lambda shop: Made.of(initial_rule("phase_one", shop.objective))
+STARTS: dict[str, StartInfo] = {
+    "single_value": StartInfo("single value", "single value", "#8a8a8b", lambda shop: shop.named("single_value")),
+    "phase_one": StartInfo(
+        "phase one, any force inside", "phase one", "#8a9a22", lambda shop: PreparedStart.of(initial_rule("phase_one", shop.objective))
     ),
-    "lagrange": Row("Lagrange", "Lagrange", "#b3852d", lambda shop: shop.named("lagrange")),
-    "linear_combination_printed": Row(
+    "lagrange": StartInfo("Lagrange", "Lagrange", "#b3852d", lambda shop: shop.named("lagrange")),
+    "linear_combination_printed": StartInfo(
         "12-basis, as printed", "12-basis, printed", "#5fa7e9", lambda shop: shop.named("linear_combination_printed"), dashed=True
     ),
-    "internal_force": Row(
+    "internal_force": StartInfo(
         "one internal force (Newton's own)", "internal force", "#6b6b3f", lambda shop: shop.named("internal_force"), main=True
     ),
-    BASIS: Row("12-basis (the paper, fixed at w = 0)", "12-basis", "#2f7fd8", lambda shop: shop.named(BASIS), main=True),
-    "basis_tangent": Row(
+    BASIS: StartInfo("12-basis (the paper, fixed at w = 0)", "12-basis", "#2f7fd8", lambda shop: shop.named(BASIS), main=True),
+    "basis_tangent": StartInfo(
         "12-basis, one Newton correction", "12-basis + Newton", "#1e9ca6", lambda shop: shop.stepped(BASIS, 1)
     ),
-    "basis_newton_2": Row(
+    "basis_newton_2": StartInfo(
         "12-basis, two Newton corrections", "12-basis + 2 Newton", "#1a9b7c", lambda shop: shop.stepped(BASIS, 2)
     ),
-    "basis_newton": Row(
+    "basis_newton": StartInfo(
         "12-basis, four Newton corrections", "12-basis + 4 Newton", "#5a72ca", lambda shop: shop.stepped(BASIS, 4), main=True
     ),
-    "previous_pseudoinverse": Row(
+    "previous_pseudoinverse": StartInfo(
         "previous solution, G^+", "previous, G^+", "#74b374", lambda shop: shop.previous("pseudoinverse"), dashed=True
     ),
-    "previous_tangent": Row(
+    "previous_tangent": StartInfo(
         "previous solution, tangent", "previous, tangent", "#2e9a4e", lambda shop: shop.previous("tangent"), main=True
     ),
-    "nearest_pseudoinverse": Row(
+    "nearest_pseudoinverse": StartInfo(
         "nearest of 10,000 stored, G^+", "nearest, G^+", "#a293d4", lambda shop: shop.nearest("pseudoinverse"), dashed=True
     ),
-    "nearest_tangent": Row(
+    "nearest_tangent": StartInfo(
         "nearest of 10,000 stored, tangent", "nearest, tangent", "#8a5fc0", lambda shop: shop.nearest("tangent"), main=True
     ),
-    "network": Row("network alone, fixed grasp", "network alone", "#b36cd0", lambda shop: Made.of(shop.network), main=True),
-    "network_newton_1": Row(
+    "network": StartInfo("network alone, fixed grasp", "network alone", "#b36cd0", lambda shop: PreparedStart.of(shop.network), main=True),
+    "network_newton_1": StartInfo(
         "network, one Newton step", "network + Newton", "#c069af", lambda shop: shop.stepped(shop.network, 1)
     ),
-    "network_newton_2": Row(
+    "network_newton_2": StartInfo(
         "network, two Newton steps", "network + 2 Newton", "#8a4faa", lambda shop: shop.stepped(shop.network, 2)
     ),
-    "learned_fixed": Row("learned, fixed grasp", "learned, fixed", "#e0463e", lambda shop: shop.rule(shop.model), main=True),
-    "learned_previous": Row(
+    "learned_fixed": StartInfo("learned, fixed grasp", "learned, fixed", "#e0463e", lambda shop: shop.rule(shop.model), main=True),
+    "learned_previous": StartInfo(
         "learned, with the previous solution", "learned + previous", "#e2489a", lambda shop: shop.remembering(),
         main=True, dashed=True,
     ),
 }  # fmt: skip
-"""Every start, in the order of the tables."""
+"""All starts, in the order of the tables."""
 GIVEN_COLOURS = ("#aa7454", "#208dbc", "#c8528e", "#6b8b20", "#7c64e4", "#20908b", "#bc6a20", "#7f7f20")
-"""Colours of the starts of a user, in turn: a run compares no more of them."""
+"""Colours of the starts of a user, in turn; their number is the most that a run compares."""
 
 
-def row_of(key: str) -> Row:
-    """A start's row; one that a user gives is called by its name, a rule of the package by its label.
+def start_info(key: str) -> StartInfo:
+    """Return the description of a start; that of a user's start is made from its name, that of a rule from its label.
 
     Example:
-        >>> row_of("lagrange").label, row_of("my_rule").label, row_of("my_rule").main
+        >>> start_info("lagrange").label, start_info("my_rule").label, start_info("my_rule").main
         ('Lagrange', 'my rule', True)
     """
     if key in STARTS:
         return STARTS[key]
     name = RULES[key].label if key in RULES else key.replace("_", " ")
-    return Row(name, name, GIVEN_COLOURS[0], lambda shop: shop.rule(shop.given[key]), main=True, dashed=True)
+    return StartInfo(name, name, GIVEN_COLOURS[0], lambda shop: shop.rule(shop.given[key]), main=True, dashed=True)
 
 
 def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:
-    """A force (N, 3) as a previous solution, of which starts read no more than that and the frames."""
+    """Return a force (N, 3) as a previous solution; starts read only the force and the frames."""
     record = np.concatenate([np.zeros(record_size(len(force))), grasp.frames.reshape(-1)])
     record[CONTACTS], record[FORCE : FORCE + force.size] = len(force), force.reshape(-1)
     return ForceSolution(record, "carried", "previous")
 
 
 class NetworkAlone:
-    """A network's force without a step of any order, put back towards the 12-basis only where it lies outside the cones."""
+    """Start rule: the force of a network without any step. If it lies outside the cones, it is moved towards the 12-basis."""
 
     def __init__(self, model: LearnedInitialForce) -> None:
         self.model = model
@@ -281,9 +281,9 @@ class NetworkAlone:
 
 
 class NewtonSteps:
-    """Another start after the first steps of Newton.
+    """Start rule: another start followed by the first Newton steps.
 
-    For a previous optimum one such step is its tangent correction: the others get what it gets.
+    One such step equals the tangent correction of a previous optimum, so the other starts get the same.
     """
 
     def __init__(self, rule: InitialForceRule, objective: Objective, steps: int) -> None:
@@ -296,7 +296,7 @@ class NewtonSteps:
 
 
 class Stored:
-    """Optimal forces of the fixed grasp for `STORED` wrenches, to be looked up by the nearest wrench."""
+    """Optimal forces of the fixed grasp for `STORED` wrenches, looked up by the nearest wrench."""
 
     def __init__(self, objective: Objective) -> None:
         loads = wrench.sample_magnitudes(np.random.default_rng([HELD_OUT, 1 << 20]), STORED, *STORED_RANGE)
@@ -304,12 +304,12 @@ class Stored:
         self.tree = KDTree(scaled(loads))
 
     def nearest(self, load: Wrench) -> ContactForces:
-        """The force (N, 3) stored for the wrench nearest to `load` (6,), moments over 0.05 m."""
+        """Return the force (N, 3) stored for the wrench nearest to `load` (6,), with moments over 0.05 m."""
         return self.forces[int(self.tree.query(scaled(load))[1])]
 
 
 def require_near_fixed(grasp: Grasp) -> None:
-    """Raises `DoesNotApply` unless the contacts are those of `presets.paper_cuboid()`, moved and tilted a little at most."""
+    """Raise `DoesNotApply` unless the contacts are near those of `presets.paper_cuboid()`."""
     if (
         grasp.n_contacts != _FIXED.n_contacts
         or bool(np.abs(grasp.positions - _FIXED.positions).max() > NEAR_PLACE)
@@ -318,16 +318,16 @@ def require_near_fixed(grasp: Grasp) -> None:
         raise DoesNotApply
 
 
-def carried(old: Grasp, force: ContactForces, new: Grasp, objective: Objective) -> ContactForces:
-    """A force of the grasp before in the contact frames of a new grasp.
+def carry_force(old: Grasp, force: ContactForces, new: Grasp, objective: Objective) -> ContactForces:
+    """Carry a force of one grasp over to the contact frames of another.
 
-    Each contact takes the force of the nearest old one within 20 mm, as a vector in the object frame. A finger that was not there
-    gets its own optimum of no load, u = sqrt(lambda / omega): strictly inside its cone, unlike no force.
+    Each contact takes the force of the nearest old contact within 20 mm, as a vector in the object frame. A new finger gets its
+    optimum without load, u = sqrt(lambda / omega), which is strictly inside its cone, unlike zero.
 
     Args:
         old: the contacts of `force`.
         force: (N, 3) [N].
-        new: the contacts that the force is carried to.
+        new: the new contacts.
         objective: Phi.
     """
     if old is new:

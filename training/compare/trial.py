@@ -1,4 +1,4 @@
-"""One run of every method from every start on every case of a set, and of every solver of a user: rows, no statistics."""
+"""Trials: rows of every method from every start on every case of a set, and of every solver of a user."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from training.compare.case import Case
 from training.compare.cases import scaled
 from training.compare.given import Problem, Solver
 from training.compare.methods import METHODS, optimizer
-from training.compare.starts import BASIS, DoesNotApply, Made, carried
+from training.compare.starts import BASIS, DoesNotApply, PreparedStart, carry_force
 from training.results.words import shortened
 
 TOLERANCE = 1e-4
-"""Relative gap of Phi to which iterations are counted where nothing else is said."""
+"""Relative gap of Phi to which iterations are counted by default."""
 COARSE, FINE = 1e-2, 1e-6
 LAST = {"reduced_flow": 1e-6, "newton": 1e-8}
 """Relative gap at which a run ends."""
 LIMIT = 5000
-"""Most iterations of a run; a gap that was not reached counts as one more."""
+"""Iteration limit of a run; a gap that is not reached counts as one iteration more."""
 OPTIMUM = 1e-10
-"""Relative certified gap of the optima that gaps are taken to."""
+"""Relative certified gap of the reference optima."""
 BALANCED = 1e-6
-"""Balance residual over the largest component, up to which a solver's force counts as one."""
+"""Largest balance residual of a solver's force, over its largest component."""
 ROUNDING = 1e-10
-"""Relative difference of Phi that two ways to sum it make."""
+"""Relative difference of Phi between two orders of summation."""
 REASON = 120
-"""Characters of the reason why there is no force."""
+"""Largest length of the reason why there is no force."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """How good a force is.
+    """Quality of a force.
 
     Attributes:
         gap: relative gap of Phi to the optimum; inf outside the cones.
@@ -53,24 +53,24 @@ class Quality:
 
     @classmethod
     def of(cls, grasp: Grasp, load: Array, force: ContactForces, best: float, objective: Objective) -> Quality:
-        """The quality of a force (N, 3) in contact frames; `best` is the least Phi."""
+        """Evaluate a force (N, 3) in contact frames; `best` is the least Phi."""
         size = max(float(np.abs(force).max()), 1e-300)
         gap = objective.value(grasp.to_cone(force)) / best - 1.0
         return cls(max(0.0, gap), grasp.cone_margin(force) / size, grasp.residual(force, load) / size)
 
     def reason(self, margin: float = 0.0) -> str | None:
-        """Why the force is none; None: it balances, with more than this margin."""
+        """Return why the force is invalid; None if it balances the wrench with more than this cone margin."""
         return "outside the cones" if self.margin <= margin else "out of balance" if self.residual > BALANCED else None
 
     def columns(self, before: str = "") -> dict[str, float]:
-        """As columns of a row; an infinite gap is left out."""
+        """Return the columns of a row, with a prefix; an infinite gap is left out."""
         gap = self.gap if np.isfinite(self.gap) else None
         named = {"gap": gap, "margin": self.margin, "residual": self.residual}
         return {f"{before}{name}": value for name, value in named.items() if value is not None}
 
 
 class Optimizers:
-    """The optimizers of a grasp, kept while cases stay on it."""
+    """Optimizers of the last few grasps."""
 
     def __init__(self, objective: Objective) -> None:
         self.objective = objective
@@ -78,14 +78,14 @@ class Optimizers:
         self._last: tuple[Grasp, Array, ContactForces, float] | None = None
 
     def optimum(self, grasp: Grasp, load: Array) -> tuple[ContactForces, float]:
-        """The force (N, 3) of least Phi, and that Phi."""
+        """Return the force (N, 3) of least Phi, and that Phi."""
         if self._last is None or self._last[0] is not grasp or not np.array_equal(self._last[1], load):
             solution = self._of(grasp)["optimum"].solve(load).raise_for_status()
             self._last = grasp, load, solution.force, solution.objective
         return self._last[2], self._last[3]
 
     def run(self, method: str, grasp: Grasp, load: Array, start: ContactForces, best: float) -> dict[str, Any]:
-        """The columns of a run of a method from a start."""
+        """Run a method from a start and return its columns."""
         solution = self._of(grasp)[method].solve(load, initial=start, optimum=best, trace=True)
         gaps = np.maximum(solution.objective_trace / best - 1.0, 0.0)
         reached = {
@@ -113,27 +113,27 @@ class Optimizers:
 def trials(
     name: str,
     cases: list[Case],
-    starts: Mapping[str, Made],
+    starts: Mapping[str, PreparedStart],
     solvers: Mapping[str, Solver],
     objective: Objective,
     solved: bool = True,
 ) -> Iterator[dict[str, Any]]:
-    """The rows of a set: one for each case, start and method, and one for each case and solver.
+    """Yield the rows of a set: one for each case, start and method, and one for each case and solver.
 
     Args:
-        name: of the set.
-        cases: to solve.
-        starts: see `Workshop.made`; one that does not apply to a case has no row there.
-        solvers: of a user.
+        name: name of the set.
+        cases: cases to solve.
+        starts: see `StartFactory.made`; a start that does not apply to a case has no row there.
+        solvers: solvers of a user.
         objective: Phi.
-        solved: whether the methods run; otherwise there is one row for each case and start.
+        solved: True if the methods run; otherwise there is one row for each case and start.
     """
     optimizers = Optimizers(objective)
     last: dict[str, tuple[Case, ContactForces]] = {}
     for number, case in enumerate(cases):
         grasp, load, before = case.grasp, case.wrench, None
         if case.before is not None:
-            before = carried(case.before[0], optimizers.optimum(*case.before)[0], grasp, objective)
+            before = carry_force(case.before[0], optimizers.optimum(*case.before)[0], grasp, objective)
         _, best = optimizers.optimum(grasp, load)
         common = {"case": name, "problem": number, "group": case.group, "event": case.event or None}
         paper = _basis(starts, grasp, load)
@@ -145,7 +145,7 @@ def trials(
             except DoesNotApply:
                 continue
             except GraspError as error:
-                row |= {"status": "no_start", "reason": why_none(error)}
+                row |= {"status": "no_start", "reason": failure_reason(error)}
                 yield from ({**row, "method": method} for method in (METHODS if solved else (None,)))
                 continue
             quality = Quality.of(grasp, load, force, best, objective)
@@ -163,29 +163,29 @@ def trials(
             for method in METHODS:
                 try:
                     run = optimizers.run(method, grasp, load, force, best)
-                except InfeasibleStartError:  # outside the cones, or out of balance by more than rounding
+                except InfeasibleStartError:  # outside the cones, or not balanced up to rounding
                     yield {**row, "method": method, "status": "no_start", "reason": reason or "out of balance"}
                     continue
                 yield {**row, "method": method, **run}
         for key, solver in solvers.items():
-            yield {**common, "method": key, **answered(solver, grasp, load, best, objective)}
+            yield {**common, "method": key, **solver_columns(solver, grasp, load, best, objective)}
 
 
 def problem_of(grasp: Grasp, load: Array, objective: Objective) -> Problem:
-    """A problem as a user's solver gets it."""
+    """Return the problem in the form that a user's solver gets."""
     weights = objective.weights(grasp.n_contacts)
     arrays = (grasp.positions, grasp.normals, grasp.friction, load, grasp.frames, weights)
     return Problem(*(np.array(array) for array in arrays))
 
 
-def answered(solver: Solver, grasp: Grasp, load: Array, best: float, objective: Objective) -> dict[str, Any]:
-    """The columns of a user's solver on a problem: "optimal" to `TOLERANCE` in Phi, "feasible", or "failed" with the reason."""
+def solver_columns(solver: Solver, grasp: Grasp, load: Array, best: float, objective: Objective) -> dict[str, Any]:
+    """Run a user's solver and return its columns: "optimal" to `TOLERANCE` in Phi, "feasible", or "failed" with the reason."""
     try:
         forces = as_array(
             solver.solve(problem_of(grasp, load, objective)), (grasp.n_contacts, 3), "a solver", ranges.SIZE
         )
     except Exception as error:
-        return {"status": "failed", "reason": why_none(error), "failed": True}
+        return {"status": "failed", "reason": failure_reason(error), "failed": True}
     local = np.einsum("nij,ni->nj", grasp.frames, forces)
     quality = Quality.of(grasp, load, local, best, objective)
     reason = quality.reason(-BALANCED)
@@ -200,12 +200,12 @@ def answered(solver: Solver, grasp: Grasp, load: Array, best: float, objective: 
     }
 
 
-def attempt(made: Made, grasp: Grasp, load: Array, before: ContactForces | None) -> ContactForces:
-    """The force (N, 3) [N] of a start, which may be a user's.
+def attempt(made: PreparedStart, grasp: Grasp, load: Array, before: ContactForces | None) -> ContactForces:
+    """Return the force (N, 3) [N] of a start, which may be a user's.
 
     Raises:
-        DoesNotApply: it knows nothing of this case.
-        GraspError: it has none, fails, or returns something else; `why_none` says which.
+        DoesNotApply: the start does not apply to this case.
+        GraspError: it has no force, fails, or returns something else; `failure_reason` gives the reason.
     """
     try:
         return as_array(made.start(grasp, load, before), (grasp.n_contacts, 3), "a start", ranges.SIZE)
@@ -215,16 +215,16 @@ def attempt(made: Made, grasp: Grasp, load: Array, before: ContactForces | None)
         raise InfeasibleStartError(str(error)) from error
 
 
-def why_none(error: Exception) -> str:
-    """Why there is no force, in a few words; the exception's class stands first, before a colon."""
+def failure_reason(error: Exception) -> str:
+    """Return why there is no force, in a few words: the exception's class, a colon and its message."""
     cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
     if isinstance(cause, InfeasibleStartError):
         return "has none"
     return shortened(f"{type(cause).__name__}: {cause!s}", REASON)
 
 
-def _basis(starts: Mapping[str, Made], grasp: Grasp, load: Array) -> ContactForces | None:
-    """The paper's start, which others are compared with; None where the grasp has none."""
+def _basis(starts: Mapping[str, PreparedStart], grasp: Grasp, load: Array) -> ContactForces | None:
+    """Return the force of the paper's start; None if the grasp has none."""
     try:
         return starts[BASIS].start(grasp, load, None)
     except (KeyError, GraspError):
@@ -232,7 +232,7 @@ def _basis(starts: Mapping[str, Made], grasp: Grasp, load: Array) -> ContactForc
 
 
 def _slope(last: tuple[Case, ContactForces] | None, case: Case, force: ContactForces) -> float:
-    """|change of the start| over |change of the wrench| since the case before, moments over 0.05 m; nan where there is none."""
+    """Return |change of the start| over |change of the wrench| since the case before, moments over 0.05 m; nan without one."""
     if last is None or case.before is None or last[0].grasp is not case.grasp:
         return float("nan")
     if last[0].group != case.group or not np.array_equal(last[0].wrench, case.before[1]):

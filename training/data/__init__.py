@@ -1,1 +1,1 @@
-"""What is drawn: random grasps, episodes of the simulated hand, labelled wrenches."""
+"""Random data: grasps, episodes of the simulated hand, labelled wrenches."""

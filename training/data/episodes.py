@@ -1,4 +1,4 @@
-"""The loop of an episode, once: what demos show, what trials record and what scores agents."""
+"""Loop over an episode, shared by demos, recordings and the scoring of agents."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from policies.controllers import Policy
 
 
 class Step(NamedTuple):
-    """What a step of the environment gave; `last` where it ended the episode."""
+    """Result of an environment step; `last` is true if it ended the episode."""
 
     reward: float
     info: dict[str, Any]
@@ -21,13 +21,13 @@ class Step(NamedTuple):
 
 
 def episode(env: gym.Env[Any, Any], seed: int, policy: Policy | None = None, most: int | None = None) -> Iterator[Step]:
-    """Resets at once, and steps as it is asked for the steps.
+    """Reset the environment at once and return an iterator that steps it.
 
     Args:
-        env: of any kind; whoever made it closes it.
-        seed: of the episode.
-        policy: the agent, deterministic; None: zeros, which adjust nothing.
-        most: steps, after which it ends all the same; None: the environment decides.
+        env: any environment; the caller closes it.
+        seed: seed of the episode.
+        policy: the agent, acting deterministically; None: zero actions.
+        most: largest number of steps; None: the environment ends the episode.
     """
     observation, _ = env.reset(seed=seed)
     return _steps(env, observation, policy, most)

@@ -1,4 +1,4 @@
-"""Random grasps: points on random solids, with force closure, or a known grasp whose contacts lie a little elsewhere."""
+"""Random grasps: points on random solids with force closure, or a known grasp with slightly moved contacts."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from grasp_env.grasp import Grasp, presets
 from grasp_env.quality import feasibility
 
 PRESETS = {3: presets.tripod, 4: presets.paper_cuboid, 5: presets.five_finger_cuboid}
-"""By their number of contacts."""
+"""Preset grasps by their number of contacts."""
 HALF = (0.03, 0.06)
-"""[m] range of half of a solid's width along an axis."""
+"""Range of half a solid's width along an axis [m]."""
 ENDS = 1.0 / 3.0
 """Share of a cylinder's contacts that lie on its two ends."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """The distribution that random grasps are drawn from.
+    """Distribution of random grasps.
 
     Attributes:
-        shapes: keys of `SOLIDS`, as likely as each other.
-        friction: range.
-        own_friction: whether each contact has a friction of its own.
-        margin: least closure margin times the contacts; nearer to no closure forces grow without bound.
-        basis: whether a closed one must have an offline basis, too (of 3 contacts 3 % have none).
+        shapes: keys of `SOLIDS`, with equal probability.
+        friction: range of the coefficient.
+        own_friction: True if each contact draws its own friction.
+        margin: least closure margin times the number of contacts; forces grow without bound near the loss of closure.
+        basis: True if a closed grasp must also have an offline basis (3 % of those with 3 contacts have none).
     """
 
     shapes: tuple[str, ...] = ("cuboid", "ellipsoid", "cylinder")
@@ -41,21 +41,21 @@ class Recipe:
     basis: bool = True
 
     def points(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-        """Places (count, 3) [m] and inward unit normals on one random solid."""
+        """Draw positions (count, 3) [m] and inward unit normals (count, 3) on one random solid."""
         place = int(rng.integers(len(self.shapes))) if len(self.shapes) > 1 else 0
         return SOLIDS[self.shapes[place]](rng, count)
 
     def draw(self, rng: np.random.Generator, count: int) -> Grasp:
-        """One grasp, with or without force closure.
+        """Draw one grasp, with or without force closure.
 
         Raises:
-            RankDeficientGraspError: all contacts happen to lie on a line.
+            RankDeficientGraspError: all contacts lie on one line.
         """
         places, inward = self.points(rng, count)
         return Grasp.from_contacts(places, inward, rng.uniform(*self.friction, count if self.own_friction else None))
 
     def closes(self, grasp: Grasp) -> bool:
-        """Whether a grasp has force closure worth the name."""
+        """Return True if a grasp has force closure with the recipe's margin."""
         if feasibility(grasp, np.zeros(6)).margin <= self.margin / grasp.n_contacts:
             return False
         if self.basis:
@@ -66,7 +66,7 @@ class Recipe:
         return True
 
     def closed(self, rng: np.random.Generator, count: int) -> Grasp:
-        """One grasp of `count` contacts that closes."""
+        """Draw one grasp of `count` contacts with force closure."""
         while True:
             with suppress(RankDeficientGraspError):
                 grasp = self.draw(rng, count)
@@ -110,20 +110,20 @@ SOLIDS: dict[str, Callable[[np.random.Generator, int], tuple[Array, Array]]] = {
     "cylinder": _cylinder,
 }
 EVALUATION = Recipe()
-"""The grasps that starts are compared on."""
+"""Grasps on which starts are compared."""
 BENCH = Recipe(("ellipsoid",), friction=(0.3, 1.0), own_friction=True, margin=0.02, basis=False)
-"""The grasps that solvers are timed on: away from losing closure."""
+"""Grasps on which solvers are timed, far from the loss of closure."""
 
 
-def slid(rng: np.random.Generator, grasp: Grasp, low: float, high: float, only: int | None = None) -> Grasp:
-    """The grasp with its contacts moved in their tangent planes by `low` to `high` [m], uniform over the ring.
+def slide_contacts(rng: np.random.Generator, grasp: Grasp, low: float, high: float, only: int | None = None) -> Grasp:
+    """Move the contacts in their tangent planes by `low` to `high` [m], uniformly over the ring.
 
     Args:
         rng: draws distances and directions.
         grasp: the contacts.
         low: least distance.
-        high: largest.
-        only: the one contact to move; None: all.
+        high: largest distance.
+        only: index of the one contact to move; None: all.
 
     Raises:
         RankDeficientGraspError: the result has rank(G) < 6.

@@ -1,4 +1,4 @@
-"""Labelled wrenches: the optimum of Phi for each, and the metric in which missing it costs Phi."""
+"""Labelled wrenches: the optimum of Phi for each, and the metric of the relative gap near it."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from grasp_env.grasp.wrench import MAGNITUDE_LENGTH, sample_ball, sample_magnitu
 
 LABEL_GAP, LABEL_ITERATIONS = 1e-10, 200
 BALL = 0.7
-"""Share of the wrenches from the ball, where starts are compared; the others are from the whole range."""
+"""Share of the wrenches from the ball, on which starts are compared; the others come from the whole range."""
 LEAN = 0.3
-"""Frictions are drawn with a density from 1 - LEAN at the least to 1 + LEAN at the largest, where the flow takes more steps."""
+"""Slope of the density of frictions, from 1 - LEAN at the least to 1 + LEAN at the largest, where the flow takes more steps."""
 CHUNK = 4096
-"""Samples whose metric is made at once."""
+"""Samples whose metric is computed at once."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where the wrenches of a grasp are drawn.
+    """Distribution of the wrenches on a grasp.
 
     Attributes:
         grasp: the contacts; its mean friction is replaced.
-        magnitudes: [N] range of the size of wrenches in the grasp's unit frame, log-uniform.
+        magnitudes: range of the wrenches' norm in the grasp's unit frame [N], log-uniform.
         frictions: range of the mean friction coefficient.
-        paper: whether the ball is the paper's, about the object's origin; otherwise it is as large in the grasp's unit frame.
+        paper: True for the paper's ball, about the object's origin; else a ball of that size in the grasp's unit frame.
     """
 
     grasp: Grasp
@@ -40,19 +40,19 @@ class Source:
     paper: bool
 
     def ball(self, rng: np.random.Generator, count: int) -> Array:
-        """(count, 6) wrenches of the ball."""
+        """Draw wrenches (count, 6) of the ball."""
         drawn = sample_ball(rng, count)
         return drawn if self.paper else self._from_unit(drawn)
 
     def draw(
         self, rng: np.random.Generator, count: int, groups: int, ball: float = BALL
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(groups * per, 6) wrenches and their friction (groups * per,), one number per group; about `count` of them.
+        """Draw about `count` wrenches (groups * per, 6) and their friction (groups * per,), equal within a group.
 
         Args:
             rng: source of every sample.
-            count: how many, at least one per group.
-            groups: different frictions, each of its own part of the range.
+            count: number of wrenches; each group has at least one.
+            groups: number of frictions, each from its own part of the range.
             ball: share of the wrenches that are drawn from the ball.
         """
         per, (low, high) = max(1, count // groups), self.frictions
@@ -63,12 +63,12 @@ class Source:
         return np.where(rng.random(groups * per)[:, None] < ball, inside, wrenches), friction.repeat(per)
 
     def _from_unit(self, drawn: Array) -> Array:
-        """Wrenches (B, 6) about some point, of moments over 0.05 m, as if they were of the unit frame."""
+        """Transform wrenches (B, 6), with moments over 0.05 m taken as coordinates of the unit frame, to the object frame."""
         return (drawn / np.repeat([1.0, MAGNITUDE_LENGTH], 3)) @ np.linalg.inv(self.grasp.unit_frame).T
 
 
 def with_mean_friction(grasp: Grasp, friction: float) -> Grasp:
-    """The grasp with all coefficients changed by one factor, so that their mean is `friction`."""
+    """Return the grasp with all friction coefficients scaled by one factor, so that their mean is `friction`."""
     return grasp.with_friction(grasp.models.friction * (friction / float(grasp.friction.mean())))
 
 
@@ -102,7 +102,7 @@ def label(
     friction: np.ndarray,
     workers: int = 2,
 ) -> Dataset:
-    """Labels wrenches (B, 6) on a grasp with frictions (B,) by Newton (relative gap 1e-10).
+    """Label wrenches (B, 6) on a grasp with frictions (B,) by Newton's method, to a relative gap of 1e-10.
 
     Args:
         grasp: the contacts; its mean friction is replaced.
@@ -110,10 +110,10 @@ def label(
         objective: Phi.
         wrenches: (B, 6) [N, N m].
         friction: (B,).
-        workers: threads (the core releases the GIL).
+        workers: number of threads; the core releases the GIL.
 
     Raises:
-        NotConvergedError: a label missed 1e-6, which would train on a wrong answer.
+        NotConvergedError: a label has a relative gap above 1e-6.
     """
     count = len(wrenches)
     grasps = {mu: with_mean_friction(grasp, mu) for mu in np.unique(friction).tolist()}
@@ -150,11 +150,11 @@ def label(
 
 
 def _metric(force: Array, scales: Array, null_space: Array, objective: Objective, least: Array) -> Array:
-    """(B, K, K) upper factors of the Hessian of Phi in null-space coordinates at optima `force` (B, 3N), over 2 min Phi.
+    """Return upper factors (B, K, K) of the Hessian of Phi over 2 min Phi, in null-space coordinates at the optima.
 
     Args:
-        force: (B, 3N) [N].
-        scales: (B, N, 3) of cone coordinates.
+        force: (B, 3N) optimal forces [N].
+        scales: (B, N, 3) scales of cone coordinates.
         null_space: (3N, K).
         objective: Phi.
         least: (B,) min Phi.

@@ -1,4 +1,4 @@
-"""The optimisation loop: warm-up and cosine, a held-out curve, saved states, orderly interrupts."""
+"""Training loop: warm-up and cosine schedule, held-out scores, saved states, orderly interrupts."""
 
 from __future__ import annotations
 
@@ -22,56 +22,56 @@ from training.results.bars import progress
 from training.results.interrupts import interruptible
 
 MARKS = 20
-"""Scores on held-out data, and saved states, per training."""
+"""Number of held-out scores, and of saved states, per training."""
 WARM = 0.03
 """Share of the training over which the learning rate rises."""
 CLIP = 5.0
 """Largest norm of a gradient."""
 PARTS = 2
-"""Of a batch: their gradients are made by a thread each and added in this order, so that the sum has the same bits on any machine's
-number of cores."""
+"""Parts of a batch. Each part's gradient is computed by one thread, and they are added in a fixed order, so that the sum has the same
+bits for any number of threads."""
 Part = Any
-"""What a task makes of a part of a batch."""
+"""Part of a batch, of a type that the task defines."""
 
 
 class Task(Protocol):
-    """What is trained."""
+    """Training problem."""
 
     @property
     def module(self) -> nn.Module:
-        """Its weights are optimised."""
+        """Module whose weights are optimised."""
         ...
 
     def batch(self, rng: np.random.Generator) -> list[Part]:
-        """A batch drawn with `rng`, in `PARTS` parts."""
+        """Draw a batch, in `PARTS` parts."""
         ...
 
     def loss(self, part: Part) -> Tensor:
-        """Of a part; called by several threads at once."""
+        """Return the loss of a part. Several threads call it at once."""
         ...
 
     def score(self) -> list[float]:
-        """Held-out numbers, one row of the curve."""
+        """Return the held-out scores, one row of the curve."""
         ...
 
     def note(self, row: list[float]) -> str:
-        """A row in words."""
+        """Describe a row in words."""
         ...
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How long and how.
+    """Length and settings of a training.
 
     Attributes:
-        seconds: processor time for the optimisation steps; 0: their number decides.
-        steps: how many.
-        learning_rate: peak.
-        seed: of the batches.
-        threads: that share the parts of a batch.
-        state: where the training is saved; None: nowhere.
-        resume: go on from there.
-        words: what it is called where its scores are told on stderr (a bar on terminals, else lines); empty: nowhere.
+        seconds: processor time for the optimisation steps; 0: `steps` decides.
+        steps: number of optimisation steps.
+        learning_rate: peak learning rate.
+        seed: seed of the batches.
+        threads: threads that share the parts of a batch.
+        state: file in which the training is saved; None: it is not saved.
+        resume: continue from that file.
+        words: label of the progress on stderr (a bar on terminals, else lines); empty: no progress.
     """
 
     seconds: float
@@ -84,18 +84,20 @@ class Plan:
     words: str = ""
 
     def done(self, now: Progress) -> float:
-        """0 to 1 (and beyond)."""
+        """Return the completed share, 0 to 1 or above."""
         return now.cpu_seconds / self.seconds if self.seconds else now.step / self.steps
 
 
 def optimise(task: Task, plan: Plan) -> Progress:
-    """Trains `task.module`; unless time decides the result is the same bit by bit, also with other threads, an interrupt and resume.
+    """Train `task.module`.
+
+    Unless time decides, the result has the same bits with any number of threads, and after an interrupt and resume.
 
     Returns:
         Steps, seconds and the curve: rows (step, seconds, *score).
 
     Raises:
-        KeyboardInterrupt: after an interrupt or SIGTERM; the training as it was then is saved.
+        KeyboardInterrupt: after an interrupt or SIGTERM; the state at that moment is saved.
     """
     rng = np.random.default_rng([plan.seed, 2])
     optimiser = Soap(task.module.parameters(), lr=plan.learning_rate)
@@ -109,14 +111,14 @@ def optimise(task: Task, plan: Plan) -> Progress:
     def gradients(part: Part) -> tuple[Tensor, ...]:
         return torch.autograd.grad(task.loss(part), parameters)
 
-    with interruptible() as interrupted, _telling(task, plan) as tell, ThreadPoolExecutor(plan.threads) as pool:
+    with interruptible() as interrupted, _reporting(task, plan) as report, ThreadPoolExecutor(plan.threads) as pool:
         while True:
             done = plan.done(now)
             if done >= min(mark, 1.0):
                 row = task.score()
                 now.curve.append([float(now.step), round(now.seconds, 2), *row])
                 mark = _next_mark(done)
-                tell(now, row)
+                report(now, row)
                 if plan.state is not None and done > 0.0:
                     plan.state.save(task.module, optimiser, rng, now)
             if done >= 1.0:
@@ -124,7 +126,7 @@ def optimise(task: Task, plan: Plan) -> Progress:
             if interrupted():
                 if plan.state is not None:
                     plan.state.save(task.module, optimiser, rng, now)
-                    sys.stderr.write(f"saved {plan.state.path}: the same command with --resume goes on from there\n")
+                    sys.stderr.write(f"saved {plan.state.path}: the same command with --resume continues from there\n")
                 raise KeyboardInterrupt
             for group in optimiser.param_groups:
                 group["lr"] = plan.learning_rate * _schedule(done)
@@ -137,7 +139,7 @@ def optimise(task: Task, plan: Plan) -> Progress:
 
 
 def _schedule(done: float) -> float:
-    """Warm-up, then a cosine to zero."""
+    """Return the factor of the learning rate: a linear warm-up, then a cosine to zero."""
     return done / WARM + 1e-3 if done < WARM else 0.5 * (1.0 + math.cos(math.pi * (done - WARM) / (1.0 - WARM))) + 1e-4
 
 
@@ -146,15 +148,15 @@ def _next_mark(done: float) -> float:
 
 
 @contextmanager
-def _telling(task: Task, plan: Plan) -> Iterator[Callable[[Progress, list[float]], None]]:
+def _reporting(task: Task, plan: Plan) -> Iterator[Callable[[Progress, list[float]], None]]:
     console = Console(stderr=True, quiet=not plan.words)
     total = round(plan.seconds) or plan.steps
     with progress(console) as bar:
         shown = bar.add_task(f"{plan.words}, {'seconds' if plan.seconds else 'steps'}", total=total)
 
-        def tell(now: Progress, row: list[float]) -> None:
+        def report(now: Progress, row: list[float]) -> None:
             bar.update(shown, completed=round(total * min(1.0, plan.done(now))), note=task.note(row))
             if plan.words and not console.is_terminal:
                 sys.stderr.write(f"{plan.words}: step {now.step}, {now.seconds:.0f} s: {task.note(row)}\n")
 
-        yield tell
+        yield report

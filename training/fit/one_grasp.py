@@ -1,4 +1,4 @@
-"""Fits the initial-force network of one grasp to generated optima, and writes its model card."""
+"""Training of the initial-force network of one grasp on generated optima, with its model card."""
 
 from __future__ import annotations
 
@@ -32,34 +32,34 @@ from training.results import provenance
 from training.results.words import small
 
 FRICTIONS, AT_ONCE = 256, 16
-"""Different frictions in the data, and in a batch: each has weights of its own."""
+"""Numbers of frictions in the data and in a batch; the network has separate weights for each friction."""
 HELD_OUT, HELD_OUT_SEED = 4096, 77_777
-"""The same held-out wrenches for every training, so that seeds can be compared."""
+"""Number and seed of the held-out wrenches, the same for every training, so that trainings can be compared."""
 FLOOR = 1e-6
-"""Gaps below count as none."""
+"""Gap below which a smaller one gains nothing."""
 PERCENTILES = (50, 95, 99)
 MOST_NUMBERS = 60_000_000
-"""Of the samples, 240 MB: with many contacts there are fewer of them."""
+"""Largest number of floats in the samples, 240 MB; it reduces the number of samples for many contacts."""
 Samples = tuple[Tensor, Tensor, Tensor]
-"""Friction by friction: (F, B, inputs) features, (F, B, K, K) R m and (F, B, K) R z*, with which the gap to second order is
-|R m y - R z*|^2, y the network's output."""
+"""Features (F, B, inputs), R m (F, B, K, K) and R z* (F, B, K), friction by friction; with the network's output y the gap to second
+order is |R m y - R z*|^2."""
 
 
 @dataclass(frozen=True)
 class FitResult:
-    """The checkpoint and the learning curve: rows (step, seconds, median, p95, p99 of the gap on the ball and on the range)."""
+    """Checkpoint, and learning curve with rows (step, seconds, median, p95, p99 of the gap on the ball and on the range)."""
 
     checkpoint: Checkpoint
     curve: np.ndarray
 
 
 class NetworkTask:
-    """Mean of a small power of the gap of Phi, to second order.
+    """Regression of the optimum: the loss is the mean of a small power of the gap of Phi, to second order.
 
     Args:
-        config: of the batches and the loss.
+        config: settings of the batches and the loss.
         module: the network.
-        train: samples.
+        train: training samples.
         held_out: samples of each held-out set.
     """
 
@@ -70,7 +70,7 @@ class NetworkTask:
     def batch(self, rng: np.random.Generator) -> list[Samples]:
         """See `loop.Task`."""
         (frictions, each), size = self._train[0].shape[:2], self._config.batch_size // AT_ONCE
-        # a friction of every part of the range: what a batch says of the polynomials varies less
+        # one friction from each part of the range: the gradient of the polynomials varies less between batches
         chosen = ((np.arange(AT_ONCE) + rng.random(AT_ONCE)) * (frictions / AT_ONCE)).astype(int)
         begin = rng.integers(0, each - size + 1, AT_ONCE)
         places = [
@@ -80,12 +80,12 @@ class NetworkTask:
 
     def loss(self, part: Samples) -> Tensor:
         """See `loop.Task`."""
-        # a root keeps the few hard wrenches from drowning the rest, and the constant its derivative bounded
+        # the small power keeps few hard wrenches from dominating the loss; the constant bounds its derivative
         return (gaps(self.module, part) + FLOOR).pow(self._config.tail).mean()
 
     @torch.no_grad()
     def score(self) -> list[float]:
-        """Percentiles of the gap to second order on each held-out set."""
+        """Return percentiles of the gap to second order on each held-out set."""
         found = (gaps(self.module, each).numpy() for each in self._held_out)
         return [float(value) for gap in found for value in np.percentile(gap, PERCENTILES)]
 
@@ -96,15 +96,17 @@ class NetworkTask:
 
 
 def gaps(network: Network, samples: Samples) -> Tensor:
-    """(F * B,) relative gap of Phi to second order."""
+    """Return the relative gap of Phi (F * B,), to second order."""
     inputs, metric, goal = samples
     size = goal.shape[-1]
-    said = network(inputs).reshape(-1, size, 1)
-    return torch.baddbmm(goal.reshape(-1, size, 1), metric.reshape(-1, size, size), said, beta=-1).square().sum((1, 2))
+    outputs = network(inputs).reshape(-1, size, 1)
+    return (
+        torch.baddbmm(goal.reshape(-1, size, 1), metric.reshape(-1, size, size), outputs, beta=-1).square().sum((1, 2))
+    )
 
 
 def samples_of(data: Dataset, grasp: Grasp, features: Features, pairs: np.ndarray, frictions: int) -> Samples:
-    """What the network is trained on, of data that lie friction by friction."""
+    """Return the network's samples of labelled data, which must be ordered friction by friction."""
     inputs, scale = features(data.wrenches @ grasp.unit_frame.T, data.friction, pairs)
     columns = inputs, data.metric * scale[:, None, None], np.einsum("bij,bj->bi", data.metric, data.coordinates)
     return tuple(  # type: ignore[return-value]
@@ -119,17 +121,17 @@ def fit(
     out: Path | None = None,
     resume: bool = False,
 ) -> FitResult:
-    """Trains on the second-order relative gap of Phi and returns the model with the card of how it was made.
+    """Train on the second-order relative gap of Phi and return the model with its model card.
 
     Args:
         config: all settings.
-        progress: tell the progress on stderr.
-        command: recorded in the model card.
+        progress: show the progress on stderr.
+        command: command recorded in the model card.
         out: stem of the model's files, beside which an interrupted training is kept; None: it is not kept.
-        resume: go on from there.
+        resume: continue an interrupted training.
 
     Raises:
-        InvalidInputError: before any work, where `out` cannot be written or holds another training.
+        InvalidInputError: before any work, if `out` cannot be written or holds another training.
         KeyboardInterrupt: interrupted; the training so far is kept.
     """
     config, grasp = config.resolved(), config.contacts()
@@ -150,7 +152,7 @@ def fit(
 
     inputs, outputs = core.PLAIN_FEATURES + len(pairs) // 2, reference.shape[1]
     count = max(2 * config.batch_size, min(config.samples, MOST_NUMBERS // (inputs + outputs * (outputs + 1))))
-    # at least a batch's share of samples for every friction
+    # every friction has at least the samples that a batch takes of it
     train = labelled(rng, count, min(FRICTIONS, AT_ONCE * count // config.batch_size))
     held_out = tuple(labelled(held_out_rng, HELD_OUT, min(FRICTIONS, HELD_OUT), ball=ball) for ball in (1.0, 0.0))
     torch.manual_seed(config.seed)

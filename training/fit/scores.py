@@ -1,4 +1,4 @@
-"""What a network of one grasp is worth on held-out wrenches: its gap, the Newton steps and the flow's iterations that are left."""
+"""Scores of a network on held-out wrenches: its gap, and the Newton steps and flow iterations that remain."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from training.compare.trial import TOLERANCE
 from training.data.one_grasp import with_mean_friction
 
 MOST = 4
-"""Newton steps that are counted one by one; more are counted together."""
+"""Number of Newton steps from which on counts are pooled."""
 EXACT = 1e-10
 """Relative gap of the optima."""
 
@@ -23,18 +23,18 @@ EXACT = 1e-10
 def scores(
     model: LearnedInitialForce, grasp: Grasp, wrenches: np.ndarray, frictions: np.ndarray, flow: bool = False
 ) -> dict[str, Any]:
-    """Summaries over wrenches (B, 6) on a grasp with frictions (B,), each through the model as it is used.
+    """Score the network of a model, without its Newton steps, on wrenches (B, 6) on a grasp with frictions (B,).
 
     Args:
-        model: whose network is looked at alone.
-        grasp: its mean friction is replaced.
+        model: the model.
+        grasp: the contacts; their mean friction is replaced.
         wrenches: (B, 6) [N, N m].
         frictions: (B,).
         flow: run the flow, too.
 
     Returns:
-        "gap" of the force before any step; "outside the cones": share, before the repair; "newton steps" to a certified 1e-4: shares
-        that need 0, 1, ... and more; "flow iterations" to 1e-4.
+        "gap" of the force before any step; "outside the cones": the share before the repair; "newton steps" to a certified gap of
+        1e-4: the shares that need 0, 1, ...; "flow iterations" to 1e-4.
     """
     alone = NetworkAlone(model)
     rows: list[tuple[float, bool, int, int]] = []
@@ -49,23 +49,23 @@ def scores(
             taken = newton.solve(wrench, initial=start).iterations
             rows.append((max(0.0, gap), here.cone_margin(raw) <= 0.0, taken, left))
     gaps, outside, steps, iterations = np.array(rows).T
-    told = {
+    summary = {
         "wrenches": len(rows),
-        "gap": spread(gaps),
+        "gap": quantiles(gaps),
         "outside the cones": float(outside.mean()),
         "newton steps": {
             f"{k}{' or more' if k == MOST else ''}": float((np.minimum(steps, MOST) == k).mean())
             for k in range(MOST + 1)
         },
     }
-    return told | ({"flow iterations": spread(iterations)} if flow else {})
+    return summary | ({"flow iterations": quantiles(iterations)} if flow else {})
 
 
-def spread(values: np.ndarray) -> dict[str, float]:
-    """Number, median and upper percentiles of finite values (n,).
+def quantiles(values: np.ndarray) -> dict[str, float]:
+    """Return number, median and upper percentiles of finite values (n,).
 
     Example:
-        >>> spread(np.arange(101.0))
+        >>> quantiles(np.arange(101.0))
         {'n': 101, 'median': 50.0, 'p90': 90.0, 'p99': 99.0, 'max': 100.0}
     """
     points = zip(("median", "p90", "p99", "max"), np.percentile(values, [50, 90, 99, 100]), strict=True)

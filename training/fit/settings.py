@@ -1,4 +1,4 @@
-"""Settings of `grasp fit`: light to import, also the command line's options."""
+"""Settings of `grasp fit`, which are also its options; this module imports no torch."""
 
 from __future__ import annotations
 
@@ -15,36 +15,35 @@ from training.data.one_grasp import with_mean_friction
 from training.results.run import check_counts
 
 LEAST, MOST = 5 / 8, 3 / 2
-"""Range of the friction where none is given, over the grasp's own."""
+"""Default range of the friction, as factors of the grasp's own."""
 CLOSURE = 0.01
-"""Least closure margin times the contacts, as of the random grasps that starts are compared on."""
+"""Least closure margin times the number of contacts, as for the random grasps on which starts are compared."""
 
 
 @dataclass(frozen=True)
 class FitConfig:
-    """How a network is fitted.
+    """Settings of a training.
 
     Attributes:
-        preset: the named grasp to learn.
-        grasp: a grasp's JSON file instead, three and more hard contacts.
-        steps: optimisation steps. Their number does not depend on the machine's speed, so that a training repeats bit by bit.
-        seconds: processor time for them instead, all threads together: what others do on the machine does not count. 0: `steps`.
-        samples: labelled wrenches; with many contacts fewer are made, which the model card says.
+        preset: name of the grasp.
+        grasp: JSON file of a grasp instead, with at least three hard contacts.
+        steps: optimisation steps. A training of a given number of steps repeats bit by bit.
+        seconds: processor time of all threads for the optimisation steps, instead of their number; 0: `steps` decides.
+        samples: labelled wrenches; for many contacts fewer are made, as the model card records.
         hidden: widths of the hidden layers.
-        degree: of the polynomials of the friction that the weights are; 0: friction is one more number that the network reads.
+        degree: degree of the weights as polynomials of the friction; 0: friction is an input of the network instead.
         batch_size: wrenches per optimisation step.
         learning_rate: peak of the one-cycle schedule.
-        tail: exponent of the gap in the loss: larger cares more about the worst wrenches.
-        seed: of data, weights and batches.
-        low: [N] least |(force, moment about the contacts' centre / their length)| of the training wrenches.
-        high: [N] largest.
-        friction_low: least mean friction coefficient; 0: 5/8 of the grasp's own, or where contacts have less grip than closes
-            the grasp, the least that does.
-        friction_high: largest; 0: 3/2 of the grasp's own.
-        force_weight: omega of the Phi to learn.
-        barrier_weight: lambda of the Phi to learn [N^2].
-        threads: 1 or 2 that share each batch; the result is the same bit by bit.
-        quick: less of everything: ends within a minute, and says so.
+        tail: exponent of the gap in the loss; a larger one gives more weight to the worst wrenches.
+        seed: seed of data, weights and batches.
+        low: least |(force, moment about the contacts' centre / their length)| of the training wrenches [N].
+        high: largest such norm [N].
+        friction_low: least mean friction coefficient; 0: 5/8 of the grasp's own, or the least with which the grasp closes.
+        friction_high: largest mean friction coefficient; 0: 3/2 of the grasp's own.
+        force_weight: omega of Phi.
+        barrier_weight: lambda of Phi [N^2].
+        threads: 1 or 2 threads that share each batch; the result has the same bits.
+        quick: a small training that ends within a minute; the model card marks it.
     """
 
     preset: str = "paper_cuboid"
@@ -82,17 +81,16 @@ class FitConfig:
             _ordered("friction_low", self.friction_low, "friction_high", self.friction_high)
 
     def contacts(self) -> Grasp:
-        """The grasp to learn.
+        """Return the grasp.
 
         Raises:
-            GraspFileError: the file holds none.
-            InvalidInputError: contacts that no model knows, or without force closure.
+            GraspFileError: the file holds no grasp.
+            InvalidInputError: contacts that models do not support, or no force closure.
         """
         grasp = presets.preset(self.preset) if self.grasp is None else load_grasp(self.grasp)
         if set(grasp.models.names) != {"hard"} or grasp.n_contacts < 3:
             raise InvalidInputError(
-                f"a model knows three and more hard contacts, the grasp has {list(grasp.models.names)}: its starts are those of "
-                "methods without a model"
+                f"a model needs three and more hard contacts, the grasp has {list(grasp.models.names)}: use a start without a model"
             )
         if not closes(grasp, float(grasp.friction.mean())):
             raise InvalidInputError(
@@ -101,10 +99,10 @@ class FitConfig:
         return grasp
 
     def resolved(self) -> FitConfig:
-        """The settings in force: with the friction's range of the grasp.
+        """Return the settings with every default filled in.
 
         Raises:
-            GraspFileError, InvalidInputError: see `contacts`; a range in which the grasp does not close.
+            GraspFileError, InvalidInputError: see `contacts`; or the grasp does not close in the whole range of friction.
         """
         grasp = self.contacts()
         own = float(grasp.friction.mean())
@@ -120,7 +118,7 @@ class FitConfig:
 
 
 def closes(grasp: Grasp, friction: float) -> bool:
-    """Whether the grasp closes with that mean friction, by more than a margin near which forces grow without bound."""
+    """Return True if the grasp closes with that mean friction, with a margin that keeps forces bounded."""
     return feasibility(with_mean_friction(grasp, friction), np.zeros(6)).margin > CLOSURE / grasp.n_contacts
 
 

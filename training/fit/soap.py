@@ -1,7 +1,7 @@
 """SOAP: Adam in the eigenbasis of Shampoo's preconditioner (Vyas et al., 2024), for networks with small matrices.
 
-For a regression that is to be exact rather than general it needs far fewer steps than Adam; with layers this narrow its
-few small products cost little beside the batch.
+A regression that must be exact needs far fewer steps than with Adam. With layers this narrow its few small products cost little
+compared with the batch.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import torch
 from torch import Tensor, nn
 
 DECAY = 0.95
-"""Of all moving means."""
+"""Decay of all moving means."""
 SMALL = 1e-8
 EVERY = 10
 """Steps between two updates of the eigenbases."""
 
 
 class Soap(torch.optim.Optimizer):
-    """One weight matrix G of gradients: momentum and squares in the eigenbases of mean G G^T and mean G^T G.
+    """Optimiser with momentum and squared gradients in the eigenbases of mean G G^T and mean G^T G, G a matrix of gradients.
 
     Args:
         parameters: matrices and vectors.
@@ -32,7 +32,7 @@ class Soap(torch.optim.Optimizer):
 
     @torch.no_grad()
     def step(self, closure: Callable[[], float] | None = None) -> None:  # type: ignore[override]
-        """One update of every parameter that has a gradient."""
+        """Update every parameter that has a gradient."""
         for group in self.param_groups:
             for parameter in group["params"]:
                 if parameter.grad is not None:
@@ -42,7 +42,7 @@ class Soap(torch.optim.Optimizer):
 
 
 def _direction(state: dict[str, Any], gradient: Tensor) -> Tensor:
-    # contiguous as when they were saved: products of another layout round differently, and a resumed training must not
+    # contiguous, as after loading: products of another layout round differently, and a resumed training must have the same bits
     sides = {"rows": gradient @ gradient.T, "columns": gradient.T @ gradient}
     if not state:
         state["step"] = torch.zeros(())

@@ -1,4 +1,4 @@
-"""A training that can go on where it stopped: one file with weights, the optimiser's moments, random numbers and curve."""
+"""State of an interrupted training: one file with weights, the optimiser's moments, the generator's state and the curve."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from training.results import Run
 
 SCHEMA = "grasp-force/training-state/1"
 SPACE = 32_000_000
-"""[bytes] that must be free before a training starts: model and state, and each once more while it is replaced."""
+"""Free space needed before a training starts [bytes]: model and state, and a second copy of each while it is replaced."""
 
 
 @dataclass
 class Progress:
-    """How far a training is.
+    """Progress of a training.
 
     Attributes:
         step: optimisation steps taken.
-        seconds: spent on them.
-        cpu_seconds: of one core: where programs share the cores, this is what training costs.
+        seconds: wall time of these steps.
+        cpu_seconds: processor time of these steps, which other programs on the machine do not change.
         curve: rows of held-out scores.
     """
 
@@ -41,11 +41,11 @@ class Progress:
 
 
 class StateFile:
-    """`<out>.state.safetensors`, replaced whole at every save and removed when the model is finished.
+    """File `<out>.state.safetensors`, replaced at every save and removed when the model is finished.
 
     Args:
         out: stem of the model's files.
-        settings: what decides the result; a state of other settings is refused.
+        settings: settings that decide the result; a state with other settings is refused.
     """
 
     def __init__(self, out: Path, settings: dict[str, Any]) -> None:
@@ -54,7 +54,7 @@ class StateFile:
 
     @classmethod
     def begin(cls, out: Path | None, settings: dict[str, Any], resume: bool) -> StateFile | None:
-        """The state of a training, prepared; None where it is not kept."""
+        """Return the prepared state file of a training; None if `out` is None."""
         if out is None:
             return None
         state = cls(out, settings)
@@ -62,10 +62,10 @@ class StateFile:
         return state
 
     def prepare(self, resume: bool) -> None:
-        """Checks, before any work, that it can be written and whether there is something to go on from.
+        """Check, before any work, that the file can be written and that a training can be resumed.
 
         Raises:
-            InvalidInputError: the folder cannot be written, its disk is too full, or an unfinished training lies there.
+            InvalidInputError: the folder cannot be written, its disk is too full, or it holds an unfinished training.
             ModelFileError: nothing to resume, or a damaged or foreign file.
         """
         Run.create(self.path.parent, "")
@@ -84,7 +84,7 @@ class StateFile:
     def save(
         self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator, now: Progress
     ) -> None:
-        """Writes everything under a temporary name, then renames."""
+        """Write everything under a temporary name, then rename it."""
         tensors = {f"weight.{name}": value.detach().numpy() for name, value in module.state_dict().items()}
         for index, moments in optimiser.state_dict()["state"].items():
             tensors |= {f"moment.{index}.{name}": value.numpy() for name, value in moments.items()}
@@ -108,7 +108,7 @@ class StateFile:
             ) from None
 
     def restore(self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator) -> Progress:
-        """Puts the saved weights, moments and random numbers back.
+        """Restore the saved weights, moments and generator.
 
         Raises:
             ModelFileError: see `prepare`.
@@ -129,7 +129,7 @@ class StateFile:
             raise self._damaged(error) from None
 
     def remove(self) -> None:
-        """After the model was saved."""
+        """Remove the file, once the model is saved."""
         self.path.unlink(missing_ok=True)
 
     def _read(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -151,9 +151,9 @@ class StateFile:
         names = sorted({*settings, *self._settings})
         other = [name for name in names if settings.get(name) != self._settings.get(name)]
         if other:
-            told = "; ".join(f"{name} was {settings.get(name)!r}, is {self._settings.get(name)!r}" for name in other)
+            changes = "; ".join(f"{name} was {settings.get(name)!r}, is {self._settings.get(name)!r}" for name in other)
             raise InvalidInputError(
-                f"{self.path} was begun with other settings ({told}): repeat its command with --resume"
+                f"{self.path} was begun with other settings ({changes}): give the same settings with --resume"
             )
         return tensors, meta
 

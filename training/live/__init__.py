@@ -1,1 +1,1 @@
-"""`grasp live`: a grasp in the browser that people drag; the window knows nothing of grasps, the answers nothing of the page."""
+"""`grasp live`: an interactive grasp in the browser. `window` does not depend on grasps, `answer` not on the page."""

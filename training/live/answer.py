@@ -1,4 +1,4 @@
-"""The answer to a question about bare contacts: forces, what certifies them, and what would help where there are none."""
+"""Solutions for bare contacts, for display: forces and their certificates, or a remedy if no force holds the load."""
 
 from __future__ import annotations
 
@@ -17,17 +17,20 @@ from grasp_env.grasp import Grasp
 
 Mood = Literal["good", "warning", "bad"]
 STARTS = (*RULES, "previous", "learned")
-"""Start rules to choose from; `conic` starts by itself."""
+"""Start rules to choose from; `conic` takes none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What is shown for a grasp and a load.
+    """Displayed result for a grasp and a load.
 
     Attributes:
-        mood, status, words: at a glance, in a word or two, and what it means.
-        solution: the forces; None: there are none.
-        columns, facts: its numbers (N,) for the contacts, and others as text, by their names.
+        mood: severity, which selects the colour.
+        status: outcome in a word or two.
+        words: explanation of the outcome.
+        solution: the forces; None if there are none.
+        columns: numbers (N,) of the contacts, by name.
+        facts: further facts as text, by name.
         twist: (6,) velocity of the object's origin and angular velocity, of any scale, that prove the load infeasible.
     """
 
@@ -49,14 +52,16 @@ def answer(
     max_normal: float = math.inf,
     previous: ForceSolution | None = None,
 ) -> Answer:
-    """Solves for the contact forces.
+    """Solve for the contact forces.
 
     Args:
         grasp: hard contacts of one friction.
         wrench: (6,) external force [N] and moment [N m] on the object, object frame.
-        method: its name. start: a rule, which `conic` ignores.
-        barrier_weight: lambda [N^2]. max_normal: largest normal force of a contact [N]; inf: no limit.
-        previous: where the start "previous" starts.
+        method: name of the method.
+        start: start rule, which `conic` ignores.
+        barrier_weight: lambda [N^2].
+        max_normal: largest normal force of a contact [N]; inf: no limit.
+        previous: solution from which the start "previous" starts.
 
     Raises:
         GraspError: the method does not solve such a problem, or not from this start.
@@ -106,7 +111,7 @@ def answer(
 
 
 def _remedy(grasp: Grasp, wrench: Array) -> str:
-    """What would hold the load: a friction, or other contacts."""
+    """Return advice how to hold the load: the least friction that would, or other contacts."""
     for friction in np.arange(0.05, 2.0, 0.05):
         if friction > grasp.friction[0]:
             with suppress(GraspError):

@@ -1,4 +1,4 @@
-"""The page of bare contacts: load and contacts are dragged or set, forces and proofs follow."""
+"""Page of bare contacts: the user drags or sets load and contacts, and sees forces and proofs."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ from training.live.window import Window
 SHAPES = ("cuboid", "sphere", "cylinder")
 HINT = "**Drag** the purple ball (force), the pink ball (moment) or a contact; elsewhere the mouse turns the view."
 NO_LIMIT = 50.0
-"""[N] at the end of the slider: no limit."""
+"""End of the slider [N], which means no limit."""
 _FORCE, _LOAD, _MOMENT = 0.55, 0.95, 0.62
-"""Drawn lengths of the largest of the first forces, of the first load's force and moment, in extents of the object."""
+"""Drawn lengths of the largest initial contact force, of the initial load's force and of its moment, in extents of the object."""
 
 
 class BareContacts(Window):
-    """Contacts on an object under a load. The controls hold all settings but the contacts.
+    """Contacts on an object under a load. The controls hold all settings except the contacts.
 
     Args:
-        port: of the page.
-        grasp: the first contacts: hard, of one friction.
-        wrench: (6,) the first load [N, N m], object frame.
-        method: that solves.
-        rule: gives the start rule of a name.
+        port: port of the page.
+        grasp: initial contacts: hard, with one friction.
+        wrench: (6,) initial load [N, N m], object frame.
+        method: optimisation method.
+        rule: function from a name to a start rule.
 
     Attributes:
-        positions, normals: (N, 3) of the contacts [m].
-        answer: what is shown.
+        positions: (N, 3) contact points [m].
+        normals: (N, 3) inward normals.
+        answer: displayed result.
     """
 
     def __init__(self, port: int, grasp: Grasp, wrench: Array, method: str, rule: Callable[[str], str | InitialForceRule]) -> None:  # fmt: skip
@@ -54,26 +55,26 @@ class BareContacts(Window):
         self._stand(self._mesh, grasp.positions, grasp.normals)
 
     def draw(self) -> None:
-        """Solves for the controls and the contacts, and draws the answer."""
+        """Solve for the current controls and contacts, and draw the answer."""
         shape, count = self.shape.value, int(self.count.value)
         if (shape, count) != self._standing:
             mesh = self._mesh if shape == self._name else look.object_mesh(shape, (self._extent,) * 3)
-            self._stand(mesh, *placed(mesh, count))
+            self._stand(mesh, *place_contacts(mesh, count))
         wrench, friction = np.array([*self.force.value, *self.moment.value]), float(self.friction.value)
         limit = math.inf if self.limit.value >= NO_LIMIT else float(self.limit.value)
         forces, advice = np.zeros_like(self.positions), []
         try:
             grasp = Grasp.from_contacts(self.positions, self.normals, friction)
             start, weight, previous = self._rule(self.start.value), 10.0**self.weight.value, self.answer.solution
-            self.answer = told = answer(grasp, wrench, self.method.value, start, weight, limit, previous)
+            self.answer = found = answer(grasp, wrench, self.method.value, start, weight, limit, previous)
             advice = advise(grasp)
-            if told.solution is not None:
-                forces = grasp.to_object_frame(told.solution.force)
+            if found.solution is not None:
+                forces = grasp.to_object_frame(found.solution.force)
         except GraspError as error:
-            self.answer = told = Answer("bad", "not solved", f"{error}")
-        bad, twist = told.mood == "bad", told.twist
-        names = [f"contact {k + 1}" for k in range(len(forces))] if told.columns else []
-        self.tell(told.mood, told.status, told.words, names, told.columns, told.facts, advice)
+            self.answer = found = Answer("bad", "not solved", f"{error}")
+        bad, twist = found.mood == "bad", found.twist
+        names = [f"contact {k + 1}" for k in range(len(forces))] if found.columns else []
+        self.show(found.mood, found.status, found.words, names, found.columns, found.facts, advice)
         self._body.color = look.BAD if bad else look.BODY
         frames, cones = contact_frames(self.normals), np.full(len(forces), friction)
         self._contacts.draw(self.positions / self._extent, frames, forces, cones, bad)
@@ -86,7 +87,7 @@ class BareContacts(Window):
             self._screw.points = look.screw(twist, self.positions.mean(axis=0), self._extent)
 
     def _stand(self, mesh: trimesh.Trimesh, positions: Array, normals: Array) -> None:
-        """Other contacts, on this body or another one."""
+        """Replace the body and the contacts."""
         self._standing = self.shape.value, int(self.count.value)
         self.mesh, self.positions, self.normals = mesh, positions, normals
         _, self._body = look.add_body(self.scene, mesh, 1.0 / self._extent)
@@ -100,15 +101,15 @@ class BareContacts(Window):
         self._stand(self._mesh, self._grasp.positions, self._grasp.normals)
 
     def _drag_load(self, control: Any, scale: Array, event: Any) -> None:
-        """The ball at an arrow's head follows the mouse in the plane of the screen."""
-        if event.phase == "start":  # the ball was met beside its centre
+        """Move the ball at an arrow's head with the mouse, in the plane of the screen."""
+        if event.phase == "start":  # the mouse met the ball beside its centre
             self._beside = scale * np.array(control.value) - np.array(event.start_position)
         control.value = ((np.array(event.end_position) + self._beside) / scale).round(4)
 
     def _drag_contact(self, k: int, event: Any) -> None:
-        """Contact k goes to where the mouse is on the object; beside the object it stays."""
+        """Move contact k to the point of the object under the mouse; beside the object it stays."""
         eye, mouse = np.array(event.client.camera.position), np.array(event.end_position)
-        met = under(self.mesh, self._extent * eye, self._extent * mouse)
+        met = cast_ray(self.mesh, self._extent * eye, self._extent * mouse)
         if met is not None and k < len(self.positions):
             self.positions, self.normals = self.positions.copy(), self.normals.copy()
             self.positions[k], self.normals[k] = met
@@ -145,8 +146,8 @@ class BareContacts(Window):
         self._screw: Any = self.scene.add_arrows("/screw", np.zeros((6, 2, 3)), look.BAD)
 
 
-def under(mesh: trimesh.Trimesh, eye: Array, through: Array) -> tuple[Array, Array] | None:
-    """Where the ray from `eye` (3,) through a point (3,) enters a convex mesh, and the inward normal there; None: it misses."""
+def cast_ray(mesh: trimesh.Trimesh, eye: Array, through: Array) -> tuple[Array, Array] | None:
+    """Return the point where the ray from `eye` (3,) through a point (3,) enters a convex mesh, and the inward normal; None if it misses."""
     along, normals = through - eye, mesh.face_normals
     ahead, closing = np.einsum("ij,ij->i", mesh.triangles_center - eye, normals), normals @ along
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -158,18 +159,20 @@ def under(mesh: trimesh.Trimesh, eye: Array, through: Array) -> tuple[Array, Arr
     return eye + enters[face] * along, -normals[face]
 
 
-def placed(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
-    """Contacts (N, 3) [m] on a mesh and inward normals (N, 3): one at the back, the others around the front."""
+def place_contacts(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
+    """Return contacts (N, 3) [m] on a mesh and inward normals (N, 3): one at the back, the others around the front."""
     around = 2.0 * np.pi * np.arange(count - 1) / (count - 1) + 0.5 * np.pi
     front = np.column_stack([0.62 * np.cos(around), 0.62 * np.sin(around), np.full(count - 1, 0.785)])
     centre = mesh.bounds.mean(axis=0)
-    found = [under(mesh, centre + 10.0 * mesh.scale * away, centre) for away in np.vstack([[[0.0, 0.0, -1.0]], front])]
+    found = [
+        cast_ray(mesh, centre + 10.0 * mesh.scale * away, centre) for away in np.vstack([[[0.0, 0.0, -1.0]], front])
+    ]
     places, normals = zip(*(each for each in found if each is not None), strict=True)
     return np.array(places), np.array(normals)
 
 
 def body_of(grasp: Grasp) -> tuple[str, trimesh.Trimesh]:
-    """The body that a grasp's contacts lie on, and its name: a shape about the origin if one fits, else the contacts' hull."""
+    """Return name and mesh of the body that the contacts lie on: a shape about the origin if one fits, else the contacts' hull."""
     extent = 2.0 * float(np.abs(grasp.positions).max())
     for shape in SHAPES:
         mesh = look.object_mesh(shape, (extent, extent, extent))
@@ -177,7 +180,7 @@ def body_of(grasp: Grasp) -> tuple[str, trimesh.Trimesh]:
         outward = mesh.face_normals[heights.argmax(axis=1)]
         if np.abs(heights.max(axis=1)).max() < 2e-3 * extent and (outward * grasp.normals).sum(axis=1).max() < -0.995:
             return shape, mesh
-    # widened within the tangent planes: contacts in one plane have no hull
+    # points beside each contact in its tangent plane, since contacts in one plane have no hull
     away = 0.02 * float(np.ptp(grasp.positions, axis=0).max()) * grasp.frames
     points = [grasp.positions + sign * away[:, :, k] for sign in (-1.0, 1.0) for k in (1, 2)]
     return "hull of the contacts", trimesh.convex.convex_hull(np.vstack(points))

@@ -1,4 +1,4 @@
-"""The page of a simulated hand, in real time: its object is pulled with the mouse and changed while the hand holds it."""
+"""Page of a simulated hand in real time: the user pulls and changes the object while the hand holds it."""
 
 from __future__ import annotations
 
@@ -25,24 +25,28 @@ from training.live.window import Window
 
 HINT = "**Drag** the object to pull it; elsewhere the mouse turns the view."
 STIFFNESS = 400.0
-"""[N/m] of the spring between the object and the mouse."""
+"""Stiffness of the spring between the object and the mouse [N/m]."""
 _MAX_LATE = 0.1
-"""[s] of simulation that one drawing catches up with; a slower machine shows slower motion."""
+"""Longest simulated time per drawing [s]; a slower machine shows slower motion."""
 _FORCE = 0.12
 """Drawn length of a newton, in the object's size."""
 
 
 class SimulatedHand(Window):
-    """A simulated hand that holds an object while a spring pulls it. The controls hold all settings.
+    """Simulated hand that holds an object while a spring pulls it. The controls hold all settings.
 
     Args:
-        port: of the page.
+        port: port of the page.
         config: hand (a `HandDescription`), object and method; its task and disturbance are ignored.
-        rule: gives the start rule of a name.
+        rule: function from a name to a start rule.
 
     Attributes:
-        stage, loop: the simulation and its controller. time: simulated [s]. outcome: how the object is held.
-        grip: (3,) where the spring pulls, object frame [m]. mouse: (3,) its other end, world frame [m]; None: nothing pulls.
+        stage: the simulation.
+        loop: its controller.
+        time: simulated time [s].
+        outcome: state of the grasp.
+        grip: (3,) end of the spring at the object, object frame [m].
+        mouse: (3,) its other end, world frame [m]; None: nothing pulls.
 
     Raises:
         GraspError: the hand cannot hold the object.
@@ -61,7 +65,7 @@ class SimulatedHand(Window):
         self._add_bodies()
 
     def draw(self) -> None:
-        """Does what the controls ask for, simulates until now, and draws it."""
+        """Apply the controls, simulate up to the present, and draw."""
         wanted = self.shape.value, int(self.motors.value), self.method.value, self.start.value
         if wanted != self._settings:
             self._settings, self._trouble = wanted, []
@@ -70,7 +74,7 @@ class SimulatedHand(Window):
                 self.stage.scene.close()
                 self.stage, self.loop = made
                 self._add_bodies()
-            except GraspError as error:  # the hand cannot hold that object: it keeps the one it has
+            except GraspError as error:  # the hand cannot hold that object and keeps its own
                 self._trouble = [f"{error}"]
         item = self.stage.scene.config.object
         if (self.mass.value, self.friction.value) != (item.mass, item.friction):
@@ -81,7 +85,7 @@ class SimulatedHand(Window):
         self._draw_scene()
 
     def pull(self) -> Array:
-        """The spring's force (3,) on the object [N], world frame."""
+        """Return the spring's force (3,) on the object [N], world frame."""
         if self.mouse is None:
             return np.zeros(3)
         snapshot = self.stage.scene.look()
@@ -89,7 +93,7 @@ class SimulatedHand(Window):
         return force * min(1.0, self.max_pull.value / max(float(np.linalg.norm(force)), 1e-12))
 
     def advance(self, ticks: int) -> None:
-        """Simulates so many control ticks, as long as a lost object is within a metre of its place."""
+        """Simulate a number of control ticks. The simulation stops once the object is more than a metre away."""
         config, loop, scene = self._config, self.loop, self.stage.scene
         try:
             for _ in range(0 if self._gone else ticks):
@@ -102,7 +106,7 @@ class SimulatedHand(Window):
                 self.time, self._open = self.time + loop.dt, 0.0 if loop.closure else self._open + loop.dt
             scene.look()
         except GraspError as error:
-            self._trouble = [f"The hand took hold again, as the simulation ended: {error}"]
+            self._trouble = [f"The simulation failed and the hand took hold again: {error}"]
             self._take_hold()
         self.outcome = loop.outcome(self._target, self._error, self._measured)
         drift, tilt, limits = self.outcome.drift, self.outcome.tilt, config.limits
@@ -113,7 +117,7 @@ class SimulatedHand(Window):
             self._lost = self._lost or "The fingers that still touch it cannot balance the load."
 
     def status(self) -> tuple[Mood, str, str]:
-        """A mood, a word or two, and their meaning."""
+        """Return mood, status and explanation, as of an `Answer`."""
         if self._lost:
             return "bad", "lost", f"{self._lost} Take hold again; then pull less, or raise the friction."
         if not self.loop.closure:
@@ -130,7 +134,7 @@ class SimulatedHand(Window):
         return Stage(config, loop, False, False), loop
 
     def _change_object(self, mass: float, friction: float) -> None:
-        """Another mass [kg] and friction from now on; the controller is told."""
+        """Change the object's mass [kg] and friction, in the simulation and in the controller."""
         self.stage.scene.change_object(mass, friction)
         self.loop.begin(self.stage.scene)
         self.loop.settling = False
@@ -139,7 +143,7 @@ class SimulatedHand(Window):
         self.advance(0)
 
     def _take_hold(self, _: Any = None) -> None:
-        """The hand holds the object at rest again, with the mass and friction it had first."""
+        """Reset: the hand holds the object at rest, with its original mass and friction."""
         item = self.stage.episode.object
         self.stage.set(np.random.default_rng(0))
         self.time, self._open, self._lost, self._gone, self._until = 0.0, 0.0, "", False, time.monotonic()
@@ -148,14 +152,14 @@ class SimulatedHand(Window):
         self._change_object(item.mass, item.friction)
 
     def _drag(self, event: Any) -> None:
-        """The object is grabbed where the mouse met it, and pulled towards the mouse in the plane of the screen."""
+        """Grab the object where the mouse met it, and pull it towards the mouse in the plane of the screen."""
         snapshot = self.stage.scene.look()
         if event.phase == "start":
             self.grip = snapshot.rotation.T @ (np.array(event.start_position) / self._zoom - snapshot.position)
         self.mouse = None if event.phase == "end" else np.array(event.end_position) / self._zoom
 
     def _add_controls(self) -> None:
-        """Adds what can be set; `draw` reads it many times a second."""
+        """Add the controls; `draw` polls them."""
         gui, config = self.gui, self._config
         with gui.add_folder("Pull the object with the mouse"):
             self.max_pull = gui.add_slider("max pull, N", 1.0, 40.0, 0.5, 5.0)
@@ -171,7 +175,7 @@ class SimulatedHand(Window):
         self.on(self.again.on_click, self._take_hold)
 
     def _add_bodies(self) -> None:
-        """Takes hold, and adds hand, object and contacts, which replace those of before."""
+        """Take hold, and replace the drawn hand, object and contacts."""
         self._take_hold()
         snapshot, config = self.stage.scene.look(), self.stage.scene.config
         zoom = self._zoom = 1.0 / max(config.object.extent)
@@ -213,4 +217,4 @@ class SimulatedHand(Window):
             "simulated": f"{self.time:.1f} s",
         }
         names = self.stage.kinematics.hand.finger_names
-        self.tell(mood, status, words, names, columns, facts, self._trouble)
+        self.show(mood, status, words, names, columns, facts, self._trouble)

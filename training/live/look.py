@@ -1,4 +1,4 @@
-"""Looks of what both pages show: bodies as meshes, contacts with cones and forces, a screw."""
+"""Drawing of what both pages show: bodies as meshes, contacts with cones and forces, a screw."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ COLORS: tuple[Color, ...] = (
 """Colours of contacts; beyond eight they repeat."""
 LOAD, MOMENT, BODY, BAD = (150, 30, 140), (206, 98, 190), (148, 163, 184), (214, 48, 49)
 MAX_LINK_FACES = 20_000
-"""Largest visual mesh of a link; beyond it the link's collision shapes are drawn."""
+"""Largest number of faces of a link's visual meshes; with more, the collision shapes are drawn."""
 _CONE_HEIGHT, _CONE_SIDES = 0.3, 40
 
 
 def add_body(scene: viser.SceneApi, mesh: trimesh.Trimesh, zoom: float) -> tuple[Any, Any]:
-    """Adds a transparent body with its sharp edges, `zoom` times as large as the mesh: the node that moves, the node that shows it."""
+    """Add a transparent body with its sharp edges, scaled by `zoom`; return its frame, which moves, and its mesh."""
     bent = mesh.face_adjacency_angles > math.radians(30.0)
     edges = mesh.vertices[mesh.face_adjacency_edges[bent]] if bent.any() else np.zeros((1, 2, 3))
     frame, corners, flat = scene.add_frame("/object", show_axes=False), zoom * mesh.vertices, len(mesh.faces) < 500
@@ -38,10 +38,10 @@ def add_body(scene: viser.SceneApi, mesh: trimesh.Trimesh, zoom: float) -> tuple
 
 
 class Contacts:
-    """Points, friction cones and force arrows of N contacts; they replace those of before.
+    """Points, friction cones and force arrows of N contacts; they replace earlier ones.
 
     Args:
-        scene: of the server.
+        scene: scene of the server.
         count: N.
         force_scale: drawn length of a newton.
     """
@@ -59,11 +59,14 @@ class Contacts:
         self._forces: Any = scene.add_arrows("/contacts/forces", np.zeros((count, 2, 3)), np.array(self._colors))
 
     def draw(self, places: Array, frames: Array, forces: Array, friction: Array, bad: bool) -> None:
-        """Draws the contacts, in red if they are `bad`.
+        """Draw the contacts, in red if `bad`.
 
         Args:
-            places: (N, 3), scene units. frames: (N, 3, 3) contact frames, columns normal (inward), o, t.
-            forces: (N, 3) on the object [N]. friction: (N,); 0: no cone.
+            places: (N, 3) positions, scene units.
+            frames: (N, 3, 3) contact frames; the columns are the inward normal, o and t.
+            forces: (N, 3) forces on the object [N].
+            friction: (N,) coefficients; 0: no cone.
+            bad: True for red contacts.
         """
         angles = 2.0 * np.pi * np.arange(_CONE_SIDES) / _CONE_SIDES
         circle = np.column_stack([-np.ones(_CONE_SIDES), np.cos(angles), np.sin(angles)])
@@ -77,11 +80,12 @@ class Contacts:
 
 
 def screw(twist: Array, centre: Array, extent: float) -> Array:
-    """A twist as arrows (6, 2, 3): the axis of its screw, and a ring about it that is large if the motion is mostly turning.
+    """Return the screw of a twist as arrows (6, 2, 3): its axis, and a ring about it that is larger the more the motion is a rotation.
 
     Args:
         twist: (6,) velocity of the origin and angular velocity, of any scale.
-        centre: (3,) [m], which the axis is drawn near. extent: what is drawn with length 1 [m].
+        centre: (3,) point near which the axis is drawn [m].
+        extent: length of a scene unit [m].
     """
     velocity, turning = twist[:3] + np.cross(twist[3:], centre), float(np.linalg.norm(twist[3:]))
     turns = turning * extent > 1e-6 * np.linalg.norm(velocity)
@@ -97,7 +101,7 @@ def screw(twist: Array, centre: Array, extent: float) -> Array:
 
 
 def object_mesh(shape: str, size: Sequence[float]) -> trimesh.Trimesh:
-    """A "cuboid", "sphere", "cylinder" or "capsule" of an `ObjectDescription`'s size [m], body frame."""
+    """Return the mesh of a "cuboid", "sphere", "cylinder" or "capsule" of an `ObjectDescription`'s size [m], body frame."""
     if shape == "cuboid":
         return creation.box(size)
     if shape == "sphere":
@@ -111,7 +115,7 @@ def object_mesh(shape: str, size: Sequence[float]) -> trimesh.Trimesh:
 
 
 def link_meshes(body: Link | Palm) -> list[tuple[trimesh.Trimesh, Color]]:
-    """What a link looks like, link frame [m]: its visual shapes, or its collision shapes where it has none or too large ones."""
+    """Return meshes and colours of a link, link frame [m]: its visual shapes, or its collision shapes if those are missing or too large."""
     for shapes in (body.visual, body.collision):
         meshes = [(_mesh(shape), shape.color or body.color) for shape in shapes]
         if 0 < sum(len(mesh.faces) for mesh, _ in meshes) <= MAX_LINK_FACES:

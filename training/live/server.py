@@ -1,4 +1,4 @@
-"""A viser server for the people at this machine: it listens on 127.0.0.1 and answers only its own page."""
+"""Local viser server: it listens on 127.0.0.1 and answers only its own page."""
 
 from __future__ import annotations
 
@@ -20,43 +20,45 @@ _OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")
 
 
 class LocalServer(viser.ViserServer):
-    """A viser server that listens on 127.0.0.1, refuses pages of other sites, and is never shared over the internet.
+    """Viser server that listens on 127.0.0.1, refuses pages of other sites, and is never shared over the internet.
 
     Args:
-        port: where it listens, or the next free port if that is taken, with a note on stderr; 0: any free one.
-        label: the title of the panel.
+        port: port to listen on; if it is taken, the next free one, with a note on stderr; 0: any free port.
+        label: title of the panel.
 
     Raises:
         InvalidInputError: a port outside the range.
     """
 
     def __init__(self, port: int, label: str) -> None:
-        if port and not 1024 <= port <= 65000:  # viser tries up to 1000 ports, and waits for ever if none is free
+        if port and not 1024 <= port <= 65000:  # viser tries up to 1000 ports, and hangs if none is free
             raise InvalidInputError(f"port must be 0 (any free one) or 1024 to 65000, got {port}")
         with _guarded() as guards, redirect_stdout(StringIO()):  # viser prints a banner
             super().__init__("127.0.0.1", port, label, verbose=False)
         if not guards:
             self.stop()
-            raise RuntimeError("this version of viser starts its server in another way: nothing checks the requests")
+            raise RuntimeError(
+                "this version of viser starts its server in another way, so requests would not be checked"
+            )
         if port and self.get_port() != port:
             sys.stderr.write(f"grasp: port {port} is taken: port {self.get_port()} instead\n")
         self.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(150, 30, 140))
         self.gui.main_panel.dock_right()
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """Does nothing: viser would open a tunnel to the internet."""
+        """Do nothing: viser would open a tunnel to the internet."""
 
     def stop(self) -> None:
-        """Ends the server, its threads and its connections."""
+        """Stop the server, its threads and its connections."""
         with redirect_stdout(StringIO()):
             super().stop()
 
 
 def is_own_page(headers: Headers) -> bool:
-    """Whether a request comes from the page of this server, or asks for it.
+    """Return True if a request comes from the page of this server, or opens it.
 
-    A page of another site in the same browser sends its own Origin; browsers send one with every websocket. If the name of
-    that site was made to point to 127.0.0.1 (DNS rebinding), Host is that name.
+    A page of another site in the same browser sends its own Origin, and browsers send an Origin with every websocket. If the name
+    of that site resolves to 127.0.0.1 (DNS rebinding), Host is that name.
     """
     host, origins = ",".join(headers.get_all("Host")), headers.get_all("Origin")
     own_origin = origins == [f"http://{host}"] or (not origins and "Upgrade" not in headers)
@@ -65,7 +67,7 @@ def is_own_page(headers: Headers) -> bool:
 
 @contextmanager
 def _guarded() -> Iterator[list[Any]]:
-    """A server that viser starts meanwhile checks every request, and is noted in the list; viser has no setting for it."""
+    """Make any server that viser starts in the block check every request, and list these guards; viser has no setting for it."""
     module: Any = websockets.asyncio.server
     serve, guards = module.serve, []
 
@@ -75,7 +77,7 @@ def _guarded() -> Iterator[list[Any]]:
                 return connection.respond(HTTPStatus.FORBIDDEN, "Only the page of grasp live may connect.\n")
             response = process_request(connection, request)
             if response is not None:
-                response.headers["X-Frame-Options"] = "DENY"  # no other page shows this one in a frame
+                response.headers["X-Frame-Options"] = "DENY"  # no other page may frame this one
             return response
 
         guards.append(guard)

@@ -1,4 +1,4 @@
-"""The window of `grasp live`: what people do in it is handled in order, drawn at once, and recorded on demand."""
+"""Window of `grasp live`: it handles events in order, draws the result, and records on demand."""
 
 from __future__ import annotations
 
@@ -24,22 +24,24 @@ from training.live.look import BAD, COLORS, Color
 from training.live.server import LocalServer
 
 MAX_RECORDED = 120.0
-"""[s] after which a recording ends by itself."""
+"""Longest recording [s]."""
 MOODS: dict[Mood, Color] = {"good": (46, 140, 84), "warning": (214, 148, 36), "bad": BAD}
 _AWAY = np.array([2.0, 1.15, 2.4]) / np.linalg.norm([2.0, 1.15, 2.4])
 """Direction from the scene to the first camera."""
 
 
 class Window:
-    """A page in the browser. All that people do is handled, and drawn, by the thread that calls `run`.
+    """Page in the browser. The thread that calls `run` handles all events and draws.
 
     Args:
-        port: of the page, as for `LocalServer`.
-        hint: what can be dragged, in Markdown.
+        port: port of the page, as for `LocalServer`.
+        hint: short instructions, in Markdown.
 
     Attributes:
-        server, scene, gui: viser's.
-        period: [s] between two drawings while nobody does anything; None: there are none.
+        server: viser's server.
+        scene: viser's scene.
+        gui: viser's controls.
+        period: time between two drawings without events [s]; None: it draws after events only.
     """
 
     period: float | None = None
@@ -58,11 +60,11 @@ class Window:
         self._path, self._began, self._drawn = Path(), 0.0, 0.0
 
     def draw(self) -> None:
-        """Brings the scene and the panel up to date."""
+        """Update the scene and the panel."""
         raise NotImplementedError
 
     def on(self, register: Callable[[Any], object], act: Callable[[Any], object] = lambda event: None) -> None:
-        """Calls `act` with each event, then draws; `register` is a handle's `on_update`, `on_click` or `on_drag`."""
+        """Call `act` with each event, then draw; `register` is a handle's `on_update`, `on_click` or `on_drag`."""
 
         async def note(event: Any) -> None:  # viser keeps the order of coroutines only
             self._acts.put(partial(act, event))
@@ -70,16 +72,16 @@ class Window:
         register(note)
 
     def look_at(self, low: Array, high: Array) -> None:
-        """Puts the first camera before a box between two corners (3,), scene units, a floor below it, the status above it."""
+        """Place the initial camera, the floor and the status label for a box between two corners (3,), scene units."""
         centre, size, camera = 0.5 * (low + high), float(np.linalg.norm(high - low)), self.server.initial_camera
         camera.fov, camera.near = math.radians(36.0), 0.02
         camera.position, camera.look_at = centre + 1.8 * size * _AWAY, centre
         self.scene.add_grid("/floor", plane="xz", position=(0.0, low[1] - 0.2, 0.0), fade_distance=4.0 * size)
         self._status.position = (0.0, high[1] + 0.15, 0.0)
 
-    def tell(self, mood: Mood, status: str, words: str, names: Sequence[str], columns: Mapping[str, Array], facts: Mapping[str, str],
+    def show(self, mood: Mood, status: str, words: str, names: Sequence[str], columns: Mapping[str, Array], facts: Mapping[str, str],
              advice: Iterable[str]) -> None:  # fmt: skip
-        """Shows an answer: a word or two, their meaning, names and numbers (N,) of the contacts, further facts, what looks wrong."""
+        """Show an answer: status, explanation, names and numbers (N,) of the contacts, further facts, and advice."""
         title = f'<b style="font-size:17px">{_dot(MOODS[mood])}{html.escape(status)}</b>'
         notes = "".join(f"<p>{html.escape(text)}</p>" for text in (words, *(f"⚠ {text}" for text in advice)))
         table = _row("", *columns) if names else ""
@@ -91,7 +93,7 @@ class Window:
         self._status.text = "" if mood == "good" else status
 
     def run(self, seconds: float = math.inf, record: Path | None = None) -> None:
-        """Shows the page for so long [s] or until ctrl-C, and closes it; `record` is an .html file that records all of it."""
+        """Show the page for `seconds` or until ctrl-C, then close it; `record` is an .html file to record into."""
         end, hint = time.monotonic() + seconds, f"up to {MAX_RECORDED:.0f} s, to one HTML file in this folder"
         self._button, self._note = self.gui.add_button("Record", hint=hint), self.gui.add_markdown("")
         self.on(self._button.on_click, self._press)
@@ -108,7 +110,7 @@ class Window:
             self._save()
 
     def step(self, timeout: float) -> None:
-        """Waits until somebody does something, at most `timeout` [s]; handles all that was done, and draws it once."""
+        """Wait for events, at most `timeout` [s]; handle all that came, and draw once."""
         acts: list[Callable[[], object]] = []
         with suppress(Empty):
             acts.append(self._acts.get(timeout=timeout))

@@ -1,1 +1,1 @@
-"""The report: one module and one template turn the table of any run into a page; what a kind of run shows is data."""
+"""Reports: one module and one template turn the table of any run into a page; each kind of run describes its content as data."""

@@ -1,4 +1,4 @@
-"""The pages of hold rates (controllers, hands, engines), as data."""
+"""Pages of hold rates (controllers, hands, engines), as data."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ from training.results.words import number
 
 TITLE = "Hold rates of simulated hands"
 INTRO = (
-    "Hands, controllers and physics engines are compared by how often they hold an object to the end of an episode. "
-    "All of them play the same seeds, which draw the same objects and disturbances; an episode that does not start counts as not "
-    "held. "
+    "This page compares hands, controllers and physics engines by how often they hold an object to the end of an episode. "
+    "All of them play the same seeds, with the same objects and disturbances; an episode that cannot start counts as not held. "
     "The words are defined at the end of this page, the columns of the table in run.json."
 )
 WORDS = (
-    ("held", "The object was neither dropped nor moved by more than the task allows, to the end of the episode. No fingertip slid on it by more than 3 mm or was more than 0.5 mm in it, and links that are no fingertips never pushed it by more than 10 % of the load."),
-    ("drift", "Distance of the object from where it was grasped; the largest of an episode, of the episodes that were held."),
+    ("held", "The object was not dropped and did not move by more than the task allows, to the end of the episode. No fingertip slid on it by more than 3 mm or penetrated it by more than 0.5 mm, and links other than fingertips never pushed it with more than 10 % of the load."),
+    ("drift", "Largest distance of the object in an episode from where it was grasped; only for episodes in which it was held."),
     ("squeeze", "Sum of the normal forces."),
-    ("friction margin", "Part of the friction that the solver is allowed to use: a reserve against friction estimated too high."),
-    ("chosen", "Of a swept setting the least squeeze that holds 99 % of the episodes; where none does, the one that holds most."),
+    ("friction margin", "Share of the friction that the solver may use: a reserve against friction estimated too high."),
+    ("chosen", "Among the values of a varied setting, the least squeeze that holds 99 % of the episodes; if none does, the value that holds most."),
     ("interval", "95 % Wilson interval of a rate."),
 )  # fmt: skip
 ASKED_RATE = 0.99
@@ -52,7 +51,7 @@ CLAIMS = {
 
 
 def derive(means: Rows) -> Rows:
-    """The summary with a column that marks the chosen row of every swept curve."""
+    """Add a column to the summary that marks the chosen row of every varied setting."""
     swept = [name for name in ("friction_margin", "squeeze") if name in means.columns]
     if not swept:
         return means
@@ -68,7 +67,7 @@ def derive(means: Rows) -> Rows:
 
 
 def held_cell(row: dict[str, Any]) -> str:
-    """Episodes held of those tried, and the squeeze.
+    """Return the held and the total number of episodes, and the squeeze.
 
     Example:
         >>> held_cell({"held_sum": 3.0, "n": 4, "normal_force_mean": 12.14})
@@ -79,16 +78,16 @@ def held_cell(row: dict[str, Any]) -> str:
 
 
 def names_of(row: dict[str, Any]) -> str:
-    """The keys of a row besides its case, in words."""
+    """Return the keys of a row besides its case, in words."""
     keys = ("hand", "object", "engine", "controller", "start", "friction_margin", "squeeze")
-    said = [row[key] for key in keys if key in row and not pd.isna(row[key])]
+    values = [row[key] for key in keys if key in row and not pd.isna(row[key])]
     return ", ".join(
-        CONTROLLER_LABELS.get(str(value), f"{value:g}" if isinstance(value, float) else str(value)) for value in said
+        CONTROLLER_LABELS.get(str(value), f"{value:g}" if isinstance(value, float) else str(value)) for value in values
     )
 
 
 def arranged(means: Rows) -> tuple[Rows, str, list[str]]:
-    """The rows with hold rates, of swept settings the chosen ones; the key that goes across a grid; those that go down."""
+    """Return the rows with hold rates (of varied settings the chosen ones), the key of a grid's columns, and the keys of its rows."""
     found: Rows = means[means["held_mean"].notna()] if "held_mean" in means.columns else means.iloc[:0]
     if "chosen" in found.columns:
         found = found[found["chosen"] | ~found["case"].isin(list(CURVES))]
@@ -100,7 +99,7 @@ def arranged(means: Rows) -> tuple[Rows, str, list[str]]:
 
 
 def grid(rows: Rows, means: Rows) -> Rows:
-    """Episodes held and squeeze: scenarios down, and hands where there are several; controllers, starts, engines or hands across."""
+    """Make a grid of episodes held and squeeze: rows for scenarios (and hands, if several), columns for controllers, starts or engines."""
     found, across, down = arranged(means)
     if found.empty:
         return found
@@ -117,7 +116,7 @@ def grid(rows: Rows, means: Rows) -> Rows:
 
 
 def rates_figure(rows: Rows, means: Rows) -> Figure | None:
-    """Hold rates in per cent as a heat map, arranged as `grid`."""
+    """Draw hold rates in per cent as a heat map, arranged as `grid`."""
     found, across, down = arranged(means)
     if found.empty:
         return None
@@ -136,7 +135,7 @@ def rates_figure(rows: Rows, means: Rows) -> Figure | None:
 
 
 def curves_figure(rows: Rows, means: Rows) -> Figure | None:
-    """Rate against squeeze where friction margin or squeeze is swept."""
+    """Draw the hold rate against the squeeze, for varied friction margin or squeeze."""
     if "chosen" not in means.columns:
         return None
     figure, panel = axes(3.0)
@@ -151,13 +150,13 @@ def curves_figure(rows: Rows, means: Rows) -> Figure | None:
 
 
 FIGURES = (
-    ("Hold rates", "Per cent of the episodes that were held; where something was swept, at the chosen setting.", rates_figure),
-    ("What robustness costs", "Rate against squeeze; solid: friction and torque errors, dashed: all four errors.", curves_figure),
+    ("Hold rates", "Per cent of the episodes that were held; for a varied setting, at the chosen value.", rates_figure),
+    ("The cost of robustness", "Hold rate against squeeze; solid: friction and torque errors, dashed: all four errors.", curves_figure),
 )  # fmt: skip
 
 
 def rates(rows: Rows, means: Rows) -> Rows:
-    """Rates with intervals, drift and squeeze; the least held first."""
+    """Make a table of rates with intervals, drift and squeeze; the lowest rate first."""
     made = [
         {"scenario": LABELS.get(row["case"], row["case"]), "with": names_of(row), "held": held_cell(row),
          "interval, %": f"{100 * row['held_rate_low']:.1f} to {100 * row['held_rate_high']:.1f}",
@@ -171,7 +170,7 @@ def rates(rows: Rows, means: Rows) -> Rows:
 
 
 def failures(rows: Rows, means: Rows) -> Rows:
-    """Every cause of an episode that was not held, with how often it came about and the first seed."""
+    """Count the causes of episodes that were not held, each with its first seed."""
     found = chosen(rows, "held == False")
     keys = [
         key
@@ -191,9 +190,9 @@ def failures(rows: Rows, means: Rows) -> Rows:
 TABLES = (
     (
         "Episodes held",
-        "Of those tried, and the mean of the measured normal force; of swept settings the chosen one.",
+        "Held of all, and the mean of the measured normal force; for a varied setting, at the chosen value.",
         grid,
     ),
-    ("Hold rates, the least first", "Episodes held, and the mean of the measured normal force.", rates),
-    ("Failures", "The first seed plays such an episode again.", failures),
+    ("Hold rates, the lowest first", "Episodes held, and the mean of the measured normal force.", rates),
+    ("Failures", "The first seed reproduces such an episode.", failures),
 )

@@ -1,4 +1,4 @@
-"""Pages from tables: report.html of any run folder, and the page that sets two runs side by side."""
+"""Pages from tables: report.html of any run folder, and the layout of the comparison of two runs."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from training.results.words import number, small
 KINDS = {
     "starts": "starts", "env": "holds", "hands": "holds", "objects": "holds", "transfer": "holds", "rl": "rl", "reproduce": "reproduce",
 }  # fmt: skip
-"""The module of this room that says what a kind of run shows; other kinds show their summary."""
+"""Module of this package that describes the page of a kind of run; other kinds show their summary."""
 WIDTH = 4.6
-"""[in] width of a figure: 331 points, so that its text is 10 pixels high on a phone of 360."""
+"""Width of a figure [in]: 331 points, so that its text is 10 pixels high on a phone 360 pixels wide."""
 INK, LINE = "#101010", "#d5d8dd"
 STYLE: Any = {
     "font.size": 10, "axes.labelsize": 10, "xtick.labelsize": 9.5, "ytick.labelsize": 9.5, "axes.linewidth": 0.8,
@@ -34,23 +34,23 @@ STYLE: Any = {
     "axes.labelcolor": INK, "axes.edgecolor": INK, "xtick.color": INK, "ytick.color": INK,
 }  # fmt: skip
 MOST_ROWS = 40
-"""Rows that a table of a page shows; the run's own table has all."""
+"""Largest number of rows that a table of a page shows."""
 
 Draw = Callable[[Rows, Rows], Figure | None]
-"""(rows, summary) -> figure; None where the run has nothing to draw."""
+"""Function (rows, summary) -> figure; None if the run has nothing to draw."""
 Make = Callable[[Rows, Rows], Rows]
-"""(rows, summary) -> table of text and numbers; empty where the run has nothing to show."""
+"""Function (rows, summary) -> table of text and numbers; empty if the run has nothing to show."""
 
 
 @dataclass(frozen=True)
 class Page:
-    """The contents of a page.
+    """Contents of a page.
 
     Attributes:
-        title: its heading.
-        intro: three sentences that say what is compared, how, and where the words are defined.
-        quick: whether the run was a quick one, which the page says.
-        figures: (title, caption, data URI of the SVG, text for those who do not see it).
+        title: heading.
+        intro: three sentences: what is compared, how, and where the words are defined.
+        quick: True for a quick run, which the page marks.
+        figures: (title, caption, data URI of the SVG, alternative text).
         tables: (title, note, table).
         claims: judged claims.
         words: (word, meaning).
@@ -70,7 +70,7 @@ class Page:
 
 
 class Report(NamedTuple):
-    """A page that was written.
+    """Result of writing a page.
 
     Attributes:
         path: of report.html.
@@ -82,7 +82,7 @@ class Report(NamedTuple):
 
 
 def write(run: Run) -> Report:
-    """Writes report.html and summary.csv of a finished run; nothing is solved.
+    """Write report.html and summary.csv of a finished run; nothing is solved.
 
     Raises:
         InvalidInputError: its files are missing or were changed.
@@ -121,13 +121,13 @@ def write(run: Run) -> Report:
 
 
 def module_of(about: dict[str, Any]) -> ModuleType | None:
-    """The module that says what this kind of run shows."""
+    """Return the module that describes the page of this kind of run."""
     name = KINDS.get(about.get("kind", ""))
     return import_module(f"training.report.{name}") if name else None
 
 
 def claims_of(about: dict[str, Any]) -> list[Claim]:
-    """The claims of this kind of run, those about each start that a user gave, and those that the run itself has saved."""
+    """Return the claims of this kind of run, those about each start of a user, and those saved with the run."""
     shown = module_of(about)
     own = [make(name) for name in about.get("given", {}) for make in getattr(shown, "GIVEN", ())]
     claims = getattr(shown, "CLAIMS", ())
@@ -136,9 +136,9 @@ def claims_of(about: dict[str, Any]) -> list[Claim]:
 
 
 def facts_of(about: dict[str, Any]) -> list[tuple[str, str]]:
-    """Machine, versions, command and settings, as a page shows them."""
+    """Return machine, versions, command and settings for display."""
     machine = about.get("machine", {})
-    told = {
+    facts = {
         "machine": f"{machine.get('processor', '–')}, {machine.get('cores', '–')} cores, {machine.get('system', '–')}",
         "versions": ", ".join([f"Python {machine.get('python', '–')}", *(f"{k} {v}" for k, v in about.get("versions", {}).items())]),
         **{name: str(about[name]) for name in ("commit", "time", "command") if name in about},
@@ -147,11 +147,11 @@ def facts_of(about: dict[str, Any]) -> list[tuple[str, str]]:
             for name in ("settings", "objective", "given", "steps_per_second", "map") if about.get(name)
         },
     }  # fmt: skip
-    return list(told.items())
+    return list(facts.items())
 
 
 def render(page: Page) -> str:
-    """The page as HTML that needs no other file."""
+    """Return the page as HTML that needs no other file."""
     environment = Environment(
         loader=PackageLoader("training.report", "."),
         autoescape=select_autoescape(["html.j2"]),
@@ -164,7 +164,7 @@ def render(page: Page) -> str:
 
 
 def cell(value: Any) -> str:
-    """A value of a table as text.
+    """Return a value of a table as text.
 
     Example:
         >>> cell(0.123456), cell(True), cell(None), cell("ball")
@@ -178,7 +178,7 @@ def cell(value: Any) -> str:
 
 
 def axes(height: float, width: float = WIDTH, rows: int = 1) -> tuple[Figure, Any]:
-    """A figure of the house style and its axes, several below each other in an array; sizes in inches."""
+    """Make a styled figure and its axes, an array of them if there are several rows; sizes in inches."""
     with rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         made = figure.subplots(rows, sharex=True)
@@ -190,14 +190,14 @@ def axes(height: float, width: float = WIDTH, rows: int = 1) -> tuple[Figure, An
 
 
 def decades(axis: Any, first: int, last: int, every: int = 1) -> None:
-    """Labels the decades of a logarithmic axis, from 10^first to 10^last, in plain text: `svg` does not parse the usual labels."""
+    """Label the decades of a logarithmic axis, from 10^first to 10^last, in plain text: `svg` does not parse the usual labels."""
     ticks = [10.0**k for k in range(first, last + 1, every)]
     axis.set_ticks(ticks, [small(tick) for tick in ticks])
     axis.minorticks_off()
 
 
 def svg(figure: Figure) -> str:
-    """The figure as a file: text stays text, and its ink is light on a dark page."""
+    """Return the figure as SVG: text stays text, and its ink is light on a dark page."""
     out = io.StringIO()
     with rc_context(STYLE):
         figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
@@ -210,13 +210,13 @@ def svg(figure: Figure) -> str:
 
 
 def embedded(figure: Figure) -> str:
-    """The same as a data URI."""
+    """Return the SVG of a figure as a data URI."""
     return "data:image/svg+xml;base64," + base64.b64encode(svg(figure).encode()).decode("ascii")
 
 
 _INTRO = (
     "This page shows the results of one command; every number comes from the table rows.parquet beside it. Rows with equal keys are "
-    "repetitions of one experiment, and the table below summarises them. Each column is defined at the end of this page."
+    "repetitions of one experiment, and the table below summarises them. The columns are defined at the end of this page."
 )
 _summary_table: tuple[str, str, Make] = (
     "Summary", "One row for each combination of keys; summary.csv has all of them.", lambda rows, means: means,

@@ -1,4 +1,4 @@
-"""The page of `grasp reproduce`, as data: figures and tables as functions of its rows and their summary, and its claims."""
+"""Page of `grasp reproduce`, as data: figures and tables as functions of the rows and their summary, and claims."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ METHODS = {
     "phi": ("Phi, lambda 0.01", "-", COLOURS[3], 1.1),
     "linear": ("linear program, 8 facets", "--", COLOURS[7], 1.1),
 }
-"""Label, line, colour and width."""
+"""Label, line style, colour and width of each method."""
 PATHS = ("path_paper_cuboid", "path_five_finger_cuboid")
 TITLE = "What the paper leaves open"
 INTRO = (
     "The paper prints neither omega and lambda of Phi = omega tr P + lambda tr P^-1 nor the step size; this page varies them. Every "
-    "flow runs from the 12-basis to a relative gap of 1e-4 on held-out wrenches on the reference grasp. The end of this page explains "
-    "the columns."
+    "flow runs from the 12-basis to a relative gap of 1e-4 on held-out wrenches on the reference grasp. The columns "
+    "are defined at the end of this page."
 )
 CLAIMS = (
     Claim("every step rule converges with all weights", "case == 'weights'", "iterations_missing", "<=", 0),
@@ -53,7 +53,7 @@ def _some(rows: pd.DataFrame, query: str) -> Any:
 
 
 def weights_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
-    """Iterations per rule against lambda, omega = 1."""
+    """Draw the iterations of every rule against lambda, omega = 1."""
     figure, panel = axes(3.6)
     for (rule, label), colour in zip(RULES.items(), COLOURS, strict=True):
         mine = _some(summary, f"case == 'weights' and force_weight == 1 and rule == '{rule}'")
@@ -66,7 +66,7 @@ def weights_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
 
 
 def excess_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
-    """Normal force of the optimum of Phi above the exact minimum against lambda, omega = 1."""
+    """Draw the excess of the normal force at the optimum of Phi over the exact minimum, against lambda, omega = 1."""
     figure, panel = axes(2.8)
     excess = _some(summary, "case == 'weights' and force_weight == 1 and rule == 'fixed'")
     for name, style in (("median", "-"), ("p95", "--"), ("max", ":")):
@@ -80,7 +80,7 @@ def excess_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
 
 
 def rates_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
-    """Gap against iterations per rule, with the predicted rate of the exact line search."""
+    """Draw the gap of every rule against the iterations, with the predicted rate of the exact line search."""
     figure, panel = axes(4.4)
     for (rule, label), colour in zip(RULES.items(), COLOURS, strict=True):
         mine = _some(rows, f"case == 'gaps' and rule == '{rule}'")
@@ -98,7 +98,7 @@ def rates_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
 
 
 def paths_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
-    """Normal forces of every finger along W_ext(t), one column per grasp."""
+    """Draw the normal forces of every finger along W_ext(t), one column per grasp."""
     figure, coarse = Figure(figsize=(WIDTH, 7.5), layout="constrained"), _some(rows, "interval > 0.007")
     panels: Any = figure.subplots(5, 2)
     for column, case in zip(panels.T, PATHS, strict=True):
@@ -118,17 +118,17 @@ def paths_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
 
 
 def weights_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Force excess, and iterations of every rule as median (p95), by weights."""
+    """Make a table of the force excess, and of the iterations of every rule as median (p95), by weights."""
     found, weights = _some(summary, "case == 'weights'"), ["force_weight", "barrier_weight"]
     pairs = zip(found["iterations_median"], found["iterations_p95"], strict=True)
-    told = [f"{number(median)} ({number(p95)})" for median, p95 in pairs]
-    wide = found.assign(told=told).pivot(index=weights, columns="rule", values="told")[list(RULES)]
+    cells = [f"{number(median)} ({number(p95)})" for median, p95 in pairs]
+    wide = found.assign(cell=cells).pivot(index=weights, columns="rule", values="cell")[list(RULES)]
     excess = found.groupby(weights)[["force_excess_median", "force_excess_p95"]].first()
     return excess.join(wide.rename(columns=RULES)).reset_index()
 
 
 def rules_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Microseconds of a certified call from the 12-basis, and rates, per rule."""
+    """Make a table of the microseconds of a certified call from the 12-basis, and of the rates, per rule."""
     times, rates = (_some(summary, f"case == '{case}'") for case in ("times", "rates"))
     times = chosen(times, "start == 'linear_combination'")
     columns = ["microseconds_median", "microseconds_p90", "microseconds_p99", "rate_max", "rate_predicted_max"]
@@ -136,7 +136,7 @@ def rules_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 
 def costs_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Multiplications counted and nanoseconds measured, medians."""
+    """Make a table of counted multiplications and measured nanoseconds, medians."""
     keys, product = ["form", "contacts"], _some(summary, "case == 'costs_product'")
     full = product[product["form"] == "full"].set_index("contacts")["nanoseconds_median"]
     product["times faster than full"] = product["contacts"].map(full) / product["nanoseconds_median"]
@@ -147,7 +147,7 @@ def costs_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 
 def paper_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Normal forces, their sum, the balance and the steps on the paper's constant wrench, ours above the printed ones."""
+    """Make a table of normal forces, their sum, the balance and the steps on the paper's constant wrench, ours above the printed ones."""
     found = _some(rows, "case in ('table_one', 'table_one_paper')")
     wide = found.pivot(index=["start", "case"], columns="contact", values="contact_force")
     wide["sum"], wide["1 - (2 + 3 + 4)"] = wide.sum(axis=1), wide[0] - wide[1] - wide[2] - wide[3]
@@ -159,11 +159,11 @@ def paper_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 
 def paths_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Excess force, largest change and change of rate between coarse and fine samples."""
+    """Make a table of the excess force, and of the largest change and change of rate between coarse and fine samples."""
     found, keys = _some(summary, "interval > 0"), ["case", "method"]
     wide = found.pivot(index=keys, columns="interval", values=["jump_max", "kink_max"])
-    told = {"jump_max": "change in {:g} ms [N]", "kink_max": "change of rate in {:g} ms [N/s]"}
-    wide.columns = [told[name].format(1e3 * interval) for name, interval in wide.columns]
+    heads = {"jump_max": "change in {:g} ms [N]", "kink_max": "change of rate in {:g} ms [N/s]"}
+    wide.columns = [heads[name].format(1e3 * interval) for name, interval in wide.columns]
     excess = found.groupby(keys)[["force_excess_median", "force_excess_max"]].first()
     labels = {key: label for key, (label, *_) in METHODS.items()}
     return excess.join(wide).reset_index().replace({"method": labels})
@@ -173,25 +173,24 @@ FIGURES = (
     ("Iterations", "From the 12-basis to a relative gap of 1e-4, by step rule, against lambda.", weights_figure),
     (
         "Squeeze",
-        "Normal force at the optimum of Phi above the least one of the exact cones, against lambda.",
+        "Excess of the normal force at the optimum of Phi over the least one within the exact cones, against lambda.",
         excess_figure,
     ),
     ("Rates", "Convergence of every step rule on the paper's constant wrench, lambda 0.01.", rates_figure),
     ("Forces along W_ext(t)", "Normal forces of every finger, per grasp and method.", paths_figure),
 )
 TABLES = (
-    ("Weights and step rules", "Iterations: median (p95). Excess: total normal force at the optimum of Phi above the least one of the "
+    ("Weights and step rules", "Iterations: median (p95). Excess: total normal force at the optimum of Phi above the least one within the "
      "exact cones. Only lambda / omega matters: omega scales Phi. 'Fixed, tuned' is the longest constant step that is never halved on "
-     "twenty of the wrenches: knowledge that no controller has.", weights_table),
+     "twenty of the wrenches; no controller could know it.", weights_table),
     ("Step rules", "One compiled call, 12-basis to a certified gap of 1e-4, lambda 0.01; and the factor of the gap per "
      "iteration, fitted between 1e-3 and 1e-9. Predicted: (1 - alpha m)^2 for the constant step alpha = 2 / (L + m), at worst "
-     "((kappa - 1) / (kappa + 1))^2 for the exact line search, of the Hessian's eigenvalues m to L.", rules_table),
+     "((kappa - 1) / (kappa + 1))^2 for the exact line search, with the Hessian's eigenvalues between m and L.", rules_table),
     ("Forms of the flow", "All forms are compiled with the same options; medians of calls that take turns. The dense full flow is bound "
      "by memory, the small ones by latency, so times differ less than counts. Difference: of Phi over 40 iterations.", costs_table),
-    ("The constant wrench, beside the paper's Table I", "Not an acceptance test: contact positions, weights, "
-     "step size and two of the three starts are not printed. The balance of 0.6 N, the order of the starts, and ratios can be "
-     "compared.", paper_table),
-    ("Linear program beside the continuous forces, along W_ext(t)", "A change that is ten times less between samples ten times closer is "
-     "continuous; one that stays or falls less is a jump. A change of rate that stays or grows is a kink. Where the least force is not "
-     "unique (five fingers) the exact minimum may jump too; the optimum of Phi is unique and smooth.", paths_table),
+    ("The constant wrench, beside the paper's Table I", "This is no acceptance test: the paper does not print contact positions, weights, "
+     "step size and two of the three starts. The balance of 0.6 N, the order of the starts, and ratios can be compared.", paper_table),
+    ("Linear program beside the continuous forces, along W_ext(t)", "If forces are continuous, their change is ten times smaller between "
+     "samples ten times closer; if it stays or falls less, they jump. If the change of rate stays or grows, they have a kink. With five "
+     "fingers the least force is not unique, and the exact minimum may jump too; the optimum of Phi is unique and smooth.", paths_table),
 )  # fmt: skip

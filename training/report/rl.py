@@ -1,4 +1,4 @@
-"""The page of `grasp rl`, as data: figures and tables as functions of its rows and their summary, and its claims."""
+"""Page of `grasp rl`, as data: figures and tables as functions of the rows and their summary, and claims."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ AGENTS = {
     "ppo/contact_force": ("PPO, contact forces, no solver", "#c08a3e"),
     "sac/contact_force": ("SAC, contact forces, no solver", "#7a4fa3"),
 }
-"""Label and colour of what is scored, in the order of the tables."""
+"""Label and colour of every policy, in the order of the tables."""
 SPEEDS = ("environment alone", "with inference", "with training")
-"""Cases of what is measured in steps per second."""
+"""Cases measured in steps per second."""
 TITLE = "Agents beside the paper's start"
 INTRO = (
-    "Agents on FourFingerGrasp-v0 are compared with what learns nothing: a policy that does nothing, which is the paper's start, the "
-    "shipped learned start and the previous solution. All of them play the same held-out episodes, with deterministic actions. The "
-    "end of this page explains the columns."
+    "This page compares agents on FourFingerGrasp-v0 with policies that learn nothing in the environment: the zero policy (the paper's "
+    "start), the shipped learned start and the previous solution. All of them play the same held-out episodes, with deterministic "
+    "actions. The columns are defined at the end of this page."
 )
 CLAIMS = tuple(
     claim
@@ -48,13 +48,13 @@ def _environments(rows: pd.DataFrame) -> list[str]:
 
 
 def _by_agent(rows: pd.DataFrame, case: str, environment: str) -> dict[str, Any]:
-    """The rows of every agent in one environment, in the order of `AGENTS`."""
+    """Return the rows of every agent in one environment, in the order of `AGENTS`."""
     found: Any = rows[(rows["case"] == case) & (rows["environment"] == environment)]
     return {agent: found[found["agent"] == agent] for agent in AGENTS if (found["agent"] == agent).any()}
 
 
 def place(environment: str) -> str:
-    """An environment's settings in a few words: "sphere, allegro"; the default is a cuboid."""
+    """Return an environment's settings in a few words, such as "sphere, allegro"; the default is a cuboid."""
     given = json.loads(environment)
     shape = given.get("shape") or given.get("object", {}).get("shape", "cuboid")
     return ", ".join([str(shape), *([str(given["hand"])] if "hand" in given else [])])
@@ -65,7 +65,7 @@ def _interval(value: float, low: float, high: float) -> str:
 
 
 def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Held, iterations, force, torque, drift and return of everything that played the held-out episodes."""
+    """Make a table of hold rate, iterations, force, torque, drift and return of every policy on the held-out episodes."""
     out = []
     for environment in _environments(rows):
         played = _by_agent(rows, "held_out", environment)
@@ -73,52 +73,52 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
         iterations = {agent: ends.groupby("seed")["mean_iterations"].mean() for agent, ends in several.items()}
         for agent, found in _by_agent(summary, "held_out", environment).items():
             row, ends = found.iloc[0], several[agent]
-            told = {
+            cells = {
                 "environment": place(environment), "policy": AGENTS[agent][0],
                 "training seeds": ends["training_seed"].nunique() or None,
             }  # fmt: skip
             rates = percent(row["held_rate_low"]), percent(row["held_rate_high"])
-            told["held"] = f"{row['held_sum']:.0f} of {len(ends)} [{', '.join(rates)}]"
+            cells["held"] = f"{row['held_sum']:.0f} of {len(ends)} [{', '.join(rates)}]"
             if iterations[agent].notna().all():  # a solver runs
                 counts = (number(row[f"iterations_{part}"]) for part in ("median", "p95", "p99"))
                 pairs = (iterations[name].to_numpy(float) for name in (agent, "zero"))
-                told |= {
+                cells |= {
                     "iterations per step": " / ".join(counts),
                     "of the paper's": _interval(*ratio_interval(*pairs)),
                 }
             force = (row[f"commanded_force_{part}"] for part in ("mean", "mean_low", "mean_high"))
-            told |= {
+            cells |= {
                 "squeeze [N]": _interval(*force), "torque, share of the limit": row["torque_share_mean"],
                 "largest drift [mm]": row.get("drift_mean"),
             }  # fmt: skip
             # training seeds and episodes are drawn anew, so that an agent's interval is over both
             returns = ends.fillna({"training_seed": -1}).pivot_table("return", "training_seed", "seed").to_numpy(float)
-            out.append(told | {"return": _interval(iqm(returns), *iqm_interval(returns))})
+            out.append(cells | {"return": _interval(iqm(returns), *iqm_interval(returns))})
     return pd.DataFrame(out)
 
 
 def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Steps and time of every training, and what changed along it."""
+    """Make a table of the steps and the time of every training, and of its first and last scores."""
     out = []
     for environment in _environments(rows):
         curves = _by_agent(rows, "curve", environment)
         for agent, trained in _by_agent(rows, "training", environment).items():
             for _, row in trained.iterrows():
                 mine: Any = curves[agent][curves[agent]["training_seed"] == row["training_seed"]]
-                told = {
+                cells = {
                     "environment": place(environment), "agent": AGENTS[agent][0], "seed": row["training_seed"],
                     "environment steps": row["training_steps"], "seconds": row["seconds"], "of processor": row["cpu_seconds"],
                     "steps per processor second": round(row["training_steps"] / max(row["cpu_seconds"], 1e-9)),
                 }  # fmt: skip
                 for name, label in (("mean_iterations", "iterations"), ("return", "return")):
                     means = mine.groupby("training_steps")[name].mean().dropna().tolist()
-                    told[f"{label}, first → last"] = f"{number(means[0])} → {number(means[-1])}" if means else None
-                out.append(told)
+                    cells[f"{label}, first → last"] = f"{number(means[0])} → {number(means[-1])}" if means else None
+                out.append(cells)
     return pd.DataFrame(out)
 
 
 def speed_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Steps per second of the environments alone, with an agent that acts and with one that trains."""
+    """Make a table of steps per second of the environments alone, with an agent that acts and with one that trains."""
     out = []
     for environment in _environments(rows):
         for agent, (label, _) in AGENTS.items():
@@ -139,7 +139,7 @@ def speed_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 
 def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure | None:
-    """A mean against environment steps, a panel below the other for each environment: every seed thin, their mean thick, the zero policy dashed."""
+    """Draw a mean against environment steps, one panel per environment: seeds thin, their mean thick, the zero policy dashed."""
     rows = rows.assign(length=rows["step"] + 1)
     shown = {environment: _by_agent(rows, "curve", environment) for environment in _environments(rows)}
     shown = {
@@ -154,7 +154,7 @@ def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure 
         for agent, found in curves.items():
             if agent == "zero" or not agent.endswith(ending):
                 continue
-            told, colour = AGENTS[agent]
+            name, colour = AGENTS[agent]
             lines = [one.groupby("training_steps")[column].mean() for _, one in found.groupby("training_seed")]
             for line in lines:
                 panel.plot(line, color=colour, linewidth=0.7, alpha=0.55)
@@ -162,7 +162,7 @@ def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure 
             mean = np.mean(
                 [np.interp(steps, line.index.to_numpy(float), line.to_numpy(float)) for line in lines], axis=0
             )
-            panel.plot(steps, mean, color=colour, linewidth=2.2, label=told)
+            panel.plot(steps, mean, color=colour, linewidth=2.2, label=name)
         panel.axhline(curves["zero"][column].mean(), color="black", linestyle="--", label=AGENTS["zero"][0])
         panel.set(ylabel=label, xlim=(0, None))
         panel.set_title(place(environment), loc="left", fontsize=9)
@@ -182,11 +182,11 @@ FIGURES = (
     ("Return along the training", _CURVES, lambda rows, summary: _curves(rows, "return", "return of an episode", "")),
 )  # fmt: skip
 TABLES = (
-    ("Scores on the held-out episodes", "Iterations: median / p95 / p99, and of the paper's: ratio of the medians per episode. Return: "
-     "interquartile mean. Intervals are 95 %: Wilson for the rate, bootstrap for the rest. Agents see the wrench of one control tick "
-     "ago; the solver, with the learned start and the previous solution, sees the current one. Agents without solver make no "
-     "iterations. Where the shipped learned start does not know the contacts, the paper's start takes over.", scores_table),
-    ("Training, every seed", "Seconds are of training alone, without the scores along the curve, on one thread; other programs shared "
-     "the cores where the two differ.", training_table),
-    ("Steps per second", "All environments of a training together, on one core that did nothing else: median of three rounds.", speed_table),
+    ("Scores on the held-out episodes", "Iterations: median / p95 / p99. Of the paper's: ratio of the medians per episode. Return: "
+     "interquartile mean. Intervals are 95 %: Wilson for the rate, bootstrap for the rest. Agents see the wrench of the control tick "
+     "before; the solver, with the learned start and the previous solution, sees the current one. Agents without solver make no "
+     "iterations. The paper's start replaces the shipped learned start on contacts that it does not know.", scores_table),
+    ("Training, every seed", "Seconds are those of training alone, without the scores along the curve, on one thread. If wall and "
+     "processor time differ, other programs shared the cores.", training_table),
+    ("Steps per second", "All environments of a training together, on an otherwise idle core: median of three rounds.", speed_table),
 )  # fmt: skip

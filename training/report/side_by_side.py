@@ -1,4 +1,4 @@
-"""`grasp report --compare A B`: two runs side by side, with intervals; what the interval does not tell apart is a tie."""
+"""`grasp report --compare A B`: comparison of two runs, with intervals; a difference within its interval is a tie."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from training.results.statistics import mean_interval, ratio_interval
 from training.results.table import Rows, numbers, pd
 
 METRICS: dict[str, bool] = {"iterations": True, "microseconds": True, "per_second": True, "nanoseconds": True, "held": False, "drift": True, "normal_force": True, "return": False}  # fmt: skip
-"""Columns that are compared: by the ratio of medians, or by the difference of means."""
+"""Columns to compare; True: by the ratio of medians, False: by the difference of means."""
 INTRO = (
-    "Two runs are compared row by row: rows with equal keys, problem and seed are pairs. "
+    "This page compares two runs row by row: rows with equal keys, problem and seed are pairs. "
     "Iterations, times, drift and force are compared by the ratio of the medians B / A, hold rates and returns by the difference of "
-    "the means B - A, each with a 95 % bootstrap interval over the pairs; where the interval holds 1, or 0, the verdict is a tie. "
+    "the means B - A, each with a 95 % bootstrap interval over the pairs; if the interval contains 1, or 0, the verdict is a tie. "
     "The columns are defined in the run.json of each run."
 )
 
 
 def compare(a: Rows, b: Rows) -> Rows:
-    """One row for each combination of keys and metric that both tables have.
+    """Compare two tables: one row for each combination of keys and metric that both have.
 
     Returns:
-        The keys, "metric", "pairs", "A" and "B" (medians, or means), "B over A" or "B minus A" as "change" with "low" and "high",
-        and "verdict": "lower", "higher" or "tie". What differs stands first.
+        The keys, "metric", "pairs", "A" and "B" (medians, or means), the ratio or difference as "change" with "low" and "high", and
+        "verdict": "lower", "higher" or "tie". Ties come last.
     """
     keys = [name for name in KEYS if name in a.columns and name in b.columns]
     pairing = [
@@ -55,7 +55,7 @@ def compare(a: Rows, b: Rows) -> Rows:
                 )
     out = pd.DataFrame(made)
     return (
-        out.sort_values("verdict", key=lambda said: said == "tie", kind="stable", ignore_index=True)
+        out.sort_values("verdict", key=lambda verdicts: verdicts == "tie", kind="stable", ignore_index=True)
         if len(out)
         else out
     )
@@ -83,7 +83,7 @@ def _row(first: np.ndarray, second: np.ndarray, by_ratio: bool) -> dict[str, Any
 
 
 def write(a: Run, b: Run, out: Run) -> Rows:
-    """Writes compare.html into `out` and returns its table.
+    """Write compare.html into `out` and return its table.
 
     Raises:
         InvalidInputError: a run is not finished, or the two have no row in common.

@@ -1,4 +1,4 @@
-"""The page of the comparison of starts, as data: figures and tables are queries on its rows, claims are records."""
+"""Page of the comparison of starts, as data: figures and tables are queries on its rows, claims are records."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from training.compare.cases import SETS
-from training.compare.starts import BASIS, GIVEN_COLOURS, STARTS, row_of
+from training.compare.starts import BASIS, GIVEN_COLOURS, STARTS, start_info
 from training.compare.trial import LIMIT, ROUNDING, TOLERANCE
 from training.report.holds import grid, rates_figure
 from training.report.page import axes
@@ -18,28 +18,28 @@ from training.results.words import number, small
 
 TITLE = "Starts of the grasp-force optimisation"
 INTRO = (
-    "Every start of the optimisation is compared with the paper's combination of twelve offline solutions (the 12-basis), by the "
-    "paper's reduced gradient flow and by Newton's method. "
-    f"All starts get the same held-out problems, and the flow the step rule that is best from each of them; iterations are accepted steps to a relative gap of "
+    "This page compares every start of the optimisation with the paper's combination of twelve offline solutions (the 12-basis), under "
+    "the paper's reduced gradient flow and under Newton's method. "
+    f"All starts get the same held-out problems, and the flow uses the step rule that suits all of them best. Iterations are accepted steps to a relative gap of "
     f"{small(TOLERANCE)}, failures are counted, and times are those of the whole call from Python, measured alone in one process. "
     "The words are defined at the end of this page, the columns of the table in run.json."
 )
 WORDS = (
     ("Phi", "The objective omega tr P + lambda tr P^-1: squeeze, and a barrier at the friction cones."),
-    ("gap", "How far Phi is above its least value, relative to it."),
-    ("flow", "The paper's reduced gradient flow on Phi, with Barzilai-Borwein steps: `grasp reproduce` compares step rules, the constant one included."),
+    ("gap", "Excess of Phi over its least value, relative to that."),
+    ("flow", "The paper's reduced gradient flow on Phi, with Barzilai-Borwein steps. `grasp reproduce` compares the step rules, among them the constant one."),
     ("start", "The force from which a method begins: it balances the wrench strictly inside the friction cones."),
-    ("internal force", "One internal force, and as much of it as brings the least force inside the cones: where Newton begins by itself."),
+    ("internal force", "The least force that balances the wrench, plus enough of one internal force to bring it inside the cones: Newton's default start."),
     ("12-basis", "The paper's start: a non-negative combination of the optimal forces of twelve unit wrenches."),
-    ("network alone", "The output of the network without any step; where it lies outside the cones it is put back towards the 12-basis."),
+    ("network alone", "The output of the network without any step; outside the cones it is moved towards the 12-basis."),
     ("learned, fixed", "The shipped model: the network, its repair, and for Newton the steps that follow in the same compiled call."),
-    ("previous", "The last solution, carried to the new wrench by a Newton step within balance (tangent) or the shortest way (G^+)."),
+    ("previous", "The last solution, carried to the new wrench by a Newton step within balance (tangent) or by the least change (G^+)."),
     ("ball", SETS["ball"].label),
     ("fixed grasp", "The contacts of presets.paper_cuboid(): a thumb against three fingers on a 0.1 m cuboid."),
     ("replaced", "The start was discarded for the 12-basis's, from which the optimisation then began."),
     ("performance profile", "Share of the problems that a start solves within a factor of the best start on each (Dolan and Moré, 2002)."),
-    ("held", "The object was neither dropped nor moved by more than the task allows, to the end of the episode."),
-    ("median / p99", "The value that half of the problems, and 99 of 100, stay below."),
+    ("held", "The object was not dropped and did not move by more than the task allows, to the end of the episode."),
+    ("median / p99", "The value below which half of the problems, and 99 of 100, lie."),
 )  # fmt: skip
 
 FLOW, NEWTON = "method == 'reduced_flow'", "method == 'newton'"
@@ -53,13 +53,13 @@ CLAIMS = (
     Claim("network alone: median of the flow's iterations, friction varied", f"{_VARIED} and start == 'network' and {FLOW}", "iterations_median", "<=", 3),
     Claim("network alone: p99 of the flow's iterations, friction varied", f"{_VARIED} and start == 'network' and {FLOW}", "iterations_p99", "<=", 15),
     Claim("network alone: every start is inside the cones, friction varied (least margin)", f"{_VARIED} and start == 'network' and {FLOW}", "start_margin_min", ">", 0),
-    *(Claim(f"network and {which}: {told} time over that {of}, {where}", f"{_VARIED} and start == 'learned_fixed' and {method}",
+    *(Claim(f"network and {which}: {word} time over that {of}, {where}", f"{_VARIED} and start == 'learned_fixed' and {method}",
             f"{column}_{stat}", "<=", limit, f"{_VARIED} and {beside} and {method}")
       for which, method, of, beside, where, column, limits in (
           ("flow", FLOW, "from the 12-basis", _PAPER, "compiled", "compiled_microseconds", (0.6, 1.0)),
           ("Newton", NEWTON, "from its internal force", _OWN, "compiled", "compiled_microseconds", (0.55, 0.75)),
           ("Newton", NEWTON, "from its internal force", _OWN, "from Python", "microseconds", (0.75, 0.9)))
-      for told, stat, limit in zip(("median", "p99"), ("median", "p99"), limits, strict=True)),
+      for word, stat, limit in zip(("median", "p99"), ("median", "p99"), limits, strict=True)),
     Claim("learned starts: Phi never above the 12-basis's, wrenches of 0.001 to 1000 N (largest excess)", f"case == 'six_decades' and {_LEARNED}", "start_excess_max", "<=", ROUNDING),
     Claim("learned starts: Phi never above the 12-basis's, all sets (largest excess)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_excess_max", "<=", ROUNDING),
     Claim("learned starts: inside the cones, all sets (least margin)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_margin_min", ">", 0),
@@ -78,25 +78,25 @@ GIVEN = (
     lambda name: Claim(f"{name}: median time over that of the 12-basis, held-out ball", f"{_BALL} and start == '{name}' and {FLOW}", "microseconds_median", "<=", 1, f"{_BALL} and {_PAPER} and {FLOW}"),
     lambda name: Claim(f"{name}: share of the starts that were replaced, held-out ball", f"{_BALL} and start == '{name}' and {FLOW}", "start_replaced_mean", "<=", 0),
 )  # fmt: skip
-"""Claims about each start that a user gives."""
+"""Claims about each start of a user."""
 
 
 def colours(starts: list[str]) -> dict[str, str]:
-    """The colour of every start: those of a user have the reserved ones in turn."""
+    """Return the colour of every start; those of a user get the reserved colours in turn."""
     given = [key for key in starts if key not in STARTS]
-    return {key: row_of(key).colour for key in starts} | {
+    return {key: start_info(key).colour for key in starts} | {
         key: GIVEN_COLOURS[place % len(GIVEN_COLOURS)] for place, key in enumerate(given)
     }
 
 
 def shown(means: Rows) -> list[str]:
-    """The starts that charts show: the main ones of the ball, in the order of the table."""
+    """Return the starts that charts show: the main ones of the ball, in the order of the table."""
     keys = chosen(means, f"{_BALL} and {FLOW}")["start"].tolist() if "start" in means.columns else []
-    return [key for key in keys if row_of(key).main]
+    return [key for key in keys if start_info(key).main]
 
 
 def pair(row: Any, column: str) -> str:
-    """Median / p99 of a column; a dash where there is none.
+    """Return median / p99 of a column as text; a dash if one is missing.
 
     Example:
         >>> pair({"iterations_median": 42.0, "iterations_p99": 5001.0}, "iterations")
@@ -109,7 +109,7 @@ def pair(row: Any, column: str) -> str:
 
 
 def bars(column: str, label: str) -> Any:
-    """A chart with a line for each start: dots are medians, whiskers end at p99, the flow above and Newton below."""
+    """Return a chart with a line for each start: dots are medians, whiskers end at p99, the flow above and Newton below."""
 
     def draw(rows: Rows, means: Rows) -> Figure | None:
         keys = shown(means)
@@ -138,7 +138,7 @@ def bars(column: str, label: str) -> Any:
         panel.set_xticks(ticks, [small(tick) for tick in ticks])
         panel.minorticks_off()
         panel.set(xlabel=label, ylim=(len(keys) - 0.4, -0.6))
-        panel.set_yticks(range(len(keys)), [row_of(key).short for key in keys])
+        panel.set_yticks(range(len(keys)), [start_info(key).short for key in keys])
         panel.grid(visible=False, axis="y")
         return figure
 
@@ -146,7 +146,7 @@ def bars(column: str, label: str) -> Any:
 
 
 def network_figure(rows: Rows, means: Rows) -> Figure | None:
-    """Share of the ball's problems solved within so many steps of the flow, from the network alone and from the 12-basis."""
+    """Draw the share of the ball's problems solved against steps of the flow, from the network alone and from the 12-basis."""
     figure, panel = axes(2.8)
     drawn = False
     for key in (BASIS, "basis_tangent", "network", "network_newton_1"):
@@ -155,9 +155,9 @@ def network_figure(rows: Rows, means: Rows) -> Figure | None:
             continue
         drawn = True
         done = np.sort(np.where(np.isfinite(steps), steps, LIMIT + 1))
-        style = "--" if "Newton" in row_of(key).short else "-"
+        style = "--" if "Newton" in start_info(key).short else "-"
         share = np.arange(1, len(done) + 1) / len(done)
-        panel.step(1 + done, share, style, where="post", color=row_of(key).colour, label=row_of(key).short)
+        panel.step(1 + done, share, style, where="post", color=start_info(key).colour, label=start_info(key).short)
     if not drawn:
         return None
     panel.set(xscale="log", xlabel="1 + accepted steps of the flow", ylabel="share of the problems", ylim=(0, 1.02))
@@ -167,7 +167,7 @@ def network_figure(rows: Rows, means: Rows) -> Figure | None:
 
 
 def profile(query: str, column: str, label: str, by: str = "start") -> Any:
-    """A performance profile: the share of problems that each start solves within a factor of the best one."""
+    """Return a performance profile: the share of problems that each start solves within a factor of the best one."""
 
     def draw(rows: Rows, means: Rows) -> Figure | None:
         found, keys = chosen(rows, query), shown(means)
@@ -177,7 +177,7 @@ def profile(query: str, column: str, label: str, by: str = "start") -> Any:
         if found.empty or column not in found.columns or found[column].isna().all():
             return None
         counted = column == "iterations"
-        values = numbers(found, column) + counted  # a start that needs no step is not infinitely better than one
+        values = numbers(found, column) + counted  # plus one, so that the ratio to a start without steps is finite
         values[(values > LIMIT + 1) & counted] = np.nan
         name = found["start"] + (" · " + found["method"] if by == "both" else "")
         grid: Rows = found.assign(value=values, who=name).pivot(
@@ -189,13 +189,13 @@ def profile(query: str, column: str, label: str, by: str = "start") -> Any:
         for place, who in enumerate(grid.columns):
             key, _, method = str(who).partition(" · ")
             share = [(ratio[:, place] <= tau * (1 + 1e-12)).mean() for tau in factor]
-            style = "--" if row_of(key).dashed else ":" if method == "newton" else "-"
+            style = "--" if start_info(key).dashed else ":" if method == "newton" else "-"
             panel.plot(
                 factor,
                 share,
                 style,
                 color=tint[key],
-                label=row_of(key).short + (" · Newton" if method == "newton" else ""),
+                label=start_info(key).short + (" · Newton" if method == "newton" else ""),
             )
         panel.set(xscale="log", xlabel=label, ylabel="share of the problems", ylim=(0, 1.02), xlim=(1, 100))
         panel.set_xticks([1, 10, 100], ["1", "10", "100"])
@@ -210,7 +210,7 @@ _OTHER = [name for name, which in SETS.items() if not which.fixed and which.solv
 FIGURES = (
     ("Iterations", f"Dot: median, whisker: p99. Cases: {SETS['ball'].label}, to a gap of {small(TOLERANCE)}.", bars("iterations", "iterations")),
     ("Microseconds", "The whole call from Python to a certified gap of 1e-4, best of the repeats, on wrenches of the ball.", bars("microseconds", "microseconds of the whole call")),
-    ("The network alone against the paper's 12-basis", "Share of the held-out ball solved within so many steps; dashed: after one plain Newton step.", network_figure),
+    ("The network alone against the paper's 12-basis", "Share of the held-out ball solved within a number of steps; dashed: after one Newton step.", network_figure),
     ("Performance profile, iterations, fixed grasp", "The flow on all sets of the fixed grasp; starts that do not apply or fail count as not solved.", profile(f"case in {_FIXED} and {FLOW}", "iterations", "1 + iterations over those of the best start")),
     ("Performance profile, iterations, other contacts", "The flow on random grasps and on contacts recorded from the hand.", profile(f"case in {_OTHER} and {FLOW}", "iterations", "1 + iterations over those of the best start")),
     ("Performance profile, time", "Whole calls on the ball, starts and both methods.", profile(_BALL, "microseconds", "time over that of the fastest", "both")),
@@ -219,7 +219,7 @@ FIGURES = (
 
 
 def hardest_sets(rows: Rows, means: Rows) -> Rows:
-    """Iterations of the flow per set of cases and start; the set that is hardest from the 12-basis stands first."""
+    """Make a table of the flow's iterations per set of cases and start; the set that is hardest from the 12-basis comes first."""
     flow = chosen(means, f"{FLOW} and case in {list(SETS)}")
     if flow.empty:
         return flow
@@ -228,13 +228,13 @@ def hardest_sets(rows: Rows, means: Rows) -> Rows:
     hard = flow[flow["start"] == BASIS].set_index("case")["iterations_p99"].sort_values(ascending=False)
     grid = grid.reindex(index=hard.index, columns=[key for key in shown(means) if key in grid.columns])
     grid.insert(0, "cases", [SETS[case].label for case in grid.index])
-    return grid.rename(columns={key: row_of(key).short for key in grid.columns if key != "cases"}).reset_index(
+    return grid.rename(columns={key: start_info(key).short for key in grid.columns if key != "cases"}).reset_index(
         drop=True
     )
 
 
 def hardest_problems(rows: Rows, means: Rows) -> Rows:
-    """The problems on which a main start needs the most iterations of the flow; those without a start come first."""
+    """Make a table of the problems on which a main start needs the most iterations of the flow; those without a start come first."""
     columns = ["case", "problem", "seed", "start", "status", "iterations", "start_gap"]
     found: Rows = chosen(rows, f"{FLOW} and case in {list(SETS)}")
     found = found[found["start"].isin(shown(means))]
@@ -247,15 +247,15 @@ def hardest_problems(rows: Rows, means: Rows) -> Rows:
 
 
 def learned_steps(rows: Rows, means: Rows) -> Rows:
-    """The network alone and the 12-basis, friction varied: the flow from both, then Newton, beside where that begins by itself."""
+    """Make a table of the network alone and the 12-basis, friction varied: for the flow, and for Newton beside its own start."""
     found = {(row["start"], row["method"]): row for row in chosen(means, _VARIED).to_dict("records")}
     flow, newton = "reduced_flow", "newton"
     made = [
-        {"start": row_of(alone).short, "method": told, "start gap": pair(found.get((alone, flow), {}), "start_gap"),
+        {"start": start_info(alone).short, "method": label, "start gap": pair(found.get((alone, flow), {}), "start_gap"),
          "iterations": pair(found.get((alone, method), {}), "iterations"),
          "compiled call, us": pair(found.get((timed, method), {}), "compiled_microseconds"),
          "from Python, us": pair(found.get((timed, method), {}), "microseconds")}
-        for told, method, starts in (("flow", flow, ((BASIS, BASIS), ("network", "learned_fixed"))),
+        for label, method, starts in (("flow", flow, ((BASIS, BASIS), ("network", "learned_fixed"))),
                                      ("Newton", newton, (("internal_force", "internal_force"), (BASIS, BASIS), ("network", "learned_fixed"))))
         for alone, timed in starts
     ]  # fmt: skip
@@ -263,7 +263,7 @@ def learned_steps(rows: Rows, means: Rows) -> Rows:
 
 
 def newton_first(rows: Rows, means: Rows) -> Rows:
-    """Iterations of the flow that the 12-basis and the network leave, each after no, one and two plain Newton steps."""
+    """Make a table of the flow's iterations from the 12-basis and from the network, after zero, one and two Newton steps."""
     ball = {row["start"]: row for row in chosen(means, f"{_BALL} and {FLOW}").to_dict("records")}
     made = [
         {"plain Newton steps first": steps, "12-basis": pair(ball.get(a, {}), "iterations"),
@@ -275,14 +275,14 @@ def newton_first(rows: Rows, means: Rows) -> Rows:
 
 
 def all_starts(rows: Rows, means: Rows) -> Rows:
-    """Every start on the ball."""
+    """Make a table of every start on the ball."""
     by = {(row["start"], row["method"]): row for row in chosen(means, _BALL).to_dict("records")}
     keys = dict.fromkeys(start for start, _ in by if isinstance(start, str))
     made = []
     for key in keys:
         flow, newton = by.get((key, "reduced_flow"), {}), by.get((key, "newton"), {})
         made.append({
-            "start": row_of(key).label, "no start": flow.get("iterations_missing"), "replaced": flow.get("start_replaced_sum"),
+            "start": start_info(key).label, "no start": flow.get("iterations_missing"), "replaced": flow.get("start_replaced_sum"),
             "start gap": pair(flow, "start_gap"), "flow": pair(flow, "iterations"), "Newton": pair(newton, "iterations"),
             "start alone, us": pair(flow, "start_microseconds"), "flow, us": pair(flow, "microseconds"),
             "Newton, us": pair(newton, "microseconds"),
@@ -291,7 +291,7 @@ def all_starts(rows: Rows, means: Rows) -> Rows:
 
 
 def solvers(rows: Rows, means: Rows) -> Rows:
-    """Solvers that a user gave, beside Newton from the 12-basis."""
+    """Make a table of the user's solvers, beside Newton from the 12-basis."""
     given = means[means["start"].isna()] if "start" in means.columns else means.iloc[:0]
     names = given["method"].dropna().unique().tolist()
     if not names:
@@ -310,7 +310,7 @@ def solvers(rows: Rows, means: Rows) -> Rows:
 
 
 def failures(rows: Rows, means: Rows) -> Rows:
-    """Failures of starts and solvers by case, with their reasons."""
+    """Count the failures of starts and solvers by case and reason."""
     found: Rows = chosen(rows, "status in ['no_start', 'failed', 'stalled', 'iteration_limit'] or held == False")
     if found.empty:
         return found
@@ -319,19 +319,19 @@ def failures(rows: Rows, means: Rows) -> Rows:
         .fillna(found["failure"] if "failure" in found.columns else found["status"])
         .fillna(found["status"])
     )
-    said = found.assign(why=why, start=found["start"].fillna("")).groupby(
+    groups = found.assign(why=why, start=found["start"].fillna("")).groupby(
         ["case", "start", "method", "why"], dropna=False, sort=False
     )
-    return said.size().reset_index(name="count").sort_values("count", ascending=False)
+    return groups.size().reset_index(name="count").sort_values("count", ascending=False)
 
 
 TABLES = (
     ("The hardest sets first", "Iterations of the flow, median / p99. A dash: the start does not apply.", hardest_sets),
-    ("The hardest problems", "The main start that needs the most iterations of the flow on each; case, problem and seed make it again.", hardest_problems),
+    ("The hardest problems", "The main start that needs the most iterations of the flow on each; case, problem and seed reproduce it.", hardest_problems),
     ("The network alone against the paper's 12-basis", f"{SETS['ball_frictions'].label}, held out; median / p99. Times are those of the network with its repair.", learned_steps),
-    ("After plain Newton steps", "Iterations of the flow and gap of the start on the held-out ball, median / p99.", newton_first),
+    ("After Newton steps", "Iterations of the flow and gap of the start on the held-out ball, median / p99.", newton_first),
     ("Every start on the ball", "Iterations and microseconds, median / p99.", all_starts),
-    ("Solvers of your own", "Their gap is that of Phi, whatever they minimise.", solvers),
+    ("Your own solvers", "The gap is that of Phi, whatever the solver minimises.", solvers),
     ("Hold rates", "Episodes held, and the mean of the measured normal force.", grid),
-    ("Failures", "Every case without a start, without an answer, or not held.", failures),
+    ("Failures", "Cases without a start, without an answer, or not held.", failures),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Results of every comparison: run folders, typed tables of rows, claims about them, and the map that makes them."""
+"""Results of comparisons: run folders, typed tables of rows, claims about them, and the map over shards."""
 
 from training.results.run import Run, default_name, provenance, understood
 

@@ -1,4 +1,4 @@
-"""The progress bar of everything that takes long."""
+"""Progress bars."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from rich.text import Text
 
 
 class Bars(Progress):
-    """Bars as wide as the terminal, and below them the field `note` of each task; no line is wrapped."""
+    """Bars as wide as the terminal, with the field `note` of each task below them; no line is wrapped."""
 
     def get_renderables(self) -> Iterator[RenderableType]:
-        """The lines to draw, from the top."""
+        """Yield the lines, from the top."""
         yield self.make_tasks_table(self.tasks)
         for task in self.tasks:
             if task.fields.get("note"):
@@ -22,9 +22,9 @@ class Bars(Progress):
 
 
 def progress(console: Console | None = None) -> Bars:
-    """A progress bar on stderr, or on `console`; nothing is drawn unless that is a terminal."""
+    """Return a progress bar on stderr, or on `console`; it draws on terminals only."""
     console = console or Console(stderr=True)
-    # the bar takes what the rest leaves; numbers and times are never cut, a name longer than half a line of 80 is
+    # the bar fills the rest of the line; long names are cut, numbers and times never
     name = Column(no_wrap=True, overflow="ellipsis", max_width=max(8, console.width - 48))
     columns = (
         TextColumn("{task.description}", table_column=name),

@@ -1,4 +1,4 @@
-"""Claims as data: a name, a query on the summary of a run, a comparison and the number asked."""
+"""Claims as data: a name, a query on the summary of a run, a comparison and a bound."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ COMPARISONS: dict[str, tuple[Callable[[Any, Any], Any], Callable[[Any], Any]]] =
     ">": (operator.gt, np.min),
     "within": (lambda value, bound: abs(value) <= bound, lambda values: values[np.abs(values).argmax()]),
 }
-"""How a measured number is compared with the one asked, and which of several is the worst."""
+"""Comparison of a measured number with the bound, and choice of the worst of several numbers."""
 VERDICTS = {False: "MISSED", None: "not measured", True: "met"}
-"""The verdicts, in the order in which they are printed."""
+"""Verdicts, in the order in which they are printed."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A number that a run should reach.
+    """Bound that a number of a run should meet.
 
     Attributes:
-        name: what is claimed, for people.
-        query: rows of the run's summary, as `pandas.DataFrame.query` takes it. The claim must hold in each of them.
-        column: of the summary.
+        name: the claim in words.
+        query: query for rows of the run's summary, as for `pandas.DataFrame.query`. The claim must hold in each of them.
+        column: column of the summary.
         comparison: one of `COMPARISONS`.
-        asked: the number asked.
-        over: a second query: its rows, paired by the other keys, divide the column, or are subtracted from it where `difference`.
+        asked: the bound.
+        over: a second query. Its rows, paired by the other keys, divide the column, or are subtracted from it if `difference`.
         difference: see `over`.
-        unit: of the number asked.
+        unit: unit of the bound.
     """
 
     name: str
@@ -49,20 +49,18 @@ class Claim:
     unit: str = ""
 
     def values(self, rows: pd.DataFrame) -> np.ndarray:
-        """The measured numbers: one for each row that the query selects; nan where it has none, or cases without one."""
+        """Return the measured numbers, one for each row that the query selects; nan if the row, or one of its cases, has no number."""
         mine, other = chosen(rows, self.query), chosen(rows, self.over) if self.over else None
         if self.column not in rows.columns:
             return np.empty(0)
         lacking = f"{self.column.rpartition('_')[0]}_missing"
-        if (
-            lacking in rows.columns and lacking != self.column
-        ):  # percentiles of the cases that have a number say nothing of the others
+        if lacking in rows.columns and lacking != self.column:  # percentiles ignore the cases without a number
             mine = mine.assign(
                 **{self.column: np.where(numbers(mine, lacking) > 0, np.nan, numbers(mine, self.column))}
             )
         if other is None:
             return numbers(mine, self.column)
-        # rows are paired by the keys of which both queries left several values
+        # pair the rows by the keys that still have several values after both queries
         keys = [name for name in KEYS if name in rows.columns and min(mine[name].nunique(), other[name].nunique()) > 1]
         if not keys:
             mine, other = mine.iloc[:1], other.iloc[:1]
@@ -75,7 +73,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Judged:
-    """A claim with what was measured.
+    """Verdict on a claim.
 
     Attributes:
         claim: the claim.
@@ -89,19 +87,19 @@ class Judged:
 
     @property
     def asked(self) -> str:
-        """The number asked, in text."""
+        """Comparison and bound, as text."""
         return f"{self.claim.comparison} {self.claim.asked:g} {self.claim.unit}".strip()
 
     @property
     def found(self) -> str:
-        """The number measured, in text."""
+        """Measured number, as text."""
         return "–" if self.measured is None else f"{self.measured:.4g} {self.claim.unit}".strip()
 
 
 def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Judged]:
-    """Every claim against the summary of a run: missed ones first, then those that were not measured, then those that are met.
+    """Judge claims against the summary of a run. Missed claims come first, then those not measured, then those met.
 
-    A claim is missed where one of its rows lacks the number.
+    A claim is missed if one of its rows lacks the number.
 
     Example:
         >>> rows = pd.DataFrame({"case": ["ball", "ball"], "start": ["paper", "network"], "iterations_median": [45.0, 4.0]})
@@ -126,7 +124,7 @@ def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Judged]:
 
 
 def lines(judged: Sequence[Judged]) -> Iterator[str]:
-    """Two lines for each claim, for a terminal."""
+    """Yield two lines for each claim, for a terminal."""
     for row in judged:
         verdict = "" if row.met is None else VERDICTS[row.met]
         measured = "not measured in this run" if row.measured is None else f"measured {row.found}"

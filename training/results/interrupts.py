@@ -1,4 +1,4 @@
-"""What ctrl-C and SIGTERM do to work that must end whole."""
+"""Orderly handling of ctrl-C and SIGTERM."""
 
 from __future__ import annotations
 
@@ -10,27 +10,30 @@ from types import FrameType
 
 @contextmanager
 def interruptible(*, orderly: bool = True) -> Iterator[Callable[[], bool]]:
-    """SIGINT and SIGTERM within the block are one thing, and whoever had them before has them again afterwards.
+    """Treat SIGINT and SIGTERM alike in the block, and restore the previous handlers afterwards.
+
+    Yields:
+        A function that returns True once a signal has come.
 
     Args:
-        orderly: the first is only noted, and yielded to whoever asks, so that a step can end; the next interrupts at once. Else the
-            first one does.
+        orderly: the first signal only sets that flag, so that a step can end, and the next raises KeyboardInterrupt. Otherwise the
+            first one raises.
     """
-    came: list[int] = []
+    signals: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
-        came.append(number)
-        if not orderly or len(came) > 1:
+        signals.append(number)
+        if not orderly or len(signals) > 1:
             raise KeyboardInterrupt
 
     kept = {}
     try:
         for number in (signal.SIGINT, signal.SIGTERM):
             kept[number] = signal.signal(number, note)
-    except ValueError:  # not the main thread: nobody interrupts it
+    except ValueError:  # not the main thread, which signals do not interrupt
         pass
     try:
-        yield lambda: bool(came)
+        yield lambda: bool(signals)
     finally:
         for number, handler in kept.items():
             signal.signal(number, handler)

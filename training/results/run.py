@@ -1,4 +1,4 @@
-"""Run folders: where a command's outputs go, written whole or not at all, with what is needed to repeat it."""
+"""Run folders: the outputs of a command, each file written whole or not at all, with all that is needed to repeat the run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from training.results.table import pd
 
 MAX_COUNT = 1_000_000_000
-"""Largest number of anything that a setting counts."""
+"""Largest count in a setting."""
 _PACKAGES = (
     "numpy", "scipy", "pandas", "torch", "gymnasium", "stable-baselines3", "pybullet", "mujoco", "ray",
     "clarabel", "qoco", "qocogen", "moreau", "ecos", "highspy", "piqp", "cvxpy",
@@ -32,14 +32,14 @@ _PACKAGES = (
 
 
 class Run:
-    """One folder `<out>/<name>` of outputs; every file appears under its name only when it is complete."""
+    """Folder `<out>/<name>` of outputs; a file gets its name only when it is complete."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     @classmethod
     def create(cls, out: str | Path, name: str) -> Run:
-        """Makes the folder and checks that it can be written, before any work is done.
+        """Make the folder and check, before any work, that it can be written.
 
         Raises:
             InvalidInputError: the folder cannot be made or written, or holds a finished run.
@@ -58,7 +58,7 @@ class Run:
 
     @classmethod
     def open(cls, folder: str | Path, needs: str) -> Run:
-        """An existing run that holds the file `needs`.
+        """Open an existing run that holds the file `needs`.
 
         Raises:
             InvalidInputError: there is no such run.
@@ -69,54 +69,54 @@ class Run:
         return cls(folder)
 
     def path(self, name: str) -> Path:
-        """Path of a file of this run; its folder exists."""
+        """Return the path of a file of this run, and make its folder."""
         path = self.folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
     def write(self, name: str, writer: Callable[[Path], object]) -> Path:
-        """Calls writer(temporary path), then renames: an interrupted write leaves no half file."""
+        """Call writer(temporary path), then rename, so that an interrupted write leaves no partial file."""
         path = self.path(name)
         with replacing(path) as temporary:
             writer(temporary)
         return path
 
     def write_text(self, name: str, text: str) -> Path:
-        """Writes a text file."""
+        """Write a text file."""
         return self.write(name, lambda path: path.write_text(text, encoding="utf-8"))
 
     def write_json(self, name: str, value: Any) -> Path:
-        """Writes JSON; not-a-number and infinity are refused."""
+        """Write JSON; raise ValueError for NaN and infinity."""
         return self.write_text(name, json.dumps(value, indent=2, allow_nan=False, default=_plain) + "\n")
 
     def read_json(self, name: str) -> Any:
-        """Reads JSON; raises `InvalidInputError` where the file is none."""
+        """Read JSON; raise `InvalidInputError` if the file is not JSON."""
         return read_json(self.path(name), InvalidInputError, "the run's file")
 
     def save(self, rows: pd.DataFrame, about: dict[str, Any]) -> None:
-        """Writes rows.parquet, rows.csv and, last, run.json, which makes the run a finished one.
+        """Write rows.parquet, rows.csv and, last, run.json, which marks the run as finished.
 
         Args:
             rows: the table of the run.
             about: its kind and settings; machine, versions, commit and the meaning of the columns are added.
         """
-        from training.results import table  # training alone needs no pandas
+        from training.results import table  # importing this module needs no pandas
 
         table.write(self.path("rows.parquet"), rows)
         table.write_csv(self.path("rows.csv"), rows)
         self.write_json("run.json", {**about, **provenance(), "columns": table.described(rows.columns)})
 
     def load(self) -> tuple[pd.DataFrame, dict[str, Any]]:
-        """The rows and what run.json says of them."""
+        """Return the rows and the content of run.json."""
         from training.results import table
 
         return table.read(self.path("rows.parquet")), self.read_json("run.json")
 
     def begin(self, plan: dict[str, Any]) -> None:
-        """Notes in plan.json what decides the results of this run, or checks that an interrupted run was begun with the same.
+        """Save in plan.json the settings that decide the results, or check that an interrupted run was begun with the same.
 
         Raises:
-            InvalidInputError: it was begun with another plan.
+            InvalidInputError: it was begun with other settings.
         """
         if not self.path("plan.json").is_file():
             self.write_json("plan.json", plan)
@@ -132,14 +132,14 @@ class Run:
 
 @contextmanager
 def understood(folder: Path, again: str) -> Iterator[None]:
-    """Whatever goes wrong while a run's files are made use of is their fault: they were changed, or another version's.
+    """Turn any error in the block into the message that the run's files were changed or made by another version.
 
     Args:
-        folder: the run's.
-        again: how such files are made.
+        folder: folder of the run.
+        again: advice how to make such files again.
 
     Raises:
-        InvalidInputError: anything went wrong; the project's own errors stay.
+        InvalidInputError: any error other than the project's own, which pass through.
     """
     try:
         yield
@@ -153,21 +153,21 @@ def understood(folder: Path, again: str) -> Iterator[None]:
 
 
 def check_counts(config: Any, least: dict[str, int]) -> None:
-    """Checks that these settings of a record are integers between their least values and `MAX_COUNT`.
+    """Check that settings of a record are integers between their least values and `MAX_COUNT`.
 
     Raises:
-        InvalidInputError: naming every setting that is not.
+        InvalidInputError: it names every setting that is not.
     """
     together(*(lambda n=n, low=low: whole(getattr(config, n), n, low, MAX_COUNT) for n, low in least.items()))
 
 
 def default_name(kind: str) -> str:
-    """`<kind>-<date>-<time>`."""
+    """Return `<kind>-<date>-<time>`."""
     return f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"
 
 
 def provenance() -> dict[str, Any]:
-    """Machine, versions, commit and command of this process."""
+    """Return machine, versions, commit and command of this process."""
     program = Path(sys.argv[0])
     spec = sys.modules["__main__"].__spec__
     name = f"python -m {spec.parent}" if spec and program.name == "__main__.py" else program.name
@@ -213,7 +213,7 @@ def _version(name: str) -> str:
 
 
 def commit(folder: Path) -> str:
-    """The commit of a checkout, with `-dirty` where files differ from it."""
+    """Return the commit of a checkout, with `-dirty` if files differ from it."""
     try:
         run = subprocess.run(
             ["git", "-C", str(folder), "describe", "--always", "--dirty"], capture_output=True, text=True, timeout=10

@@ -1,6 +1,6 @@
-"""The one map for long work: a function over shards, inline, in processes of this machine, or on a Ray cluster.
+"""Map of a function over shards of long work: inline, in processes of this machine, or on a Ray cluster.
 
-The rows are the same, in the same order, whatever runs them. Times are never measured inside the map.
+The rows and their order do not depend on where the shards run. Times are never measured inside the map.
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ from training.results.table import pd
 ON = "inline, processes, ray or ray://HOST:PORT"
 """Places in which shards can run."""
 ATTEMPTS = 3
-"""Times in a row that workers may be killed without a shard being finished in between."""
+"""Number of times in a row that workers may be killed without finishing a shard."""
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""One thread of BLAS and torch for each worker; the libraries read these when they are loaded."""
+"""Environment that gives each worker one thread of BLAS and torch; the libraries read it when they are loaded."""
 
 Work = Callable[[Any], "pd.DataFrame"]
-"""The rows of a shard; a function of a module, so that workers can import it."""
+"""Function from a shard to its rows, of a module, so that workers can import it."""
 Answer = tuple["pd.DataFrame", float]
-"""The rows of a shard, and the processor time that they took [s]."""
+"""Rows of a shard, and their processor time [s]."""
 Runner = Callable[[Work, dict[str, Any]], Iterator[tuple[str, Answer]]]
-"""Runs a function over shards and yields (name, answer) as they are finished."""
+"""Function that runs work on shards and yields (name, answer) as they finish."""
 
 
 @dataclass(frozen=True)
 class Mapped:
-    """The outcome of a map.
+    """Result of a map.
 
     Attributes:
-        rows: of all shards, in their order.
-        on: where they ran.
-        workers: how many ran side by side.
-        wall_seconds: from the first shard's start to the last one's end; starting Ray is not included.
-        cpu_seconds: processor time of the shards that ran now; kept ones cost nothing.
+        rows: rows of all shards, in their order.
+        on: where the shards ran.
+        workers: number of shards that ran in parallel.
+        wall_seconds: time from the first shard's start to the last one's end, without the start of Ray.
+        cpu_seconds: processor time of the shards that ran; kept shards count as zero.
     """
 
     rows: pd.DataFrame
@@ -62,7 +62,7 @@ class Mapped:
 
     @property
     def about(self) -> dict[str, Any]:
-        """What a run folder says of the map."""
+        """Description of the map for run.json."""
         return {name: value for name, value in vars(self).items() if name != "rows"}
 
 
@@ -76,21 +76,21 @@ def map_shards(
     label: str = "shards",
     console: Console | None = None,
 ) -> Mapped:
-    """Calls a function on every shard and joins the rows in the order of the shards.
+    """Call a function on every shard and join the rows in the order of the shards.
 
     Args:
-        function: takes a shard and returns its rows. It must depend on nothing but the shard.
-        shards: by name, picklable. The longest should come first: they are started in this order.
+        function: takes a shard and returns its rows, which must depend on the shard alone.
+        shards: picklable shards by name, in the order in which they start; the longest should come first.
         on: "inline" (this process), "processes" (spawned on this machine), "ray" (the cluster of RAY_ADDRESS, or the one that runs
             on this machine) or "ray://HOST:PORT" (the Ray client server of another machine).
-        workers: processes; 0: one for each core. The rows do not depend on it. Ray uses the cores of its cluster.
-        keep: folder that keeps finished shards, so that an interrupted map goes on; None: nothing is kept.
-        label: for the progress bar.
-        console: for the progress bar; None: stderr.
+        workers: number of processes; 0: one per core. Ray uses the cores of its cluster.
+        keep: folder that keeps finished shards, so that an interrupted map can continue; None: nothing is kept.
+        label: label of the progress bar.
+        console: console of the progress bar; None: stderr.
 
     Raises:
-        InvalidInputError: `on` is none of these, or there is no such cluster.
-        SimulationError: workers were killed again and again without finishing a shard.
+        InvalidInputError: `on` is invalid, or there is no such cluster.
+        SimulationError: workers were killed `ATTEMPTS` times in a row without finishing a shard.
     """
     if on not in ("inline", "processes", "ray") and not on.startswith("ray://"):
         raise InvalidInputError(f"on must be {ON}, got {on!r}")
@@ -113,7 +113,7 @@ def map_shards(
 
 
 def _call(function: Work, shard: Any) -> Answer:
-    """One shard, wherever it runs."""
+    """Run one shard and measure its processor time."""
     begun = time.process_time()
     rows = table.table(function(shard))
     return rows, time.process_time() - begun
@@ -121,7 +121,7 @@ def _call(function: Work, shard: Any) -> Answer:
 
 @contextmanager
 def _runner(on: str, workers: int) -> Iterator[tuple[Runner, int]]:
-    """What runs shards there, and how many of them side by side."""
+    """Yield the runner of a place, and the number of shards that it runs in parallel."""
     if on == "inline":
         yield (lambda function, shards: ((name, _call(function, shard)) for name, shard in shards.items())), 1
     elif on == "processes":
@@ -132,7 +132,7 @@ def _runner(on: str, workers: int) -> Iterator[tuple[Runner, int]]:
 
 
 def _processes(function: Work, shards: dict[str, Any], workers: int) -> Iterator[tuple[str, Answer]]:
-    """Spawned processes; the shards of one that was killed run again in new ones."""
+    """Run shards in spawned processes. If one is killed, its shards run again in new processes."""
     left, attempts = dict(shards), 0
     while left:
         pool, problem = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _ignore_interrupts), None
@@ -151,7 +151,7 @@ def _processes(function: Work, shards: dict[str, Any], workers: int) -> Iterator
                     attempts = 0
                     del left[waiting[future]]
                     yield waiting[future], future.result()
-                elif problem is None:  # what has begun may end and is kept, nothing else begins
+                elif problem is None:  # shards that run may finish and are kept; no other starts
                     problem = failed
                     for other in waiting:
                         other.cancel()
@@ -162,13 +162,13 @@ def _processes(function: Work, shards: dict[str, Any], workers: int) -> Iterator
         if attempts == ATTEMPTS:
             raise SimulationError(
                 f"worker processes were killed {ATTEMPTS} times in a row while {', '.join(sorted(left))[:200]} ran, most likely for "
-                "want of memory: use fewer workers; finished shards are kept"
+                "lack of memory: use fewer workers; finished shards are kept"
             )
 
 
 @contextmanager
 def _ray(on: str) -> Iterator[tuple[Runner, int]]:
-    """Tasks of a Ray cluster, which runs the shards of a lost worker or node again."""
+    """Run shards as tasks of a Ray cluster, which repeats the shards of a lost worker or node."""
     need("ray")
     import ray  # pyright: ignore[reportMissingImports]
 
@@ -201,7 +201,7 @@ def _ray(on: str) -> Iterator[tuple[Runner, int]]:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Processes that are started in the block compute with one thread each."""
+    """Give processes that start in the block one thread each."""
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(THREADS)
     try:
@@ -215,5 +215,5 @@ def _one_thread() -> Iterator[None]:
 
 
 def _ignore_interrupts() -> None:
-    """A worker leaves an interrupt to its parent."""
+    """Ignore interrupts in a worker; its parent handles them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""The intervals and robust means that reports quote. All take finite values (n,) with n > 0 unless they say otherwise."""
+"""Intervals and robust means for reports, of finite values (n,) with n > 0 unless stated otherwise."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _RESAMPLES = 1000
 
 
 def median_interval(values: NDArray[np.float64]) -> tuple[float, float]:
-    """95 % interval of the median, between order statistics and so free of any distribution.
+    """Return a 95 % interval of the median, between order statistics, which assumes no distribution.
 
     Example:
         >>> median_interval(np.arange(101.0))
@@ -25,7 +25,7 @@ def median_interval(values: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def mean_interval(values: NDArray[np.float64], seed: int = 0) -> tuple[float, float]:
-    """95 % bootstrap interval of the mean; of paired differences too.
+    """Return a 95 % bootstrap interval of the mean.
 
     Example:
         >>> mean_interval(np.full(7, 2.0))
@@ -39,9 +39,9 @@ def mean_interval(values: NDArray[np.float64], seed: int = 0) -> tuple[float, fl
 def ratio_interval(
     numerator: NDArray[np.float64], denominator: NDArray[np.float64], seed: int = 0, of: Callable[..., Any] = np.median
 ) -> tuple[float, float, float]:
-    """median(numerator) / median(denominator) of paired samples, with its 95 % paired bootstrap interval.
+    """Return median(numerator) / median(denominator) of paired samples, with its 95 % paired bootstrap interval.
 
-    `of` takes the place of the median: a function of an array and `axis`.
+    `of` replaces the median: a function of an array and `axis`.
 
     Example:
         >>> ratio_interval(np.full(9, 3.0), np.full(9, 2.0))
@@ -56,7 +56,7 @@ def ratio_interval(
 
 
 def wilson(count: int, total: int) -> tuple[float, float]:
-    """95 % Wilson interval of a rate of `count` in `total`.
+    """Return the 95 % Wilson interval of a rate of `count` in `total`.
 
     Example:
         >>> wilson(500, 500), wilson(0, 10)
@@ -71,7 +71,7 @@ def wilson(count: int, total: int) -> tuple[float, float]:
 
 
 def iqm(values: ArrayLike) -> float:
-    """Interquartile mean: of the middle half of all values, whatever their shape.
+    """Return the interquartile mean, that of the middle half of all values, for an array of any shape.
 
     Example:
         >>> iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]))
@@ -83,7 +83,7 @@ def iqm(values: ArrayLike) -> float:
 
 
 def iqm_interval(values: ArrayLike, seed: int = 0) -> tuple[float, float]:
-    """95 % bootstrap interval of the interquartile mean of (n,) or (seeds, episodes); both axes are drawn anew.
+    """Return a 95 % bootstrap interval of the interquartile mean of (n,) or (seeds, episodes), resampling both axes.
 
     Example:
         >>> iqm_interval(np.full((3, 8), 2.0))

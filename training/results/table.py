@@ -1,4 +1,4 @@
-"""A table of results: rows with typed columns, written as Parquet and CSV with a JSON of settings beside them, and its summary."""
+"""Tables of results: rows with typed columns, written as Parquet and CSV, and their summaries."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ with need("report"):
     import pyarrow.parquet as pq
 
 Rows: TypeAlias = Any
-"""A `pandas.DataFrame`, whose types are not precise enough to check what is done with it."""
+"""Type of a `pandas.DataFrame` where its stubs are not precise enough."""
 DTYPES = {"text": "string", "whole": "Int64", "real": "float64", "flag": "boolean"}
 STATISTICS: dict[str, tuple[str, Callable[[NDArray[np.float64]], float]]] = {
     "median": ("median", lambda x: float(np.median(x))),
@@ -46,11 +46,11 @@ STATISTICS: dict[str, tuple[str, Callable[[NDArray[np.float64]], float]]] = {
     "iqm_low": ("lower end of the 95 % bootstrap interval of the interquartile mean", lambda x: iqm_interval(x)[0]),
     "iqm_high": ("upper end of the 95 % bootstrap interval of the interquartile mean", lambda x: iqm_interval(x)[1]),
 }  # fmt: skip
-"""Statistics of finite values (n,), n > 0. "missing", the number of rows without a value, is the one besides."""
+"""Statistics of finite values (n,), n > 0. The number of rows without a value, "missing", is computed by `summary`."""
 
 
 def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
-    """Rows as a table: the columns in the order of `COLUMNS`, each with its type; columns without any value are left out.
+    """Make a table of rows: columns in the order of `COLUMNS`, each with its type, without empty columns.
 
     Raises:
         InvalidInputError: a column is not in `COLUMNS`, or a value does not fit its kind.
@@ -76,20 +76,20 @@ def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
 
 
 def join(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Tables one below the other."""
-    # columns that a part lacks come back as objects, which `table` types again
+    """Concatenate tables."""
+    # a column that a part lacks becomes one of objects; `table` restores its type
     below = [part.astype(object) for part in parts]
     return table(pd.concat(below, ignore_index=True) if below else [])
 
 
 def write(path: Path, rows: pd.DataFrame) -> None:
-    """Writes a Parquet file; equal tables give equal bytes."""
+    """Write a Parquet file; equal tables give equal bytes."""
     with replacing(path) as temporary:
         pq.write_table(pa.Table.from_pandas(rows, preserve_index=False), temporary, compression="zstd")
 
 
 def write_csv(path: Path, rows: pd.DataFrame) -> None:
-    """Writes a CSV file with a header; missing values are empty, real numbers have seven significant digits."""
+    """Write a CSV file with a header; missing values are empty, real numbers have seven significant digits."""
     short = {name: _rounded(rows[name].to_numpy()) for name in rows.select_dtypes("float64").columns}
     with replacing(path) as temporary:
         made = pa.Table.from_pandas(rows.assign(**short), preserve_index=False)
@@ -97,7 +97,7 @@ def write_csv(path: Path, rows: pd.DataFrame) -> None:
 
 
 def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values (n,) with seven significant digits."""
+    """Round values (n,) to seven significant digits."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         scale = 10.0 ** (6.0 - np.floor(np.log10(np.abs(values))))
         short = np.round(values * scale) / scale
@@ -105,10 +105,10 @@ def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def read(path: Path) -> pd.DataFrame:
-    """Reads a Parquet or CSV file that `write`, `write_csv` or a summary's `write_csv` made.
+    """Read a Parquet or CSV file that `write` or `write_csv` made.
 
     Raises:
-        InvalidInputError: the file is missing or is no such table.
+        InvalidInputError: the file is missing or not a table of results.
     """
 
     def columns(blob: bytes) -> pd.DataFrame:
@@ -116,7 +116,7 @@ def read(path: Path) -> pd.DataFrame:
             return pd.read_csv(io.BytesIO(blob))
         file = pq.ParquetFile(pa.BufferReader(blob))
         size = sum(file.metadata.row_group(k).total_byte_size for k in range(file.metadata.num_row_groups))
-        # a few bytes can mean any number of equal values
+        # a compressed column of equal values can be far larger than its file
         if max(size, 8 * file.metadata.num_rows * file.metadata.num_columns) > WEIGHTS:
             raise ValueError(f"its columns have more than {WEIGHTS // MEGABYTE} MB")
         return file.read().to_pandas()
@@ -138,17 +138,17 @@ def read(path: Path) -> pd.DataFrame:
 
 
 def numbers(rows: pd.DataFrame, name: str) -> NDArray[np.float64]:
-    """(n,) the values of a column of numbers or flags, nan where one is missing."""
+    """Return the values (n,) of a column of numbers or flags, with nan for missing ones."""
     series: Any = rows[name]
     return series.to_numpy(np.float64, na_value=np.nan)
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:
-    """One row for each combination of keys, with the statistics of every column.
+    """Summarise a table: one row for each combination of keys, with the statistics of every column.
 
     Returns:
-        The keys that the table has, `n` the number of rows, and `<column>_<statistic>` for every statistic of `COLUMNS`. Groups
-        stand in the order in which they first appear; a group without a finite value has missing statistics.
+        The keys that the table has, the number of rows `n`, and `<column>_<statistic>` for every statistic of `COLUMNS`, in order of
+        first appearance. A group without finite values has missing statistics.
 
     Example:
         >>> rows = table([{"case": "ball", "held": True}, {"case": "ball", "held": False}, {"case": "jump", "held": True}])
@@ -177,11 +177,11 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def described(columns: Iterable[str]) -> dict[str, str]:
-    """Unit and meaning of columns, of a table or of its summary.
+    """Return unit and meaning of the columns of a table or of its summary.
 
     Example:
         >>> described(["drift_mean"])
-        {'drift_mean': '[mm] mean: largest distance of the object from where it was grasped, where it was held'}
+        {'drift_mean': '[mm] mean: largest distance of the object from where it was grasped, if it was held'}
     """
     out = {}
     for name in columns:
@@ -193,14 +193,14 @@ def described(columns: Iterable[str]) -> dict[str, str]:
             out[name] = {"n": "number of rows"}.get(name, "")
             continue
         column = COLUMNS[base]
-        said = {"missing": "rows without a value"}.get(statistic) or STATISTICS.get(statistic, ("",))[0]
+        label = {"missing": "rows without a value"}.get(statistic) or STATISTICS.get(statistic, ("",))[0]
         unit = f"[{column.unit}] " if column.unit else ""
-        out[name] = f"{unit}{said}{': ' if said else ''}{column.text}"
+        out[name] = f"{unit}{label}{': ' if label else ''}{column.text}"
     return out
 
 
 def chosen(rows: pd.DataFrame, query: str) -> pd.DataFrame:
-    """The rows that a query of `pandas.DataFrame.query` selects; none where a column that it names is missing."""
+    """Return the rows that a query of `pandas.DataFrame.query` selects; none if it names a missing column."""
     names = set(re.findall(r"[A-Za-z_]\w*", re.sub(r"'[^']*'|\"[^\"]*\"", "", query)))
     lacking = (names & {*COLUMNS}) - {*rows.columns}
     return rows.iloc[:0] if lacking else rows.query(query)

@@ -1,4 +1,4 @@
-"""Numbers in words, the same in every report and terminal."""
+"""Formatting of numbers for reports and terminals."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import textwrap
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits and no exponent between 1e-4 and 1e6; an absent one as a dash.
+    """Format a number with `digits` significant digits and no exponent between 1e-4 and 1e6; None as a dash.
 
     Example:
         >>> number(1234.5678), number(0.00012345), number(None), number(42)
@@ -22,7 +22,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def percent(value: float | None) -> str:
-    """A part as a percentage with three significant digits; an absent one as a dash.
+    """Format a share as a percentage with three significant digits; None as a dash.
 
     Example:
         >>> percent(0.0123456), percent(3e-8), percent(None)
@@ -35,7 +35,7 @@ def percent(value: float | None) -> str:
 
 
 def small(value: float) -> str:
-    """A power of ten and its like, as on a logarithmic axis.
+    """Format a round number, such as a power of ten, for a logarithmic axis.
 
     Example:
         >>> small(1e-4), small(100.0), small(0.1)
@@ -47,7 +47,7 @@ def small(value: float) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """A message of anybody's on one line of at most `most` characters, cut between words.
+    """Shorten a message to one line of at most `most` characters, cut between words.
 
     Example:
         >>> shortened("the wrench points to the right", 20), shortened("short", 20), shortened("x" * 30, 10)

@@ -1,4 +1,4 @@
-"""stable-baselines3 agents that start as the zero policy, and their state as plain arrays, both ways."""
+"""stable-baselines3 agents that start near the zero policy, and conversion of their state to and from plain arrays."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from training.rl.settings import RLConfig
 
 _WIDTHS = [64, 64]
 _MEAN_GAIN = 0.01
-"""Of the last layer that gives the mean action: 0.01 is stable-baselines3's for PPO; SAC's is scaled to the same."""
+"""Gain of the last layer of the mean action: stable-baselines3's value for PPO, also used for SAC."""
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 Arrays = dict[str, dict[str, np.ndarray]]
 
 
 def make_envs(settings: dict[str, Any], count: int, gamma: float) -> VecNormalize:
-    """Environments side by side behind a normaliser of observations and rewards; to be seeded with `first_seed`.
+    """Make parallel environments behind a normaliser of observations and rewards; seed them with `first_seed`.
 
-    They run in one process, because a process each was no faster on two cores (steps/s: 4 environments 912 in one process, 844 in
-    four; 8 environments 737 and 820): sending what a step shows costs not much less than the step.
+    They run in one process: one process each was no faster on two cores (steps/s: 4 environments 912 in one process, 844 in
+    four; 8 environments 737 and 820), since sending the data of a step costs almost as much as the step.
 
     Rewards are not clipped. `VecNormalize` divides them by their deviation and does not subtract their mean: with a discount of 0 they
-    are 10 and more, and its usual clip at 10 would leave nothing to learn from.
+    exceed 10, so that its default clip at 10 would make them all equal.
 
     Args:
-        settings: of the environment, as `EnvConfig.to_dict`.
-        count: how many.
+        settings: settings of the environment, as from `EnvConfig.to_dict`.
+        count: number of environments.
         gamma: discount of the return whose deviation scales rewards.
     """
     envs = make_vec_env(
@@ -44,26 +44,28 @@ def make_envs(settings: dict[str, Any], count: int, gamma: float) -> VecNormaliz
 
 
 def first_seed(seed: int, steps: int) -> int:
-    """In [2**30, 2**31): of the first environment, where so many steps are taken; the next ones follow.
+    """Return the seed of the first environment after a number of steps, in [2**30, 2**31); the other environments have the next ones.
 
-    A resumed training sees other episodes than those before, and no training sees those that score agents.
+    A resumed training sees new episodes, and no training sees the episodes that score agents.
     """
     state = int(np.random.SeedSequence([seed, steps]).generate_state(1)[0])
     return 2**30 + state % (2**30 - 2**10)
 
 
 def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
-    """An untrained agent whose mean action is nearly zero and whose exploration is `config.deviation`."""
-    torch.set_num_threads(1)  # for networks this small more threads gain nothing
+    """Make an untrained agent whose mean action is nearly zero and whose exploration is `config.deviation`."""
+    torch.set_num_threads(1)  # more threads do not help networks this small
     common: dict[str, Any] = {
         "learning_rate": config.learning_rate, "gamma": config.gamma, "seed": seed, "device": "cpu",
     }  # fmt: skip
     if config.algorithm == "ppo":
-        rollout = max(config.rollout // config.envs // 8, 1) * 8  # of each environment, so that eight batches divide it
+        rollout = (
+            max(config.rollout // config.envs // 8, 1) * 8
+        )  # steps of each environment, divisible into eight batches
         policy = {"net_arch": _WIDTHS, "log_std_init": math.log(config.deviation)}
         size = rollout * config.envs // 8
         return PPO("MlpPolicy", envs, n_steps=rollout, batch_size=size, n_epochs=10, policy_kwargs=policy, **common)
-    # the entropy of a normal action component of that deviation: SAC's temperature keeps the exploration there
+    # entropy of a normal distribution with that deviation; SAC's temperature keeps the exploration there
     entropy = math.log(config.deviation * math.sqrt(2.0 * math.pi * math.e))
     agent = SAC(
         "MlpPolicy", envs, buffer_size=config.buffer, learning_starts=config.warmup, batch_size=256,
@@ -80,7 +82,7 @@ def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
 
 
 def arrays(agent: PPO | SAC, envs: VecNormalize) -> Arrays:
-    """Weights ("policy"), optimisers ("optimiser"), normaliser and, of SAC, the replay buffer ("replay"), by name."""
+    """Return weights ("policy"), optimisers ("optimiser"), the normaliser and, of SAC, the replay buffer ("replay") as arrays by name."""
     found = agent.get_parameters()
     out: dict[str, dict[str, Any]] = {"policy": found.pop("policy")}
     out["optimiser"] = {
@@ -102,10 +104,10 @@ def arrays(agent: PPO | SAC, envs: VecNormalize) -> Arrays:
 
 
 def restore(agent: PPO | SAC, envs: VecNormalize, saved: Arrays) -> None:
-    """Puts what `arrays` gave back into an agent that `build` made of the same settings.
+    """Restore the state from `arrays` in an agent that `build` made with the same settings.
 
     Raises:
-        ModelFileError: names or shapes that do not fit.
+        ModelFileError: names or shapes do not fit.
     """
     try:
         parameters: Any = agent.get_parameters()
@@ -131,7 +133,7 @@ def restore(agent: PPO | SAC, envs: VecNormalize, saved: Arrays) -> None:
 
 
 def _running(envs: VecNormalize) -> dict[str, Any]:
-    """Running means and variances of observations and of returns."""
+    """Return the running means and variances of observations and of returns, by their prefixes."""
     return {"": envs.obs_rms, "return_": envs.ret_rms}
 
 

@@ -1,4 +1,4 @@
-"""Checkpoints of a training: everything that going on from them needs, in `policies.agent_files`' format."""
+"""Checkpoints of a training: all that is needed to continue it, in the format of `policies.agent_files`."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from training.rl.settings import RLConfig
 
 FOLDER = "checkpoints"
 _TENSORS = ("policy", "optimiser")
-"""What is written as safetensors; the rest as npz."""
+"""Parts written as safetensors; the others are npz."""
 _FREE = ("steps", "seed", "seeds", "episodes", "curve_points", "curve_episodes", "checkpoint_every", "quick")
-"""Settings in which a resumed training may differ from its checkpoint: they do not change what is learned."""
+"""Settings that a resumed training may change, since they do not affect learning."""
 _SPARE = 50_000_000
-"""[bytes] of weights, logs and figures, besides the replay buffers."""
+"""Size of weights, logs and figures, without replay buffers [bytes]."""
 
 
 @dataclass
 class Training:
-    """One agent in training; as a `Policy`, it acts deterministically on raw observations.
+    """Agent in training; as a `Policy` it acts deterministically on raw observations.
 
     Attributes:
-        folder: of its seed: checkpoints and TensorBoard events.
-        config: resolved.
-        seed: of this training.
-        agent: as `agent.build` makes it.
-        envs: what it sees.
+        folder: folder of its seed, with checkpoints and TensorBoard events.
+        config: resolved settings.
+        seed: seed of this training.
+        agent: agent from `agent.build`.
+        envs: its environments.
         spent: (wall, processor) time spent on training [s].
         curve: rows of the episodes that scored the agent so far, with "training_steps".
     """
@@ -62,7 +62,7 @@ class Training:
         return self.agent.predict(seen, deterministic=deterministic)[0], state
 
     def save(self) -> Path:
-        """Writes a whole checkpoint under `<folder>/checkpoints`."""
+        """Write a complete checkpoint under `<folder>/checkpoints`."""
         agent, config = self.agent, self.config
         seconds, cpu_seconds = self.spent.round(2).tolist()
         meta = {
@@ -84,10 +84,10 @@ class Training:
         return write_checkpoint(self.folder / FOLDER, agent.num_timesteps, meta, tensors, held)
 
     def resume(self) -> None:
-        """Restores the newest checkpoint of the folder; episodes start anew, from seeds not used before.
+        """Restore the newest checkpoint of the folder; new episodes start, with seeds not used before.
 
         Raises:
-            ModelFileError: no whole checkpoint, or one that does not fit.
+            ModelFileError: no complete checkpoint, or one that does not fit.
             InvalidInputError: it was trained with other settings.
         """
         found, meta = find_checkpoint(self.folder), check_settings(self.folder, self.config, self.seed)
@@ -96,27 +96,27 @@ class Training:
         restore(self.agent, self.envs, saved | {stem: read_arrays(found, meta, stem) for stem in stems})
         agent = self.agent
         agent.num_timesteps, agent._n_updates, agent._episode_num = meta["steps"], meta["updates"], meta["episodes"]
-        agent.set_random_seed(first_seed(self.seed, meta["steps"]))  # every generator, those of the environments too
+        agent.set_random_seed(first_seed(self.seed, meta["steps"]))  # seeds the environments, too
         self.spent, self.curve = np.array([meta["seconds"], meta["cpu_seconds"]]), meta["curve"]
 
 
 def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
-    """What the newest checkpoint of `folder` says of itself; raises as `Training.resume` does, before anything is changed."""
+    """Return the metadata of the newest checkpoint of `folder`; raise as `Training.resume` does, before any change."""
     found = find_checkpoint(folder)
     meta = read_meta(found)
     now = {**asdict(config), "env_settings": config.env_settings}
     before = {**meta["config"], "env_settings": meta["env_settings"]}
     wrong = {name: value for name, value in now.items() if name not in _FREE and before.get(name) != value}
     if wrong or meta["seed"] != seed:
-        told = ", ".join(f"{name} {before.get(name)!r}, now {value!r}" for name, value in wrong.items())
+        changes = ", ".join(f"{name} {before.get(name)!r}, now {value!r}" for name, value in wrong.items())
         raise InvalidInputError(
-            f"{found} was trained with other settings ({told or 'another seed'}): give the same, or another --out"
+            f"{found} was trained with other settings ({changes or 'another seed'}): give the same, or another --out"
         )
     return meta
 
 
 def check_space(out: Path, config: RLConfig) -> None:
-    """Refuses to start where the disk cannot take the checkpoints: two of every seed in training.
+    """Check that the disk has room for the checkpoints, two for every seed.
 
     Raises:
         InvalidInputError: too little free space.

@@ -1,4 +1,4 @@
-"""Held-out episodes that score a policy, as rows: the same for the paper, a learned start, the previous solution and every agent."""
+"""Scores of a policy on held-out episodes, as rows; the same for agents and for the policies they are compared with."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ def score(
     seeds: range,
     initial_force: str | InitialForceRule | None = None,
 ) -> list[dict[str, Any]]:
-    """The rows of the episodes of these seeds, deterministic; one environment serves them all.
+    """Play the episodes of some seeds with deterministic actions, in one environment, and return their rows.
 
     Args:
         policy: the agent, or a `ZeroPolicy`.
-        settings: of the environment, or their dict.
-        seeds: of the episodes.
-        initial_force: a start rule instead of that of the settings.
+        settings: settings of the environment, or their dict.
+        seeds: seeds of the episodes.
+        initial_force: start rule instead of that of the settings.
 
     Returns:
-        A row for each step with "seed", "step", "reward" and, where a solver runs, "iterations". The last one of an episode also
-        has what belongs to the whole of it, see `outcome`.
+        A row for each step with "seed", "step", "reward" and, if a solver runs, "iterations". The last row of an episode also has the
+        columns of `outcome`.
     """
     config = as_config(settings).override(**({} if initial_force is None else {"initial_force": initial_force}))
     solver = config.agent.action_mode != "contact_force"
@@ -49,7 +49,7 @@ def score(
 
 
 def outcome(steps: list[Step], solver: bool = True) -> dict[str, Any]:
-    """The outcome of an episode: its return, whether the object was held to the end within the task's limits, and means."""
+    """Return the outcome of an episode: its return, whether the object was held to the end within the task's limits, and means."""
     infos = [step.info for step in steps]
     held = bool(infos[-1]["is_success"])
     return {

@@ -1,4 +1,4 @@
-"""Settings of `grasp rl`: light to import, also the command line's options."""
+"""Settings of `grasp rl`, which are also its options; this module imports no torch."""
 
 from __future__ import annotations
 
@@ -11,36 +11,37 @@ from grasp_env.errors import InvalidInputError
 from training.results.run import check_counts
 
 HELD_OUT_SEED = 1_000_000
-"""First seed of the episodes that score agents; training draws its seeds from 2**30 on."""
+"""First seed of the episodes that score agents; the seeds of training are at least 2**30."""
 CURVE_SEED = 2_000_000
 """First seed of the episodes along a learning curve."""
 
 
 @dataclass(frozen=True)
 class RLConfig:
-    """How an agent is trained.
+    """Settings of a training.
 
     Attributes:
-        algorithm: ppo or sac, stable-baselines3's.
-        env: JSON of the environment's settings, as keywords of `gym.make`: {"hand": "allegro", "shape": "sphere", "size": [0.06]}.
-            Unless it says otherwise, the default cuboid under a random wrench, with the paper's start and flow.
-        action: initial_force (adjusts the solver's start; zero is the paper) or contact_force (no solver).
+        algorithm: ppo or sac of stable-baselines3.
+        env: JSON of the environment's settings, as keywords of `gym.make`: {"hand": "allegro", "shape": "sphere", "size": [0.06]}. The
+            default is the cuboid under a random wrench, with the paper's start and flow.
+        action: initial_force (adjusts the solver's start; zero is the paper's) or contact_force (no solver).
         steps: environment steps per seed, rounded up to whole updates.
-        seed: of everything random in training.
-        seeds: several, one sub-folder each; empty: `seed` alone.
-        envs: environments side by side, in one process (a process each was no faster on two cores).
-        episodes: held-out ones that score the agents, the same for all.
+        seed: seed of everything random in training.
+        seeds: several seeds, with one sub-folder each; empty: `seed` alone.
+        envs: number of environments in parallel, in one process.
+        episodes: number of held-out episodes that score the agents.
         curve_points: scores along the learning curve, besides the one before training.
-        curve_episodes: of each.
+        curve_episodes: episodes of each such score.
         checkpoint_every: steps between checkpoints; interrupts and the end save one, too.
-        rollout: steps between the updates of ppo.
-        warmup: steps of sac with actions at random, before its first update.
-        buffer: transitions that sac keeps.
-        learning_rate: of Adam; 0: 1e-3 for ppo, 5e-4 for sac.
-        gamma: discount; negative: 0 for initial_force, where an action changes the iterations of its own step only, 0.97 for
+        rollout: ppo: steps between updates.
+        warmup: sac: steps with random actions before the first update.
+        buffer: sac: transitions in the replay buffer.
+        learning_rate: learning rate of Adam; 0: 1e-3 for ppo, 5e-4 for sac.
+        gamma: discount; negative: 0 for initial_force, where an action affects only the iterations of its own step, 0.97 for
             contact_force.
-        deviation: of the first exploration, in actions of [-1, 1]; 0: 0.1 (0.5 N) for initial_force, 0.3 for contact_force.
-        quick: a small version that ends in a minute and says that it is quick.
+        deviation: initial standard deviation of the exploration, for actions in [-1, 1]; 0: 0.1 (0.5 N) for initial_force, 0.3 for
+            contact_force.
+        quick: a small version that ends within a minute; its report is marked as quick.
     """
 
     algorithm: Literal["ppo", "sac"] = "ppo"
@@ -80,7 +81,7 @@ class RLConfig:
             )
 
     def resolved(self) -> RLConfig:
-        """The settings in force: what was left open has its value; `quick` shrinks everything but the protocol."""
+        """Return the settings with every default filled in, and smaller counts if `quick`; the protocol is the same."""
         force = self.action == "initial_force"
         full = replace(
             self,
@@ -99,12 +100,12 @@ class RLConfig:
 
     @property
     def env_settings(self) -> dict[str, Any]:
-        """The environment's settings, as `EnvConfig.to_dict`.
+        """Settings of the environment, as from `EnvConfig.to_dict`.
 
         Raises:
-            InvalidInputError: `env` is no JSON of settings, or these make no environment.
+            InvalidInputError: `env` is not JSON, or holds invalid settings.
         """
-        from grasp_env.config import EnvConfig  # it needs the extra sim
+        from grasp_env.config import EnvConfig  # needs the extra sim
 
         try:
             given = json.loads(self.env)
@@ -112,13 +113,13 @@ class RLConfig:
             raise InvalidInputError(f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}') from None
         if "action_mode" in instance(given, dict, "env"):
             raise InvalidInputError(
-                f"env has action_mode {given['action_mode']!r}: leave it out, action={self.action!r} says it"
+                f"env has action_mode {given['action_mode']!r}: leave it out, action={self.action!r} sets it"
             )
         return EnvConfig().override(**{"disturbance": "random", **given, "action_mode": self.action}).to_dict()
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Fingers and joints of the hand, and the numbers that an agent is shown and gives."""
+        """Number of fingers and joints of the hand, and sizes of observation and action."""
         from grasp_env.config import as_config
         from grasp_env.env.observation import action_size, bounds
 

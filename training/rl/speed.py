@@ -1,4 +1,4 @@
-"""Steps per second of an environment alone, with an agent that acts, and with one that trains: measured alone, in this process."""
+"""Measurement of steps per second of environments alone, with an agent that acts, and with one that trains."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from training.rl.agent import build, first_seed, make_envs
 from training.rl.settings import RLConfig
 
 ROUNDS, STEPS = 3, 2048
-"""How often each is measured, and how many steps of all environments together are taken each time."""
+"""Number of measurements, and of steps of all environments together in each."""
 
 
 def speeds(config: RLConfig) -> Iterator[dict[str, Any]]:
-    """Rows "environment alone", "with inference" and "with training", one for each round, of an agent that `config` describes."""
-    config = replace(config, warmup=1).resolved()  # SAC learns from the first step on
+    """Yield rows "environment alone", "with inference" and "with training", one for each round."""
+    config = replace(config, warmup=1).resolved()  # so that SAC learns from the first step on
     envs = make_envs(config.env_settings, config.envs, config.gamma)
     try:
         agent = build(config, envs, 0)
@@ -38,7 +38,7 @@ def speeds(config: RLConfig) -> Iterator[dict[str, Any]]:
         def training() -> None:
             agent.learn(STEPS, reset_num_timesteps=False)
 
-        training()  # warm; and the environments are reset
+        training()  # warm-up, which also resets the environments
         for case, work in (("environment alone", alone), ("with inference", acting), ("with training", training)):
             for _ in range(ROUNDS):
                 begun = time.perf_counter()

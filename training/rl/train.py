@@ -1,4 +1,4 @@
-"""`grasp rl`: trains agents, with checkpoints that a later call goes on from, and scores them beside what learns nothing."""
+"""Training of agents (`grasp rl`) with checkpoints that a later call continues from, and scores beside policies that learn nothing."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.rl.speed import speeds
 
 BASELINES = ("zero", "learned", "previous")
-"""Policies that agents are compared with: the paper's start, as the zero policy; the shipped learned start; the previous solution."""
+"""Policies that agents are compared with: the zero policy (the paper's start), the shipped learned start, the previous solution."""
 STOP = ".stop"
-"""File in a run's folder that asks the seeds in training to save and end; workers of other processes hear no interrupt."""
+"""File in a run's folder that makes the seeds in training save and end, since worker processes ignore interrupts."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """An agent that is trained and scored, or only scored, or one of `BASELINES`.
+    """Agent to train and score, or only to score, or one of `BASELINES`.
 
     Attributes:
-        name: in the table.
-        config: says how many episodes.
-        folder: of the agent's seed; None: a baseline.
-        seed: with which the agent is trained first; None: it is only scored.
+        name: name in the table.
+        config: settings, with the number of episodes.
+        folder: folder of the agent's seed; None: a baseline.
+        seed: seed of the training; None: the agent is only scored.
     """
 
     name: str
@@ -57,14 +57,14 @@ class Shard:
 
 
 def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
-    """Trains where that is left to do, and scores: what runs in a worker.
+    """Finish the training of a shard and score it; this runs in a worker.
 
     Returns:
-        Rows of the held-out episodes (case "held_out"), of those along the learning curve ("curve"; of the zero policy the same
-        episodes), and one of what the training took ("training").
+        Rows of the held-out episodes (case "held_out"), of those along the learning curve ("curve"; for the zero policy the same
+        episodes), and one row with the cost of the training ("training").
     """
     config, name, folder = shard.config, shard.name, shard.folder
-    who, besides = {"environment": config.env, "agent": name}, list[dict[str, Any]]()
+    who, extra = {"environment": config.env, "agent": name}, list[dict[str, Any]]()
     if folder is not None:
         if shard.seed is not None:
             train_seed(config, folder, shard.seed, bool(checkpoints(folder / FOLDER)), bar, folder.parent / STOP)
@@ -72,31 +72,31 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
         meta = policy.meta
         settings, who = meta["env_settings"], who | {"training_seed": meta["seed"]}
         took = {"training_steps": meta["steps"], "seconds": meta["seconds"], "cpu_seconds": meta["cpu_seconds"]}
-        besides = [{"case": "curve", **row} for row in meta["curve"]] + [{"case": "training", **took}]
+        extra = [{"case": "curve", **row} for row in meta["curve"]] + [{"case": "training", **took}]
     else:
         config = replace(config, action="initial_force")
         policy, settings = ZeroPolicy(config.sizes["action_size"]), config.env_settings
         rule = {"learned": LearnedInitialForce.pretrained, "previous": lambda: "previous"}.get(name, lambda: None)()
         if name == "zero":
             along = score(policy, settings, range(CURVE_SEED, CURVE_SEED + config.curve_episodes))
-            besides = [{"case": "curve", **row} for row in along if "return" in row]
+            extra = [{"case": "curve", **row} for row in along if "return" in row]
     found = score(policy, settings, range(HELD_OUT_SEED, HELD_OUT_SEED + config.episodes), rule)
-    return table({**who, **row} for row in [{"case": "held_out", **row} for row in found] + besides)
+    return table({**who, **row} for row in [{"case": "held_out", **row} for row in found] + extra)
 
 
 def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", console: Console | None = None) -> Run:
-    """Trains every seed and scores the agents beside the paper; all lies in `out`.
+    """Train every seed and score the agents beside the baselines.
 
     Args:
         config: the settings.
         out: folder of the run.
-        resume: go on from the last whole checkpoint of each seed.
-        on: where seeds are trained, see `map_shards`; empty: inline for one seed, else processes, a seed and a thread in each.
-        console: for the progress; None: stderr.
+        resume: continue from the last complete checkpoint of each seed.
+        on: where seeds are trained, see `map_shards`; empty: inline for one seed, else one process with one thread per seed.
+        console: console of the progress; None: stderr.
 
     Raises:
         InvalidInputError: no such environment; the folder cannot be written, holds another or a finished run, or its disk is too full.
-        ModelFileError: a checkpoint to go on from that is damaged.
+        ModelFileError: a damaged checkpoint.
         KeyboardInterrupt: interrupted; every seed in training saves its last update.
     """
     console = console or Console(stderr=True)
@@ -114,7 +114,9 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", conso
             done = Run(out).read_json("run.json")["config"]
             complete = config.steps <= done["steps"] and set(config.seeds) <= set(done["seeds"])
         if complete:
-            console.print(f"{out} is finished, {done['steps']} steps: nothing is left to train; more --steps go on")
+            console.print(
+                f"{out} is finished, {done['steps']} steps: nothing is left to train; a larger --steps continues"
+            )
             return Run(out)
         finished.unlink()
     run = Run.create(out.parent, out.name)
@@ -130,14 +132,14 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", conso
 
 
 def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "", console: Console | None = None) -> Run:
-    """Scores the agents of all seeds of some runs beside each other, and measures how fast they act and train, alone in this process.
+    """Score the agents of all seeds of several runs, and measure how fast they act and train, alone in this process.
 
     Args:
-        folders: of runs of `grasp rl`.
+        folders: folders of runs of `grasp rl`.
         out: folder of the comparison.
-        config: says how many episodes.
+        config: settings, with the number of episodes.
         on: where agents are scored, see `map_shards`; empty: processes.
-        console: for the progress; None: stderr.
+        console: console of the progress; None: stderr.
 
     Raises:
         InvalidInputError: a folder is no finished run or holds no agent, or `out` cannot be written.
@@ -147,7 +149,7 @@ def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "", 
     if not metas:
         raise InvalidInputError(f"no trained agent in {', '.join(map(str, folders))}: name folders of `grasp rl`")
     config, shards = config.resolved(), dict[str, Shard]()
-    for seed, meta in metas.items():  # the zero policy's curve is of the episodes that the agents' were
+    for seed, meta in metas.items():  # the zero policy plays the episodes of the agents' curves
         kept = {
             name: meta["config"][name] for name in ("algorithm", "action", "env", "envs", "rollout", "curve_episodes")
         }
@@ -169,13 +171,13 @@ def _finish(
     console: Console | None,
     more: Sequence[dict[str, Any]] = (),
 ) -> Run:
-    """Trains and scores agents, and the baselines in the same environments, and saves the run."""
+    """Train and score agents, score the baselines in the same environments, and save the run."""
     worlds = {shard.config.env: shard.config for shard in shards.values()}
     baselines = {f"{name} {env}": Shard(name, world) for env, world in worlds.items() for name in BASELINES}
     every, stop = shards | baselines, run.path(STOP)
     stop.unlink(missing_ok=True)
     if on == "inline":
-        with progress(console) as bar:  # which shows steps, too
+        with progress(console) as bar:  # also shows steps
             rows = join([rows_of(shard, bar) for shard in bar.track(every.values(), description="agents")])
     else:
         try:
@@ -187,8 +189,8 @@ def _finish(
     if more:
         rows = join([rows, table(more)])
     metas = [read_meta(find_checkpoint(shard.folder)) for shard in shards.values() if shard.folder]
-    told = ("algorithm", "action", "seed", "steps", "config", "env_settings", "provenance")
-    agents = [{key: meta[key] for key in told} for meta in metas]
+    kept_keys = ("algorithm", "action", "seed", "steps", "config", "env_settings", "provenance")
+    agents = [{key: meta[key] for key in kept_keys} for meta in metas]
     run.save(rows, {"kind": "rl", "quick": config.quick, "config": asdict(config), "agents": agents})
     return run
 
@@ -196,15 +198,15 @@ def _finish(
 def train_seed(
     config: RLConfig, folder: Path, seed: int, resume: bool, bar: Progress | None = None, stop: Path | None = None
 ) -> Path:
-    """Trains one agent to `config.steps`, or on from its checkpoint.
+    """Train one agent to `config.steps`, from the start or from its checkpoint.
 
     Args:
-        config: resolved.
+        config: resolved settings.
         folder: receives checkpoints and TensorBoard events.
-        seed: of the training.
-        resume: whether `folder` holds a checkpoint to go on from.
-        bar: shows the steps; None: nothing is shown.
-        stop: a file that, once it is there, interrupts as ctrl-C does.
+        seed: seed of the training.
+        resume: continue from the checkpoint in `folder`.
+        bar: shows the steps; None: no progress.
+        stop: file whose existence interrupts the training as ctrl-C does.
 
     Returns:
         The last checkpoint.
@@ -217,15 +219,15 @@ def train_seed(
     envs = make_envs(config.env_settings, config.envs, config.gamma)
     try:
         training = Training(folder, config, seed, build(config, envs, seed), envs)
-        envs.seed(first_seed(seed, 0))  # stable-baselines3 seeded them with its own
+        envs.seed(first_seed(seed, 0))  # replaces stable-baselines3's seeds
         if resume:
             training.resume()
         logger = configure(str(folder / "tensorboard"), ["tensorboard"])
         agent = training.agent
         agent.set_logger(logger)
         try:
-            with interruptible() as came:
-                watch = _Watch(training, lambda: came() or (stop is not None and stop.exists()), bar)
+            with interruptible() as interrupted:
+                watch = _Watch(training, lambda: interrupted() or (stop is not None and stop.exists()), bar)
                 every = 1 if config.algorithm == "ppo" else config.envs  # PPO counts updates, SAC episodes
                 agent.learn(config.steps - agent.num_timesteps, watch, log_interval=every, reset_num_timesteps=False)
                 return watch.finish()
@@ -236,7 +238,7 @@ def train_seed(
 
 
 class _Watch(BaseCallback):
-    """Between two updates: a score for the learning curve, a checkpoint, the end where an interrupt asked for it."""
+    """Callback between updates: it scores the agent, saves checkpoints, and ends after an interrupt."""
 
     def __init__(self, training: Training, interrupted: Callable[[], bool], bar: Progress | None) -> None:
         super().__init__()
@@ -247,7 +249,7 @@ class _Watch(BaseCallback):
         self._task = bar.add_task(label, total=config.steps, completed=done) if bar else None
 
     def finish(self) -> Path:
-        """The last score and checkpoint."""
+        """Add the last score and save the last checkpoint."""
         self._score()
         path = self._save()
         if self._interrupted():
@@ -256,7 +258,7 @@ class _Watch(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         config, curve, steps = self._training.config, self._training.curve, self.num_timesteps
-        if config.algorithm == "ppo":  # an update comes after its rollout's row: give it one of its own
+        if config.algorithm == "ppo":  # the update comes after the log row of its rollout, so it gets its own
             self.logger.dump(steps)
         if not curve or steps - curve[-1]["training_steps"] >= config.steps / config.curve_points:
             self._score()
@@ -286,10 +288,10 @@ class _Watch(BaseCallback):
             point |= {"iterations": np.mean(iterations), "median_iterations": np.median(iterations)}
         for name, value in point.items():
             self.logger.record(f"score/{name}", float(value))
-        self.logger.dump(steps)  # now, not at the end of the rollout that follows
+        self.logger.dump(steps)  # now, not at the end of the next rollout
         at = {"training_steps": steps, "seconds": round(float(training.spent[0]), 2)}
         training.curve += [{**row, **at} for row in ends]
-        self._mark = _clock()  # scores are not training time
+        self._mark = _clock()  # the time of scores does not count
 
     def _save(self) -> Path:
         self._saved = self.num_timesteps
@@ -303,5 +305,5 @@ class _Watch(BaseCallback):
 
 
 def _clock() -> np.ndarray:
-    """(wall, processor) [s]: where programs share the cores, the second says what training costs."""
+    """Return (wall, processor) time [s]; other programs on the machine do not change the second."""
     return np.array([time.perf_counter(), time.process_time()])
