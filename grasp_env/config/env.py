@@ -64,7 +64,7 @@ class EnvConfig(Settings):
     """
 
     hand: str | HandDescription = setting(
-        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_file('my_hand.urdf')", lambda value: is_a(value, HandDescription)),
+        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_file('my_hand.urdf')", lambda value: isinstance(value, HandDescription)),
         "The hand. If it is not `placed`, `place_hand` puts it around the object.",
     )  # fmt: skip
     object: ObjectDescription = setting(

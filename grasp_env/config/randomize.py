@@ -30,7 +30,7 @@ ALLOWED = (*SHORT, *RANDOM, "gravity")
 
 
 def _checked_rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
-    given = list(value.items()) if is_a(value, dict) else as_list([value] if is_a(value, str) else value)
+    given = list(value.items()) if isinstance(value, dict) else as_list([value] if isinstance(value, str) else value)
     if given is None:
         raise InvalidInputError(
             f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"

@@ -1,4 +1,4 @@
-"""Problems on samples: soft contacts and limits as the core takes them, and the same as dense rows for the oracles."""
+"""Problems for the tests: soft contacts and limits as the core takes them, and the same as dense rows for the oracles."""
 
 from __future__ import annotations
 
@@ -23,9 +23,19 @@ METHODS = {"newton": 0, "reduced flow": 1, "full flow": 2, "sum": 3, "largest": 
 FACETS = 64
 
 
+def at(row: np.ndarray, name: str) -> float:
+    """A number of a record's summary."""
+    return float(row[FIELDS[name]])
+
+
+def nu_of(row: np.ndarray) -> np.ndarray:
+    """(6,) the multipliers of a record."""
+    return row[FIELDS["multipliers"] :][:6]
+
+
 @dataclass(frozen=True)
 class Case:
-    """Contacts, some of them soft, within limits.
+    """Contacts, some of which may be soft, within limits.
 
     Attributes:
         gamma: (N,) torsional friction [m], 0: not soft.
@@ -47,7 +57,7 @@ class Case:
     @cached_property
     def placement(self) -> insides.Placement:
         s = self.contacts
-        return insides.place(s.positions, s.normals, s.scale, s.weights, None, self.gamma)
+        return insides.place(s.positions, s.normals, s.scale, s.weights, torsion=self.gamma)
 
     @cached_property
     def torsion_divisor(self) -> np.ndarray:
@@ -81,7 +91,9 @@ class Case:
     @cached_property
     def sizes(self) -> np.ndarray:
         """(M,) the length of each row in (u, o, t, u - v), by which Phi divides it; 1 of one that no force changes."""
-        found = np.sqrt((with_slack(self.given_rows[0]) ** 2).sum(axis=(1, 2)))
+        rows = self.given_rows[0]
+        with_slack = np.concatenate([rows[..., :1] + rows[..., 3:], rows[..., 1:]], axis=2)
+        found = np.sqrt((with_slack**2).sum(axis=(1, 2)))
         return np.where(found > 0.0, found, 1.0)
 
     @cached_property
@@ -90,11 +102,6 @@ class Case:
         s, turn = self.contacts, np.zeros((6, self.count))
         turn[3:] = s.normals.T
         return np.dstack([s.rows.reshape(6, -1, 3), s.unit @ turn / self.torsion_divisor])
-
-    @cached_property
-    def live(self) -> np.ndarray:
-        """(N, 4) which of them are variables of z = (x of all, v of soft contacts)."""
-        return np.column_stack([np.ones((self.count, 3), bool), self.soft])
 
     def flat(self, rows: np.ndarray) -> np.ndarray:
         """(M, n) of rows (M, N, 4)."""
@@ -131,11 +138,11 @@ class Case:
     # --- solutions
 
     def start(self, load: np.ndarray) -> np.ndarray:
-        """The optimum of hard contacts without limits."""
+        """Optimum of hard contacts without limits."""
         return np.append(self.contacts.minimum(load)[0], np.zeros(self.soft.sum()))
 
     def minimum(self, load: np.ndarray) -> np.ndarray | None:
-        """argmin Phi; None: the limits cannot be kept."""
+        """argmin Phi, or None if the limits cannot be kept."""
         if not len(self.terms.rows):
             return self.start(load)
         return oracle.minimum(self.start(load), self.matrix, self.contacts.unit @ load, self.terms)
@@ -155,18 +162,18 @@ class Case:
         return row[first : first + 3 * self.count], row[FIELDS["force"] + 6 * self.count :][: self.count]
 
     def torques(self, row: np.ndarray) -> np.ndarray:
-        """(J,) by what the record says of force and torsion."""
+        """(J,) from the force and the torsion of a record."""
         force, torsion = self.forces(row)
         all_four = np.column_stack([force.reshape(-1, 3), torsion])
         return np.einsum("naj,na->j", self.jacobian, all_four) + self.limits.get("torque_bias", np.zeros(0))
 
-    def said(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Joint torques (J,) and prices of the limits (M,) of a record."""
+    def torques_and_prices(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Joint torques (J,) and prices of the limits (M,) in a record."""
         rest = row[FIELDS["force"] + 16 * self.count :]
         return np.split(rest, [self.jacobian.shape[2]])[0], np.split(rest, [self.jacobian.shape[2]])[1]
 
     def excess(self, z: np.ndarray) -> float:
-        """By how much of itself a limit is exceeded."""
+        """Largest excess of a limit, as a part of it."""
         rows, bound, share = self.own
         return float(((rows @ z - bound) / share).max(initial=0.0))
 
@@ -179,18 +186,10 @@ class Case:
         return np.vstack([cones, self.terms.rows]), np.append(np.zeros(len(cones)), self.terms.bound)
 
     def solver(self, layout: tuple[int, int], method: str = "newton", **options: object) -> insides.AnyOptimizer:
-        """In a layout, or the last of those that this build has; options of `AnyOptimizer.make`."""
+        """Solver in a layout, or in the last one that this build has; options of `AnyOptimizer.make`."""
         layout = layout if layout in LAYOUTS else LAYOUTS[-1]
         options = {"tolerance": 1e-9, "method": METHODS[method], "criterion": int(method == "largest")} | options
         return insides.AnyOptimizer.make(*layout, self.placement, **options, **self.limits)
-
-
-def with_slack(rows: np.ndarray) -> np.ndarray:
-    """Rows on (u, o, t, v) as rows on (u, o, t, w), w = u - v."""
-    out = rows.copy()
-    out[..., 0] += rows[..., 3]
-    out[..., 3] *= -1.0
-    return out
 
 
 def softened(s: Sample, kind: str) -> np.ndarray:
@@ -237,7 +236,7 @@ def shared_limits(s: Sample, seed: int, tight: float) -> dict[str, np.ndarray]:
 
 @cache
 def case(count: int, kind: str, seed: int = 0, tight: float = 6.0) -> Case:
-    """hard, frictionless, thin: contacts alone; some soft, all soft; own limits, shared limits; soft limits: some soft and shared."""
+    """Problem of a kind: hard, frictionless, thin, some soft, all soft, own limits, shared limits, or soft limits (some soft, shared limits)."""
     s = sample(count, kind if kind in ("frictionless", "thin") else "hard")
     gamma = softened(s, kind) if "soft" in kind else np.zeros(count)
     if kind == "own limits":

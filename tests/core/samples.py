@@ -9,18 +9,15 @@ import _core_test as insides
 import numpy as np
 from oracles import geometry, newton
 
-COUNTS = (*range(3, 18), 50)
-"""Numbers of contacts: every filling of registers of 2, 4 and 8, and many."""
-
-EACH = {1: insides.Insides1, 4: insides.Insides4, 8: insides.Insides8}
-"""Cones, the linear system and the starts, by the lanes of their registers."""
+COUNTS = (3, 4, 5, 8, 9, 17, 50)
+"""Numbers of contacts: full and partly filled registers of 2, 4 and 8 lanes."""
 
 LAYOUTS = tuple(insides.LAYOUTS)
 """(lanes, registers; 0: as many as needed) of a solver."""
 
 
 def layouts(count: int) -> list[tuple[int, int]]:
-    """Those that hold so many contacts."""
+    """Layouts that hold so many contacts."""
     return [(lanes, blocks) for lanes, blocks in LAYOUTS if blocks == 0 or count <= lanes * blocks]
 
 
@@ -101,7 +98,7 @@ class Sample:
 
 
 def random_contacts(rng: np.random.Generator, count: int) -> Sample:
-    """On an ellipsoid off the origin; other friction and weights at every contact."""
+    """Contacts on an ellipsoid off the origin, with different friction and weights at each."""
     axes = rng.uniform(0.03, 0.06, 3)
     on = rng.standard_normal((count, 3))
     on /= np.linalg.norm(on, axis=1)[:, None]
@@ -113,21 +110,21 @@ def random_contacts(rng: np.random.Generator, count: int) -> Sample:
 
 
 def with_frictionless(sample: Sample, which: slice) -> Sample:
-    """The same with contacts that transmit their normal force alone."""
+    """The same contacts, some of them frictionless."""
     scale = sample.scale.copy()
     scale[which] = [1.0, 0.0, 0.0]
     return Sample(sample.positions, sample.normals, scale, sample.weights)
 
 
 def thinned(sample: Sample, thin: float) -> Sample:
-    """Distances from a line through the middle multiplied by `thin`, which is about the ratio of singular values of G then."""
+    """Contacts moved towards a line through their middle; `thin` is about the ratio of singular values of G."""
     middle = sample.positions.mean(axis=0)
     positions = (sample.positions - middle) * [1.0, thin, thin] + [0.01, 0.0, 0.0]
     return Sample(positions, sample.normals, sample.scale, sample.weights)
 
 
 def has_closure(sample: Sample) -> bool:
-    """Whether an internal force exists that presses on all contacts alike, deep in their cones: that of the least Phi."""
+    """True if the internal force of least Phi presses on all contacts alike, deep in their cones."""
     try:
         rest = sample.rest.reshape(-1, 3)
     except (ArithmeticError, np.linalg.LinAlgError):
@@ -157,7 +154,7 @@ def reference_of(s: Sample) -> np.ndarray:
 
 
 def moved(s: Sample, size: float, *seed: int) -> Sample:
-    """Contacts that have wandered."""
+    """Contacts that have moved by about `size`, in parts of 5 cm and 1 rad."""
     rng = np.random.default_rng([s.count, *(seed or (0,))])
     positions = s.positions + size * 0.05 * rng.standard_normal(s.positions.shape)
     normals = s.normals + size * rng.standard_normal(s.normals.shape)
@@ -167,10 +164,3 @@ def moved(s: Sample, size: float, *seed: int) -> Sample:
 def wrenches(rng: np.random.Generator, number: int, size: float = 1.0) -> np.ndarray:
     """(number, 6) forces of about `size` [N], moments of 0.05 m times as much."""
     return size * rng.standard_normal((number, 6)) * [1.0, 1.0, 1.0, 0.05, 0.05, 0.05]
-
-
-def depths(rng: np.random.Generator, count: int, shallow: float = 0.5, spread: float = 2.0) -> np.ndarray:
-    """(3N,) strictly inside the cones: 1 - |(o, t)|/u down to `shallow`, u over a factor of `spread`."""
-    u, angle = rng.uniform(1.0, spread, count), rng.uniform(0.0, 2.0 * np.pi, count)
-    s = u * (1.0 - shallow ** rng.uniform(0.0, 1.0, count))
-    return np.stack([u, s * np.cos(angle), s * np.sin(angle)], axis=1).reshape(-1)

@@ -1,4 +1,4 @@
-"""A hand without a simulator: control ticks that allocate nothing and stay finite, inverse kinematics. Also under the sanitizers."""
+"""Control ticks of a hand without a simulator allocate nothing, stay finite and repeat. Also run under the sanitizers."""
 
 from __future__ import annotations
 
@@ -20,21 +20,12 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_control_tick_allocates_nothing(case: str) -> None:
-    """Optimized, adjusted, bounded, with fingers that come and go, and all other things to do."""
-    made, total, _, changes, peak = insides.ticks(3000, *CASES[case])
-    limit = CASES[case][4]
-    assert made == 0
+def test_control_ticks_allocate_nothing_and_repeat_bit_by_bit(case: str) -> None:
+    """Forces that are optimised, adjusted and bounded, fingers that come and go, and all other ways to hold."""
+    found = insides.ticks(900, *CASES[case])
+    allocated, total, _, changes, peak = found
+    assert allocated == 0
     assert np.isfinite(total)
-    assert peak == pytest.approx(limit, rel=1e-9)  # springs take all that the motors have left, and no more
-    assert changes > 20
-
-
-def test_ticks_repeat_bit_by_bit() -> None:
-    for case in CASES.values():
-        assert insides.ticks(300, *case) == insides.ticks(300, *case)
-
-
-@pytest.mark.parametrize("more", [0, 2])
-def test_tips_are_reached_from_nearby(more: int) -> None:
-    assert insides.reached(300, more, 1) <= 1e-9
+    assert peak == pytest.approx(CASES[case][4], rel=1e-9)  # springs take all that the motors have left, and no more
+    assert changes > 5
+    assert insides.ticks(900, *CASES[case]) == found

@@ -1,14 +1,15 @@
-"""Programs in C++ that try the headers hard: bytes that make contacts and models, eight threads."""
+"""Programs in C++: random bytes, threads, and the examples, which print the numbers of their twins in Python; pages compile with them."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
-from test_front import OPTIMIZE, PROGRAMS
-from test_package import CORE, FLAGS, SHADOW, succeed, tool
+from building import CORE, EXAMPLES, ROOT, build, run, succeed
 
 from grasp_env.grasp import presets
 from policies import LearnedInitialForce
@@ -17,46 +18,84 @@ SEED = os.environ.get("GRASP_TRIAL_SEED", "0")
 SANITIZED = [
     "-O1", "-g1", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all", "-D_GLIBCXX_ASSERTIONS",
 ]  # fmt: skip
-
-
-def program(name: str, folder: Path, *flags: str, compiler: str = "g++") -> Path:
-    made = folder / name
-    every = [*FLAGS, SHADOW[compiler], *OPTIMIZE, *flags, f"-I{CORE / 'include'}", "-pthread"]
-    succeed(tool(compiler), *every, PROGRAMS / f"{name}.cpp", "-o", made)
-    return made
+NUMBER = re.compile(r"-?\b\d+\.?\d*")
+LINES, MOST_LINES = 60, 150
 
 
 def model(folder: Path) -> Path:
     return LearnedInitialForce.pretrained().export(folder / "four.model", presets.paper_cuboid())
 
 
-def test_bytes_by_chance(tmp_path: Path) -> None:
-    assert succeed(program("fuzz", tmp_path, "-DGRASP_SEEDED"), SEED, "1000") == "1000\n"
+def test_random_bytes(programs: Path) -> None:
+    assert succeed(programs / "fuzz", SEED, "300") == "300\n"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("compiler", SHADOW)
-def test_many_bytes_by_chance_under_the_sanitizers(compiler: str, tmp_path: Path) -> None:
-    """clang++ also with libFuzzer: `-fsanitize=fuzzer,address,undefined` without -DGRASP_SEEDED."""
-    fuzz = program("fuzz", tmp_path, "-DGRASP_SEEDED", *SANITIZED, compiler=compiler)
-    assert succeed(fuzz, SEED + "1", "10000") == "10000\n"
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+def test_many_random_bytes_under_the_sanitizers(compiler: str, tmp_path: Path) -> None:
+    made = build(tmp_path, *SANITIZED, compiler=compiler)
+    assert succeed(made / "fuzz", SEED + "1", "10000") == "10000\n"
 
 
 @pytest.mark.slow
-def test_nothing_is_read_before_it_is_written(tmp_path: Path) -> None:
+def test_no_random_bytes_read_memory_before_it_is_written(tmp_path: Path) -> None:
     """Valgrind follows every bit; it does not know AVX-512."""
     if not shutil.which("valgrind"):
         pytest.skip("valgrind is not installed")
-    fuzz = program("fuzz", tmp_path, "-DGRASP_SEEDED", "-O1", "-march=x86-64-v3")
-    assert succeed("valgrind", "-q", "--error-exitcode=9", fuzz, SEED, "2000") == "2000\n"
+    made = build(tmp_path, "-O1", "-march=x86-64-v3")
+    assert succeed("valgrind", "-q", "--error-exitcode=9", made / "fuzz", SEED, "2000") == "2000\n"
 
 
-@pytest.mark.slow
-def test_eight_threads(tmp_path: Path) -> None:
-    assert int(succeed(program("threads", tmp_path), model(tmp_path), "50")) == 50 * 6 * 12
+def test_eight_threads(programs: Path, tmp_path: Path) -> None:
+    assert int(succeed(programs / "threads", model(tmp_path), "5")) == 5 * 6 * 12
 
 
 @pytest.mark.slow
 def test_eight_threads_under_the_thread_sanitizer(tmp_path: Path) -> None:
-    made = program("threads", tmp_path, "-O1", "-g1", "-fsanitize=thread")
-    assert int(succeed("setarch", "-R", made, model(tmp_path), "200")) == 200 * 6 * 12
+    made = build(tmp_path, "-O1", "-g1", "-fsanitize=thread")
+    assert int(succeed("setarch", "-R", made / "threads", model(tmp_path), "200")) == 200 * 6 * 12
+
+
+# --- examples and pages
+
+
+@pytest.mark.parametrize("path", sorted((CORE / "examples").glob("*.[ch]pp")), ids=lambda path: path.name)
+def test_an_example_is_short_and_has_a_twin(path: Path) -> None:
+    lines = path.read_text().splitlines()
+    assert len(lines) < LINES if path in EXAMPLES else len(lines) <= MOST_LINES
+    assert max(map(len, lines)) <= 132
+    assert (ROOT / f"examples/{path.stem}.py").is_file()
+
+
+def words(line: str) -> str:
+    """A line without its numbers, and without the blanks that align them."""
+    return "".join(NUMBER.sub("#", line.replace("-", "")).split())
+
+
+@pytest.mark.parametrize("name", [path.stem for path in EXAMPLES])
+def test_twins_print_the_same(name: str, programs: Path, tmp_path: Path) -> None:
+    """Line by line and in the same order, except for times and for lines that Python alone prints; a wrong file is named."""
+    arguments = [model(tmp_path)] if "learned" in name else []
+    python = iter(succeed(sys.executable, ROOT / f"examples/{name}.py").splitlines())
+    compared = 0
+    for line in succeed(programs / name, *arguments).splitlines():
+        if re.search(r"\bus\b|a second|two remain", line):
+            continue
+        twin = next((one for one in python if words(one) == words(line)), None)
+        assert twin is not None, line
+        for mine, other in zip(NUMBER.findall(line), NUMBER.findall(twin), strict=True):
+            # the last digit that is printed may be rounded either way
+            assert float(mine) == pytest.approx(float(other), abs=1.1 * 10.0 ** -len(mine.partition(".")[2])), line
+            compared += 1
+    assert compared > 0
+    for wrong in (["missing.model"], [__file__], []) if arguments else ():
+        done = run(programs / name, *wrong)
+        assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
+
+
+def test_the_page_names_every_code() -> None:
+    header = (CORE / "include/grasp/record.hpp").read_text()
+    codes = re.search(r"enum Code \{(.*?)\n\}", header, re.DOTALL)
+    assert codes is not None
+    told = re.findall(r"^\| `([A-Z_]+)`", (CORE / "README.md").read_text(), re.MULTILINE)
+    assert told == re.findall(r"^ +([A-Z_]+),", codes[1], re.MULTILINE) != []

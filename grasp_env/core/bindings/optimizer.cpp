@@ -304,6 +304,13 @@ void bind_optimizer(nb::module_& m) {
     m.def("combine", &combine, "basis"_a, "wrench"_a, "printed"_a, "to"_a,
           "Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,). printed: without the optimum at rest\n"
           "(Eqs. 33, 34).");
+    m.def("advise", &advice, "contacts"_a, "wrench"_a.none() = nb::none(), "jacobian"_a.none() = nb::none(),
+          "torque_limit"_a.none() = nb::none(),
+          nb::sig("def advise(contacts: Contacts, wrench: object = None, jacobian: object = None, torque_limit: object = None) "
+                  "-> list[tuple[bool, str]]"),
+          "Likely mistakes: whether each is near certain, and its text. float64 arrays: (6,), (N, 3 or 6, J), (J,).");
+    m.def("looks_wrong", &is_suspect, "contacts"_a, "wrench"_a.none() = nb::none(), "jacobian"_a.none() = nb::none(),
+          "torque_limit"_a.none() = nb::none(), "True if some of that advice is near certain.");
     nb::class_<Solver>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`.")
         .def_static(
             "make", &make, "contacts"_a, "weights"_a.none() = nb::none(), "force_weight"_a = 1.0, "barrier_weight"_a = 0.01,

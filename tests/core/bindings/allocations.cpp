@@ -8,7 +8,7 @@ namespace {
 
 struct alignas(64) Wide { double numbers[8]; };
 
-// What the counter must see: the proof that it counts. Through a pointer that the compiler cannot see through.
+// Allocations that the counter must see, through a pointer that the compiler cannot see through.
 long known(int vectors) {
     return counted([&] {
         for (int k = 0; k < vectors; ++k) {

@@ -3,7 +3,7 @@
 
 extern long allocations;  // since the module was loaded; stays 0 under the sanitizers, which have an operator new of their own
 
-// How many allocations f makes.
+// Number of allocations that f makes.
 template <class F> long counted(F&& f) {
     const long before = allocations;
     f();

@@ -16,11 +16,6 @@ inline const double* numbers(const In& a, size_t size) {
     if (a.size() != size) throw nb::value_error("an array of another size is needed");
     return a.data();
 }
-inline grasp::Vec6 six(const In& a) {
-    grasp::Vec6 out;
-    std::copy_n(numbers(a, 6), 6, out.begin());
-    return out;
-}
 
 inline nb::object array(std::vector<double> values, std::initializer_list<size_t> shape) {
     auto* kept = new std::vector<double>(std::move(values));

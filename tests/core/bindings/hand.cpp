@@ -1,8 +1,5 @@
 // A hand of four fingers around a cube, without a simulator: control ticks as a loop makes them.
-#include <random>
-
 #include <grasp/hand/controller.hpp>
-#include <grasp/hand/reach.hpp>
 
 #include "allocations.hpp"
 #include <nanobind/stl/string.h>
@@ -29,7 +26,6 @@ std::shared_ptr<Tree> tree_of(int more, double torque_limit = 3.0, bool shared =
     return tree;
 }
 
-// What a trial is of.
 struct Case {
     int more = 0;        // joints of each finger
     bool late = false;   // sensors
@@ -113,7 +109,7 @@ struct Trial {
         if (controller->hold == Hold::direct) step.force = forces;
         else if (ticks % 3 == 0) step.adjustment = adjustment;
         const Controller::Known known{reading, wrench, noise.data(), {0.0, -9.81, 0.0}, target};
-        if (!controller->tick(known, ticks % 5 == 0 ? &step : nullptr)) throw std::runtime_error("a reading that is none");
+        if (!controller->tick(known, ticks % 5 == 0 ? &step : nullptr)) throw std::runtime_error("a bad reading");
         for (double torque : controller->torques) sum += torque;
         sum += controller->outcome(target, measured.data()).drift;
     }
@@ -129,32 +125,10 @@ nb::tuple ticks(int count, int more, bool late, bool soft, bool shared, double t
     return nb::make_tuple(made, trial.sum, c.effort.followed + c.effort.limited, c.changes, c.peak);
 }
 
-// The worst miss of tips that were somewhere within the limits [m].
-double reached(int count, int more, unsigned seed) {
-    const auto tree = tree_of(more);
-    Reach reach(tree);
-    Posture posture(tree);
-    std::mt19937 random(seed);
-    std::uniform_real_distribution<double> angle(-1.0, 1.0);
-    std::vector<double> angles(tree->joints()), start(tree->joints()), found(tree->joints()), missed(reach.groups.size());
-    double worst = 0.0;
-    for (int k = 0; k < count; ++k) {
-        for (double& a : angles) a = angle(random);
-        for (std::size_t j = 0; j < start.size(); ++j) start[j] = angles[j] + 0.2 * angle(random);
-        posture.trace(angles.data());
-        std::vector<Point> targets;
-        for (int i = 0; i < tree->fingers(); ++i) targets.push_back(posture.tip(i));
-        reach.solve(targets.data(), start.data(), 1, found.data(), missed.data());
-        for (double m : missed) worst = std::max(worst, m);
-    }
-    return worst;
-}
-
 }  // namespace
 
 void bind_hand(nb::module_& m) {
     m.def("ticks", &ticks, "count"_a, "more"_a, "late"_a, "soft"_a, "shared"_a, "torque_limit"_a, "flow"_a,
           "Control ticks of a hand with 3 + `more` joints a finger: allocations, the sum of all torques, iterations within the "
           "torque limits, changes of the contacts, the largest torque.");
-    m.def("reached", &reached, "count"_a, "more"_a, "seed"_a, "The worst miss of inverse kinematics [m].");
 }

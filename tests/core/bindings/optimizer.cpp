@@ -1,4 +1,4 @@
-// What is behind `ForceOptimizer`, in every layout.
+// The engine behind `ForceOptimizer`, in every layout.
 #include <grasp/optimizer.hpp>
 
 #include <nanobind/stl/optional.h>
@@ -21,19 +21,11 @@ std::vector<float> singles(const In& a, size_t size) {
     const double* from = numbers(a, size);
     return {from, from + size};
 }
-Network network_of(const std::vector<int>& sizes, const In& weights) {
-    return Network(sizes, singles(weights, Network::numbers(sizes)).data());
-}
-nb::object network(const std::vector<int>& sizes, const In& weights, const In& features) {
-    Network made = network_of(sizes, weights);
-    const float* out = made(singles(features, sizes.front()).data());
-    return array(std::vector<double>(out, out + sizes.back()));
-}
-
 // sizes, weights: of the network; pairs (2 M, 6); null_space in forces; it covers wrenches up to 20 N
 std::shared_ptr<const Model> model(const std::vector<int>& sizes, const In& weights, const In& pairs, const In& null_space) {
     auto made = std::make_shared<Model>();
-    made->network = network_of(sizes, weights), made->normalisation = {0.2, 0.05, 0.5, 1.3, 0.4, 0.12};
+    made->network = Network(sizes, singles(weights, Network::numbers(sizes)).data()),
+    made->normalisation = {0.2, 0.05, 0.5, 1.3, 0.4, 0.12};
     const int rows = int(pairs.size() / 6);
     std::vector<float> flat(7 * rows);  // inputs x outputs, then no bias
     for (int k = 0; k < rows; ++k)
@@ -68,16 +60,15 @@ public:
 
     // The row, and Phi of the first `traced` iterates.
     nb::tuple solve(const In& wrench, int start, const Some& force, const Some& torsion, const Some& previous, double optimum,
-                    int traced, const Some& positions, const Some& normals, const Some& jacobian, const Some& friction) {
+                    int traced, const Some& positions, const Some& normals) {
         std::vector<double> row(on_->size()), trace(traced, -1.0);
-        Request ask{
-            .wrench = numbers(wrench, 6),
-            .now = {.positions = all(positions), .normals = all(normals), .friction = all(friction), .jacobian = all(jacobian)},
-            .start = Start(start),
-            .force = all(force),
-            .torsion = all(torsion),
-            .optimum = optimum,
-            .trace = trace};
+        Request ask{.wrench = numbers(wrench, 6),
+                .now = {.positions = all(positions), .normals = all(normals)},
+                .start = Start(start),
+                .force = all(force),
+                .torsion = all(torsion),
+                .optimum = optimum,
+                .trace = trace};
         if (previous) ask.previous = numbers(*previous, row.size());
         on_->solve(ask, row.data());
         return nb::make_tuple(array(row), array(trace));
@@ -128,8 +119,6 @@ private:
 void bind_optimizer(nb::module_& m) {
     using A = AnyOptimizer;
     const auto none = nb::none();
-    m.def("network", &network);
-    m.def("network_numbers", [](const std::vector<int>& sizes) { return Network::numbers(sizes); });
     nb::class_<Predicts>(m, "Model")
         .def_static("make", [](const std::vector<int>& sizes, const In& weights, const In& pairs, const In& null_space) {
             return Predicts{model(sizes, weights, pairs, null_space)};
@@ -141,8 +130,7 @@ void bind_optimizer(nb::module_& m) {
                     "model"_a.none() = none)
         .def("clone", &A::clone)
         .def("solve", &A::solve, "wrench"_a, "start"_a = 0, "force"_a = none, "torsion"_a = none, "previous"_a = none,
-             "optimum"_a = std::numeric_limits<double>::quiet_NaN(), "traced"_a = 0, "positions"_a = none, "normals"_a = none,
-             "jacobian"_a = none, "friction"_a = none)
+             "optimum"_a = std::numeric_limits<double>::quiet_NaN(), "traced"_a = 0, "positions"_a = none, "normals"_a = none)
         .def("start", &A::start, "wrench"_a, "start"_a = 0, "force"_a = none, "previous"_a = none)
         .def("solve_many", &A::solve_many, "wrenches"_a)
         .def("make_basis", &A::make_basis)

@@ -31,11 +31,8 @@ template <size_t COLUMNS, class F> nb::object over(int lanes, const In& x, F&& f
     });
 }
 
-// (n, 2): phi of one contact, wherever x is, and its slack
 nb::object phi_of(int lanes, In x, In weights) {
-    return over<2>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
-        out = {phi(triple<V>(x, k), pair<V>(weights, k)), slack(triple<V>(x, k))};
-    });
+    return over<1>(lanes, x, [&]<class V>(V, size_t k, auto& out) { out[0] = phi(triple<V>(x, k), pair<V>(weights, k)); });
 }
 nb::object gradient_of(int lanes, In x, In weights) {
     return over<3>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
@@ -57,14 +54,6 @@ nb::object inverse_hessian_of(int lanes, In x, In weights) {
         out = {h.uu, h.uo, h.ut, h.uo, h.oo, h.ot, h.ut, h.ot, h.tt};
     });
 }
-// (n, 13): along, inward, across; what the price pulls along and inward, and what the barrier does
-nb::object axes_of(int lanes, In x, In weights) {
-    return over<13>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
-        const Axes<V> a(triple<V>(x, k), pair<V>(weights, k));
-        for (int i = 0; i < 9; ++i) out[i] = a[i / 3][i % 3];
-        out[9] = a.price.along, out[10] = a.price.inward, out[11] = a.barrier.along, out[12] = a.barrier.inward;
-    });
-}
 // (n, 2): value and room
 nb::object dual_of(int lanes, In y, In weights) {
     return over<2>(lanes, y,
@@ -84,21 +73,6 @@ nb::object boundary_of(int lanes, In x, In move) {
         out = {way.away, way.along, edge.per(by)};
     });
 }
-// (n, 12): v, eta, shrink, root, scaled(d), twice(d)
-nb::object scaling_of(int lanes, In x, In s, In d) {
-    return over<12>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
-        const Scaling<V> m(triple<V>(x, k), triple<V>(s, k));
-        const Vec3<V> scaled = m.scaled(triple<V>(d, k)), twice = m.twice(triple<V>(d, k));
-        out = {m.v.u, m.v.o, m.v.t, m.eta, m.shrink, m.root, scaled.u, scaled.o, scaled.t, twice.u, twice.o, twice.t};
-    });
-}
-// (n, 7): sum, least and largest of each register, and what its lanes make of min, max, abs and sqrt with those of b
-nb::object lanes_of(int lanes, In a, In b) {
-    return over<7>(lanes, a, [&]<class V>(V, size_t k, auto& out) {
-        const V p = column<V>(a, k, 0), q = column<V>(b, k, 0);
-        out = {all<V>(sum(p)), all<V>(least(p)), all<V>(largest(p)), min(p, q), max(p, q), abs(p), sqrt(p)};
-    });
-}
 
 }  // namespace
 
@@ -106,7 +80,7 @@ void bind_phi(nb::module_& m) {
     nb::list layouts;
     for (const auto& [lanes, blocks] : LAYOUTS) layouts.append(nb::make_tuple(lanes, blocks));
     m.attr("LAYOUTS") = layouts;
-    m.def("phi", &phi_of), m.def("gradient", &gradient_of), m.def("along", &along_of), m.def("axes", &axes_of);
+    m.def("phi", &phi_of), m.def("gradient", &gradient_of), m.def("along", &along_of);
     m.def("inverse_hessian", &inverse_hessian_of), m.def("dual", &dual_of), m.def("dual_near", &dual_near_of);
-    m.def("boundary", &boundary_of), m.def("scaling", &scaling_of), m.def("lanes", &lanes_of);
+    m.def("boundary", &boundary_of);
 }

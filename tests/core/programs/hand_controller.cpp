@@ -1,7 +1,7 @@
-// What test_hand_controller.py asks of the example. `hand_controller FD HAND_FILE RATE FRICTION` is the example itself.
+// For test_hand_controller.py. `hand_controller FD HAND_FILE RATE FRICTION` is the example itself.
 // `hand_controller HAND_FILE FRICTION` reads doubles: the points of a calibration's tables, torques and units of each joint, then rows
 // of a period and a state; period 0 deactivates, a negative one activates. It writes a row for each: status, late, commands, torques;
-// at last how a message of another size left it, and what updates allocated.
+// at last the status after a message of another size, and the number of allocations.
 #define main serve
 #include "../../../grasp_env/core/examples/hand_controller.cpp"
 #undef main

@@ -1,4 +1,4 @@
-// Gaps of segments, and the linear program of the grasp search.
+// Distances of limbs and objects, and the linear program of the grasp search.
 #include <grasp/planner/search.hpp>
 
 #include "arrays.hpp"
@@ -8,6 +8,11 @@ using namespace grasp;
 namespace {
 
 Point three(const In& a) { return point(numbers(a, 3)); }
+Vec6 six(const In& a) {
+    Vec6 out;
+    std::copy_n(numbers(a, 6), 6, out.begin());
+    return out;
+}
 
 // efforts: (N, J, 3), see `Place`; none: (0,)
 double least_normal_force(In points, In normals, double friction, double length, In load, In efforts, double torsion) {
@@ -24,7 +29,7 @@ double least_normal_force(In points, In normals, double friction, double length,
     return least_force(chosen, {friction, length, {}, 0.0, torsion}, six(load), y);
 }
 
-// Of two limbs, the second turned and then shifted.
+// Distance of two limbs, the second turned and then shifted.
 double limb_gap(const Limb& a, const Limb& b, In turn, In shift, double enough) {
     const Solid moved = b.solid.moved(Rotation::from(numbers(turn, 9)), three(shift));
     return gap(Placed(a.solid), Placed(moved), enough);
@@ -37,7 +42,7 @@ double object_gap(const Surface& surface, const Limb& b, In turn, In shift, doub
 
 }  // namespace
 
-void bind_grasping(nb::module_& m) {
+void bind_planner(nb::module_& m) {
     m.def(
         "segment_gap", [](In a, In b, In c, In d) { return gap({three(a), three(b)}, {three(c), three(d)}); }, "a"_a, "b"_a,
         "c"_a, "d"_a, "Of a-b and c-d.");

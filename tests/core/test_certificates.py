@@ -1,0 +1,218 @@
+"""`ForceOptimizer`: proofs that no force exists, least excesses of limits, the least sum and maximum of the normal forces."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from cases import (
+    CONVERGED,
+    EXCEEDED,
+    FIELDS,
+    INFEASIBLE,
+    LIMIT,
+    START,
+    Case,
+    at,
+    case,
+    nu_of,
+    own_limits,
+    shared_limits,
+)
+from oracles import conic
+from samples import COUNTS, LAYOUTS, Sample, layouts, sample, wrenches
+from scipy.optimize import linprog
+from test_optimizer import HARD, of
+
+TIGHT = [(3, "own", 0), (9, "own", 0), (4, "own", 1), (4, "shared", 0), (5, "soft", 0)]
+
+
+def tight(count: int, what: str, free: int, seed: int) -> Case:
+    """Limits that about half of the wrenches of 2 N exceed. free: contacts without a limit."""
+    s = sample(count)
+    if what == "own":
+        return Case(s, np.zeros(count), own_limits(s, seed, 1.0, full=True, free=free))
+    gamma = case(count, "some soft").gamma if what == "soft" else np.zeros(count)
+    return Case(s, gamma, shared_limits(s, seed, 6.0))
+
+
+def least_over(c: Case, load: np.ndarray, cost: np.ndarray, *, inside: bool, elastic: bool):
+    """linprog over pyramids around or inside the cones; elastic: the last variable is the excess of balanced forces."""
+    facets, bound = c.pyramids(inside=inside)
+    if not elastic:
+        return linprog(cost, A_ub=facets, b_ub=bound, bounds=(None, None), method="highs")
+    wider = np.zeros(len(facets))
+    first = len(facets) - len(c.terms.rows)
+    wider[first : first + len(c.own[2])] = c.own[2]
+    return linprog(
+        cost, A_ub=np.column_stack([facets, -wider]), b_ub=bound, A_eq=np.column_stack([c.matrix, np.zeros(6)]),
+        b_eq=-(c.contacts.unit @ load), bounds=(None, None), method="highs",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("count", "what", "free"), TIGHT)
+def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int) -> None:
+    """A twist v proves infeasibility: v . w exceeds -v . G f for every force within the limits and pyramids around the cones.
+
+    An elastic excess is within 1 % of the least one over pyramids, and its multipliers are a slope below it.
+    """
+    proofs, exceeded, feasible = 0, 0, 0
+    for k, load in enumerate(wrenches(np.random.default_rng(100 + count), 12, 2.0)):
+        c = tight(count, what, free, k)
+        s = c.contacts
+        row, soft = (c.solver((1, 0), elastic=elastic).solve(load)[0] for elastic in (False, True))
+        if at(row, "code") != INFEASIBLE:
+            assert at(soft, "code") == at(row, "code")
+            assert at(row, "code") != CONVERGED or c.excess(c.z(row)) == 0.0
+            feasible += 1
+            continue
+        twist, (_, prices) = nu_of(row), c.torques_and_prices(row)
+        assert np.abs(twist).max() == pytest.approx(1.0)
+        assert (prices >= 0.0).all()
+        np.testing.assert_array_equal(row[FIELDS["force"] : len(row) - len(prices)], 0.0)
+        for layout in layouts(count):
+            assert at(c.solver(layout).solve(load)[0], "code") == INFEASIBLE
+        # a proof touches the cone of a contact that has no limit
+        pull = np.linalg.solve(s.unit, c.matrix).T @ twist
+        least = least_over(c, load, pull, inside=free > 0, elastic=False)
+        if least.status != 3:  # unbounded: pyramids of 64 facets decide nothing
+            assert least.status == 2 or twist @ load + least.fun > -2e-3 * abs(twist @ load)
+            proofs += least.status == 2 or twist @ load + least.fun > 0.0
+        if at(soft, "code") != EXCEEDED:
+            continue
+        exceeded += 1
+        z, t, low = c.z(soft), at(soft, "limit_excess"), at(soft, "lower_bound")
+        assert at(soft, "objective") == t == pytest.approx(c.excess(z), rel=1e-9)
+        assert 0.0 < low <= t <= max(1.01 * low, low + 1e-6)
+        assert np.abs(c.matrix @ z + s.unit @ load).max() < 1e-9 * np.abs(z).max()
+        assert (z[0 : 3 * count : 3] > np.hypot(z[1 : 3 * count : 3], z[2 : 3 * count : 3])).all()
+        last = np.append(np.zeros(len(z)), 1.0)
+        # 64 facets around a cone are 0.12 % wider: they may exceed less, and by little
+        around, within = (least_over(c, load, last, inside=inside, elastic=True) for inside in (False, True))
+        assert around.fun <= t * (1.0 + 1e-9)
+        assert low == pytest.approx(around.fun, rel=0.02, abs=2e-3)
+        assert low <= within.fun * (1.0 + 1e-9)
+        for share in (0.3, -0.3) if what == "own" and free == 0 else ():
+            other = least_over(c, (1.0 + share) * load, last, inside=True, elastic=True)
+            assert other.fun >= low - share * float(nu_of(soft) @ load) - 1e-6
+        for layout in layouts(count):
+            made = c.solver(layout, elastic=True)
+            again, _ = made.solve(load)
+            assert at(again, "limit_excess") == pytest.approx(t, rel=0.0101, abs=1e-6)
+            for scale in (1.001, 0.7, 0.1):  # on the way back within the limits
+                fresh, after = (
+                    made.solve(scale * load, *more)[0] for more in ((), (START["previous"], None, None, again))
+                )
+                assert at(after, "code") == at(fresh, "code")
+                assert at(after, "limit_excess") == pytest.approx(at(fresh, "limit_excess"), rel=0.0202, abs=2e-6)
+    assert proofs >= 3
+    assert exceeded >= 3
+    assert feasible >= (what != "own")
+
+
+@pytest.mark.parametrize("method", ["newton", "reduced flow", "sum", "largest"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_fingers_that_all_push_one_way_have_proofs_or_forces(layout: tuple[int, int], method: str) -> None:
+    """Without force closure an object pressed against the fingers is held; if it is lifted, a twist proves that none holds it."""
+    base = sample(4)
+    s = Sample(base.positions, np.tile([0.0, 0.6, 0.8], (4, 1)), base.scale * 0.0 + [0.3, 1.0, 1.0], base.weights)
+    c = Case(s, np.zeros(4))
+    made = c.solver(layout, method, tolerance=1e-4)
+    middle = s.positions.mean(axis=0)
+    press = np.array([0.0, -3.0, -4.0])
+    held = np.concatenate([press, np.cross(middle, press)])
+    row, _ = made.solve(held)
+    assert at(row, "code") == CONVERGED
+    assert np.abs(s.rows @ c.z(row) + s.unit @ held).max() <= 1e-9 * np.abs(s.unit @ held).max()
+    row, _ = made.solve(-held)
+    assert at(row, "code") == INFEASIBLE
+    twist = nu_of(row)
+    pull = (s.cone_matrix.T @ twist).reshape(-1, 3)
+    assert twist @ -held > 0.0
+    assert (pull[:, 0] - np.hypot(pull[:, 1], pull[:, 2])).min() >= -1e-9
+
+
+@pytest.mark.parametrize(("count", "kind"), [(3, "hard"), (9, "hard"), (8, "frictionless"), (6, "thin")])
+def test_iterations_of_the_least_sum_are_the_oracles(count: int, kind: str) -> None:
+    c = case(count, kind)
+    s = c.contacts
+    for load in wrenches(np.random.default_rng(count), 2, 3.0):
+        unit = s.unit @ load
+        size = float(np.abs(unit).max())
+        for layout in layouts(count):
+            program = conic.of_grasp(s.rows, unit / size, s.divisor)
+            rows = [c.solver(layout, "sum", tolerance=1e-15, limit=k).solve(load)[0] for k in range(1, 5)]
+            # the start is the core's own
+            x = c.z(rows[0], "initial") / size
+            point = conic.Iterate(x, program.cost.copy(), np.zeros(6))
+            assert np.abs(s.rows @ x + unit / size).max() <= 1e-12 * np.abs(x).max()
+            seen = []
+            for k, row in enumerate(rows):
+                point = conic.iteration(program, point)
+                assert (at(row, "code"), at(row, "iterations")) == (LIMIT, k + 1)
+                force, _ = c.forces(row)
+                near = 1e-8 * np.abs(force).max()
+                np.testing.assert_allclose(force, size * point.x / s.divisor.reshape(-1), rtol=0, atol=near)
+                # y of the record is scaled onto the boundary of its set
+                bound, nu = conic.certified_bound(program, point.y)
+                np.testing.assert_allclose(nu_of(row), s.unit.T @ nu, rtol=0, atol=1e-7 * np.abs(s.unit.T @ nu).max())
+                assert at(row, "lower_bound") == pytest.approx(size * bound, rel=1e-7, abs=near)
+                seen.append(force)
+            assert all(  # every iteration moved
+                np.abs(b - a).max() > 1e-6 * np.abs(b).max() for a, b in pairwise(seen)
+            )
+
+
+def certified(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, largest: bool) -> None:
+    """Check a record: balanced, within cones and limits, with a bound that weak duality proves from multipliers and prices."""
+    s, z = c.contacts, c.z(row)
+    w, normals = s.unit @ load, c.forces(row)[0][0::3]
+    assert at(row, "code") == CONVERGED
+    assert at(row, "objective") == pytest.approx(normals.max() if largest else normals.sum(), rel=1e-9)
+    size = np.abs(z).max() + np.abs(w).max()
+    near = 1e-13 if c.terms.rows.size == 0 and not largest else 1e-9
+    assert np.abs(c.matrix @ z + w).max() <= near * c.count * size
+    assert at(row, "margin") >= 0.0
+    assert c.excess(z) <= 1e-9
+    # c - G^T nu + A^T y must be in the dual cones, y the prices of the limits
+    price = c.torques_and_prices(row)[1] * c.sizes
+    pull = c.matrix.T @ np.linalg.solve(s.unit.T, nu_of(row)) - c.own[0].T @ price
+    turn = np.zeros(c.count)
+    turn[c.soft] = np.abs(pull[3 * c.count :])
+    each = pull[: 3 * c.count].reshape(-1, 3)
+    need = (each[:, 0] + np.hypot(each[:, 1], each[:, 2]) + turn) * s.divisor[:, 0]
+    most = np.maximum(need, 0.0).sum() if largest else need.max()
+    value, low = -nu_of(row) @ load - price @ c.own[1], at(row, "lower_bound")
+    assert most <= 1.0 + 1e-6
+    assert low <= max(0.0, value / max(1.0, most)) * (1.0 + 1e-5) + 1e-12
+    assert low <= at(row, "objective") <= low * (1.0 + tolerance * (1.0 + 1e-9)) + 1e-300
+
+
+@pytest.mark.parametrize("kind", [*HARD, "thin"])
+@pytest.mark.parametrize("count", COUNTS)
+def test_the_least_sum_is_certified_in_every_layout(count: int, kind: str) -> None:
+    # three contacts nearly on a line have hardly any internal force
+    c, rng = case(count, "hard" if (count, kind) == (3, "thin") else kind), np.random.default_rng(count)
+    for size in (1e-6, 1.0, 1e4):
+        load = wrenches(rng, 1, size)[0]
+        rows = [c.solver(layout, "sum", tolerance=1e-6).solve(load)[0] for layout in layouts(count)]
+        for row in rows:
+            certified(c, load, row, 1e-6, False)
+            assert max(at(row, "lower_bound") for row in rows) <= at(row, "objective") * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize("method", ["sum", "largest"])
+@pytest.mark.parametrize("kind", ["some soft", "own limits", "shared limits", "soft limits", "hard"])
+@pytest.mark.parametrize("count", [4, 9])
+def test_least_forces_are_certified_or_proven_not_to_exist(count: int, kind: str, method: str) -> None:
+    c, found = case(count, kind), 0
+    for load in wrenches(np.random.default_rng(count), 4, of(kind)):
+        rows = [c.solver(layout, method, tolerance=1e-8).solve(load)[0] for layout in layouts(count)]
+        if at(rows[0], "code") == INFEASIBLE:
+            assert c.minimum(load) is None
+            continue
+        found += 1
+        for row in rows:
+            certified(c, load, row, 1e-8, method == "largest")
+    assert found
