@@ -1,5 +1,6 @@
-// Compile the solvers of `ForceOptimizer` in this file of a program, whose files all define GRASP_COMPILED_ENGINE.
+// Compile the solvers of `ForceOptimizer` in the one file that includes this. All files of the program define GRASP_COMPILED_ENGINE.
 #pragma once
+#ifdef GRASP_COMPILED_ENGINE
 #include <grasp/math/dispatch.hpp>
 #include <grasp/engine.hpp>
 
@@ -10,3 +11,4 @@ std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& optio
 }
 
 }  // namespace grasp::detail
+#endif
