@@ -21,10 +21,10 @@ from grasp_env.grasp.grasp import Grasp, as_grasp
 class OfflineBasis:
     """The 12-basis of a grasp: argmin Phi for +e_1..+e_6, -e_1..-e_6 (1 N or 1 N m each) and for w = 0 (paper, Sec. III).
 
-    It exists for every grasp with force closure and is balanced for the G of that grasp only. When contacts move, use `moved_to`.
+    It exists for every grasp with force closure. Its forces are balanced for that grasp only; if contacts move, use `moved_to`.
 
     Attributes:
-        cone_divisor: (N, 3) that of the grasp. The grasp itself is not stored: a basis must not keep it alive.
+        cone_divisor: (N, 3) `grasp.models.cone_divisor`. The grasp itself is not stored, so a cached basis does not keep it alive.
         objective: the Phi of the optima.
         cone_forces: (13, 3N) the optima in cone coordinates: 12 unit wrenches, then zero wrench.
 
@@ -51,7 +51,7 @@ class OfflineBasis:
             warm: a basis of a nearby grasp with as many contacts, used as the start.
 
         Raises:
-            InfeasibleStartError: the grasp has no force closure, so no force balances some unit wrench.
+            InfeasibleStartError: the grasp has no force closure, so some unit wrenches have no force; or Newton does not converge.
         """
         objective = as_objective(objective)
         if warm is not None:
@@ -92,7 +92,7 @@ class OfflineBasis:
     def moved_to(self, grasp: Grasp) -> OfflineBasis:
         """Return the basis of a nearby grasp: each optimum is carried over by the tangent correction and optimised again.
 
-        A cached basis of `grasp` is returned unchanged, so returning to a grasp gives the same bits.
+        A cached basis of `grasp` is returned unchanged, so a return to that grasp gives bitwise the same basis.
         """
         known = _CACHE.setdefault(as_grasp(grasp), {})
         if self.objective not in known:
@@ -112,8 +112,8 @@ class OfflineBasis:
     def combine(self, wrench: Wrench, printed: bool = False) -> ContactForces:
         """Return the non-negative combination sum E_k f_k (N, 3) [N] with w = sum E_k (+-e_k) (Eqs. 33 and 34).
 
-        The printed combination vanishes with the wrench, where P is singular; unless `printed`, max(0, 1 - sum E_k) times `rest`
-        is added. It is balanced by linearity and strictly inside the cones by convexity.
+        The printed combination is zero for a zero `wrench`, where P is singular. Unless `printed`, max(0, 1 - sum E_k) times `rest`
+        is added. The result is balanced by linearity and strictly inside the cones by convexity.
         """
         x = np.empty(self.cone_forces.shape[1])
         core.combine(self.cone_forces, as_wrench(wrench), flag(printed, "printed"), x)
@@ -168,6 +168,7 @@ def start_of(
         wrench: (6,) [N, N m].
         force: (N, 3) [N], for starts that take a force.
     """
+    # the core reports a start as LIMIT: a solve that stops after zero iterations
     row: Any = optimizer.start(start, force, None, wrench, None, None, None, None, None, None)
     return row[FORCE : FORCE + 3 * optimizer.count].reshape(-1, 3).copy() if row[CODE] == LIMIT else None
 

@@ -84,7 +84,7 @@ def _many_grasps(grasps: list[Grasp], loads: Array, threads: int, options: dict[
     unfinished = np.arange(len(loads))
     if solve is not None:
         keys = np.fromiter(map(id, grasps), np.int64, len(grasps))
-        order = np.argsort(keys, kind="stable")  # a grasp's problems one after the other
+        order = np.argsort(keys, kind="stable")  # the problems of each grasp follow each other
         news = np.flatnonzero(np.diff(keys[order], prepend=0))
         begins, distinct = np.append(news, len(grasps)), [grasps[k].contacts for k in order[news].tolist()]
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 BALANCE_TOLERANCE = 1e-8
-"""Largest imbalance of a given start, relative to its force and wrench; above it the rule is at fault."""
+"""Largest imbalance of a given start, relative to its force and wrench; above it, the error reports the imbalance."""
 
 
 class InitialForceRule(Protocol):
@@ -41,10 +41,10 @@ class InitialForceRule(Protocol):
 
 @runtime_checkable
 class LearnedRule(InitialForceRule, Protocol):
-    """A rule whose network the core evaluates: start and method are one compiled call.
+    """A rule whose network the core evaluates, so that start and method are one compiled call.
 
     Attributes:
-        remembers: True if the previous solution may serve as the start when its Phi is smaller.
+        remembers: True if a call starts from the previous solution when that has a smaller Phi than the prediction.
     """
 
     remembers: bool
@@ -113,12 +113,12 @@ def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
 class LinearCombination:
     """The paper's start: non-negative combination of the 12 offline optima (Sec. III, Eqs. 32-34).
 
-    The printed combination vanishes with the wrench, where P is singular. Therefore max(0, 1 - sum E_k) times the optimum at
-    w = 0 is added.
+    The printed combination is zero at w = 0, where P is singular. Therefore max(0, 1 - sum E_k) times the optimum at w = 0 is
+    added.
 
     Attributes:
         objective: the Phi whose optima are combined.
-        printed: leave out the added force; then there is no start at w = 0.
+        printed: True leaves out the added force; then there is no start at w = 0.
 
     Example:
         >>> from grasp_env.grasp import presets

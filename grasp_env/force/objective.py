@@ -23,8 +23,9 @@ class Objective:
     3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29 print W_p.)
 
     Attributes:
-        force_weight: omega, 1e-4 to 1e4, the weight of the forces; a number, or a sequence with one per contact.
-        barrier_weight: lambda [N^2 at omega = 1], 1e-16 to 1e6, the weight of the barrier at the cones; likewise.
+        force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per contact.
+        barrier_weight: lambda, the weight of the barrier at the cones, in N^2 when force_weight is 1, 1e-16 to 1e6; a scalar, or one
+            value per contact.
 
     Raises:
         InvalidInputError: weights that are not numbers, or out of range.
@@ -63,7 +64,7 @@ class Objective:
         return out
 
     def value(self, x: Array) -> float:
-        """Return Phi at flat cone coordinates `x` (3N,); +inf outside the open cones and for nan.
+        """Return Phi at flat cone coordinates `x` (3N,); +inf on the cones, outside them, and for nan.
 
         Example:
             >>> round(Objective(1.0, 0.01).value(np.array([0.5, 0.0, 0.0])), 12)
@@ -87,7 +88,7 @@ class Objective:
         return out
 
     def lower_bound(self, multipliers: Array, cone_matrix: Array, wrench: Array) -> float:
-        """Return the dual value at multipliers nu (6,): no balanced force has a smaller Phi; -inf without information.
+        """Return the dual value at multipliers nu (6,): no balanced force has a smaller Phi; -inf if they give no bound.
 
         Args:
             multipliers: (6,) nu with grad Phi = G^T nu at the optimum.

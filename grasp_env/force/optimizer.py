@@ -1,7 +1,4 @@
-"""`ForceOptimizer`, for repeated calls, and `optimize_force`, for a single call.
-
-This file is longer than others because one class holds the call, the start and the errors, which share its private state.
-"""
+"""`ForceOptimizer`, for repeated calls, and `optimize_force`, for a single call."""
 
 from __future__ import annotations
 
@@ -55,9 +52,39 @@ FROM_BASIS = ("linear_combination", "linear_combination_printed", "single_value"
 class ForceOptimizer:
     """Solver for repeated calls, on the contacts of the constructor or on others.
 
-    The arguments of a call (positions, normals, friction, Jacobian, torques, touching contacts) hold for that call only. Nothing is
-    kept between calls except the previous solution, and that only with `initial="previous"`. Use each optimizer in one thread; several
-    optimizers may run at once. The class wraps the C++ class `grasp::ForceOptimizer` and adds checks and error messages.
+    The arguments of a call (positions, normals, friction, Jacobian, torque bias, touching contacts) hold for that call only. Only
+    the last solution is kept between calls; it is a start only with `initial="previous"` or a learned rule that remembers. Use each
+    optimizer in one thread; several optimizers may run at once. The class wraps the C++ class `grasp::ForceOptimizer` and adds checks
+    and error messages.
+
+    Args:
+        grasp: the contacts. `solve` accepts others; `update` replaces them.
+        method: "newton" minimises Phi in about six steps. "reduced_flow" is the paper's gradient flow on 3N numbers, and "full_flow"
+            the same flow as printed, dense, for N <= 8. "conic" minimises the normal forces, without Phi.
+        initial: the start of every call: a name, any callable rule(grasp, wrench) -> (N, 3), a force (N, 3) [N], or a
+            `ForceSolution`, which is the previous solution of the first call. The names are "linear_combination" (the paper's start,
+            the default of the flows), "linear_combination_printed", "single_value", "lagrange", "phase_one", "internal_force" (the
+            default of newton) and "previous" (the last solution). "conic" takes no start. Contacts without force closure start
+            from a phase-one force.
+        criterion: what "conic" minimises, the "sum" or the "max" of the normal forces.
+        limits: a `ForceLimits` on normal forces and joint torques, for "newton" and "conic".
+        force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per contact.
+        barrier_weight: lambda, the weight of the barrier at the cones, in N^2 when force_weight is 1, 1e-16 to 1e6; a scalar, or one
+            value per contact.
+        tolerance: relative certified gap at which to stop, at most 1. None: 1e-4, or 1e-6 for "conic".
+        max_iterations: largest number of accepted steps, 0 to 10,000,000.
+        step_rule: the step rule of the flows: `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`. None:
+            `AdaptiveStep()`.
+        elastic: if no force satisfies the limits, return a force with status LIMITS_EXCEEDED instead of raising an error. The force
+            balances the wrench and lies inside the cones. It minimises the largest excess over a limit, as a fraction of that limit,
+            to within 1 % or 1e-6, given enough iterations. In the solution, `objective` equals `limit_excess`, with its
+            `lower_bound`.
+
+    Raises:
+        InvalidInputError: input of another type or shape, not finite, or out of range (`grasp_env/ranges.py`).
+        UnknownNameError: unknown method, criterion or rule.
+        UnsupportedProblemError: a method that does not support these contacts, limits or options.
+        InfeasibleStartError: the start needs the 12-basis, which these contacts do not have, or a learned rule fails.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -90,13 +117,6 @@ class ForceOptimizer:
         step_rule: StepRule | None = None,
         elastic: bool = False,
     ) -> None:
-        """Prepare the method for the contacts.
-
-        Args:
-            grasp: the contacts; `solve` accepts others, `update` replaces them.
-            initial: the start of every call, as in `optimize_force`, or "previous": the last solution.
-            method, criterion, limits, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic: see `optimize_force`.
-        """
         settings = (method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic)
         try:
             self.options, self._grasp = checked_options(*settings), as_grasp(grasp)
@@ -137,7 +157,8 @@ class ForceOptimizer:
             except InfeasibleStartError as error:
                 if error.__cause__ is not None:  # the rule itself failed
                     raise
-                # unsupported contacts: without a model the core replaces the start, and the solution's `initial` names both
+                # the rule does not support these contacts: without a model the core uses its default start, and
+                # `solution.initial` names the start that was used and the one that it replaced
         self.compiled, self.remembers = initial is None or start > 0, remembers
         weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
@@ -170,7 +191,7 @@ class ForceOptimizer:
 
     @property
     def initial(self) -> Initial | None:
-        """The start of every call without its own `initial`."""
+        """The start of calls that do not give their own `initial`."""
         return self._initial
 
     @property
@@ -200,7 +221,7 @@ class ForceOptimizer:
 
     @property
     def previous(self) -> ForceSolution | None:
-        """The last solution, the start with `initial="previous"`; None before the first call and after `forget`."""
+        """The last solution; None before the first call and after `forget`. It is the start with `initial="previous"`."""
         return self.core.previous
 
     @previous.setter
@@ -230,13 +251,14 @@ class ForceOptimizer:
         optimum: float | None = None,
         trace: bool = False,
     ) -> ForceSolution:
-        """Return the optimal grasp force that balances `wrench`; see `optimize_force`.
+        """Return the optimal grasp force that balances `wrench`.
 
-        Arguments that are left out have the values of the constructor. All arguments are given in one frame, that of the constructor's
-        positions or any other. C-contiguous float64 arrays are read without a copy.
+        Arguments that are left out have the values of the constructor. Give wrench, positions, normals and Jacobian in one frame. If
+        you leave out positions, normals or Jacobian, this must be the constructor's frame. C-contiguous float64 arrays are read
+        without a copy.
 
         Args:
-            wrench: (6,) external wrench on the object [N, N m].
+            wrench: (6,) external wrench on the object [N, N m], balanced as G f + wrench = 0.
             positions: (N, 3) contact points [m].
             normals: (N, 3) inward unit normals.
             friction: coefficient(s), as in `Grasp.from_contacts`.
@@ -250,7 +272,9 @@ class ForceOptimizer:
         Raises:
             InvalidInputError: wrong shapes, values that are not finite or out of range.
             RankDeficientGraspError: the touching contacts cannot balance wrenches of all directions.
-            InfeasibleWrenchError, InfeasibleStartError, NotConvergedError: see `optimize_force`.
+            InfeasibleWrenchError: no force strictly inside the cones and limits balances the wrench; the error contains the proof.
+            InfeasibleStartError: the start is not balanced or not strictly inside the cones, or its rule fails.
+            NotConvergedError: neither a force nor a proof was found.
         """
         if initial is None and optimum is None and trace is False and self.compiled:
             solution = self._solve(wrench, positions, normals, friction, jacobian, torque_bias, contacts)
@@ -274,7 +298,7 @@ class ForceOptimizer:
         if self.method == "conic" and (initial is not None or known == known or trace):
             raise InvalidInputError("method 'conic' takes no start, optimum or trace: they belong to descents on Phi")
         if self.limits is None and (now.jacobian is not None or now.torque_bias is not None):
-            raise InvalidInputError("jacobian and torque_bias belong to torque limits: make the optimizer with limits")
+            raise InvalidInputError("jacobian and torque_bias need torque limits: make the optimizer with limits")
         start = self._start(load, now, initial)
         values = np.full(self.max_iterations + 1, np.nan) if trace else None
         solution = self.core.solve_from(start.start, start.name, start.force, start.before, known, values, load, *now)
@@ -305,8 +329,7 @@ class ForceOptimizer:
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
-            InvalidInputError, RankDeficientGraspError: see `solve`.
-            InfeasibleWrenchError, InfeasibleStartError: see `optimize_force`.
+            InvalidInputError, RankDeficientGraspError, InfeasibleWrenchError, InfeasibleStartError: see `solve`.
         """
         now = {"positions": positions, "normals": normals, "friction": friction, "contacts": contacts}
         return self._start_and_replaced(wrench, initial=initial, **now)[0]
@@ -320,13 +343,13 @@ class ForceOptimizer:
         load, now = as_wrench(wrench), self._arrays(**given)
         start = self._start(load, now, initial)
         row = self.core.start(start.start, start.force, start.before, load, *now)
-        if row[CODE] != LIMIT:
+        if row[CODE] != LIMIT:  # a start counts as a solve that stops after zero iterations
             raise self._error(row, load, now, start)
         n = self._count
         return row[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3), start.replaced or bool(row[REPLACED])
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
-        """Optimise the forces for many wrenches, independently of each other; `optimize_forces` for this optimizer.
+        """Optimise the forces for many wrenches, independently of each other, as `optimize_forces` does.
 
         Args:
             wrenches: (M, 6) external wrenches on the object [N, N m].
@@ -349,7 +372,7 @@ class ForceOptimizer:
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
     ) -> None:
-        """Replace values of the constructor; those left out stay. The 12-basis is computed again if a start needs it.
+        """Replace values of the constructor. Those left out stay; the 12-basis is computed again if the start needs it.
 
         Args:
             positions, normals, friction, jacobian, torque_bias: see `solve`.
@@ -360,9 +383,7 @@ class ForceOptimizer:
         now = self._arrays(positions, normals, friction, jacobian, torque_bias)
         moved = touching_grasp(self.grasp, now) if any(each is not None for each in now[:3]) else self.grasp
         if not self.core.update(*now[:5]):
-            raise InvalidInputError(
-                "the contacts or limits are not possible: give finite numbers and inward unit normals"
-            )
+            raise InvalidInputError("the contacts or limits are invalid: give finite numbers and inward unit normals")
         self._grasp = moved
         if self.limits is not None:
             given = {
@@ -439,7 +460,7 @@ class ForceOptimizer:
             return self._infeasible(row, now, start.name)
         if code == UNDECIDED:
             return NotConvergedError(
-                f"neither a force nor a proof that there is none was found for wrench {wrench.tolist()}: forces, limits and weights are too "
+                f"neither a force nor a proof that none exists was found for wrench {wrench.tolist()}: forces, limits and weights are too "
                 "many decades apart, or the contacts are within rounding of losing force closure"
             )
         try:
@@ -467,7 +488,7 @@ class ForceOptimizer:
 def optimize_force(
     grasp: Grasp, wrench: ArrayLike, *, optimum: float | None = None, trace: bool = False, **options: Any
 ) -> ForceSolution:
-    """Return the grasp force of least Phi that balances a wrench, by Newton or another method.
+    """Return the optimal grasp force that balances a wrench: a `ForceOptimizer` for a single call.
 
     Args:
         grasp: the contacts.
@@ -475,42 +496,11 @@ def optimize_force(
             contacts' positions; balanced as G f + wrench = 0.
         optimum: a known min Phi: stop at the relative gap to it instead of the certified gap (for studies).
         trace: keep Phi of every iterate in `objective_trace`.
-        options: the keywords of `ForceOptimizer`:
-
-            method: "newton" (least Phi, about six steps), "reduced_flow" (the paper's flow on 3N numbers), "full_flow" (dense, N <= 8),
-            "conic" (least normal forces, without Phi).
-
-            initial: "linear_combination" (the paper's start, the default of the flows), "linear_combination_printed",
-            "single_value", "lagrange", "phase_one", "internal_force" (the default of newton), any callable rule(grasp, wrench) ->
-            (N, 3), a force (N, 3), or a previous `ForceSolution`. `conic` takes no start. Contacts without force closure start
-            from a phase-one force.
-
-            criterion: the objective of `conic`: "sum" or "max" of the normal forces.
-
-            limits: a `ForceLimits` on normal forces and joint torques, for `newton` and `conic`.
-
-            force_weight: omega, the weight of the forces, 1e-4 to 1e4; one for all contacts or one each.
-
-            barrier_weight: lambda, the weight of the barrier at the cones [N^2 at omega = 1], 1e-16 to 1e6; one or one each.
-
-            tolerance: relative certified gap at which to stop, at most 1; None: 1e-4, for `conic` 1e-6.
-
-            max_iterations: largest number of accepted steps, 0 to 10,000,000.
-
-            step_rule: for the flows: `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`; None:
-            `AdaptiveStep()`.
-
-            elastic: if no force satisfies the limits, return a force instead of an error, with status LIMITS_EXCEEDED. It is
-            balanced, inside the cones, and its largest excess, as a fraction of the limit, is within 1 % or 1e-6 of the least
-            possible one, if `max_iterations` suffice. `objective` is then `limit_excess`, with its `lower_bound`.
+        options: the keywords of `ForceOptimizer`, with its defaults.
 
     Raises:
-        InvalidInputError: input of another type or shape, not finite, or out of range (`grasp_env/ranges.py`).
-        UnknownNameError: unknown method, criterion or rule.
-        UnsupportedProblemError: a method that does not support these contacts, limits or options.
-        InfeasibleWrenchError: no force strictly inside the cones and limits balances the wrench; the error contains the proof.
-        InfeasibleStartError: the rule finds no balanced, strictly feasible force.
-        NotConvergedError: neither a force nor a proof was found.
+        InvalidInputError, UnknownNameError, UnsupportedProblemError: see `ForceOptimizer`.
+        InfeasibleWrenchError, InfeasibleStartError, NotConvergedError: see `ForceOptimizer.solve`.
 
     Example:
         >>> from grasp_env.grasp import presets

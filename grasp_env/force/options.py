@@ -30,7 +30,7 @@ CONIC_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Options:
-    """Checked settings of a `ForceOptimizer`, made by `checked_options`; see `optimize_force` for their meaning."""
+    """Checked settings of a `ForceOptimizer`, made by `checked_options`; see `ForceOptimizer` for their meaning."""
 
     method: str
     criterion: str
@@ -49,10 +49,10 @@ class Options:
 def checked_options(*given: Any) -> Options:
     """Return the checked keywords of an optimizer, given in the order of its signature.
 
-    They are cached, since checking takes longer than a solve.
+    The result is cached, since the checks take longer than a solve.
 
     Raises:
-        UnknownNameError, InvalidInputError, UnsupportedProblemError: see `optimize_force`.
+        UnknownNameError, InvalidInputError, UnsupportedProblemError: see `ForceOptimizer`.
     """
     try:
         return _cached(*given)

@@ -50,8 +50,8 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
         cones = f" and the friction cone{'s' * (len(slipping) > 1)}{where}" if where else ""
         return (
             f"no force strictly inside the friction cones and limits balances {wrench}; the proof needs the limits {'; '.join(needed)}{cones} "
-            f"({shown} and their prices: error.solution.certificate, .limit_multipliers): widen them (elastic=True answers with the least "
-            "excess of them), raise the friction, add contacts, or change the wrench"
+            f"({shown} and their prices: error.solution.certificate, .limit_multipliers): widen them (elastic=True returns the force "
+            "that exceeds them least), raise the friction, add contacts, or change the wrench"
         )
     return (
         f"no force strictly inside the friction cones balances {wrench}; {shown} separates it from what the cones{where} can make "

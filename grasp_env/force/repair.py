@@ -37,7 +37,7 @@ class Repair:
     Example:
         >>> from grasp_env.grasp import presets
         >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
-        >>> start = Repair()(grasp, wrench, np.tile([10.0, 0.0, 0.0], (4, 1)))      # no balance
+        >>> start = Repair()(grasp, wrench, np.tile([10.0, 0.0, 0.0], (4, 1)))      # not balanced
         >>> grasp.residual(start, wrench) < 1e-12, grasp.cone_margin(start) > 0
         (True, True)
     """
@@ -63,8 +63,8 @@ def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
     """True if a start equals the paper's combination, so that nothing is left of the candidate given to `Repair`.
 
     For zero wrench the result is False: there the combination is the optimum itself, which any good start may reach. The start is
-    compared with the combination of every 12-basis cached for this `Grasp` object. `Repair` makes one; a start that needs none costs
-    nothing here. Forces count as equal up to 1e-12 of the largest component.
+    compared with the combination of every 12-basis cached for this `Grasp` object. `Repair` caches one; without one the comparison
+    costs nothing. Forces count as equal up to 1e-12 of the largest component.
 
     Args:
         grasp: the contacts.
@@ -127,7 +127,7 @@ def _started(grasp: Grasp, objective: Objective, start: int, wrench: Wrench, for
     made = start_of(known[objective], start, wrench, force)
     if made is None:
         raise InfeasibleStartError(
-            f"no force strictly inside the cones was found from there for wrench {wrench.tolist()}"
+            f"no force strictly inside the cones was found from this force for wrench {wrench.tolist()}"
         )
     return made
 

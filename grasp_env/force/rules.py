@@ -23,8 +23,8 @@ class CoreStart:
     - "single_value": f_0 = -G^+ w + k f_rest with k = max(1.1 k_min, 1), where f_rest is the optimum at w = 0 and k_min the least
       strictly feasible factor. The lower bound 1 matters for small wrenches only: there k_min vanishes and P would be singular.
     - "lagrange": argmin (f - k n)^T W (f - k n) s.t. G f = -w, with W = diag(1, 10, 10) and n the unit normal forces. The solution
-      is affine in k, so the strictly feasible k form an interval. k = max(1.1 k_min, the normal force of f_rest), but at most the
-      middle of the interval. For many grasps the interval is empty.
+      is affine in k, so the strictly feasible k form an interval. k = max(1.1 k_min, the mean normal force of f_rest), but at most
+      the middle of the interval. For many grasps the interval is empty.
     - "phase_one": a force inside the cones, found by an interior-point method; it needs no force closure.
 
     Attributes:

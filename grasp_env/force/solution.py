@@ -114,7 +114,7 @@ class ForceSolution(Solution):
         optimality_gap: (objective - lower_bound) / lower_bound, certified; +inf without a positive bound.
         equilibrium_residual: largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length.
         cone_margin: min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0 strictly inside.
-        limit_excess: largest excess of a limit as a fraction of that limit; 0 within all limits. See `elastic` of `optimize_force`.
+        limit_excess: largest excess of a limit as a fraction of that limit; 0 within all limits. See `elastic` of `ForceOptimizer`.
         objective_trace: Phi of every iterate with `trace=True`; else empty.
     """
 

@@ -15,23 +15,24 @@ from grasp_env.grasp.grasp import Grasp, as_grasp
 LARGEST_CONDITION = 1e3
 """Condition number of G, moments over the grasp's length, beyond which some wrenches need huge forces."""
 SMALLEST_DISTANCE = 0.01
-"""Distance of two contacts, as a part of the grasp's length, below which they hardly help each other."""
+"""Distance of two contacts, as a fraction of the grasp's length, below which they act like one contact."""
 
 
 class TorqueLimits(Protocol):
-    """The part of `grasp_env.force.ForceLimits` that advice looks at."""
+    """The attributes of `grasp_env.force.ForceLimits` that `advise` reads."""
 
     jacobian: Any
     torque_limit: Any
 
 
 def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: TorqueLimits | None = None) -> list[str]:
-    """Describe what looks wrong with a grasp, a wrench and limits, one text each; empty if nothing does. Prints and raises nothing.
+    """Return a list of texts, one for each likely mistake in a grasp, a wrench and limits. Nothing is printed.
 
-    Finds normals that point out of the object, millimetres (positions, torsional friction, Jacobian), friction beyond 2 or in
-    degrees, contacts that nearly coincide and a nearly singular G; with a wrench, a moment about another point than the origin of the
-    positions, and force and moment in the wrong order; with limits as well, torque limits hundreds of times too large or too
-    small. Each text tells what was seen, when it may be right, and what to change. `optimize_force` warns of those that are near certain.
+    The texts report normals that point out of the object, millimetres (positions, torsional friction, Jacobian), friction above 2 or
+    in degrees, contacts that nearly coincide, and a nearly singular G. With a wrench, they also report a moment about another point
+    than the origin of the positions, and force and moment in the wrong order. With limits as well, they report torque limits hundreds
+    of times too large or too small. Each text tells what was seen, when it may be right, and what to change. `optimize_force` warns of
+    the mistakes that are near certain.
 
     Args:
         grasp: a valid grasp.
@@ -56,11 +57,11 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: TorqueLimits |
 
 
 def warn_of(grasp: Grasp, wrench: Wrench | None = None, limits: TorqueLimits | None = None) -> None:
-    """Issue a `GraspWarning` about mistakes that are near certain, at the line outside of this package. Takes under a microsecond.
+    """Issue a `GraspWarning` about mistakes that are near certain, at the caller's line. It takes less than a microsecond.
 
     Args:
         grasp: the contacts.
-        wrench: (6,) float64; the warning is then about it alone, as contacts and limits had theirs when the solver was made.
+        wrench: (6,) float64; the warning is then about it alone, since that about contacts and limits came with the solver.
         limits: checked limits.
     """
     rows = _torque_limits(grasp, limits)

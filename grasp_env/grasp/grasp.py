@@ -1,7 +1,4 @@
-"""`Grasp`: contacts on an object and the linear maps between their forces and the object's wrench.
-
-This file is a little longer than others because it is one class, whose public methods need their documentation.
-"""
+"""`Grasp`: contacts on an object and the linear maps between their forces and the object's wrench."""
 
 from __future__ import annotations
 
@@ -79,8 +76,8 @@ class Grasp:
         cone_matrix: (6, 3N) G in cone coordinates x; cone_matrix @ grasp.to_cone(f) = matrix @ f.
         models: contact models, elliptic and torsional friction, and the scaling of cone coordinates.
         torsion_matrix: (6, N) wrenches of unit torsions; zero columns unless soft.
-        unit_frame: (6, 6) wrench -> (force, moment about the contacts' centre / length) [N], whose components do not depend on the
-            origin or on the unit of length.
+        unit_frame: (6, 6) matrix; unit_frame @ wrench = (force, moment about `centre` divided by `length`) [N]. These components
+            depend neither on the origin nor on the unit of length.
     """
 
     positions: Array = field(default=_lazy())
@@ -96,8 +93,10 @@ class Grasp:
     unit_frame: Array = field(default=_lazy(), repr=False)
 
     def __init__(self, *_: object, **__: object) -> None:
-        # contradictory arrays would give wrong forces: only `_from_compiled` fills them
-        raise InvalidInputError("a Grasp is made by Grasp.from_contacts, with other friction by with_friction")
+        # only `_from_compiled` fills the arrays, since contradictory ones would give wrong forces
+        raise InvalidInputError(
+            "use Grasp.from_contacts(...) to make a Grasp, or grasp.with_friction(...) to change its friction"
+        )
 
     @classmethod
     def from_contacts(
@@ -120,7 +119,7 @@ class Grasp:
             contact_model: "hard", "soft" or "frictionless", one for all or N names; see `contact_model.py`.
             torsional_friction: gamma [m] in abs(torsion) <= gamma * normal, 1e-15 to 1e6 and at most 1e4 times the grasp's length;
                 a scalar or (N,); for soft contacts only.
-            tangents: (N, 3) directions whose projection on the tangent plane is o; None: see `contact_frames`.
+            tangents: (N, 3) directions; o is their normalised projection on the tangent plane. None: the rule of `contact_frames`.
 
         Raises:
             InvalidInputError: wrong shapes, values that are not finite or out of range (`grasp_env/ranges.py`), normals that are
@@ -169,13 +168,18 @@ class Grasp:
     def unchecked(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array | None = None) -> Grasp:
         """Make the same grasp as `from_contacts`, to the last bit, from trusted arrays in control loops.
 
+        Not checked are the number of contacts, the models, tangents that are nearly along a normal, and torsional friction against
+        the grasp's length.
+
         Args:
             positions: (N, 3) float64 contact points [m], finite; copied.
             normals: (N, 3) float64 inward normals, of unit length to rounding; copied.
             models: models of N contacts, such as `nominal.models`.
-            tangents: (N, 3) float64, not along the normals; None: the default rule.
+            tangents: (N, 3) float64, not along the normals; None: the rule of `contact_frames`.
 
         Raises:
+            InvalidInputError: arrays of another type or shape, not finite, normals not of unit length, or a grasp too small, too
+                large or too far from the origin.
             RankDeficientGraspError: rank(G) < 6.
 
         Example:
@@ -201,9 +205,9 @@ class Grasp:
         far = math.hypot(*contacts.centre.tolist()) > ranges.DISTANCE * size
         if far or not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
             check_place(grasp.n_contacts, size, grasp.centre)
-        if contacts.refused:
+        if contacts.refused:  # the core has not placed them
             raise InvalidInputError("positions must be finite and normals finite and of unit length")
-        if not contacts.clear:
+        if not contacts.clear:  # the core cannot tell that the rank is 6: the singular values decide
             grasp.pseudoinverse  # noqa: B018  raises if the rank is not 6
         return grasp
 
@@ -247,7 +251,7 @@ class Grasp:
         return not self.contacts.soft
 
     def to_cone(self, force: ContactForces) -> Array:
-        """Return flat cone coordinates VP = (u, o, t), u = mu * normal (Eq. 18), (3N,) [N], of `force` (N, 3) [N].
+        """Return the flat cone coordinates (3N,) [N] of `force` (N, 3) [N]: (u, o, t) with u = mu * normal (VP of Eq. 18).
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -257,7 +261,7 @@ class Grasp:
         return (self._rows(force, "force") * self.models.cone_scale).reshape(-1)
 
     def to_force(self, x: Array) -> ContactForces:
-        """Return forces (N, 3) (normal, o, t) [N] from flat cone coordinates `x` (3N,)."""
+        """Return the forces (N, 3) (normal, o, t) [N] of flat cone coordinates `x` (3N,)."""
         return self._rows(x, "x") / self.models.cone_divisor
 
     def cone_margins(self, force: ContactForces) -> Array:

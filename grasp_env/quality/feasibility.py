@@ -1,4 +1,4 @@
-"""Feasibility of a wrench: the force deepest inside all cones and limits, or the twist that proves that there is none."""
+"""Feasibility of a wrench: the balanced force with the largest margin, or the twist that proves that there is none."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Feasibility:
         certificate: (6,) a twist v with G_i^T v in every dual cone and v . w >= 0. If v . w > 0, v . (G f + w) = 0 is impossible;
             if v . w = 0, it holds only with every contact on the boundary of its cone. With limits, v . w > -v . G f for every
             force inside them. None if feasible.
-        margin: depth inside cones and limits, see `feasibility`; <= 0 if infeasible.
+        margin: the largest margin to cones and limits, see `feasibility`; <= 0 if infeasible.
     """
 
     force: ContactForces | None
@@ -40,12 +40,12 @@ class Feasibility:
 
 @dataclass(frozen=True, eq=False)
 class Deepest:
-    """Result of the core.
+    """Result of the core's `deepest`.
 
     Attributes:
         code: CONVERGED: `force` and `torsion` are strictly inside; INFEASIBLE: no force is; anything else: undecided.
         iterations: iterations of the interior-point method.
-        margin: the depth m, see `feasibility`.
+        margin: the margin m, see `feasibility`.
         force, torsion: (N, 3) [N] and (N,) [N m].
         twist: (6,) the separating twist if the margin is not positive, largest component one.
     """
@@ -59,9 +59,9 @@ class Deepest:
 
 
 def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Feasibility:
-    """Find the force deepest inside all cones and limits that balances a wrench, or prove that there is none.
+    """Find the balanced force with the largest margin to cones and limits, or prove that there is none.
 
-    It maximises the depth m subject to sum u + r = 1 and m <= r, where r scales the wrench, x / r is the force, and every cone and
+    It maximises the margin m subject to sum u + r = 1 and m <= r, where r scales the wrench, x / r is the force, and every cone and
     limit has slack m. This problem always has a solution; m > 0 means that x / r is strictly inside.
 
     Args:

@@ -72,7 +72,7 @@ class GraspQuality:
     """Result of `quality`; moments about the object origin, divided by `length`.
 
     Attributes:
-        closure_margin: depth of the best internal force in the cones, 0 to 1 / (N + 1), no unit; see `ForceClosure.margin`.
+        closure_margin: margin of the best internal force to the cones, 0 to 1 / (N + 1), no unit; see `ForceClosure.margin`.
         epsilon_sum: Ferrari and Canny's epsilon per newton of total normal force (1992, Q_1).
         epsilon_max: epsilon per newton of the largest normal force (Q_infinity), >= epsilon_sum.
         min_singular_value: least singular value of G [N per N]: the least wrench of contact forces of unit norm orthogonal to the

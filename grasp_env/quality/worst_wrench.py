@@ -138,7 +138,7 @@ def worst_case(
     points: int = 400,
     seed: int = 0,
 ) -> WorstCase:
-    """Find the wrench of a set that needs the largest least force; the force is inf for a ball without force closure.
+    """Find the wrench of a set whose least force is the largest; for a ball without force closure this force is inf.
 
     Args:
         grasp: the contacts, of any models.

@@ -53,7 +53,7 @@ def placed(positions: Any) -> Callable[[], Grasp]:
         *((partial(Grasp.unchecked, **({"positions": POSITIONS, "normals": NORMALS, "models": GRASP.models} | {name: np.full((3, 3), odd)})),
            "finite|rank|centre") for name in ("positions", "normals", "tangents") for odd in (0.0, np.nan, np.inf)),
         (partial(Grasp.unchecked, POSITIONS, NORMALS, presets.paper_cuboid().models), "Grasp.from_contacts takes anything"),
-        (partial(replace, GRASP, friction=0.3), r"made by Grasp\.from_contacts, with other friction by with_friction"),
+        (partial(replace, GRASP, friction=0.3), r"use Grasp\.from_contacts.*with_friction"),
         (partial(presets.preset, "cube"), r"unknown preset 'cube'.*'paper_cuboid'"),
         *((partial(GRASP.wrench, odd), "force must") for odd in (np.zeros(9), np.zeros((4, 3)), np.full((3, 3), np.nan))),
         (partial(GRASP.to_cone, np.zeros((4, 3))), r"force must have shape \(3, 3\)"),

@@ -1,4 +1,4 @@
-// The front for control programs: contacts, limits and a wrench go in, a certified grasp force comes out.
+// The interface for control programs: it turns contacts, limits and a wrench into a certified grasp force.
 //
 //     grasp::ForceOptimizer solver({.contacts = grasp::Contacts::from(positions, normals, 0.4)}, {.tolerance = 1e-6});
 //     const grasp::Record& solution = solver.solve(wrench);
@@ -6,7 +6,7 @@
 //
 // The constructor allocates; it throws std::invalid_argument with a message about the wrong argument. `solve` never throws or
 // allocates: the code of its record tells how it ended. Use one object per thread; several objects may run at once. Python's
-// `ForceOptimizer` is this class.
+// `ForceOptimizer` wraps this class.
 #pragma once
 #include <grasp/math/dispatch.hpp>
 #include <grasp/engine.hpp>
@@ -37,9 +37,9 @@ public:
           record_(last_record()) {}
     ForceOptimizer(ForceOptimizer&&) = default;
 
-    // Solve for the force that balances a wrench. The next call overwrites the record. now: what differs in this call only.
+    // Solve for the force that balances a wrench. The next call overwrites the record. now: changes for this call only.
     const Record& solve(Wrench wrench, const Changes& now = {}) { return solve(Request{.wrench = wrench.data(), .now = now}); }
-    // Solve with a start for this call, or with the options for studies.
+    // The same with a start, a known optimum or a trace for this call. If it has no `previous`, the last solution is used as such.
     const Record& solve(const Request& request) {
         Request ask = request;
         if (has_previous_ && !ask.previous) ask.previous = rows_[0].data();
@@ -53,29 +53,33 @@ public:
         }
         return record_;
     }
-    // Solve into a row of `size()` numbers that the caller owns; the previous solution is the caller's as well.
+    // Solve into a caller-owned row of `size()` numbers. This overload neither uses nor updates the stored last solution; to
+    // warm-start, set `previous` of the request.
     Code solve(const Request& ask, double* row) { return engine_->solve(ask, row); }
-    // Write only the start of a call, in place of the force. Return LIMIT, or the reason why there is no start.
+    // Compute only the start of a call and write it where the force would go. Return LIMIT on success, as after zero iterations;
+    // any other code says why there is no start.
     Code start(const Request& ask, double* row) { return engine_->start(ask, row); }
-    // Set the offline optima that the paper's starts combine, (13, 3N) in cone coordinates, for the problem's contacts. Not needed
-    // otherwise: if the options call for a flow or such a start, the constructor computes them.
+    // Replace the offline basis of the problem's contacts, (13, 3N) in cone coordinates: the optimal forces for +1 along each of the
+    // six wrench axes, for -1 along each, and for zero wrench. Call this to reuse a stored basis, or if only a request asks for a
+    // start that needs one; if the options need the basis, the constructor computes it.
     void set_basis(Doubles basis) { engine_->set_basis(basis.data()); }
-    // Compute the basis into `basis` and use it. Return the worst relative gap; inf: not converged, nan: no force closure. warm:
-    // `basis` holds the optima of nearby contacts to start from.
+    // Compute the basis, store it in `basis` and use it. Return the largest relative gap: infinity if the solver did not converge,
+    // NaN without force closure. warm: `basis` on entry holds the optima of nearby contacts.
     double make_basis(std::span<double> basis, bool warm = false) { return engine_->make_basis(basis.data(), warm); }
-    // Find the force (N, 3) [N] and torsion (N,) [N m] that balances the wrench deepest inside cones and limits, or the twist that
-    // proves that no force is inside. With a zero wrench this tests force closure.
+    // Find the balanced force (N, 3) [N] and torsion (N,) [N m] with the largest margin to cones and limits, or a twist that proves
+    // that no force is inside them. With a zero wrench this tests force closure.
     Deepest deepest(Wrench wrench, std::span<double> force, std::span<double> torsion) {
         return engine_->deepest(wrench.data(), force.data(), torsion.data());
     }
-    // Replace contacts and limits for all later calls. Return false, with nothing changed, if the numbers are not possible.
+    // Replace contacts and limits for all later calls. Return false, with nothing changed, if the values are invalid: of wrong size,
+    // not finite, or normals not of unit length. Rank-deficient contacts are accepted; the calls then return RANK_LOST.
     bool update(const Changes& now) { return engine_->update(now); }
     // Solve (M, 6) wrenches into M rows of `size()` numbers, each as `solve` without a previous solution. Allocates.
     void solve_many(Doubles wrenches, std::span<double> rows) const {
         engine_->clone()->solve_many(std::ptrdiff_t(wrenches.size() / 6), wrenches.data(), rows.data());
     }
 
-    // Last solution that holds a force.
+    // Return the last solution that holds a force.
     std::optional<Record> previous() { return has_previous_ ? std::optional<Record>(last_record()) : std::nullopt; }
     // Forget the last solution, so that the next call does not start from it.
     void forget() { has_previous_ = false; }

@@ -32,14 +32,14 @@ struct Options {
     Start start = Start::standard;
     double tolerance = 0.0;  // relative certified gap, at most 1; 0: 1e-4, or 1e-6 for Method::conic
     int limit = 20000;  // largest number of accepted steps
-    bool elastic = false;  // if no force keeps the limits, return the one that exceeds them least instead of the proof
+    bool elastic = false;  // if no force satisfies the limits, return the one that exceeds them least instead of a proof
     StepRule step_rule{};  // for the flows
-    std::shared_ptr<const Model> model{};  // for Start::learned; without it that start is replaced
+    std::shared_ptr<const Model> model{};  // for Start::learned; without a model the default start replaces it
 
     double gap() const { return tolerance > 0.0 ? tolerance : method == Method::conic ? 1e-6 : 1e-4; }
 };
 
-// Changes of the problem in a call or an update. Empty members stay as in the problem.
+// Changes of the problem by a call or an update. Empty members mean no change.
 struct Changes {
     Doubles positions{}, normals{};  // (N, 3) [m], inward unit normals
     Doubles friction{};  // one coefficient, N coefficients, or two for each contact
@@ -53,17 +53,19 @@ struct Changes {
     }
 };
 
-// One call: the wrench to balance, what differs from the problem, and the start.
+// One call: the wrench to balance, the changes of the problem, and the start.
 struct Request {
     const double* wrench;
     Changes now{};
     Start start = Start::standard;
     Doubles force{}, torsion{};  // for Start::given, guess and previous: (N, 3) [N] and (N,) [N m], current contact frames
-    const double* previous = nullptr;  // for Start::previous, used before `force`: row of a solution of as many contacts
+    const double* previous = nullptr;  // for Start::previous and learned: row of a solution with N contacts, preferred to `force`
     // Known min Phi; the gap is measured against it instead of the bound.
     double optimum = std::numeric_limits<double>::quiet_NaN();
     std::span<double> trace{};  // receives Phi of the first iterates
-    Doubles adjustment{};  // (N, 3) [N], frame of the positions: added to the start, which is then brought inside the cones
+    // (N, 3) [N], frame of the positions: a force to add to the start. The solve starts from the force of least Phi between the
+    // start and the balanced sum.
+    Doubles adjustment{};
 };
 
 }  // namespace grasp

@@ -1,4 +1,4 @@
-// One solution as one row of numbers, the output of all solvers, single or in a batch.
+// One solution as one row of numbers: the output of all solvers, for one problem and in a batch.
 #pragma once
 #include <cstddef>
 #include <grasp/math/linear6.hpp>
@@ -11,8 +11,8 @@ enum Code {
     LIMIT,  // the iteration limit was reached
     STALLED,  // no further progress in floating point
     INFEASIBLE,  // no force within the cones and limits balances the wrench; the record holds the twist that proves it
-    REFUSED,  // numbers that are not finite or not possible, or a given start that is not balanced or not inside the cones
-    LIMITS_EXCEEDED,  // no force keeps all limits; this one exceeds them least
+    REFUSED,  // invalid values, or a given start that is not balanced or not inside the cones
+    LIMITS_EXCEEDED,  // no force satisfies all limits; this one exceeds them least
     RANK_LOST,  // the contacts cannot balance a wrench of every direction
     UNDECIDED,  // neither a force nor a proof was found
 };
@@ -28,11 +28,11 @@ enum class Start {
     single_value,  // -G^+ w plus enough of the optimum at rest to lie inside the cones
     lagrange,  // least weighted distance from a normal squeeze
     phase_one,  // a balanced force inside the cones, found by an interior point
-    previous,  // the last solution
+    previous,  // the last solution, carried over to the current contacts and wrench
     given,  // a force of the caller, used unchanged
-    guess,  // a force of the caller, balanced and brought inside the cones: never worse in Phi than the method's default
+    guess,  // a force of the caller, balanced and brought inside the cones: Phi is never above that of the method's default start
     learned,  // the prediction of a trained model
-    central,  // an interior point's own start
+    central,  // the own start of an interior-point method
 };
 
 struct Summary {
@@ -42,8 +42,8 @@ struct Summary {
     double objective = 0;  // Phi, or the sum or maximum of the normal forces [N]; if limits are exceeded, the excess
     double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none
     double residual = 0;  // largest |component| of G f + w in the unit frame [N]
-    double margin = 0;  // smallest distance to a cone's surface [N]
-    double limit_excess = 0;  // largest excess of a limit, as a fraction of the limit; 0 within
+    double margin = 0;  // smallest margin u - |(o, t)| of a contact in cone coordinates [N]
+    double limit_excess = 0;  // largest excess over a limit, as a fraction of that limit; 0 within all limits
     Vec6 wrench{};  // balanced wrench [N, N m]
     Vec6 multipliers{};  // nu of balance: grad objective = G^T nu (+ the cones' multipliers); INFEASIBLE: the twist
     double start = 0;  // the `Start` that was used
@@ -86,7 +86,8 @@ public:
     // every dual cone, and v . w > prices . b.
     double* prices() const { return torques() + int(summary().joints); }
     void clear() const { std::fill(row_, row_ + record_size(count_), 0.0); }
-    // Record INFEASIBLE: no force, and the twist that proves it in place of the multipliers. missed: the wrench, unit frame [N].
+    // Record INFEASIBLE: no force, and the twist that proves it in place of the multipliers. missed: size of the wrench in the
+    // unit frame [N], which becomes the residual.
     Code refute(const Vec6& twist, double missed) const {
         Summary& s = summary();
         s.code = INFEASIBLE, s.objective = s.lower_bound = infinity, s.margin = s.limit_excess = 0.0, s.residual = missed;
