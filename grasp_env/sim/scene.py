@@ -148,12 +148,12 @@ class Scene:
         Raises:
             SimulationError: The simulation diverged, or the scene is closed.
         """
-        reading = self.unread()
+        reading = self.new_reading()
         if reading is not None and not self.core.read(reading):
-            raise self.diverged(reading)
+            raise self.divergence_error(reading)
         return self._snapshot
 
-    def unread(self) -> Array | None:
+    def new_reading(self) -> Array | None:
         """Return the simulator's new reading, for a caller that passes it to the core; None if the core has it already."""
         if self._read:
             return None
@@ -178,7 +178,7 @@ class Scene:
         self._snapshot = Snapshot(**self.core.arrays())
         self._read = False
 
-    def diverged(self, reading: Array) -> SimulationError:
+    def divergence_error(self, reading: Array) -> SimulationError:
         """Make the error for a reading that the core rejects."""
         self._read = False
         body = reading[2 * len(self._snapshot.angles) :]
