@@ -166,7 +166,7 @@ class HandDescription:
         )
         return replace(self, palm=palm, links=tuple(links), placed=True)
 
-    def unseen(self) -> HandDescription:
+    def without_visuals(self) -> HandDescription:
         """Return the hand without visual shapes."""
         links = tuple(replace(link, visual=()) for link in self.links)
         return replace(self, palm=replace(self.palm, visual=()), links=links)

@@ -310,7 +310,7 @@ class HandKinematics:
         )
 
 
-def motor_span(jacobian: Array) -> Array:
+def motor_force_basis(jacobian: Array) -> Array:
     """Return orthonormal columns (K, R) that span the forces the motors can make, given their Jacobian (K, J)."""
     ways, levers, _ = np.linalg.svd(jacobian, full_matrices=False)
     return ways[:, levers > _SMALLEST_LEVER * levers[0]]
