@@ -23,8 +23,8 @@ NAMES = {
 class TrainedAgent:
     """An agent trained by `grasp rl`: predict(observation of the environment) -> (action, state).
 
-    Observations are normalised with the running means and variances of training, saved in the same folder. It requires the
-    extra "sim", but neither torch nor stable-baselines3, whose `evaluate_policy` accepts it as a model.
+    Observations are normalised with the running means and variances of training, saved in the same folder. The agent requires the
+    extra "sim", but neither torch nor stable-baselines3. `evaluate_policy` of stable-baselines3 accepts it as a model.
 
     Attributes:
         meta: algorithm, action mode, steps, seed, versions, and `env_settings`, the `config` of its environment.

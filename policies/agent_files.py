@@ -25,7 +25,7 @@ STEM = "step-"
 ACTIONS = ("initial_force", "contact_force")
 """Action modes of agents."""
 LARGEST_HAND = 1000
-"""Upper bound of the numbers of fingers and of joints."""
+"""The numbers of fingers and of joints must be below this."""
 _AGAIN = "copy the whole folder again, or train anew with `grasp rl`"
 
 

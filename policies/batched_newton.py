@@ -5,7 +5,8 @@
     E(z) = sum_i [3 omega u + lambda (1/u + 2u / (u^2 - o^2 - t^2))] + sum_soft lambda (1/(u - v) + 1/(u + v)) + sum_rows weight / slack
 
 under balance, in cone coordinates z = (u, o, t, v) = scale * (force along normal, o, t; torsion). The limits are rows a . z <= bound of
-length one. Wrenches are taken about the contacts' centre, in units of the contacts' spread, so that their components have similar sizes.
+length one. Moments are taken about the contacts' centre and divided by the contacts' spread, the root mean square of their distances from
+it. So the components of a wrench have similar sizes. This is the unit frame.
 
 The file is long because problem, Newton's method, starts and the adjoint share one formulation of the barrier.
 """
@@ -26,7 +27,7 @@ with need("layer"):
 OPTIMAL, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED, RANK_LOST, UNDECIDED = range(8)
 """Values of `grasp::Code`."""
 BALANCED, EXCEEDING, UNBALANCED, NOTHING = range(4)
-"""Problem that the state of an element solves: the original; with elastic limits; with elastic limits and balance; none."""
+"""The problem that an element's force solves: the original one; with elastic limits; with elastic limits and balance; none."""
 EDGE = 0.1
 """Slack, in units of sqrt(lambda / omega), below which the elastic problems extend a limit's barrier quadratically."""
 SOFTNESS = 1e-2
@@ -78,10 +79,10 @@ class Solved(NamedTuple):
     """Optima of B problems.
 
     Attributes:
-        state: (B, 4N + 7) z (N, 4), multipliers of balance in the unit frame, problem that was solved; for `gradients`.
+        state: (B, 4N + 7) input of `gradients`: z (N, 4), multipliers of balance in the unit frame, problem that was solved.
         force: (B, N, 3) in the caller's frame [N].
         torsion: (B, N) [N m].
-        multipliers: (B, 6) nu of balance: grad Phi = G^T nu.
+        multipliers: (B, 6) Lagrange multipliers nu of balance: grad Phi = G^T nu.
         facts: (B, 4) status (`grasp::Code`), certified gap, residual [N], iterations.
     """
 
@@ -585,8 +586,8 @@ def _full_rank(problem: _Problem) -> Tensor:
 def solve(given: Inputs, tolerance: float = 1e-10, max_iterations: int = 200, start: Tensor | None = None) -> Solved:
     """Return the optimal forces of all problems.
 
-    An element with invalid numbers never affects others: its results are zeros. Elements without a
-    force inside the cones and limits have the elastic force, see `GraspForces`.
+    The results of an element with invalid numbers are zeros; it never affects other elements. An element without a force inside the cones
+    and limits gets the elastic force, see `GraspForces`.
 
     Args:
         given: the problems.

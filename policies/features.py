@@ -1,12 +1,12 @@
 """Inputs of the network: wrench and friction, normalised over two decades of magnitude.
 
 Wrenches are given in the grasp's unit frame (`Grasp.unit_frame`), in which force and moment have similar sizes for any origin and size
-of the object. A grasp force is nearly proportional to its wrench, but Phi is not homogeneous: below about `floor` newtons
-the squeeze at rest dominates. So the wrench is divided by m = sqrt(|w|^2 + floor^2), log m is a feature, and the network's
-output is multiplied by m.
+of the object. The optimal force is nearly proportional to the wrench, but not near zero: below about `floor` newtons the optimal
+squeeze at zero wrench dominates. So the wrench is divided by m = sqrt(|w|^2 + floor^2), log m is a feature, and the network's output is
+multiplied by m.
 
-Friction cones bound the tangential magnitude of each force, and a perceptron approximates the magnitude of a vector badly from its
-components. So the magnitudes of M vectors that are linear in the wrench are features, too, see `surface_pairs`.
+Friction cones bound the tangential magnitude of each force. A perceptron approximates the magnitude of a vector badly from its
+components. So the magnitudes of M vectors that are linear in the wrench are features, too; see `surface_pairs`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class Features:
     """Normalisation of the inputs, saved with the model.
 
     Attributes:
-        floor: magnitude below which features no longer grow in relative terms [N].
-        smoothing: smoothing of magnitudes at zero, relative to m.
+        floor: magnitude of wrenches below which m is nearly constant [N].
+        smoothing: constant that makes the magnitudes smooth at zero, relative to m.
         log_mean, log_scale: mean and scale of log m.
         friction_mean, friction_scale: mean and scale of the friction coefficient.
     """

@@ -1,8 +1,8 @@
 """Optimal grasp forces as a layer of a torch model, with gradients with respect to all inputs.
 
-The optimum of Phi is smooth in contacts, friction, wrench, limits and weights. Its gradient is one linear solve with the matrix of the last
-Newton step. The compiled core solves tensors on the CPU, in vector registers and on `torch.get_num_threads()` threads;
-`policies.batched_newton` solves tensors on other devices. All internal numbers are float64.
+The optimal force is a smooth function of contacts, friction, wrench, limits and weights. Its gradient costs one linear solve with the
+matrix of the last Newton step (implicit differentiation). The compiled core solves tensors on the CPU, in vector registers and on
+`torch.get_num_threads()` threads; `policies.batched_newton` solves tensors on other devices. All internal numbers are float64.
 
 The file is long because the public function, its two torch operators and their rules for autograd and `vmap` depend on each other.
 """
@@ -37,20 +37,20 @@ PART = 512
 """Number of elements that a thread solves at a time on the CPU."""
 STATUS = {
     3: "no force inside the friction cones balances the wrench",
-    4: "its numbers are not finite, out of range, or no directions",
-    5: "no force keeps the limits",
-    6: "its contacts cannot balance a wrench of every direction",
+    4: "an input is not finite, out of range, or a zero vector where a direction is needed",
+    5: "no force is within the limits",
+    6: "the grasp matrix does not have rank 6",
     7: "no force inside the friction cones was found",
 }
 """Reasons why an element has no optimum, by status."""
 
 Given: TypeAlias = "Tensor | float"
-_TENSOR_RANKS = {
+_PROBLEM_RANKS = {
     "positions": 2, "normals": 2, "friction": 2, "tangents": 2, "torsional_friction": 1, "wrench": 1, "jacobian": 3, "torque_limit": 1,
     "torque_bias": 1, "min_normal": 1, "max_normal": 1, "force_weight": 1, "barrier_weight": 1, "start": 2,
 }  # fmt: skip
-"""Tensors of the operator, and the number of their last dimensions that are not leading ones."""
-_NAMES, _RANKS = tuple(_TENSOR_RANKS), tuple(_TENSOR_RANKS.values())
+"""Number of trailing dimensions of each input tensor that belong to one problem. The dimensions before them are the batch."""
+_NAMES, _RANKS = tuple(_PROBLEM_RANKS), tuple(_PROBLEM_RANKS.values())
 _TENSORS = len(_NAMES)
 _INPUTS = len(Inputs._fields)  # all but the start
 _ANSWER_RANKS = (1, 2, 1, 1)  # ranks of the state and of the gradients by force, torsion and multipliers
@@ -65,18 +65,22 @@ _FLOATS = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
 class GraspForces(NamedTuple):
     """Optimal forces of a batch. `force`, `torsion` and `multipliers` carry gradients.
 
-    An element without an optimum still has a finite force strictly inside the friction cones. If only the limits cannot be satisfied
-    (status 5), the force is balanced and has the least sum of squared excesses. If no force balances the wrench (3, 6, 7), it minimises
-    Phi + |G f + w|^2 / (2 * 0.01 N^2) with moments in units of the contacts' spread. If the numbers are invalid (4), it is zero.
+    An element without an optimum still has a finite force. Except for status 4, this elastic force is strictly inside the friction cones:
+
+    - Status 5, no force within the limits: the force is balanced. It minimises Phi with a quadratic penalty on limits that are nearly
+      reached or exceeded.
+    - Status 3, 6 and 7, no balanced force was found: the force minimises the same function plus |G f + w|^2 / (2 * 0.01 N^2). Moments are
+      divided by the contacts' spread, which is the root mean square of their distances from their centre.
+    - Status 4, invalid inputs: the force is zero.
 
     Attributes:
         force: (..., N, 3) in the frame of the positions [N].
         torsion: (..., N) moment about each normal [N m]; 0 where a contact is not soft.
-        multipliers: (..., 6) nu of balance: grad Phi = G^T nu, and d (min Phi) / d wrench = -nu.
-        status: (...) int64: 0 optimal, 1 iteration limit, 2 stalled, 3 infeasible, 4 numbers refused, 5 limits exceeded, 6 rank lost,
-            7 undecided.
-        gap: (...) certified relative distance of Phi to its minimum.
-        residual: (...) largest component of G f + w, with moments in units of the contacts' spread [N].
+        multipliers: (..., 6) Lagrange multipliers nu of the balance G f + w = 0: grad Phi = G^T nu, and d (min Phi) / d wrench = -nu.
+        status: (...) int64: 0 optimal, 1 iteration limit, 2 stalled (balanced, but the gap is above the tolerance), 3 infeasible,
+            4 invalid inputs, 5 limits exceeded, 6 rank of the grasp matrix below 6, 7 undecided.
+        gap: (...) certified relative distance of Phi to its minimum; inf without an optimum.
+        residual: (...) largest component of G f + w, with moments divided by the contacts' spread [N].
         iterations: (...) int64, accepted Newton steps.
         feasible: (...) bool, True if the force balances the wrench within cones and limits: status 0, 1 or 2.
     """
@@ -117,16 +121,18 @@ def grasp_force(
     Leading dimensions broadcast. All vectors are given in one frame of the caller's choice, and forces are returned in it. The result of an
     element does not depend on other elements: on the CPU it has the same bits as in a batch of one.
 
-    Outputs have the promoted type of the tensors with dimensions, at least float32; float16 and bfloat16 become float32. A number, or a
-    tensor without dimensions, holds for all contacts or joints.
+    Outputs have the promoted dtype of all inputs that are not 0-d, but at least float32. A number or a 0-d tensor holds for all contacts
+    or joints.
+
+    Tangential components are along o and t. o is the projection of `tangents` on the tangent plane, and t = normal x o.
 
     Args:
         positions: (..., N, 3) contact points [m].
         normals: (..., N, 3) inward normals of any length.
-        friction: coefficients >= 0, (..., N), or (..., N, 2) along o and t; 0 is a frictionless contact. A shape that ends in (N, 2) holds
-            two coefficients.
+        friction: coefficients >= 0, (..., N), or (..., N, 2) along o and t; 0 is a frictionless contact. For N = 2, a shape that ends in
+            (2, 2) is read as two coefficients per contact, not as a batch of two.
         wrench: (..., 6) external wrench ON the object [N, N m], moments about the origin: G f + w = 0.
-        tangents: (..., N, 3) directions whose projection on the tangent plane is o; None: the default frames.
+        tangents: (..., N, 3) directions that define o; None: the default frames.
         torsional_friction: (..., N) gamma [m], abs(torsion) <= gamma * normal force; 0 is a hard contact.
         jacobian: (..., N, 3, J) from joint speeds to velocities of the contact points, or (..., N, 6, J) with angular velocities as well.
         torque_limit: (..., J) [N m]: abs(J^T f + torque_bias) <= torque_limit; inf: no limit.
@@ -134,8 +140,8 @@ def grasp_force(
         min_normal, max_normal: (..., N) limits of normal forces [N]; 0 and inf: none.
         force_weight, barrier_weight: (..., N) omega [-] and lambda [N^2] of Phi.
         start: (..., N, 3) force of an earlier result, used as a warm start if it is near; its gradient is zero.
-        infeasible: result of elements without an optimum: "mask" the elastic force, see `GraspForces`, with zero gradient; "elastic" this
-            force with its gradient; "raise" an error that names the elements.
+        infeasible: what to do with elements without an optimum. "mask": return the elastic force (see `GraspForces`) with zero gradient.
+            "elastic": return it with its gradient. "raise": raise an InfeasibleWrenchError that names the elements.
         tolerance: relative certified gap at which the solver stops.
         max_iterations: largest number of Newton steps.
         chunk: number of elements that are solved at a time; the results do not depend on it. None: all on a GPU, else 512 per thread.
@@ -174,14 +180,14 @@ def grasp_force(
     problems = _read_in_place(given)
     if problems is None:
         tensors, dtype = _checked_tensors(given)
-        force, torsion, multipliers, facts, _ = _call(_solve, _Solve, *tensors, *settings)
-    else:
+        force, torsion, multipliers, facts, _ = _call(_solve, _SolveFunction, *tensors, *settings)
+    else:  # fast path: the core reads the inputs without a copy
         dtype = torch.float32 if problems.float32 else torch.float64
         if torch.is_grad_enabled() and any(a.requires_grad for a in given if isinstance(a, Tensor)):
-            made = _Eager.apply(problems, settings, *given)
+            answers = _EagerFunction.apply(problems, settings, *given)
         else:
-            made = _optima(problems, problems.lead, *settings[1:])
-        force, torsion, multipliers, facts = made[:4]
+            answers = _optima(problems, problems.lead, *settings[1:])
+        force, torsion, multipliers, facts = answers[:4]
         if infeasible == "raise":
             _raise_for(facts[..., 0], problems.lead)
     status, gap, residual, iterations = facts.unbind(-1)
@@ -192,7 +198,7 @@ def grasp_force(
 
 
 class GraspForceLayer(nn.Module):
-    """`grasp_force` as a module that holds the settings; `forward` takes the tensors by the same names.
+    """`grasp_force` as a module that holds the settings. `forward` takes the tensors under the same names.
 
     It has no parameters. Copies, pickles and workers of a DataLoader carry only the settings.
 
@@ -230,7 +236,7 @@ class GraspForceLayer(nn.Module):
 
         Args:
             positions, normals, friction, wrench: see `grasp_force`.
-            others: its keywords for tensors: tangents, limits, weights, start.
+            others: keyword arguments of `grasp_force` for tensors: tangents, limits, weights, start.
         """
         return grasp_force(
             positions, normals, friction, wrench, **others, infeasible=self.infeasible, tolerance=self.tolerance,
@@ -247,7 +253,7 @@ def _refuse(name: str, given: Any, wanted: str) -> NoReturn:
 
 
 def _checked_tensors(given: tuple[Any, ...]) -> tuple[list[Tensor | None], torch.dtype]:
-    """Return the operator's tensors, expanded to its last dimensions, and the type of the results."""
+    """Return the input tensors, each with the trailing dimensions of one problem, and the dtype of the results."""
     positions, jacobian = given[0], given[6]
     if not isinstance(positions, Tensor) or positions.ndim < 2 or not 1 <= positions.shape[-2] <= CONTACTS:
         _refuse("positions", positions, f"a tensor (..., N, 3) of 1 to {CONTACTS} contacts")
@@ -291,7 +297,7 @@ def _checked_tensors(given: tuple[Any, ...]) -> tuple[list[Tensor | None], torch
 
 
 def _input_tails(count: int, rows: int, joints: int) -> tuple[tuple[int, ...], ...]:
-    """Return the last dimensions of the operator's tensors."""
+    """Return the trailing dimensions of the input tensors, those of one problem."""
     n, n3, j = (count,), (count, 3), (joints,)
     return n3, n3, (count, 2), n3, n, (6,), (count, rows, joints), j, j, n, n, n, n, n3
 
@@ -331,7 +337,10 @@ def _of(given: Sequence[Any]) -> Any:
 def _optima(
     problems: core.ForceProblems, lead: Sequence[int], tolerance: float, max_iterations: int, chunk: int | None
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Return force, torsion, multipliers, facts and state of all problems, with these leading dimensions."""
+    """Return force, torsion, multipliers, facts and state of all problems, with these leading dimensions.
+
+    The facts are status, gap, residual and iterations. The state is what the gradients need.
+    """
     arrays = [np.empty((*lead, *tail)) for tail in _tails(problems.contacts)]
     force, torsion, multipliers, facts, state = arrays
 
@@ -372,7 +381,7 @@ def _array(a: Tensor) -> Any:
 
 
 def _lead(tensors: Sequence[Tensor | None]) -> torch.Size:
-    """Return the common leading dimensions of tensors in the order of the operators' arguments."""
+    """Return the common leading dimensions of the input tensors."""
     leads = [a.shape[: a.ndim - rank] for a, rank in zip(tensors, _RANKS, strict=False) if a is not None]
     first, *others = [lead for lead in leads if len(lead)] or [torch.Size()]
     try:
@@ -428,7 +437,7 @@ def _solve_impl(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
 
 
 def _tails(count: int) -> tuple[tuple[int, ...], ...]:
-    """Return the last dimensions of force, torsion, multipliers, facts and state."""
+    """Return the trailing dimensions of force, torsion, multipliers, facts and state."""
     return (count, 3), (count,), (6,), (4,), (4 * count + 7,)
 
 
@@ -518,13 +527,13 @@ def _in_front(args: Sequence[Any], dims: Sequence[Any], ranks: Sequence[int], si
 
 def _solve_vmap(info: Any, in_dims: Any, *args: Any) -> tuple[Any, Any]:
     tensors = _in_front(args[:_TENSORS], in_dims[:_TENSORS], _RANKS, info.batch_size)
-    return _call(_solve, _Solve, *tensors, *args[_TENSORS:]), (0,) * 5
+    return _call(_solve, _SolveFunction, *tensors, *args[_TENSORS:]), (0,) * 5
 
 
 def _gradients_vmap(info: Any, in_dims: Any, *args: Any) -> tuple[Any, Any]:
     last = _INPUTS + 4
     tensors = _in_front(args[:last], in_dims[:last], (*_RANKS[:_INPUTS], *_ANSWER_RANKS), info.batch_size)
-    found = _call(_gradients, _Gradients, *tensors, *args[last:])
+    found = _call(_gradients, _GradientsFunction, *tensors, *args[last:])
     asked = [(a, d) for a, d, w in zip(args, in_dims, args[last], strict=False) if w]
     shapes = [a.shape if d is None else a.movedim(d, 0).shape[1:] for a, d in asked]
     made = [g.reshape(info.batch_size, *shape) for g, shape in zip(found, shapes, strict=True)]
@@ -541,7 +550,7 @@ def _setup(ctx: Any, inputs: Any, output: Any) -> None:
 def _backward(ctx: Any, *losses: Any) -> tuple[Any, ...]:
     *tensors, state = ctx.saved_tensors
     wanted = [a is not None and needed for a, needed in zip(tensors, ctx.needs_input_grad, strict=False)]
-    found = iter(_call(_gradients, _Gradients, *tensors, state, *losses[:3], wanted, ctx.elastic, ctx.chunk))
+    found = iter(_call(_gradients, _GradientsFunction, *tensors, state, *losses[:3], wanted, ctx.elastic, ctx.chunk))
     return (*(next(found) if w else None for w in wanted), None, None, None, None, None)
 
 
@@ -572,9 +581,9 @@ _gradients.register_autograd(_no_second)
 
 
 def _call(operator: Any, function: Any, *args: Any) -> Any:
-    """Call an operator; eager code that differentiates calls it as an autograd function with the same rules.
+    """Call an operator. Eager code that differentiates calls the autograd function with the same rules instead.
 
-    This costs a fifth of the operator's own autograd kernel, which does not support `torch.func.grad`.
+    The function costs a fifth of the operator's own autograd kernel, and also supports `torch.func.grad`.
     """
     differentiated = (
         torch.is_grad_enabled() or forward_ad._current_level >= 0
@@ -584,7 +593,7 @@ def _call(operator: Any, function: Any, *args: Any) -> Any:
     return operator(*args)
 
 
-class _Solve(torch.autograd.Function):
+class _SolveFunction(torch.autograd.Function):
     @staticmethod
     def forward(*args: Any) -> Any:
         return _solve(*args)
@@ -594,7 +603,7 @@ class _Solve(torch.autograd.Function):
     vmap = staticmethod(_solve_vmap)
 
 
-class _Gradients(torch.autograd.Function):
+class _GradientsFunction(torch.autograd.Function):
     @staticmethod
     def forward(*args: Any) -> Any:
         return tuple(_gradients(*args))
@@ -607,8 +616,8 @@ class _Gradients(torch.autograd.Function):
     vmap = staticmethod(_gradients_vmap)
 
 
-class _Eager(torch.autograd.Function):
-    """Forces of eager code, read in place, without the overhead of operators and `torch.func`."""
+class _EagerFunction(torch.autograd.Function):
+    """The fast path: forces of inputs that the core reads in place, without the overhead of operators and `torch.func`."""
 
     @staticmethod
     def forward(ctx: Any, problems: core.ForceProblems, settings: tuple[Any, ...], *given: Any) -> Any:
@@ -629,7 +638,9 @@ class _Eager(torch.autograd.Function):
         problems = None if torch.is_grad_enabled() else _read_in_place(given)
         if problems is None:  # the gradients of an operator refuse a second differentiation
             known, _ = _checked_tensors((*given, None))
-            parts = _call(_gradients, _Gradients, *known[:-1], state, *losses[:3], list(wanted), ctx.elastic, ctx.chunk)
+            parts = _call(
+                _gradients, _GradientsFunction, *known[:-1], state, *losses[:3], list(wanted), ctx.elastic, ctx.chunk
+            )
             each = iter(parts)
             found = [next(each) if w else None for w in wanted]
         else:

@@ -31,13 +31,13 @@ class LearnedInitialForce:
     """Initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
 
     A network trained on one grasp predicts internal forces from the wrench and the friction. If contacts have moved a
-    little, the null space follows continuously. The start is the network's force, or the best force on the segment from the
-    12-basis' combination if that has less Phi. So it is never worse in Phi than the 12-basis of the current grasp, at any
-    wrench and for any weights, because the two are compared in every call. `newton` continues from it
-    in the same compiled call and certifies the solution.
+    little, the basis of the internal forces follows continuously. The start is the network's force, or the best force on the segment
+    to it from the combination of the 12-basis, if that has less Phi. The two are compared in every call. So the start never has more
+    Phi than the 12-basis of the current grasp, at any wrench and for any weights. `newton` continues from the start in the same
+    compiled call and certifies the solution.
 
-    A grasp keeps its friction between calls, so weights may be polynomials of the friction (`friction_degree` above 0), which
-    are evaluated once for a grasp: one perceptron per friction.
+    The weights may be polynomials of the friction (`friction_degree` above 0). They are evaluated once for a grasp, because a grasp
+    keeps its friction between calls.
 
     Args:
         checkpoint: weights, normalisation, training range and model card.
@@ -47,8 +47,8 @@ class LearnedInitialForce:
     Attributes:
         checkpoint, objective, remembers: the arguments.
         sizes: widths of the network's layers, inputs and outputs included.
-        features: normalisation of its inputs.
-        n_contacts: number of contacts of its grasp.
+        features: normalisation of the network's inputs.
+        n_contacts: number of contacts of the grasp on which it was trained.
 
     Raises:
         ModelFileError: the checkpoint does not describe such a model.
@@ -157,7 +157,7 @@ class LearnedInitialForce:
         return force
 
     def with_objective(self, objective: Objective) -> LearnedInitialForce:
-        """Return the same model for another `objective`, exact up to scale: Phi depends on forces in units of sqrt(lambda / omega)."""
+        """Return the same model for another `objective`. It is rescaled, since Phi depends on forces in units of sqrt(lambda / omega)."""
         return type(self)(self.checkpoint, objective, self.remembers)
 
     def model(self, grasp: Grasp, objective: Objective) -> core.Model:
@@ -174,7 +174,7 @@ class LearnedInitialForce:
         return rule._model(as_grasp(grasp))[0]
 
     def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
-        """Return True if grasp and wrench are in the training range; outside it the start is still safe, and solutions report it."""
+        """Return True if grasp and wrench are within the training range. Outside it the start is still valid, and solutions report it."""
         return self._prepare(grasp).model.covers(grasp.unit_frame @ read_load(wrench))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
@@ -211,7 +211,7 @@ class LearnedInitialForce:
             )
         (_, most), (low, high) = self._ranges
         friction, scale = float(grasp.friction.mean()), self._scale(grasp.n_contacts)
-        known = low <= friction <= high  # only the friction of a grasp is checked
+        known = low <= friction <= high  # of a grasp, only the friction is checked
         nearest = min(max(friction, low), high) if self._degree else friction  # polynomials do not extrapolate
         model = core.Model.make(self._network(nearest), self._pairs)
         model.normalise(**asdict(self.features))
@@ -232,7 +232,7 @@ class LearnedInitialForce:
         return made[1]
 
     def _weights(self, friction: float) -> Array:
-        """Return the weights at a friction in the core's order: layer by layer (inputs x outputs), then the bias."""
+        """Return the weights at a friction in the core's order: for each layer the matrix (inputs, outputs), then the bias."""
         feature = (friction - self.features.friction_mean) / self.features.friction_scale
         feature = min(max(feature, -1e3), 1e3)  # far outside training powers would overflow
         powers, parts = feature ** np.arange(self._degree + 1), list[Array]()

@@ -37,11 +37,11 @@ def activation(x: Tensor) -> Tensor:
 class Network(nn.Module):
     """Map features (F, B, inputs) to null-space coordinates divided by the magnitude m, (F, B, outputs).
 
-    A grasp keeps its friction between calls. So the weights are polynomials of the last feature, the friction, which has one value
-    per F: each friction has its own perceptron, and a call costs as much as one perceptron.
+    The weights are polynomials of the friction, the last feature, which has one value for each of the F rows. So each friction has its
+    own perceptron. A grasp keeps its friction between calls, so a call costs as much as one perceptron.
 
     Args:
-        inputs, hidden, outputs: widths.
+        inputs, hidden, outputs: widths of the layers.
         degree: degree of the polynomials; 0: the same weights for every friction.
     """
 

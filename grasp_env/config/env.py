@@ -18,7 +18,7 @@ from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.settings import ANY, About, Kind, Settings, described, numbers, one_of, record, setting, to_json
 from grasp_env.sim.engine import ENGINE, Engine, engine_of
 from grasp_env.sim.grasping.approach import DIRECTIONS, as_approach
-from grasp_env.sim.grasping.pads import PATCH_RADIUS, softened
+from grasp_env.sim.grasping.pads import PATCH_RADIUS, with_soft_contacts
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.task.disturbance import DISTURBANCE, Disturbance, NoDisturbance
@@ -185,7 +185,7 @@ class EnvConfig(Settings):
             name: getattr(task, name) for name in ("duration", "max_drift", "max_tilt") if getattr(limits, name) is None
         }
         disturbance = task.disturbance if self.disturbance is None else self.disturbance
-        item = softened(self.object, self.hand_description)
+        item = with_soft_contacts(self.object, self.hand_description)
         if item is not self.object:
             warn(
                 f"two fingers hold with soft contacts: assumed is torsional_friction={item.torsional_friction:.3g} m, 2/3 of friction "

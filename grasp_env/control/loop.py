@@ -217,7 +217,7 @@ class ForceLoop:
         Raises:
             GraspError: a user's start rule does not fit.
         """
-        core, noise, reading = self._core, self._noise, self.scene.unread()
+        core, noise, reading = self._core, self._noise, self.scene.new_reading()
         if given is not None and self._held != Hold.direct:
             self._hold(Hold.direct)
         row = None if noise is None else noise()
@@ -229,7 +229,7 @@ class ForceLoop:
             torques = core.tick(reading, external, gravity, target, row, due, adjustment, given)
         if torques is None:
             assert reading is not None  # earlier readings are finite
-            raise self.scene.diverged(reading)
+            raise self.scene.divergence_error(reading)
         return torques
 
     def _from_rule(self, adjustment: Array | None) -> list[float]:

@@ -10,7 +10,7 @@ import numpy as np
 from grasp_env._check import Array, Indices
 from grasp_env.force import optimize_forces
 from grasp_env.grasp.grasp import Grasp
-from grasp_env.sim.hand.kinematics import HandKinematics, motor_span
+from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
 from grasp_env.sim.snapshot import Snapshot
 
 MAX_CARRIED = 0.65
@@ -63,10 +63,10 @@ def finger_structure(snapshot: Snapshot, kinematics: HandKinematics, grasp: Gras
     """
     count, motors, turn = len(snapshot.points), kinematics.motors, snapshot.rotation
     jacobian = kinematics.statics(snapshot.angles, snapshot.touch)[0][:, :, motors]
-    span = motor_span(jacobian.reshape(3 * count, len(motors)))
+    span = motor_force_basis(jacobian.reshape(3 * count, len(motors)))
     if span.shape[1] == 3 * count:
         return FingerStructure(np.full(count, 3), np.zeros(count))
-    components: Indices = np.array([motor_span(part).shape[1] for part in jacobian], dtype=np.int64)
+    components: Indices = np.array([motor_force_basis(part).shape[1] for part in jacobian], dtype=np.int64)
     found = optimize_forces(grasp, wrenches, workers=1).force
     forces = np.einsum("nij,mnj->mni", turn @ grasp.frames, found[np.isfinite(found).all(axis=(1, 2))]).reshape(
         -1, 3 * count

@@ -26,7 +26,7 @@ PROVEN = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ForceClosure:
-    """Result of `force_closure`; true if closed, and printed as one or two sentences.
+    """Result of `force_closure`. It is true if closed, and prints as one or two sentences.
 
     Attributes:
         closed: True if an internal force lies strictly inside all cones and the given limits.
@@ -34,15 +34,15 @@ class ForceClosure:
             u_i - |(o, t)_i| >= m and, for soft contacts, u_i - |torsion_i| mu_i / gamma_i >= m, with u = mu * normal. It has no
             unit and lies between 0 (no closure) and 1 / (N + 1) (no tangential force needed, all u_i equal). With limits A f <= b,
             the force is x / r, sum u + r = 1, r >= m and A x + m <= r b with rows of length one; m can then be negative.
-        force: (N, 3) the witness of closure, an internal force strictly inside [N]. The sum of mu * normal is one, unless limits
-            determine the size. None if not closed.
-        torsion: (N,) its torsions [N m]; None if not closed.
-        twist: (6,) the witness against closure: a twist v, [linear; angular] with largest component one, along which no contact
-            force inside its cone does negative work (G_i^T v in every dual cone), and some do work. Then v . G f > 0 for every f
-            strictly inside, so G f = 0 is impossible. None if closed.
+        force: (N, 3) the witness of closure: an internal force strictly inside the cones and limits [N]. The sum of mu * normal is one,
+            unless limits determine it. None if not closed.
+        torsion: (N,) torsions of this force [N m]; None if not closed.
+        twist: (6,) the witness against closure: a twist v, [linear; angular], whose largest component is one. Along v no contact force
+            inside its cone does negative work (G_i^T v is in every dual cone), and some do positive work. So v . G f > 0 for every f
+            strictly inside, and G f = 0 is impossible. None if closed.
         error: residual of the witness. Closed: largest |component| of G f relative to sum |f|. Not closed: largest violation of the
-            dual cones, relative to the largest G_i^T v; nan if the limits, not the cones, exclude internal forces: then the
-            iterations converged to margin < 0, and nothing else was checked.
+            dual cones, relative to the largest G_i^T v. It is nan if the limits, not the cones, exclude internal forces. Then the
+            iterations converged to margin < 0, and there was no further check.
         help: the result in words.
     """
 

@@ -19,12 +19,12 @@ class Feasibility:
     """Result of `feasibility`.
 
     Attributes:
-        force: (N, 3) a balanced force strictly inside [N]; None if infeasible.
+        force: (N, 3) a balanced force strictly inside the cones and limits [N]; None if infeasible.
         torsion: (N,) torsions of soft contacts [N m]; None if infeasible.
-        certificate: (6,) a twist v with G_i^T v in every dual cone and v . w >= 0. If v . w > 0, v . (G f + w) = 0 is impossible;
-            if v . w = 0, it holds only with every contact on the boundary of its cone. With limits, v . w > -v . G f for every
-            force inside them. None if feasible.
-        margin: the largest margin to cones and limits, see `feasibility`; <= 0 if infeasible.
+        certificate: (6,) a twist v with G_i^T v in every dual cone and v . w >= 0. If v . w > 0, balance G f + w = 0 is impossible. If
+            v . w = 0, balance needs every contact force on the boundary of its cone. With limits, v . w > -v . G f for every force
+            within them. None if feasible.
+        margin: depth inside cones and limits, see `feasibility`; <= 0 if infeasible.
     """
 
     force: ContactForces | None
@@ -40,14 +40,14 @@ class Feasibility:
 
 @dataclass(frozen=True, eq=False)
 class Deepest:
-    """Result of the core's `deepest`.
+    """Result of `deepest`.
 
     Attributes:
-        code: CONVERGED: `force` and `torsion` are strictly inside; INFEASIBLE: no force is; anything else: undecided.
+        code: CONVERGED: `force` and `torsion` are strictly inside cones and limits; INFEASIBLE: no force is; others: undecided.
         iterations: iterations of the interior-point method.
         margin: the margin m, see `feasibility`.
         force, torsion: (N, 3) [N] and (N,) [N m].
-        twist: (6,) the separating twist if the margin is not positive, largest component one.
+        twist: (6,) the separating twist if the margin is not positive; its largest component is one.
     """
 
     code: int
@@ -61,8 +61,8 @@ class Deepest:
 def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Feasibility:
     """Find the balanced force with the largest margin to cones and limits, or prove that there is none.
 
-    It maximises the margin m subject to sum u + r = 1 and m <= r, where r scales the wrench, x / r is the force, and every cone and
-    limit has slack m. This problem always has a solution; m > 0 means that x / r is strictly inside.
+    The core maximises the depth m subject to sum u + r = 1 and m <= r. Here r scales the wrench, x / r is the force, and every cone and
+    limit has at least the slack m. This problem always has a solution. If m > 0, x / r is strictly inside.
 
     Args:
         grasp: the contacts, of any models.

@@ -42,13 +42,13 @@ def epsilon(
     """Return bounds of Ferrari and Canny's quality (1992, "Planning optimal grasps").
 
     Epsilon is the radius of the largest ball {w: |F|^2 + |M|^2 / length^2 <= epsilon^2}, moments about the object origin, whose
-    wrenches are balanced by forces with sum of normals <= 1 N (their Q_1) or every normal <= 1 N (their Q_infinity). It is the inverse
-    of the worst least force over the unit ball, and 0 without force closure.
+    wrenches are balanced by forces whose sum of normals is <= 1 N (their Q_1) or whose normals are all <= 1 N (their Q_infinity). It is
+    the inverse of the least force at the worst wrench of the unit ball, see `worst_case`. It is 0 without force closure.
 
     Args:
         grasp: the contacts, of any models.
         length: length that converts moments to forces [m]; None: `grasp.length`.
-        criterion: "sum" or "max".
+        criterion: size of a force: "sum" or "max" of its normal forces.
         tolerance, starts, points, seed: see `worst_case`.
 
     Example:
@@ -56,7 +56,7 @@ def epsilon(
         >>> pinch = Grasp.from_contacts(
         ...     [[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], 0.5, contact_model="soft", torsional_friction=0.005
         ... )
-        >>> low, high, wrench = epsilon(pinch)   # torsional friction / length is the least, about z
+        >>> low, high, wrench = epsilon(pinch)   # the weakest direction is the moment about z: torsional friction / length
         >>> low, high, float(abs(wrench[5]))
         (0.2500, 0.2500, 0.02)
     """
@@ -75,8 +75,9 @@ class GraspQuality:
         closure_margin: margin of the best internal force to the cones, 0 to 1 / (N + 1), no unit; see `ForceClosure.margin`.
         epsilon_sum: Ferrari and Canny's epsilon per newton of total normal force (1992, Q_1).
         epsilon_max: epsilon per newton of the largest normal force (Q_infinity), >= epsilon_sum.
-        min_singular_value: least singular value of G [N per N]: the least wrench of contact forces of unit norm orthogonal to the
-            internal ones (Li, Sastry 1988, "Task-oriented optimal grasping by multifingered robot hands"). It ignores the cones.
+        min_singular_value: smallest singular value of G [N per N]. It is the smallest norm of G f over contact forces f of norm one that
+            are orthogonal to the internal forces (Li, Sastry 1988, "Task-oriented optimal grasping by multifingered robot hands"). It
+            ignores the cones.
         isotropy: smallest over largest singular value, 0 to 1 (Kim, Oh, Yi, Suh 2001; Roa, Suarez 2015, Sec. 2.1).
         length: the grasp's length [m].
     """

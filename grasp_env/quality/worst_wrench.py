@@ -1,13 +1,16 @@
 """The worst wrench of a set, on the exact cones, with a certified interval.
 
-The least force c(w) that balances w is convex: c(w) = max over n of -n . w / h(n), where h(n) = max n . G f over the forces of
-size one has a closed form. Maximising c over a ball is a convex maximisation. It is bounded from both sides:
+The least force c(w) is the smallest size of a contact force that balances w. The size of a force is the sum or the maximum of its
+normal forces. c is convex. By duality, c(w) is the maximum over twists n of -n . w / h(n). Here h(n) is the largest n . G f over
+the forces f in the cones of size <= 1; `_largest_wrenches` computes it in closed form. Maximising c over a ball is a convex
+maximisation. The maximum is bounded from both sides:
 
-- Below by ascent: w <- the wrench of the ball farthest along -n, n <- the multipliers of the conic solution at w. c never
-  decreases, since c(w') >= -n . w' for every w'.
-- Above by a polytope of wrenches of forces of size one. Its facets bound all n from outside, and the largest value at a facet
-  bounds c. Adding the wrench farthest along the worst facet's normal closes the gap (Zheng 2013, "An efficient algorithm for a
-  grasp quality measure", IEEE T-RO 29(2), for epsilon).
+- Below, by ascent: solve the conic problem at w and take its multipliers n, for which h(n) <= 1. Replace w by the wrench of the ball
+  with the largest -n . w, and repeat. c never decreases, since c(w') >= -n . w' for every w'.
+- Above, by the convex hull of some wrenches G f of forces f of size <= 1. It lies inside the set of all such wrenches. So c is at most
+  the factor by which the hull must be scaled to contain the ball. The facet that is nearest to the origin, relative to the ball,
+  determines this factor. The next wrench of the hull is the one with the largest n . G f for the normal n of this facet, until the
+  gap is closed (Zheng 2013, "An efficient algorithm for a grasp quality measure", IEEE T-RO 29(2), for epsilon).
 """
 
 from __future__ import annotations
@@ -31,24 +34,25 @@ from grasp_env.quality.closure import force_closure
 
 SHAPES = ("ellipsoid", "product")
 ENCLOSING = 42
-"""Vertices of the polyhedron around a ball of forces, or of moments, for the upper bound with limits."""
+"""Number of vertices of the polyhedron around a ball of forces, or of moments; see `WrenchBall.enclosing`."""
 ARCS = 4
-"""Tangents that enclose a quarter circle (|force|, |moment|) of an ellipsoid there."""
+"""Number of corners of the polygon around a quarter circle in (|force|, |moment|), for the polytope around an ellipsoid."""
 SHRINK = 1e-5
 """Largest relative random shift of the polytope's points towards the origin; it keeps the points in general position."""
 JOGGLE = 1e-9
-"""Size of Qhull's random shift of points of size one; a hundred times as much is subtracted from every facet's distance."""
+"""Qhull's random shift of the points (option QJ), whose norms are at most 1. To keep the bound valid, 100 times this is subtracted
+from every facet's distance to the origin."""
 BATCH = 8
-"""Facets refined at once."""
+"""Number of facets refined at once."""
 
 
 @dataclass(frozen=True)
 class WrenchBall:
-    """Wrenches around zero, moments about the object origin, object frame.
+    """A set of wrenches around zero: moments about the object origin, object frame.
 
     Attributes:
-        force: radius of the forces [N], 1e-9 to 1e9.
-        moment: radius of the moments [N m], 1e-9 to 1e9.
+        force: largest force [N], 1e-9 to 1e9.
+        moment: largest moment [N m], 1e-9 to 1e9.
         shape: "ellipsoid": |F|^2 / force^2 + |M|^2 / moment^2 <= 1, or "product": |F| <= force and |M| <= moment, the set of
             `grasp_env.grasp.wrench.sample_ball`.
 
@@ -69,7 +73,7 @@ class WrenchBall:
 
     @property
     def radii(self) -> Array:
-        """(6,) the radius along each axis [N, N m]."""
+        """(6,) the largest component along each axis [N, N m]."""
         return np.repeat([float(self.force), float(self.moment)], 3)
 
     def reach(self, directions: Array) -> Array:
@@ -85,7 +89,7 @@ class WrenchBall:
         return (parts / np.maximum(size, 1e-300)).reshape(6) * self.radii
 
     def enclosing(self) -> Array:
-        """Return the vertices (V, 6) of a polytope around the ball."""
+        """Return the vertices (V, 6) of a polytope that contains the ball."""
         step = np.arange(ENCLOSING) + 0.5
         height, turn = 1.0 - 2.0 * step / ENCLOSING, np.pi * (1.0 + np.sqrt(5.0)) * step
         flat = np.sqrt(1.0 - height**2)
@@ -101,14 +105,14 @@ class WrenchBall:
 
 
 class WorstCase(NamedTuple):
-    """Result of `worst_case`: lower <= largest least force over the set <= upper, both certified by duality.
+    """Result of `worst_case`. The least force at the worst wrench of the set lies between `lower` and `upper`, certified by duality.
 
     Attributes:
         wrench: (6,) the worst wrench found [N, N m].
-        lower: dual bound at `wrench` [N]; inf: no force balances it.
-        upper: upper bound for all wrenches of the set [N]; inf: none was found.
-        solution: the least force at `wrench`, or the proof of infeasibility (`certificate`); None if the conic solver did not
-            converge there. The bounds hold nevertheless.
+        lower: dual bound of the least force at `wrench` [N]; inf if no force balances this wrench.
+        upper: upper bound of the least force at all wrenches of the set [N]; inf if no bound was found.
+        solution: the least force at `wrench`, or the proof of infeasibility (`certificate`). None if the conic solver did not
+            converge there; the bounds hold nevertheless.
     """
 
     wrench: Wrench
@@ -118,7 +122,7 @@ class WorstCase(NamedTuple):
 
     @property
     def least_force(self) -> float:
-        """Sum or maximum of the normal forces at `wrench` [N], to the solver's tolerance; inf if infeasible."""
+        """Smallest sum or maximum of the normal forces at `wrench` [N], to the solver's tolerance; inf if infeasible."""
         return self.lower if self.solution is None else self.solution.objective
 
     @property
@@ -138,17 +142,20 @@ def worst_case(
     points: int = 400,
     seed: int = 0,
 ) -> WorstCase:
-    """Find the wrench of a set whose least force is the largest; for a ball without force closure this force is inf.
+    """Find the worst wrench of a set: the one whose least force is the largest.
+
+    The least force of a wrench is the smallest size of a contact force that balances it. For a ball without force closure, that of the
+    worst wrench is inf.
 
     Args:
         grasp: the contacts, of any models.
         wrenches: (M, 6) [N, N m], or a `WrenchBall`. The result also holds for the convex hull of the wrenches, since the least
             force is convex.
-        criterion: the size of a force: "sum" or "max" of its normal forces.
-        limits: further limits. The upper bound for a ball then comes from a polytope around it, which extends at most 10 %
-            (product) or 12 % (ellipsoid) beyond it; `upper` is inf if that exceeds the limits.
+        criterion: size of a force: "sum" or "max" of its normal forces.
+        limits: further limits. For a ball, `upper` is then the bound at the worst vertex of a polytope around it, which is at most
+            10 % (product) or 12 % (ellipsoid) larger. It is inf if no force within the limits was found for some vertex.
         tolerance: relative gap at which the refinement of the upper bound ends, not below 1e-4; without limits only.
-        starts: number of random directions of ascent besides the twelve axes, at most 10,000.
+        starts: number of random directions in which an ascent starts, besides the twelve along the axes; at most 10,000.
         points: largest number of points of the polytope, 64 to 5000; without limits only.
         seed: seed of the random directions.
 
@@ -215,7 +222,7 @@ def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
 
 
 def _ascended(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> WorstCase:
-    """Ascend from a wrench to one that is the farthest of the ball along its own multipliers."""
+    """Replace w by the wrench of the ball with the largest -n . w, for the multipliers n at w, until the bound stops rising."""
     best = _solved(optimizer, wrench)
     for _ in range(50):
         if best.lower == np.inf or best.solution is None or not best.solution.multipliers.any():
@@ -235,39 +242,39 @@ def _enclosed(
     points: int,
     rng: np.random.Generator,
 ) -> WorstCase:
-    """Refine the upper bound by a growing polytope, for a grasp with force closure; wrenches are scaled to a unit ball."""
+    """Refine the upper bound by a growing hull of wrenches, for a grasp with force closure; wrenches are scaled to a unit ball."""
     grasp, criterion = optimizer.grasp, optimizer.options.criterion
     unit = WrenchBall(1.0, 1.0, ball.shape)
     # include the direction of the worst wrench so far
     directions = np.concatenate([np.eye(6), rng.standard_normal((16, 6)), best.wrench[None] / ball.radii])
-    _, made = _largest_wrenches(grasp, np.concatenate([directions, -directions]) / ball.radii, criterion)
-    size = float(np.sqrt(((made / ball.radii) ** 2).sum(axis=1)).max())
+    _, wrenches = _largest_wrenches(grasp, np.concatenate([directions, -directions]) / ball.radii, criterion)
+    scale = float(np.sqrt(((wrenches / ball.radii) ** 2).sum(axis=1)).max())
 
-    def inside(wrenches: Array) -> Array:
-        scaled = np.unique(wrenches, axis=0) / ball.radii / size
+    def hull_points(wrenches: Array) -> Array:
+        scaled = np.unique(wrenches, axis=0) / ball.radii / scale
         return scaled * (1.0 - SHRINK * rng.random((len(scaled), 1)))
 
     try:
-        hull = ConvexHull(inside(made), incremental=True, qhull_options=f"QJ{JOGGLE} Q12 Pp")
+        hull = ConvexHull(hull_points(wrenches), incremental=True, qhull_options=f"QJ{JOGGLE} Q12 Pp")
     except QhullError:  # too thin for a polytope: no upper bound
         return best._replace(upper=np.inf)
     while True:
         normals, distance = hull.equations[:, :6], -hull.equations[:, 6] - 100.0 * JOGGLE
         reach = unit.reach(normals)
-        # the smallest first; <= 0: the origin is outside
+        # the nearest facets first; distance <= 0: the origin is outside
         top = np.argsort(distance / reach)[:BATCH]
-        nearest = float(distance[top[0]] / reach[top[0]]) * size
-        heights, made = _largest_wrenches(grasp, normals[top] / ball.radii, criterion)
-        # n . w / h(n) of the farthest w is a dual bound without a solve
-        rises = reach[top] / np.maximum(heights, 1e-300)
-        start = ball.farthest(-normals[top[rises.argmax()]] / ball.radii)
-        bare = WorstCase(start, float(rises.max()), np.inf, None)
-        best = max(best, _ascended(optimizer, ball, start), bare, key=_lower)
+        nearest = float(distance[top[0]] / reach[top[0]]) * scale
+        heights, wrenches = _largest_wrenches(grasp, normals[top] / ball.radii, criterion)
+        # -n . w / h(n) at the wrench w with the largest -n . w is a lower bound that needs no solve
+        dual_bounds = reach[top] / np.maximum(heights, 1e-300)
+        start = ball.farthest(-normals[top[dual_bounds.argmax()]] / ball.radii)
+        unsolved = WorstCase(start, float(dual_bounds.max()), np.inf, None)
+        best = max(best, _ascended(optimizer, ball, start), unsolved, key=_lower)
         upper = max(1.0 / nearest if nearest > 0.0 else np.inf, best.least_force)
         if upper <= best.lower * (1.0 + tolerance) or len(hull.points) >= points:
             return best._replace(upper=upper)
         try:
-            hull.add_points(inside(made))
+            hull.add_points(hull_points(wrenches))
         except QhullError:  # rounding: the bound so far is still valid
             return best._replace(upper=upper)
 
@@ -303,5 +310,5 @@ def _largest_wrenches(grasp: Grasp, directions: Array, criterion: str) -> tuple[
     forces[:, :, 0] = normals
     forces[:, :, 1:] = (normals / np.where(length > 0.0, length, 1.0))[:, :, None] * models.friction * tangential
     torsions = normals * models.torsional_friction * np.sign(twisting)
-    made = forces.reshape(-1, 3 * count) @ grasp.matrix.T + torsions @ grasp.torsion_matrix.T
-    return (best * normals).sum(axis=1), made
+    wrenches = forces.reshape(-1, 3 * count) @ grasp.matrix.T + torsions @ grasp.torsion_matrix.T
+    return (best * normals).sum(axis=1), wrenches

@@ -62,7 +62,7 @@ class Bullet(Simulator):
         folder = tempfile.mkdtemp()
         self._clean = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self._urdf = os.path.join(folder, "hand.urdf")
-        for name, text in hand_files(hand if visuals or gui else hand.unseen(), HULL_MARGIN).items():
+        for name, text in hand_files(hand if visuals or gui else hand.without_visuals(), HULL_MARGIN).items():
             with open(os.path.join(folder, name), "w", encoding="utf-8") as file:
                 file.write(text)
 

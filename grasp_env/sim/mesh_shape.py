@@ -26,7 +26,7 @@ def volume(corners: Array, faces: Any) -> float:
     return float(np.einsum("fk,fk->", a, np.cross(b, c))) / 6.0
 
 
-def welded(corners: Array, faces: Any, grain: float) -> tuple[Array, Any]:
+def weld(corners: Array, faces: Any, grain: float) -> tuple[Array, Any]:
     """Merge corners within a cell of a grid; drop faces that become lines, and corners without a face."""
     kept, numbers = _distinct(np.round(corners / grain))
     faces = numbers[faces]
@@ -65,7 +65,7 @@ def _numbers_of(ends: Any) -> tuple[Any, Any]:
     return np.column_stack(np.divmod(keys, count)), number
 
 
-def connected(faces: Any) -> list[Any]:
+def connected_parts(faces: Any) -> list[Any]:
     """Return the faces of each part of a mesh; parts share no corner."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -84,7 +84,7 @@ def farthest(points: Array) -> Any:
     return np.unique((points @ _DIRECTIONS.T).argmax(axis=0))
 
 
-def outermost(corners: Array, most: int, fine: float) -> Array:
+def reduce_hull(corners: Array, most: int, fine: float) -> Array:
     """Choose corners (K, 3) of a hull, the most important first, until all others are within `fine` of the reduced hull.
 
     Args:

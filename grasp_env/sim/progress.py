@@ -41,11 +41,11 @@ class ProgressLine:
             print(file=sys.stderr)
 
 
-def counted(items: Sequence[Item], text: str) -> Iterator[Item]:
+def progress_bar(items: Sequence[Item], text: str) -> Iterator[Item]:
     """Yield the items, with a progress bar on a terminal.
 
     Example:
-        >>> list(counted([1, 2], "two numbers"))
+        >>> list(progress_bar([1, 2], "two numbers"))
         [1, 2]
     """
     with ProgressLine() as line:

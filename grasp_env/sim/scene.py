@@ -21,7 +21,7 @@ from grasp_env.sim.snapshot import Snapshot
 class Scene:
     """A hand around an object in a simulator of its own.
 
-    The first `look` after a step reads the state into arrays, which the next reading overwrites: copy what you keep.
+    `look` returns views of arrays that are reused. The next reading after a `step` overwrites them: copy what you keep.
 
     Args:
         config: The scene.
@@ -29,10 +29,10 @@ class Scene:
         visuals: Load the hand's visual shapes, which pictures need. They make loading a new object five times slower.
 
     Attributes:
-        simulator: The physics engine, for direct calls. PyBullet's has `client` and `world`, the numbers of its connection and bodies;
-            MuJoCo's has `model` and `data`.
+        simulator: The physics engine, for direct calls. That of PyBullet has `client`, the connection, and `world`, which holds the ids of
+            the bodies. That of MuJoCo has `model` and `data`.
         kinematics: Kinematics of the hand.
-        core: The C++ core's view of hand, object and the last reading.
+        core: The compiled `core.Scene`, which holds the hand, the object and the last reading.
         gravity: Current gravity [m/s^2], (3,), world frame.
 
     Raises:
@@ -66,7 +66,9 @@ class Scene:
         return self.config.substeps / self.config.engine.rate
 
     def load(self, config: SceneConfig) -> None:
-        """Replace the object, the grasp or the hand, with the same engine. All saved states are dropped.
+        """Load another object, grasp or hand. The kind of engine stays the same.
+
+        All saved states are dropped, "start" included. Call `keep` before the next `reset`.
 
         Args:
             config: The new scene; its engine is ignored.
@@ -86,7 +88,7 @@ class Scene:
         self._build(angles)
 
     def change_object(self, mass: float | None = None, friction: float | None = None) -> None:
-        """Change the object's mass [kg] (and its inertia in proportion) or friction; `reset` does not undo it."""
+        """Change the mass [kg] of the object (and its inertia in proportion) or its friction. `reset` does not undo the change."""
         before = self.config.object
         inertia = before.inertia
         if mass is not None and inertia is not None:
@@ -107,12 +109,12 @@ class Scene:
             self._read = False
 
     def keep(self, name: str = "start") -> None:
-        """Save the current state under a name, to which `reset` returns; it replaces an earlier state of that name."""
+        """Save the current state under a name, for `reset`. An earlier state of that name is replaced."""
         self.simulator.keep(name)
         self._read = False
 
     def reset(self, name: str = "start") -> None:
-        """Restore a saved state and its contact forces bit by bit; gravity and the object's dynamics are kept.
+        """Restore a saved state exactly, contact forces included. Gravity and the object's mass, inertia and friction stay as they are now.
 
         Raises:
             UnknownNameError: No state was saved under that name.
@@ -148,13 +150,16 @@ class Scene:
         Raises:
             SimulationError: The simulation diverged, or the scene is closed.
         """
-        reading = self.unread()
+        reading = self.new_reading()
         if reading is not None and not self.core.read(reading):
-            raise self.diverged(reading)
+            raise self.divergence_error(reading)
         return self._snapshot
 
-    def unread(self) -> Array | None:
-        """Return the simulator's new reading, for a caller that passes it to the core; None if the core has it already."""
+    def new_reading(self) -> Array | None:
+        """Return the simulator's reading if the core does not have it yet, else None.
+
+        The caller must pass it to `core.read`, because it is not returned again.
+        """
         if self._read:
             return None
         reading = self.simulator.read()
@@ -178,8 +183,8 @@ class Scene:
         self._snapshot = Snapshot(**self.core.arrays())
         self._read = False
 
-    def diverged(self, reading: Array) -> SimulationError:
-        """Make the error for a reading that the core rejects."""
+    def divergence_error(self, reading: Array) -> SimulationError:
+        """Return the error for a reading that `core.read` rejected. The next `look` reads the simulator again."""
         self._read = False
         body = reading[2 * len(self._snapshot.angles) :]
         return SimulationError(

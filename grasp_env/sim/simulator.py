@@ -47,15 +47,15 @@ class Simulator(Protocol):
         ...
 
     def set_object(self, item: ObjectDescription) -> None:
-        """Change the object's mass, inertia and friction; `reset` does not undo it."""
+        """Change the object's mass, inertia and friction. `reset` does not undo the change."""
         ...
 
     def keep(self, name: str) -> None:
-        """Save the current state under a name, to which `reset` returns; it replaces an earlier state of that name."""
+        """Save the current state under a name, for `reset`. An earlier state of that name is replaced."""
         ...
 
     def reset(self, name: str) -> None:
-        """Restore a saved state bit by bit, including its contact forces."""
+        """Restore a saved state exactly, contact forces included."""
         ...
 
     def close(self) -> None:

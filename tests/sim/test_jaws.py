@@ -15,7 +15,7 @@ from grasp_env.config import EnvConfig
 from grasp_env.errors import GraspWarning, InvalidInputError, UnknownNameError
 from grasp_env.sim import HandDescription, HandKinematics, ObjectDescription, place_hand
 from grasp_env.sim.grasping import plan_grasp
-from grasp_env.sim.grasping.pads import PATCH_RADIUS, padded, softened, torsion_of
+from grasp_env.sim.grasping.pads import PATCH_RADIUS, torsion_of, with_protruding_tips, with_soft_contacts
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 
 CUBE = ObjectDescription("cuboid", (0.05, 0.05, 0.05), mass=0.15, friction=0.7)
@@ -51,7 +51,7 @@ def claw() -> HandDescription:
 
 @pytest.mark.parametrize(("hand", "item"), [(jaws(1), CUBE), (claw(), BALL)], ids=["jaws", "claw"])
 def test_both_jaws_touch_at_once(hand: HandDescription, item: ObjectDescription) -> None:
-    soft = softened(item, hand)
+    soft = with_soft_contacts(item, hand)
     kinematics = HandKinematics(place_hand(hand, soft))
     plan = plan_grasp(soft, kinematics)
     assert plan.normals[0] @ plan.normals[1] < -0.9
@@ -64,7 +64,7 @@ def test_both_jaws_touch_at_once(hand: HandDescription, item: ObjectDescription)
 
 def test_a_motor_that_moves_both_jaws_makes_both_forces() -> None:
     """A grasp takes twice the force of one motor that it takes of two."""
-    soft = softened(BALL, jaws())
+    soft = with_soft_contacts(BALL, jaws())
     placed = place_hand(jaws(1, 10.0), soft)
     free = replace(placed, links=tuple(replace(link, mimic=None) for link in placed.links))
     one, two = (plan_grasp(soft, HandKinematics(hand)).force for hand in (placed, free))
@@ -72,13 +72,13 @@ def test_a_motor_that_moves_both_jaws_makes_both_forces() -> None:
 
 
 def test_pads_stand_before_flat_jaws() -> None:
-    hand = padded(jaws())
+    hand = with_protruding_tips(jaws())
     for tip, before, link, side in zip(hand.fingertips, jaws().fingertips, hand.links, (1.0, -1.0), strict=True):
         np.testing.assert_allclose(np.subtract(tip.center, before.center), (0.0, -0.0015 * side, 0.0), atol=1e-12)
         assert link.collision[1].origin == tip.center
-    assert padded(hand) == hand  # they do so already
+    assert with_protruding_tips(hand) == hand  # they do so already
     three = replace(hand, fingertips=(*hand.fingertips, Fingertip("third", "jaw0", (0.0, 0.0, 0.02), 0.004)))
-    assert padded(three) == three
+    assert with_protruding_tips(three) == three
 
 
 def test_two_fingers_get_soft_contacts_and_it_is_said() -> None:
@@ -125,7 +125,7 @@ def test_jaws_hold_under_a_random_wrench(hand: HandDescription, item: ObjectDesc
 def test_the_palm_looks_where_it_is_wanted(
     item: ObjectDescription, approach: str | tuple[float, ...], way: tuple[float, ...] | None
 ) -> None:
-    placed = place_hand(jaws(), softened(item, jaws()), approach=approach)
+    placed = place_hand(jaws(), with_soft_contacts(item, jaws()), approach=approach)
     palm = np.array(placed.palm.collision[0].origin)
     palm /= np.linalg.norm(palm)
     limit = np.radians(35.0)  # 30, and the middle of the box is not its nearest point
@@ -137,7 +137,7 @@ def test_approaches_that_cannot_be_are_refused() -> None:
     with pytest.raises(
         InvalidInputError, match=r"at \d+ of which no side of the object comes from approach=\(0.577, 0.577, 0.577\)"
     ):
-        place_hand(jaws(), softened(CUBE, jaws()), approach=(1.0, 1.0, 1.0))
+        place_hand(jaws(), with_soft_contacts(CUBE, jaws()), approach=(1.0, 1.0, 1.0))
     with pytest.raises(UnknownNameError, match=r"choose one of .down., .up., .side."):
         place_hand(jaws(), CUBE, approach="sideways")
     with pytest.raises(InvalidInputError, match="must have a direction"):

@@ -19,7 +19,7 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.sim import ObjectDescription, progress
 from grasp_env.sim.objects import cache, mesh, pieces
 from grasp_env.sim.objects.apart import apart
-from grasp_env.sim.objects.cache import clear, entries, folder, kept
+from grasp_env.sim.objects.cache import cached, clear, entries, folder
 
 
 @pytest.fixture(autouse=True)
@@ -69,7 +69,7 @@ def test_entries_are_found_by_content(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_the_newest_entry_comes_first() -> None:
     for age, name in ((50.0, "old"), (0.0, "new"), (99.0, "older")):
-        kept(name, name, {"value"}, make())
+        cached(name, name, {"value"}, make())
         os.utime(folder() / f"{name}.npz", (time.time() - age, time.time() - age))
     assert [entry.name for entry in entries()] == ["new", "old", "older"]
 
@@ -85,11 +85,11 @@ def test_the_newest_entry_comes_first() -> None:
     ids=["half", "empty", "other arrays", "a pickle"],
 )
 def test_a_damaged_entry_is_made_anew(spoil: Callable[[Path], Any]) -> None:
-    kept("key", "name", {"value"}, make(1.0))
+    cached("key", "name", {"value"}, make(1.0))
     spoil(folder() / "key.npz")
     assert len(entries()) == 1
-    assert kept("key", "name", {"value"}, make(2.0))["value"] == 2.0
-    assert kept("key", "name", {"value"}, fail)["value"] == 2.0
+    assert cached("key", "name", {"value"}, make(2.0))["value"] == 2.0
+    assert cached("key", "name", {"value"}, fail)["value"] == 2.0
 
 
 def test_without_a_folder_locks_or_patience(cache_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,7 +97,7 @@ def test_without_a_folder_locks_or_patience(cache_folder: Path, monkeypatch: pyt
     monkeypatch.setattr(cache, "LONGEST_WAIT", 0.3)
     begun = time.monotonic()
     with cache._locked(folder() / "key.npz"):
-        assert kept("key", "name", {"value"}, make())["value"] == 3.0
+        assert cached("key", "name", {"value"}, make())["value"] == 3.0
     assert 0.25 < time.monotonic() - begun < 10.0
     monkeypatch.setattr(cache, "LONGEST_WAIT", 150.0)
 
@@ -105,11 +105,11 @@ def test_without_a_folder_locks_or_patience(cache_folder: Path, monkeypatch: pyt
         raise OSError(38, "no locks here")
 
     monkeypatch.setattr(cache.fcntl, "flock", refuse)
-    assert kept("second", "name", {"value"}, make())["value"] == 3.0
+    assert cached("second", "name", {"value"}, make())["value"] == 3.0
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache_folder / "file"))
     (cache_folder / "file").write_text("not a folder")
     for value in (1.0, 2.0):
-        assert kept("key", "name", {"value"}, make(value))["value"] == value
+        assert cached("key", "name", {"value"}, make(value))["value"] == value
     assert (entries(), clear()) == ([], 0)
     assert time.monotonic() - begun < 30.0
 
@@ -117,7 +117,7 @@ def test_without_a_folder_locks_or_patience(cache_folder: Path, monkeypatch: pyt
 WORKER = """
 import sys, time
 import numpy as np
-from grasp_env.sim.objects.cache import kept
+from grasp_env.sim.objects.cache import cached
 
 def make():
     with open(sys.argv[1], "a") as file:
@@ -125,7 +125,7 @@ def make():
     time.sleep(0.5)
     return {"value": np.arange(5)}
 
-print(kept("key", "name", {"value"}, make)["value"].sum())
+print(cached("key", "name", {"value"}, make)["value"].sum())
 """
 
 

@@ -23,9 +23,9 @@ from trimesh import creation
 from grasp_env.errors import GraspWarning, InvalidInputError
 from grasp_env.sim import BulletEngine, ObjectDescription
 from grasp_env.sim.mesh_shape import volume
-from grasp_env.sim.objects.closing import closed
+from grasp_env.sim.objects.closing import close_mesh
 from grasp_env.sim.objects.mesh import _load, load_mesh, principal_rotation
-from grasp_env.sim.objects.pieces import MAX_PIECES, MOST_CORNERS, convex_pieces
+from grasp_env.sim.objects.pieces import MAX_CORNERS, MAX_PIECES, convex_pieces
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -162,7 +162,7 @@ def heights(item: ObjectDescription, points: np.ndarray) -> np.ndarray:
 def test_pieces_cover_the_mesh_and_leave_hollows_open(made: Made) -> None:
     item, size = made[1], max(made[1].extent)
     assert 1 < len(item.pieces) <= MAX_PIECES
-    assert max(map(len, item.pieces)) <= MOST_CORNERS
+    assert max(map(len, item.pieces)) <= MAX_CORNERS
     assert heights(item, item.faces[0]).max() < 1e-9 * size
     inner = [
         middle + 1e-4 * size * item.surface.nearest(middle)[1] for middle in item.faces[0][item.faces[1]].mean(axis=1)
@@ -185,7 +185,7 @@ def test_pieces_cover_the_mesh_and_leave_hollows_open(made: Made) -> None:
 def test_a_fine_ball_is_one_piece_of_few_corners(tmp_path: Path) -> None:
     item, _ = load(tmp_path, creation.icosphere(4, 0.033))
     (piece,) = item.pieces
-    assert len(piece) <= MOST_CORNERS
+    assert len(piece) <= MAX_CORNERS
     assert heights(item, item.faces[0]).max() < 0.01 * max(item.extent)
 
 
@@ -251,7 +251,7 @@ def test_repairs_are_right_and_reported(name: str) -> None:
     solid = make()
     if name != "open seams":  # corners are merged in a grid, by luck of their places in it
         solid.apply_transform(trimesh.transformations.random_rotation_matrix(np.random.default_rng(4).random(3)))
-    corners, faces, changes = closed(np.array(solid.vertices), np.array(solid.faces), "mesh")
+    corners, faces, changes = close_mesh(np.array(solid.vertices), np.array(solid.faces), "mesh")
     assert message in "; ".join(changes)
     assert (changes == []) == (message == "") or name == "a wall between boxes"
     # welding at 1e-5 of the size moves corners by that much
@@ -271,7 +271,7 @@ def test_repairs_are_warned_of_each_time(tmp_path: Path) -> None:
 def test_too_many_parts() -> None:
     corners = np.concatenate([np.add(box().vertices, (0.1 * k, 0.0, 0.0)) for k in range(501)])
     with pytest.raises(InvalidInputError, match="501 parts that are not connected, allowed are up to 500"):
-        closed(corners, np.concatenate([box().faces + 8 * k for k in range(501)]), "mesh")
+        close_mesh(corners, np.concatenate([box().faces + 8 * k for k in range(501)]), "mesh")
 
 
 # --- in a hand

@@ -15,7 +15,7 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.sim import ObjectDescription
 from grasp_env.sim.mesh_files import read_mesh
 from grasp_env.sim.objects import apart
-from grasp_env.sim.objects.closing import closed
+from grasp_env.sim.objects.closing import close_mesh
 from training.cli import main
 from training.commands import mending
 
@@ -77,7 +77,7 @@ def test_a_torn_mesh_is_refused_mended_and_accepted(tmp_path: Path, answer: Any)
     code, told = answer("mend", path)
     assert (code, told["out"]) == (0, str(tmp_path / "third_mended.obj"))
     assert (told["faces_before"], told["parts"], told["parts_left_out"]) == (len(TORN), 1, 0)
-    corners, faces, changes = closed(*read_mesh(told["out"], "it"), "it")
+    corners, faces, changes = close_mesh(*read_mesh(told["out"], "it"), "it")
     assert (changes, len(faces)) == ([], told["faces_after"])
     assert np.ptp(corners, axis=0) == pytest.approx((0.1, 0.1, 0.1), rel=0.05)
     assert told["volume"] == pytest.approx(BALL.volume, rel=0.05)  # missing faces are guessed
@@ -92,7 +92,7 @@ def test_all_parts_and_hollows_are_kept(tmp_path: Path, answer: Any) -> None:
     code, told = answer("mend", save(tmp_path / "parts.obj", corners, faces))
     assert (code, told["parts"], told["parts_left_out"]) == (0, 3, 1)
     assert told["volume"] == pytest.approx((1.0 - 0.125 + 1.0) * BALL.volume, rel=0.05)
-    corners, _, changes = closed(*read_mesh(told["out"], "it"), "it")
+    corners, _, changes = close_mesh(*read_mesh(told["out"], "it"), "it")
     assert changes == []
     assert np.ptp(corners, axis=0) == pytest.approx((0.3, 0.1, 0.1), rel=0.05)
 

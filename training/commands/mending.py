@@ -54,7 +54,7 @@ def mended(corners: Array, faces: Any, name: str) -> Mended:
     """
     need("mend")
     from grasp_env.sim.objects.apart import apart
-    from grasp_env.sim.objects.closing import closed
+    from grasp_env.sim.objects.closing import close_mesh
 
     try:
         made = apart(f"{__name__}:closed_parts", f"{name}: mending it", LONGEST, corners=corners, faces=faces)
@@ -68,7 +68,7 @@ def mended(corners: Array, faces: Any, name: str) -> Mended:
     if parts == 0:
         raise InvalidInputError(f"{name} cannot be mended: no part of it encloses a volume; {_REMESH}")
     try:
-        corners, faces, changes = closed(corners, faces, name)
+        corners, faces, changes = close_mesh(corners, faces, name)
     except InvalidInputError:
         raise InvalidInputError(f"{name} cannot be mended: what MeshFix makes of it is no solid; {_REMESH}") from None
     return Mended(corners, faces, parts, left_out, changes)
@@ -81,11 +81,11 @@ def as_obj(mesh: Mended, name: str) -> bytes:
         InvalidInputError: the text is too large to be read, or is not a solid when read back.
     """
     from grasp_env.sim.mesh_files import obj_text, read_mesh_bytes
-    from grasp_env.sim.objects.closing import closed
+    from grasp_env.sim.objects.closing import close_mesh
 
     text = obj_text([(mesh.corners, mesh.faces)]).encode()
     name = f"what MeshFix makes of {name}"
-    closed(*read_mesh_bytes(text, ".obj", name, f"; {_REMESH}"), name)
+    close_mesh(*read_mesh_bytes(text, ".obj", name, f"; {_REMESH}"), name)
     return text
 
 
@@ -94,11 +94,11 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
 
     Parts that are closed already stay as they are. If all are, MeshFix checks each for faces that cross.
     """
-    from grasp_env.sim.mesh_shape import connected, extent_of, open_edges, welded
+    from grasp_env.sim.mesh_shape import connected_parts, extent_of, open_edges, weld
 
-    corners, faces = welded(corners, faces, _GRAIN * extent_of(corners))
+    corners, faces = weld(corners, faces, _GRAIN * extent_of(corners))
     faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]  # no duplicates
-    parts = [_own_corners(corners, part) for part in connected(faces)]
+    parts = [_own_corners(corners, part) for part in connected_parts(faces)]
     whole = [not open_edges(numbers) for _, numbers in parts]
     points, made, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
     for part, good in zip(parts, whole, strict=True):

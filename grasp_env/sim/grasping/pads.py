@@ -27,14 +27,14 @@ def torsion_of(friction: float) -> float:
     return UNIFORM * friction * PATCH_RADIUS
 
 
-def softened(item: ObjectDescription, hand: HandDescription) -> ObjectDescription:
+def with_soft_contacts(item: ObjectDescription, hand: HandDescription) -> ObjectDescription:
     """Return the object with the torsional friction of soft pads, if the hand has two fingers and the object has none."""
     if hand.finger_count != SOFT_PAIR or item.torsional_friction > 0.0:
         return item
     return replace(item, torsional_friction=torsion_of(item.friction))
 
 
-def padded(hand: HandDescription) -> HandDescription:
+def with_protruding_tips(hand: HandDescription) -> HandDescription:
     """Return a two-finger hand with its tips moved towards each other until they protrude 1.5 mm from their links.
 
     Otherwise the flat face of a jaw would touch beside the sphere that models its pad. Tips that protrude already are kept.

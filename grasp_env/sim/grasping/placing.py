@@ -14,12 +14,12 @@ from grasp_env import core
 from grasp_env._check import Array, whole
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.grasping.approach import Approach, as_approach, palm_direction
-from grasp_env.sim.grasping.pads import PATCH_RADIUS, SOFT_PAIR, padded, torsion_of
+from grasp_env.sim.grasping.pads import PATCH_RADIUS, SOFT_PAIR, torsion_of, with_protruding_tips
 from grasp_env.sim.grasping.points import GraspPlan, GraspSearch, plan_grasp
 from grasp_env.sim.grasping.sites import Site, find_sites, one_motor
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import roll_pitch_yaw
-from grasp_env.sim.hand.kinematics import HandKinematics, motor_span
+from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
@@ -188,7 +188,7 @@ class _Trials:
     """
 
     def __init__(self, hand: HandDescription, item: ObjectDescription) -> None:
-        self.hand, self.item = padded(hand), item
+        self.hand, self.item = with_protruding_tips(hand), item
         self.faults: dict[str, int] = {}
         self._pairs = touching_pairs(hand, at_home=False)
         self._parts: dict[tuple[int, ...], tuple[HandKinematics, core.HandLimbs]] = {}
@@ -250,7 +250,7 @@ class _Trials:
             [1.0]
             if len(moves) == SOFT_PAIR
             else [
-                float(np.linalg.norm(motor_span(move[:, own]).T @ candidate.turn.T @ normal))
+                float(np.linalg.norm(motor_force_basis(move[:, own]).T @ candidate.turn.T @ normal))
                 for move, own, normal in zip(moves, kinematics.carries, plan.normals, strict=True)
             ]
         )

@@ -15,7 +15,7 @@ from grasp_env import core
 from grasp_env._check import Array, Indices
 from grasp_env.sim.grasping.approach import Approach
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.kinematics import HandKinematics, motor_span
+from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
 from grasp_env.sim.hand.limbs import hand_limbs
 from grasp_env.sim.objects.description import ObjectDescription
 
@@ -236,7 +236,7 @@ class _Reach:
         out = np.empty((len(self.postures), self.fingers, 3, 3))
         for row, posture in enumerate(self.postures):
             for finger in range(self.fingers):
-                span = motor_span(kinematics.jacobian(posture, finger)[:, kinematics.carries[finger]])
+                span = motor_force_basis(kinematics.jacobian(posture, finger)[:, kinematics.carries[finger]])
                 out[row, finger] = span @ span.T
         return out
 

@@ -57,7 +57,7 @@ def unit(values: Any, name: str) -> Vector3:
 
 
 def limits(lower: Any, upper: Any, name: str) -> tuple[float, float]:
-    """Return a lower limit below an upper one, or -inf and inf for a joint that turns without end."""
+    """Return the lower and upper limit of a joint; -inf and inf if it has no limits."""
     if (lower, upper) == (-math.inf, math.inf):
         return -math.inf, math.inf
     low, high = numbers((lower, upper), 2, f"{name}: (lower, upper)")

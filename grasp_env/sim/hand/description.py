@@ -38,26 +38,27 @@ __all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescripti
 
 ROTOR_INERTIA = 1e-4
 """Default rotor inertia at a joint [kg m^2]; see `HandDescription.with_rotors`."""
-_LIGHT = 1e-5
-"""Inertia of an end link about its joint [kg m^2] below which it gets a rotor: a torque error of 50 mN m over one control
-tick already turns such a link by 50 rad/s."""
+_LIGHT_INERTIA = 1e-5
+"""End links with less inertia about their joint than this [kg m^2] get `ROTOR_INERTIA` added: a torque error of 50 mN m would change
+their speed by 50 rad/s in one control tick."""
 
 
 @dataclass(frozen=True)
 class HandDescription:
     """A hand: a fixed palm, moving links with torque-controlled joints, and fingertips.
 
-    Joints turn or slide, and may be coupled to other joints. Joints have the numbers of their links, fingers those of their
-    fingertips. The palm's frame is the world frame.
+    Joints turn or slide, and may be coupled to other joints. Joint i moves link i, and finger i ends in fingertip i; i is the index in
+    `links` or `fingertips`. The palm's frame is the world frame.
 
     Attributes:
         name: Name of the hand.
         palm: The fixed base.
         links: The moving links, parents before children.
         fingertips: One per finger, in the order of the contacts.
-        home: Rest posture [rad], (M,), within the limits. () is the middle of each range, 0 for joints without limits. Coupled
-            joints follow their drivers.
-        tip_friction: Friction of all links. Bullet multiplies the friction of both bodies, so 1 keeps the object's.
+        home: Rest posture [rad], (M,), within the limits. () stands for the middle of each range, and 0 for joints without limits.
+            Coupled joints follow their drivers.
+        tip_friction: Friction coefficient of all links, tips included. The coefficient of a contact is this times the object's, in both
+            engines. With 1 it is the object's.
         placed: True if the palm's pose and `home` suit an object at the origin. If False, as for a hand just read from a file,
             an environment chooses both.
 
@@ -102,7 +103,7 @@ class HandDescription:
 
     @property
     def drivers(self) -> tuple[int, ...]:
-        """The number of each joint's driver, (M,); a joint that is not coupled drives itself."""
+        """The index of each joint's driver, (M,); a joint that is not coupled drives itself."""
         joints = {link.joint: index for index, link in enumerate(self.links)}
         return tuple(joints[link.mimic.joint if link.mimic else link.joint] for link in self.links)
 
@@ -139,7 +140,7 @@ class HandDescription:
         return np.array([link.torque_limit for link in self.links])
 
     def moved(self, position: Vector3, rotation: Vector3 = (0.0, 0.0, 0.0)) -> HandDescription:
-        """Return the hand with its palm frame at `position`, turned by `rotation`. It counts as placed.
+        """Return the hand with its palm frame at `position`, turned by `rotation`. It is then `placed`.
 
         Args:
             position: Origin of the palm frame [m], (3,), world frame.
@@ -166,7 +167,7 @@ class HandDescription:
         )
         return replace(self, palm=palm, links=tuple(links), placed=True)
 
-    def unseen(self) -> HandDescription:
+    def without_visuals(self) -> HandDescription:
         """Return the hand without visual shapes."""
         links = tuple(replace(link, visual=()) for link in self.links)
         return replace(self, palm=replace(self.palm, visual=()), links=links)
@@ -175,11 +176,11 @@ class HandDescription:
         """Return the hand with the inertia of its motors' rotors, which most files leave out.
 
         The inertia at the joint is that of the rotor times the gear ratio squared: a rotor of 5e-8 kg m^2 behind 1:288 adds
-        4e-3 kg m^2. It is added to a link about all axes.
+        4e-3 kg m^2. This inertia is added to a link about all axes.
 
         Args:
-            inertia: Added to the link of each turning joint [kg m^2]; the default is far below that of geared servos.
-            links: Names of the links that get it; None: every link whose joint has a motor.
+            inertia: Inertia that is added to the link of each turning joint [kg m^2]. The default is far below that of geared servos.
+            links: Names of the links to which it is added; None: every link whose joint has a motor.
         """
         (added,) = numbers((inertia,), 1, "inertia [kg m^2]")
         if added < 0.0:
@@ -193,13 +194,13 @@ class HandDescription:
         return replace(self, links=tuple(heavier))
 
     def _light_ends(self) -> list[str]:
-        """Return the end links with less inertia about their joint than `_LIGHT`; for a coupled link, the link of its driver."""
+        """Return the end links with less inertia about their joint than `_LIGHT_INERTIA`; a coupled link is replaced by its driver's."""
         carriers = {link.parent for link in self.links}
         light: dict[str, None] = {}
         for link, driver in zip(self.links, self.drivers, strict=True):
             center, axis = np.array(link.center), np.array(link.axis)
             own = axis @ inertia_matrix(link.inertia) @ axis + link.mass * (center @ center - (axis @ center) ** 2)
-            if not link.sliding and link.name not in carriers and own < _LIGHT:
+            if not link.sliding and link.name not in carriers and own < _LIGHT_INERTIA:
                 light[self.links[driver].name] = None
         return list(light)
 
@@ -255,34 +256,40 @@ class HandDescription:
         Joints may turn, slide, be fixed or mimic others. Links behind a fixed joint are merged into their parent. Collision
         meshes become convex hulls, or several convex pieces if one hull would fill hollows; visual meshes are drawn.
 
-        Missing and implausible values are replaced. One warning gives the file's value, the assumed one and the argument for
-        the true one: masses, centres and inertias that do not fit the size of the link (`inertials`); efforts that no motor of
-        such a finger has (`torque_limit`; assumed are 15 N at the tip of a straight finger, 20 N for sliding joints); ranges in
-        degrees (`joint_limits`). Other wide ranges are kept, and the warning lists them.
+        Missing and implausible values are replaced. Each kind has an argument that overrides it:
+
+        - `inertials`: masses, centres of mass and inertias that do not fit the size of the link.
+        - `torque_limit`: efforts that no motor of such a finger has. The assumed torques give 15 N at the tip of a straight finger; the
+          assumed force of a sliding joint is 20 N.
+        - `joint_limits`: ranges in degrees. Other wide ranges are kept.
+
+        One warning lists the replaced values, the assumed ones, the wide ranges, and the arguments that override them.
 
         To read the hand of an arm or of a whole robot, name its `palm`. The palm is then fixed, the joints that carry it are
         frozen, and all other limbs are left out.
 
-        A finger touches with a sphere: the one at the end of the named link if its collision shapes have one, else one
-        inscribed in the end of the link. Other shapes are cut back behind the sphere, so that it touches first.
+        Each fingertip is a sphere. It is the only sphere among the collision shapes of the named link if that is at the link's end; else
+        one of `tip_radius` at the link's origin, if given; else the largest sphere that fits in the link's end. The link's other
+        collision shapes are cut back behind the sphere, so that the sphere touches first.
 
         Args:
             path: Path of the file. Meshes are looked for under their names, beside the file, and in the folders above it.
-            fingertips: Names of links, for a MuJoCo model also of sites and geometries, in the order of the contacts; the fingers
-                get these names. Or {link: (point [m], (3,), in the link's frame, radius [m])}. None: every moving link at the
-                end of a branch.
+            fingertips: Names of links in the order of the contacts, for a MuJoCo model also of sites and geometries. The fingers get
+                these names. Or a dict from the name of a link to the centre (3,) [m], link frame, and radius [m] of its sphere. None:
+                every moving link at the end of a branch.
             palm: Name of the link that becomes the palm, together with everything fixed to it; the hand is what it carries.
                 None: the root link.
-            tip_radius: Radius of the sphere [m] that is put at the origin of each named link without one.
+            tip_radius: Radius of the sphere [m] at the origin of each named link that has no sphere at its end.
             torque_limit: Torque limit [N m] of all joints, or one for each in the order of `joint_names`, or a dict by joint
                 name. It overrides the file.
-            joint_limits: {joint: (lower, upper)} [rad], for sliding joints [m]. They override the file. (-math.inf, math.inf) is
-                a joint without limits.
-            inertials: {moving link: mass [kg], or (mass, center [m], (3,), inertia ixx, ixy, ixz, iyy, iyz, izz about it [kg m^2])},
-                including everything fixed to the link, in its frame. A mass alone scales the file's inertia.
+            joint_limits: Dict from the name of a joint to its limits (lower, upper) [rad], for sliding joints [m]. It overrides the
+                file. A joint without limits has (-math.inf, math.inf).
+            inertials: Dict from the name of a moving link to its mass [kg], with which the file's inertia is scaled. Or to its mass
+                [kg], its centre of mass (3,) [m] and its inertia (ixx, ixy, ixz, iyy, iyz, izz) about that centre [kg m^2], in the
+                link's frame. The values include all links that are fixed to the link.
             home: Rest posture [rad], (M,), in the order of `joint_names`; () as in the class.
-            position: Position of the palm's link [m], (3,), world frame. A hand without `position`, `rotation` and `home` is not
-                `placed`.
+            position: Position of the palm's link [m], (3,), world frame. If none of `position`, `rotation` and `home` is given, the
+                hand is not `placed`.
             rotation: Roll, pitch and yaw of the palm's link [rad], (3,).
             tip_friction: See the class.
             rotor_inertia: Rotor inertia at every motor [kg m^2]. None: the armature of a MuJoCo model, and the default of
@@ -292,7 +299,7 @@ class HandDescription:
             InvalidInputError: The file is not such a hand; the message lists everything that must be changed.
 
         Warns:
-            UserWarning: Something was repaired, assumed or left out.
+            UserWarning: A value was replaced or assumed, or a part of the file was left out.
         """
         from grasp_env.sim.hand.files.importing import read_hand
         from grasp_env.sim.hand.files.options import HandOptions  # these need the parts above

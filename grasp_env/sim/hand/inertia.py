@@ -18,7 +18,7 @@ def inertia_of(values: Any, name: str) -> Inertia:
 
     Args:
         values: ixx, ixy, ixz, iyy, iyz, izz.
-        name: of the link, for the message.
+        name: name of the link, for the message.
 
     Raises:
         InvalidInputError: no body has this inertia.
@@ -43,7 +43,7 @@ def nearest_inertia(values: Inertia, mass: float) -> Inertia | None:
 
     Args:
         values: ixx, ixy, ixz, iyy, iyz, izz.
-        mass: of the body [kg]; no radius of gyration gets below 1 mm.
+        mass: mass of the body [kg]. No radius of gyration gets below 1 mm.
     """
     from scipy.optimize import nnls
 
@@ -57,17 +57,17 @@ def nearest_inertia(values: Inertia, mass: float) -> Inertia | None:
 
 
 def inertia_matrix(values: Sequence[float]) -> np.ndarray:
-    """Return (3, 3) of ixx, ixy, ixz, iyy, iyz, izz."""
+    """Return the matrix (3, 3) of ixx, ixy, ixz, iyy, iyz, izz."""
     xx, xy, xz, yy, yz, zz = values
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def inertia_numbers(matrix: np.ndarray) -> Inertia:
-    """Return ixx, ixy, ixz, iyy, iyz, izz of (3, 3)."""
+    """Return ixx, ixy, ixz, iyy, iyz, izz of a matrix (3, 3)."""
     xx, xy, xz = matrix[0].tolist()
     return xx, xy, xz, float(matrix[1, 1]), float(matrix[1, 2]), float(matrix[2, 2])
 
 
 def with_rotor(values: Inertia, rotor: float) -> Inertia:
-    """Return an inertia with that of a rotor [kg m^2] added about all axes, see `HandDescription.with_rotors`."""
+    """Return an inertia plus that of a rotor [kg m^2] about all axes, see `HandDescription.with_rotors`."""
     return inertia_numbers(inertia_matrix(values) + rotor * np.eye(3))

@@ -16,11 +16,11 @@ from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import rotation_matrix
 
 _OTHER_STARTS = 11
-_LIMIT = 1e-6  # [rad] by which angles may exceed a limit
+_LIMIT = 1e-6  # [rad], largest excess of an angle over a limit
 
 
 _SMALLEST_LEVER = 0.01
-"""Singular value of a Jacobian, relative to the largest, up to which motors count as unable to push along its direction."""
+"""Singular values of a Jacobian up to this, relative to the largest, count as 0: the motors produce no force along their directions."""
 
 
 class HandKinematics:
@@ -30,16 +30,16 @@ class HandKinematics:
         hand: The description.
         tree: Its links and fingertips in the core.
         home: Rest posture [rad], (M,).
-        lower, upper: Joint limits [rad], (M,), -inf and inf without limits. They are narrowed so that coupled joints stay
-            within theirs.
+        lower, upper: Joint limits [rad], (M,), -inf and inf for joints without limits. They are narrowed so that coupled joints stay
+            within their own limits.
         torque_limits: Torque limits [N m], (M,).
-        drivers: The number of each joint's driver, (M,); a joint that is not coupled drives itself.
-        motors: The numbers of joints with a motor, ascending.
-        tip_links: The number of each fingertip's link, (N,).
+        drivers: The index of each joint's driver, (M,); a joint that is not coupled drives itself.
+        motors: Indices of the joints with a motor, ascending.
+        tip_links: The index of each fingertip's link, (N,).
         tip_radii: Radii of the fingertips [m], (N,).
         carries: True where a joint's motor moves a fingertip, (N, M).
         reach: Largest distance of a tip from the first joint of its finger [m], (N,).
-        roots: The origins of these first joints [m], (N, 3).
+        roots: Origins of the first joints of the fingers [m], (N, 3), world frame.
 
     Example:
         >>> kinematics = HandKinematics(HandDescription.four_finger())
@@ -119,11 +119,11 @@ class HandKinematics:
     def jacobian(self, angles: ArrayLike, finger: int, point: ArrayLike | None = None) -> Array:
         """Return the Jacobian J of a point on a finger's last link, (3, M) [m/rad], world frame.
 
-        To exert a force f at the point, the joints need the torques J^T f.
+        The joint torques J^T f exert the force f at the point.
 
         Args:
             angles: Joint angles [rad], (M,).
-            finger: Number of the finger.
+            finger: Index of the finger.
             point: The point [m], (3,), world frame; None: the centre of the fingertip.
 
         Raises:
@@ -139,7 +139,7 @@ class HandKinematics:
         return self.link_jacobian(angles, int(self.tip_links[finger]), place)
 
     def link_jacobian(self, angles: ArrayLike, link: int, point: ArrayLike) -> Array:
-        """Return the Jacobian (3, M) of a `point` (3,) [m], world frame, on the link of number `link`, at joint `angles` (M,) [rad]."""
+        """Return the Jacobian (3, M) of a `point` (3,) [m], world frame, on the link of index `link`, at joint `angles` (M,) [rad]."""
         whole(link, "link", 0, self.hand.joint_count - 1)
         out = np.empty((3, self.hand.joint_count))
         self.tree.jacobian(self._angles(angles), link, as_array(point, (3,), "point"), out)
@@ -310,8 +310,8 @@ class HandKinematics:
         )
 
 
-def motor_span(jacobian: Array) -> Array:
-    """Return orthonormal columns (K, R) that span the forces the motors can make, given their Jacobian (K, J)."""
+def motor_force_basis(jacobian: Array) -> Array:
+    """Return an orthonormal basis (K, R) of the forces that motors with the Jacobian (K, J) can produce."""
     ways, levers, _ = np.linalg.svd(jacobian, full_matrices=False)
     return ways[:, levers > _SMALLEST_LEVER * levers[0]]
 

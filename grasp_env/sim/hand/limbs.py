@@ -13,7 +13,8 @@ from grasp_env.sim.hand.frames import rotation_matrix
 from grasp_env.sim.hand.kinematics import HandKinematics
 
 _POSTURES = 64  # random postures within the joint ranges
-_NEAR, _MOSTLY = 0.002, 0.9  # [m] between near links; share of the postures in which always near links are near
+_NEAR = 0.002  # [m], largest gap of near links
+_MOSTLY = 0.9  # fraction of the postures in which links must be near to count as always near
 
 
 def hand_limbs(hand: HandDescription) -> list[core.Limb]:
@@ -55,14 +56,14 @@ def _limb(link: int, shape: Geometry, tipped: bool, spheres: set[tuple[int, floa
 
 
 def touching_pairs(hand: HandDescription, at_home: bool = True) -> tuple[tuple[int, int], ...]:
-    """Return pairs of links whose contact means nothing because their shapes touch anyway, by number, -1 for the palm.
+    """Return the pairs of links whose contact must be ignored, because their coarse shapes always touch; as indices, -1 for the palm.
 
-    Such links overlap in the rest posture or in half of the random postures, or they sometimes overlap and are nearly always
-    within 2 mm, because their shapes are coarse. Links that share a joint are left out.
+    Two links form such a pair if they overlap in the rest posture, or in at least half of the random postures, or if they overlap in
+    some posture and are within 2 mm in nearly all. Links that share a joint are left out.
 
     Args:
         hand: The hand.
-        at_home: True if overlap in the rest posture counts.
+        at_home: True if a pair that overlaps in the rest posture counts.
     """
     overlaps, nears, home = _pairs(hand)
     always = {pair for pair, count in overlaps.items() if 2 * count >= _POSTURES or nears[pair] >= _MOSTLY * _POSTURES}

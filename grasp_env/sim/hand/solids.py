@@ -15,13 +15,13 @@ from grasp_env.sim.hand.tree import Geometry, Vector3
 MAX_CORNERS = 40
 """Largest number of corners of a hull. A larger hull is replaced by one that contains it: around a round end its corners stick
 out by an eighth of the radius."""
-_FLAT = 3e-8  # [m] volume over area, about half of the thickness, up to which a shape is flat
+_FLAT = 3e-8  # [m], largest ratio of volume to area (about half of the thickness) of a flat shape
 _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
-_THIN = 5e-4  # [m] by which a flat shape is thickened on either side
+_THIN = 5e-4  # [m], thickness that is added to a flat shape on either side
 
 
 def outline(shape: Geometry) -> Array:
-    """Return points (K, 3) [m], link frame, whose hull is the shape. Hulls of round shapes are up to 4 % larger; a mesh has no points."""
+    """Return points (K, 3) [m], link frame, whose hull is the shape. The hull of a round shape is up to 4 % larger. A mesh has no points."""
     place = Frame.of(shape.origin, shape.rotation)
     if shape.kind == "box":
         points = 0.5 * _SIGNS * shape.size

@@ -16,10 +16,10 @@ from grasp_env.sim.hand.tree import Geometry, Link, Vector3
 SMALLEST, LARGEST = 0.004, 0.015
 """Smallest and largest radius of fitted spheres [m]."""
 
-_MIDDLE = 0.25  # share of the largest distance below which the mean of the far points gives no direction
+_MIDDLE = 0.25  # fraction of the largest distance: if the mean of the far points is nearer, it gives no direction
 _END = 0.03  # [m] length of the link's end in which the sphere is fitted
-_SHORT = (0.001, 0.002, 0.004)  # [m] allowed gaps between the sphere and the end of the link
-_PRICE = 0.6  # radius that a sphere must gain per metre of this gap
+_SHORT = (0.001, 0.002, 0.004)  # [m], allowed gaps between the sphere and the end of the link
+_PRICE = 0.6  # a larger gap is chosen if the radius grows by more than this times the increase of the gap
 
 
 class Ball(NamedTuple):
@@ -49,10 +49,10 @@ def end_direction(points: Array, axis: Array, outward: Array) -> Array:
 
 
 def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
-    """Return the largest sphere inside the end of a link that comes near its tip.
+    """Return the largest sphere that fits in the end of a link and comes near its tip.
 
-    The end is the hull of what the convex pieces (K, 3) have within 3 cm of the farthest point along `direction`. If the end is
-    wide, the sphere lies in its middle along `axis`. A thinner link gets a sphere of 4 mm radius that sticks out.
+    The end is the part of the convex pieces (K, 3) within 3 cm of the farthest point along `direction`; its hull is used. If the end is
+    wide, the sphere lies in its middle along `axis`. If the link is too thin, the sphere has a radius of 4 mm and protrudes.
     """
     far = max(float((piece @ direction).max()) for piece in pieces)
     ends = [end for piece in pieces if len(end := cut_below(piece, -direction, _END - far))]

@@ -80,7 +80,7 @@ class Mimic:
     Attributes:
         joint: Name of the driver, which is not coupled itself.
         ratio: Ratio of the angles, not 0; [m/rad] if a sliding joint follows a turning one, and so on.
-        offset: Angle at zero of the driver [rad], for a sliding joint [m].
+        offset: Angle of the joint when the driver is at 0 [rad], for a sliding joint [m].
     """
 
     joint: str
@@ -112,10 +112,10 @@ class Link:
         origin: Position of the joint [m], (3,), parent's frame.
         rotation: Roll, pitch and yaw at angle 0 [rad], (3,), parent's frame.
         axis: Unit axis of the joint, (3,), link frame.
-        lower: Lower joint limit [rad], of a sliding joint [m]; -inf together with upper=inf is a joint without limits.
+        lower: Lower joint limit [rad], of a sliding joint [m]. A joint without limits has lower=-inf and upper=inf.
         upper: Upper joint limit [rad], of a sliding joint [m].
-        torque_limit: Largest torque in both directions [N m], of a sliding joint the force [N]. That of a coupled joint is not
-            used: its driver carries the load.
+        torque_limit: Largest torque in both directions [N m], for a sliding joint the largest force [N]. It is not used for a coupled
+            joint, because the driver carries the load.
         mass: Mass of the link [kg].
         center: Centre of mass [m], (3,), link frame.
         inertia: ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2], link axes.

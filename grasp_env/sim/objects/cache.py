@@ -42,7 +42,7 @@ def folder() -> Path:
     return user_cache_path("grasp-force", appauthor=False) / "objects"
 
 
-def kept(
+def cached(
     key: str, name: str, arrays: Set[str], make: Callable[[], dict[str, Any]], use: str = "object"
 ) -> dict[str, Any]:
     """Return the arrays that `make` returns, from the cache if possible; otherwise make them and keep them there.

@@ -8,7 +8,7 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.mesh_shape import WELD, extent_of, open_edges, volume, welded
+from grasp_env.sim.mesh_shape import WELD, extent_of, open_edges, volume, weld
 
 _SEAM = 1e-5  # distance within which corners of open seams are merged, relative to the extent
 _MIN_VOLUME = 1e-6  # least volume of a solid, relative to the cube of its extent
@@ -19,7 +19,7 @@ _MAX_PARTS = 500  # they take a second
 _SAMPLED = 8  # corners of a part that are tested for being inside another part
 
 
-def closed(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[str]]:
+def close_mesh(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[str]]:
     """Return a closed solid, corners (V, 3) and faces (F, 3), and descriptions of the repairs, none if the mesh was closed.
 
     Coincident corners and faces are merged. Then, until the mesh is closed, trimesh orients faces alike, seams are welded, and trimesh
@@ -29,7 +29,7 @@ def closed(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[str]
         InvalidInputError: It cannot be closed, or encloses no volume.
     """
     extent = extent_of(corners)
-    corners, faces = welded(corners, faces, WELD * extent)
+    corners, faces = weld(corners, faces, WELD * extent)
     changes: list[str] = []
     count = len(faces)
     faces = _without_walls(faces)
@@ -54,8 +54,8 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
         turned = int((mesh.faces != before).any(axis=1).sum())
         return f"{turned} faces were turned" if turned else ""
 
-    def weld(mesh: Any) -> str:
-        points, again = welded(np.asarray(mesh.vertices), np.asarray(mesh.faces), _SEAM * extent)
+    def weld_seams(mesh: Any) -> str:
+        points, again = weld(np.asarray(mesh.vertices), np.asarray(mesh.faces), _SEAM * extent)
         gone = len(mesh.vertices) - len(points)
         if gone:
             mesh.vertices, mesh.faces = points, again
@@ -67,7 +67,7 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
         return f"holes were filled with {len(mesh.faces) - before} faces" if len(mesh.faces) > before else ""
 
     mesh = trimesh.Trimesh(corners, faces, process=False)
-    for repair in (turn, weld, fill, turn):
+    for repair in (turn, weld_seams, fill, turn):
         if change := repair(mesh):
             changes.append(change)
         if not open_edges(np.asarray(mesh.faces)):
@@ -205,7 +205,7 @@ def _united(corners: Array, parts: list[Any], depths: list[int], changes: list[s
             solids = [one]
             for part in (part for part, at in zip(parts, depths, strict=True) if at == depth):
                 if (volume(corners, part) < 0.0) == hollow:
-                    points, numbers = welded(corners, part[:, ::-1] if hollow else part, 1e-300)
+                    points, numbers = weld(corners, part[:, ::-1] if hollow else part, 1e-300)
                     solids.append(manifold3d.Manifold(manifold3d.Mesh64(points, numbers.astype(np.uint64))))
             if any(solid.status() != manifold3d.Error.NoError for solid in solids):
                 return corners, whole

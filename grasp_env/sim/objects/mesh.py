@@ -13,7 +13,7 @@ from grasp_env._check import Array, warn
 from grasp_env._files import digest
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.mesh_files import KINDS, mesh_bytes, read_mesh_bytes
-from grasp_env.sim.objects.cache import kept
+from grasp_env.sim.objects.cache import cached
 
 _VERSION = "6"
 """Version of the processed arrays, part of the cache's key: increase it when they change."""
@@ -79,7 +79,7 @@ def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mes
     kind = Path(path).suffix.lower()
     blob = mesh_bytes(path, name)
     key = digest(_VERSION.encode(), kind.encode(), blob)
-    made = kept(key, os.path.basename(path), _ARRAYS, lambda: _processed(*read_mesh_bytes(blob, kind, name), name))
+    made = cached(key, os.path.basename(path), _ARRAYS, lambda: _processed(*read_mesh_bytes(blob, kind, name), name))
     ends = np.cumsum(made["counts"])[:-1]
     vertices, pieces = np.ascontiguousarray(scale * made["vertices"]), scale * made["pieces"]
     for array in (vertices, made["faces"], pieces):  # shared by all objects of this file
@@ -93,10 +93,10 @@ def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mes
 
 def _processed(corners: Array, faces: Any, name: str) -> dict[str, Any]:
     """Close, measure and cut a mesh: everything that takes time, in the file's units."""
-    from grasp_env.sim.objects.closing import closed
+    from grasp_env.sim.objects.closing import close_mesh
     from grasp_env.sim.objects.pieces import convex_pieces
 
-    corners, faces, changes = closed(corners, faces, name)
+    corners, faces, changes = close_mesh(corners, faces, name)
     body = _centred(corners, faces)
     x, y, z = np.sort(body["gyration"]).tolist()
     if not (x > 0.0 and z < (x + y) * (1.0 + 1e-9)):

@@ -9,7 +9,7 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.mesh_shape import outermost, volume
+from grasp_env.sim.mesh_shape import reduce_hull, volume
 from grasp_env.sim.objects.apart import apart
 
 CONVEX = 1e-3
@@ -18,7 +18,7 @@ CONCAVITY = 0.03
 """Largest concavity of a piece as CoACD defines it: about the distance it may protrude from the mesh, over half the mesh's size."""
 MAX_PIECES = 32
 """Largest number of pieces of a connected mesh."""
-MOST_CORNERS = 256
+MAX_CORNERS = 256
 """Largest number of corners of a piece: the faces of a ball of 66 mm are then within 0.7 mm."""
 FINE = 2e-4
 """Distance by which omitted corners may stand out of a piece, relative to its size."""
@@ -33,7 +33,7 @@ _SEARCH = {"mcts_iterations": 60, "mcts_max_depth": 2, "resolution": 1000, "prep
 def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     """Cut a mesh into convex pieces with corners (K, 3): by CoACD (Wei et al. 2022), or by V-HACD if that fails; one if it is convex.
 
-    The pieces contain all corners of the mesh, except for what `MOST_CORNERS` leaves out. In hollows they protrude from the mesh by a few
+    The pieces contain all corners of the mesh, except for what `MAX_CORNERS` leaves out. In hollows they protrude from the mesh by a few
     hundredths of its size.
 
     Args:
@@ -48,7 +48,7 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
 
     hull = ConvexHull(corners)
     if volume(corners, faces) >= (1.0 - CONVEX) * hull.volume:
-        return [outermost(corners[hull.vertices], MOST_CORNERS, FINE)]
+        return [reduce_hull(corners[hull.vertices], MAX_CORNERS, FINE)]
     coarse, reason = _simplified(corners, faces), ""
     for task in ("by_coacd", "by_vhacd"):
         try:
@@ -119,5 +119,5 @@ def _covering(pieces: list[Array], corners: Array) -> list[Array]:
     out: list[Array] = []
     for number, hull in enumerate(hulls):
         grown = ConvexHull(np.vstack([hull.points[hull.vertices], corners[outside & (nearest == number)]]))
-        out.append(outermost(grown.points[grown.vertices], MOST_CORNERS, FINE))
+        out.append(reduce_hull(grown.points[grown.vertices], MAX_CORNERS, FINE))
     return out

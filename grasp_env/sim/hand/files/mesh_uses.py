@@ -13,7 +13,7 @@ from grasp_env.sim.hand.files.elements import refuse
 from grasp_env.sim.hand.files.pieces import pieces_of_file
 from grasp_env.sim.hand.solids import hull_shape
 from grasp_env.sim.hand.tree import Geometry, Vector3
-from grasp_env.sim.progress import counted
+from grasp_env.sim.progress import progress_bar
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def solids_of(shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str) -> 
             if isinstance(part, MeshUse):
                 first.setdefault((part.path, part.scale), (link, part.name))
     pieces, faults = dict[tuple[Path, Vector3], list[Array]](), list[str]()
-    for (path, scale), (link, name) in counted(list(first.items()), f"{file}: convex pieces of meshes"):
+    for (path, scale), (link, name) in progress_bar(list(first.items()), f"{file}: convex pieces of meshes"):
         try:
             pieces[path, scale] = pieces_of_file(path, scale)
         except InvalidInputError as error:

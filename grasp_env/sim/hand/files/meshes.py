@@ -16,8 +16,8 @@ from grasp_env._files import MEGABYTE, digest, read_bytes
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim import mesh_files
 from grasp_env.sim.mesh_files import key_lines, key_places, one_newline
-from grasp_env.sim.mesh_shape import WELD, extent_of, welded
-from grasp_env.sim.objects.cache import kept
+from grasp_env.sim.mesh_shape import WELD, extent_of, weld
+from grasp_env.sim.objects.cache import cached
 
 DRAWN = (".obj", ".stl", ".dae")
 """Suffixes of mesh files that Bullet draws."""
@@ -74,7 +74,7 @@ def read_mesh(path: str | Path) -> tuple[Array, Any]:
 def read_mesh_bytes(blob: bytes, kind: str, name: str) -> tuple[Array, Any]:
     """Return the corners and faces as `read_mesh` does, from a file's bytes and its suffix, such as ".obj"."""
     corners, faces = mesh_files.read_mesh_bytes(blob, kind, name)
-    corners, faces = welded(corners, faces, WELD * extent_of(corners))
+    corners, faces = weld(corners, faces, WELD * extent_of(corners))
     if len(faces) == 0:
         raise InvalidInputError(f"{name} holds no triangles: all its faces are lines or points; export it again")
     return corners, faces
@@ -120,7 +120,7 @@ def why_not_drawn(path: Path) -> str:
                 return {"why": np.array("")}
         return {"why": np.array("are broken")}
 
-    return str(kept(digest(_MADE.encode(), b"drawn", blob), path.name, frozenset(("why",)), make, use="hand")["why"])
+    return str(cached(digest(_MADE.encode(), b"drawn", blob), path.name, frozenset(("why",)), make, use="hand")["why"])
 
 
 def _corners_exist(blob: bytes) -> bool:

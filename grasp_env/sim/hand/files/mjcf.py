@@ -22,7 +22,7 @@ from grasp_env.sim.hand.inertia import inertia_numbers
 from grasp_env.sim.hand.tips import SMALLEST
 from grasp_env.sim.hand.tree import Geometry, Mimic
 from grasp_env.sim.mujoco_api import mujoco
-from grasp_env.sim.progress import counted
+from grasp_env.sim.progress import progress_bar
 
 _LEAST_SPAN = 0.1
 """Smallest plausible median range of the hinges [rad]."""
@@ -90,7 +90,7 @@ class MjcfReader:
         bodies = {name: body for body, name in self._names.items()}
         own = {geom for _, geom in self._tips.values() if geom is not None}
         shaped = dict[str, FileLink]()
-        for name, link in counted(list(links.items()), f"{self.path.name}: convex pieces of meshes"):
+        for name, link in progress_bar(list(links.items()), f"{self.path.name}: convex pieces of meshes"):
             if name in self._tips:
                 _, geom = self._tips[name]
                 solids = (

@@ -17,16 +17,16 @@ from grasp_env.sim.hand.tree import Vector3
 from grasp_env.sim.mesh_files import mesh_bytes
 from grasp_env.sim.mesh_shape import (
     WELD,
-    connected,
+    connected_parts,
     edges_of,
     extent_of,
     farthest,
     open_edges,
-    outermost,
+    reduce_hull,
     volume,
-    welded,
+    weld,
 )
-from grasp_env.sim.objects.cache import kept
+from grasp_env.sim.objects.cache import cached
 
 _FULL = 0.9  # share of its hull's volume from which on a mesh counts as convex
 _MAX_PIECES = 8
@@ -77,7 +77,7 @@ def hull_of_file(path: Path) -> Array:
 
     def make() -> list[Array]:
         hull = hull_of(read_mesh_bytes(blob, kind, name)[0])
-        return [outermost(hull.points[hull.vertices], MAX_VISUAL_CORNERS, _VISUAL_ERROR)]
+        return [reduce_hull(hull.points[hull.vertices], MAX_VISUAL_CORNERS, _VISUAL_ERROR)]
 
     return _kept(digest(_MADE.encode(), b"hull", kind.encode(), blob), path.name, make)[0]
 
@@ -95,7 +95,7 @@ def kept_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     """
     corners, faces = np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int64)
     key = digest(_MADE.encode(), b"arrays", corners.tobytes(), faces.tobytes())
-    return _kept(key, name, lambda: convex_pieces(*welded(corners, faces, WELD * extent_of(corners))))
+    return _kept(key, name, lambda: convex_pieces(*weld(corners, faces, WELD * extent_of(corners))))
 
 
 def _kept(key: str, name: str, make: Callable[[], list[Array]]) -> list[Array]:
@@ -103,7 +103,7 @@ def _kept(key: str, name: str, make: Callable[[], list[Array]]) -> list[Array]:
         pieces = make()
         return {"pieces": np.concatenate(pieces), "counts": np.array([len(piece) for piece in pieces])}
 
-    made = kept(key, name, _ARRAYS, arrays, use="hand")
+    made = cached(key, name, _ARRAYS, arrays, use="hand")
     return np.split(made["pieces"], np.cumsum(made["counts"])[:-1])
 
 
@@ -131,7 +131,7 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
     if abs(volume(corners, faces)) >= _FULL * hull.volume and len(parts) == 1:
         return [few_corners(corners)]
     if len(faces) > _FINE:
-        corners, faces = welded(corners, faces, extent / _GRAINS)
+        corners, faces = weld(corners, faces, extent / _GRAINS)
         corners, faces = (extent / _GRAINS) * np.round(corners * (_GRAINS / extent)), np.unique(faces, axis=0)
         if len(faces) > 2 * _FINE:  # a soup of triangles: cutting would take minutes
             return [few_corners(corners)]
@@ -201,7 +201,7 @@ def _hull_volume(points: Array) -> float:
 
 def _parts(faces: Any) -> list[Any]:
     """Return the faces of each connected part, or all faces as one part if there are too many parts."""
-    parts = connected(faces)
+    parts = connected_parts(faces)
     return [faces] if len(parts) > _CRUMBS else parts
 
 

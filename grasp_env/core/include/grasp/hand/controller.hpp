@@ -20,17 +20,17 @@ public:
     std::vector<double> torques;  // (M,) [N m]
     std::vector<double> force;  // (N, 3) commanded [N], contact frames
     std::vector<double> frames;  // (N, 3, 3) contact frames, columns (n, o, t), object frame
-    std::vector<double> depths;  // (N,) [m] below the surface: places that fingers hold while nothing is optimised
+    std::vector<double> depths;  // (N,) depth below the object's surface [m] at which `Hold::place` keeps the tips
     std::vector<double> home;  // (M,) rest posture [rad]
     std::vector<Point> goals, inwards;  // (N,) the grasp's contact points [m] and inward normals, object frame
     std::vector<double> solution;  // row of the method's last solve
     double peak = 0.0;  // largest |torque| since `reset` [N m]
     std::uint64_t mask = 0;  // fingers that count as in contact
-    int changes = 0;  // number of changes of `mask`
-    bool closure = true;  // true if the last tick that optimised found a force
+    int changes = 0;  // number of changes of `mask`, except from no contact
+    bool closure = true;  // false if the last tick with `Hold::optimized` had no contact or found no balanced force
     Effort effort;
 
-    // method: finds the forces at an agent's step, made for the contacts of all fingers. Throws std::invalid_argument.
+    // method: finds the forces when an agent's step begins. It must have one contact per finger, else std::invalid_argument.
     Controller(std::shared_ptr<Scene> given, const ForceOptimizer& method, const ControlSettings& settings,
                const SensorSettings& sensing)
         : scene(std::move(given)), tree(scene->tree), settings(settings), sensors(scene, sensing), torques(tree->joints()),
@@ -46,7 +46,7 @@ public:
     }
     Controller(const Controller&) = delete;
 
-    // Start a new episode; before its first tick the scene stands still.
+    // Start a new episode. Delayed measurements first show the current scene, as if it had been at rest.
     void reset() {
         std::fill(torques.begin(), torques.end(), 0.0);
         std::fill(force.begin(), force.end(), 0.0);
@@ -62,26 +62,27 @@ public:
 
     // Input of a control tick.
     struct Known {
-        Doubles reading;  // of the simulator or the hand, see `Reading`; empty: the scene is as last read
-        const double* external;  // (6,) wrench on the object that a perfect sensor reports [N, N m], object frame
+        Doubles reading;  // reading of the simulator or the hand, see `Reading`; empty if the scene already has it
+        const double* external;  // (6,) external wrench on the object that a perfect sensor reports [N, N m], object frame
         const double* noise;  // (3 + 3N,) standard normal numbers for noisy sensors
         Point gravity;  // [m/s^2], world
         Target target;
     };
-    // An agent's step, which begins at this tick. Every member is optional.
+    // An agent's step that begins at this tick. Every member is optional.
     struct Step {
-        Doubles adjustment{};  // (K,) [N] along `settings.directions`: added to the start, which is then repaired
-        Start start = Start::standard;  // of the method: its default, or `given`
-        Doubles force{};  // (N, 3) [N], contact frames: the given start, or the command for `Hold::direct`
+        // (K,) [N] along `settings.directions`: their sum is added to the start, which is then brought inside the cones
+        Doubles adjustment{};
+        Start start = Start::standard;  // where the method starts: by its own rule, or at `force` (`Start::given`)
+        Doubles force{};  // (N, 3) [N], contact frames: the start for `Start::given`, or the command for `Hold::direct`
     };
     // Run one control tick, from a reading to `torques` within the motors' limits. step: set when an agent's step begins. Return
-    // false, with nothing changed, if the reading is not finite or the object is lost.
+    // false, with nothing changed, if the reading is not finite or the object is farther away than `Snapshot::LOST_DISTANCE`.
     bool tick(const Known& known, const Step* step = nullptr) {
         const bool good = see(known);
         if (good) act(step);
         return good;
     }
-    // The two halves of a tick, for starts that depend on what is seen.
+    // The two halves of `tick`, for callers that compute the method's start from the new reading: first `see`, then `act`.
     bool see(const Known& known) {
         if (!known.reading.empty() && !scene->read(known.reading.data(), known.reading.size())) return false;
         sensors.see(known.external, known.noise, settings.body, known.gravity);
@@ -138,7 +139,7 @@ public:
     // Code of the method's last solve.
     Code code() const { return Code(int(reinterpret_cast<const Summary*>(solution.data())->code)); }
 
-    // Set the frames, and the measured forces as commanded ones, for a hand at rest before the first command.
+    // Start from rest: compute the contact frames, and copy the measured forces into `force` as if they had been commanded.
     void rest() {
         write_frames();
         worst_.slide = 0.0, std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});  // the first tick counts it again
@@ -149,16 +150,17 @@ public:
     // Worst values since `reset`, from the true state.
     struct Worst {
         double slide = 0.0;  // [m] largest sliding distance of a touching tip on the object
-        double overlap = 0.0;  // [m] of a tip and the object
-        double stray = 0.0;  // force of links on the object relative to external force plus weight, at least the weight
+        double overlap = 0.0;  // [m] largest penetration of a tip into the object
+        // Force of parts other than fingertips on the object, divided by max(|external force + weight|, weight).
+        double stray = 0.0;
     };
-    // Quality of the hold, from the true state: pose error against the target, and the fingers' forces and slip.
+    // Quality of the hold, from the true state: the object's pose error, and the forces and the slip of the fingers.
     struct Outcome {
         PoseError error;
         double drift, tilt;  // [m], [rad]: norms of the position and orientation errors
         double force_error = 0.0;  // largest component of measured - commanded force [N]
         double slip = 0.0;  // highest tangential speed of a touching tip on the object [m/s]
-        double stray = 0.0;  // force of links on the object [N]
+        double stray = 0.0;  // force of parts other than fingertips on the object [N]
         Worst worst;
     };
     // measured: receives the measured forces (N, 3) in the commanded contact frames [N].
@@ -183,14 +185,15 @@ public:
 
 private:
     static constexpr double STANDARD_GRAVITY = 9.81;  // [m/s^2]
-    static constexpr double NEAR = 0.9;  // of a torque limit: below it, the next tick ignores the limits
-    static constexpr double LIGHT = 1e-2;  // [N] of a landing finger, before division by the friction
-    static constexpr double ROUNDED = 1e-9;  // of a torque limit: allowed rounding
+    // Fraction of the torque limits: if all torques are below it, the next tick solves without these limits.
+    static constexpr double NEAR = 0.9;
+    static constexpr double LIGHT = 1e-2;  // smallest normal force times friction of a finger that has just landed [N]
+    static constexpr double ROUNDED = 1e-9;  // rounding allowed at a torque limit, as a fraction of it
 
-    // The joints with motors, and the motion of the contact points with them.
+    // The joints that have motors, and the torques of these motors.
     struct Motors {
         std::vector<int> of;  // (M,) index of a joint's motor; -1: coupled
-        std::vector<double> limit, bias;  // (J,) [N m]: torque limits of the motors; their torques from the links' weight
+        std::vector<double> limit, bias;  // (J,) [N m]: torque limits of the motors; torques that carry the links' weight
         explicit Motors(const Tree& tree) : of(tree.joints(), -1) {
             for (int j = 0; j < tree.joints(); ++j)
                 if (!tree.links[j].coupled()) of[j] = int(limit.size()), limit.push_back(tree.links[j].torque_limit);
@@ -201,24 +204,25 @@ private:
     Motors motors_;
     std::vector<double> jacobian_;  // (N, 3 or 6, J) object frame; declared before its users
     ForceOptimizer follow_, within_;  // Newton from the last command, on the cones only; Newton within the motors' limits
-    ForceOptimizer least_sum_;  // the least sum of normal forces
+    ForceOptimizer least_sum_;  // finds the least sum of normal forces, for `costs`
     ElasticBalance elastic_;
-    // Rows of the three solvers, and of the last command.
+    // Solution rows of these three solvers, and the last command as such a row.
     std::vector<double> follow_row_, within_row_, least_sum_row_, last_row_;
     bool has_last_ = false;  // true if there is a last command
-    // The last command is near the limits and kept them; it exceeds them least.
+    // near: the last command is near the torque limits. exceeds: no force is within them, and it exceeds them least.
     bool near_limits_ = false, exceeds_limits_ = false;
-    std::uint64_t squeezed_mask_ = 0;  // the fingers of `squeezed_`
+    std::uint64_t squeezed_mask_ = 0;  // fingers for which `squeezed_` was computed
     Worst worst_;
-    double load_ = 1.0;  // [N] external force plus weight, at least the weight, since pushes may cancel it
+    double load_ = 1.0;  // [N] max(|external force + weight|, weight): a push may cancel the weight
     std::vector<Point> slid_;  // (N,) path of each tip on the object by sliding [m], object frame
     bool has_lost_force_ = false;  // a finger that counts as in contact has no force
     std::vector<int> ticks_apart_;  // (N,) ticks since a finger had force
     Target target_{};
-    // (N, 3): commands of the last tick and before the step; the agent's; internal; object frame
+    // (N, 3) [N], contact frames: commands of the last tick and before the agent's step; forces of `Hold::direct` and
+    // `Hold::squeeze`. The adjustment is in the object frame.
     std::vector<double> last_force_, step_force_, given_, squeezed_, adjustment_;
-    std::vector<double> torsion_;  // (N,) commanded [N m]
-    std::vector<double> pull_, extra_torques_, trial_torques_;  // (M,) work space of `keep_posture`, `add_within`, `fits`
+    std::vector<double> torsion_;  // (N,) commanded moments about the normals [N m]
+    std::vector<double> pull_, extra_torques_, trial_torques_;  // (M,) work space of the functions below
     std::vector<double> tip_push_, tip_jacobian_;  // work space of `keep_posture`
     Cholesky gram_;
     bool is_redundant_;
@@ -329,7 +333,7 @@ private:
         std::copy_n(row.force(), force.size(), force.data());
         std::copy_n(row.torsion(), torsion_.size(), torsion_.data());
     }
-    // Solve by the method on the current contacts.
+    // Solve with the method on the current contacts.
     Record by_method(const Step& step) {
         Request ask{.wrench = wrench.data(), .now = contacts(), .start = step.start};
         if (step.start == Start::given) ask.force = step.force;
@@ -353,7 +357,7 @@ private:
                 .start = Start::previous,
                 .previous = has_last_ ? last_row_.data() : nullptr};
     }
-    // Solve by Newton within the motors' limits, from the row of a force near them. Return false without a force.
+    // Solve by Newton within the motors' limits, from the row of an earlier force. Return false if no force was found.
     bool keep_limits(const double* previous) {
         within_.solve({.wrench = wrench.data(), .now = limited_contacts(), .start = Start::previous, .previous = previous},
                       within_row_.data());
@@ -364,7 +368,7 @@ private:
         near_limits_ = !motors_can_make(NEAR);
         return within.has_force();
     }
-    // Without force closure: from the last forces, minimise the balance residual.
+    // No balanced force was found: minimise the balance residual, from the last forces.
     void balance_elastically() {
         closure = near_limits_ = false;
         touching([&](int i) { std::copy_n(&last_force_[3 * i], 3, &force[3 * i]); });
@@ -378,7 +382,7 @@ private:
             for (std::size_t k = 0; k < columns; ++k) adjustment_[j] += settings.directions[columns * j + k] * coordinates[k];
         }
     }
-    // A finger that has just landed was commanded no force in its cone; place its force just inside.
+    // The last command of a finger that has just landed is not inside its cone. Move it just inside.
     void lift_landed_forces() {
         const Record row(last_row_.data());
         touching([&](int i) {
@@ -398,7 +402,7 @@ private:
         std::copy(torsion_.begin(), torsion_.end(), row.torsion());
         std::copy(frames.begin(), frames.end(), row.frames());
     }
-    // Move the forces towards the last command, so that no component changes by more than `most_change` beyond balance.
+    // Move the forces towards the last command, rebalanced, so that no component differs from it by more than `most_change`.
     void bound_change() {
         const auto change = [&](const double* then) {
             double most = 0.0;
@@ -428,7 +432,8 @@ private:
         }
         return share;
     }
-    // An internal force of the method's own contacts for the fingers that touch, with the total normal force of the settings.
+    // Compute an internal force of the fingers in contact, at the method's original contacts, with the total normal force
+    // `settings.squeeze`.
     void squeeze() {
         const double nothing[6] = {};
         follow_.solve({.wrench = nothing, .now = {.contacts = mask}}, follow_row_.data());
@@ -443,7 +448,7 @@ private:
     }
     // Restore balance by the least-norm change of the forces, as far as these contacts can.
     void restore_balance() {
-        constexpr double SHIFT = 1e-9;  // of the largest entry: two contacts cannot turn the object about the line between them
+        constexpr double SHIFT = 1e-9;  // relative to the largest entry: for two contacts the matrix is singular
         Packed6 gram{};
         Vec6 missed = wrench;
         const auto column = [&](int i, int a) { return unit_wrench(seen().points[i], axis(i, a)); };
@@ -505,8 +510,8 @@ private:
         }
     }
 
-    // Spring and damper force [N], world frame, that draws tip i to its place inside the surface at its goal: at the target while
-    // nothing is optimised, otherwise carried by the object.
+    // Spring and damper force [N], world frame, that draws tip i to its place below the surface at its goal. With `Hold::place`
+    // this place moves with the target pose of the object, otherwise with its current pose.
     Point reach(int i) const {
         const Snapshot& s = seen();
         const bool anchored = hold == Hold::place;
