@@ -23,9 +23,9 @@ IN_PYTHON = {
 }  # fmt: skip
 """Names that differ in Python."""
 CPP_ALONE = {
-    "Options.gap", "Now.empty", "Ask.now", "Summary.joints", "Summary.limits", "Record.has_force", "Record.summary",  # attributes do it
+    "Options.gap", "Changes.empty", "Request.now", "Summary.joints", "Summary.limits", "Record.has_force", "Record.summary",  # attributes do it
     "Record.clear", "Record.refute",  # which write records
-    "Start.standard", "Start.guess", "Start.central", "Ask.adjustment", "Code.RANK_LOST",  # None, `Repair`, the environment, an error
+    "Start.standard", "Start.guess", "Start.central", "Request.adjustment", "Code.RANK_LOST",  # None, `Repair`, the environment, an error
 }  # fmt: skip
 """Names that Python lacks."""
 
@@ -69,6 +69,6 @@ def test_every_public_name_is(place: str) -> None:
 
 def test_the_lists_hold_existing_names_only() -> None:
     assert set(IN_PYTHON) | CPP_ALONE <= set(names())
-    assert {"ForceOptimizer.solve", "Options.elastic", "Now.friction", "Summary.margin", "Method.conic"} <= set(names())
+    assert {"ForceOptimizer.solve", "Options.elastic", "Changes.friction", "Summary.margin", "Method.conic"} <= set(names())
     assert members("    Doubles jerk{}, snap{};") == ["jerk", "snap"]  # a new name is found
     assert members("    std::span<const double, 6> wrench() const { return wrench_; }") == ["wrench"]

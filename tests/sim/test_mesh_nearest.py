@@ -225,5 +225,5 @@ def test_invalid_pieces_and_faces() -> None:
             core.Surface.mesh(corners, wrong.astype(float), [corners])
     with pytest.raises(ValueError, match="faces and pieces"):
         core.Surface.mesh(corners, faces.astype(float), [])
-    with pytest.raises(ValueError, match="has area"):
+    with pytest.raises(ValueError, match="must have area"):
         core.Surface.mesh(0.0 * corners, faces.astype(float), [corners])

@@ -57,7 +57,7 @@ def test_inertia_of_the_solid_and_copies(shape: str) -> None:
         ({"shape": "torus"}, "'cuboid', 'cylinder', 'sphere', 'capsule', 'mesh'"),
         ({"shape": "mesh"}, "needs the path"),
         ({"mesh": "a.obj"}, "mesh=None"),
-        ({"size": (0.1, 0.1)}, "3 numbers"),
+        ({"size": (0.1, 0.1)}, r"must have shape \(3,\)"),
         ({"size": (100.0, 100.0, 100.0)}, "in metres"),
         ({"shape": "sphere", "size": (1e-4,)}, "0.001 to 1"),
         ({"shape": "capsule", "size": (0.1, 0.05)}, "at least its diameter"),

@@ -251,10 +251,10 @@ int main(int given, char** arguments) {
     refused("model for three", [&] { ForceOptimizer({Contacts::from(all.first(9), up.first(9), 0.4)}, learning); });
 
     // mistakes in the numbers
-    const auto advised = [](const char* name, const Contacts& given, Doubles load) {
+    const auto advised = [](const char* name, const Contacts& at, Doubles load) {
         std::printf("advice, %s:", name);
-        for (const Advice& each : advise(given, {}, load)) std::printf(" %d %s", each.near_certain, each.text.c_str());
-        std::printf("%s\n", looks_wrong(given, {}, load) ? " (looks wrong)" : " (nothing)");
+        for (const Advice& found : advise(at, {}, load)) std::printf(" %d %s", found.near_certain, found.text.c_str());
+        std::printf("%s\n", looks_wrong(at, {}, load) ? " (looks wrong)" : " (nothing)");
     };
     std::vector<double> millimetres(all.begin(), all.end()), outward(std::begin(normals), std::end(normals));
     for (double& x : millimetres) x *= 1000.0;
