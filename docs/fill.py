@@ -5,8 +5,8 @@ python -m docs.fill --check         lists the blocks that differ from the saved 
 python -m docs.fill --save RUN...   saves the summaries of run folders, of `grasp` or of the benchmarks
 
 docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json its settings and machine, KIND.svg its picture, if it
-has one. Of the force benchmark force.parquet holds all rows. Each table of a page is a function in `TABLES`, a query on these files.
-The file is long because it holds all of these short functions.
+has one. Of the force benchmark force.parquet holds all rows. This module contains one short function for each table, a query on these files; `TABLES` lists
+them by the names of the blocks.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ LAYERS = {
     "qplayer": "ProxSuite, pyramids",
 }
 PLAIN = {
-    "time of cvxpylayers over ours, batch of 1": "time of cvxpylayers with SCS over ours, batch of 1",
-    "time of cvxpylayers_clarabel over ours, batch of 1": "time of cvxpylayers with Clarabel over ours, batch of 1",
+    "time of cvxpylayers over ours, batch of 1": "cvxpylayers (SCS) time / our time, batch of 1",
+    "time of cvxpylayers_clarabel over ours, batch of 1": "cvxpylayers (Clarabel) time / our time, batch of 1",
     "all four errors: rate of the paper's pipeline minus that of constant squeeze, each at its chosen setting":
-        "holding rate minus that of a constant squeeze, four errors at once",
-    "cost of a step over the bare PyBullet calls, median of pairs": "time of an environment step over that of its PyBullet calls",
+        "holding rate, ours minus constant squeeze, with errors of friction, delay, tactile sensing and torque at once",
+    "cost of a step over the bare PyBullet calls, median of pairs": "environment step time / time of its PyBullet calls",
 }  # fmt: skip
 """Shorter names of claims in the table of README.md."""
 VERDICTS = {True: "yes", False: "**NO**", None: "not measured"}
@@ -309,15 +309,15 @@ def overview() -> str:
     constant = row("reproduce", "case == 'times' and rule == 'fixed' and start == 'linear_combination'")
     engines = max(judged("transfer"), key=lambda one: abs(one.measured or 0.0))
     rows = [
-        ["exact optimum with certificate, 3 to 5 contacts, from Python (from C++)", f"{fixed_contacts('conic_python')} us ({fixed_contacts('conic')} us)",
+        ["exact optimum with certificate, 3 to 5 contacts, from Python (from C++), median / p99", f"{fixed_contacts('conic_python')} us ({fixed_contacts('conic')} us)",
          f"fastest other solver (generated C): {fixed_contacts('qocogen_fast')} us"],
-        ["optimum of Phi from Python, Newton, cold start", f"{varied('internal_force', 'newton', 'microseconds')} us",
+        ["optimum of Phi from Python, Newton, cold start, median / p99", f"{varied('internal_force', 'newton', 'microseconds')} us",
          f"the paper's flow from the 12-basis: {varied('linear_combination', 'reduced_flow', 'microseconds')} us"],
-        ["optimum of Phi from Python, Newton, learned start", f"{varied('learned_fixed', 'newton', 'microseconds')} us",
+        ["optimum of Phi from Python, Newton, learned start, median / p99", f"{varied('learned_fixed', 'newton', 'microseconds')} us",
          f"the paper's flow from the learned start: {varied('learned_fixed', 'reduced_flow', 'microseconds')} us"],
-        ["iterations of the paper's flow from the 12-basis", varied("linear_combination", "reduced_flow", "iterations"),
+        ["iterations of the paper's flow from the 12-basis, median / p99", varied("linear_combination", "reduced_flow", "iterations"),
          f"with a constant step: {pair(constant, 'iterations')}"],
-        ["iterations of the paper's flow from the network", varied("network", "reduced_flow", "iterations"), "at most 3 / 15"],
+        ["iterations of the paper's flow from the learned start without repair, median / p99", varied("network", "reduced_flow", "iterations"), "at most 3 / 15"],
         ["optimum of Phi and its gradients in torch, batch of 1000", f"{number(layer('layer')['microseconds_median'])} us a problem",
          f"cvxpylayers with Clarabel: {layer('cvxpylayers_clarabel')['ratio_median']:.0f} times as long"],
         ["random objects held for 4 s under a random wrench", "{held_sum:.0f} of {n}".format(**row("env", "case == 'objects' and controller == 'paper'")), "at least 99 %"],
@@ -325,9 +325,7 @@ def overview() -> str:
         *(["**missed**: " + PLAIN.get(one.claim.name, one.claim.name), one.found, one.asked]
           for kind in ("starts", "layer", "env", "env_speed") for one in judged(kind) if one.met is False),
     ]  # fmt: skip
-    return markdown(
-        "starts", pd.DataFrame(rows, columns=["median / 99th percentile", "measured", "target or comparison"])
-    )
+    return markdown("starts", pd.DataFrame(rows, columns=["quantity", "measured", "target or comparison"]))
 
 
 def fixed_contacts(method: str) -> str:

@@ -1,6 +1,6 @@
 """`FourFingerGrasp-v0`: a simulated hand with grasp forces that are optimised at every step.
 
-The file is long because the docstring of the class is the manual of the environment.
+It contains the environment, whose class docstring is its manual, and what `gym.make` calls to complete it.
 """
 
 from __future__ import annotations
@@ -45,22 +45,33 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     ## Step
     The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster (see `EnvConfig`). A control tick reads the
-    contacts from the simulator and builds G from the existing ones. The wrench to balance is external wrench + gravity - inertial
-    wrench of the wanted motion + object-pose feedback. At the first tick of a step the initial force comes from the start rule (by
-    default the paper's linear combination of 12 offline optima) plus the action, and the method optimises it (by default the reduced
-    gradient flow; on soft contacts, which the flows do not support, Newton). At the other ticks Newton continues from the last command
-    (`info["followed"]`). The forces become joint torques. A finger without contact reaches for its place. When a finger slips off or
-    lands, the forces of all others change at the next tick, by at most `controller.force_rate` beyond what balance needs. If the
-    contacts cannot balance the wrench, the forces inside the cones with the smallest imbalance are commanded.
+    contacts from the simulator and builds G from the existing ones. The wrench to balance is the external wrench plus gravity plus
+    pose feedback, minus the wrench that accelerates the object along its target motion. The ticks differ in how they find the forces:
 
-    Torques stay within the motors' limits, reduced by what the links' weight takes. If a force needs more, Newton within the limits
-    continues from it in the same control tick (`info["limited"]`). If no force is within the limits, the one with the smallest excess
-    is commanded, its torques are cut at the limits (`info["saturated"]`), and the episode goes on. A finger with fewer than three
-    motors (missing or coupled joints) pushes in the directions of its motors, and its structure carries the rest of its force. Any
-    remaining internal force that no motor can produce is determined by the physics engine.
+    - First tick of a step: the initial force comes from the start rule (by default the paper's linear combination of 12 offline optima)
+      plus the action. The method optimises it: by default the reduced gradient flow, on soft contacts Newton, because the flows do
+      not support them.
+    - Other ticks: Newton continues from the last command, or the conic solver if that is the method (`info["followed"]` counts the
+      iterations).
 
-    An episode starts from true contacts: the fingers close on the object and take over its weight. At reset the contact
-    forces balance the weight within 1 %. A hand that is not `HandDescription.placed` is put where it holds the object well.
+    The forces become joint torques. A finger without contact reaches for its place. When a finger slips off or lands, the forces of all
+    others change at the next tick, by at most `controller.force_rate` beyond what balance needs.
+
+    Torques stay within the motors' limits, reduced by the torques that carry the links' weight. If a force needs more, Newton within the
+    limits continues from it in the same control tick (`info["limited"]` counts its iterations). There are two fallbacks; in both the
+    episode goes on:
+
+    - No force inside the friction cones balances the wrench: the forces inside the cones with the smallest imbalance are commanded.
+    - Such forces exist, but none within the torque limits: the one that exceeds the limits least is commanded, and its torques are
+      clipped to the limits (`info["saturated"]`).
+
+    A finger with fewer than three motors (missing or coupled joints) can actively control only the force components that its motors can
+    produce. Its rigid links and joints carry the remaining components passively. The controller does not set these passive forces; the
+    physics engine does.
+
+    The grasp is simulated: the fingers close on a supported object, and the support is then removed. At the start of an episode the
+    contact forces balance the weight within 1 %. If `HandDescription.placed` is False and no `contact_points` are given, the environment
+    first searches for a pose of the palm from which the hand can hold the object.
 
     ## Tasks
     `Hold()` against `disturbance`, `Move(motion)`, `Payload()` (the mass grows), `SixDirections()` (pushes of 10 N/kg).
@@ -73,14 +84,15 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     - "initial_force" (3N - 6,): an adjustment of the initial force along internal forces (null-space coordinates, times
       `action_scale` newtons). The six directions of the four-finger hand are squeezes along the lines between two contacts
       (thumb-middle, thumb-left, thumb-right, middle-left, middle-right, left-right), orthonormalised. They move
-      continuously with the contacts; with fewer contacts they are projected. Zero is the paper's start. An adjusted start is repaired:
-      the solver starts from the force with the smallest Phi on the line between the linear combination and the adjusted force.
+      continuously with the contacts; with fewer contacts they are projected. Zero is the paper's start. The solver does not take the
+      adjusted force as it is: it searches the segment from the paper's start to the adjusted force, and starts from the point with
+      the smallest Phi.
     - "contact_force" (3N,): the contact forces themselves, without a solver: per finger normal in [0, 2 `action_scale`], o and t in
       +-`action_scale`.
     - "none" (1,): ignored.
 
     `gym.make` warns if "initial_force" leaves an agent nothing to improve: with controllers that do not optimise, with `conic`,
-    which has no start, and with Newton, which takes as many iterations from any start.
+    which has no start, and with Newton, whose iteration count hardly depends on the start.
 
     ## Observation space
     `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:
@@ -104,38 +116,68 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     `observation="dict"` gives a `Dict` of the same numbers by their keys.
 
     ## Reward
-    `reward.held` * (1 - c) while the object is held. c is the sum of four costs, each from 0 to 1 and times its weight in `Reward`:
+    `reward.held` * (1 - c) while the object is not lost. c is the sum of four costs, each from 0 to 1 and times its weight in `Reward`:
 
-    - `iterations`: iterations of the method / `iteration_scale`, at most 1; 1 if the contacts cannot balance the wrench.
-    - `force`: the share of the commanded normal forces above the least that balances the wrench; 1 if none does.
-    - `torque`: the largest torque of the step as a share of its limit.
-    - `force_change`: the change of the commanded forces in the step, as a share of the forces before and after.
+    - `iterations`: min(1, iterations of the method / `iteration_scale`); 1 if the contacts cannot balance the wrench.
+    - `force`: 1 - s_min / s, where s is the sum of the commanded normal forces and s_min the smallest sum that balances the wrench;
+      1 if no forces balance it.
+    - `torque`: the largest |torque| / limit of a joint in the step.
+    - `force_change`: sum |f - f0| / sum (|f| + |f0|) over the components of the commanded forces f after and f0 before the step.
 
-    The weights add up to at most 0.9, so every step with the object held pays more than 0. The step that loses the object pays
-    -`failure_cost`, by default 0. The terms `info["reward/held"]`, `info["reward/iterations"]`, ... add up to the reward.
+    The weights add up to at most 0.9, so every step in which the object is not lost pays more than 0. The step that loses the object
+    pays -`failure_cost`, by default 0. The terms `info["reward/held"]`, `info["reward/iterations"]`, ... add up to the reward.
 
     ## Episode end
-    Terminated when the object is lost (`info["failure"]`: "dropped", "closure_lost" (no force closure for `limits.max_contact_gap`),
-    "force_optimisation" (a start rule that does not fit) or "simulation_diverged"). Truncated after `limits.duration`, by default that of
-    the task (hold 2 s, move and payload 4 s, six_directions 12 s).
+    An episode is terminated when the object is lost. `info["failure"]` is the reason:
 
-    `is_success` needs more than an object that is not lost. Since reset no fingertip may have slid on the object by more than
-    `limits.max_slide` or penetrated it by more than `limits.max_overlap`, and other parts of the hand may not have pushed it with more than
-    `limits.max_stray` of the load. `info["fault"]` is the reason against success: the `failure`, "drifted" (beyond the task's own limits),
-    "slid", "overlap" or "stray_force".
+    - "dropped": it is farther from its target pose than `limits.max_drift` or `limits.max_tilt`.
+    - "closure_lost": no forces balanced the wrench for longer than `limits.max_contact_gap`.
+    - "force_optimisation": the optimisation failed, for example because a user's start rule does not fit.
+    - "simulation_diverged": the simulator's state is no longer finite or the object is far away.
+
+    An episode is truncated after `limits.duration`, by default that of the task (hold 2 s, move and payload 4 s, six_directions 12 s).
+
+    `is_success` is stricter than "not lost". Since reset no fingertip may have slid on the object by more than `limits.max_slide` or
+    penetrated it by more than `limits.max_overlap`, and the force of other parts of the hand on the object may not have exceeded
+    `limits.max_stray` as a fraction of the load. The load is |external force + weight|, but at least the weight. `info["fault"]` is the
+    first reason why the object does not count as held, "" if it does: the `failure`, "drifted" (beyond the task's own limits), "slid",
+    "overlap" or "stray_force".
 
     ## Info
-    The same keys at every reset and step. Of the optimisation: `iterations`, `trials`, `status` (a `Status`; "none" at reset and without
-    optimisation; "failed"), `objective`, `optimality_gap`, `cone_margin`. Of the contacts: `force_closure`, `contacts` (number of fingers),
-    `contact_changes`, `wrench` (6,), `commanded_force` (N, 3), `measured_force` (N, 3), `force_error` [N], `touching` (N,), `stray_force` (of
-    links on the object) [N], `slip` [m/s]. The largest since reset: `slip_distance` (of a fingertip on the object) [m], `overlap` (of a
-    fingertip with the object) [m], `stray_share` (`stray_force` as a share of the load). Of the object: `drift` [m] and `tilt` [rad] from its
-    wanted pose. Of the motors: `peak_torque` [N m], `followed` (iterations at the control ticks after the step's first), `limited`
-    (iterations of Newton within the torque limits), `torque_margin` (smallest limit - |torque| in the step) [N m], `torque_share` (largest
-    torque of the step as a share of its limit), `saturated` (torques were cut: no force within the limits balances the wrench). Of the
-    episode: `structure_share` (N,) (share of each finger's force under the episode's loads that no motor can produce, computed at reset;
-    above 0.65 the environment warns once), `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m],
-    `redrawn` (number of random objects that the hand could not hold), `failure`, `fault`, `is_success`, and the reward terms.
+    Every reset and step returns the same keys:
+
+    | key | shape | unit | meaning |
+    |---|---|---|---|
+    | `iterations`, `trials` | | 1 | accepted and tried iterations of the method in the step |
+    | `status` | | str | the solver's `Status`; "none" at reset, without optimisation, and if the method found no force; "failed" if the step failed before there was a status |
+    | `objective`, `optimality_gap` | | 1 | objective and certified relative gap |
+    | `cone_margin` | | N | smallest distance to a friction cone |
+    | `force_closure` | | bool | the contacts could balance the wrench at the last tick |
+    | `contacts`, `contact_changes` | | 1 | number of fingers in contact, and of its changes since reset |
+    | `wrench` | (6,) | N, N m | wrench to balance, object frame |
+    | `commanded_force`, `measured_force` | (N, 3) | N | contact forces, contact frames |
+    | `force_error` | | N | largest component of their difference |
+    | `touching` | (N,) | bool | fingers that touch |
+    | `stray_force` | | N | force of links other than fingertips on the object |
+    | `slip` | | m/s | highest tangential speed of a fingertip on the object |
+    | `slip_distance` | | m | largest distance since reset that a fingertip slid on the object |
+    | `overlap` | | m | largest penetration of a fingertip since reset |
+    | `stray_share` | | 1 | largest `stray_force` since reset, as a fraction of the load |
+    | `drift`, `tilt` | | m, rad | distance and angle of the object from its target pose |
+    | `peak_torque` | | N m | largest absolute torque since reset |
+    | `followed` | | 1 | iterations at the control ticks after the step's first |
+    | `limited` | | 1 | iterations of Newton within the torque limits |
+    | `torque_margin` | | N m | smallest distance of a torque from its limit in the step |
+    | `torque_share` | | 1 | largest absolute torque of the step as a fraction of its limit |
+    | `saturated` | | bool | torques were clipped: no force within the limits balances the wrench |
+    | `structure_share` | (N,) | 1 | fraction of each finger's force that its motors cannot produce, for the loads of this episode; computed at reset, one warning if above 0.65 |
+    | `time` | | s | time since reset |
+    | `object_mass`, `object_friction` | | kg, 1 | mass; friction coefficient between object and fingertips |
+    | `object_shape`, `object_size` | | str, m | shape and largest extent |
+    | `redrawn` | | 1 | number of random objects rejected at this reset because the hand could not hold them |
+    | `failure`, `fault`, `is_success` | | str, str, bool | see "Episode end" |
+    | `reward/held`, ... | | 1 | terms of the reward |
+
     `agent={"info": "numbers"}` leaves the strings out and makes arrays of all numbers, for readers such as torchrl's.
 
     Without optimisation (`controller.kind`, "contact_force") `force_closure` stays True. "pd" commands no forces: its `commanded_force` and
@@ -204,7 +246,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         assert limits.duration is not None
         assert limits.max_drift is not None
         assert limits.max_tilt is not None
-        self._max_drift, self._max_tilt, self._max_open = limits.max_drift, limits.max_tilt, limits.max_contact_gap
+        self._max_drift, self._max_tilt, self._max_time_without_closure = (
+            limits.max_drift,
+            limits.max_tilt,
+            limits.max_contact_gap,
+        )
         self._step_limit = max(1, round(limits.duration * config.agent.rate))
         self._camera: Camera | None = None
         self._window: Painter | None = None
@@ -235,7 +281,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._started = False
         stage.set(self.np_random)
         self.episode = episode = stage.episode
-        self._upright = np.array(episode.gravity)
+        self._nominal_gravity = np.array(episode.gravity)
         self._measured_wrench = episode.sensors.wrench == "measured"
         self._strength, self._noise = episode.controller.motor_strength, episode.controller.force_noise
         plan = make_plan(episode, self.np_random, scene.config.object.mass)
@@ -255,20 +301,21 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             "object_size": max(item.extent),
             "redrawn": stage.redrawn,
         }
-        self._gravity_varies = not (plan.gravity == plan.gravity[0]).all()
-        self._mass_varies = not (plan.mass_factor == 1.0).all()
+        # the stage has set the nominal gravity, which the plan may replace by another constant
+        self._gravity_differs = not (plan.gravity == self._nominal_gravity).all()
+        self._mass_differs = not (plan.mass_factor == 1.0).all()
         self._last_row = len(plan) - 1
         self._loop.reset(self.np_random)
         self._motor_noise = NoiseRows(
             np.random.default_rng(int(self.np_random.integers(2**63))), len(self._torque_limits)
         )
-        self._tick, self._open = 0, 0.0
+        self._tick, self._time_without_closure = 0, 0.0
         self._failure, self._ended, self._started = "", False, True
-        self._plan_acts = self._gravity_varies or self._mass_varies or self._world_pushes is not None
+        self._plan_acts = self._gravity_differs or self._mass_differs or self._world_pushes is not None
         self._imperfect_motors = self._noise or self._strength != 1.0
         external, _ = self._apply_plan(scene, 0)
         self._observer.watch(scene.look(), self._loop)
-        self._loop.rest(external, self._believed_gravity(scene), self._targets[0])
+        self._loop.rest(external, self._assumed_gravity(scene), self._targets[0])
         self._report_structure(scene, plan)
         terms = self.config.reward.terms(True, 0, NO_COSTS)
         self._observed = self._observe(scene)
@@ -281,7 +328,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             InvalidInputError: the action has the wrong shape or is not finite.
             SimulationError: called before `reset`, after `close`, or after the end of the episode.
         """
-        scene = self._open_stage().scene
+        scene = self._stage_or_raise().scene
         if not self._started:
             raise SimulationError("step before reset: call reset() first")
         if self._ended:
@@ -307,7 +354,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return an (H, W, 3) picture in "rgb_array" mode; update the window in "human" mode."""
-        scene = self._open_stage().scene
+        scene = self._stage_or_raise().scene
         annotation = self._annotation(scene)
         if self.render_mode == "human" and annotation is not None:
             window: Painter = self._window or class_of(scene.config.engine, "painter").of_scene(scene)
@@ -324,7 +371,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     @property
     def scene(self) -> Scene:
         """The simulation, for cameras and measurements."""
-        return self._open_stage().scene
+        return self._stage_or_raise().scene
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -341,7 +388,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             InvalidInputError: more steps than can be planned.
         """
         self.config = self.config.override(duration=whole(steps, "max_episode_steps", 1) / self.config.agent.rate)
-        self._open_stage().config = self._open_stage().episode = self.config
+        self._stage_or_raise().config = self._stage_or_raise().episode = self.config
         self._step_limit = steps
         if self._spec is not None:
             kwargs = {**self._spec.kwargs, "duration": self.config.limits.duration}
@@ -367,28 +414,28 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             agent.action_mode == "initial_force" and any(numbers) and loop.count > 2
         ):  # two contacts have no internal directions
             adjustment = agent.action_scale * np.array(numbers)
-        believed, acts = scene.gravity if self._measured_wrench else self._upright, self._plan_acts
+        assumed_gravity, acts = scene.gravity if self._measured_wrench else self._nominal_gravity, self._plan_acts
         for k in range(self._ticks_per_step):
             tick = min(self._tick, self._last_row)
             external, push = self._apply_plan(scene, tick) if acts else (self._wrenches[tick], self._pushes[tick])
             if acts:
-                believed = self._believed_gravity(scene)
-            torques = loop.tick(external, believed, self._targets[tick], k == 0, adjustment, given)
+                assumed_gravity = self._assumed_gravity(scene)
+            torques = loop.tick(external, assumed_gravity, self._targets[tick], k == 0, adjustment, given)
             scene.advance(self._delivered(torques) if self._imperfect_motors else torques, push)
             self._tick += 1
-            self._open = 0.0 if loop.closure else self._open + loop.dt
+            self._time_without_closure = 0.0 if loop.closure else self._time_without_closure + loop.dt
 
     def _delivered(self, torques: list[float]) -> list[float]:
-        """Return the torques that the motors deliver for the commanded ones, within their limits."""
+        """Apply motor strength and noise to the commanded torques, then clip to the torque limits."""
         delivered = np.array(torques) * (self._strength * (1.0 + self._noise * self._motor_noise()))
         return np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
 
     def _apply_plan(self, scene: Scene, tick: int) -> tuple[Array, list[float] | None]:
         """Apply the plan of a tick; return the external wrench (6,), object frame, and the same for the simulator, None if zero."""
         plan = self._plan
-        if self._gravity_varies:
+        if self._gravity_differs:
             scene.set_gravity(plan.gravity[tick])
-        if self._mass_varies and (tick == 0 or plan.mass_factor[tick] != plan.mass_factor[tick - 1]):
+        if self._mass_differs and (tick == 0 or plan.mass_factor[tick] != plan.mass_factor[tick - 1]):
             scene.change_object(self._mass * float(plan.mass_factor[tick]))
         external, push = self._wrenches[tick], self._pushes[tick]
         if self._world_pushes is not None:
@@ -397,17 +444,17 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             push = external.tolist()
         return external, push
 
-    def _believed_gravity(self, scene: Scene) -> Array:
-        """Return the gravity (3,) [m/s^2] that the controller assumes: the true one only if wrenches are measured."""
-        return scene.gravity if self._measured_wrench else self._upright
+    def _assumed_gravity(self, scene: Scene) -> Array:
+        """Return the gravity (3,) [m/s^2] that the controller assumes: the true one if wrenches are measured, else the nominal one."""
+        return scene.gravity if self._measured_wrench else self._nominal_gravity
 
     def _failure_cause(self) -> str:
         if self._outcome.drift > self._max_drift or self._outcome.tilt > self._max_tilt:
             return "dropped"
-        return "closure_lost" if self._open > self._max_open else ""
+        return "closure_lost" if self._time_without_closure > self._max_time_without_closure else ""
 
     def _fault(self) -> str:
-        """Return the reason why an object that was not lost does not count as held; empty if it does."""
+        """Return why an object that was not lost does not count as held; empty if it does."""
         outcome, limits = self._outcome, self.config.limits
         if not self.config.task.in_place(outcome.drift, outcome.tilt):
             return "drifted"
@@ -481,7 +528,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return self._annotator(self._loop, scene, self._tick * self._loop.dt, self._outcome, self._failure)
 
     def _report_structure(self, scene: Scene, plan: Plan) -> None:
-        """Compute the forces that structure carries under the plan's loads; warn once if it carries much of a finger's force."""
+        """Compute the fraction of the fingers' forces that no motor can produce under the plan's loads; warn once if it is large."""
         snapshot = scene.look()
         gravity = plan.gravity[:: self._ticks_per_step]
         loads = plan.wrench[:: self._ticks_per_step].copy()
@@ -493,7 +540,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             self._warned = True
             warn(message)
 
-    def _open_stage(self) -> Stage:
+    def _stage_or_raise(self) -> Stage:
         if self._stage is None:
             raise SimulationError("the environment is closed: call reset() to open it anew")
         return self._stage
@@ -511,9 +558,9 @@ def why_idle(config: EnvConfig) -> str:
     if config.solver.method == "conic":
         return "method='conic' has no start"
     if config.object.torsional_friction > 0.0:
-        return "on soft contacts Newton optimises, which takes as many iterations from any start"
+        return "on soft contacts Newton optimises, whose iteration count hardly depends on the start"
     if config.solver.method == "newton":
-        return "method='newton' takes as many iterations from any start"
+        return "the iteration count of method='newton' hardly depends on the start"
     return ""
 
 

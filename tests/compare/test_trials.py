@@ -64,7 +64,7 @@ def test_every_start_has_a_row_for_every_case_that_agrees_with_a_single_run(ball
 
 
 def test_a_level_that_was_not_reached_counts_as_more_than_the_limit(monkeypatch, starts):
-    monkeypatch.setattr(trial, "LIMIT", 3)
+    monkeypatch.setattr(trial, "ITERATION_LIMIT", 3)
     some = {key: starts[key] for key in ("linear_combination", "learned_fixed")}
     rows = table(trials("ball", make_cases("ball", 40, 0), some, {}, PHI))
     paper, learned = of(rows, "linear_combination"), of(rows, "learned_fixed")
@@ -108,7 +108,11 @@ def test_a_start_that_does_not_apply_has_no_row_and_one_that_fails_has_one():
         assert of(rows, key).empty
         with pytest.raises(DoesNotApply):
             more[key].start(cases[0].grasp, cases[0].wrench, None)
-    for key, why in (("lagrange", "has none"), ("boom", "ValueError: many words"), ("flat", "InvalidInputError: ")):
+    for key, why in (
+        ("lagrange", "no feasible start"),
+        ("boom", "ValueError: many words"),
+        ("flat", "InvalidInputError: "),
+    ):
         for method in METHODS:
             found = of(rows, key, method)
             assert found["status"].tolist() == ["no_start"] * len(cases)

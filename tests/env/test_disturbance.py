@@ -102,3 +102,10 @@ def test_gravity_is_that_of_the_settings_again_after_an_episode_that_tilted_it()
         env.step(np.zeros(6, np.float32))
         assert (env.scene.gravity != [0.0, -9.81, 0.0]).any() == tilted
     env.close()
+
+
+def test_a_constant_gravity_of_a_disturbance_replaces_that_of_the_settings() -> None:
+    env = FourFingerGrasp(disturbance=lambda times, *_: Disturbed(gravity=np.tile([0.0, -5.0, 0.0], (len(times), 1))))
+    env.reset(seed=0)
+    assert env.scene.gravity.tolist() == [0.0, -5.0, 0.0]
+    env.close()

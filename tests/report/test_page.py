@@ -68,9 +68,9 @@ def test_tables_and_charts_of_starts_are_recomputed_from_the_rows():
     hard = starts.hardest_problems(rows, means)
     assert hard["iterations"].iloc[0] == flow[flow["start"].isin(keys)]["iterations"].max()
     assert hard["iterations"].is_monotonic_decreasing
-    none = {"case": "ball", "start": "network", "method": "newton", "status": "no_start", "reason": "has none"}
+    none = {"case": "ball", "start": "network", "method": "newton", "status": "no_start", "reason": "no feasible start"}
     broken = join([rows, table([none] * 3)])
-    failures = starts.failures(broken, summary(broken)).query("why == 'has none' and start == 'network'")
+    failures = starts.failures(broken, summary(broken)).query("why == 'no feasible start' and start == 'network'")
     assert failures["count"].tolist() == [3]
 
 

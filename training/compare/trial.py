@@ -1,4 +1,12 @@
-"""Trials: rows of every method from every start on every case of a set, and of every solver of a user."""
+"""Run every method from every start on every case, and every user-supplied solver on every case; yield one result row each.
+
+Column `status` of a row:
+
+- "optimal": the relative gap of Phi reached `TOLERANCE`.
+- "iteration_limit", "stalled", ...: the method ended before that; the method's own status, or "stalled" if that is "optimal".
+- "no_start": the start is missing or invalid; `reason` says why.
+- "feasible", "failed": only for a user's solver: the force is valid without reaching `TOLERANCE`; there is no valid force.
+"""
 
 from __future__ import annotations
 
@@ -23,18 +31,19 @@ from training.results.words import shortened
 TOLERANCE = 1e-4
 """Relative gap of Phi to which iterations are counted by default."""
 COARSE, FINE = 1e-2, 1e-6
-LAST = {"reduced_flow": 1e-6, "newton": 1e-8}
-"""Relative gap at which a run ends."""
-LIMIT = 5000
+"""Relative gaps of Phi to which iterations are counted as well."""
+END_GAP = {"reduced_flow": 1e-6, "newton": 1e-8}
+"""Relative gap of Phi at which a run ends, by method."""
+ITERATION_LIMIT = 5000
 """Iteration limit of a run; a gap that is not reached counts as one iteration more."""
-OPTIMUM = 1e-10
+OPTIMUM_GAP = 1e-10
 """Relative certified gap of the reference optima."""
-BALANCED = 1e-6
-"""Largest balance residual of a solver's force, over its largest component."""
-ROUNDING = 1e-10
-"""Relative difference of Phi between two orders of summation."""
-REASON = 120
-"""Largest length of the reason why there is no force."""
+MAX_RESIDUAL = 1e-6
+"""Largest accepted balance residual of a force, divided by the force's largest component."""
+PHI_ROUNDING = 1e-10
+"""Relative difference of Phi that is rounding, for example between two orders of summation."""
+REASON_LENGTH = 120
+"""Largest length of the reason why there is no force, in characters."""
 
 
 @dataclass(frozen=True)
@@ -52,59 +61,65 @@ class Quality:
     residual: float
 
     @classmethod
-    def of(cls, grasp: Grasp, load: Array, force: ContactForces, best: float, objective: Objective) -> Quality:
-        """Evaluate a force (N, 3) in contact frames; `best` is the least Phi."""
+    def of(cls, grasp: Grasp, load: Array, force: ContactForces, least_phi: float, objective: Objective) -> Quality:
+        """Evaluate a force (N, 3) in contact frames; `least_phi` is Phi at the optimum."""
         size = max(float(np.abs(force).max()), 1e-300)
-        gap = objective.value(grasp.to_cone(force)) / best - 1.0
+        gap = objective.value(grasp.to_cone(force)) / least_phi - 1.0
         return cls(max(0.0, gap), grasp.cone_margin(force) / size, grasp.residual(force, load) / size)
 
     def reason(self, margin: float = 0.0) -> str | None:
         """Return why the force is invalid; None if it balances the wrench with more than this cone margin."""
-        return "outside the cones" if self.margin <= margin else "out of balance" if self.residual > BALANCED else None
+        return (
+            "outside the cones" if self.margin <= margin else "out of balance" if self.residual > MAX_RESIDUAL else None
+        )
 
-    def columns(self, before: str = "") -> dict[str, float]:
+    def columns(self, prefix: str = "") -> dict[str, float]:
         """Return the columns of a row, with a prefix; an infinite gap is left out."""
         gap = self.gap if np.isfinite(self.gap) else None
         named = {"gap": gap, "margin": self.margin, "residual": self.residual}
-        return {f"{before}{name}": value for name, value in named.items() if value is not None}
+        return {f"{prefix}{name}": value for name, value in named.items() if value is not None}
 
 
 class Optimizers:
-    """Optimizers of the last few grasps."""
+    """Optimizers of the most recent grasps, at most four."""
 
     def __init__(self, objective: Objective) -> None:
         self.objective = objective
         self._made: dict[Grasp, dict[str, ForceOptimizer]] = {}
-        self._last: tuple[Grasp, Array, ContactForces, float] | None = None
+        self._cached_optimum: tuple[Grasp, Array, ContactForces, float] | None = None
 
     def optimum(self, grasp: Grasp, load: Array) -> tuple[ContactForces, float]:
-        """Return the force (N, 3) of least Phi, and that Phi."""
-        if self._last is None or self._last[0] is not grasp or not np.array_equal(self._last[1], load):
+        """Return the force (N, 3) of least Phi, and Phi there."""
+        if (
+            self._cached_optimum is None
+            or self._cached_optimum[0] is not grasp
+            or not np.array_equal(self._cached_optimum[1], load)
+        ):
             solution = self._of(grasp)["optimum"].solve(load).raise_for_status()
-            self._last = grasp, load, solution.force, solution.objective
-        return self._last[2], self._last[3]
+            self._cached_optimum = grasp, load, solution.force, solution.objective
+        return self._cached_optimum[2], self._cached_optimum[3]
 
-    def run(self, method: str, grasp: Grasp, load: Array, start: ContactForces, best: float) -> dict[str, Any]:
+    def run(self, method: str, grasp: Grasp, load: Array, start: ContactForces, least_phi: float) -> dict[str, Any]:
         """Run a method from a start and return its columns."""
-        solution = self._of(grasp)[method].solve(load, initial=start, optimum=best, trace=True)
-        gaps = np.maximum(solution.objective_trace / best - 1.0, 0.0)
+        solution = self._of(grasp)[method].solve(load, initial=start, optimum=least_phi, trace=True)
+        gaps = np.maximum(solution.objective_trace / least_phi - 1.0, 0.0)
         reached = {
-            level: int(np.argmax(gaps <= level)) if gaps[-1] <= level else LIMIT + 1
+            level: int(np.argmax(gaps <= level)) if gaps[-1] <= level else ITERATION_LIMIT + 1
             for level in (COARSE, TOLERANCE, FINE)
         }
         ended = solution.status.value
         return {
-            "status": "optimal" if reached[TOLERANCE] <= LIMIT else "stalled" if ended == "optimal" else ended,
+            "status": "optimal" if reached[TOLERANCE] <= ITERATION_LIMIT else "stalled" if ended == "optimal" else ended,
             "iterations": reached[TOLERANCE], "iterations_coarse": reached[COARSE], "iterations_fine": reached[FINE],
-            "trials": solution.trials, **Quality.of(grasp, load, solution.force, best, self.objective).columns(),
+            "trials": solution.trials, **Quality.of(grasp, load, solution.force, least_phi, self.objective).columns(),
         }  # fmt: skip
 
     def _of(self, grasp: Grasp) -> dict[str, ForceOptimizer]:
         if grasp not in self._made:
             while len(self._made) > 3:
                 del self._made[next(iter(self._made))]
-            self._made[grasp] = {"optimum": optimizer(grasp, "newton", self.objective, OPTIMUM)} | {
-                method: optimizer(grasp, method, self.objective, LAST[method], max_iterations=LIMIT)
+            self._made[grasp] = {"optimum": optimizer(grasp, "newton", self.objective, OPTIMUM_GAP)} | {
+                method: optimizer(grasp, method, self.objective, END_GAP[method], max_iterations=ITERATION_LIMIT)
                 for method in METHODS
             }
         return self._made[grasp]
@@ -129,46 +144,46 @@ def trials(
         solved: True if the methods run; otherwise there is one row for each case and start.
     """
     optimizers = Optimizers(objective)
-    last: dict[str, tuple[Case, ContactForces]] = {}
+    previous_starts: dict[str, tuple[Case, ContactForces]] = {}
     for number, case in enumerate(cases):
-        grasp, load, before = case.grasp, case.wrench, None
+        grasp, load, carried_force = case.grasp, case.wrench, None
         if case.before is not None:
-            before = carry_force(case.before[0], optimizers.optimum(*case.before)[0], grasp, objective)
-        _, best = optimizers.optimum(grasp, load)
+            carried_force = carry_force(case.before[0], optimizers.optimum(*case.before)[0], grasp, objective)
+        _, least_phi = optimizers.optimum(grasp, load)
         common = {"case": name, "problem": number, "group": case.group, "event": case.event or None}
-        paper = _basis(starts, grasp, load)
-        phi = None if paper is None else objective.value(grasp.to_cone(paper))
+        paper_force = _paper_start(starts, grasp, load)
+        paper_phi = None if paper_force is None else objective.value(grasp.to_cone(paper_force))
         for key, made in starts.items():
             row = {**common, "start": key}
             try:
-                force = attempt(made, grasp, load, before)
+                force = attempt(made, grasp, load, carried_force)
             except DoesNotApply:
                 continue
             except GraspError as error:
                 row |= {"status": "no_start", "reason": failure_reason(error)}
                 yield from ({**row, "method": method} for method in (METHODS if solved else (None,)))
                 continue
-            quality = Quality.of(grasp, load, force, best, objective)
+            quality = Quality.of(grasp, load, force, least_phi, objective)
             row |= quality.columns("start_")
             reason = quality.reason()
-            if phi is not None and reason is None:
-                row["start_excess"] = objective.value(grasp.to_cone(force)) / phi - 1.0
+            if paper_phi is not None and reason is None:
+                row["start_excess"] = objective.value(grasp.to_cone(force)) / paper_phi - 1.0
                 row["start_replaced"] = key not in RULES and start_replaced(grasp, load, force)
             if reason is None:
-                row["start_slope"] = _slope(last.get(key), case, force)
-                last[key] = case, force
+                row["start_slope"] = _slope(previous_starts.get(key), case, force)
+                previous_starts[key] = case, force
             if not solved:
                 yield row if reason is None else {**row, "status": "no_start", "reason": reason}
                 continue
             for method in METHODS:
                 try:
-                    run = optimizers.run(method, grasp, load, force, best)
+                    run = optimizers.run(method, grasp, load, force, least_phi)
                 except InfeasibleStartError:  # outside the cones, or not balanced up to rounding
                     yield {**row, "method": method, "status": "no_start", "reason": reason or "out of balance"}
                     continue
                 yield {**row, "method": method, **run}
         for key, solver in solvers.items():
-            yield {**common, "method": key, **solver_columns(solver, grasp, load, best, objective)}
+            yield {**common, "method": key, **solver_columns(solver, grasp, load, least_phi, objective)}
 
 
 def problem_of(grasp: Grasp, load: Array, objective: Objective) -> Problem:
@@ -178,8 +193,8 @@ def problem_of(grasp: Grasp, load: Array, objective: Objective) -> Problem:
     return Problem(*(np.array(array) for array in arrays))
 
 
-def solver_columns(solver: Solver, grasp: Grasp, load: Array, best: float, objective: Objective) -> dict[str, Any]:
-    """Run a user's solver and return its columns: "optimal" to `TOLERANCE` in Phi, "feasible", or "failed" with the reason."""
+def solver_columns(solver: Solver, grasp: Grasp, load: Array, least_phi: float, objective: Objective) -> dict[str, Any]:
+    """Run a user's solver and return its columns; see the module for `status`."""
     try:
         forces = as_array(
             solver.solve(problem_of(grasp, load, objective)), (grasp.n_contacts, 3), "a solver", ranges.SIZE
@@ -187,8 +202,8 @@ def solver_columns(solver: Solver, grasp: Grasp, load: Array, best: float, objec
     except Exception as error:
         return {"status": "failed", "reason": failure_reason(error), "failed": True}
     local = np.einsum("nij,ni->nj", grasp.frames, forces)
-    quality = Quality.of(grasp, load, local, best, objective)
-    reason = quality.reason(-BALANCED)
+    quality = Quality.of(grasp, load, local, least_phi, objective)
+    reason = quality.reason(-MAX_RESIDUAL)
     status = "failed" if reason else "optimal" if quality.gap <= TOLERANCE else "feasible"
     force = float(local[:, 0].sum())
     return {
@@ -200,15 +215,21 @@ def solver_columns(solver: Solver, grasp: Grasp, load: Array, best: float, objec
     }
 
 
-def attempt(made: PreparedStart, grasp: Grasp, load: Array, before: ContactForces | None) -> ContactForces:
+def attempt(made: PreparedStart, grasp: Grasp, load: Array, carried_force: ContactForces | None) -> ContactForces:
     """Return the force (N, 3) [N] of a start, which may be a user's.
+
+    Args:
+        made: the start.
+        grasp: the contacts.
+        load: (6,) external wrench.
+        carried_force: (N, 3) optimum of the preceding case, carried over to these contacts; None if there is no preceding case.
 
     Raises:
         DoesNotApply: the start does not apply to this case.
-        GraspError: it has no force, fails, or returns something else; `failure_reason` gives the reason.
+        GraspError: the start has no force, fails, or returns something else; `failure_reason` gives the reason.
     """
     try:
-        return as_array(made.start(grasp, load, before), (grasp.n_contacts, 3), "a start", ranges.SIZE)
+        return as_array(made.start(grasp, load, carried_force), (grasp.n_contacts, 3), "a start", ranges.SIZE)
     except (DoesNotApply, GraspError):
         raise
     except Exception as error:
@@ -216,26 +237,27 @@ def attempt(made: PreparedStart, grasp: Grasp, load: Array, before: ContactForce
 
 
 def failure_reason(error: Exception) -> str:
-    """Return why there is no force, in a few words: the exception's class, a colon and its message."""
+    """Return why there is no force: the exception's class and message, cut at `REASON_LENGTH`, or "no feasible start"."""
     cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
     if isinstance(cause, InfeasibleStartError):
-        return "has none"
-    return shortened(f"{type(cause).__name__}: {cause!s}", REASON)
+        return "no feasible start"
+    return shortened(f"{type(cause).__name__}: {cause!s}", REASON_LENGTH)
 
 
-def _basis(starts: Mapping[str, PreparedStart], grasp: Grasp, load: Array) -> ContactForces | None:
-    """Return the force of the paper's start; None if the grasp has none."""
+def _paper_start(starts: Mapping[str, PreparedStart], grasp: Grasp, load: Array) -> ContactForces | None:
+    """Return the force of the paper's start; None if the grasp has no such start."""
     try:
         return starts[BASIS].start(grasp, load, None)
     except (KeyError, GraspError):
         return None
 
 
-def _slope(last: tuple[Case, ContactForces] | None, case: Case, force: ContactForces) -> float:
-    """Return |change of the start| over |change of the wrench| since the case before, moments over 0.05 m; nan without one."""
-    if last is None or case.before is None or last[0].grasp is not case.grasp:
+def _slope(previous_start: tuple[Case, ContactForces] | None, case: Case, force: ContactForces) -> float:
+    """Return |change of start| / |change of wrench| relative to the preceding case (moments / 0.05 m); NaN if there is none."""
+    if previous_start is None or case.before is None or previous_start[0].grasp is not case.grasp:
         return float("nan")
-    if last[0].group != case.group or not np.array_equal(last[0].wrench, case.before[1]):
+    preceding, preceding_force = previous_start
+    if preceding.group != case.group or not np.array_equal(preceding.wrench, case.before[1]):
         return float("nan")
-    way = float(np.linalg.norm(scaled(case.wrench - last[0].wrench)))
-    return float(np.linalg.norm(force - last[1])) / way if way > 0.0 else float("nan")
+    way = float(np.linalg.norm(scaled(case.wrench - preceding.wrench)))
+    return float(np.linalg.norm(force - preceding_force)) / way if way > 0.0 else float("nan")

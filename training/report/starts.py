@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from training.compare.cases import SETS
 from training.compare.starts import BASIS, GIVEN_COLOURS, STARTS, start_info
-from training.compare.trial import LIMIT, ROUNDING, TOLERANCE
+from training.compare.trial import ITERATION_LIMIT, PHI_ROUNDING, TOLERANCE
 from training.report.holds import grid, rates_figure
 from training.report.page import axes
 from training.results.claims import Claim
@@ -60,8 +60,8 @@ CLAIMS = (
           ("Newton", NEWTON, "from its internal force", _OWN, "compiled", "compiled_microseconds", (0.55, 0.75)),
           ("Newton", NEWTON, "from its internal force", _OWN, "from Python", "microseconds", (0.75, 0.9)))
       for word, stat, limit in zip(("median", "p99"), ("median", "p99"), limits, strict=True)),
-    Claim("learned starts: Phi never above the 12-basis's, wrenches of 0.001 to 1000 N (largest excess)", f"case == 'six_decades' and {_LEARNED}", "start_excess_max", "<=", ROUNDING),
-    Claim("learned starts: Phi never above the 12-basis's, all sets (largest excess)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_excess_max", "<=", ROUNDING),
+    Claim("learned starts: Phi never above the 12-basis's, wrenches of 0.001 to 1000 N (largest excess)", f"case == 'six_decades' and {_LEARNED}", "start_excess_max", "<=", PHI_ROUNDING),
+    Claim("learned starts: Phi never above the 12-basis's, all sets (largest excess)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_excess_max", "<=", PHI_ROUNDING),
     Claim("learned starts: inside the cones, all sets (least margin)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_margin_min", ">", 0),
     Claim("learned starts: balanced, all sets (largest residual over the largest force)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_residual_max", "<=", 1e-9),
     Claim("learned, with the previous solution: median of the flow's iterations on smooth paths", f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}", "iterations_median", "<=", 0),
@@ -105,7 +105,9 @@ def pair(row: Any, column: str) -> str:
     parts = [row.get(f"{column}_{part}", np.nan) for part in ("median", "p99")]
     if not all(isinstance(part, (int, float)) and np.isfinite(part) for part in parts):
         return "–"
-    return " / ".join(f"> {LIMIT}" if column == "iterations" and part > LIMIT else number(part) for part in parts)
+    return " / ".join(
+        f"> {ITERATION_LIMIT}" if column == "iterations" and part > ITERATION_LIMIT else number(part) for part in parts
+    )
 
 
 def bars(column: str, label: str) -> Any:
@@ -154,7 +156,7 @@ def network_figure(rows: Rows, means: Rows) -> Figure | None:
         if not len(steps):
             continue
         drawn = True
-        done = np.sort(np.where(np.isfinite(steps), steps, LIMIT + 1))
+        done = np.sort(np.where(np.isfinite(steps), steps, ITERATION_LIMIT + 1))
         style = "--" if "Newton" in start_info(key).short else "-"
         share = np.arange(1, len(done) + 1) / len(done)
         panel.step(1 + done, share, style, where="post", color=start_info(key).colour, label=start_info(key).short)
@@ -178,7 +180,7 @@ def profile(query: str, column: str, label: str, by: str = "start") -> Any:
             return None
         counted = column == "iterations"
         values = numbers(found, column) + counted  # plus one, so that the ratio to a start without steps is finite
-        values[(values > LIMIT + 1) & counted] = np.nan
+        values[(values > ITERATION_LIMIT + 1) & counted] = np.nan
         name = found["start"] + (" · " + found["method"] if by == "both" else "")
         grid: Rows = found.assign(value=values, who=name).pivot(
             index=["case", "problem"], columns="who", values="value"
@@ -240,7 +242,7 @@ def hardest_problems(rows: Rows, means: Rows) -> Rows:
     found = found[found["start"].isin(shown(means))]
     if found.empty:
         return found
-    worst = found.assign(order=found["iterations"].fillna(LIMIT + 2).astype(float)).sort_values(
+    worst = found.assign(order=found["iterations"].fillna(ITERATION_LIMIT + 2).astype(float)).sort_values(
         "order", ascending=False, kind="stable"
     )
     return worst.drop_duplicates(["case", "problem"]).groupby("case", sort=False).head(2).head(12)[columns]
