@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.sim import Camera, CameraConfig
+from grasp_env.sim.picture.camera import Camera, CameraConfig
 from training.compare.scenarios import PUSHES, mesh_settings, short_name
 from training.data.episodes import episode
 

@@ -17,8 +17,9 @@ from grasp_env.force import Objective
 from grasp_env.force.basis import start_of, starter
 from grasp_env.force.objective import as_objective
 from grasp_env.force.solution import LEARNED
-from grasp_env.grasp import Grasp, null_space_basis
+from grasp_env.grasp import Grasp
 from grasp_env.grasp.grasp import as_grasp
+from grasp_env.grasp.null_space import null_space_basis
 from policies.checkpoint import FAULTS, MOST_CONTACTS, Checkpoint, malformed, number, replace, whole
 from policies.features import Features
 

@@ -12,10 +12,11 @@ from engines import HAND_FLAGS, bullet
 from grasp_env import core
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
-from grasp_env.sim import FingerDescription, HandDescription, HandKinematics, ObjectDescription, Scene, Snapshot
+from grasp_env.sim import FingerDescription, HandDescription, HandKinematics, ObjectDescription, Scene
 from grasp_env.sim.hand.inertia import inertia_matrix
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 from grasp_env.sim.hand.urdf import hand_urdf
+from grasp_env.sim.snapshot import Snapshot
 
 
 def load_hand(client: int, hand: HandDescription) -> int:

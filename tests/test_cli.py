@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_env.force import METHODS
+from grasp_env.force.options import METHODS
 from grasp_env.grasp import Grasp, load_grasp, presets, save_grasp
 from grasp_env.grasp.presets import PRESETS
 from training.cli import COMMANDS, EXIT_CODES, main

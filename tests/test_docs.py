@@ -20,7 +20,8 @@ pytest.importorskip("sphinx", reason="the extra docs is not installed")
 
 from sphinx.util.inventory import InventoryFile
 
-from grasp_env.task import DISTURBANCES, TASKS
+from grasp_env.task.disturbance import DISTURBANCES
+from grasp_env.task.tasks import TASKS
 
 ROOT = Path(__file__).parents[1]
 MODULES = (*(f"grasp_env.{room}" for room in ("grasp", "force", "quality", "sim", "env", "task", "config")), "policies")
@@ -31,23 +32,15 @@ INSIDE = {"grasp_env.errors.shown"}
 PAGES = ("index.html", "mathematics.html", "api/force.html", "gallery/index.html", "search.html")
 
 SHOWN_BY = {
-    "grasp_env.quality.Epsilon": "grasp_env.quality.epsilon",
-    "grasp_env.quality.Feasibility": "grasp_env.quality.feasibility",
-    "grasp_env.quality.ForceClosure": "grasp_env.quality.force_closure",
     "grasp_env.force.ForceSolution": "grasp_env.force.optimize_force",
-    "grasp_env.quality.GraspQuality": "grasp_env.quality.quality",
     "grasp_env.force.Status": "grasp_env.force.optimize_force",
-    "grasp_env.quality.WorstCase": "grasp_env.quality.worst_case",
     "policies.GraspForces": "policies.grasp_force",
     **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.Task" for kind in TASKS.values()},
     **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.DisturbanceSettings" for kind in DISTURBANCES.values()},
 }
 """Results, by the call that returns them, and records, by their base: its example shows them."""
 NO_EXAMPLE = {
-    "grasp_env.force.InitialForceRule": "a protocol",
     "policies.Policy": "a protocol",
-    "grasp_env.sim.Snapshot": "read by a Scene",
-    "grasp_env.sim.Annotation": "made by an environment for its camera",
 }
 
 

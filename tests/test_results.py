@@ -9,7 +9,7 @@ import pytest
 
 from docs import fill
 from docs.fill import PROVENANCE, RESULTS, TABLES
-from grasp_env.force import RULES
+from grasp_env.force.rules import RULES
 from training.results.run import Run
 from training.results.table import described, read, table
 

@@ -15,9 +15,11 @@ from grasp_env.config import EnvConfig
 from grasp_env.control.loop import ForceLoop
 from grasp_env.env import FourFingerGrasp
 from grasp_env.errors import shown
-from grasp_env.force import RULES, ForceOptimizer, optimize_force
+from grasp_env.force import ForceOptimizer, optimize_force
+from grasp_env.force.rules import RULES
 from grasp_env.grasp import presets
-from grasp_env.sim import Camera, HandDescription, HandKinematics, Scene
+from grasp_env.sim import HandDescription, HandKinematics, Scene
+from grasp_env.sim.picture.camera import Camera
 from policies import LearnedInitialForce, ZeroPolicy
 
 ROOMS = ("grasp_env.env", "grasp_env.force", "grasp_env.grasp", "grasp_env.sim", "grasp_env.task", "policies")

@@ -23,7 +23,8 @@ CORE = "grasp_env/core"
 SOLVE = """
 import json
 from grasp_env import core
-from grasp_env.force import METHODS, optimize_force
+from grasp_env.force import optimize_force
+from grasp_env.force.options import METHODS
 from grasp_env.grasp import presets
 from policies import LearnedInitialForce
 grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]

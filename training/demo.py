@@ -25,7 +25,7 @@ from grasp_env._extras import need
 from grasp_env._files import replacing
 from grasp_env.env.annotate import FAILURES
 from grasp_env.errors import GraspWarning, InvalidInputError
-from grasp_env.force import InitialForceRule
+from grasp_env.force.initial import InitialForceRule
 from policies import Policy
 from training.data.episodes import episode
 from training.results.bars import progress

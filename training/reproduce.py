@@ -16,10 +16,12 @@ from scipy.linalg import block_diag, null_space
 
 from grasp_env import core
 from grasp_env._check import Array
-from grasp_env.force import ForceOptimizer, InitialForceRule, Objective, OfflineBasis, initial_rule
+from grasp_env.force import ForceOptimizer, Objective, OfflineBasis
 from grasp_env.force.basis import core_contacts
 from grasp_env.force.description import METRIC
+from grasp_env.force.initial import InitialForceRule
 from grasp_env.force.record import CODE, CONVERGED, ITERATIONS, LIMIT, TRIALS, record_size
+from grasp_env.force.rules import initial_rule
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep, StepRule
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce

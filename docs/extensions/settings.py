@@ -9,7 +9,8 @@ from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.util.docutils import SphinxDirective
 
-from grasp_env.config import KEYWORDS, EnvConfig
+from grasp_env.config import EnvConfig
+from grasp_env.config.env import KEYWORDS
 from grasp_env.settings import Settings, described
 
 if TYPE_CHECKING:

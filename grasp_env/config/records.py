@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 from grasp_env import ranges
 from grasp_env.errors import InvalidInputError
-from grasp_env.force import METHODS, RULES, InitialForceRule
+from grasp_env.force.initial import InitialForceRule
+from grasp_env.force.options import METHODS
+from grasp_env.force.rules import RULES
 from grasp_env.ranges import Range
 from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Kind, Settings, integer, numbers, one_of, real, setting
 

@@ -13,12 +13,13 @@ from grasp_env.config import EnvConfig
 from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
-from grasp_env.force import RULES, ForceOptimizer, ForceSolution, InitialForceRule, initial_rule
-from grasp_env.force.initial import StartFrom, rule_name, rule_start
+from grasp_env.force import ForceOptimizer, ForceSolution
+from grasp_env.force.initial import InitialForceRule, StartFrom, rule_name, rule_start
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import refused_start
 from grasp_env.force.options import FLOWS
 from grasp_env.force.record import CODE, OUTSIDE, REFUSED, REPLACED, RESULTS, START
+from grasp_env.force.rules import RULES, initial_rule
 from grasp_env.force.solution import STATUSES, start_name
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import reference_basis

@@ -20,7 +20,8 @@ with need("sim"):
     from gymnasium.utils import EzPickle
 
 from grasp_env._check import Array, as_array, as_wrench, choice, instance, warn, whole
-from grasp_env.config import EnvConfig, as_config
+from grasp_env.config import EnvConfig
+from grasp_env.config.env import as_config
 from grasp_env.control.loop import ForceLoop
 from grasp_env.control.sensing import NoiseRows
 from grasp_env.control.structure import finger_structure
@@ -29,9 +30,10 @@ from grasp_env.env.observation import Observer, action_size
 from grasp_env.env.plan import Plan, make_plan
 from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
-from grasp_env.sim import Camera, CameraConfig, Scene
+from grasp_env.sim import Scene
 from grasp_env.sim.engine import class_of
 from grasp_env.sim.picture.annotation import LONGEST, Annotation
+from grasp_env.sim.picture.camera import Camera, CameraConfig
 from grasp_env.sim.picture.overlay import room
 from grasp_env.sim.picture.painter import Painter
 from grasp_env.task.disturbance import name_of

@@ -11,8 +11,8 @@ from grasp_env.config import EnvConfig
 from grasp_env.control.closing import close_hand, take_over
 from grasp_env.control.loop import ForceLoop
 from grasp_env.errors import GraspError, SimulationError
-from grasp_env.sim import HandKinematics, ObjectDescription, Scene, SceneConfig
-from grasp_env.sim.config import START_CLEARANCE
+from grasp_env.sim import HandKinematics, ObjectDescription, Scene
+from grasp_env.sim.config import START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping import place_hand, plan_grasp
 

@@ -6,22 +6,16 @@ The compiled core runs all methods and makes all starts but the user's own. `gra
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.batch import optimize_forces
 from grasp_env.force.description import description_matrix
-from grasp_env.force.initial import InitialForceRule, LinearCombination
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.many import ForceSolutions
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
-from grasp_env.force.options import DESCENTS, METHODS
-from grasp_env.force.repair import Repair, carry_over, start_replaced
-from grasp_env.force.rules import RULES, initial_rule
+from grasp_env.force.repair import Repair
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep
 from grasp_env.force.torques import joint_torques
 
 __all__ = [
-    "DESCENTS",
-    "METHODS",
-    "RULES",
     "AdaptiveStep",
     "ArmijoStep",
     "BarzilaiBorweinStep",
@@ -31,17 +25,12 @@ __all__ = [
     "ForceOptimizer",
     "ForceSolution",
     "ForceSolutions",
-    "InitialForceRule",
-    "LinearCombination",
     "Objective",
     "OfflineBasis",
     "Repair",
     "Status",
-    "carry_over",
     "description_matrix",
-    "initial_rule",
     "joint_torques",
     "optimize_force",
     "optimize_forces",
-    "start_replaced",
 ]

@@ -4,7 +4,6 @@ from grasp_env.grasp import presets, wrench
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.files import load_grasp, save_grasp
 from grasp_env.grasp.grasp import Grasp
-from grasp_env.grasp.null_space import null_space_basis, reference_basis
 from grasp_env.grasp.transforms import gravity_wrench, transform_wrench, transformed, wrench_about
 
 __all__ = [
@@ -12,9 +11,7 @@ __all__ = [
     "advise",
     "gravity_wrench",
     "load_grasp",
-    "null_space_basis",
     "presets",
-    "reference_basis",
     "save_grasp",
     "transform_wrench",
     "transformed",

@@ -1,7 +1,6 @@
 """Tasks of an episode, motions of the object, and disturbances."""
 
 from grasp_env.task.disturbance import (
-    DISTURBANCES,
     ConstantWrench,
     Disturbance,
     DisturbanceSettings,
@@ -12,13 +11,9 @@ from grasp_env.task.disturbance import (
     RandomWrench,
     TiltingGravity,
 )
-from grasp_env.task.motion import MOTIONS
-from grasp_env.task.tasks import TASKS, Hold, Move, Payload, SixDirections, Task
+from grasp_env.task.tasks import Hold, Move, Payload, SixDirections, Task
 
 __all__ = [
-    "DISTURBANCES",
-    "MOTIONS",
-    "TASKS",
     "ConstantWrench",
     "Disturbance",
     "DisturbanceSettings",

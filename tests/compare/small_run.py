@@ -24,7 +24,8 @@ NAMES = ("constant", "ball", "smooth", "trajectories", "random_4", "six_decades"
 HOLDS = ("gravity", "constant", "paper_path", "random")
 OWN = """
 from dataclasses import dataclass
-from grasp_env.force import ForceOptimizer, LinearCombination
+from grasp_env.force import ForceOptimizer
+from grasp_env.force.initial import LinearCombination
 from grasp_env.grasp import Grasp
 
 @dataclass

@@ -69,6 +69,8 @@ def test_every_public_name_is(place: str) -> None:
 
 def test_the_lists_hold_existing_names_only() -> None:
     assert set(IN_PYTHON) | CPP_ALONE <= set(names())
-    assert {"ForceOptimizer.solve", "Options.elastic", "Changes.friction", "Summary.margin", "Method.conic"} <= set(names())
+    assert {"ForceOptimizer.solve", "Options.elastic", "Changes.friction", "Summary.margin", "Method.conic"} <= set(
+        names()
+    )
     assert members("    Doubles jerk{}, snap{};") == ["jerk", "snap"]  # a new name is found
     assert members("    std::span<const double, 6> wrench() const { return wrench_; }") == ["wrench"]

@@ -9,8 +9,8 @@ from scipy.signal import lfilter
 from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import ObjectDescription
-from grasp_env.task import Disturbed, Impulses, RandomWrench, TiltingGravity
-from grasp_env.task.disturbance import disturb
+from grasp_env.task import Impulses, RandomWrench, TiltingGravity
+from grasp_env.task.disturbance import Disturbed, disturb
 
 TICK = 0.004
 TIMES = np.arange(501) * TICK

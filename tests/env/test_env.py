@@ -14,7 +14,7 @@ from episodes import episode
 from grasp_env.config.records import ACTION_MODES
 from grasp_env.env import observation
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.force import initial_rule
+from grasp_env.force.rules import initial_rule
 from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN
 
 ZERO = np.zeros(6, dtype=np.float32)

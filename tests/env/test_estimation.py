@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 from grasp_env import core
 from grasp_env.config import EnvConfig
 from grasp_env.control.sensing import NoiseRows, keep_factor
-from grasp_env.sim import Scene, SceneConfig, Snapshot
+from grasp_env.sim import Scene
+from grasp_env.sim.config import SceneConfig
+from grasp_env.sim.snapshot import Snapshot
 from grasp_env.task import RandomWrench
 from grasp_env.task.motion import resting_target
 

@@ -11,7 +11,9 @@ from episodes import episode
 from grasp_env.config.records import CONTROLLERS
 from grasp_env.sim import HANDS
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH
-from grasp_env.task import DISTURBANCES, MOTIONS, ConstantWrench, Move, Payload
+from grasp_env.task import ConstantWrench, Move, Payload
+from grasp_env.task.disturbance import DISTURBANCES
+from grasp_env.task.motion import MOTIONS
 
 
 def whole(drift: float = np.inf, steps: int = 100, **settings: Any) -> list[dict[str, Any]]:

@@ -13,7 +13,8 @@ import pytest
 from engines import bullet, needs_bullet
 
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.sim import HandDescription, SceneConfig
+from grasp_env.sim import HandDescription
+from grasp_env.sim.config import SceneConfig
 from grasp_env.task import RandomWrench
 
 ZERO = np.zeros(6, dtype=np.float32)

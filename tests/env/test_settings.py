@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 from episodes import random_object
 
-from grasp_env.config import KEYWORDS, Controller, EnvConfig, Sensors, Solver, all_settings, as_config
+from grasp_env.config import Controller, EnvConfig, Sensors, Solver
+from grasp_env.config.env import KEYWORDS, all_settings, as_config
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.settings import described
 from grasp_env.sim import HANDS, BulletEngine, MujocoEngine, ObjectDescription
-from grasp_env.task import DISTURBANCES, TASKS, Impulses, Move, RandomWrench
+from grasp_env.task import Impulses, Move, RandomWrench
+from grasp_env.task.disturbance import DISTURBANCES
+from grasp_env.task.tasks import TASKS
 
 ZERO = np.zeros(6, dtype=np.float32)
 

@@ -18,7 +18,8 @@ from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspWarning
 from grasp_env.force import optimize_force
 from grasp_env.grasp.grasp import Grasp
-from grasp_env.sim import HandKinematics, Scene, SceneConfig
+from grasp_env.sim import HandKinematics, Scene
+from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.grasping import placing, sites
 from grasp_env.sim.hand.description import Mimic
 

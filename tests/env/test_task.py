@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from grasp_env.config import EnvConfig
 from grasp_env.env.plan import Plan, make_plan
 from grasp_env.errors import GraspError
-from grasp_env.task import DISTURBANCES, TASKS, Move, NoDisturbance, Payload, SixDirections
+from grasp_env.task import Move, NoDisturbance, Payload, SixDirections
 from grasp_env.task import motion as m
-from grasp_env.task.tasks import PUSH_RAMP
+from grasp_env.task.disturbance import DISTURBANCES
+from grasp_env.task.tasks import PUSH_RAMP, TASKS
 
 KINDS = [
     *[{"disturbance": name} for name in DISTURBANCES],

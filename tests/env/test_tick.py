@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from grasp_env import core
 from grasp_env.force import ForceLimits, ForceOptimizer, Objective, Status
 from grasp_env.force.record import CODE, CONVERGED, INFEASIBLE, RANK_LOST
-from grasp_env.grasp import Grasp, presets, reference_basis
+from grasp_env.grasp import Grasp, presets
+from grasp_env.grasp.null_space import reference_basis
 from grasp_env.task.motion import resting_target
 
 GRASP = presets.paper_cuboid()

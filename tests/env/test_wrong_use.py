@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from engines import bullet, needs_bullet
 
-from grasp_env.config import EnvConfig, Reward, as_config
+from grasp_env.config import EnvConfig, Reward
+from grasp_env.config.env import as_config
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownSettingError
-from grasp_env.sim import HandDescription, SceneConfig
-from grasp_env.task import Disturbed
-from grasp_env.task.disturbance import disturb
+from grasp_env.sim import HandDescription
+from grasp_env.sim.config import SceneConfig
+from grasp_env.task.disturbance import Disturbed, disturb
 
 ZERO = np.zeros(6, dtype=np.float32)
 FOUR = HandDescription.four_finger()

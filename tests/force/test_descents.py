@@ -10,7 +10,9 @@ from force.clarabel_reference import Reference
 from problems import GRASPS, PAPER_WRENCH, PROBLEMS, Problem, closure_grasps
 
 from grasp_env.errors import NotConvergedError
-from grasp_env.force import DESCENTS, RULES, ForceSolution, Objective, Status, optimize_force
+from grasp_env.force import ForceSolution, Objective, Status, optimize_force
+from grasp_env.force.options import DESCENTS
+from grasp_env.force.rules import RULES
 from grasp_env.grasp import Grasp
 
 CUBOID = GRASPS["cuboid, 4"]

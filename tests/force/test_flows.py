@@ -20,11 +20,11 @@ from grasp_env.force import (
     ExactStep,
     FixedStep,
     ForceOptimizer,
-    LinearCombination,
     Objective,
     OfflineBasis,
     Status,
 )
+from grasp_env.force.initial import LinearCombination
 from grasp_env.force.step_size import StepRule
 from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches

@@ -15,7 +15,8 @@ from force.generators import own_joints, problem
 from problems import PAPER_WRENCH
 
 from grasp_env.errors import GraspError, InfeasibleWrenchError, RankDeficientGraspError
-from grasp_env.force import RULES, ForceLimits, ForceOptimizer, OfflineBasis, Status, optimize_force, optimize_forces
+from grasp_env.force import ForceLimits, ForceOptimizer, OfflineBasis, Status, optimize_force, optimize_forces
+from grasp_env.force.rules import RULES
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp import wrench as wrenches
 

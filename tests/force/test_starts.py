@@ -18,19 +18,16 @@ from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import (
     ForceLimits,
     ForceOptimizer,
-    LinearCombination,
     Objective,
     OfflineBasis,
     Repair,
     Status,
-    carry_over,
-    initial_rule,
     optimize_force,
     optimize_forces,
-    start_replaced,
 )
-from grasp_env.force.repair import CORRECTIONS
-from grasp_env.force.rules import CoreStart
+from grasp_env.force.initial import LinearCombination
+from grasp_env.force.repair import CORRECTIONS, carry_over, start_replaced
+from grasp_env.force.rules import CoreStart, initial_rule
 from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
 from grasp_env.quality import feasibility

@@ -25,9 +25,6 @@ from grasp_env.errors import (
     UnsupportedProblemError,
 )
 from grasp_env.force import (
-    DESCENTS,
-    METHODS,
-    RULES,
     AdaptiveStep,
     ArmijoStep,
     BarzilaiBorweinStep,
@@ -35,16 +32,16 @@ from grasp_env.force import (
     FixedStep,
     ForceLimits,
     ForceOptimizer,
-    LinearCombination,
     Objective,
     Status,
-    carry_over,
-    initial_rule,
     joint_torques,
     optimize_force,
     optimize_forces,
 )
-from grasp_env.force.rules import CoreStart
+from grasp_env.force.initial import LinearCombination
+from grasp_env.force.options import DESCENTS, METHODS
+from grasp_env.force.repair import carry_over
+from grasp_env.force.rules import RULES, CoreStart, initial_rule
 from grasp_env.grasp import Grasp, presets
 
 GRASP, PUSHED, SOFT = presets.paper_cuboid(), NAMED["pushed"].grasp, NAMED["soft"].grasp

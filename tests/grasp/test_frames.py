@@ -9,7 +9,8 @@ from problems import GRASPS, PAPER_WRENCH, random_grasp
 from scipy.spatial.transform import Rotation
 
 from grasp_env.core import TANGENT_SWITCH
-from grasp_env.grasp import Grasp, null_space_basis, reference_basis
+from grasp_env.grasp import Grasp
+from grasp_env.grasp.null_space import null_space_basis, reference_basis
 from grasp_env.grasp.transforms import checked_rotation, gravity_wrench, transform_wrench, transformed, wrench_about
 
 

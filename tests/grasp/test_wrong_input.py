@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, UnknownNameError
-from grasp_env.grasp import Grasp, gravity_wrench, null_space_basis, presets, transform_wrench, wrench, wrench_about
+from grasp_env.grasp import Grasp, gravity_wrench, presets, transform_wrench, wrench, wrench_about
+from grasp_env.grasp.null_space import null_space_basis
 
 GRASP = presets.tripod()
 POSITIONS, NORMALS = GRASP.positions, GRASP.normals

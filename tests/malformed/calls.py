@@ -15,17 +15,17 @@ import numpy as np
 
 from grasp_env import force as f
 from grasp_env import quality as q
-from grasp_env.config import EnvConfig, as_config
+from grasp_env.config import EnvConfig
+from grasp_env.config.env import as_config
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.env.plan import make_plan
+from grasp_env.force.initial import LinearCombination
 from grasp_env.force.rules import CoreStart
 from grasp_env.grasp import (
     Grasp,
     gravity_wrench,
     load_grasp,
-    null_space_basis,
     presets,
-    reference_basis,
     save_grasp,
     transform_wrench,
     transformed,
@@ -33,10 +33,12 @@ from grasp_env.grasp import (
     wrench_about,
 )
 from grasp_env.grasp.advice import advise
+from grasp_env.grasp.null_space import null_space_basis, reference_basis
 from grasp_env.sim import BulletEngine, FingerDescription, HandDescription, MujocoEngine
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
 from grasp_env.sim.objects.description import ObjectDescription
-from grasp_env.task import DISTURBANCES, TASKS
+from grasp_env.task.disturbance import DISTURBANCES
+from grasp_env.task.tasks import TASKS
 from policies import LearnedInitialForce, ZeroPolicy
 from policies.agent import TrainedAgent
 from training.cli import main
@@ -252,7 +254,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "Repair": Call(lambda objective, **k: f.Repair(objective)(**k), {**state, "candidate": FORCE, "objective": f.Objective()}),
         "OfflineBasis.of": Call(f.OfflineBasis.of, {"grasp": CUBOID, "objective": None}),
         "OfflineBasis.combine": Call(f.OfflineBasis.of(CUBOID).combine, {"wrench": PAPER, "printed": False}),
-        "LinearCombination": Call(_started(f.LinearCombination), state),
+        "LinearCombination": Call(_started(LinearCombination), state),
         **{name: Call(_started(partial(CoreStart, name)), state) for name in ("single_value", "lagrange", "phase_one")},
         "FixedStep": Call(f.FixedStep, {"size": 0.3}),
         "ArmijoStep": Call(f.ArmijoStep, {"first": 0.3, "shrink": 0.5, "slope": 1e-4}),

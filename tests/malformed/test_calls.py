@@ -20,7 +20,7 @@ from malformed.values import mistakes
 
 from grasp_env.errors import GraspError, GraspWarning
 from grasp_env.force import ForceSolution, ForceSolutions
-from grasp_env.quality import ForceClosure
+from grasp_env.quality.closure import ForceClosure
 
 NAMES = list(calls(Path("/nowhere")))
 REFUSED = ("load_grasp", "TrainedAgent.load", "LearnedInitialForce.load", "make")

@@ -10,8 +10,8 @@ import pytest
 from never_worse import OWN, trial, violations
 
 from grasp_env.errors import InfeasibleStartError, InvalidInputError
-from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer, Objective, OfflineBasis, optimize_force, start_replaced
-from grasp_env.force.repair import carry_over
+from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer, Objective, OfflineBasis, optimize_force
+from grasp_env.force.repair import carry_over, start_replaced
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from policies.learned import PRETRAINED

@@ -8,7 +8,8 @@ import numpy as np
 from oracles import network as oracle
 
 from grasp_env.force import ForceOptimizer, Objective
-from grasp_env.grasp import Grasp, null_space_basis, presets, wrench
+from grasp_env.grasp import Grasp, presets, wrench
+from grasp_env.grasp.null_space import null_space_basis
 from policies import LearnedInitialForce
 from policies.features import surface_pairs
 

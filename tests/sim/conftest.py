@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from hands import grasp_torques
 
-from grasp_env.sim import ObjectDescription, Scene, SceneConfig
+from grasp_env.sim import ObjectDescription, Scene
+from grasp_env.sim.config import SceneConfig
 
 SQUEEZE = np.array([1.0, 0.4, 0.3, 0.3])  # normal forces of the reference grasp that balance
 OBJECT = ("shape", "size", "mass", "friction", "inertia", "mesh")

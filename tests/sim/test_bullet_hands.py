@@ -10,7 +10,8 @@ import trimesh
 from engines import Bullet, bullet, needs_bullet
 from hands import make_link
 
-from grasp_env.sim import BulletEngine, HandKinematics, ObjectDescription, SceneConfig
+from grasp_env.sim import BulletEngine, HandKinematics, ObjectDescription
+from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.hand.description import Fingertip, Geometry, HandDescription, Link, Mimic, Palm
 from grasp_env.sim.picture.portrait import portrait
 

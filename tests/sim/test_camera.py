@@ -13,9 +13,10 @@ from hands import numbers
 from PIL import Image
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim import HANDS, Camera, CameraConfig, Scene, SceneConfig
+from grasp_env.sim import HANDS, Scene
+from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN, WRENCH_COLOR, Annotation
-from grasp_env.sim.picture.camera import DIRECTION
+from grasp_env.sim.picture.camera import DIRECTION, Camera, CameraConfig
 from grasp_env.sim.picture.edges import smooth_edges
 from grasp_env.sim.picture.overlay import VEIL, draw, room
 from grasp_env.sim.picture.painter import BACKGROUND_DEPTH, lines_of

@@ -20,19 +20,11 @@ from hands import mass_matrix, numbers
 from grasp_env import _extras
 from grasp_env.config import EnvConfig
 from grasp_env.errors import GraspError, InvalidInputError, MissingExtraError, SimulationError
-from grasp_env.sim import (
-    BulletEngine,
-    Camera,
-    CameraConfig,
-    HandDescription,
-    HandKinematics,
-    MujocoEngine,
-    ObjectDescription,
-    Scene,
-    SceneConfig,
-)
+from grasp_env.sim import BulletEngine, HandDescription, HandKinematics, MujocoEngine, ObjectDescription, Scene
+from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import Engine, _log_mujoco, engine_of
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
+from grasp_env.sim.picture.camera import Camera, CameraConfig
 from grasp_env.sim.picture.painter import BACKGROUND_DEPTH
 from grasp_env.sim.picture.view import View
 

@@ -17,7 +17,8 @@ from engines import Client, bullet, needs_bullet
 from hands import numbers
 
 from grasp_env.errors import InvalidInputError, SimulationError
-from grasp_env.sim import BulletEngine, MujocoEngine, Scene, SceneConfig
+from grasp_env.sim import BulletEngine, MujocoEngine, Scene
+from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import engine_of
 
 FREE = {"clearance": 0.02}
@@ -174,7 +175,9 @@ def test_window_without_display(monkeypatch: pytest.MonkeyPatch, display: str) -
 
 def test_nothing_is_printed() -> None:
     code = f"""
-from grasp_env.sim import ENGINES, Scene, SceneConfig
+from grasp_env.sim import Scene
+from grasp_env.sim.engine import ENGINES
+from grasp_env.sim.config import SceneConfig
 Scene(SceneConfig(engine=ENGINES[{engine_of().name!r}]())).close()"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")

@@ -11,7 +11,8 @@ from engines import needs_bullet
 from hands import numbers
 
 from grasp_env.errors import InvalidInputError, SimulationError, UnknownNameError
-from grasp_env.sim import BulletEngine, MujocoEngine, ObjectDescription, Scene, SceneConfig
+from grasp_env.sim import BulletEngine, MujocoEngine, ObjectDescription, Scene
+from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import Engine
 
 PUSH = np.array([0.4, -0.3, 0.2, 0.02, -0.03, 0.01])

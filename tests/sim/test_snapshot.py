@@ -11,7 +11,8 @@ from hands import grasp_torques
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
-from grasp_env.sim import Scene, Snapshot
+from grasp_env.sim import Scene
+from grasp_env.sim.snapshot import Snapshot
 
 
 @needs_bullet

@@ -17,7 +17,8 @@ import torch
 
 from grasp_env.errors import GraspError, InvalidInputError, ModelFileError
 from grasp_env.force import ForceOptimizer, Objective, optimize_force
-from grasp_env.grasp import load_grasp, null_space_basis, presets, reference_basis
+from grasp_env.grasp import load_grasp, presets
+from grasp_env.grasp.null_space import null_space_basis, reference_basis
 from grasp_env.grasp.wrench import sample_ball
 from policies import LearnedInitialForce
 from policies.network import Network

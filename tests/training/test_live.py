@@ -23,7 +23,7 @@ from processes import start
 
 from grasp_env.config import EnvConfig
 from grasp_env.errors import SimulationError
-from grasp_env.force import METHODS
+from grasp_env.force.options import METHODS
 from grasp_env.grasp import Grasp, presets
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.hand.urdf import hand_urdf

@@ -16,7 +16,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 import training.rl.speed
 import training.rl.train
-from grasp_env.config import EnvConfig, as_config
+from grasp_env.config import EnvConfig
+from grasp_env.config.env import as_config
 from grasp_env.errors import GraspError, ModelFileError
 from policies import TrainedAgent, ZeroPolicy
 from policies.agent_files import ENV_ID, checkpoints, find_checkpoint, read_meta

@@ -9,7 +9,9 @@ from typing import Annotated, Any
 import tyro
 
 from grasp_env._extras import need
-from grasp_env.task import DISTURBANCES, MOTIONS, TASKS
+from grasp_env.task.disturbance import DISTURBANCES
+from grasp_env.task.motion import MOTIONS
+from grasp_env.task.tasks import TASKS
 from training.commands.options import left_out, listed, one_of, setting_help, settings_of
 from training.commands.rules import rule
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError, UnsupportedProblemError
-from grasp_env.force import METHODS
+from grasp_env.force.options import METHODS
 from grasp_env.grasp import load_grasp, presets
 from training.commands.options import Wrench, left_out, listed, one_of
 from training.commands.rules import rule

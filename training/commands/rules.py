@@ -5,8 +5,7 @@ from __future__ import annotations
 from os.path import isfile
 
 from grasp_env.errors import UnknownNameError
-from grasp_env.force import InitialForceRule
-from grasp_env.force.initial import NAMES
+from grasp_env.force.initial import NAMES, InitialForceRule
 
 
 def rule(name: str) -> str | InitialForceRule:

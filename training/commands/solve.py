@@ -12,8 +12,9 @@ from typing import Annotated
 import numpy as np
 
 from grasp_env.errors import GraspError, GraspWarning, InvalidInputError
-from grasp_env.force import METHODS, RULES, ForceLimits, ForceSolution, optimize_force
-from grasp_env.force.options import CRITERIA
+from grasp_env.force import ForceLimits, ForceSolution, optimize_force
+from grasp_env.force.options import CRITERIA, METHODS
+from grasp_env.force.rules import RULES
 from grasp_env.grasp import Grasp, advise, load_grasp, save_grasp
 from grasp_env.grasp.presets import PRESETS, preset
 from grasp_env.grasp.wrench import PAPER_CONSTANT

@@ -14,7 +14,8 @@ import numpy as np
 from rich.console import Console
 
 from grasp_env._check import ContactForces
-from grasp_env.force import InitialForceRule, Objective
+from grasp_env.force import Objective
+from grasp_env.force.initial import InitialForceRule
 from grasp_env.grasp import Grasp
 from policies.learned import PRETRAINED
 from training.compare.cases import SETS, make_cases

@@ -20,7 +20,7 @@ import cloudpickle
 
 from grasp_env._check import Array, together
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.force import InitialForceRule
+from grasp_env.force.initial import InitialForceRule
 from policies import LearnedInitialForce
 from training.compare.methods import METHODS
 from training.compare.starts import GIVEN_COLOURS, STARTS

@@ -21,7 +21,7 @@ from grasp_env.config import EnvConfig
 from grasp_env.config.randomize import OBJECT as RANDOM_OBJECT
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, GraspWarning, InvalidInputError, SimulationError
-from grasp_env.force import InitialForceRule
+from grasp_env.force.initial import InitialForceRule
 from grasp_env.sim import HandKinematics, ObjectDescription
 from grasp_env.sim.engine import class_of, engine_of
 from grasp_env.sim.grasping.points import grasp_points

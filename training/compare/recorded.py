@@ -13,7 +13,7 @@ import numpy as np
 from grasp_env._check import ContactForces, Wrench
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError
-from grasp_env.force import LinearCombination
+from grasp_env.force.initial import LinearCombination
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
 from training.compare.case import Case, Problem

@@ -11,21 +11,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from grasp_env._check import ContactForces, Wrench
-from grasp_env.force import (
-    RULES,
-    ForceOptimizer,
-    ForceSolution,
-    InitialForceRule,
-    Objective,
-    OfflineBasis,
-    initial_rule,
-    optimize_force,
-    optimize_forces,
-)
-from grasp_env.force.initial import LearnedRule, call_rule, is_rule
+from grasp_env.force import ForceOptimizer, ForceSolution, Objective, OfflineBasis, optimize_force, optimize_forces
+from grasp_env.force.initial import InitialForceRule, LearnedRule, call_rule, is_rule
 from grasp_env.force.record import CONTACTS, FORCE, record_size
 from grasp_env.force.repair import Correction, carry_over
-from grasp_env.force.rules import CoreStart
+from grasp_env.force.rules import RULES, CoreStart, initial_rule
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from training.compare.cases import HELD_OUT, scaled

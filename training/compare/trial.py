@@ -19,7 +19,9 @@ import numpy as np
 from grasp_env import ranges
 from grasp_env._check import Array, ContactForces, as_array
 from grasp_env.errors import GraspError, InfeasibleStartError
-from grasp_env.force import RULES, ForceOptimizer, Objective, start_replaced
+from grasp_env.force import ForceOptimizer, Objective
+from grasp_env.force.repair import start_replaced
+from grasp_env.force.rules import RULES
 from grasp_env.grasp import Grasp
 from training.compare.case import Case
 from training.compare.cases import scaled

@@ -17,7 +17,8 @@ with need("train"):
     from torch import Tensor
 
 from grasp_env.force import Objective
-from grasp_env.grasp import Grasp, reference_basis
+from grasp_env.grasp import Grasp
+from grasp_env.grasp.null_space import reference_basis
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
 from policies.checkpoint import Checkpoint
 from policies.features import Features, surface_pairs

@@ -12,7 +12,9 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import GraspError, InfeasibleWrenchError
-from grasp_env.force import RULES, ForceLimits, ForceOptimizer, ForceSolution, InitialForceRule, Status
+from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status
+from grasp_env.force.initial import InitialForceRule
+from grasp_env.force.rules import RULES
 from grasp_env.grasp import Grasp
 
 Mood = Literal["good", "warning", "bad"]

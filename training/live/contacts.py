@@ -12,7 +12,8 @@ import trimesh
 
 from grasp_env._check import Array
 from grasp_env.errors import GraspError
-from grasp_env.force import METHODS, InitialForceRule
+from grasp_env.force.initial import InitialForceRule
+from grasp_env.force.options import METHODS
 from grasp_env.grasp import Grasp, advise
 from grasp_env.grasp.contact import contact_frames
 from training.live import look

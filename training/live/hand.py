@@ -16,7 +16,8 @@ from grasp_env.config import EnvConfig
 from grasp_env.control.loop import ForceLoop
 from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError
-from grasp_env.force import METHODS, InitialForceRule
+from grasp_env.force.initial import InitialForceRule
+from grasp_env.force.options import METHODS
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH
 from grasp_env.task.motion import resting_target
 from training.live import look

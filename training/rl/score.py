@@ -6,8 +6,9 @@ from typing import Any
 
 import gymnasium as gym
 
-from grasp_env.config import EnvConfig, as_config
-from grasp_env.force import InitialForceRule
+from grasp_env.config import EnvConfig
+from grasp_env.config.env import as_config
+from grasp_env.force.initial import InitialForceRule
 from policies.agent_files import ENV_ID
 from policies.controllers import Policy
 from training.data.episodes import Step, episode

@@ -120,7 +120,7 @@ class RLConfig:
     @property
     def sizes(self) -> dict[str, int]:
         """Number of fingers and joints of the hand, and sizes of observation and action."""
-        from grasp_env.config import as_config
+        from grasp_env.config.env import as_config
         from grasp_env.env.observation import action_size, bounds
 
         hand = as_config(self.env_settings).hand_description
