@@ -51,13 +51,13 @@ LAYERS = {
     "qplayer": "ProxSuite, pyramids",
 }
 PLAIN = {
-    "time of cvxpylayers over ours, batch of 1": "cvxpylayers (SCS) time / our time, batch of 1",
-    "time of cvxpylayers_clarabel over ours, batch of 1": "cvxpylayers (Clarabel) time / our time, batch of 1",
+    "time of cvxpylayers over ours, batch of 1": ("speed-up over cvxpylayers (SCS), batch of 1", "x"),
+    "time of cvxpylayers_clarabel over ours, batch of 1": ("speed-up over cvxpylayers (Clarabel), batch of 1", "x"),
     "all four errors: rate of the paper's pipeline minus that of constant squeeze, each at its chosen setting":
-        "holding rate, ours minus constant squeeze, with errors of friction, delay, tactile sensing and torque at once",
-    "cost of a step over the bare PyBullet calls, median of pairs": "environment step time / time of its PyBullet calls",
+        ("our holding rate less that of a constant-squeeze controller, with errors in friction, delay, tactile sensing and torque all present", ""),
+    "cost of a step over the bare PyBullet calls, median of pairs": ("environment step time / time of its PyBullet calls", ""),
 }  # fmt: skip
-"""Shorter names of claims in the table of README.md."""
+"""Plainer names of claims in the table of README.md, and the units of their numbers."""
 VERDICTS = {True: "yes", False: "**NO**", None: "not measured"}
 
 
@@ -309,21 +309,22 @@ def overview() -> str:
     constant = row("reproduce", "case == 'times' and rule == 'fixed' and start == 'linear_combination'")
     engines = max(judged("transfer"), key=lambda one: abs(one.measured or 0.0))
     rows = [
-        ["exact optimum with certificate, 3 to 5 contacts, from Python (from C++), median / p99", f"{fixed_contacts('conic_python')} us ({fixed_contacts('conic')} us)",
-         f"fastest other solver (generated C): {fixed_contacts('qocogen_fast')} us"],
+        *([f"conic optimum (least sum of normal forces) with certificate, 3 to 5 contacts, from {language}, median / p99", f"{fixed_contacts(method)} us",
+           f"fastest other solver (generated C): {fixed_contacts('qocogen_fast')} us"] for language, method in (("Python", "conic_python"), ("C++", "conic"))),
         ["optimum of Phi from Python, Newton, cold start, median / p99", f"{varied('internal_force', 'newton', 'microseconds')} us",
          f"the paper's flow from the 12-basis: {varied('linear_combination', 'reduced_flow', 'microseconds')} us"],
         ["optimum of Phi from Python, Newton, learned start, median / p99", f"{varied('learned_fixed', 'newton', 'microseconds')} us",
          f"the paper's flow from the learned start: {varied('learned_fixed', 'reduced_flow', 'microseconds')} us"],
         ["iterations of the paper's flow from the 12-basis, median / p99", varied("linear_combination", "reduced_flow", "iterations"),
          f"with a constant step: {pair(constant, 'iterations')}"],
-        ["iterations of the paper's flow from the learned start without repair, median / p99", varied("network", "reduced_flow", "iterations"), "at most 3 / 15"],
+        ["iterations of the paper's flow from the network's prediction alone, median / p99", varied("network", "reduced_flow", "iterations"), "target: at most 3 / 15"],
         ["optimum of Phi and its gradients in torch, batch of 1000", f"{number(layer('layer')['microseconds_median'])} us a problem",
-         f"cvxpylayers with Clarabel: {layer('cvxpylayers_clarabel')['ratio_median']:.0f} times as long"],
-        ["random objects held for 4 s under a random wrench", "{held_sum:.0f} of {n}".format(**row("env", "case == 'objects' and controller == 'paper'")), "at least 99 %"],
-        ["largest difference of the holding rate between MuJoCo and Bullet", engines.found, engines.asked],
-        *(["**missed**: " + PLAIN.get(one.claim.name, one.claim.name), one.found, one.asked]
-          for kind in ("starts", "layer", "env", "env_speed") for one in judged(kind) if one.met is False),
+         f"speed-up over cvxpylayers (Clarabel): {layer('cvxpylayers_clarabel')['ratio_median']:.0f}x"],
+        ["random objects held for 4 s under a random wrench", "{held_sum:.0f} of {n}".format(**row("env", "case == 'objects' and controller == 'paper'")), "target: at least 99 %"],
+        ["largest difference of the holding rate between MuJoCo and Bullet", engines.found, f"target: {engines.asked}"],
+        *([f"**missed**: {name}", one.found + unit, f"target: {one.asked}{unit}"]
+          for kind in ("starts", "layer", "env", "env_speed") for one in judged(kind) if one.met is False
+          for name, unit in [PLAIN.get(one.claim.name, (one.claim.name, ""))]),
     ]  # fmt: skip
     return markdown("starts", pd.DataFrame(rows, columns=["quantity", "measured", "target or comparison"]))
 

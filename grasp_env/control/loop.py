@@ -141,7 +141,7 @@ class ForceLoop:
 
     def _hold(self, hold: Hold) -> None:
         self._held = self._core.hold = hold
-        self._needs_rule = hold == Hold.optimized and not self.optimizer.compiled
+        self._needs_rule = hold == Hold.optimized and not self.optimizer.core_finds_start
 
     @property
     def solution(self) -> ForceSolution | None:

@@ -43,21 +43,23 @@ NO_COSTS = (0.0, 0.0, 0.0)
 
 
 class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
-    """The fingers of a hand hold an object while wrenches act on it, or move it.
+    """Simulated hand whose fingers hold an object against wrenches, or move it along a given motion.
 
     ## Step
     The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster (see `EnvConfig`). A control tick reads the
-    contacts from the simulator and builds G from the existing ones. The wrench to balance is the external wrench plus gravity plus
-    pose feedback, minus the wrench that accelerates the object along its target motion. The ticks differ in how they find the forces:
+    contacts from the simulator and builds the grasp matrix G from the fingers that touch. The wrench to balance is the external wrench
+    plus gravity plus pose feedback, minus the wrench that accelerates the object along its target motion. The ticks differ in how they
+    find the forces:
 
     - First tick of a step: the initial force comes from the start rule (by default the paper's linear combination of 12 offline optima)
       plus the action. The method optimises it: by default the reduced gradient flow, on soft contacts Newton, because the flows do
       not support them.
-    - Other ticks: Newton continues from the last command, or the conic solver if that is the method (`info["followed"]` counts the
-      iterations).
+    - Other ticks: Newton, or the conic solver if `method` is "conic", re-optimises the forces. Newton starts from the last command.
+      `info["followed"]` counts the iterations.
 
     The forces become joint torques. A finger without contact reaches for its place. When a finger slips off or lands, the forces of all
-    others change at the next tick, by at most `controller.force_rate` beyond what balance needs.
+    others change at the next tick. They restore balance at once. Any further change of a force component is limited to
+    `controller.force_rate` [N/s], unless the torque limits require more.
 
     Torques stay within the motors' limits, reduced by the torques that carry the links' weight. If a force needs more, Newton within the
     limits continues from it in the same control tick (`info["limited"]` counts its iterations). There are two fallbacks; in both the
@@ -86,9 +88,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     - "initial_force" (3N - 6,): an adjustment of the initial force along internal forces (null-space coordinates, times
       `action_scale` newtons). The six directions of the four-finger hand are squeezes along the lines between two contacts
       (thumb-middle, thumb-left, thumb-right, middle-left, middle-right, left-right), orthonormalised. They move
-      continuously with the contacts; with fewer contacts they are projected. Zero is the paper's start. The solver does not take the
-      adjusted force as it is: it searches the segment from the paper's start to the adjusted force, and starts from the point with
-      the smallest Phi.
+      continuously with the contacts; with fewer contacts they are projected. The solver searches the segment from the start rule's
+      force to the adjusted force, and starts from the point with the smallest Phi. With the zero action this is the rule's own
+      force, by default the paper's start.
     - "contact_force" (3N,): the contact forces themselves, without a solver: per finger normal in [0, 2 `action_scale`], o and t in
       +-`action_scale`.
     - "none" (1,): ignored.
@@ -182,8 +184,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     `agent={"info": "numbers"}` leaves the strings out and makes arrays of all numbers, for readers such as torchrl's.
 
-    Without optimisation (`controller.kind`, "contact_force") `force_closure` stays True. "pd" commands no forces: its `commanded_force` and
-    the force terms are 0.
+    `force_closure` is tested only where forces are optimised. It is always True with the controllers "constant_squeeze" and "pd" and with
+    the action mode "contact_force". "pd" commands no forces: its `commanded_force` and the force terms are 0.
 
     ## Reset options
     `options={"wrench": (6,)}` replaces the episode's external wrench by a constant one [N, N m].

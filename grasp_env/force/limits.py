@@ -81,7 +81,8 @@ class ForceLimits:
             (N, 6, J) with the fingertips' angular velocities in rows 3 to 5, for soft contacts. As in `joint_torques`.
         torque_limit: largest absolute joint torque [N m], 1e-12 to 1e12; one for all joints or (J,); inf: no limit. It needs
             `jacobian`, and `jacobian` needs it.
-        torque_bias: (J,) tau_0 [N m], joint torques besides those of the grasp, such as the hand's weight; None: zero.
+        torque_bias: (J,) tau_0 [N m], torques that the motors supply in addition to J^T f, for example to hold up the links; None: zero.
+            The limit is on abs(J^T f + tau_0).
 
     Raises:
         InvalidInputError: a limit out of range, min_normal >= max_normal, shapes that do not match, or only one of jacobian and
@@ -236,15 +237,15 @@ class ForceLimits:
         count = as_grasp(grasp).n_contacts
         least, most, jac, limit, bias = self.checked(count)
         labels = self.labels(count)
-        room = 2 * (count + len(limit))
-        matrix, bound, limited = np.empty((room, count, 4)), np.empty(room), np.empty(room)
-        made = core.limit_rows(least, most, _in_contact_frames(grasp, jac), limit, bias, matrix, bound, limited)
+        capacity = 2 * (count + len(limit))
+        matrix, bound, limit_values = np.empty((capacity, count, 4)), np.empty(capacity), np.empty(capacity)
+        made = core.limit_rows(least, most, _in_contact_frames(grasp, jac), limit, bias, matrix, bound, limit_values)
         assert made == len(labels)
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.cone_scale > 0.0
         transmitted[:, 3] = grasp.models.torsional_friction > 0.0
         rows = (matrix[:made] * transmitted).reshape(made, 4 * count)
-        return LimitRows(rows, bound[:made].copy(), labels), limited[:made].copy()
+        return LimitRows(rows, bound[:made].copy(), labels), limit_values[:made].copy()
 
     def violations(
         self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9
@@ -279,12 +280,15 @@ def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:
 def _with_torsion(grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None) -> Array:
     """Return (N, 4): normal, o, t, torsion."""
     forces = as_array(force, (grasp.n_contacts, 3), "force", ranges.SIZE)
-    twist = np.zeros(len(forces)) if torsion is None else as_array(torsion, (len(forces),), "torsion", ranges.SIZE)
-    return np.column_stack([forces, twist])
+    torsions = np.zeros(len(forces)) if torsion is None else as_array(torsion, (len(forces),), "torsion", ranges.SIZE)
+    return np.column_stack([forces, torsions])
 
 
 def _bound(value: ArrayLike, name: str, of: str, within: ranges.Range) -> Array:
-    """Return a number or a vector of limits; inf means no limit, and is allowed unless the range begins at 0."""
+    """Return a number or a vector of limits.
+
+    inf means no limit. It is refused for `min_normal`, the only limit whose range starts at 0.
+    """
     zero = within.low == 0.0
     try:
         array = as_array(value, None, name, finite=False)
@@ -296,8 +300,8 @@ def _bound(value: ArrayLike, name: str, of: str, within: ranges.Range) -> Array:
             f"{name} must be {'>= 0 and finite,' if zero else '> 0, inf for no limit,'} one for all or one per {of}, got "
             f"{shown(array)}"
         )
-    limited = array[np.isfinite(array)]
-    if not ((limited >= within.low) & (limited <= within.high)).all():
+    finite = array[np.isfinite(array)]
+    if not ((finite >= within.low) & (finite <= within.high)).all():
         raise InvalidInputError(f"{name} must lie within {within}{'' if zero else ', or be inf'}, got {shown(array)}")
     return array
 

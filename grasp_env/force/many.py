@@ -170,7 +170,7 @@ def checked_batch(wrenches: ArrayLike, workers: int | None) -> tuple[Array, int]
 def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:
     """Solve for all wrenches (M, 6) on the contacts of an optimizer, independently of each other."""
     records = np.empty((len(loads), optimizer.core.size))
-    if optimizer.compiled:
+    if optimizer.core_finds_start:
         over_parts(lambda part: optimizer.core.solve_many(loads[part], records[part]), len(loads), CHUNK, threads)
     else:
         for load, record in zip(loads, records, strict=True):

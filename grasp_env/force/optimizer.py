@@ -53,19 +53,21 @@ class ForceOptimizer:
     """Solver for repeated calls, on the contacts of the constructor or on others.
 
     The arguments of a call (positions, normals, friction, Jacobian, torque bias, touching contacts) hold for that call only. Only
-    the last solution is kept between calls; it is a start only with `initial="previous"` or a learned rule that remembers. Use each
-    optimizer in one thread; several optimizers may run at once. The class wraps the C++ class `grasp::ForceOptimizer` and adds checks
-    and error messages.
+    the last solution is kept between calls. It is a start only with `initial="previous"`, or with a learned rule whose `remembers` is
+    True and whose prediction has a larger Phi. Use each optimizer in one thread; several optimizers may run at once. The class wraps
+    the C++ class `grasp::ForceOptimizer` and adds checks and error messages.
 
     Args:
         grasp: the contacts. `solve` accepts others; `update` replaces them.
-        method: "newton" minimises Phi in about six steps. "reduced_flow" is the paper's gradient flow on 3N numbers, and "full_flow"
-            the same flow as printed, dense, for N <= 8. "conic" minimises the normal forces, without Phi.
+        method: "newton" minimises Phi in about six steps. "full_flow" is the gradient flow exactly as the paper prints it, on dense
+            matrices, for N <= 8. "reduced_flow" is the same flow on the 3N force components only, which is much cheaper. "conic"
+            minimises the normal forces, without Phi.
         initial: the start of every call: a name, any callable rule(grasp, wrench) -> (N, 3), a force (N, 3) [N], or a
-            `ForceSolution`, which is the previous solution of the first call. The names are "linear_combination" (the paper's start,
-            the default of the flows), "linear_combination_printed", "single_value", "lagrange", "phase_one", "internal_force" (the
-            default of newton) and "previous" (the last solution). "conic" takes no start. Contacts without force closure start
-            from a phase-one force.
+            `ForceSolution`, for example one that you saved. The first call then starts from it, and later calls from the last
+            solution. The names are "linear_combination" (the paper's start, the default of the flows), "linear_combination_printed",
+            "single_value", "lagrange", "phase_one", "internal_force" (the default of newton) and "previous" (the last solution).
+            "conic" takes no start. If the contacts of a call have no force closure, the named start may not exist. The call then
+            searches for a force inside the cones instead ("phase_one").
         criterion: what "conic" minimises, the "sum" or the "max" of the normal forces.
         limits: a `ForceLimits` on normal forces and joint torques, for "newton" and "conic".
         force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per contact.
@@ -76,9 +78,9 @@ class ForceOptimizer:
         step_rule: the step rule of the flows: `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`. None:
             `AdaptiveStep()`.
         elastic: if no force satisfies the limits, return a force with status LIMITS_EXCEEDED instead of raising an error. The force
-            balances the wrench and lies inside the cones. It minimises the largest excess over a limit, as a fraction of that limit,
-            to within 1 % or 1e-6, given enough iterations. In the solution, `objective` equals `limit_excess`, with its
-            `lower_bound`.
+            balances the wrench and lies inside the cones. Among these forces it has the smallest relative excess: the largest
+            excess / limit over all limits. Given enough iterations, this excess is within 1 % or 1e-6 of the smallest one, whichever
+            is larger. The solution's `objective` is the excess, and `lower_bound` bounds it.
 
     Raises:
         InvalidInputError: input of another type or shape, not finite, or out of range (`grasp_env/ranges.py`).
@@ -142,6 +144,7 @@ class ForceOptimizer:
         """Make the compiled optimizer."""
         grasp, options, initial = self.grasp, self.options, self._initial
         start, model, remembers = 0, None, False
+        # names of all starts as solutions show them, and of the requested one
         self.names = names, requested = start_names(initial, options)
         if initial is None:
             pass
@@ -159,7 +162,8 @@ class ForceOptimizer:
                     raise
                 # the rule does not support these contacts: without a model the core uses its default start, and
                 # `solution.initial` names the start that was used and the one that it replaced
-        self.compiled, self.remembers = initial is None or start > 0, remembers
+        # False for a user's rule or force, which `_start` evaluates in Python
+        self.core_finds_start, self.remembers = initial is None or start > 0, remembers
         weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
         limits: LimitNumbers = (
@@ -263,10 +267,10 @@ class ForceOptimizer:
             normals: (N, 3) inward unit normals.
             friction: coefficient(s), as in `Grasp.from_contacts`.
             jacobian: (N, 3, J) or (N, 6, J), as in `ForceLimits`; the optimizer must have torque limits.
-            torque_bias: (J,) joint torques besides those of the grasp [N m].
+            torque_bias: (J,) tau_0 [N m], torques that the motors supply in addition to J^T f, as in `ForceLimits`.
             contacts: (N,) True for contacts that touch; the force of the others is zero. None: all touch. At most 64 contacts.
             initial: a start for this call only.
-            optimum: a known min Phi: stop at the relative gap to it instead of the certified gap (for studies).
+            optimum: the optimal Phi, if known: the solve stops when Phi is within `tolerance` (relative) of it (for studies).
             trace: keep Phi of every iterate in `objective_trace`.
 
         Raises:
@@ -276,7 +280,7 @@ class ForceOptimizer:
             InfeasibleStartError: the start is not balanced or not strictly inside the cones, or its rule fails.
             NotConvergedError: neither a force nor a proof was found.
         """
-        if initial is None and optimum is None and trace is False and self.compiled:
+        if initial is None and optimum is None and trace is False and self.core_finds_start:
             solution = self._solve(wrench, positions, normals, friction, jacobian, torque_bias, contacts)
             if solution is not None:
                 return solution
@@ -494,7 +498,7 @@ def optimize_force(
         grasp: the contacts.
         wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N m], in the frame of the
             contacts' positions; balanced as G f + wrench = 0.
-        optimum: a known min Phi: stop at the relative gap to it instead of the certified gap (for studies).
+        optimum: the optimal Phi, if known: the solve stops when Phi is within `tolerance` (relative) of it (for studies).
         trace: keep Phi of every iterate in `objective_trace`.
         options: the keywords of `ForceOptimizer`, with its defaults.
 

@@ -3,7 +3,8 @@
 Column `status` of a row:
 
 - "optimal": the relative gap of Phi reached `TOLERANCE`.
-- "iteration_limit", "stalled", ...: the method ended before that; the method's own status, or "stalled" if that is "optimal".
+- "iteration_limit", "stalled", ...: the method stopped before that. The value is its own status; if it reported "optimal" by its own
+  criterion without reaching `TOLERANCE`, the value is "stalled".
 - "no_start": the start is missing or invalid; `reason` says why.
 - "feasible", "failed": only for a user's solver: the force is valid without reaching `TOLERANCE`; there is no valid force.
 """
@@ -35,7 +36,7 @@ TOLERANCE = 1e-4
 COARSE, FINE = 1e-2, 1e-6
 """Relative gaps of Phi to which iterations are counted as well."""
 END_GAP = {"reduced_flow": 1e-6, "newton": 1e-8}
-"""Relative gap of Phi at which a run ends, by method."""
+"""Relative gap of Phi at which each method is stopped; at most `FINE`, so that a run passes all counted gaps."""
 ITERATION_LIMIT = 5000
 """Iteration limit of a run; a gap that is not reached counts as one iteration more."""
 OPTIMUM_GAP = 1e-10
@@ -54,8 +55,8 @@ class Quality:
 
     Attributes:
         gap: relative gap of Phi to the optimum; inf outside the cones.
-        margin: least cone margin over the largest component.
-        residual: balance residual over the largest component.
+        margin: smallest cone margin, divided by the largest force component.
+        residual: balance residual, divided by the largest force component.
     """
 
     gap: float
@@ -83,7 +84,7 @@ class Quality:
 
 
 class Optimizers:
-    """Optimizers of the most recent grasps, at most four."""
+    """Cache of the optimizers of up to four grasps; a new grasp replaces the oldest."""
 
     def __init__(self, objective: Objective) -> None:
         self.objective = objective

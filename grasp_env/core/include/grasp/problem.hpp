@@ -39,12 +39,12 @@ struct Options {
     double gap() const { return tolerance > 0.0 ? tolerance : method == Method::conic ? 1e-6 : 1e-4; }
 };
 
-// Changes of the problem by a call or an update. Empty members mean no change.
+// Changes of the problem by a call or an update. Empty spans mean no change; `contacts` with all bits set means all contacts touch.
 struct Changes {
     Doubles positions{}, normals{};  // (N, 3) [m], inward unit normals
     Doubles friction{};  // one coefficient, N coefficients, or two for each contact
     Doubles jacobian{};  // same shape as in the limits
-    Doubles torque_bias{};  // (J,) [N m]
+    Doubles torque_bias{};  // (J,) tau_0 [N m]: torques that the motors supply in addition to J^T f
     std::uint64_t contacts = ~std::uint64_t(0);  // bit i: contact i touches; for solvers of up to 64 contacts
 
     bool empty() const {
@@ -53,18 +53,21 @@ struct Changes {
     }
 };
 
-// One call: the wrench to balance, the changes of the problem, and the start.
+// One call: the wrench to balance, the changes of the problem, and the start. Start::standard means the start of the options.
+// Start::previous uses `previous` if it is set, otherwise `force`, and the default start if neither is. `ForceOptimizer::solve`
+// sets an unset `previous` to its last solution.
 struct Request {
     const double* wrench;
     Changes now{};
     Start start = Start::standard;
-    Doubles force{}, torsion{};  // for Start::given, guess and previous: (N, 3) [N] and (N,) [N m], current contact frames
-    const double* previous = nullptr;  // for Start::previous and learned: row of a solution with N contacts, preferred to `force`
-    // Known min Phi; the gap is measured against it instead of the bound.
+    // For Start::given, guess and previous: (N, 3) [N], current contact frames; for Start::given also (N,) [N m], empty: zero.
+    Doubles force{}, torsion{};
+    const double* previous = nullptr;  // for Start::previous and learned: row of a solution with N contacts
+    // The optimal Phi, if known; the gap is measured against it instead of the bound.
     double optimum = std::numeric_limits<double>::quiet_NaN();
     std::span<double> trace{};  // receives Phi of the first iterates
-    // (N, 3) [N], frame of the positions: a force to add to the start. The solve starts from the force of least Phi between the
-    // start and the balanced sum.
+    // (N, 3) [N], frame of the positions: a force to add to the start. The sum of start and adjustment is first balanced against the
+    // wrench. The solve then starts from the point of least Phi on the segment from the start to that sum.
     Doubles adjustment{};
 };
 
