@@ -1,4 +1,4 @@
-"""`LearnedInitialForce`: a start predicted by a network, never worse in Phi than the paper's."""
+"""`LearnedInitialForce`: a start predicted by a network, whose Phi is never above that of the method's own start."""
 
 from __future__ import annotations
 
@@ -31,11 +31,13 @@ MOST_DEGREE = 8
 class LearnedInitialForce:
     """Initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
 
-    A network trained on one grasp predicts internal forces from the wrench and the friction. If contacts have moved a
-    little, the basis of the internal forces follows continuously. The start is the network's force, or the best force on the segment
-    to it from the combination of the 12-basis, if that has less Phi. The two are compared in every call. So the start never has more
-    Phi than the 12-basis of the current grasp, at any wrench and for any weights. `newton` continues from the start in the same
-    compiled call and certifies the solution.
+    A network trained on one grasp predicts internal forces from the wrench and the friction. It also works after small movements of the
+    contacts, because its internal forces change continuously with them.
+
+    Let a be the network's force. Let b be the method's own start: Newton's internal force, or the combination of the 12-basis for
+    the flows and for a direct call of the rule. The start is a, if its Phi is not above that of b. Otherwise it is the point of least
+    Phi on the segment from b to a. Both are evaluated in every call, so the start never has more Phi than b, at any wrench and for any
+    weights. Optimizers continue from the start in the same compiled call and certify the solution.
 
     The weights may be polynomials of the friction (`friction_degree` above 0). They are evaluated once for a grasp, because a grasp
     keeps its friction between calls.
@@ -77,12 +79,13 @@ class LearnedInitialForce:
             self._degree = whole(numbers["friction_degree"], "friction_degree", 0, MOST_DEGREE)
             self._ranges = checkpoint.ranges["magnitude"], checkpoint.ranges["friction"]
             outputs = 3 * self.n_contacts - 6
-            lengths = self.sizes[0] - core.PLAIN_FEATURES
-            if lengths < 1 or self.sizes[-1] != outputs:
+            # the other inputs are lengths of tangential vectors, see `surface_pairs`
+            n_lengths = self.sizes[0] - core.PLAIN_FEATURES
+            if n_lengths < 1 or self.sizes[-1] != outputs:
                 raise ValueError(f"sizes {self.sizes} for {self.n_contacts} contacts")
         except FAULTS as error:
             raise malformed("of an initial force", error) from None
-        shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs), "pairs": (2 * lengths, 6)}
+        shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs), "pairs": (2 * n_lengths, 6)}
         for layer, (a, b) in enumerate(pairwise(self.sizes)):
             powers = self._degree + 1
             shapes |= {f"layers.{layer}.weight": (powers, b, a), f"layers.{layer}.bias": (powers, b)}
@@ -92,7 +95,7 @@ class LearnedInitialForce:
         self.remembers = flag(remembers, "remembers")
         self._reference = checkpoint.tensors["reference"].astype(np.float64)
         pairs = checkpoint.tensors["pairs"].astype(np.float64).T
-        self._pairs = core.Network.make(pairs.shape, np.append(pairs, np.zeros(2 * lengths)))
+        self._pairs = core.Network.make(pairs.shape, np.append(pairs, np.zeros(2 * n_lengths)))
         self._made: tuple[float, core.Network] | None = None
         self._prepared: _Prepared | None = None
 
@@ -175,7 +178,10 @@ class LearnedInitialForce:
         return rule._model(as_grasp(grasp))[0]
 
     def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
-        """Return True if grasp and wrench are within the training range. Outside it the start is still valid, and solutions report it."""
+        """Return True if grasp and wrench are within the training range.
+
+        Outside the range the start is still valid, and the solution says that it was out of range.
+        """
         return self._prepare(grasp).model.covers(grasp.unit_frame @ read_load(wrench))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
@@ -210,14 +216,15 @@ class LearnedInitialForce:
                 f"this model knows {self.n_contacts} contacts, the grasp has {grasp.n_contacts}; "
                 "use initial='linear_combination', or fit a model of your grasp"
             )
-        (_, most), (low, high) = self._ranges
+        (_, largest_magnitude), (low, high) = self._ranges
         friction, scale = float(grasp.friction.mean()), self._scale(grasp.n_contacts)
         known = low <= friction <= high  # of a grasp, only the friction is checked
         nearest = min(max(friction, low), high) if self._degree else friction  # polynomials do not extrapolate
         model = core.Model.make(self._network(nearest), self._pairs)
         model.normalise(**asdict(self.features))
         internal = np.ascontiguousarray(null_space_basis(grasp, self._reference))
-        model.place(internal, nearest, scale, most * scale if known else -1.0)
+        # a negative magnitude: no wrench is in the training range
+        model.place(internal, nearest, scale, largest_magnitude * scale if known else -1.0)
         return model, internal
 
     def _scale(self, count: int) -> float:
@@ -235,14 +242,14 @@ class LearnedInitialForce:
     def _weights(self, friction: float) -> Array:
         """Return the weights at a friction in the core's order: for each layer the matrix (inputs, outputs), then the bias."""
         feature = (friction - self.features.friction_mean) / self.features.friction_scale
-        feature = min(max(feature, -1e3), 1e3)  # far outside training powers would overflow
+        feature = min(max(feature, -1e3), 1e3)  # far outside the training range its powers would overflow
         powers, parts = feature ** np.arange(self._degree + 1), list[Array]()
         for layer in range(len(self.sizes) - 1):
             for name in ("weight", "bias"):
                 coefficients = self.checkpoint.tensors[f"layers.{layer}.{name}"].astype(np.float64)
                 parts.append(np.tensordot(powers, coefficients, 1).T.ravel())
-        most = float(np.finfo(np.float32).max)
-        return np.concatenate(parts).clip(-most, most)
+        largest = float(np.finfo(np.float32).max)
+        return np.concatenate(parts).clip(-largest, largest)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # without the cached grasp: environments in other processes get the checkpoint

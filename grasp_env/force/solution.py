@@ -151,7 +151,7 @@ class ForceSolution(Solution):
             NotConvergedError: any other status except OPTIMAL.
         """
         if self.status in (Status.INFEASIBLE, Status.LIMITS_EXCEEDED):
-            raise InfeasibleWrenchError(f"wrench {self.wrench.tolist()}: {self.status.help}", self)
+            raise InfeasibleWrenchError(self._infeasibility(), self)
         if self.status is not Status.OPTIMAL:
             raise NotConvergedError(
                 f"{self.method} ended after {self.iterations} iterations with a relative gap of "
@@ -159,6 +159,18 @@ class ForceSolution(Solution):
                 self,
             )
         return self
+
+    def _infeasibility(self) -> str:
+        """Describe what the solution shows of an infeasible wrench; it knows neither the grasp nor the labels of the limits."""
+        twist = self.certificate
+        if twist is None:
+            shown = f"The largest excess is {100.0 * self.limit_excess:.3g} % of its limit. The error of optimize_force with elastic=False"
+        else:
+            shown = f"The twist is {[round(v, 6) for v in twist.tolist()]}. The error of optimize_force"
+        return (
+            f"wrench {self.wrench.tolist()} on {self.n_contacts} contacts: {self.status.help} {shown} names the limits and the "
+            "friction cones that the proof needs"
+        )
 
     def __repr__(self) -> str:
         return (

@@ -13,7 +13,7 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 LARGEST_CONDITION = 1e3
-"""Condition number of G, moments over the grasp's length, beyond which some wrenches need huge forces."""
+"""Condition number of G, with moments divided by the grasp's length, above which some wrenches need very large forces."""
 SMALLEST_DISTANCE = 0.01
 """Distance of two contacts, as a fraction of the grasp's length, below which they act like one contact."""
 
@@ -61,7 +61,7 @@ def warn_of(grasp: Grasp, wrench: Wrench | None = None, limits: TorqueLimits | N
 
     Args:
         grasp: the contacts.
-        wrench: (6,) float64; the warning is then about it alone, since that about contacts and limits came with the solver.
+        wrench: (6,) float64. If given, warn about the wrench only: contacts and limits were already checked when the solver was made.
         limits: checked limits.
     """
     rows = _torque_limits(grasp, limits)
@@ -76,7 +76,7 @@ def warn_of(grasp: Grasp, wrench: Wrench | None = None, limits: TorqueLimits | N
 
 
 def _torque_limits(grasp: Grasp, limits: TorqueLimits | None) -> tuple[Array | None, Array | None]:
-    """Jacobian (N, 3 or 6, J) and torque limits (J,), or None for both."""
+    """Return the Jacobian (N, 3 or 6, J) and the torque limits (J,), or None for both."""
     if limits is None:
         return None, None
     rows = getattr(limits, "jacobian", None)
@@ -112,7 +112,7 @@ def _condition(grasp: Grasp) -> list[str]:
 
 
 def _condition_number(grasp: Grasp, about: Array) -> float:
-    """Condition number of G with moments about a point (3,) [m], divided by the grasp's length."""
+    """Return the condition number of G, with moments taken about `about` (3,) [m] and divided by the grasp's length."""
     matrix = grasp.matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
     whole = np.concatenate([matrix, grasp.torsion_matrix * grasp.length], axis=1)
     whole[3:] -= np.cross(about, whole[:3].T).T

@@ -1,16 +1,18 @@
 """The worst wrench of a set, on the exact cones, with a certified interval.
 
-The least force c(w) is the smallest size of a contact force that balances w. The size of a force is the sum or the maximum of its
-normal forces. c is convex. By duality, c(w) is the maximum over twists n of -n . w / h(n). Here h(n) is the largest n . G f over
-the forces f in the cones of size <= 1; `_largest_wrenches` computes it in closed form. Maximising c over a ball is a convex
-maximisation. The maximum is bounded from both sides:
+The cost c(w) of a wrench w is the smallest size of a contact force that balances w. The size of a force is the sum or the maximum of
+its normal forces. The optimal force is one of that size. c is convex. By duality, c(w) is the maximum over twists n of -n . w / h(n).
+Here h(n) is the largest n . G f over the forces f in the cones of size <= 1; `_largest_wrenches` computes it in closed form.
+Maximising c over a ball is a convex maximisation. The maximum is bounded from both sides:
 
 - Below, by ascent: solve the conic problem at w and take its multipliers n, for which h(n) <= 1. Replace w by the wrench of the ball
   with the largest -n . w, and repeat. c never decreases, since c(w') >= -n . w' for every w'.
-- Above, by the convex hull of some wrenches G f of forces f of size <= 1. It lies inside the set of all such wrenches. So c is at most
-  the factor by which the hull must be scaled to contain the ball. The facet that is nearest to the origin, relative to the ball,
-  determines this factor. The next wrench of the hull is the one with the largest n . G f for the normal n of this facet, until the
-  gap is closed (Zheng 2013, "An efficient algorithm for a grasp quality measure", IEEE T-RO 29(2), for epsilon).
+- Above, without limits, by an inner hull: the convex hull of some wrenches G f of forces f of size <= 1. It lies inside the set of all
+  such wrenches. So c is at most the factor by which the hull must be scaled to contain the ball. The facet that is nearest to the
+  origin, relative to the ball, determines this factor. The next wrench of the hull is the one with the largest n . G f for the normal
+  n of this facet. This is repeated until the gap is closed. Zheng 2013 ("An efficient algorithm for a grasp quality measure", IEEE
+  T-RO 29(2)) does this for the quality measure epsilon.
+- Above, with limits, by an outer polytope, which contains the ball: c is convex, so its maximum over the polytope is that of a vertex.
 """
 
 from __future__ import annotations
@@ -34,14 +36,14 @@ from grasp_env.quality.closure import force_closure
 
 SHAPES = ("ellipsoid", "product")
 ENCLOSING = 42
-"""Number of vertices of the polyhedron around a ball of forces, or of moments; see `WrenchBall.enclosing`."""
-ARCS = 4
-"""Number of corners of the polygon around a quarter circle in (|force|, |moment|), for the polytope around an ellipsoid."""
+"""Number of vertices of the polyhedron around a ball of forces or of moments; the outer polytope combines the two."""
+CORNERS = 4
+"""Number of corners of the polygon around a quarter circle in (|force|, |moment|), for the outer polytope of an ellipsoid."""
 SHRINK = 1e-5
-"""Largest relative random shift of the polytope's points towards the origin; it keeps the points in general position."""
+"""Largest relative random shift of the inner hull's points towards the origin; it keeps the points in general position."""
 JOGGLE = 1e-9
-"""Qhull's random shift of the points (option QJ), whose norms are at most 1. To keep the bound valid, 100 times this is subtracted
-from every facet's distance to the origin."""
+"""Largest random shift of a coordinate by Qhull (option QJ); the points have norms of about 1. To keep the bound valid, 100 times this
+shift is subtracted from every facet's distance to the origin."""
 BATCH = 8
 """Number of facets refined at once."""
 
@@ -89,7 +91,7 @@ class WrenchBall:
         return (parts / np.maximum(size, 1e-300)).reshape(6) * self.radii
 
     def enclosing(self) -> Array:
-        """Return the vertices (V, 6) of a polytope that contains the ball."""
+        """Return the vertices (V, 6) of an outer polytope, which contains the ball."""
         step = np.arange(ENCLOSING) + 0.5
         height, turn = 1.0 - 2.0 * step / ENCLOSING, np.pi * (1.0 + np.sqrt(5.0)) * step
         flat = np.sqrt(1.0 - height**2)
@@ -99,19 +101,19 @@ class WrenchBall:
         pairs *= self.radii
         if self.shape == "product":
             return pairs
-        angles = np.pi / (2 * ARCS) * (np.arange(ARCS) + 0.5)
-        parts = np.stack([np.cos(angles), np.sin(angles)], axis=1).repeat(3, axis=1) / np.cos(np.pi / (4 * ARCS))
+        angles = np.pi / (2 * CORNERS) * (np.arange(CORNERS) + 0.5)
+        parts = np.stack([np.cos(angles), np.sin(angles)], axis=1).repeat(3, axis=1) / np.cos(np.pi / (4 * CORNERS))
         return (parts[:, None] * pairs).reshape(-1, 6)
 
 
 class WorstCase(NamedTuple):
-    """Result of `worst_case`. The least force at the worst wrench of the set lies between `lower` and `upper`, certified by duality.
+    """Result of `worst_case`. The cost of the worst wrench of the set lies between `lower` and `upper`, certified by duality.
 
     Attributes:
         wrench: (6,) the worst wrench found [N, N m].
-        lower: dual bound of the least force at `wrench` [N]; inf if no force balances this wrench.
-        upper: upper bound of the least force at all wrenches of the set [N]; inf if no bound was found.
-        solution: the least force at `wrench`, or the proof of infeasibility (`certificate`). None if the conic solver did not
+        lower: lower bound of the cost of `wrench` [N]; inf if no force balances this wrench.
+        upper: upper bound of the cost of all wrenches of the set [N]; inf if no bound was found.
+        solution: the optimal force for `wrench`, or the proof of infeasibility (`certificate`). None if the conic solver did not
             converge there; the bounds hold nevertheless.
     """
 
@@ -122,7 +124,7 @@ class WorstCase(NamedTuple):
 
     @property
     def least_force(self) -> float:
-        """Smallest sum or maximum of the normal forces at `wrench` [N], to the solver's tolerance; inf if infeasible."""
+        """Cost of `wrench` [N]: the smallest sum or maximum of the normal forces, to the solver's tolerance; inf if infeasible."""
         return self.lower if self.solution is None else self.solution.objective
 
     @property
@@ -142,21 +144,22 @@ def worst_case(
     points: int = 400,
     seed: int = 0,
 ) -> WorstCase:
-    """Find the worst wrench of a set: the one whose least force is the largest.
+    """Find the worst wrench of a set: the one of the largest cost.
 
-    The least force of a wrench is the smallest size of a contact force that balances it. For a ball without force closure, that of the
-    worst wrench is inf.
+    The cost of a wrench is the smallest size of a contact force that balances it. If `wrenches` is a ball and the grasp has no force
+    closure, the worst wrench has an infinite cost.
 
     Args:
         grasp: the contacts, of any models.
-        wrenches: (M, 6) [N, N m], or a `WrenchBall`. The result also holds for the convex hull of the wrenches, since the least
-            force is convex.
+        wrenches: (M, 6) [N, N m], or a `WrenchBall`. The result also holds for the convex hull of the wrenches, since the cost
+            is convex.
         criterion: size of a force: "sum" or "max" of its normal forces.
-        limits: further limits. For a ball, `upper` is then the bound at the worst vertex of a polytope around it, which is at most
-            10 % (product) or 12 % (ellipsoid) larger. It is inf if no force within the limits was found for some vertex.
+        limits: further limits. For a ball, `upper` is then the largest bound over the vertices of an outer polytope. The polytope
+            contains the ball and reaches at most 10 % (product) or 12 % (ellipsoid) beyond it. `upper` is inf if no force within the
+            limits was found for some vertex.
         tolerance: relative gap at which the refinement of the upper bound ends, not below 1e-4; without limits only.
         starts: number of random directions in which an ascent starts, besides the twelve along the axes; at most 10,000.
-        points: largest number of points of the polytope, 64 to 5000; without limits only.
+        points: number of points of the inner hull at which the refinement ends, 64 to 5000; without limits only.
         seed: seed of the random directions.
 
     Raises:
@@ -185,7 +188,7 @@ def worst_case(
         solved = [_solved(optimizer, wrench) for wrench in listed]
         for wrench, found in zip(listed, solved, strict=True):
             if found.solution is None:
-                raise NotConvergedError(f"the conic solver found no least force for wrench {wrench.tolist()}")
+                raise NotConvergedError(f"the conic solver found no optimal force for wrench {wrench.tolist()}")
         worst = max(solved, key=lambda found: found.upper)
         return worst._replace(lower=max(found.lower for found in solved))
     ball = wrenches
@@ -242,7 +245,7 @@ def _enclosed(
     points: int,
     rng: np.random.Generator,
 ) -> WorstCase:
-    """Refine the upper bound by a growing hull of wrenches, for a grasp with force closure; wrenches are scaled to a unit ball."""
+    """Refine the upper bound by a growing inner hull, for a grasp with force closure; wrenches are scaled to a unit ball."""
     grasp, criterion = optimizer.grasp, optimizer.options.criterion
     unit = WrenchBall(1.0, 1.0, ball.shape)
     # include the direction of the worst wrench so far
@@ -256,7 +259,7 @@ def _enclosed(
 
     try:
         hull = ConvexHull(hull_points(wrenches), incremental=True, qhull_options=f"QJ{JOGGLE} Q12 Pp")
-    except QhullError:  # too thin for a polytope: no upper bound
+    except QhullError:  # the inner hull is too thin: no upper bound
         return best._replace(upper=np.inf)
     while True:
         normals, distance = hull.equations[:, :6], -hull.equations[:, 6] - 100.0 * JOGGLE
@@ -280,7 +283,7 @@ def _enclosed(
 
 
 def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase) -> WorstCase:
-    """Compute the upper bound from the vertices of a polytope around the ball."""
+    """Compute the upper bound from the vertices of an outer polytope."""
     upper = best.upper
     for vertex in ball.enclosing():
         found = _solved(optimizer, vertex)

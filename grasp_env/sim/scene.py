@@ -29,8 +29,8 @@ class Scene:
         visuals: Load the hand's visual shapes, which pictures need. They make loading a new object five times slower.
 
     Attributes:
-        simulator: The physics engine, for direct calls. That of PyBullet has `client`, the connection, and `world`, which holds the ids of
-            the bodies. That of MuJoCo has `model` and `data`.
+        simulator: The physics engine, for direct calls. With PyBullet it has `client`, the connection, and `world`, the ids of the bodies.
+            With MuJoCo it has `model` and `data`.
         kinematics: Kinematics of the hand.
         core: The compiled `core.Scene`, which holds the hand, the object and the last reading.
         gravity: Current gravity [m/s^2], (3,), world frame.
@@ -66,9 +66,9 @@ class Scene:
         return self.config.substeps / self.config.engine.rate
 
     def load(self, config: SceneConfig) -> None:
-        """Load another object, grasp or hand. The kind of engine stays the same.
+        """Load another object, grasp or hand. The engine and its settings stay as they are.
 
-        All saved states are dropped, "start" included. Call `keep` before the next `reset`.
+        All saved states are dropped. Unlike the constructor, `load` saves no "start" state: call `keep` before the next `reset`.
 
         Args:
             config: The new scene; its engine is ignored.
@@ -106,12 +106,12 @@ class Scene:
             self.gravity[:] = gravity
             self.core.set_gravity(gravity.tolist())
             self.simulator.set_gravity(gravity)
-            self._read = False
+            self._core_is_current = False
 
     def keep(self, name: str = "start") -> None:
         """Save the current state under a name, for `reset`. An earlier state of that name is replaced."""
         self.simulator.keep(name)
-        self._read = False
+        self._core_is_current = False
 
     def reset(self, name: str = "start") -> None:
         """Restore a saved state exactly, contact forces included. Gravity and the object's mass, inertia and friction stay as they are now.
@@ -120,15 +120,15 @@ class Scene:
             UnknownNameError: No state was saved under that name.
         """
         self.simulator.reset(name)
-        self._read = False
+        self._core_is_current = False
 
     def step(self, torques: ArrayLike, external_wrench: ArrayLike | None = None) -> None:
         """Advance by one step, `substeps` steps of the engine.
 
         Args:
             torques: Joint torques [N m], (M,), clipped to the hand's limits.
-            external_wrench: Force [N] and moment about the centre [N m] on the object besides gravity, (6,), object frame. None for no
-                wrench.
+            external_wrench: Force [N] and moment about the centre of mass [N m] on the object besides gravity, (6,), object frame. None for
+                no wrench.
 
         Raises:
             InvalidInputError: An array has a wrong shape or a number that is not finite.
@@ -142,7 +142,7 @@ class Scene:
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """Step without checks, for loops: `torques` must be within the limits; `wrench` may be None."""
         self.simulator.advance(torques, wrench)
-        self._read = False
+        self._core_is_current = False
 
     def look(self) -> Snapshot:
         """Return the current state of hand, object and contacts, and the contact forces of the last step.
@@ -160,16 +160,16 @@ class Scene:
 
         The caller must pass it to `core.read`, because it is not returned again.
         """
-        if self._read:
+        if self._core_is_current:
             return None
         reading = self.simulator.read()
-        self._read = True
+        self._core_is_current = True
         return reading
 
     def close(self) -> None:
         """Free the simulator. Calling it again does nothing; any other call afterwards raises."""
         self.simulator.close()
-        self._read = False
+        self._core_is_current = False
 
     def __reduce__(self) -> Any:
         raise SimulationError(
@@ -181,11 +181,11 @@ class Scene:
         self.gravity = np.array(self.config.gravity, dtype=float)
         self.core = core.Scene.make(self.kinematics.tree, self.config.object.surface, self.config.gravity)
         self._snapshot = Snapshot(**self.core.arrays())
-        self._read = False
+        self._core_is_current = False
 
     def divergence_error(self, reading: Array) -> SimulationError:
-        """Return the error for a reading that `core.read` rejected. The next `look` reads the simulator again."""
-        self._read = False
+        """Return the error for a reading that `core.read` rejected. Also force the next `look` to read the simulator again."""
+        self._core_is_current = False
         body = reading[2 * len(self._snapshot.angles) :]
         return SimulationError(
             f"the simulation diverged: the object is at {body[:3].tolist()} m with velocity {body[7:10].tolist()} m/s; reset the "

@@ -77,9 +77,9 @@ def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
 
 def join(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
     """Concatenate tables."""
-    # a column that a part lacks becomes one of objects; `table` restores its type
-    below = [part.astype(object) for part in parts]
-    return table(pd.concat(below, ignore_index=True) if below else [])
+    # a part may lack a column, so its values are concatenated as Python objects; `table` restores the type
+    untyped = [part.astype(object) for part in parts]
+    return table(pd.concat(untyped, ignore_index=True) if untyped else [])
 
 
 def write(path: Path, rows: pd.DataFrame) -> None:
@@ -123,12 +123,12 @@ def read(path: Path) -> pd.DataFrame:
 
     rows = parsed(
         path,
-        columns,
-        InvalidInputError,
-        f"the table {path}",
-        "a table of results",
-        "; give a run's rows.parquet",
-        WEIGHTS,
+        read=columns,
+        error=InvalidInputError,
+        name=f"the table {path}",
+        form="a table of results",
+        hint="; give a run's rows.parquet",
+        most=WEIGHTS,
     )
     kinds = {name: DTYPES[COLUMNS[name].kind] for name in rows.columns if name in COLUMNS}
     try:
@@ -147,8 +147,9 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     """Summarise a table: one row for each combination of keys, with the statistics of every column.
 
     Returns:
-        The keys that the table has, the number of rows `n`, and `<column>_<statistic>` for every statistic of `COLUMNS`, in order of
-        first appearance. A group without finite values has missing statistics.
+        The keys that the table has, the number of rows `n`, and one `<column>_<statistic>` for each statistic that `COLUMNS` lists
+        for the column. Rows are in the order in which their keys first appear. In a group without finite values, all statistics except
+        `missing` are NaN. Columns without any value are left out.
 
     Example:
         >>> rows = table([{"case": "ball", "held": True}, {"case": "ball", "held": False}, {"case": "jump", "held": True}])
@@ -181,7 +182,7 @@ def described(columns: Iterable[str]) -> dict[str, str]:
 
     Example:
         >>> described(["drift_mean"])
-        {'drift_mean': '[mm] mean: largest distance of the object from where it was grasped, if it was held'}
+        {'drift_mean': '[mm] mean over rows of: largest distance of the object from where it was grasped, if it was held'}
     """
     out = {}
     for name in columns:
@@ -193,9 +194,11 @@ def described(columns: Iterable[str]) -> dict[str, str]:
             out[name] = {"n": "number of rows"}.get(name, "")
             continue
         column = COLUMNS[base]
-        label = {"missing": "rows without a value"}.get(statistic) or STATISTICS.get(statistic, ("",))[0]
+        label = "rows without a value: " if statistic == "missing" else ""
+        if statistic in STATISTICS:
+            label = f"{STATISTICS[statistic][0]} over rows of: "
         unit = f"[{column.unit}] " if column.unit else ""
-        out[name] = f"{unit}{label}{': ' if label else ''}{column.text}"
+        out[name] = f"{unit}{label}{column.text}"
     return out
 
 
