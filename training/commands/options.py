@@ -33,7 +33,7 @@ def left_out(otherwise: str, what: str | None = None) -> Any:
 def setting_help(path: str, otherwise: str | None = None) -> Any:
     """Take an option's help from the environment's setting at this path; `otherwise` as in `left_out`."""
     try:
-        sentence = import_module("grasp_env.config").all_settings()[path].doc
+        sentence = import_module("grasp_env.config.env").all_settings()[path].doc
     except MissingExtraError:  # the command names the extra
         sentence = "see the page of settings."
     return tyro.conf.arg(help=sentence, help_behavior_hint=None if otherwise is None else f"(default: {otherwise})")
