@@ -20,7 +20,13 @@ MOST_LINES = {True: 95, False: 150}
 """Largest number of lines of an example and of another file."""
 SECONDS = 300
 """Largest time of one example."""
-each = pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+LONG = ("12_", "13_", "14_", "15_")
+"""Examples that train or slide for half a minute: the site (`make docs`) runs them too, so that they are slow here."""
+each = pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=pytest.mark.slow) if path.name.startswith(LONG) else path for path in EXAMPLES],
+    ids=lambda path: path.stem,
+)
 whatever = pytest.mark.parametrize("path", ALL, ids=lambda path: path.stem)
 
 
