@@ -1,4 +1,7 @@
-"""`ForceOptimizer`, for repeated calls, and `optimize_force`, for a single call."""
+"""`ForceOptimizer`, for repeated calls, and `optimize_force`, for a single call.
+
+Longer than most modules: the class documents every argument, and its parts share the private state of a call.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`Grasp`: contacts on an object and the linear maps between their forces and the object's wrench."""
+"""`Grasp`: contacts on an object and the linear maps between their forces and the object's wrench.
+
+Longer than most modules: one class, whose arrays and frames are documented one by one.
+"""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ CORNERS = {
 @pytest.mark.parametrize("limited", [False, True])
 @pytest.mark.parametrize("method", CORNERS)
 def test_optimal_is_balanced_everywhere_within_the_ranges(method: str, limited: bool) -> None:
-    """Of random corners: no answer is called optimal that misses the wrench, or leaves a cone or a limit, by plain numpy."""
+    """At random corners of the ranges no answer is called optimal that misses the wrench, or leaves a cone or a limit, by plain numpy."""
     rng = np.random.default_rng([3, *method.encode(), limited])
 
     def drawn(within: Range) -> float:

@@ -2,8 +2,6 @@
 // returns None if it cannot read an argument, or if the outcome needs a message; Python then takes over.
 #include "optimizer.hpp"
 
-#include <grasp/advice.hpp>
-
 #include "buffers.hpp"
 #include "rule.hpp"
 #include "solution.hpp"
@@ -270,30 +268,6 @@ void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
         for (Py_ssize_t j = 0; j < size; ++j) sum.data()[j] += made.weights[k] * rows.data()[size * made.rows[k] + j];
 }
 
-// f(limits, wrench) with what Python gives of a wrench (6,), a Jacobian (N, 3 or 6, J) and torque limits (J,), each an array or None.
-template <class F>
-auto with_limits(const Contacts& contacts, nb::handle wrench, nb::handle jacobian, nb::handle torque_limit, F&& f) {
-    const auto numbers = [](const ArrayArgument& array, std::initializer_list<npy_intp> shape) {
-        if (array.given() && !array.has(shape)) throw nb::type_error("a C-contiguous float64 array of another shape is needed");
-        return array.given() ? array.numbers() : Doubles{};
-    };
-    const Doubles load = numbers(ArrayArgument(wrench), {6}), limit = numbers(ArrayArgument(torque_limit), {-1}),
-                  rows = numbers(ArrayArgument(jacobian), {contacts.count, -1, npy_intp(limit.size())});
-    return f(ForceLimits{.jacobian = rows, .torque_limit = limit}, load);
-}
-nb::list advice(const Contacts& contacts, nb::handle wrench, nb::handle jacobian, nb::handle torque_limit) {
-    nb::list made;
-    with_limits(contacts, wrench, jacobian, torque_limit, [&](const ForceLimits& limits, Doubles load) {
-        for (const Advice& each : advise(contacts, limits, load))
-            made.append(nb::make_tuple(each.near_certain, each.text.c_str()));
-    });
-    return made;
-}
-bool is_suspect(const Contacts& contacts, nb::handle wrench, nb::handle jacobian, nb::handle torque_limit) {
-    return with_limits(contacts, wrench, jacobian, torque_limit,
-                       [&](const ForceLimits& limits, Doubles load) { return looks_wrong(contacts, limits, load); });
-}
-
 }  // namespace
 
 const ForceOptimizer& optimizer_of(nb::handle solver) { return nb::cast<const Solver&>(solver).on; }
@@ -304,13 +278,6 @@ void bind_optimizer(nb::module_& m) {
     m.def("combine", &combine, "basis"_a, "wrench"_a, "printed"_a, "to"_a,
           "Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,). printed: without the optimum at rest\n"
           "(Eqs. 33, 34).");
-    m.def("advise", &advice, "contacts"_a, "wrench"_a.none() = nb::none(), "jacobian"_a.none() = nb::none(),
-          "torque_limit"_a.none() = nb::none(),
-          nb::sig("def advise(contacts: Contacts, wrench: object = None, jacobian: object = None, torque_limit: object = None) "
-                  "-> list[tuple[bool, str]]"),
-          "Likely mistakes: whether each is near certain, and its text. float64 arrays: (6,), (N, 3 or 6, J), (J,).");
-    m.def("looks_wrong", &is_suspect, "contacts"_a, "wrench"_a.none() = nb::none(), "jacobian"_a.none() = nb::none(),
-          "torque_limit"_a.none() = nb::none(), "True if some of that advice is near certain.");
     nb::class_<Solver>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`.")
         .def_static(
             "make", &make, "contacts"_a, "weights"_a.none() = nb::none(), "force_weight"_a = 1.0, "barrier_weight"_a = 0.01,
