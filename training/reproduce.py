@@ -33,9 +33,8 @@ TOLERANCE = 1e-4
 """Relative gap of Phi at which a run ends."""
 LAMBDA = 0.01
 """Barrier weight of Phi [N^2] where it is not varied."""
-WEIGHTS = tuple((1.0, barrier) for barrier in (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)) + tuple(
-    (omega, barrier) for omega in (0.5, 2.0) for barrier in (0.01, 0.1)
-)
+_BARRIERS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+WEIGHTS = (*((1.0, x) for x in _BARRIERS), *((omega, x) for omega in (0.5, 2.0) for x in (0.01, 0.1)))
 """Pairs (omega, lambda [N^2]) to compare. Scaling Phi by omega changes neither its optimum nor, with steps in units of 1 / omega, the
 iterates: only lambda / omega matters. Rows with omega != 1 show the one remaining effect, the first trial step."""
 FIXED_SIZES = tuple(float(size) for size in 10.0 ** np.arange(0.5, -4.6, -0.125))

@@ -10,16 +10,16 @@ namespace {
 // Call f(limits, wrench) with a wrench (6,), a Jacobian (N, 3 or 6, J) and torque limits (J,), each an array or None.
 template <class F>
 auto with_limits(const Contacts& contacts, nb::handle wrench, nb::handle jacobian, nb::handle torque_limit, F&& f) {
-    const auto numbers = [](nb::handle given, const Buffer& array, auto... shape) -> Doubles {
-        if (given.is_none()) return {};
-        if (!array.has(shape...)) throw nb::type_error("a C-contiguous float64 array of another shape is needed");
-        return {array.data(),
-                std::size_t((Py_ssize_t(1) * ... * (shape < 0 ? array.length(sizeof...(shape) == 1 ? 0 : 1) : shape)))};
-    };
     const Buffer load(wrench), limit(torque_limit), rows(jacobian);
-    const Doubles torques = numbers(torque_limit, limit, Py_ssize_t(-1)), w = numbers(wrench, load, Py_ssize_t(6)),
-                  velocities = numbers(jacobian, rows, Py_ssize_t(contacts.count), Py_ssize_t(-1), Py_ssize_t(torques.size()));
-    return f(ForceLimits{.jacobian = velocities, .torque_limit = torques}, w);
+    if (!((wrench.is_none() || load.has(6)) && (torque_limit.is_none() || limit.has(-1)) &&
+          (jacobian.is_none() || rows.has(contacts.count, -1, -1))))
+        throw nb::type_error("a C-contiguous float64 array of another shape is needed");
+    const auto numbers = [](nb::handle given, const Buffer& array, auto size) {
+        return given.is_none() ? Doubles{} : Doubles{array.data(), std::size_t(size())};
+    };
+    return f(ForceLimits{.jacobian = numbers(jacobian, rows, [&] { return contacts.count * rows.length(1) * rows.length(2); }),
+                         .torque_limit = numbers(torque_limit, limit, [&] { return limit.length(0); })},
+             numbers(wrench, load, [] { return 6; }));
 }
 nb::list advice(const Contacts& contacts, nb::handle wrench, nb::handle jacobian, nb::handle torque_limit) {
     nb::list made;
