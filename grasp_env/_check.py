@@ -215,7 +215,7 @@ class AllFaults:
             raise InvalidInputError("; ".join(texts[: self.MOST_TEXTS]) + more) from None
 
 
-def together(*checks: Callable[[], T]) -> list[T]:
+def together(*checks: Callable[[], Any]) -> list[Any]:
     """Return the results of checks without arguments, with all faults in one error; see `AllFaults`."""
     with AllFaults() as check:
         return [check(each) for each in checks]
@@ -239,10 +239,11 @@ def as_number(value: Any) -> float | None:
         value = value.item()
     if not isinstance(value, Real) or isinstance(value, bool | np.timedelta64):
         return None
+    number: Any = value
     try:
-        return float(value)
+        return float(number)
     except OverflowError:
-        return math.inf if value > 0 else -math.inf
+        return math.inf if number > 0 else -math.inf
 
 
 def warn(message: str) -> None:

@@ -21,8 +21,13 @@ SMALLEST_DISTANCE = 0.01
 class TorqueLimits(Protocol):
     """The attributes of `grasp_env.force.ForceLimits` that `advise` reads."""
 
-    jacobian: Any
-    torque_limit: Any
+    @property
+    def jacobian(self) -> Any:
+        """(N, 3 or 6, J) Jacobian, or None."""
+
+    @property
+    def torque_limit(self) -> Any:
+        """(J,) torque limits [N m], or None."""
 
 
 def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: TorqueLimits | None = None) -> list[str]:
