@@ -79,7 +79,7 @@ OPTIONS += -DGRASP_ZIG=$(GRASP_ZIG)
 BUILD := $(BUILD)-zig
 endif
 NINJA := $(BIN)/cmake --build $(BUILD) $(if $(filter core,$(MAKECMDGOALS)),,-- --quiet)
-PYTEST := $(BIN)/python -m pytest -n auto
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile
 ifdef OPTIONS
 PYTEST := env GRASP_CORE_BUILD=$(BUILD) $$(cat $(BUILD)/environment) $(PYTEST)
 endif

@@ -11,7 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable
 from numbers import Real
-from typing import Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,9 @@ from grasp_env import ranges
 from grasp_env.core import LARGEST, all_finite
 from grasp_env.errors import GraspError, GraspWarning, InvalidInputError, UnknownNameError, shown
 from grasp_env.ranges import Range
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs as TypeIs
 
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]

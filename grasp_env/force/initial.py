@@ -20,7 +20,7 @@ from grasp_env.force.solution import GIVEN, LEARNED, STARTS, ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
 if TYPE_CHECKING:
-    from typing_extensions import TypeIs
+    from grasp_env._check import TypeIs
 
 T = TypeVar("T")
 BALANCE_TOLERANCE = 1e-8
