@@ -63,12 +63,12 @@ public:
                     int traced, const Some& positions, const Some& normals) {
         std::vector<double> row(on_->size()), trace(traced, -1.0);
         Request ask{.wrench = numbers(wrench, 6),
-                .now = {.positions = all(positions), .normals = all(normals)},
-                .start = Start(start),
-                .force = all(force),
-                .torsion = all(torsion),
-                .optimum = optimum,
-                .trace = trace};
+                    .now = {.positions = all(positions), .normals = all(normals)},
+                    .start = Start(start),
+                    .force = all(force),
+                    .torsion = all(torsion),
+                    .optimum = optimum,
+                    .trace = trace};
         if (previous) ask.previous = numbers(*previous, row.size());
         on_->solve(ask, row.data());
         return nb::make_tuple(array(row), array(trace));
