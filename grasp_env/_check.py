@@ -11,7 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable
 from numbers import Real
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,9 +20,6 @@ from grasp_env import ranges
 from grasp_env.core import LARGEST, all_finite
 from grasp_env.errors import GraspError, GraspWarning, InvalidInputError, UnknownNameError, shown
 from grasp_env.ranges import Range
-
-if TYPE_CHECKING:
-    from typing_extensions import TypeIs as TypeIs
 
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
@@ -209,6 +206,10 @@ class AllFaults:
             self.faults.append(fault)
             return None  # type: ignore[return-value]
 
+    def add(self, *faults: str | GraspError) -> None:
+        """Add faults that were found elsewhere: errors, or the texts of `InvalidInputError`s."""
+        self.faults += [InvalidInputError(fault) if isinstance(fault, str) else fault for fault in faults]
+
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if len(self.faults) == 1 and error is None:
             raise self.faults[0]
@@ -216,12 +217,6 @@ class AllFaults:
             texts = list(dict.fromkeys(map(str, self.faults)))
             more = f"; and {len(texts) - self.MOST_TEXTS} more" if len(texts) > self.MOST_TEXTS else ""
             raise InvalidInputError("; ".join(texts[: self.MOST_TEXTS]) + more) from None
-
-
-def together(*checks: Callable[[], Any]) -> list[Any]:
-    """Return the results of checks without arguments, with all faults in one error; see `AllFaults`."""
-    with AllFaults() as check:
-        return [check(each) for each in checks]
 
 
 def call_user(

@@ -21,11 +21,10 @@ import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import Field, dataclass, field, fields, replace
-from functools import partial
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from grasp_env import ranges
-from grasp_env._check import as_array, as_number, as_text, choice, together, whole
+from grasp_env._check import AllFaults, as_array, as_number, as_text, choice, whole
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.ranges import Range
 
@@ -99,8 +98,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         known = [(item.name, item.metadata[_ABOUT]) for item in fields(self)]
-        values = together(*(partial(_checked, about, getattr(self, name), name) for name, about in known))
-        for (name, _), value in zip(known, values, strict=True):
+        with AllFaults() as check:
+            values = {name: check(_checked, about, getattr(self, name), name) for name, about in known}
+        for name, value in values.items():
             object.__setattr__(self, name, value)
         self.agree()
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, as_text, together, warn
+from grasp_env._check import AllFaults, as_array, as_text, warn
 from grasp_env.config.randomize import RANDOMIZE, draw
 from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
@@ -171,8 +171,9 @@ class EnvConfig(Settings):
                 )
             return base.replaced(parts[place], place)
 
-        made = together(*(partial(changed, place) for place in parts))
-        return replace(self, **whole | dict(zip(parts, made, strict=True)))
+        with AllFaults() as check:
+            made = {place: check(changed, place) for place in parts}
+        return replace(self, **whole | made)
 
     def resolved(self) -> EnvConfig:
         """Return a copy with defaults filled in: those of the task, the default engine, and soft contacts for two fingers.

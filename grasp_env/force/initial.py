@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
@@ -20,7 +19,7 @@ from grasp_env.force.solution import GIVEN, LEARNED, STARTS, ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
 if TYPE_CHECKING:
-    from grasp_env._check import TypeIs
+    pass
 
 T = TypeVar("T")
 BALANCE_TOLERANCE = 1e-8
@@ -77,25 +76,12 @@ class StartFrom:
     before: ForceSolution | None = None
 
 
-def is_rule(value: object, kind: type[T]) -> TypeIs[T]:
-    """True if an object satisfies one of the protocols above; False if reading its attributes fails."""
-    try:
-        return isinstance(value, kind)
-    except Exception:
-        return False
-
-
 def rule_name(rule: Any) -> str:
     """Return the name of a rule for solutions: its `name`, its `__name__`, or that of its class."""
     text = as_text(rule)
     if text is not None:
         return text
-    for name in ("name", "__name__"):
-        with suppress(Exception):  # a user's attribute may fail
-            found = as_text(getattr(rule, name, None))
-            if found:
-                return found
-    return type(rule).__name__
+    return as_text(getattr(rule, "name", None)) or as_text(getattr(rule, "__name__", None)) or type(rule).__name__
 
 
 def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
@@ -195,7 +181,7 @@ def start_names(initial: Any, options: Options) -> tuple[tuple[str, ...], str]:
     if isinstance(initial, ForceSolution):
         return STARTS, "previous"
     name = "given" if isinstance(initial, np.ndarray | list | tuple) else rule_name(initial)
-    place = LEARNED if is_rule(initial, LearnedRule) else GIVEN
+    place = LEARNED if isinstance(initial, LearnedRule) else GIVEN
     return (STARTS if name in STARTS else (*STARTS[:place], name, *STARTS[place + 1 :])), name
 
 

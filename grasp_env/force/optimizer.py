@@ -31,7 +31,6 @@ from grasp_env.force.initial import (
     StartFrom,
     call_rule,
     checked_initial,
-    is_rule,
     refused_start,
     rule_name,
     rule_start,
@@ -123,17 +122,10 @@ class ForceOptimizer:
         elastic: bool = False,
     ) -> None:
         settings = (method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic)
-        try:
-            self.options, self._grasp = checked_options(*settings), as_grasp(grasp)
-            self.limits = limits if limits is None else as_limits(limits)
-            self._initial = initial if initial is None else checked_initial(initial)
-        except GraspError:
-            with AllFaults() as check:
-                check(checked_options, *settings)
-                check(as_grasp, grasp)
-                check(as_limits, limits)
-                check(checked_initial, initial)
-            raise
+        with AllFaults() as check:
+            self.options, self._grasp = check(checked_options, *settings), check(as_grasp, grasp)
+            self.limits = check(as_limits, limits)
+            self._initial = initial if initial is None else check(checked_initial, initial)
         if elastic and limits is None:
             raise InvalidInputError("elastic=True is for limits that no force satisfies: give limits")
         if initial is not None and self.options.method == "conic":
@@ -155,7 +147,7 @@ class ForceOptimizer:
             start, remembers = PREVIOUS, True
         elif isinstance(initial, str):
             start, remembers = STARTS.index(initial), initial == "previous"
-        elif is_rule(initial, LearnedRule):
+        elif isinstance(initial, LearnedRule):
             start, remembers = LEARNED, bool(initial.remembers)
             try:
                 model = call_rule(initial, initial.model, grasp, options.objective)
@@ -419,7 +411,7 @@ class ForceOptimizer:
             if initial is not None and requested in FROM_BASIS:
                 self.core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
             return StartFrom(STARTS.index(requested), before=self.previous if requested == "previous" else None)
-        if initial is None and is_rule(requested, LearnedRule):
+        if initial is None and isinstance(requested, LearnedRule):
             return StartFrom(0, before=self.previous if requested.remembers else None)
         moved = self.grasp if all(each is None for each in now) else touching_grasp(self.grasp, now)
         start = rule_start(requested, moved, wrench, self.options.objective)

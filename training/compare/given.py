@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 import cloudpickle
 
-from grasp_env._check import Array, together
+from grasp_env._check import AllFaults, Array
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.initial import InitialForceRule
 from policies import LearnedInitialForce
@@ -92,14 +92,11 @@ class Given:
         rules = {name: made for name, made in (objects or {}).items() if name not in paths}
         texts = [*starts, *(f"{name}={path}" for name, path in paths.items())]
         names = [text.partition("=")[0] for text in (*texts, *solvers)] + list(rules)
-        _, *found = together(
-            lambda: _check_names(names),
-            *(lambda text=text: _start(text) for text in texts),
-            *(lambda name=name: _rule(rules[name], f"the start {name}") for name in rules),
-            *(lambda text=text: _solver(text) for text in solvers),
-        )
-        made = dict(zip([*(text.partition("=")[0] for text in texts), *rules], found, strict=False))
-        methods = dict(zip((text.partition("=")[0] for text in solvers), found[len(made) :], strict=True))
+        with AllFaults() as check:
+            check(_check_names, names)
+            made = {text.partition("=")[0]: check(_start, text) for text in texts}
+            made |= {name: check(_rule, rule, f"the start {name}") for name, rule in rules.items()}
+            methods = {text.partition("=")[0]: check(_solver, text) for text in solvers}
         try:
             packed = cloudpickle.dumps((made, methods))
         except Exception as error:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from grasp_env._check import choice, together
+from grasp_env._check import AllFaults, choice
 from grasp_env.config import EnvConfig
 from grasp_env.config.randomize import OBJECT as RANDOM_OBJECT
 from grasp_env.env.env import FourFingerGrasp
@@ -85,11 +85,12 @@ class HoldsConfig:
             if not os.path.isfile(name):
                 choice(name, "hand", HANDS, ", or the path of a URDF, xacro or MJCF file that exists")
 
-        together(
-            lambda: check_counts(self, {"episodes": 0, "seed": 0}),
-            *(lambda name=name: hand(name) for name in self.hands),
-            *(lambda name=name: choice(name, "engine", ENGINES) for name in self.engines),
-        )
+        with AllFaults() as check:
+            check(check_counts, self, {"episodes": 0, "seed": 0})
+            for name in self.hands:
+                check(hand, name)
+            for name in self.engines:
+                check(choice, name, "engine", ENGINES)
         for what, names in (
             ("hands", [short_name(name) for name in self.hands]),
             ("objects", [mesh_settings(text)[0] for text in self.objects]),

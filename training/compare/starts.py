@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from grasp_env._check import ContactForces, Wrench
 from grasp_env.force import ForceOptimizer, ForceSolution, Objective, OfflineBasis, optimize_force, optimize_forces
-from grasp_env.force.initial import InitialForceRule, LearnedRule, call_rule, is_rule
+from grasp_env.force.initial import InitialForceRule, LearnedRule, call_rule
 from grasp_env.force.record import CONTACTS, FORCE, record_size
 from grasp_env.force.repair import Correction, carry_over
 from grasp_env.force.rules import RULES, CoreStart, initial_rule
@@ -144,7 +144,7 @@ class StartFactory:
 
     def rule(self, rule: InitialForceRule) -> PreparedStart:
         """Make the start of a saved model, on grasps it supports, or of any rule."""
-        remembers = is_rule(rule, LearnedRule) and rule.remembers
+        remembers = isinstance(rule, LearnedRule) and rule.remembers
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
             if isinstance(rule, LearnedInitialForce):
@@ -153,7 +153,7 @@ class StartFactory:
                 return call_rule(rule, rule, grasp, load.copy())
             return self._after(grasp, load, before, rule)
 
-        return PreparedStart(start, {"initial": rule}, is_rule(rule, LearnedRule) and not remembers)
+        return PreparedStart(start, {"initial": rule}, isinstance(rule, LearnedRule) and not remembers)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from grasp_env._check import together, whole
+from grasp_env._check import AllFaults, whole
 from grasp_env._files import read_json, replacing
 from grasp_env.errors import GraspError, InvalidInputError
 
@@ -158,7 +158,9 @@ def check_counts(config: Any, least: dict[str, int]) -> None:
     Raises:
         InvalidInputError: it names every setting that is not.
     """
-    together(*(lambda n=n, low=low: whole(getattr(config, n), n, low, MAX_COUNT) for n, low in least.items()))
+    with AllFaults() as check:
+        for name, low in least.items():
+            check(whole, getattr(config, name), name, low, MAX_COUNT)
 
 
 def default_name(kind: str) -> str:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NoReturn, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from grasp_env.errors import InvalidInputError, shown
+from grasp_env.errors import shown
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import Inertia
@@ -84,8 +84,3 @@ def listed(rows: Sequence[str]) -> str:
     """Return at most 20 texts for a message, and the number of the others."""
     more = f" and {len(rows) - _MAX_LISTED} more" if len(rows) > _MAX_LISTED else ""
     return ", ".join(rows[:_MAX_LISTED]) + more
-
-
-def refuse(fault: str) -> NoReturn:
-    """Raise InvalidInputError with the message `fault`."""
-    raise InvalidInputError(fault)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from grasp_env._check import AllFaults, Array, together
+from grasp_env._check import AllFaults, Array
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import FileJoint, HandFile, names_of
@@ -66,7 +66,10 @@ def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
     Raises:
         InvalidInputError: The file is not a hand that can be simulated.
     """
-    _, tips, _ = together(options.checked_palm, options.tips, options.radius)
+    with AllFaults() as check:
+        check(options.checked_palm)
+        tips = check(options.tips)
+        check(options.radius)
     try:
         return _Importer(open_file(path, tuple(tips or ())), options).hand
     except InvalidInputError as error:
@@ -207,16 +210,16 @@ class _Importer:
     def _tips(self, given: dict[str, Ball | None] | None, radius: float | None) -> list[tuple[Fingertip, Array]]:
         """Return the fingertips, each with the direction in which its link ends."""
         if given is not None:
-            return together(
-                *(lambda name=name, ball=ball: self._tip(name, ball, radius) for name, ball in given.items())
-            )
+            with AllFaults() as check:
+                return [check(self._tip, name, ball, radius) for name, ball in given.items()]
         parents = {self.places[joint.parent].carrier for joint in self.moving}
         ends = [joint.child for joint in self.moving if joint.child not in parents]
         bare = [end for end in ends if not self._points(self._group(end))]
         if bare and len(bare) < len(ends):
             self.repairs.append(f"end links without a shape are not fingertips: {names_of(bare)}")
             ends = [end for end in ends if end not in bare]
-        return together(*(lambda end=end: self._tip(end, None, radius) for end in ends))
+        with AllFaults() as check:
+            return [check(self._tip, end, None, radius) for end in ends]
 
     def _group(self, name: str) -> list[str]:
         """Return the names of a link and of everything fixed to it."""

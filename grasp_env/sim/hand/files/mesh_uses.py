@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-from grasp_env._check import Array, together
+from grasp_env._check import AllFaults, Array
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.files.elements import refuse
 from grasp_env.sim.hand.files.pieces import pieces_of_file
 from grasp_env.sim.hand.solids import hull_shape
 from grasp_env.sim.hand.tree import Geometry, Vector3
@@ -49,7 +47,8 @@ def solids_of(shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str) -> 
             pieces[path, scale] = pieces_of_file(path, scale)
         except InvalidInputError as error:
             faults.append(f"link {link!r}, <collision>, {shown(name)}: {error}")
-    together(*(partial(refuse, fault) for fault in faults))
+    with AllFaults() as check:
+        check.add(*faults)
     return {link: [solid for part in parts for solid in _solids(part, pieces)] for link, parts in shapes.items()}
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from grasp_env._check import as_list, as_text, together
+from grasp_env._check import AllFaults, as_list, as_text
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Vector3, limits, numbers, positive, word
 from grasp_env.sim.hand.files.elements import names_of
@@ -61,7 +61,7 @@ class HandOptions:
         )
         if isinstance(given, dict):
             tips: dict[str, Ball | None] = {}
-            for key, value in dict.items(given):
+            for key, value in given.items():
                 name, pair = as_text(key), as_list(value)
                 if name is None or pair is None or len(pair) != 2:
                     raise wrong
@@ -97,13 +97,8 @@ class HandOptions:
             return dict.fromkeys(joints, positive(given, "torque_limit [N m]"))
         each = numbers(given, len(joints), f"torque_limit [N m], one per joint ({names_of(joints)})")
         pairs = zip(joints, each, strict=True)
-        return dict(
-            zip(
-                joints,
-                together(*(lambda n=n, v=v: positive(v, f"torque_limit [N m] of {n!r}") for n, v in pairs)),
-                strict=True,
-            )
-        )
+        with AllFaults() as check:
+            return {name: check(positive, value, f"torque_limit [N m] of {name!r}") for name, value in pairs}
 
     def ranges(self, joints: Sequence[str]) -> dict[str, tuple[float, float]]:
         """Return the given ranges by joint [rad], of sliding joints [m]."""
@@ -137,9 +132,8 @@ def _by_name(given: Any, names: Sequence[str], what: str, kind: str, check: Call
         return {}
     if not isinstance(given, dict):
         raise InvalidInputError(f"{what}={shown(given)} must be a dict with names of {kind}s as keys")
-    known: dict[Any, Any] = dict(dict.items(given))
-    unknown = [name for name in known if as_text(name) not in names]
+    unknown = [name for name in given if as_text(name) not in names]
     if unknown:
         raise InvalidInputError(f"{what}: no {kind} is called {names_of(unknown)}; {kind}s are {names_of(names)}")
-    values = together(*(lambda n=n, v=v: check(v, f"{what} of {as_text(n)!r}") for n, v in known.items()))
-    return dict(zip([str(as_text(name)) for name in known], values, strict=True))
+    with AllFaults() as faults:
+        return {str(name): faults(check, value, f"{what} of {str(name)!r}") for name, value in given.items()}

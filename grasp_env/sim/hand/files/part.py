@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 
-from grasp_env._check import together
+from grasp_env._check import AllFaults
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.files.elements import FileJoint, names_of, refuse
+from grasp_env.sim.hand.files.elements import FileJoint, names_of
 from grasp_env.sim.hand.frames import Frame, axis_rotation
 from grasp_env.sim.hand.tree import Mimic
 
@@ -203,7 +202,8 @@ def find_root(links: Sequence[str], ends: Ends) -> str:
         known, grew = known | reached, bool(reached)
     if not faults and (rest := [joint for joint, parent, _ in ends if parent not in known]):
         faults.append(f"the joints {names_of(rest)} form a cycle apart from {roots[0]!r}; cut it")
-    together(*(partial(refuse, fault) for fault in faults))
+    with AllFaults() as check:
+        check.add(*faults)
     return roots[0]
 
 
@@ -228,7 +228,8 @@ def check_mimics(ends: Ends, fixed: Collection[str], mimics: Mapping[str, str]) 
             seen.append(mimics[seen[-1]])
         if mimics.get(seen[-1]) == joint:
             faults.append(f"the joints {names_of(sorted(seen))} mimic each other in a loop; one of them needs a motor")
-    together(*(partial(refuse, fault) for fault in faults))
+    with AllFaults() as check:
+        check.add(*faults)
 
 
 def arrange(part: Part, joints: Sequence[FileJoint]) -> tuple[list[FileJoint], list[str]]:

@@ -51,7 +51,8 @@ def read_part(
     mimics = {joint: other for joint, other in file.mimics.items() if joint in inside}
     with AllFaults() as check:
         elements = check(file.elements, kept)
-        check(_reraise, fault)
+        if fault is not None:
+            check.add(fault)
         check(_known, tips, file.names, part)
         check(check_mimics, file.ends, file.fixed, mimics)
     return part, *elements
@@ -67,8 +68,3 @@ def _known(tips: Mapping[str, Any], links: Sequence[str], part: Part) -> None:
         raise InvalidInputError(
             f"the palm {part.root!r} does not carry the fingertips {names_of(left)}; its links are {names_of(part.links)}"
         )
-
-
-def _reraise(fault: InvalidInputError | None) -> None:
-    if fault is not None:
-        raise fault

@@ -10,16 +10,15 @@ import os
 from collections import Counter
 from collections.abc import Collection
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from grasp_env._check import AllFaults, together
+from grasp_env._check import AllFaults
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Vector3, limits, numbers
-from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink, refuse
+from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink
 from grasp_env.sim.hand.files.mesh_uses import MeshUse, solids_of
 from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
 from grasp_env.sim.hand.files.xacro import expanded, is_xacro
@@ -105,27 +104,17 @@ class UrdfReader:
             for material in self._materials
             if (color := _color(material, f"material {material.get('name', '')!r}")) is not None
         }
-        links, joints, *_ = together(
-            lambda: together(
-                *(partial(self._link, element) for element in self._links if element.get("name", "") in wanted)
-            ),
-            lambda: together(
-                *(
-                    partial(_joint, element)
-                    for element, (_, parent, child) in zip(self._joints, self.ends, strict=True)
-                    if not {parent, child} - {"", *wanted}
-                )
-            ),
-            lambda: together(
-                *(
-                    partial(refuse, f"two {what} are called {shown(name)}; give each its own name")
-                    for what, names in (("links", self.names), ("joints", [joint for joint, *_ in self.ends]))
-                    for name, count in Counter(names).items()
-                    if count > 1
-                )
-            ),
-            self._check_meshes,
-        )
+        with AllFaults() as check:
+            links = [check(self._link, element) for element in self._links if element.get("name", "") in wanted]
+            joints = [
+                check(_joint, element)
+                for element, (_, parent, child) in zip(self._joints, self.ends, strict=True)
+                if not {parent, child} - {"", *wanted}
+            ]
+            for what, names in (("links", self.names), ("joints", [joint for joint, *_ in self.ends])):
+                doubled = [name for name, count in Counter(names).items() if count > 1]
+                check.add(*(f"two {what} are called {shown(name)}; give each its own name" for name in doubled))
+            check(self._check_meshes)
         return {link.name: link for link in links}, joints
 
     def _link(self, element: Element) -> FileLink:
