@@ -163,10 +163,6 @@ class Contacts:
         """True if any contact transmits torsion."""
 
     @property
-    def outwards(self) -> bool:
-        """True if all normals point away from the centre of the contacts."""
-
-    @property
     def length(self) -> float: ...
 
     @property

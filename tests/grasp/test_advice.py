@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from problems import GRASPS
 
+from grasp_env import core
 from grasp_env.errors import GraspWarning, InfeasibleWrenchError, InvalidInputError
 from grasp_env.force import ForceLimits, ForceOptimizer, optimize_force
 from grasp_env.grasp import Grasp, presets, wrench_about
@@ -59,6 +60,9 @@ MISTAKES = {
 def test_mistakes_are_found_and_the_near_certain_ones_are_warnings(name: str) -> None:
     made = MISTAKES[name]
     assert any(made.told in text for text in advise(made.grasp, made.wrench, made.limits)), name
+    rows = (None, None) if made.limits is None else (made.limits.jacobian, made.limits.torque_limit)
+    given = (made.grasp.contacts, made.wrench, *rows)
+    assert core.looks_wrong(*given) == any(certain for certain, _ in core.advise(*given)) == made.warns
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
         try:

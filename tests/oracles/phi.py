@@ -82,16 +82,6 @@ def curvature(x: np.ndarray, lam: float) -> tuple[np.ndarray, np.ndarray, np.flo
     return np.diag(d) - np.outer(d, d) * (c / (1 + c * d.sum())), along, (p * q) ** 2 / (4 * lam * u)
 
 
-def axes(x: np.ndarray, lam: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Three a with inverse Hessian = sum of a a^T: close to x, towards the surface, across: a Cholesky factor, p before q."""
-    plane, along, across = curvature(x, lam)
-    first = plane[:, 0] / np.sqrt(plane[0, 0])
-    second = np.array([0.0, np.sqrt(plane[1, 1] - first[1] ** 2)], dtype=x.dtype)
-    made = [np.array([a + b, (a - b) * along[0], (a - b) * along[1]]) / 2 for a, b in (first, second)]
-    root = np.sqrt(across)
-    return made[0], made[1], np.array([0.0, -root * along[1], root * along[0]], dtype=x.dtype)
-
-
 def least_of_lagrangian(y: np.ndarray, omega: float, lam: float) -> tuple[float, float]:
     """(least over a cone of phi(x) - y . x, its ratio r = (u - s)/(u + s)); (-inf, nan) if there is none.
 

@@ -3,19 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from oracles.phi import phi
-
-
-def least_on_segment(safe: np.ndarray, x: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
-    """(theta, Phi) of the least Phi(safe + theta (x - safe)), theta in [0, 1]: a scan, refined around its best point."""
-    low, high = 0.0, 1.0
-    best = (phi(safe, weights), 0.0)
-    for _ in range(12):
-        thetas = np.linspace(low, high, 9)
-        best = min([best, *((phi(safe + k * (x - safe), weights), float(k)) for k in thetas)])
-        width = (high - low) / 8.0  # Phi is convex: its least is next to the best point of the scan
-        low, high = max(0.0, best[1] - width), min(1.0, best[1] + width)
-    return best[1], float(best[0])
 
 
 def turned(x: np.ndarray, before: np.ndarray, now: np.ndarray, divisor: np.ndarray, scale: np.ndarray) -> np.ndarray:

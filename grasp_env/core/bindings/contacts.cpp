@@ -132,12 +132,6 @@ Contacts weighed_each(const Contacts& contacts, nb::handle weights) {
 
 const Contacts& of(nb::handle self) { return nb::cast<const Contacts&>(self); }
 
-bool outwards(const Contacts& c) {
-    for (int i = 0; i < c.count; ++i)
-        if (!(dot(point(&c.normals[3 * i]), point(&c.positions[3 * i]) - c.unit.centre) > 1e-9 * c.unit.length)) return false;
-    return c.count > 0;
-}
-
 ReadOnly torsion_matrix(const Contacts& c) {
     const std::size_t n = c.count;
     std::vector<double> made(6 * n);
@@ -193,7 +187,6 @@ void bind_contacts(nb::module_& m) {
             "True if numbers are not finite or normals not of unit length.")
         .def_ro("clear", &Contacts::clear, "True if the rank is 6 beyond doubt, torsion included.")
         .def_prop_ro("soft", &Contacts::soft, "True if any contact transmits torsion.")
-        .def_prop_ro("outwards", &outwards, "True if all normals point away from the centre of the contacts.")
         .def_prop_ro("length", [](const Contacts& c) { return c.unit.length; })
         .def_prop_ro("centre", [](nb::handle s) { return view(s, &of(s).unit.centre.u, {3}); })
         .def_prop_ro("positions", [](nb::handle s) { return view(s, of(s).positions.data(), {size_t(of(s).count), 3}); })

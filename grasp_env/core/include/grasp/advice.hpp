@@ -24,8 +24,8 @@ public:
     static constexpr double FAR = 8.0;  // origin from the contacts, in lengths of the grasp
     static constexpr double VERY_FAR = 15.0;  // the same, where no tool is held that reaches so far...
     static constexpr double ARM = 0.4;  // [m] ...and at least this far
-    static constexpr double SHORT_LEVER = 4.0;  // moment over force of a usual wrench, in lengths of the grasp
-    static constexpr double LONG_LEVER = 20.0;  // the same of a wrench that only turns
+    static constexpr double SHORT_LEVER = 4.0;  // moment over force of a usual wrench, in lengths or reaches of the grasp
+    static constexpr double LONG_LEVER = 20.0;  // the same of a wrench that hardly pushes, in reaches (length plus origin)
     static constexpr double PURE_MOMENT = 50.0;  // [N] a moment over the grasp's length, without any force
     static constexpr double TURNING = 10.0;  // [N] the same that is too small to mistake for a force
     static constexpr double STRONGEST = 500.0;  // torque limit over the torque that a load needs: beyond it they are mN m
@@ -42,9 +42,8 @@ public:
     }
     // True if there is advice that is near certain: without text, for the first call of every solver.
     bool near_certain() const {
-        const double reach = this->reach(), lever = moment_at_contacts();
         return outward() == contacts_.count || contacts_.unit.length > LONGEST || roughest().second > DEGREES ||
-               longest_lever() > LONGEST || (wrench_.size() == 6 && (elsewhere(VERY_FAR, ARM) || exchanged(reach, lever)));
+               longest_lever() > LONGEST || (wrench_.size() == 6 && (elsewhere(VERY_FAR, ARM) || exchanged()));
     }
 
 private:
@@ -95,8 +94,7 @@ private:
         if (turned.place(positions.data(), normals.data()) == Placing::good && can_squeeze(turned))
             say(false,
                 "the normals of contacts [%s] point away from the centre of the contacts, and the fingers cannot squeeze the "
-                "object; "
-                "with these normals turned round they could: normals must point INTO the object",
+                "object; with these normals turned round they could: normals must point INTO the object",
                 which.c_str());
     }
     std::pair<int, double> roughest() const {  // the contact of the largest friction coefficient
@@ -117,9 +115,8 @@ private:
                 length);
         if (const auto [worst, friction] = roughest(); friction > ROUGHEST)
             say(friction > DEGREES,
-                "friction is %.3g at contact %d: rubber reaches 1 to 2; give the coefficient, tan(friction angle), not an angle "
-                "in "
-                "degrees",
+                "friction is %.3g at contact %d: rubber reaches 1 to 2; give the coefficient, tan(friction angle), not an "
+                "angle in degrees",
                 friction, worst);
         const auto widest = std::max_element(contacts_.torsion.begin(), contacts_.torsion.end());
         if (widest != contacts_.torsion.end() && *widest > WIDEST_PATCH)
@@ -140,15 +137,13 @@ private:
     void jacobian() {
         if (const double lever = longest_lever(); lever > LONGEST)
             say(true,
-                "the Jacobian's largest entry is %.3g m: a joint that far from its contact would be larger than a robot; lengths "
-                "are in "
-                "metres, divide the linear rows by 1000 if they are in millimetres",
+                "the Jacobian's largest entry is %.3g m: a joint that far from its contact would be larger than a robot; "
+                "lengths are in metres, divide the linear rows by 1000 if they are in millimetres",
                 lever);
     }
     Point force() const { return point(wrench_.data()); }
     Point moment() const { return point(wrench_.data() + 3); }
     double distance() const { return length(contacts_.unit.centre); }
-    double reach() const { return contacts_.unit.length + distance(); }
     double moment_at_contacts() const {  // [N m] about the centre of the contacts
         return wrench_.size() == 6 ? length(moment() - cross(contacts_.unit.centre, force())) : 0.0;
     }
@@ -162,32 +157,28 @@ private:
         if (!elsewhere(FAR, 0.0)) return;
         say(elsewhere(VERY_FAR, ARM),
             "the contacts are %.3g m from the origin, but the wrench's force acts within %.2g m of it: is its moment about "
-            "another point "
-            "(the centre of mass)? Give both in one frame, the moment about the origin of the positions (in Python wrench_about "
-            "shifts "
-            "it), unless the object reaches that far",
+            "another point (the centre of mass)? Give both in one frame, the moment about the origin of the positions (in "
+            "Python wrench_about shifts it), unless the object reaches that far",
             distance(), std::max(1e-3, length(moment()) / length(force())));
     }
     // Force and moment make sense only if they change places.
-    bool exchanged(double reach, double lever) const {
-        const double force = length(this->force()), moment = length(this->moment());
-        return force > 0.0 && lever > LONG_LEVER * reach * force && force < SHORT_LEVER * reach * moment &&
+    bool exchanged() const {
+        const double force = length(this->force()), moment = length(this->moment()), reach = contacts_.unit.length + distance();
+        return force > 0.0 && moment_at_contacts() > LONG_LEVER * reach * force && force < SHORT_LEVER * reach * moment &&
                moment > TURNING * contacts_.unit.length;
     }
     void swapped() {
-        const double reach = this->reach(), lever = moment_at_contacts(), force = length(this->force());
-        if (exchanged(reach, lever))
+        const double moment = moment_at_contacts(), force = length(this->force());
+        if (exchanged())
             say(true,
                 "the wrench's moment of %.3g N m is that of its force of %.3g N at %.2g m from contacts that span %.2g m: a "
-                "wrench is force "
-                "[N] first, then moment [N m]; exchange them, or divide the moment by 1000 if it is in N mm",
-                lever, force, lever / force, contacts_.unit.length);
-        else if (force == 0.0 && lever > PURE_MOMENT * contacts_.unit.length)
+                "wrench is force [N] first, then moment [N m]; exchange them, or divide the moment by 1000 if it is in N mm",
+                moment, force, moment / force, contacts_.unit.length);
+        else if (force == 0.0 && moment > PURE_MOMENT * contacts_.unit.length)
             say(false,
-                "the wrench is a moment of %.3g N m without a force, on contacts that span %.2g m: a wrench is force [N] first, "
-                "then moment "
-                "[N m]; exchange them, unless the fingers turn something",
-                lever, contacts_.unit.length);
+                "the wrench is a moment of %.3g N m without a force, on contacts that span %.2g m: a wrench is force [N] "
+                "first, then moment [N m]; exchange them, unless the fingers turn something",
+                moment, contacts_.unit.length);
     }
     // Torque limits against J^T f of the force that the load needs without them.
     void torques() {
@@ -213,15 +204,13 @@ private:
         const double limit = limits_.torque_limit[weakest], needed = std::abs(torque[weakest]);
         if (least > STRONGEST && least < infinity)
             say(false,
-                "every torque limit is more than 500 times what this load needs (joint %d: %.3g of %.3g N m): limits are in N m; "
-                "divide "
-                "mN m by 1000",
+                "every torque limit is more than 500 times what this load needs (joint %d: %.3g of %.3g N m): limits are in N "
+                "m; divide mN m by 1000",
                 weakest, needed, limit);
         else if (least < WEAKEST)
             say(false,
                 "this load needs %.2g times the torque limit of joint %d (%.3g of %.3g N m): limits are in N m, and the "
-                "Jacobian's linear "
-                "rows in metres",
+                "Jacobian's linear rows in metres",
                 1.0 / least, weakest, needed, limit);
     }
 };

@@ -1,14 +1,20 @@
-// Compile the solvers of `ForceOptimizer` in the one file that includes this. All files of the program define GRASP_COMPILED_ENGINE.
+// The solvers of `ForceOptimizer`, compiled in each file that includes this; with GRASP_COMPILED_ENGINE in one file for the whole program.
 #pragma once
-#ifdef GRASP_COMPILED_ENGINE
 #include <grasp/math/dispatch.hpp>
 #include <grasp/engine.hpp>
 
 namespace grasp::detail {
 
-std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options) {
+#ifdef GRASP_COMPILED_ENGINE
+#define GRASP_LINKAGE
+#else
+#define GRASP_LINKAGE inline
+#endif
+
+GRASP_LINKAGE std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options) {
     return instance<Engine, LaneEngine>(problem.contacts.count, problem, options);
 }
 
+#undef GRASP_LINKAGE
+
 }  // namespace grasp::detail
-#endif

@@ -8,24 +8,19 @@
 // allocates: the code of its record tells how it ended. Use one object per thread; several objects may run at once. Python's
 // `ForceOptimizer` wraps this class.
 #pragma once
-#include <grasp/math/dispatch.hpp>
 #include <grasp/engine.hpp>
 #include <grasp/learned/model_file.hpp>
 
-namespace grasp {
-
-namespace detail {
-
 // A program of many files compiles the solvers once: all of them define GRASP_COMPILED_ENGINE, and one includes grasp/compiled_engine.hpp.
 #ifdef GRASP_COMPILED_ENGINE
+namespace grasp::detail {
 std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options);
-#else
-inline std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options) {
-    return instance<Engine, LaneEngine>(problem.contacts.count, problem, options);
 }
+#else
+#include <grasp/compiled_engine.hpp>
 #endif
 
-}  // namespace detail
+namespace grasp {
 
 class ForceOptimizer {
 public:
