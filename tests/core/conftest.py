@@ -13,6 +13,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read once, when numpy is l
 @pytest.fixture(scope="session")
 def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of all programs in C++, compiled once for all processes of the tests."""
+    if os.environ.get("GRASP_CORE_BUILD", "").endswith("sanitize"):
+        pytest.skip("the programs are compiled without the sanitizers; `make slow` runs them with")
     base = tmp_path_factory.getbasetemp()
     folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     with (folder / "programs.lock").open("w") as lock:
