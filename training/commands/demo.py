@@ -52,7 +52,7 @@ class Demo:
 
     def execute(self) -> None:
         """Run the command."""
-        need("sim", "report")
+        need("sim")
         from rich.console import Console
 
         from policies import TrainedAgent
