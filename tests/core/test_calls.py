@@ -71,15 +71,17 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size:
                         features = np.array([*(w / length), log, *lengths, friction])
                         made_up = network_oracle.network(shape, weights, features)
                         force = null_space(s) @ (length * made_up) * s.scale.reshape(-1) - s.inverse @ w
-                        x, near = c.z(row, "initial"), 1e-5 * np.abs(force).max()
-                        kept = np.abs(x - safe).max() > 1e-12 * np.abs(safe).max()
+                        # on the way from the safe start to the network's force, which leaves the cones
+                        x, way = c.z(row, "initial"), force - safe
+                        share = float((x - safe) @ way / (way @ way))
+                        near = 1e-5 * share * np.abs(way).max() + 1e-12 * np.abs(safe).max()
+                        np.testing.assert_allclose(x, safe + share * way, rtol=0, atol=near)
+                        assert 0.0 <= share <= 1.0
+                        kept = share > 0.0
                         assert at(row, "replaced") == (not kept)
                         told.add(kept)
-                        if phi(force, s.weights) <= phi(safe, s.weights):
-                            np.testing.assert_allclose(x, force, rtol=0, atol=near)
-                        else:
-                            best = min(phi(force, s.weights), phi(safe, s.weights))
-                            assert at(row, "objective") <= best * (1 + 1e-12)
+                        best = min(phi(force, s.weights), phi(safe, s.weights))
+                        assert at(row, "objective") <= best * (1 + 1e-12)
                 previous = solved
     assert size >= 1.0 or True in told
     assert outside == {0.0, 1.0}
