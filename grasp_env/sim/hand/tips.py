@@ -13,9 +13,7 @@ from grasp_env._check import Array
 from grasp_env.sim.hand.solids import cut_below, few_corners, hull_of, hull_shape, outline
 from grasp_env.sim.hand.tree import Geometry, Link, Vector3
 
-SMALLEST, LARGEST = 0.004, 0.015
-"""Smallest and largest radius of fitted spheres [m]."""
-
+SMALLEST, LARGEST = 0.004, 0.015  # smallest and largest radius of fitted spheres [m]
 _MIDDLE = 0.25  # fraction of the largest distance: if the mean of the far points is nearer, it gives no direction
 _END = 0.03  # [m] length of the link's end in which the sphere is fitted
 _SHORT = (0.001, 0.002, 0.004)  # [m], allowed gaps between the sphere and the end of the link
@@ -30,13 +28,10 @@ class Ball(NamedTuple):
 
 
 def end_direction(points: Array, axis: Array, outward: Array) -> Array:
-    """Return the unit direction (3,) in which a link ends: towards the points farthest from the axis of its joint.
+    """Return the unit direction (3,) in which a link ends: towards the points (K, 3) [m] farthest from the axis of its joint.
 
-    Args:
-        points: Points of the link (K, 3) [m], link frame.
-        axis: Unit axis of the joint, (3,).
-        outward: Direction away from the palm, (3,). It decides if points are equally far on both sides, as for a jaw whose frame
-            is in its middle.
+    The direction away from the palm, `outward`, decides if points are equally far on both sides, as for a jaw whose frame is in its
+    middle.
     """
     flat = points - np.outer(points @ axis, axis)
     away = np.linalg.norm(flat, axis=1)

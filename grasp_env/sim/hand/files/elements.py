@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
-
-import numpy as np
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
 
 from grasp_env.errors import shown
 from grasp_env.sim.hand.check import Vector3
-from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.frames import IDENTITY, Frame
 from grasp_env.sim.hand.inertia import Inertia
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
+Ends: TypeAlias = Sequence[tuple[str, str, str]]
+"""Name, parent and child of each joint."""
 _MAX_LISTED = 20
-NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Inertia of a link without one in the file."""
+NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of a link without one in the file
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class FileLink:
 
     name: str
     mass: float = 0.0
-    inertial_frame: Frame = field(default_factory=lambda: Frame(np.eye(3), np.zeros(3)))
+    inertial_frame: Frame = IDENTITY
     inertia: Inertia = NO_INERTIA
     collision: tuple[Geometry, ...] = ()
     visual: tuple[Geometry, ...] = ()
@@ -35,10 +34,7 @@ class FileLink:
 
 @dataclass(frozen=True)
 class FileJoint:
-    """A joint of a file: `origin` and `rotation` place the child at angle 0; `effort` is None if the file has none.
-
-    `rotor` is the inertia of its motor [kg m^2], which a URDF cannot give.
-    """
+    """A joint of a file: `origin` and `rotation` place the child at angle 0; `effort` is None and `rotor` [kg m^2] 0 without one."""
 
     name: str
     parent: str
@@ -60,7 +56,7 @@ class HandFile(Protocol):
 
     name: str
     names: list[str]
-    ends: list[tuple[str, str, str]]
+    ends: Ends
     mimics: dict[str, str]
     fixed: set[str]
     undrawn: dict[str, str]
