@@ -6,7 +6,6 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from types import TracebackType
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -34,9 +33,7 @@ class ProgressLine:
             print(f"\r{text:{self._length}}", end="", file=sys.stderr, flush=True)
             self._length = len(text)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._length:
             print(file=sys.stderr)
 

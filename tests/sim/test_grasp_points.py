@@ -93,7 +93,7 @@ def test_bullet_sees_no_other_contact() -> None:
         joints = joint_indices(number, body, hand.hand)
         for joint, angle in zip(joints, angles.tolist(), strict=True):
             bullet.resetJointState(body, joint, angle, physicsClientId=number)
-        held = create_body(number, item, (1.0, 1.0, 1.0))
+        held = create_body(number, item)
         bullet.performCollisionDetection(physicsClientId=number)
         assert all(row[8] > 0.0 for row in bullet.getContactPoints(physicsClientId=number))
         near = {row[3] for row in bullet.getClosestPoints(body, held, 4e-4, physicsClientId=number)}

@@ -319,7 +319,7 @@ def test_faces_in_bullet_are_the_surface(made: Made) -> None:
     """Judged by a ball near faces and above edges."""
     client, item = Client(), made[1]
     try:
-        body = create_body(client.number, item, (1.0, 1.0, 1.0), exact=True)
+        body = create_body(client.number, item, exact=True)
         ball = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=0.005, physicsClientId=client.number)
         tip = bullet.createMultiBody(0.01, ball, physicsClientId=client.number)
         rng, off = np.random.default_rng(0), []

@@ -85,7 +85,7 @@ def test_nearest_points_are_consistent(item: ObjectDescription) -> None:
 
 @needs_bullet
 def test_bullet_has_the_same_surface(item: ObjectDescription, client: int) -> None:
-    body = create_body(client, item, (1.0, 1.0, 1.0))
+    body = create_body(client, item)
     ball = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=0.01, physicsClientId=client)
     tip = bullet.createMultiBody(0.01, ball, physicsClientId=client)
     # Bullet's own search is coarse on the round side of a cylinder and on meshes, see create_body
