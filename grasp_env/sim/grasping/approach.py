@@ -16,8 +16,7 @@ from grasp_env.sim.objects.description import ObjectDescription
 
 DEVIATION = math.radians(30.0)
 """Largest angle between the direction from the palm to the object and the wanted one [rad]."""
-SIDE = "side"
-"""Name of all horizontal directions."""
+SIDE = "side"  # name of all horizontal directions
 DIRECTIONS = {"down": (0.0, -1.0, 0.0), "up": (0.0, 1.0, 0.0), SIDE: None}
 """Directions by name, world frame. Gravity is along -y: with "down" the palm is above the object."""
 _PROBE, _STEP = 0.002, 1e-4  # diameter of the ball that probes for the palm, and its steps [m]
@@ -43,11 +42,7 @@ def as_approach(value: Any, name: str) -> str | tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Approach:
-    """A wanted direction from the palm to the object.
-
-    Attributes:
-        wanted: See `as_approach`.
-    """
+    """A wanted direction from the palm to the object, see `as_approach`."""
 
     wanted: str | tuple[float, float, float]
 
