@@ -32,16 +32,7 @@ from grasp_env.sim.mesh_limits import (
 )
 from grasp_env.sim.mesh_scenes import guard_dae, guard_glb
 
-__all__ = [
-    "KINDS",
-    "key_lines",
-    "key_places",
-    "mesh_bytes",
-    "obj_text",
-    "one_newline",
-    "read_mesh",
-    "read_mesh_bytes",
-]
+__all__ = ["KINDS", "key_lines", "key_places", "mesh_bytes", "obj_text", "one_newline", "read_mesh", "read_mesh_bytes"]
 
 _MAX_TEXT_CORNERS = 2 * MAX_FACES  # corners of an .off or a .ply in text, which trimesh reads in 3 us each
 _MAX_TEXT_BYTES = 20 * MEGABYTE  # bytes of these two: 1.5 s
@@ -58,10 +49,7 @@ _POINT = rb"(?:([-+.\w]{1,50}[ \t]+[-+.\w]{1,50}[ \t]+[-+.\w]{1,50})(?!\S))?"  #
 def read_mesh(path: str | Path, name: str, hint: str = _HINT) -> tuple[Array, Any]:
     """Read a mesh file, regular or a pipe: corners (V, 3) float64 of its faces, in the file's units, and faces (F, 3) int64.
 
-    Args:
-        path: Path of an .obj, .stl, .ply, .off, .glb or .dae.
-        name: Name of the mesh, for messages.
-        hint: Advice if it is not a mesh, for messages.
+    Messages begin with `name`; if it is not a mesh, they end with `hint`.
 
     Raises:
         InvalidInputError: It is not a mesh, or too large.

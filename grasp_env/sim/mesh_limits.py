@@ -6,18 +6,12 @@ import numpy as np
 
 from grasp_env._files import MEGABYTE
 
-MAX_FACES = 200_000
-"""Largest number of triangles of a mesh."""
-MAX_CORNERS = 3 * MAX_FACES
-"""Largest number of corners, including those of no face."""
-MAX_PARTS = 4000
-"""Largest number of mesh parts in a scene, which take 0.3 ms each."""
-MAX_NODES = 10_000
-"""Largest number of nodes in a scene."""
-MAX_FACE_WORDS = 20 * MAX_FACES
-"""Largest number of words in the faces of a text file, including indices of normals and textures."""
-MAX_GLB_BYTES = 100 * MEGABYTE
-"""Largest .glb file, with pictures [bytes]."""
+MAX_FACES = 200_000  # triangles of a mesh
+MAX_CORNERS = 3 * MAX_FACES  # corners, including those of no face
+MAX_PARTS = 4000  # mesh parts in a scene, which take 0.3 ms each
+MAX_NODES = 10_000  # nodes in a scene
+MAX_FACE_WORDS = 20 * MAX_FACES  # words in the faces of a text file, including indices of normals and textures
+MAX_GLB_BYTES = 100 * MEGABYTE  # of a .glb file, with pictures
 
 
 class TooManyFacesError(Exception):

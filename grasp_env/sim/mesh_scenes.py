@@ -30,8 +30,7 @@ _ITEM_BYTES = {
     "SCALAR": {5121: 1, 5123: 2, 5125: 4},
 }  # bytes of each type of corners and of indices
 _TRIANGLES = 4
-_COSMETIC = ("KHR_materials", "KHR_texture", "EXT_texture", "KHR_lights")
-"""Prefixes of extensions that do not change corners."""
+_COSMETIC = ("KHR_materials", "KHR_texture", "EXT_texture", "KHR_lights")  # extensions that do not change corners
 
 
 def guard_glb(blob: bytes) -> tuple[bytes, int]:
@@ -108,11 +107,8 @@ class _Arrays:
         if _non_negative(view, "buffer") != 0 or "uri" in self.tree["buffers"][0]:
             raise ValueError("its data are in another file; export it as one .glb")
         count, step = _non_negative(accessor, "count"), _non_negative(view, "byteStride", 0) or width
-        begin, start, all_of = (
-            _non_negative(accessor, "byteOffset", 0),
-            _non_negative(view, "byteOffset", 0),
-            _non_negative(view, "byteLength"),
-        )
+        begin, start = (_non_negative(part, "byteOffset", 0) for part in (accessor, view))
+        all_of = _non_negative(view, "byteLength")
         size = step * (count - 1) + width
         if start + all_of > len(self.data):
             raise ValueError(f"a bufferView ends at byte {start + all_of} of {len(self.data)}")

@@ -14,8 +14,9 @@ import numpy as np
 from grasp_env._files import WEIGHTS as MOST_BYTES
 from grasp_env._files import read_bytes, replacing, unpacked
 
-LONGEST_WAIT = 150.0
-"""Longest time that a process waits for another one that makes the same entry [s]; then it makes the entry itself."""
+LONGEST_WAIT = (
+    150.0  # that a process waits for another one that makes the same entry [s]; then it makes the entry itself
+)
 _NAME, _USE = "name", "use"  # keys of the name and the use among the arrays of an entry
 _ENTRIES = "[!.]*.npz"  # not the temporary files that other processes are writing
 
@@ -51,10 +52,9 @@ def cached(
 
     Args:
         key: Key of the content, letters and digits.
-        name: Name of the mesh, for the list of entries.
+        name, use: Name of the mesh and its use, "object" or "hand", for the list of entries.
         arrays: Names of all arrays that `make` returns; an entry without one of them is made anew.
         make: Function that makes the arrays.
-        use: Use of the mesh, for the list of entries: "object" or "hand".
     """
     path = folder() / f"{key}.npz"
     if (found := _read(path)).keys() >= arrays:
@@ -70,7 +70,7 @@ def cached(
 
 def entries() -> list[Entry]:
     """Return the entries of the cache, newest first."""
-    out: list[Entry] = []
+    out = list[Entry]()
     for path in folder().glob(_ENTRIES):
         with suppress(OSError):
             status, name, use = path.stat(), "(not readable)", "object"

@@ -17,13 +17,8 @@ from grasp_env.sim.picture.view import View
 
 Color: TypeAlias = tuple[int, ...]
 """Red, green, blue and optional opacity, 0 to 255."""
-
-CONE_LENGTH = 0.036
-"""Length of the sides of the drawn friction cones [m]."""
-
-VEIL = 0.2
-"""Share of contrast removed from the picture below."""
-
+CONE_LENGTH = 0.036  # length of the sides of the drawn friction cones [m]
+VEIL = 0.2  # share of contrast removed from the picture below
 _WHITE, _INK, _FAINT, _INACTIVE, _ALARM = (255, 255, 255), (38, 42, 51), (112, 119, 132), (150, 154, 162), (190, 38, 30)
 _FINE = 2  # drawn pixels per delivered pixel along each side, for smooth edges
 _BAR = 0.03  # longest arrow of the legend [m]
@@ -103,9 +98,8 @@ class _Pen:
 def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None:
     point, normal, friction = annotation.points[i], annotation.normals[i], annotation.friction[i]
     if not annotation.active[i]:
-        place = view.project(point[None])[0]
-        pen.ring(place, 6.0, (*_WHITE, 220), 4.6)
-        pen.ring(place, 6.0, _INACTIVE, 2.0)
+        for color, width in (((*_WHITE, 220), 4.6), (_INACTIVE, 2.0)):
+            pen.ring(view.project(point[None])[0], 6.0, color, width)
         return
     length = CONE_LENGTH / math.hypot(1.0, friction)
     across = np.linalg.svd(normal[None])[2][1:]  # two directions in the tangent plane
@@ -114,9 +108,7 @@ def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None
     pixels = view.project(np.vstack([rim, point, tails]))
     mouth, cone, (place, tail, measured) = pixels[:-3], pixels[:-2], pixels[-3:]
     outline = cone[np.argmax(cone @ _circle(64).T, axis=0)]  # convex hull: the farthest point in each direction
-    color = tuple(
-        (215.0 * annotation.colors[i]).clip(0.0, 255.0).astype(int).tolist()
-    )  # a little darker than the links
+    color = tuple((215.0 * annotation.colors[i]).clip(0.0, 255.0).astype(int).tolist())  # darker than the links
     for shape, fill, edge in ((outline, 70, 170), (mouth, 45, 190)):
         pen.polygon(shape, (*color, fill))
         pen.line(shape, (*color, edge), 1.1)
@@ -160,12 +152,9 @@ def _sizes(width: int, height: int) -> tuple[float, int, int]:
 
 
 def _draw_legend(pen: _Pen, view: View, annotation: Annotation, width: int, height: int) -> list[dict[str, Any]]:
-    """Draw the band at the bottom and its icons, unless the picture is too small for it.
+    """Draw the band at the bottom and its icons, unless the picture is too small for it; return the texts of the picture.
 
-    Positions do not depend on the numbers, so that nothing jumps in a film.
-
-    Returns:
-        The texts of the picture, as arguments of `ImageDraw.text`, in delivered pixels.
+    The texts are arguments of `ImageDraw.text`. Positions do not depend on the numbers, so that nothing jumps in a film.
     """
     words: list[dict[str, Any]] = []
     pad, normal, small = _sizes(width, height)
