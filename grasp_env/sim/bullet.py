@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import BulletEngine
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.limbs import touching_pairs
+from grasp_env.sim.hand.tree import Mimic
 from grasp_env.sim.hand.urdf import HULL_MARGIN, write_hand
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.simulator import Simulator
@@ -200,27 +201,27 @@ def min_sweeps(hand: HandDescription) -> int:
 
 def couple(client: int, body: int, joints: Sequence[int], hand: HandDescription) -> None:
     """Couple joints to their drivers with gear constraints, through which the solver passes their load to the drivers."""
-    coupled = [index for index, link in enumerate(hand.links) if link.mimic is not None]
+    coupled = {index: link.mimic for index, link in enumerate(hand.links) if link.mimic is not None}
     if not coupled:
         return
     sweeps = bullet.getPhysicsEngineParameters(physicsClientId=client)["numSolverIterations"]
     sweeps = max(sweeps, _gear_sweeps(client, body, joints, hand, coupled))
     bullet.setPhysicsEngineParameter(numSolverIterations=sweeps, physicsClientId=client)
-    for index in coupled:
-        link = hand.links[index]
-        assert link.mimic is not None
+    for index, mimic in coupled.items():
         gear = bullet.createConstraint(
-            body, joints[hand.drivers[index]], body, joints[index], bullet.JOINT_GEAR, link.axis, (0, 0, 0), (0, 0, 0),
+            body, joints[hand.drivers[index]], body, joints[index], bullet.JOINT_GEAR, hand.links[index].axis, (0, 0, 0), (0, 0, 0),
             physicsClientId=client,
         )  # fmt: skip
         # Bullet's target is for driver - follower / ratio
         bullet.changeConstraint(
-            gear, gearRatio=-1.0 / link.mimic.ratio, relativePositionTarget=-link.mimic.offset / link.mimic.ratio, erp=0.8,
-            maxForce=1e6, physicsClientId=client,
+            gear, gearRatio=-1.0 / mimic.ratio, relativePositionTarget=-mimic.offset / mimic.ratio, erp=0.8, maxForce=1e6,
+            physicsClientId=client,
         )  # fmt: skip
 
 
-def _gear_sweeps(client: int, body: int, joints: Sequence[int], hand: HandDescription, coupled: Sequence[int]) -> int:
+def _gear_sweeps(
+    client: int, body: int, joints: Sequence[int], hand: HandDescription, coupled: Mapping[int, Mimic]
+) -> int:
     """Return the solver sweeps that reduce the error of the couplings to a millionth in the current posture.
 
     The solver treats one gear after another, as if its two joints did not move each other. It therefore overshoots: by nearly the whole
@@ -232,9 +233,7 @@ def _gear_sweeps(client: int, body: int, joints: Sequence[int], hand: HandDescri
     mobility = np.linalg.inv(masses)
     place = {int(joint): row for row, joint in enumerate(order)}
     rows, believed = np.zeros((len(coupled), len(joints))), np.zeros(len(coupled))
-    for number, index in enumerate(coupled):
-        mimic = hand.links[index].mimic
-        assert mimic is not None
+    for number, (index, mimic) in enumerate(coupled.items()):
         driver, follower = place[hand.drivers[index]], place[index]
         rows[number, [driver, follower]] = 1.0, -1.0 / mimic.ratio
         believed[number] = mobility[driver, driver] + mobility[follower, follower] / mimic.ratio**2

@@ -72,11 +72,6 @@ class SceneConfig:
         """Inward unit normals at the contact points, (N, 3), object frame."""
         return np.array([self.object.surface.nearest(point)[1] for point in np.array(self.contact_points)])
 
-    @property
-    def weight(self) -> np.ndarray:
-        """Weight of the object [N], (3,), world frame."""
-        return self.object.mass * np.array(self.gravity)
-
     def nominal_tips(self) -> np.ndarray:
         """Return the centres of the tips at the start [m], (N, 3), world frame, `clearance` away from the object.
 

@@ -34,12 +34,7 @@ class Engine(Settings):
 
 @dataclass(frozen=True)
 class BulletEngine(Engine):
-    """PyBullet.
-
-    Example:
-        >>> BulletEngine(solver_iterations=50).rate
-        250
-    """
+    """PyBullet."""
 
     name: ClassVar[str] = "bullet"
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.bullet", "Bullet")
@@ -69,12 +64,7 @@ def _impedance(value: Any, name: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class MujocoEngine(Engine):
-    """MuJoCo, as stiff as the time step allows. Its contacts are springs; its manual describes them under `solref` and `solimp`.
-
-    Example:
-        >>> MujocoEngine(cone="pyramidal").rate
-        1000
-    """
+    """MuJoCo, as stiff as the time step allows. Its contacts are springs; its manual describes them under `solref` and `solimp`."""
 
     name: ClassVar[str] = "mujoco"
     extra: ClassVar[str] = "mujoco"

@@ -30,12 +30,8 @@ def scene_mjcf(
 ) -> str:
     """Return the MJCF of the simulated world: the hand with its palm fixed, and the free object at the origin.
 
-    Args:
-        hand: The hand. Its joints have no damping, armature or motors: torques are applied directly.
-        item: The object. Its friction coefficients have priority, and are the products with the tips' friction that Bullet forms.
-        gravity: [m/s^2], (3,), world frame.
-        timestep: Time step [s].
-        engine: Settings of contacts and solver.
+    Joints have no damping, armature or motors: torques are applied directly. The object's friction coefficients have priority, and are
+    the products with the tips' friction that Bullet forms. Gravity is in [m/s^2], the time step in [s].
     """
     spring = f"{engine.time_constant or 2.0 * timestep!r} {engine.damping_ratio!r}"
     soft = f'solref="{spring}" solimp="{digits(engine.impedance)}"'

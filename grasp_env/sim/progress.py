@@ -39,12 +39,7 @@ class ProgressLine:
 
 
 def progress_bar(items: Sequence[Item], text: str) -> Iterator[Item]:
-    """Yield the items, with a progress bar on a terminal.
-
-    Example:
-        >>> list(progress_bar([1, 2], "two numbers"))
-        [1, 2]
-    """
+    """Yield the items, with a progress bar on a terminal."""
     with ProgressLine() as line:
         for done, item in enumerate(items):
             line.write(f"[{'#' * (_WIDTH * done // len(items)):{_WIDTH}}] {done} of {len(items)} {text}")

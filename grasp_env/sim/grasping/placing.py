@@ -105,9 +105,8 @@ def _placed(
     faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
     best: tuple[float, float, HandDescription] | None = None
     for attempt in range(_MAX_ATTEMPTS):
-        sites, facing = find_sites(
-            hand, item, rng, least, _SITES, pushed=(attempt % 2 == 0) == (item.shape != "cuboid")
-        )
+        pushed = (attempt % 2 == 0) == (item.shape != "cuboid")
+        sites, facing = find_sites(hand, item, rng, least, _SITES, pushed)
         places, faced = places + len(sites), faced | facing
         palms = [None if approach is None else trials.palm(site) for site in sites]
         found: list[_Candidate] = []
@@ -144,12 +143,10 @@ def _placed(
     if best is not None:
         return best[2]
     counts = ", ".join(f"{count} {what}" for what, count in trials.faults.most_common() if count)
-    aside = (
-        f", at {min(astray, places)} of which no side of the object comes from approach={approach}" if astray else ""
-    )
+    aside = f", at {min(astray, places)} of which no side of the object comes from approach={approach}"
     raise InvalidInputError(
         f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape} of "
-        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{aside}; of the "
+        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{aside if astray else ''}; of the "
         f"candidates tried there {counts or 'none is left'}. {'' if places else _never_facing(hand, faced)}{_wide_joints(hand)}Use an object of another size or "
         "more friction, another seed, or place the hand by `HandDescription.moved` and `home`"
     )
@@ -161,21 +158,23 @@ def _never_facing(hand: HandDescription, faced: NDArray[np.bool_]) -> str:
     pairs = [f"{names[i]} and {names[j]}" for i, j in combinations(range(len(names)), 2) if not faced[i, j]]
     if pairs and not faced.any():
         return f"No two of its fingers ({', '.join(names)}) face each other with room for the object between them. "
-    more = f" and {len(pairs) - _LISTED} more pairs" if len(pairs) > _LISTED else ""
-    text = f"Within their ranges these fingers never face each other: {'; '.join(pairs[:_LISTED])}{more}. "
+    text = f"Within their ranges these fingers never face each other: {_listed(pairs, '; ', ' pairs')}. "
     return text if pairs else ""
 
 
 def _wide_joints(hand: HandDescription) -> str:
     """Return a sentence about joints whose ranges are wider than those of fingers, or ""."""
     wide = [link.joint for link in hand.links if not link.sliding and not link.upper - link.lower < _WIDE]
-    if not wide:
-        return ""
-    more = f" and {len(wide) - _LISTED} more" if len(wide) > _LISTED else ""
-    return (
-        f"Joints that turn by more than {_WIDE:g} rad are seldom those of a finger: {', '.join(wide[:_LISTED])}{more}; give the true ranges "
-        "as joint_limits={joint: (lower, upper)} to from_urdf. "
+    text = (
+        f"Joints that turn by more than {_WIDE:g} rad are seldom those of a finger: {_listed(wide)}; give the true ranges as "
+        "joint_limits={joint: (lower, upper)} to from_urdf. "
     )
+    return text if wide else ""
+
+
+def _listed(names: list[str], between: str = ", ", kind: str = "") -> str:
+    more = f" and {len(names) - _LISTED} more{kind}" if len(names) > _LISTED else ""
+    return between.join(names[:_LISTED]) + more
 
 
 class _Trials:

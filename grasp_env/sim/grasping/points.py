@@ -170,11 +170,8 @@ def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike 
 class GraspSearch:
     """Search for a grasp of one object by a hand, whose limbs are in its pose.
 
-    It makes pools of places for each finger, chooses among them, and finds postures of the whole hand.
-
-    Attributes:
-        faults: Number of rejected candidates, by reason.
-        short: Number of times that each finger found no place, (N,).
+    It makes pools of places for each finger, chooses among them, and finds postures of the whole hand. It counts rejected candidates by
+    reason in `faults`, and how often each finger found no place in `short`.
     """
 
     def __init__(self, item: ObjectDescription, limbs: core.HandLimbs, hand: HandDescription) -> None:
@@ -261,9 +258,8 @@ def _four_finger() -> HandDescription:
 
 @lru_cache(maxsize=8)
 def _limbs(kinematics: HandKinematics) -> core.HandLimbs:
-    return core.HandLimbs.make(
-        kinematics.tree, hand_limbs(kinematics.hand), kinematics.home, touching_pairs(kinematics.hand)
-    )
+    hand = kinematics.hand
+    return core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home, touching_pairs(hand))
 
 
 @lru_cache(maxsize=1)

@@ -82,17 +82,10 @@ class Site:
 def find_sites(
     hand: HandDescription, item: ObjectDescription, rng: np.random.Generator, least: int, most: int, pushed: bool = True
 ) -> tuple[list[Site], NDArray[np.bool_]]:
-    """Find at most `most` places at which at least `least` of the hand's fingers can surround an object.
+    """Find at most `most` places, best first, at which at least `least` of the hand's fingers can surround an object.
 
-    Args:
-        hand: The hand, in the pose of its description.
-        item: The object.
-        rng: Random generator.
-        least, most: Smallest number of fingers, largest number of sites.
-        pushed: Prefer sites at which motors push along the normals; they are rare for some cuboids.
-
-    Returns:
-        The sites, best first; and an array (N, N), True if two fingers faced each other with room for the object between them.
+    Also return an array (N, N), True if two fingers faced each other with room for the object between them. If `pushed`, sites are
+    preferred at which motors push along the normals; they are rare for some cuboids.
     """
     kinematics = HandKinematics(hand)
     low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
@@ -127,9 +120,8 @@ def find_sites(
         for site in found:
             if len(sites) == most:
                 return sites, faced
-            if all(
-                np.linalg.norm(site.center - other.center) > _APART or site.fingers != other.fingers for other in sites
-            ):
+            alike = [other.center for other in sites if other.fingers == site.fingers]
+            if all(np.linalg.norm(site.center - center) > _APART for center in alike):
                 sites.append(site)
     return sites, faced
 

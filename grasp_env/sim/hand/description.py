@@ -143,10 +143,9 @@ class HandDescription:
             if link.parent == self.palm.name:
                 origin, angles = place.carry(link.origin, link.rotation)
                 links[index] = replace(link, origin=origin, rotation=angles)
-        collision, visual = (
-            tuple(shape.carried(place) for shape in each) for each in (self.palm.collision, self.palm.visual)
-        )
-        palm = replace(self.palm, collision=collision, visual=visual)
+        palm = self.palm
+        solid, drawn = (tuple(shape.carried(place) for shape in each) for each in (palm.collision, palm.visual))
+        palm = replace(palm, collision=solid, visual=drawn)
         return replace(self, palm=palm, links=tuple(links), placed=True)
 
     def without_visuals(self) -> HandDescription:
@@ -281,14 +280,10 @@ class HandDescription:
         from grasp_env.sim.hand.files.importing import read_hand
         from grasp_env.sim.hand.files.options import HandOptions  # these need the parts above
 
-        read = read_hand(
-            path, HandOptions(fingertips, tip_radius, torque_limit, joint_limits, inertials, palm, rotor_inertia)
-        )
+        options = HandOptions(fingertips, tip_radius, torque_limit, joint_limits, inertials, palm, rotor_inertia)
+        read = read_hand(path, options)
         angles = numbers(home, None, "home [rad]")
-        hand = HandDescription(
-            read.name, read.palm, read.links, read.fingertips, angles, tip_friction, placed=bool(angles)
-        )
-        repairs = list(read.repairs)
+        hand, repairs = HandDescription(*read[:4], angles, tip_friction, placed=bool(angles)), read.repairs
         if rotor_inertia is not None:
             hand = hand.with_rotors(rotor_inertia)
         elif light := hand._light_ends():

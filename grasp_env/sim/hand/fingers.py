@@ -99,10 +99,8 @@ class FingerDescription:
 
     def links(self, palm: str) -> tuple[Link, ...]:
         """Return the links of the finger; the parent of the first is the link `palm`."""
-        names = [f"{self.name}_{kind}" for kind in _LINK_NAMES[len(self.link_lengths)]]
-        return tuple(
-            self._link(index, *pair) for index, pair in enumerate(zip(names, [palm, *names[:-1]], strict=True))
-        )
+        names = [palm, *(f"{self.name}_{kind}" for kind in _LINK_NAMES[len(self.link_lengths)])]
+        return tuple(self._link(index, names[index + 1], names[index]) for index in range(len(self.link_lengths)))
 
     def fingertip(self) -> Fingertip:
         """Return the sphere at the end of the distal link."""

@@ -12,14 +12,7 @@ from grasp_env.sim.hand.check import Vector3
 
 
 def rotation_matrix(angles: Vector3) -> Array:
-    """Return Rz(yaw) Ry(pitch) Rx(roll), (3, 3), for roll, pitch and yaw [rad].
-
-    Example:
-        >>> rotation_matrix((0.0, 0.0, math.pi / 2)).round(3) + 0.0
-        array([[ 0., -1.,  0.],
-               [ 1.,  0.,  0.],
-               [ 0.,  0.,  1.]])
-    """
+    """Return Rz(yaw) Ry(pitch) Rx(roll), (3, 3), for roll, pitch and yaw [rad]."""
     (sr, sp, sy), (cr, cp, cy) = np.sin(angles), np.cos(angles)
     return np.array([
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

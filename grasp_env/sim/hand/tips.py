@@ -56,9 +56,8 @@ def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
     best: tuple[float, Array, float, Array, Array] | None = None
     for short in _SHORT:
         # constraints on a sphere (c, r): normals @ c + r <= offsets, direction @ c + r >= far - short, r <= LARGEST
-        rows = np.vstack(
-            [np.column_stack([normals, np.ones(len(normals))]), -np.append(direction, 1.0), (0.0, 0.0, 0.0, 1.0)]
-        )
+        inside = np.column_stack([normals, np.ones(len(normals))])
+        rows = np.vstack([inside, -np.append(direction, 1.0), (0.0, 0.0, 0.0, 1.0)])
         sides = np.append(offsets, (short - far, LARGEST))
         found = _best((0.0, 0.0, 0.0, 1.0), rows, sides)
         if found is not None and (best is None or found[3] - _PRICE * short > best[0]):
@@ -81,19 +80,17 @@ def cut_back(link: Link, ball: Ball, direction: Array) -> Link:
     center, back = np.array(ball.center), float(np.dot(ball.center, direction)) - ball.radius
     shapes: list[Geometry] = []
     for shape in link.collision:
-        if shape.kind == "sphere" and np.linalg.norm(np.array(shape.origin) - center) < 1e-9:
-            shapes.append(shape)
-            continue
         points = outline(shape)
         front = cut_below(points, -direction, -float(center @ direction))
-        if len(front) == 0 or np.linalg.norm(front - center, axis=1).max() <= 0.9 * ball.radius:
+        if (
+            (shape.kind == "sphere" and np.linalg.norm(np.array(shape.origin) - center) < 1e-9)
+            or len(front) == 0
+            or np.linalg.norm(front - center, axis=1).max() <= 0.9 * ball.radius
+            # the sphere is not at this shape's end
+            or (points @ direction).max() > float(center @ direction) + 3.0 * ball.radius
+        ):
             shapes.append(shape)
-            continue
-        if (points @ direction).max() > float(center @ direction) + 3.0 * ball.radius:
-            shapes.append(shape)  # the sphere is not at this shape's end
-            continue
-        left = cut_below(points, direction, back)
-        if len(left):
+        elif len(left := cut_below(points, direction, back)):
             shapes.append(hull_shape(few_corners(left), color=shape.color))
     return replace(link, collision=tuple(shapes))
 

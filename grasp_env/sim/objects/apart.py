@@ -21,11 +21,7 @@ from grasp_env.sim.progress import ProgressLine
 def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Array]:
     """Run a function (module:function), which takes and returns arrays by name, in a process of its own; Ctrl-C ends both processes.
 
-    Args:
-        task: Name of the function.
-        text: Description of the task, for the progress line.
-        seconds: Time limit.
-        given: Arrays that it takes.
+    The text describes the task on the progress line.
 
     Raises:
         TimeoutError: It exceeded the time limit.

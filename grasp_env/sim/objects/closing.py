@@ -24,9 +24,6 @@ def close_mesh(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[
 
     Coincident corners and faces are merged. Then, until the mesh is closed, trimesh orients faces alike, seams are welded, and trimesh
     fills holes. Manifold unites overlapping parts; a part inside out within another is a cavity.
-
-    Raises:
-        InvalidInputError: It cannot be closed, or encloses no volume.
     """
     extent = extent_of(corners)
     corners, faces = weld(corners, faces, WELD * extent)
@@ -125,11 +122,10 @@ def _nested(corners: Array, parts: list[Any], volumes: list[float]) -> list[list
     if len(parts) == 1:
         return out
     used = [np.unique(part) for part in parts]
-    boxes = [(corners[each].min(axis=0), corners[each].max(axis=0)) for each in used]
+    low = np.array([corners[each].min(axis=0) for each in used])
+    high = np.array([corners[each].max(axis=0) for each in used])
     for outer, (part, size) in enumerate(zip(parts, volumes, strict=True)):
-        inner = [
-            k for k, (low, high) in enumerate(boxes) if (low > boxes[outer][0]).all() and (high < boxes[outer][1]).all()
-        ]
+        inner = np.flatnonzero((low > low[outer]).all(axis=1) & (high < high[outer]).all(axis=1)).tolist()
         if inner:
             outward = part if size > 0.0 else part[:, ::-1]
             solid = core.Surface.mesh(corners, outward.astype(float), [corners[used[outer]]])

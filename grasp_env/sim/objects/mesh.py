@@ -17,7 +17,6 @@ from grasp_env.sim.mesh_files import KINDS, mesh_bytes, read_mesh_bytes
 from grasp_env.sim.objects.cache import cached
 
 _VERSION = "6"  # version of the processed arrays, part of the cache's key: increase it when they change
-_ARRAYS = frozenset(("vertices", "faces", "pieces", "counts", "gyration", "rotation", "center", "volume", "changes"))
 _SAME_MOMENT = 1e-6  # relative difference of moments, or product of inertia, below which axes are not distinguished
 
 
@@ -39,9 +38,6 @@ def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
     """Read and process a mesh file; `scale` is the factor to metres. Unless `tell` is False, a warning tells of repairs.
 
     Results are kept in the user's cache folder, and the last few in memory until their files change.
-
-    Raises:
-        InvalidInputError: There is no such file, or it is not a mesh, has too many faces or cannot be closed.
     """
     if not isinstance(path, str | os.PathLike) or os.path.splitext(path)[1].lower() not in KINDS:
         raise InvalidInputError(f"mesh={shown(path)} must be a file of type {', '.join(KINDS)}; convert it")
@@ -64,7 +60,7 @@ def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mes
     kind = Path(path).suffix.lower()
     blob = mesh_bytes(path, name)
     key = digest(_VERSION.encode(), kind.encode(), blob)
-    made = cached(key, os.path.basename(path), _ARRAYS, lambda: _processed(*read_mesh_bytes(blob, kind, name), name))
+    made = cached(key, os.path.basename(path), lambda: _processed(*read_mesh_bytes(blob, kind, name), name))
     ends = np.cumsum(made["counts"])[:-1]
     vertices, pieces = np.ascontiguousarray(scale * made["vertices"]), scale * made["pieces"]
     for array in (vertices, made["faces"], pieces):  # shared by all objects of this file

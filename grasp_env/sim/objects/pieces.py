@@ -29,9 +29,6 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
 
     The pieces contain all corners of the mesh, except for what `MAX_CORNERS` leaves out. In hollows they protrude from the mesh by a few
     hundredths of its size.
-
-    Raises:
-        InvalidInputError: Neither can cut it; the message begins with `name`.
     """
     from scipy.spatial import ConvexHull
 

@@ -34,12 +34,7 @@ def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Imag
 
     A force arrow ends at its contact and its length is `scale` times the force, so that a force inside its friction cone is drawn
     inside the drawn cone. The wrench's force starts at `center`. Its moment is an arc about the moment's axis, by `turn` times the
-    moment. Bodies in front hide nothing.
-
-    Args:
-        picture: RGB picture taken with `view`; it is not changed.
-        annotation: The annotation.
-        view: View of the picture.
+    moment. Bodies in front hide nothing. The RGB picture, taken with `view`, is not changed.
     """
     veiled = picture.point(lambda value: 255.0 - (1.0 - VEIL) * (255.0 - value))
     view = replace(view, width=_FINE * view.width, height=_FINE * view.height)
@@ -194,10 +189,8 @@ def _legend(pen: _Pen, view: View, annotation: Annotation) -> list[tuple[str, fl
     ends = view.project(annotation.center + np.outer(lengths, view.axes[0]))[:, 0]
     longest, bar, longer = (ends[1:, None] - ends[0]) * right
     moment = round_down(0.5 * math.pi / annotation.turn)
-    angles = np.linspace(0.0, moment * annotation.turn, 12)
-    arc = (
-        20.0 * unit * np.column_stack([np.cos(angles) - np.cos(angles[-1]), 0.5 * np.sin(angles[-1]) - np.sin(angles)])
-    )
+    x, y = (turned(np.linspace(0.0, moment * annotation.turn, 12)) for turned in (np.cos, np.sin))
+    arc = 20.0 * unit * np.column_stack([x - x[-1], 0.5 * y[-1] - y])
     cone = 9.0 * unit * np.array([[2.0, 0.0], [0.0, -0.7], [0.0, 0.7], [2.0, 0.0]])
 
     def draw_cone(at: Array) -> None:

@@ -49,11 +49,9 @@ class Painter(Protocol):
 
     def show(self, annotation: Annotation) -> None:
         """Draw the forces of the fingers and of the wrench as lines in the window, for engines that have one."""
-        ...
 
     def close(self) -> None:
         """Free the renderer, but not the scene."""
-        ...
 
 
 def before_background(pixels: Any, depth: Any) -> tuple[Image.Image, Array]:

@@ -26,7 +26,7 @@ _DIGITS = 4  # significant digits of a coupling, as many as the measurement has
 _STILL = 1e-6  # largest travel of a joint that counts as still [rad] or [m]
 _MOVED = 0.02  # smallest travel of a coupled joint, as a share of its range, or [rad] without one
 _NEARLY = 0.9  # share of the largest relative travel on a tendon; the first joint that moves as far is the driver
-_STRAIGHT = 0.05  # largest deviation of a coupled joint from its line, as a share of its travel, unless it is curved
+STRAIGHT = 0.05  # largest `Motor.bend` of a coupling that a line fits well
 _FREE_TURN, _FREE_WAY = np.pi, 0.1  # travel in both directions of a hinge [rad] and a slide [m] without limits
 
 
@@ -39,11 +39,6 @@ class Motor:
     followers: dict[int, tuple[float, float]]  # ratio and offset
     arm: float  # torque of `joint` [N m] per force of the motor [N or N m], including the share of the followers
     bend: float  # largest distance of a follower from its line, as a share of its travel
-
-    @property
-    def curved(self) -> bool:
-        """True if a line is a poor fit of the coupling."""
-        return self.bend > _STRAIGHT
 
 
 def find_motors(model: Any) -> list[Motor]:

@@ -15,7 +15,6 @@ from grasp_env.sim.hand.tree import Geometry, Mimic
 
 Ends: TypeAlias = Sequence[tuple[str, str, str]]
 """Name, parent and child of each joint."""
-_MAX_LISTED = 20
 NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of a link without one in the file
 
 
@@ -73,10 +72,9 @@ class HandFile(Protocol):
 
 def names_of(values: Sequence[Any]) -> str:
     """Return at most 60 names for a message, and the number of the others."""
-    return ", ".join(map(shown, values[:60])) + (f" and {len(values) - 60} more" if len(values) > 60 else "")
+    return listed(list(map(shown, values)), 60)
 
 
-def listed(rows: Sequence[str]) -> str:
-    """Return at most 20 texts for a message, and the number of the others."""
-    more = f" and {len(rows) - _MAX_LISTED} more" if len(rows) > _MAX_LISTED else ""
-    return ", ".join(rows[:_MAX_LISTED]) + more
+def listed(rows: Sequence[str], most: int = 20) -> str:
+    """Return at most `most` texts for a message, and the number of the others."""
+    return ", ".join(rows[:most]) + (f" and {len(rows) - most} more" if len(rows) > most else "")

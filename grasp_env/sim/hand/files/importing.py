@@ -1,7 +1,6 @@
 """Assemble a hand from the links and joints of a file: links behind a fixed joint are merged into their parent.
 
-Public files have links without mass, impossible inertias and placeholders for torques. All repairs are listed in one warning, all
-faults in one error.
+All repairs of impossible or missing values are listed in one warning, all faults in one error.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ def why_not_drawn(path: Path, scale: Sequence[float]) -> str:
         why = "" if len(blob) > 84 else "are empty"
     else:
         key = digest(_MADE.encode(), b"drawn", blob)
-        why = str(cached(key, path.name, frozenset(("why",)), lambda: {"why": _why_broken(blob)}, use="hand")["why"])
+        why = str(cached(key, path.name, lambda: {"why": _why_broken(blob)}, use="hand")["why"])
     return why or ("are mirrored by a scale below 0" if min(scale) < 0.0 else "")
 
 

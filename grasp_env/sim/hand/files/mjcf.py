@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.files.couplings import Motor, find_motors
+from grasp_env.sim.hand.files.couplings import STRAIGHT, Motor, find_motors
 from grasp_env.sim.hand.files.elements import FileJoint, FileLink, names_of
 from grasp_env.sim.hand.files.mjcf_model import frame_of, load_model, model_name, name_of
 from grasp_env.sim.hand.files.mjcf_shapes import MjcfShapes
@@ -81,10 +81,10 @@ class MjcfReader:
             shaped[name] = link
             if name in self._tips:
                 _, geom = self._tips[name]
-                ball = (
-                    Geometry("sphere", (max(float(self.model.site(name).size[0]), SMALLEST),)) if geom is None else None
-                )
-                solids = self._shapes.solids(geom, IDENTITY) if ball is None else [ball]
+                if geom is None:
+                    solids = [Geometry("sphere", (max(float(self.model.site(name).size[0]), SMALLEST),))]
+                else:
+                    solids = self._shapes.solids(geom, IDENTITY)
                 shaped[name] = replace(link, collision=tuple(solids))
             elif name in bodies:
                 collision, visual, color = self._shapes.of_body(bodies[name], self._shifts[bodies[name]], own)
@@ -119,7 +119,7 @@ class MjcfReader:
         lines = list[str]()
         for motor in self.motors:
             driver = name_of(model, "joint", motor.joint)
-            bend = f" (misses by up to {motor.bend:.0%} of its travel)" if motor.curved else ""
+            bend = f" (misses by up to {motor.bend:.0%} of its travel)" if motor.bend > STRAIGHT else ""
             for other, (ratio, offset) in motor.followers.items():
                 shift = f" {offset:+g}" if offset else ""
                 lines.append(f"{name_of(model, 'joint', other)} = {ratio:g} * {driver}{shift}{bend}")

@@ -24,10 +24,9 @@ _COUNTS = {"body": "nbody", "joint": "njnt", "actuator": "nu"}  # fields with th
 def load_model(path: Path) -> tuple[Any, bool]:
     """Return the compiled model of a file, and True if its angles are degrees."""
     where = f"cannot read the MuJoCo model {shown_path(path)}"
+    task, text = f"{__name__}:compile_mjcf", f"compiling {path.name}"
     try:
-        made = apart(
-            f"{__name__}:compile_mjcf", f"compiling {path.name}", _SECONDS, path=np.array(str(path.absolute()))
-        )
+        made = apart(task, text, _SECONDS, path=np.array(str(path.absolute())))
     except (TimeoutError, ChildProcessError) as error:
         raise InvalidInputError(f"{where}: MuJoCo's compiler failed: {str(error).splitlines()[-1]}") from None
     if "error" in made:

@@ -13,22 +13,11 @@ import numpy as np
 from grasp_env._check import AllFaults, Array
 from grasp_env._files import digest
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim import mesh_shape
 from grasp_env.sim.hand.files.meshes import read_mesh_bytes
 from grasp_env.sim.hand.solids import few_corners, hull_of, hull_shape, principal_axes
 from grasp_env.sim.hand.tree import Geometry, Vector3
 from grasp_env.sim.mesh_files import mesh_bytes
-from grasp_env.sim.mesh_shape import (
-    WELD,
-    connected_parts,
-    extent_of,
-    farthest,
-    numbered,
-    open_edges,
-    reduce_hull,
-    sides_of,
-    volume,
-    weld,
-)
 from grasp_env.sim.objects.cache import cached
 from grasp_env.sim.progress import progress_bar
 
@@ -46,7 +35,6 @@ _VISUAL_CORNERS, _VISUAL_ERROR = (
     2e-4,
 )  # of the hull of a visual mesh in which a tip is fitted, and its relative error
 _MADE = "1"  # version of the pieces; change it when they change, so that older cache entries are not used
-_ARRAYS = frozenset(("pieces", "counts"))
 
 
 @dataclass(frozen=True)
@@ -104,7 +92,7 @@ def hull_of_file(path: Path) -> Array:
 
     def make() -> list[Array]:
         hull = hull_of(read_mesh_bytes(blob, kind, name)[0])
-        return [reduce_hull(hull.points[hull.vertices], _VISUAL_CORNERS, _VISUAL_ERROR)]
+        return [mesh_shape.reduce_hull(hull.points[hull.vertices], _VISUAL_CORNERS, _VISUAL_ERROR)]
 
     return _kept(digest(_MADE.encode(), b"hull", kind.encode(), blob), path.name, make)[0]
 
@@ -113,7 +101,11 @@ def kept_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     """Return the `convex_pieces` of corners (V, 3) [m] and faces (F, 3), from the cache if possible, which lists them under `name`."""
     corners, faces = np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int64)
     key = digest(_MADE.encode(), b"arrays", corners.tobytes(), faces.tobytes())
-    return _kept(key, name, lambda: convex_pieces(*weld(corners, faces, WELD * extent_of(corners))))
+    return _kept(
+        key,
+        name,
+        lambda: convex_pieces(*mesh_shape.weld(corners, faces, mesh_shape.WELD * mesh_shape.extent_of(corners))),
+    )
 
 
 def _kept(key: str, name: str, make: Callable[[], list[Array]]) -> list[Array]:
@@ -121,7 +113,7 @@ def _kept(key: str, name: str, make: Callable[[], list[Array]]) -> list[Array]:
         pieces = make()
         return {"pieces": np.concatenate(pieces), "counts": np.array([len(piece) for piece in pieces])}
 
-    made = cached(key, name, _ARRAYS, arrays, use="hand")
+    made = cached(key, name, arrays, use="hand")
     return np.split(made["pieces"], np.cumsum(made["counts"])[:-1])
 
 
@@ -129,10 +121,8 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
     """Return convex pieces that together contain a mesh, each as at most `solids.MAX_CORNERS` corners (K, 3).
 
     A mesh that fills nine tenths of its hull, or is too fine to be cut, is one piece. Otherwise its parts are cut by planes that
-    reduce the volume of the hulls. Pieces whose common hull adds little are joined, until at most `_MAX_PIECES` are left.
-
-    Raises:
-        InvalidInputError: The size is implausible for a part of a hand.
+    reduce the volume of the hulls. Pieces whose common hull adds little are joined, until at most `_MAX_PIECES` are left. A size that is
+    implausible for a part of a hand is refused.
     """
     extent = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
     if not _SMALLEST <= extent <= _LARGEST:
@@ -142,10 +132,10 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
         )
     hull = hull_of(corners)
     parts = _parts(faces)
-    if abs(volume(corners, faces)) >= _FULL * hull.volume and len(parts) == 1:
+    if abs(mesh_shape.volume(corners, faces)) >= _FULL * hull.volume and len(parts) == 1:
         return [few_corners(corners)]
     if len(faces) > _FINE:
-        corners, faces = weld(corners, faces, extent / _GRAINS)
+        corners, faces = mesh_shape.weld(corners, faces, extent / _GRAINS)
         corners, faces = (extent / _GRAINS) * np.round(corners * (_GRAINS / extent)), np.unique(faces, axis=0)
         if len(faces) > 2 * _FINE:  # a soup of triangles: cutting would take minutes
             return [few_corners(corners)]
@@ -153,8 +143,8 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
     leaves: list[Array] = []
     worth = _WORTH * hull.volume
     for part in parts:
-        around, filled = hull_of(corners[np.unique(part)]), abs(volume(corners, part))
-        if around.volume - filled <= worth and not open_edges(part):  # no cut can remove more
+        around, filled = hull_of(corners[np.unique(part)]), abs(mesh_shape.volume(corners, part))
+        if around.volume - filled <= worth and not mesh_shape.open_edges(part):  # no cut can remove more
             leaves.append(around.points)
         else:
             leaves += _cut(corners, part, worth, 2 if filled < 0.85 * around.volume else 0, _DEEPEST)
@@ -169,12 +159,14 @@ def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> 
     whole = hull_of(points)
     if deepest == 0 or whole.volume <= worth:
         return [points]
-    edges = numbered(sides_of(faces))[0]
+    edges = mesh_shape.numbered(mesh_shape.sides_of(faces))[0]
     axes = principal_axes(points)
     heights = points @ axes.T
     low, extent = heights.min(axis=0), np.ptp(heights, axis=0)
     tried = [(axis, start + part * size) for axis, start, size in zip(axes, low, extent, strict=True) for part in _CUTS]
-    few = [sum(_hull_volume(half[farthest(half)]) for half in _halves(corners, edges, *cut)) for cut in tried]
+    few = [
+        sum(_hull_volume(half[mesh_shape.farthest(half)]) for half in _halves(corners, edges, *cut)) for cut in tried
+    ]
     best, gain = None, worth
     for k in np.argsort(few, kind="stable"):
         if whole.volume - few[k] <= gain:  # later cuts gain less, as the hull of all points is larger than that of few
@@ -215,7 +207,7 @@ def _hull_volume(points: Array) -> float:
 
 def _parts(faces: Any) -> list[Any]:
     """Return the faces of each connected part, or all faces as one part if there are too many parts."""
-    parts = connected_parts(faces)
+    parts = mesh_shape.connected_parts(faces)
     return [faces] if len(parts) > _CRUMBS else parts
 
 

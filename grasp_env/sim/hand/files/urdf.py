@@ -1,7 +1,4 @@
-"""Read a URDF file. Each element is checked where it is read, and all faults are reported together.
-
-Longer than most modules: the reader and the functions that turn elements into numbers share their error messages.
-"""
+"""Read a URDF file. Each element is checked where it is read, and all faults are reported together."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ import numpy as np
 from grasp_env._check import AllFaults
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Vector3, limits, numbers
-from grasp_env.sim.hand.files.elements import NO_INERTIA, Ends, FileJoint, FileLink
+from grasp_env.sim.hand.files.elements import NO_INERTIA, Ends, FileJoint, FileLink, listed
 from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
 from grasp_env.sim.hand.files.pieces import MeshUse, solids_of
 from grasp_env.sim.hand.files.xacro import expanded, is_xacro
@@ -28,7 +25,6 @@ from grasp_env.sim.hand.tree import Geometry, Mimic
 
 MAX_ELEMENTS = 500  # links, and joints, in a file
 MAX_SHAPES = 2000  # collision and visual shapes together
-_MAX_MISSING = 40  # missing meshes that a message names
 
 _TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
 
@@ -123,10 +119,9 @@ class UrdfReader:
         """Raise InvalidInputError if collision meshes are missing."""
         if self._missing:
             each = [f"{shown(name)} ({', '.join(dict.fromkeys(links))})" for name, links in self._missing.items()]
-            more = f" and {len(each) - _MAX_MISSING} more" if len(each) > _MAX_MISSING else ""
             raise InvalidInputError(
-                f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: "
-                f"{', '.join(each[:_MAX_MISSING])}{more}. Download the whole package and keep its folder structure"
+                f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: {listed(each, 40)}. "
+                "Download the whole package and keep its folder structure"
             )
 
     def with_shapes(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
