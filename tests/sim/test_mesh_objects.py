@@ -15,7 +15,7 @@ import manifold3d
 import numpy as np
 import pytest
 import trimesh
-from engines import Client, bullet, create_body, needs_bullet
+from engines import needs_bullet
 from episodes import ENV
 from scipy.spatial import ConvexHull
 from trimesh import creation
@@ -145,11 +145,6 @@ def test_axes_turn_no_more_than_needed(tmp_path: Path) -> None:
     assert np.arccos(0.5 * (np.trace(rotation) - 1.0)) == pytest.approx(np.arccos(turn[1, 1]), abs=1e-6)
 
 
-def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
-    assert load(tmp_path, box(0.06, 0.12, 0.09))[0].extent[1] == pytest.approx(0.12)
-    assert load(tmp_path, box(0.06, 0.13, 0.0901))[0].extent[1] == pytest.approx(0.13)
-
-
 # --- pieces
 
 
@@ -225,7 +220,6 @@ def beside() -> trimesh.Trimesh:
 WHOLE, BALL = 0.06 * 0.05 * 0.04, creation.icosphere(1, 1.0).volume
 SHELL, TURNED = (0.05**3 - 0.04**3) * BALL, "faces that pointed inward were turned"
 REPAIRS: dict[str, tuple[Callable[[], trimesh.Trimesh], float, str]] = {
-    "closed": (box, WHOLE, ""),
     "a hole": (lambda: without(box(), 0), WHOLE, "holes were filled with 1 faces"),
     "a missing side": (lambda: without(box(), *np.flatnonzero(box().face_normals[:, 2] > 0.5)), WHOLE, "holes were filled with 2 faces"),
     "flipped faces": (lambda: flipped(box(), 3), WHOLE, "faces were turned"),
@@ -238,7 +232,6 @@ REPAIRS: dict[str, tuple[Callable[[], trimesh.Trimesh], float, str]] = {
     "a wall between boxes": (lambda: together(box(), box(at=(0.06, 0.0, 0.0))), 2.0 * WHOLE, ""),
     "a hollow": (lambda: nested(0.05, 0.04), SHELL, ""),
     "a core in a hollow": (lambda: nested(0.05, 0.04, 0.02), SHELL + 0.02**3 * BALL, ""),
-    "a hollow inside out": (lambda: flipped(nested(0.05, 0.04), 1), SHELL, TURNED),
     "a core inside out": (lambda: flipped(nested(0.05, 0.04, 0.02), 1), SHELL + 0.02**3 * BALL, TURNED),
     "a part inside out beside another": (beside, l_shape().volume + 1e-6, TURNED),
     "parts apart": (lambda: together(box(), box(at=(0.1, 0.0, 0.0))), 2.0 * WHOLE, ""),
@@ -279,11 +272,7 @@ def test_too_many_parts() -> None:
 
 @pytest.mark.parametrize(
     "engine",
-    [
-        pytest.param(BulletEngine(mesh_contacts="faces"), marks=needs_bullet),
-        pytest.param(BulletEngine(), marks=needs_bullet),
-        "mujoco",
-    ],
+    [*(pytest.param(BulletEngine(mesh_contacts=how), marks=needs_bullet) for how in ("faces", "pieces")), "mujoco"],
     ids=["faces", "pieces", "mujoco"],
 )
 def test_a_hand_holds_it(made: Made, engine: Any) -> None:
@@ -312,29 +301,3 @@ def test_a_hand_holds_it(made: Made, engine: Any) -> None:
         assert flat > 0
     finally:
         env.close()
-
-
-@needs_bullet
-def test_faces_in_bullet_are_the_surface(made: Made) -> None:
-    """Judged by a ball near faces and above edges."""
-    client, item = Client(), made[1]
-    try:
-        body = create_body(client.number, item, exact=True)
-        ball = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=0.005, physicsClientId=client.number)
-        tip = bullet.createMultiBody(0.01, ball, physicsClientId=client.number)
-        rng, off = np.random.default_rng(0), []
-        corners, faces = item.faces
-        for _ in range(200):
-            center = rng.dirichlet((1.0, 1.0, 1.0)) @ corners[faces[rng.integers(len(faces))]] + 0.012 * rng.normal(
-                size=3
-            )
-            _, _, distance = item.surface.nearest(center)
-            if distance < 0.006:
-                continue
-            bullet.resetBasePositionAndOrientation(tip, center.tolist(), (0, 0, 0, 1), physicsClientId=client.number)
-            rows = bullet.getClosestPoints(body, tip, 0.1, physicsClientId=client.number)
-            off.append(min(row[8] for row in rows) + 0.005 - distance)
-        assert len(off) > 50
-        assert np.abs(off).max() < 1e-7  # Bullet reads corners as float32
-    finally:
-        client.close()
