@@ -34,7 +34,12 @@ class Engine(Settings):
 
 @dataclass(frozen=True)
 class BulletEngine(Engine):
-    """PyBullet."""
+    """PyBullet.
+
+    Example:
+        >>> BulletEngine(solver_iterations=50).rate
+        250
+    """
 
     name: ClassVar[str] = "bullet"
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.bullet", "Bullet")
@@ -64,7 +69,12 @@ def _impedance(value: Any, name: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class MujocoEngine(Engine):
-    """MuJoCo, as stiff as the time step allows. Its contacts are springs; its manual describes them under `solref` and `solimp`."""
+    """MuJoCo, as stiff as the time step allows. Its contacts are springs; its manual describes them under `solref` and `solimp`.
+
+    Example:
+        >>> MujocoEngine(cone="pyramidal").rate
+        1000
+    """
 
     name: ClassVar[str] = "mujoco"
     extra: ClassVar[str] = "mujoco"

@@ -23,8 +23,6 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.sim.mesh_limits import MAX_FACES, TooManyFacesError, check_count, check_face_count, count_words
 from grasp_env.sim.mesh_scenes import guard_dae, guard_glb
 
-__all__ = ["KINDS", "key_lines", "key_places", "mesh_bytes", "obj_text", "one_newline", "read_mesh", "read_mesh_bytes"]
-
 _MAX_TEXT_BYTES = 20 * MEGABYTE  # bytes of an .off or a .ply in text: 1.5 s
 _MAX_HEADER_BYTES = 100_000  # bytes of the header of a .ply
 _HINT = "; export it again as .obj or .stl"

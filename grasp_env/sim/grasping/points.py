@@ -27,11 +27,8 @@ _ASIDE = 1e-3  # distance at which a given normal is tested [m]
 _SPACE = 0.003  # least distance between fingers [m]
 _PLACES, _RAYS, _STARTS, _ROUNDS = 20, 140, 20, 8
 _SPREAD = 0.7  # spread of the directions in which places are sought
-_MARGINS = (
-    (0.005, 0.1, 0.003, 0.0003),
-    (0.003, 0.02, 0.0015, 0.0006),
-    (0.001, 0.0, 0.0005, 0.0015),
-)  # flat surface [m], distance from joint limits [rad], clearance [m], distance to a mesh's pieces [m]; easier row by row
+# flat surface [m], distance from joint limits [rad], clearance [m], distance to a mesh's pieces [m]; easier row by row
+_MARGINS = ((0.005, 0.1, 0.003, 0.0003), (0.003, 0.02, 0.0015, 0.0006), (0.001, 0.0, 0.0005, 0.0015))
 _DIRECTIONS = 120
 _TRIES = 3  # runs with the easier margins
 _MISSES = (

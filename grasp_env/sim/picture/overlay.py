@@ -25,8 +25,7 @@ _BAR = 0.03  # longest arrow of the legend [m]
 _LINE = 1.3  # line spacing over font size
 _HIGHEST = 0.4  # largest share of the picture's height for text; otherwise it is left out
 _THREE_COLUMNS = 320  # width from which the legend has three columns [pixels]
-_TURN_RADIUS = 0.03  # radius of the moment's arc [m]
-_LEAST_TURN = 0.15  # least visible arc [rad]
+_TURN_RADIUS, _LEAST_TURN = 0.03, 0.15  # radius of the moment's arc [m]; least visible arc [rad]
 
 
 def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Image:

@@ -55,7 +55,7 @@ class HandFile(Protocol):
 
     name: str
     names: list[str]
-    ends: Ends
+    ends: list[tuple[str, str, str]]
     mimics: dict[str, str]
     fixed: set[str]
     undrawn: dict[str, str]

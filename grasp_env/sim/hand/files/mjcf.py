@@ -206,13 +206,13 @@ class MjcfReader:
                 sliding = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
                 zero = Frame(np.eye(3), anchor) @ Frame.of_joint(axis, -first, sliding)
                 x, y, z = (axis / np.linalg.norm(axis)).tolist()
-                limits = model.jnt_range[joint].tolist() if model.jnt_limited[joint] else (-math.inf, math.inf)
+                lower, upper = model.jnt_range[joint].tolist() if model.jnt_limited[joint] else (-math.inf, math.inf)
                 mimic, rotor = None, float(model.dof_armature[model.jnt_dofadr[joint]])
                 if joint in followers:
                     motor, (ratio, offset) = followers[joint]
                     mimic = Mimic(name_of(model, "joint", motor.joint), ratio, offset)
                 joints.append(FileJoint(
-                    own, parent, child, False, *(place @ zero).numbers(), (x, y, z), *limits, efforts.get(joint), sliding, mimic, rotor
+                    own, parent, child, False, *(place @ zero).numbers(), (x, y, z), lower, upper, efforts.get(joint), sliding, mimic, rotor
                 ))  # fmt: skip
                 parent, place = child, Frame(np.eye(3), -anchor)
                 if child != name:

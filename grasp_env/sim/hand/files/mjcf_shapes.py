@@ -52,7 +52,8 @@ class MjcfShapes:
             int(kinds.mjGEOM_BOX): ("box", (2.0 * a, 2.0 * b, 2.0 * c)),
         }
         if kind in primitives:
-            return [Geometry(*primitives[kind], origin, rotation, color)]
+            name, size = primitives[kind]
+            return [Geometry(name, size, origin, rotation, color)]
         pieces = list[Array]()
         if kind == int(kinds.mjGEOM_ELLIPSOID):
             pieces = [few_corners(outline(Geometry("sphere", (1.0,))) * (a, b, c))]

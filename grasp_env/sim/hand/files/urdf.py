@@ -15,7 +15,7 @@ import numpy as np
 from grasp_env._check import AllFaults
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Vector3, limits, numbers
-from grasp_env.sim.hand.files.elements import NO_INERTIA, Ends, FileJoint, FileLink, listed
+from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink, listed
 from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
 from grasp_env.sim.hand.files.pieces import MeshUse, solids_of
 from grasp_env.sim.hand.files.xacro import expanded, is_xacro
@@ -63,7 +63,7 @@ class UrdfReader:
         self._missing: dict[str, list[str]] = {}
         self._shapes: dict[str, tuple[list[Geometry | MeshUse], list[Geometry | MeshUse]]] = {}
         self.names = [element.get("name", "") for element in self._links]
-        self.ends: Ends = [
+        self.ends = [
             (element.get("name", ""), _end(element, "parent"), _end(element, "child")) for element in self._joints
         ]
         self.mimics = {
