@@ -14,8 +14,7 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
 
-DEVIATION = math.radians(30.0)
-"""Largest angle between the direction from the palm to the object and the wanted one [rad]."""
+DEVIATION = math.radians(30.0)  # largest angle between the direction from the palm to the object and the wanted one
 DIRECTIONS = {"down": (0.0, -1.0, 0.0), "up": (0.0, 1.0, 0.0), "side": None}
 """Directions by name, world frame; "side" is any horizontal one. Gravity is along -y: with "down" the palm is above the object."""
 _PROBE, _STEP = 0.002, 1e-4  # diameter of the ball that probes for the palm, and its steps [m]

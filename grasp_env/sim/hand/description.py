@@ -24,8 +24,7 @@ from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm, chec
 __all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescription", "Link", "Mimic", "Palm", "Vector3"]
 
 
-ROTOR_INERTIA = 1e-4
-"""Default rotor inertia at a joint [kg m^2]; see `HandDescription.with_rotors`."""
+ROTOR_INERTIA = 1e-4  # default rotor inertia at a joint [kg m^2]; see `HandDescription.with_rotors`
 _LIGHT_INERTIA = 1e-5
 """End links with less inertia about their joint than this [kg m^2] get `ROTOR_INERTIA` added: a torque error of 50 mN m would change
 their speed by 50 rad/s in one control tick."""

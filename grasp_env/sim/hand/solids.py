@@ -13,8 +13,7 @@ from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry, Vector3
 from grasp_env.sim.mesh_shape import numbered, sides_of
 
-MAX_CORNERS = 40
-"""Largest number of corners of a hull; one that contains it replaces a larger one: corners protrude by an eighth of a round end's radius."""
+MAX_CORNERS = 40  # of a hull; one that contains it replaces a larger one, and protrudes by 1/8 of a round end's radius
 _FLAT = 3e-8  # [m], largest ratio of volume to area (about half of the thickness) of a flat shape
 _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 _THIN = 5e-4  # [m], thickness that is added to a flat shape on either side

@@ -18,9 +18,7 @@ from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
 from grasp_env.sim.mesh_files import obj_text
 
-HULL_MARGIN = 1e-3
-"""Margin that Bullet adds around the hulls of a URDF [m]; changeDynamics cannot change it."""
-
+HULL_MARGIN = 1e-3  # that Bullet adds around the hulls of a URDF [m]; changeDynamics cannot change it
 _SPEED_LIMIT = "100"  # [rad/s]; Bullet's default, far above what a grasp needs
 
 

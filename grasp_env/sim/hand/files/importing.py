@@ -21,8 +21,7 @@ from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, HandFile, names_of
-from grasp_env.sim.hand.files.joint_ranges import judge_ranges
-from grasp_env.sim.hand.files.linkages import find_rods, free_ranges
+from grasp_env.sim.hand.files.joints import find_rods, free_ranges, judge_ranges
 from grasp_env.sim.hand.files.options import HandOptions, Inertial
 from grasp_env.sim.hand.files.part import arrange, read_part
 from grasp_env.sim.hand.files.pieces import hull_of_file
