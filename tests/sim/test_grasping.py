@@ -21,7 +21,6 @@ from grasp_env.quality import force_closure
 from grasp_env.sim import HANDS, HandDescription, HandKinematics, ObjectDescription, place_hand
 from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.grasping.approach import DEVIATION, Approach, as_approach
-from grasp_env.sim.grasping.pads import torsion_of
 from grasp_env.sim.grasping.placing import _Candidate, _never_facing, _placed, _Trials, _wide_joints
 from grasp_env.sim.grasping.points import FRICTION_MARGIN, GraspPlan, check_points, grasp_points, plan_grasp
 from grasp_env.sim.hand.description import Geometry
@@ -68,9 +67,8 @@ def check(hand: HandDescription, item: ObjectDescription) -> GraspPlan:
 
 def worst(item: ObjectDescription, plan: GraspPlan) -> float:
     """Largest least normal force for weight with a push or turn [N]; raises if there is none."""
-    optimizer = ForceOptimizer(
-        Grasp.from_contacts(plan.points, plan.normals, FRICTION_MARGIN * item.friction), method="conic"
-    )
+    grasp = Grasp.from_contacts(plan.points, plan.normals, FRICTION_MARGIN * item.friction)
+    optimizer = ForceOptimizer(grasp, method="conic")
     steps = np.diag([2.0, 2.0, 2.0, 0.06, 0.06, 0.06])
     weight = np.array([0.0, -9.81 * item.mass, 0.0, 0.0, 0.0, 0.0])
     return max(optimizer.solve(weight + sign * step).objective for step in steps for sign in (1.0, -1.0))
@@ -169,24 +167,12 @@ def test_planar_and_coupled_fingers(fingers: int, joints: int, coupled: bool, it
     check(place_hand(hand, item), item)
 
 
-@pytest.mark.parametrize(
-    ("name", "item"), [("four_finger_4dof", BALL), ("five_finger", CUBE), ("allegro", CUBE), ("allegro", BALL)]
-)
+@pytest.mark.parametrize(("name", "item"), [("four_finger_4dof", BALL), ("five_finger", CUBE), ("allegro", CUBE)])
 def test_known_hands(name: str, item: ObjectDescription) -> None:
     placed = place_hand(replace(HANDS[name](), placed=False), item)
     assert placed.placed
     assert placed.finger_count >= (4 if name == "allegro" else 3)  # more fingers touch where they hold as well
     check(placed, item)
-
-
-def test_two_fingers_pinch_with_soft_contacts() -> None:
-    hand, soft = gripper(2, 2), replace(BALL, torsional_friction=0.004)
-    plan = check(place_hand(hand, soft), soft)
-    assert plan.normals[0] @ plan.normals[1] < -0.9
-    message = r"no palm pose was found.* soft contacts only.* torsional_friction \[m\], 0.0056 "
-    with pytest.raises(InvalidInputError, match=message):
-        place_hand(hand, BALL)
-    assert torsion_of(0.7) == pytest.approx(2.0 / 3.0 * 0.7 * 0.012)
 
 
 def test_seeds_and_places() -> None:
@@ -248,9 +234,8 @@ def test_directions_of_approach() -> None:
 
 def test_a_finger_that_does_not_touch_makes_a_grasp_worse() -> None:
     hand = HANDS["four_finger"]()
-    idle = replace(
-        hand, fingertips=(*hand.fingertips, replace(hand.fingertips[0], name="idle", link=hand.links[0].name))
-    )
+    more = replace(hand.fingertips[0], name="idle", link=hand.links[0].name)
+    idle = replace(hand, fingertips=(*hand.fingertips, more))
     candidate = _Candidate((0, 1, 2, 3), np.array(hand.home), np.eye(3), np.zeros(3))
     one, other = (_Trials(each, ObjectDescription("sphere", (0.09,))).rating(candidate) for each in (hand, idle))
     assert other == pytest.approx(1.3 * one)

@@ -188,14 +188,3 @@ def check(name: str, count: int, seed: int) -> None:
 @pytest.mark.parametrize("name", MESHES)
 def test_nearest_points(name: str) -> None:
     check(name, 100, 0)
-
-
-def test_invalid_pieces_and_faces() -> None:
-    corners, faces = solid(creation.icosahedron())
-    for wrong in (faces + 1, faces - 1):
-        with pytest.raises(ValueError, match="does not exist"):
-            core.Surface.mesh(corners, wrong.astype(float), [corners])
-    with pytest.raises(ValueError, match="faces and pieces"):
-        core.Surface.mesh(corners, faces.astype(float), [])
-    with pytest.raises(ValueError, match="must have area"):
-        core.Surface.mesh(0.0 * corners, faces.astype(float), [corners])

@@ -100,11 +100,9 @@ def test_kinematics_and_dynamics_are_the_cores(maker: Callable[[], HandDescripti
             np.testing.assert_allclose(carrying[:, speeds] @ ends, kinematics.jacobian(angles, finger), atol=1e-14)
         whole = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, whole)
-        ours = mass_matrix(kinematics, angles)
+        ours, weight = mass_matrix(kinematics, angles), kinematics.gravity_torques(angles, GRAVITY)
         np.testing.assert_allclose(ends.T @ whole[np.ix_(speeds, speeds)] @ ends, ours, atol=1e-15)
-        np.testing.assert_allclose(
-            ends.T @ data.qfrc_bias[speeds], kinematics.gravity_torques(angles, GRAVITY), atol=1e-14
-        )
+        np.testing.assert_allclose(ends.T @ data.qfrc_bias[speeds], weight, atol=1e-14)
 
 
 def coupled(hand: HandDescription) -> tuple[np.ndarray, np.ndarray]:
@@ -185,9 +183,7 @@ def test_divergence_is_an_error_without_output(
     assert np.isfinite(numbers(scene)).all()
 
 
-def test_the_default_is_bullet_if_it_is_installed(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_bullet_is_the_default_if_installed(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     installed = {"pybullet", "mujoco"}
     monkeypatch.setattr("grasp_env.sim.engine.find_spec", lambda name: name if name in installed else None)
     _log_mujoco.cache_clear()

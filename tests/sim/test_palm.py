@@ -76,9 +76,7 @@ def test_one_hand_of_a_robot_is_read_and_the_rest_left_out(tmp_path: Path) -> No
         (ARM, "i2", "the palm 'i2' carries no joint that moves; links that do are 'base', 'arm1'"),
     ],
 )  # fmt: skip
-def test_arms_and_robots_are_refused_at_once_with_the_names_of_palms(
-    tmp_path: Path, text: str, palm: str | None, words: str
-) -> None:
+def test_arms_and_robots_are_refused_with_palms(tmp_path: Path, text: str, palm: str | None, words: str) -> None:
     with pytest.raises(InvalidInputError) as told:
         read(tmp_path, text, palm=palm)
     assert words in str(told.value)

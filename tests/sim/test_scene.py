@@ -76,6 +76,15 @@ def test_free_fall_and_changed_gravity(make_scene: Callable[..., Scene]) -> None
     np.testing.assert_allclose(scene.look().rates, 0.0, atol=1e-9)
 
 
+def test_nothing_is_damped(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene(gravity=(0.0, 0.0, 0.0), **FREE)
+    scene.step(np.full(12, 1e-4), np.array([0.0, 1.0, 0.0, 0.0, 0.002, 0.0]))
+    first = np.append(scene.look().linear, scene.look().angular)
+    hold_still(scene, 20)
+    np.testing.assert_allclose(np.append(scene.look().linear, scene.look().angular), first, rtol=1e-9, atol=1e-12)
+    assert first[[1, 4]].min() > 0.0
+
+
 def test_joints_give_all_their_torque_and_no_more(make_scene: Callable[..., Scene]) -> None:
     """Even at 250 Hz, where Bullet's default limit of joint speeds would take a third of it: speed is linear in torque."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0), **FREE)

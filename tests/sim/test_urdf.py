@@ -63,9 +63,8 @@ def test_a_written_hand_reads_as_itself(tmp_path: Path, name: str) -> None:
 def test_a_users_hand_is_that_of_its_file() -> None:
     """Frames and masses are compared with PyBullet in test_kinematics."""
     made = crooked()
-    assert made.joint_names == (
-        "c_swing", "palm_fold", "b_root", "b_curl", "a_root", "a_curl", "c_curl", "c_hook", "b_hook",
-    )  # fmt: skip
+    names = "c_swing palm_fold b_root b_curl a_root a_curl c_curl c_hook b_hook"
+    assert made.joint_names == tuple(names.split())
     assert (made.palm.name, made.finger_names) == ("base", CROOKED_TIPS)
     assert made.torque_limits.tolist() == [4.0, 6.0, 2.5, 3.5, 2.0, 3.0, 4.0, 3.0, 3.0]
     endless, first = made.links[2], made.links[4]
@@ -122,7 +121,8 @@ def test_everything_wrong_with_a_file_is_told_at_once(tmp_path: Path) -> None:
 def test_all_repairs_are_told_at_once(tmp_path: Path) -> None:
     look = '<visual><geometry><mesh filename="a.glb"/></geometry></visual>'
     (tmp_path / "a.glb").touch()
-    made, told = read(tmp_path, small(SPHERE + look).replace(INERTIAL, "").replace('effort="2"', 'effort="0"'))
+    text = small(SPHERE + look).replace(INERTIAL, "").replace('effort="2"', 'effort="0"')
+    made, told = read(tmp_path, f'<!-- a licence -->\n<?xml version="1.0"?>{text}')
     for repair in (
         "effort 0 of 'bend'",
         "get that of their shapes at 1 g/cm^3: 'finger'",
@@ -239,9 +239,7 @@ CALLS = f"""<robot name="made" xmlns:xacro="{SPACE}"><xacro:arg name="gap" defau
 <xacro:finger name="left" y="$(arg gap)"/><xacro:finger name="right" y="-0.04"/></robot>"""
 
 
-def test_xacro_files_find_packages_beside_their_own_and_files_beside_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_xacro_files_find_packages_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, file, text in (("parts", "finger.xacro", MACRO), ("hand", "hand.urdf.xacro", CALLS)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "package.xml").write_text(f"<package><name>{name}</name></package>")
