@@ -1,4 +1,4 @@
-"""Descriptions of hands, the built-in hands, and public hands of dexsuite/dex-urdf."""
+"""Descriptions of hands, and the built-in hands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compare kinematics and dynamics with PyBullet and finite differences; inverse kinematics."""
+"""Kinematics and dynamics against PyBullet; inverse kinematics."""
 
 from __future__ import annotations
 
