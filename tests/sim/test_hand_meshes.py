@@ -201,9 +201,14 @@ def test_the_second_reading_makes_and_reads_nothing_again(tmp_path: Path, monkey
     text = small(mesh("seen.obj", role="visual"), mesh("bent.stl", "1 -1 0.5"))
     first, _ = read(tmp_path, text, ["finger"])  # the fingertip is sought in what is seen
     assert len(first.palm.collision) == 2
+    corners, faces = np.array(bent().vertices), np.array(bent().faces)
+    kept = pieces.kept_pieces(corners, faces, "of a model")
     for module, name in ((pieces, "convex_pieces"), (mesh_files, "read_mesh_bytes"), (meshes, "_corners_exist")):
         monkeypatch.setattr(module, name, fail)
     assert read(tmp_path, text, ["finger"])[0] == first
+    assert all(map(np.array_equal, pieces.kept_pieces(corners, faces.astype(np.int32), "again"), kept))
+    with pytest.raises(AssertionError, match="from the cache"):
+        pieces.kept_pieces(1.1 * corners, faces, "other")
     bent().apply_scale(1.1).export(tmp_path / "bent.stl")  # the same file with other content
     with pytest.raises(AssertionError, match="from the cache"):
         read(tmp_path, text, ["finger"])

@@ -49,6 +49,17 @@ def test_changed_mass_and_friction(make_scene: Callable[..., Scene]) -> None:
     np.testing.assert_allclose(gained[0][[1, 5]], np.array([0.1 / 0.2, 0.001 / 4e-4]) * scene.timestep, rtol=1e-12)
     np.testing.assert_allclose(gained[1], 0.4 * gained[0], rtol=1e-12)  # the inertia grows with the mass
     client, world = scene.simulator.client.number, scene.simulator.world
+    scene.reset()
+    turned = (
+        math.sqrt(0.5),
+        0.0,
+        0.0,
+        math.sqrt(0.5),
+    )  # wrenches are in the object's frame, whose z is now the world's -y
+    bullet.resetBasePositionAndOrientation(world.object, (0.0, 0.0, 0.0), turned, client)
+    scene.step(np.zeros(12), np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.001]))
+    down = -np.array([0.1 / 0.5, 0.001 / 1e-3]) * scene.timestep
+    np.testing.assert_allclose([scene.look().linear, scene.look().angular], np.outer(down, (0.0, 1.0, 0.0)), atol=1e-9)
     for link in range(-1, bullet.getNumJoints(world.hand, physicsClientId=client)):
         assert bullet.getDynamicsInfo(world.hand, link, physicsClientId=client)[1] == 1.0
     for friction in (0.55, 0.7):
