@@ -92,6 +92,9 @@ class Client:
         self._number: int | None = number
         self._finalizer = weakref.finalize(self, _disconnect, number)
 
+    def __repr__(self) -> str:
+        return f"Client({'closed' if self._number is None else self._number})"
+
     @property
     def number(self) -> int:
         """Number of the connection, the argument `physicsClientId` of PyBullet's functions; raises if the client is closed."""

@@ -6,9 +6,8 @@ import numpy as np
 
 from grasp_env._files import MEGABYTE
 
-MAX_FACES = 200_000
-"""Largest number of triangles of a mesh."""
-MOST = {
+MAX_FACES = 200_000  # triangles of a mesh
+MOST = {  # of each thing in a file
     "corners": 3 * MAX_FACES,  # including those of no face
     "corners in text": 2 * MAX_FACES,  # of an .off or a .ply, which trimesh reads in 3 us each
     "words of faces": 20 * MAX_FACES,  # including indices of normals and textures
@@ -21,7 +20,6 @@ MOST = {
     "bytes of JSON": 4 * MEGABYTE,
     "bytes of corners and faces": 100 * MEGABYTE,
 }
-"""Largest number of each thing in a file."""
 
 
 class TooManyFacesError(Exception):
