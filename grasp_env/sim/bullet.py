@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, instance
-from grasp_env.errors import SimulationError, UnknownNameError
+from grasp_env.errors import UnknownNameError
 from grasp_env.sim.bullet_body import UNDAMPED, create_body, set_dynamics
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import BulletEngine
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.limbs import touching_pairs
-from grasp_env.sim.hand.urdf import HULL_MARGIN, hand_files
-from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
+from grasp_env.sim.hand.tree import Mimic
+from grasp_env.sim.hand.urdf import HULL_MARGIN, write_hand
+from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.simulator import Simulator
 
 HAND_FLAGS: int = (
@@ -29,10 +29,8 @@ HAND_FLAGS: int = (
     | bullet.URDF_USE_SELF_COLLISION
     | bullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT  # neighbours overlap around their joint
 )
-COUPLED_SWEEPS = 100
-"""Fewest solver sweeps for hands with coupled joints: with 20, links of 20 g yielded by 0.02 rad under 0.5 N m, with 100 by 1e-9."""
-MAX_SWEEPS = 1000
-"""Largest number of solver sweeps that coupled joints may require."""
+COUPLED_SWEEPS, MAX_SWEEPS = 100, 1000
+"""Fewest and most solver sweeps for coupled joints: with 20, links of 20 g yielded by 0.02 rad under 0.5 N m, with 100 by 1e-9."""
 LONG_SWEEPS = 40
 """Fewest solver sweeps if a finger has more than three joints: with 20, the fingers of LEAP crept along objects by up to 3 mm in 4 s."""
 STRUCTURE_SWEEPS = 800
@@ -42,29 +40,18 @@ with 800."""
 
 
 class Bullet(Simulator):
-    """A hand around an object in its own PyBullet server; see `Simulator`.
-
-    Args:
-        hand: The hand, loaded anew with every object.
-        gui: Open a window; needs a display.
-        visuals: Load the hand's visual shapes, which pictures need. They make loading a new object five times slower.
+    """A hand around an object in its own PyBullet server; see `Simulator`, and `Scene` for the arguments.
 
     Attributes:
         client: The connection.
         world: The server's numbers of hand, object and joints; each `load` makes another tuple.
-
-    Raises:
-        SimulationError: There is no display for the window.
     """
 
     def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:
         self.client = Client(gui)
         folder = tempfile.mkdtemp()
         self._clean = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        self._urdf = os.path.join(folder, "hand.urdf")
-        for name, text in hand_files(hand if visuals or gui else hand.without_visuals(), HULL_MARGIN).items():
-            with open(os.path.join(folder, name), "w", encoding="utf-8") as file:
-                file.write(text)
+        self._urdf = write_hand(hand if visuals or gui else hand.without_visuals(), folder, HULL_MARGIN)
 
     def load(self, config: SceneConfig, angles: Array) -> None:
         """See `Simulator`."""
@@ -103,10 +90,12 @@ class Bullet(Simulator):
         states = bullet.getJointStates(hand, joints, client)
         pose = bullet.getBasePositionAndOrientation(body, client)
         velocity = bullet.getBaseVelocity(body, client)
-        contacts = self._recorded
-        if contacts is None:
-            contacts = bullet.getContactPoints(hand, body, physicsClientId=client)
-        return self._answers.read(states, pose, velocity, contacts)
+        return self._answers.read(states, pose, velocity, self._contacts())
+
+    def _contacts(self) -> Any:
+        if self._recorded is not None:
+            return self._recorded
+        return bullet.getContactPoints(self.world.hand, self.world.object, physicsClientId=self.client.number)
 
     def self_contacts(self) -> list[tuple[int, int]]:
         """See `Simulator`."""
@@ -126,9 +115,7 @@ class Bullet(Simulator):
     def keep(self, name: str) -> None:
         """See `Simulator`. It takes 1 ms, and each state 97 kB."""
         client = self.client.number
-        contacts = self._recorded
-        if contacts is None:
-            contacts = bullet.getContactPoints(self.world.hand, self.world.object, physicsClientId=client)
+        contacts = self._contacts()
         if name in self._kept:
             bullet.removeState(self._kept[name][0], physicsClientId=client)
         self._kept[name] = bullet.saveState(physicsClientId=client), contacts
@@ -163,12 +150,6 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     """Clear the server, then load the hand and the object: 3 ms, or 17 ms if the URDF has visual shapes.
 
     The signs of the friction forces that Bullet reports depend on this order.
-
-    Args:
-        client: Number of the PyBullet connection.
-        config: The scene.
-        urdf: Path of the hand's URDF.
-        angles: Joint angles at the start [rad], (M,).
     """
     bullet.resetSimulation(physicsClientId=client)  # also resets gravity and the solver's parameters
     engine = instance(config.engine, BulletEngine, "engine")
@@ -185,10 +166,9 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     bullet.setGravity(*config.gravity, physicsClientId=client)
     hand = bullet.loadURDF(urdf, useFixedBase=True, flags=HAND_FLAGS, physicsClientId=client)
     joints = tuple(joint_indices(client, hand, config.hand))
+    plain = {"lateralFriction": config.hand.tip_friction, **UNDAMPED}
     for link in range(-1, bullet.getNumJoints(hand, physicsClientId=client)):
-        bullet.changeDynamics(
-            hand, link, lateralFriction=config.hand.tip_friction, physicsClientId=client, **UNDAMPED
-        )  # fmt: skip
+        bullet.changeDynamics(hand, link, physicsClientId=client, **plain)
     for joint in joints:
         # by default Bullet clips joint speeds to 100 rad/s before it solves contacts: at 250 Hz a light link then passes on 8 of 12 N m
         bullet.changeDynamics(hand, joint, maxJointVelocity=1e5, physicsClientId=client)
@@ -202,7 +182,7 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     for pair in touching_pairs(config.hand):
         one, other = (-1 if link < 0 else joints[link] for link in pair)
         bullet.setCollisionFilterPair(hand, hand, one, other, 0, physicsClientId=client)
-    return World(hand, create_body(client, config.object, OBJECT_COLOR, engine.mesh_contacts == "faces"), joints)
+    return World(hand, create_body(client, config.object, engine.mesh_contacts == "faces"), joints)
 
 
 def min_sweeps(hand: HandDescription) -> int:
@@ -221,27 +201,27 @@ def min_sweeps(hand: HandDescription) -> int:
 
 def couple(client: int, body: int, joints: Sequence[int], hand: HandDescription) -> None:
     """Couple joints to their drivers with gear constraints, through which the solver passes their load to the drivers."""
-    coupled = [index for index, link in enumerate(hand.links) if link.mimic is not None]
+    coupled = {index: link.mimic for index, link in enumerate(hand.links) if link.mimic is not None}
     if not coupled:
         return
     sweeps = bullet.getPhysicsEngineParameters(physicsClientId=client)["numSolverIterations"]
     sweeps = max(sweeps, _gear_sweeps(client, body, joints, hand, coupled))
     bullet.setPhysicsEngineParameter(numSolverIterations=sweeps, physicsClientId=client)
-    for index in coupled:
-        link = hand.links[index]
-        assert link.mimic is not None
+    for index, mimic in coupled.items():
         gear = bullet.createConstraint(
-            body, joints[hand.drivers[index]], body, joints[index], bullet.JOINT_GEAR, link.axis, (0, 0, 0), (0, 0, 0),
+            body, joints[hand.drivers[index]], body, joints[index], bullet.JOINT_GEAR, hand.links[index].axis, (0, 0, 0), (0, 0, 0),
             physicsClientId=client,
         )  # fmt: skip
         # Bullet's target is for driver - follower / ratio
         bullet.changeConstraint(
-            gear, gearRatio=-1.0 / link.mimic.ratio, relativePositionTarget=-link.mimic.offset / link.mimic.ratio, erp=0.8,
-            maxForce=1e6, physicsClientId=client,
+            gear, gearRatio=-1.0 / mimic.ratio, relativePositionTarget=-mimic.offset / mimic.ratio, erp=0.8, maxForce=1e6,
+            physicsClientId=client,
         )  # fmt: skip
 
 
-def _gear_sweeps(client: int, body: int, joints: Sequence[int], hand: HandDescription, coupled: Sequence[int]) -> int:
+def _gear_sweeps(
+    client: int, body: int, joints: Sequence[int], hand: HandDescription, coupled: Mapping[int, Mimic]
+) -> int:
     """Return the solver sweeps that reduce the error of the couplings to a millionth in the current posture.
 
     The solver treats one gear after another, as if its two joints did not move each other. It therefore overshoots: by nearly the whole
@@ -253,9 +233,7 @@ def _gear_sweeps(client: int, body: int, joints: Sequence[int], hand: HandDescri
     mobility = np.linalg.inv(masses)
     place = {int(joint): row for row, joint in enumerate(order)}
     rows, believed = np.zeros((len(coupled), len(joints))), np.zeros(len(coupled))
-    for number, index in enumerate(coupled):
-        mimic = hand.links[index].mimic
-        assert mimic is not None
+    for number, (index, mimic) in enumerate(coupled.items()):
         driver, follower = place[hand.drivers[index]], place[index]
         rows[number, [driver, follower]] = 1.0, -1.0 / mimic.ratio
         believed[number] = mobility[driver, driver] + mobility[follower, follower] / mimic.ratio**2
@@ -268,14 +246,7 @@ def _gear_sweeps(client: int, body: int, joints: Sequence[int], hand: HandDescri
 
 
 def joint_indices(client: int, body: int, hand: HandDescription) -> list[int]:
-    """Return PyBullet's index of every joint of the hand, (M,); a link has the index of its joint.
-
-    Raises:
-        SimulationError: The body is not this hand.
-    """
-    count = bullet.getNumJoints(body, physicsClientId=client)
-    names = [bullet.getJointInfo(body, index, physicsClientId=client)[1].decode() for index in range(count)]
-    missing = [name for name in hand.joint_names if name not in names]
-    if missing:
-        raise SimulationError(f"body {body} is not the hand {hand.name!r}: it lacks the joints {', '.join(missing)}")
+    """Return PyBullet's index of every joint of the hand, (M,); a link has the index of its joint."""
+    count = bullet.getNumJoints(body, client)
+    names = [bullet.getJointInfo(body, index, client)[1].decode() for index in range(count)]
     return [names.index(name) for name in hand.joint_names]

@@ -3,46 +3,35 @@
 from __future__ import annotations
 
 import math
-import os
 import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from grasp_env._check import Array
 from grasp_env.sim.client import bullet
 from grasp_env.sim.hand.urdf import hull_faces
 from grasp_env.sim.mesh_files import obj_text
-from grasp_env.sim.objects.description import ObjectDescription
+from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
 
-UNDAMPED = {
-    "linearDamping": 0.0,
-    "angularDamping": 0.0,
-    "jointDamping": 0.0,
-    "restitution": 0.0,
-    "rollingFriction": 0.0,
-    "spinningFriction": 0.0,
-}
+UNDAMPED = dict.fromkeys(
+    ("linearDamping", "angularDamping", "jointDamping", "restitution", "rollingFriction", "spinningFriction"), 0.0
+)
 """Arguments of changeDynamics that switch off Bullet's default damping."""
 _Z_TO_Y = (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # capsules and cylinders of Bullet lie along z
 
 
-def create_body(client: int, item: ObjectDescription, color: tuple[float, float, float], exact: bool = False) -> int:
+def create_body(client: int, item: ObjectDescription, exact: bool = False) -> int:
     """Create an object at the origin, after the hand, and return its body number.
 
-    Bullet's surface equals `item.surface`. Contacts with cuboids, spheres, capsules and the faces of a mesh are exact. Its search for
-    the nearest point of other shapes merges corners within a centimetre: on the round side of a cylinder the normal is off by up to
-    0.04, the distance by 40 um.
-
-    Args:
-        client: Number of the PyBullet connection.
-        item: The object.
-        color: Red, green and blue in [0, 1].
-        exact: Collide with the faces of a mesh instead of its convex pieces.
+    Bullet's surface equals `item.surface`. Contacts with cuboids, spheres, capsules and, if `exact`, with the faces of a mesh instead of
+    its pieces are exact. Its search for the nearest point of other shapes merges corners within a centimetre: on the round side of a
+    cylinder the normal is off by up to 0.04, the distance by 40 um.
     """
     with tempfile.TemporaryDirectory() as folder:
         solid, look = _shapes(item, folder, exact)
         shape = bullet.createCollisionShape(**solid, physicsClientId=client)
-        seen = bullet.createVisualShape(**look, rgbaColor=(*color, 1.0), physicsClientId=client)
+        seen = bullet.createVisualShape(**look, rgbaColor=(*OBJECT_COLOR, 1.0), physicsClientId=client)
         body = bullet.createMultiBody(item.mass, shape, seen, physicsClientId=client)  # reads the file once more
     set_dynamics(client, body, item)
     return body
@@ -66,10 +55,8 @@ def _margin(item: ObjectDescription) -> float:
 
 def _write(folder: str, name: str, parts: Sequence[tuple[Array, Any]]) -> str:
     """Write an .obj of these parts and return its path. It has no normals, so that Bullet shades each face flat."""
-    path = os.path.join(folder, name)
-    with open(path, "w", encoding="ascii") as file:
-        file.write(obj_text(parts))
-    return path
+    Path(folder, name).write_text(obj_text(parts), encoding="ascii")
+    return str(Path(folder, name))
 
 
 def _shapes(item: ObjectDescription, folder: str, exact: bool) -> tuple[dict[str, Any], dict[str, Any]]:

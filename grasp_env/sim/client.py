@@ -1,8 +1,7 @@
 """The only import of PyBullet, its connections, and the suppression of its output.
 
-PyBullet prints from C when it is imported and when it connects, so both happen with the standard
-streams turned away. The rest of the package uses the raw module, `bullet`, with an explicit
-client number: the wrapper class PyBullet offers costs three times as much per call.
+PyBullet prints from C when it is imported and when it connects, so both happen with the standard streams turned away. The rest of the
+package uses the raw module with an explicit client number: PyBullet's wrapper class costs three times as much per call.
 """
 
 from __future__ import annotations
@@ -76,21 +75,13 @@ def _disconnect(number: int) -> None:
 
 
 class Client:
-    """One connection to a PyBullet server inside this process.
-
-    Args:
-        gui: Open a window.
-
-    Raises:
-        SimulationError: There is no display for the window, or no connection is left.
-    """
+    """One connection to a PyBullet server inside this process; raises a SimulationError without a display, or if none is left."""
 
     def __init__(self, gui: bool = False) -> None:
         if gui and not _has_display():
             raise SimulationError(
-                f"a window was asked for but there is no display (DISPLAY="
-                f"{os.environ.get('DISPLAY')!r}); use render_mode='rgb_array' or gui=False, or "
-                "run under a display such as xvfb-run"
+                f"a window was asked for but there is no display (DISPLAY={os.environ.get('DISPLAY')!r}); use render_mode='rgb_array' or "
+                "gui=False, or run under a display such as xvfb-run"
             )
         with silenced():
             number = bullet.connect(bullet.GUI if gui else bullet.DIRECT)
@@ -106,11 +97,7 @@ class Client:
 
     @property
     def number(self) -> int:
-        """Number of the connection, the argument `physicsClientId` of PyBullet's functions.
-
-        Raises:
-            SimulationError: The client is closed.
-        """
+        """Number of the connection, the argument `physicsClientId` of PyBullet's functions; raises if the client is closed."""
         if self._number is None:
             raise SimulationError("the simulation is closed; make a new Scene from its config")
         return self._number
@@ -119,9 +106,3 @@ class Client:
         """Disconnect; calling it again does nothing."""
         self._number = None
         self._finalizer()
-
-    def __reduce__(self) -> str:
-        raise SimulationError(
-            "a simulation cannot be copied or pickled: both copies would drive one server; make "
-            "a new Scene from its config"
-        )

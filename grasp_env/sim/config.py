@@ -15,9 +15,8 @@ from grasp_env.sim.objects.description import ObjectDescription
 _CUBOID_POINTS: tuple[Vector3, ...] = (
     (0.0, 0.0, -0.05), (0.0, 0.03, 0.05), (-0.03, -0.02, 0.05), (0.03, -0.02, 0.05),
 )  # fmt: skip
-START_CLEARANCE = 0.003
-"""Distance between tips and object before the fingers close [m]."""
-_ON_SURFACE = 1e-4  # tolerance of contact points [m]
+START_CLEARANCE = 0.003  # distance between tips and object before the fingers close [m]
+ON_SURFACE = 1e-4  # largest distance of a given contact point from the surface [m]
 
 
 @dataclass(frozen=True)
@@ -54,16 +53,14 @@ class SceneConfig:
         object.__setattr__(self, "gravity", tuple(as_array(self.gravity, (3,), "gravity").tolist()))
         as_array(self.clearance, (), "clearance")
         if len(self.start_angles):
-            angles = as_array(
-                self.start_angles, (self.hand.joint_count,), "start_angles, one for each joint of the hand"
-            )
+            name = "start_angles, one for each joint of the hand"
+            angles = as_array(self.start_angles, (self.hand.joint_count,), name)
             object.__setattr__(self, "start_angles", tuple(angles.tolist()))
-        points = as_array(
-            self.contact_points, (self.hand.finger_count, 3), "contact_points, one row per finger of the hand"
-        )
-        object.__setattr__(self, "contact_points", tuple(tuple(row) for row in points.tolist()))
+        name = "contact_points, one row per finger of the hand"
+        points = as_array(self.contact_points, (self.hand.finger_count, 3), name)
+        object.__setattr__(self, "contact_points", tuple(map(tuple, points.tolist())))
         off = np.array([self.object.surface.nearest(point)[2] for point in points])
-        if np.abs(off).max() > _ON_SURFACE:
+        if np.abs(off).max() > ON_SURFACE:
             worst = int(np.abs(off).argmax())
             raise InvalidInputError(
                 f"contact_points[{worst}]={points[worst].tolist()} must lie on the surface of the object "
@@ -74,11 +71,6 @@ class SceneConfig:
     def contact_normals(self) -> np.ndarray:
         """Inward unit normals at the contact points, (N, 3), object frame."""
         return np.array([self.object.surface.nearest(point)[1] for point in np.array(self.contact_points)])
-
-    @property
-    def weight(self) -> np.ndarray:
-        """Weight of the object [N], (3,), world frame."""
-        return self.object.mass * np.array(self.gravity)
 
     def nominal_tips(self) -> np.ndarray:
         """Return the centres of the tips at the start [m], (N, 3), world frame, `clearance` away from the object.

@@ -23,12 +23,9 @@ _MAX_SWEEPS = 100_000
 class Engine(Settings):
     """Settings of a physics engine. One file implements `Simulator` for it, another one `Painter`."""
 
-    extra: ClassVar[str] = "sim"
-    """Extra of `pyproject.toml` that installs the engine."""
-    simulator: ClassVar[tuple[str, str]] = ("", "")
-    """Module and class of its `Simulator`."""
+    extra: ClassVar[str] = "sim"  # of `pyproject.toml`, which installs the engine
+    simulator: ClassVar[tuple[str, str]] = ("", "")  # module and class
     painter: ClassVar[tuple[str, str]] = ("", "")
-    """Module and class of its `Painter`."""
     overlap: ClassVar[float] = 1e-5
     """Depth at which tips start inside the object when there is no clearance [m]; see `SceneConfig.nominal_tips`."""
 
@@ -124,26 +121,20 @@ def engine_of(engine: Any = None, quiet: bool = False) -> Engine:
         >>> engine_of("bullet").solver_iterations
         20
     """
-    return _default(quiet) if engine is None else ENGINE.take(engine, "engine")
-
-
-def class_of(engine: Engine, role: str) -> Any:
-    """Import and return the class of an engine's "simulator" or "painter".
-
-    Raises:
-        MissingExtraError: The engine is not installed.
-    """
-    module, name = getattr(engine, role)
-    with need(engine.extra):
-        return getattr(import_module(module), name)
-
-
-def _default(quiet: bool) -> Engine:
+    if engine is not None:
+        return ENGINE.take(engine, "engine")
     if find_spec("pybullet") is not None:
         return BulletEngine()
     if not quiet:
         _log_mujoco()
     return MujocoEngine()
+
+
+def class_of(engine: Engine, role: str) -> Any:
+    """Import and return the class of an engine's "simulator" or "painter"; raise a MissingExtraError if it is not installed."""
+    module, name = getattr(engine, role)
+    with need(engine.extra):
+        return getattr(import_module(module), name)
 
 
 @cache

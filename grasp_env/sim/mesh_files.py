@@ -20,32 +20,10 @@ from grasp_env._check import Array
 from grasp_env._extras import need
 from grasp_env._files import MEGABYTE, parsed, understood
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.mesh_limits import (
-    MAX_CORNERS,
-    MAX_FACE_WORDS,
-    MAX_FACES,
-    MAX_GLB_BYTES,
-    TooManyFacesError,
-    check_count,
-    check_face_count,
-    count_words,
-)
+from grasp_env.sim.mesh_limits import MAX_FACES, TooManyFacesError, check_count, check_face_count, count_words
 from grasp_env.sim.mesh_scenes import guard_dae, guard_glb
 
-__all__ = [
-    "KINDS",
-    "key_lines",
-    "key_places",
-    "mesh_bytes",
-    "obj_text",
-    "one_newline",
-    "read_mesh",
-    "read_mesh_bytes",
-]
-
-_MAX_TEXT_CORNERS = 2 * MAX_FACES  # corners of an .off or a .ply in text, which trimesh reads in 3 us each
-_MAX_TEXT_BYTES = 20 * MEGABYTE  # bytes of these two: 1.5 s
-_MAX_LINES = 3_000_000
+_MAX_TEXT_BYTES = 20 * MEGABYTE  # bytes of an .off or a .ply in text: 1.5 s
 _MAX_HEADER_BYTES = 100_000  # bytes of the header of a .ply
 _HINT = "; export it again as .obj or .stl"
 _SIMPLER = (
@@ -58,14 +36,7 @@ _POINT = rb"(?:([-+.\w]{1,50}[ \t]+[-+.\w]{1,50}[ \t]+[-+.\w]{1,50})(?!\S))?"  #
 def read_mesh(path: str | Path, name: str, hint: str = _HINT) -> tuple[Array, Any]:
     """Read a mesh file, regular or a pipe: corners (V, 3) float64 of its faces, in the file's units, and faces (F, 3) int64.
 
-    Args:
-        path: Path of an .obj, .stl, .ply, .off, .glb or .dae.
-        name: Name of the mesh, for messages.
-        hint: Advice if it is not a mesh, for messages.
-
-    Raises:
-        InvalidInputError: It is not a mesh, or too large.
-        MissingExtraError: The extra `sim` is not installed.
+    An InvalidInputError begins with `name`; if the file is not a mesh, it ends with `hint`.
     """
     return read_mesh_bytes(mesh_bytes(path, name, hint), Path(path).suffix.lower(), name, hint)
 
@@ -103,17 +74,7 @@ def read_mesh_bytes(blob: bytes, kind: str, name: str, hint: str = _HINT) -> tup
 
 
 def obj_text(parts: Iterable[tuple[Array, Any]]) -> str:
-    """Return an .obj, with all digits, of parts that each have corners (V, 3) and faces (F, 3).
-
-    Example:
-        >>> print(obj_text([(np.eye(3), np.array([[0, 1, 2]]))]))
-        o part0
-        v 1.0 0.0 0.0
-        v 0.0 1.0 0.0
-        v 0.0 0.0 1.0
-        f 1 2 3
-        <BLANKLINE>
-    """
+    """Return an .obj, with all digits, of parts that each have corners (V, 3) and faces (F, 3)."""
     lines, before = list[str](), 1
     for number, (corners, faces) in enumerate(parts):
         lines.append(f"o part{number}")
@@ -143,7 +104,7 @@ def _by_trimesh(blob: bytes, kind: str, count: int) -> tuple[Array, Any]:
 def one_newline(text: bytes) -> bytes:
     """Return a text with Unix line ends and a newline in front, for which `key_lines` searches: several times as fast as `^`."""
     text = b"\n" + (text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text)
-    check_count(text.count(b"\n") - 1, _MAX_LINES, "lines")
+    check_count(text.count(b"\n") - 1, "lines")
     return text
 
 
@@ -164,7 +125,7 @@ def _points(text: bytes, key: bytes) -> list[bytes]:
         raise ValueError(
             f"it has a {key.decode()} with fewer than three coordinates, or with more than 50 characters in one"
         )
-    check_count(len(found), MAX_CORNERS, "corners")
+    check_count(len(found), "corners")
     return found
 
 
@@ -196,7 +157,7 @@ def _guard_stl(blob: bytes) -> tuple[bytes, int]:
 
 def _polygons(rows: Sequence[bytes], at: int = 0) -> tuple[bytes, int]:
     """Return the polygons of lines whose word `at` is the number of corners that follow, and their number of triangles; drop other words."""
-    check_count(count_words(b"\n".join(rows)), MAX_FACE_WORDS, "words of faces")
+    check_count(count_words(b"\n".join(rows)), "words of faces")
     cut = [words[at : at + 1 + int(words[at])] for words in map(bytes.split, rows)]
     if any(not 4 <= len(words) == 1 + int(words[0]) for words in cut):
         raise ValueError("it has a face with fewer numbers than it claims, or fewer than three")
@@ -218,7 +179,7 @@ def _guard_off(blob: bytes) -> tuple[bytes, int]:
     head = re.match(rb"\s*(?:ST)?C?N?OFF\s+([0-9]{1,12})[ \t]+([0-9]{1,12})(?:[ \t]+[0-9]{1,12})?[ \t]*(?:\n|\Z)", text)
     if head is None:
         raise ValueError("it does not begin with OFF and the numbers of corners and faces")
-    corners, faces = check_count(int(head[1]), _MAX_TEXT_CORNERS, "corners"), check_face_count(int(head[2]))
+    corners, faces = check_count(int(head[1]), "corners in text"), check_face_count(int(head[2]))
     rows = _lines(text[head.end() :], corners + faces)
     polygons, count = _polygons(rows[corners:])
     return b"OFF\n%d %d 0\n" % (corners, faces) + b"\n".join([*rows[:corners], polygons]), count
@@ -244,10 +205,10 @@ def _guard_ply(blob: bytes) -> tuple[bytes, int]:
         )
     if form[1] == "ascii" and len(blob) > _MAX_TEXT_BYTES:
         raise ValueError(f"it is larger than {_MAX_TEXT_BYTES // MEGABYTE} MB; write it in binary")
-    most = _MAX_TEXT_CORNERS if form[1] == "ascii" else MAX_CORNERS
-    corners, faces = check_count(int(parts[2]), most, "corners"), check_face_count(int(parts[5]))
+    what = "corners in text" if form[1] == "ascii" else "corners"
+    corners, faces = check_count(int(parts[2]), what), check_face_count(int(parts[5]))
     of_corner, of_face = ([line.split() for line in re.findall(r"\nproperty\s+(.*)", parts[k])] for k in (3, 6))
-    check_count(len(of_corner) + len(of_face), 100, "properties")
+    check_count(len(of_corner) + len(of_face), "properties")
     listed = next((number for number, words in enumerate(of_face) if words[0] == "list"), None)
     if listed is None or of_face[listed][-1] not in _CORNERS or any(words[0] == "list" for words in of_corner):
         raise ValueError(f"its faces have no list {_CORNERS[0]}, or it has a list before it")
@@ -297,7 +258,7 @@ KINDS: dict[str, tuple[Callable[[bytes], tuple[bytes, int]], int]] = {
     ".stl": (_guard_stl, 80 * MEGABYTE),
     ".ply": (_guard_ply, 40 * MEGABYTE),
     ".off": (_guard_off, _MAX_TEXT_BYTES),
-    ".glb": (guard_glb, MAX_GLB_BYTES),
+    ".glb": (guard_glb, 100 * MEGABYTE),
     ".dae": (guard_dae, 40 * MEGABYTE),
 }
 """Guard and largest size [bytes] of each kind of file: twice that of `MAX_FACES` with normals and textures, and pictures in a .glb."""

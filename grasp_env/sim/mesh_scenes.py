@@ -10,28 +10,16 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from grasp_env._files import MEGABYTE, read_xml
-from grasp_env.sim.mesh_limits import (
-    MAX_CORNERS,
-    MAX_FACE_WORDS,
-    MAX_FACES,
-    MAX_GLB_BYTES,
-    MAX_NODES,
-    MAX_PARTS,
-    check_count,
-    check_face_count,
-    count_words,
-)
+from grasp_env._files import read_xml
+from grasp_env.sim.mesh_limits import check_count, check_face_count, count_words
 
-_MAX_JSON_BYTES = 4 * MEGABYTE
 _GLB, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 _ITEM_BYTES = {
     "VEC3": {5126: 12},
     "SCALAR": {5121: 1, 5123: 2, 5125: 4},
 }  # bytes of each type of corners and of indices
 _TRIANGLES = 4
-_COSMETIC = ("KHR_materials", "KHR_texture", "EXT_texture", "KHR_lights")
-"""Prefixes of extensions that do not change corners."""
+_COSMETIC = ("KHR_materials", "KHR_texture", "EXT_texture", "KHR_lights")  # extensions that do not change corners
 
 
 def guard_glb(blob: bytes) -> tuple[bytes, int]:
@@ -39,7 +27,7 @@ def guard_glb(blob: bytes) -> tuple[bytes, int]:
     magic, version, claimed, length, kind = struct.unpack_from("<5I", blob)
     if (magic, version, kind) != (_GLB, 2, _JSON):
         raise ValueError("it is not a binary glTF 2 file")
-    check_count(length, _MAX_JSON_BYTES, "bytes of JSON")
+    check_count(length, "bytes of JSON")
     size, kind = struct.unpack("<II", blob[20 + length : 28 + length].ljust(8, b" "))
     if (claimed := max(claimed, 20 + length, 28 + length + size if kind == _BINARY else 0)) > len(blob):
         raise ValueError(f"it has {len(blob)} bytes but claims {claimed}")
@@ -52,7 +40,7 @@ def guard_glb(blob: bytes) -> tuple[bytes, int]:
     kept = ("children", "mesh", "matrix", "translation", "rotation", "scale")
     nodes = [{key: node[key] for key in kept if key in node} for node in tree["nodes"]]
     roots, placed, parts, faces, corners = tree["scenes"][tree.get("scene", 0)]["nodes"], Counter[int](), 0, 0, 0
-    seen, left = [0] * check_count(len(nodes), MAX_NODES, "nodes"), list(roots)
+    seen, left = [0] * check_count(len(nodes), "nodes"), list(roots)
     while left:
         node = nodes[number := left.pop()]
         seen[number] += 1
@@ -64,11 +52,11 @@ def guard_glb(blob: bytes) -> tuple[bytes, int]:
     arrays, meshes = _Arrays(tree, data), [{"primitives": []} for _ in tree.get("meshes", [])]
     for number, times in placed.items():
         for part in tree["meshes"][number]["primitives"]:
-            parts = check_count(parts + times, MAX_PARTS, "parts of meshes")
+            parts = check_count(parts + times, "parts of meshes")
             if (mode := part.get("mode", _TRIANGLES)) < _TRIANGLES:  # points and lines
                 continue
             place, count = arrays.take(part["attributes"]["POSITION"], "VEC3")
-            corners = check_count(corners + times * count, MAX_CORNERS, "corners")
+            corners = check_count(corners + times * count, "corners")
             made: dict[str, Any] = {"attributes": {"POSITION": place}, "mode": mode}
             if "indices" in part:
                 made["indices"], count = arrays.take(part["indices"], "SCALAR")
@@ -108,11 +96,8 @@ class _Arrays:
         if _non_negative(view, "buffer") != 0 or "uri" in self.tree["buffers"][0]:
             raise ValueError("its data are in another file; export it as one .glb")
         count, step = _non_negative(accessor, "count"), _non_negative(view, "byteStride", 0) or width
-        begin, start, all_of = (
-            _non_negative(accessor, "byteOffset", 0),
-            _non_negative(view, "byteOffset", 0),
-            _non_negative(view, "byteLength"),
-        )
+        begin, start = (_non_negative(part, "byteOffset", 0) for part in (accessor, view))
+        all_of = _non_negative(view, "byteLength")
         size = step * (count - 1) + width
         if start + all_of > len(self.data):
             raise ValueError(f"a bufferView ends at byte {start + all_of} of {len(self.data)}")
@@ -122,7 +107,7 @@ class _Arrays:
         self.accessors.append({key: accessor[key] for key in ("componentType", "count", "type")})
         self.accessors[-1]["bufferView"] = len(self.views)
         self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": size, "byteStride": step})
-        self.size = check_count(self.size + size, MAX_GLB_BYTES, "bytes of corners and faces")
+        self.size = check_count(self.size + size, "bytes of corners and faces")
         self.pieces.append(self.data[start + begin : start + begin + size])
         return self.known[number, form]
 
@@ -174,15 +159,15 @@ def guard_dae(blob: bytes) -> tuple[bytes, int]:
         known[geometry.get("id")] = f"#g{number}", len(groups), sum(map(_faces_of_group, groups))
         geometry.set("id", f"g{number}")
         _check_sources(geometry)
-        words = check_count(words + sum(map(_text_words, geometry.iter())), 2 * MAX_FACE_WORDS, "numbers")
+        words = check_count(words + sum(map(_text_words, geometry.iter())), "numbers")
     faces = parts = 0
     for node in scenes[0].iter(_COLLADA + "instance_geometry"):
         if (url := node.get("url", "")[1:]) not in known:
             raise ValueError(f"it places {url[:50]!r}, which is not in it")
         new, groups, count = known[url]
         node.set("url", new)
-        parts, faces = check_count(parts + groups, MAX_PARTS, "parts of meshes"), check_face_count(faces + count)
-    check_count(sum(1 for _ in scenes[0].iter(_COLLADA + "node")), MAX_NODES, "nodes")
+        parts, faces = check_count(parts + groups, "parts of meshes"), check_face_count(faces + count)
+    check_count(sum(1 for _ in scenes[0].iter(_COLLADA + "node")), "nodes")
     return ElementTree.tostring(root), faces
 
 
@@ -207,7 +192,7 @@ def _faces_of_group(group: Element) -> int:
     if _name(group) == "triangles":
         return check_face_count(sum(corners) // 3)
     if _name(group) == "polylist":
-        check_count(sum(map(_text_words, counts)), MAX_FACES, "polygons")
+        check_count(sum(map(_text_words, counts)), "polygons")
         corners, claimed = [int(word) for part in counts for word in (part.text or "").split()], sum(corners)
         if sum(corners) != claimed:
             raise ValueError(f"its faces claim {sum(corners)} corners but it has {claimed}")
@@ -227,7 +212,7 @@ def _check_sources(geometry: Element) -> None:
         if int(accessor.get("stride", "1")) != len(accessor) or accessor.get("offset", "0") != "0":
             raise ValueError("its corners are strided in a list of numbers, which is not supported")
     for numbers in geometry.iter(_COLLADA + "float_array"):
-        check_count(_text_words(numbers) // 3, MAX_CORNERS, "corners")
+        check_count(_text_words(numbers) // 3, "corners")
         if (wrong := re.search(r"[^-+.0-9eE\s]|[0-9]{51}", numbers.text or "")) is not None:
             raise ValueError(f"it has {wrong[0][:20]!r} where numbers are expected")
 

@@ -47,19 +47,19 @@ def _distinct(cells: Array) -> tuple[Any, Any]:
 
 def open_edges(faces: Any) -> int:
     """Count the sides of faces without a partner that runs the opposite way."""
-    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    ends = sides_of(faces)
     forward = ends[:, 0] < ends[:, 1]
-    number = _numbers_of(ends)[1]
-    return int(np.abs(np.bincount(number, np.where(forward, 1.0, -1.0))).sum())
+    return int(np.abs(np.bincount(numbered(ends)[1], np.where(forward, 1.0, -1.0))).sum())
 
 
-def edges_of(faces: Any) -> Any:
-    """Return the edges (E, 2) of faces (F, 3), each once."""
-    return _numbers_of(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))[0]
+def sides_of(faces: Any) -> Any:
+    """Return the first and second corner (3 F, 2) of the sides of faces (F, 3)."""
+    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
-def _numbers_of(ends: Any) -> tuple[Any, Any]:
+def numbered(ends: Any) -> tuple[Any, Any]:
     """Return the unordered pairs among `ends` (S, 2), each once, and the index of each row's pair."""
+    ends = np.asarray(ends, np.int64)
     low, high, count = ends.min(axis=1), ends.max(axis=1), int(ends.max(initial=0)) + 1
     keys, number = np.unique(low * count + high, return_inverse=True)
     return np.column_stack(np.divmod(keys, count)), number
@@ -67,14 +67,17 @@ def _numbers_of(ends: Any) -> tuple[Any, Any]:
 
 def connected_parts(faces: Any) -> list[Any]:
     """Return the faces of each part of a mesh; parts share no corner."""
+    return grouped(faces, faces[:, [0, 1, 1, 2]].reshape(-1, 2), faces[:, 0]) if len(faces) else []
+
+
+def grouped(faces: Any, links: Any, of_face: Any) -> list[Any]:
+    """Return the faces of each connected part of a graph with edges `links` (E, 2); `of_face` (F,) is the node of each face."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    if len(faces) == 0:
-        return []
-    edges, count = faces[:, [0, 1, 1, 2]].reshape(-1, 2), int(faces.max()) + 1
-    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    labels = connected_components(graph, directed=False)[1][faces[:, 0]]
+    count = int(max(links.max(initial=0), of_face.max(initial=0))) + 1
+    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
+    labels = connected_components(graph, directed=False)[1][of_face]
     order = np.argsort(labels, kind="stable")
     return np.split(faces[order], np.flatnonzero(np.diff(labels[order])) + 1)
 
@@ -85,13 +88,7 @@ def farthest(points: Array) -> Any:
 
 
 def reduce_hull(corners: Array, most: int, fine: float) -> Array:
-    """Choose corners (K, 3) of a hull, the most important first, until all others are within `fine` of the reduced hull.
-
-    Args:
-        corners: Corners of the hull.
-        most: Largest number of corners returned; no more than that are returned unchanged.
-        fine: Tolerance relative to the hull's size.
-    """
+    """Choose at most `most` corners (K, 3) of a hull, the most important first, until all are within `fine` times its size of the rest."""
     from scipy.spatial import ConvexHull
 
     if len(corners) <= most:

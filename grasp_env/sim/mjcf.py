@@ -12,12 +12,11 @@ from grasp_env.sim.engine import MujocoEngine
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.limbs import touching_pairs
 from grasp_env.sim.hand.tree import Geometry, Link, Palm
+from grasp_env.sim.hand.urdf import digits
 from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
 
-PALM, OBJECT = "palm", "object"
-"""Names of the bodies of palm and object."""
-OBJECT_GROUP = 1
-"""Geometry group of the object's visual shape; the hand's is 0."""
+PALM, OBJECT = "palm", "object"  # names of bodies
+OBJECT_GROUP = 1  # geometry group of the object's visual shape; the hand's is 0
 _Z_TO_Y = "-1.5707963267948966 0 0"  # capsules and cylinders of MuJoCo lie along z
 
 
@@ -31,15 +30,11 @@ def scene_mjcf(
 ) -> str:
     """Return the MJCF of the simulated world: the hand with its palm fixed, and the free object at the origin.
 
-    Args:
-        hand: The hand. Its joints have no damping, armature or motors: torques are applied directly.
-        item: The object. Its friction coefficients have priority, and are the products with the tips' friction that Bullet forms.
-        gravity: [m/s^2], (3,), world frame.
-        timestep: Time step [s].
-        engine: Settings of contacts and solver.
+    Joints have no damping, armature or motors: torques are applied directly. The object's friction coefficients have priority, and are
+    the products with the tips' friction that Bullet forms. Gravity is in [m/s^2], the time step in [s].
     """
     spring = f"{engine.time_constant or 2.0 * timestep!r} {engine.damping_ratio!r}"
-    soft = f'solref="{spring}" solimp="{_text(engine.impedance)}"'
+    soft = f'solref="{spring}" solimp="{digits(engine.impedance)}"'
     sliding, turning = (part * hand.tip_friction for part in (item.friction, item.torsional_friction))
     meshes: list[str] = []
     tree = _tree(hand, lambda body: _shapes(body.collision, meshes))
@@ -47,7 +42,7 @@ def scene_mjcf(
         f'<geom {each} priority="1" friction="{sliding!r} {turning!r} 0"/>' for each in _object_shapes(item, meshes)
     )
     return f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
-<option timestep="{timestep!r}" gravity="{_text(gravity)}" cone="{engine.cone}" impratio="{engine.impratio!r}"
+<option timestep="{timestep!r}" gravity="{digits(gravity)}" cone="{engine.cone}" impratio="{engine.impratio!r}"
  integrator="{engine.integrator}" solver="Newton" iterations="{engine.solver_iterations}" tolerance="{engine.tolerance!r}"
  noslip_iterations="{engine.noslip_iterations}"><flag autoreset="disable"/></option>
 <default><geom condim="{4 if turning else 3}" friction="{hand.tip_friction**2!r} 0 0" {soft}/>
@@ -61,25 +56,20 @@ def scene_mjcf(
 def looks_mjcf(hand: HandDescription, item: ObjectDescription | None = None) -> tuple[str, dict[str, Geometry]]:
     """Return the MJCF for pictures: the bodies and joints of `scene_mjcf` with their visual shapes and a light, without contacts.
 
-    Args:
-        hand: The hand, drawn with its visual shapes.
-        item: The object, in geometry group `OBJECT_GROUP`; None to draw the hand alone.
-
-    Returns:
-        The MJCF, and the visual shapes of kind "mesh" by the names of the meshes that it uses but does not define.
+    Also return the visual shapes of kind "mesh" by the names of the meshes that it uses but does not define.
     """
     meshes: list[str] = []
     files: dict[str, Geometry] = {}
 
     def looks(body: Link | Palm) -> str:
         return "".join(
-            _shape(shape, meshes, f'rgba="{_text((*(shape.color or body.color), 1.0))}"', files)
+            _shape(shape, meshes, f'rgba="{digits((*(shape.color or body.color), 1.0))}"', files)
             for shape in body.visual
         )
 
     tree, held = _tree(hand, looks), ""
     if item is not None:
-        color = f'rgba="{_text((*OBJECT_COLOR, 1.0))}" group="{OBJECT_GROUP}"'
+        color = f'rgba="{digits((*OBJECT_COLOR, 1.0))}" group="{OBJECT_GROUP}"'
         held = _free_body(item, f"<geom {_object_look(item, meshes)} {color}/>")
     text = f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
 <statistic extent="1" center="0 0 0"/>
@@ -105,19 +95,19 @@ def _tree(hand: HandDescription, shapes: Callable[[Link | Palm], str]) -> str:
 
 def _free_body(item: ObjectDescription, shape: str) -> str:
     """Return the body of the object, at the origin."""
-    inertial = f'<inertial pos="0 0 0" mass="{item.mass!r}" diaginertia="{_text(item.moments)}"/>'
+    inertial = f'<inertial pos="0 0 0" mass="{item.mass!r}" diaginertia="{digits(item.moments)}"/>'
     return f'<body name="{OBJECT}"><freejoint/>{inertial}{shape}</body>'
 
 
 def _body(link: Link, index: int, shapes: Callable[[Link | Palm], str], bodies: Callable[[str], str]) -> str:
     ixx, ixy, ixz, iyy, iyz, izz = link.inertia
     limited = math.isfinite(link.lower)
-    ends = f'limited="true" range="{_text((link.lower, link.upper))}"' if limited else 'limited="false"'
+    ends = f'limited="true" range="{digits((link.lower, link.upper))}"' if limited else 'limited="false"'
     kind = "slide" if link.sliding else "hinge"
     return (
-        f'<body name="{link_name(index)}" pos="{_text(link.origin)}" euler="{_text(link.rotation)}">'
-        f'<inertial pos="{_text(link.center)}" mass="{link.mass!r}" fullinertia="{_text((ixx, iyy, izz, ixy, ixz, iyz))}"/>'
-        f'<joint name="{link_name(index)}" type="{kind}" axis="{_text(link.axis)}" {ends}/>'
+        f'<body name="{link_name(index)}" pos="{digits(link.origin)}" euler="{digits(link.rotation)}">'
+        f'<inertial pos="{digits(link.center)}" mass="{link.mass!r}" fullinertia="{digits((ixx, iyy, izz, ixy, ixz, iyz))}"/>'
+        f'<joint name="{link_name(index)}" type="{kind}" axis="{digits(link.axis)}" {ends}/>'
         f"{shapes(link)}{bodies(link.name)}</body>"
     )
 
@@ -136,10 +126,10 @@ def _shape(shape: Geometry, meshes: list[str], look: str = "", files: dict[str, 
     elif kind == "hull":
         kind, given = "mesh", _mesh(shape.corners, meshes)
     elif kind == "box":
-        given = f'size="{_text(0.5 * side for side in size)}"'
+        given = f'size="{digits(0.5 * side for side in size)}"'
     else:  # MuJoCo takes half the length of a cylinder
-        given = f'size="{_text((size[0], *(0.5 * length for length in size[1:])))}"'
-    return f'<geom type="{kind}" {given} pos="{_text(shape.origin)}" euler="{_text(shape.rotation)}" {look}/>'
+        given = f'size="{digits((size[0], *(0.5 * length for length in size[1:])))}"'
+    return f'<geom type="{kind}" {given} pos="{digits(shape.origin)}" euler="{digits(shape.rotation)}" {look}/>'
 
 
 def _object_shapes(item: ObjectDescription, meshes: list[str]) -> list[str]:
@@ -156,17 +146,17 @@ def _object_look(item: ObjectDescription, meshes: list[str]) -> str:
         return f'type="mesh" {_mesh(corners, meshes, faces)} euler="0 0 0"'
     half = [0.5 * side for side in item.size]
     if item.shape == "cuboid":
-        return f'type="box" size="{_text(half)}" euler="0 0 0"'
+        return f'type="box" size="{digits(half)}" euler="0 0 0"'
     if item.shape == "capsule":
         half[1] -= half[0]
-    return f'type="{item.shape}" size="{_text(half)}" euler="{_Z_TO_Y}"'
+    return f'type="{item.shape}" size="{digits(half)}" euler="{_Z_TO_Y}"'
 
 
 def _mesh(corners: Any, meshes: list[str], faces: Any = None) -> str:
     """Add corners (K, 3) [m] with faces (F, 3), or their convex hull, to `meshes`; return the attribute that refers to it."""
     name = f"mesh{len(meshes)}"
     drawn = "" if faces is None else f' face="{" ".join(map(str, np.ravel(faces).tolist()))}" inertia="shell"'
-    meshes.append(f'<mesh name="{name}" vertex="{_text(np.ravel(corners))}"{drawn}/>')
+    meshes.append(f'<mesh name="{name}" vertex="{digits(np.ravel(corners))}"{drawn}/>')
     return f'mesh="{name}"'
 
 
@@ -184,7 +174,3 @@ def _neighbours(hand: HandDescription) -> Iterable[tuple[str, str]]:
     for pair in sorted(parents | set(touching_pairs(hand))):
         one, other = (PALM if index < 0 else link_name(index) for index in pair)
         yield one, other
-
-
-def _text(numbers: Iterable[float]) -> str:
-    return " ".join(repr(float(number)) for number in numbers)

@@ -23,18 +23,10 @@ _MIN_FORCE = 1e-9
 
 
 class Mujoco(Simulator):
-    """A hand around an object in its own MuJoCo model; see `Simulator`.
-
-    Args:
-        hand: The hand, loaded anew with every object.
-        gui: Must be False: there is no window.
-        visuals: Not used: pictures have a model of their own.
+    """A hand around an object in its own MuJoCo model; see `Simulator`. It has no window; pictures have a model of their own.
 
     Attributes:
         model, data: MuJoCo's model and data; each `load` makes new ones, and they are None after `close`.
-
-    Raises:
-        InvalidInputError: `gui` is True.
     """
 
     def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:
@@ -121,12 +113,10 @@ class Mujoco(Simulator):
         self._open_data()
         model = self.model
         model.body_mass[self._body], model.body_inertia[self._body] = item.mass, item.moments
-        model.geom_friction[self._shapes, :2] = np.multiply(
-            (item.friction, item.torsional_friction), self._hand.tip_friction
-        )
-        mujoco.mj_setConst(
-            model, mujoco.MjData(model)
-        )  # updates constants that depend on masses, and writes to its data
+        pair = np.multiply((item.friction, item.torsional_friction), self._hand.tip_friction)
+        model.geom_friction[self._shapes, :2] = pair
+        # updates constants that depend on masses, and writes to its data
+        mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def keep(self, name: str) -> None:
         """See `Simulator`."""

@@ -6,7 +6,6 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from types import TracebackType
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -34,20 +33,13 @@ class ProgressLine:
             print(f"\r{text:{self._length}}", end="", file=sys.stderr, flush=True)
             self._length = len(text)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._length:
             print(file=sys.stderr)
 
 
 def progress_bar(items: Sequence[Item], text: str) -> Iterator[Item]:
-    """Yield the items, with a progress bar on a terminal.
-
-    Example:
-        >>> list(progress_bar([1, 2], "two numbers"))
-        [1, 2]
-    """
+    """Yield the items, with a progress bar on a terminal."""
     with ProgressLine() as line:
         for done, item in enumerate(items):
             line.write(f"[{'#' * (_WIDTH * done // len(items)):{_WIDTH}}] {done} of {len(items)} {text}")

@@ -14,7 +14,6 @@ from grasp_env.errors import SimulationError
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import class_of
 from grasp_env.sim.hand.kinematics import HandKinematics
-from grasp_env.sim.simulator import Simulator
 from grasp_env.sim.snapshot import Snapshot
 
 
@@ -52,8 +51,8 @@ class Scene:
         self.kinematics = HandKinematics(self.config.hand)
         angles = _start_angles(self.config, self.kinematics)
         self.visuals = visuals or gui
-        self._gui_visuals = gui, visuals
-        self.simulator: Any = _make_simulator(self.config, gui, visuals)
+        self._options = {"gui": gui, "visuals": visuals}
+        self.simulator: Any = class_of(self.config.engine, "simulator")(self.config.hand, **self._options)
         self._build(angles)
         self.keep()
 
@@ -80,8 +79,7 @@ class Scene:
         angles = _start_angles(config, kinematics)
         config = replace(config, engine=self.config.engine)
         if kinematics is not self.kinematics:
-            gui, visuals = self._gui_visuals
-            simulator = _make_simulator(config, gui, visuals)
+            simulator = class_of(config.engine, "simulator")(config.hand, **self._options)
             self.simulator.close()
             self.kinematics, self.simulator = kinematics, simulator
         self.config = config
@@ -89,16 +87,14 @@ class Scene:
 
     def change_object(self, mass: float | None = None, friction: float | None = None) -> None:
         """Change the mass [kg] of the object (and its inertia in proportion) or its friction. `reset` does not undo the change."""
-        before = self.config.object
-        inertia = before.inertia
-        if mass is not None and inertia is not None:
-            inertia = tuple(np.multiply(inertia, mass / before.mass).tolist())
-        changed = replace(
-            before, mass=before.mass if mass is None else mass, friction=before.friction if friction is None else friction,
-            inertia=inertia,
-        )  # fmt: skip
-        self.config = replace(self.config, object=changed)
-        self.simulator.set_object(changed)
+        item = self.config.object
+        if mass is not None:
+            inertia = item.inertia and tuple(np.multiply(item.inertia, mass / item.mass).tolist())
+            item = replace(item, mass=mass, inertia=inertia)
+        if friction is not None:
+            item = replace(item, friction=friction)
+        self.config = replace(self.config, object=item)
+        self.simulator.set_object(item)
 
     def set_gravity(self, gravity: Array) -> None:
         """Change gravity (3,) [m/s^2], world frame."""
@@ -191,10 +187,6 @@ class Scene:
             f"the simulation diverged: the object is at {body[:3].tolist()} m with velocity {body[7:10].tolist()} m/s; reset the "
             "scene, and use smaller torques or wrenches or a higher rate of the engine"
         )
-
-
-def _make_simulator(config: SceneConfig, gui: bool, visuals: bool) -> Simulator:
-    return class_of(config.engine, "simulator")(config.hand, gui=gui, visuals=visuals)
 
 
 def _start_angles(config: SceneConfig, kinematics: HandKinematics) -> Array:

@@ -18,7 +18,6 @@ class Simulator(Protocol):
 
     def load(self, config: SceneConfig, angles: Array) -> None:
         """Build the scene at rest, with the joints at `angles` (M,) [rad]. All saved states are dropped."""
-        ...
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """Advance the scene by one step, `config.substeps` steps of the engine.
@@ -28,7 +27,6 @@ class Simulator(Protocol):
             wrench: External force [N] and moment about the centre [N m] on the object, (6,), in the frame of the moving object; gravity
                 excluded. None for no wrench.
         """
-        ...
 
     def read(self) -> Array:
         """Return the array that `core.Scene.read` takes: joint angles and rates, the object, the contacts between hand and object.
@@ -44,20 +42,15 @@ class Simulator(Protocol):
 
     def set_gravity(self, gravity: Array) -> None:
         """Change gravity (3,) [m/s^2]."""
-        ...
 
     def set_object(self, item: ObjectDescription) -> None:
         """Change the object's mass, inertia and friction. `reset` does not undo the change."""
-        ...
 
     def keep(self, name: str) -> None:
         """Save the current state under a name, for `reset`. An earlier state of that name is replaced."""
-        ...
 
     def reset(self, name: str) -> None:
         """Restore a saved state exactly, contact forces included."""
-        ...
 
     def close(self) -> None:
         """Free the engine; calling it again does nothing."""
-        ...

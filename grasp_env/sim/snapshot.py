@@ -12,43 +12,24 @@ class Snapshot(NamedTuple):
 
     The geometry is computed from the current poses, for spherical tips and the object's surface. An engine's own contact points belong
     to the start of the last step, and a finger that does not touch has none. Only the forces are the engine's.
-
-    Attributes:
-        position: (3,) centre of the object [m], world.
-        rotation: (3, 3) object frame to world frame.
-        linear: (3,) velocity of the object [m/s], world.
-        angular: (3,) angular velocity of the object [rad/s], world.
-        points: (N, 3) point of the surface nearest to each tip [m], object frame.
-        normals: (N, 3) inward unit normal there, object frame.
-        touch: (N, 3) point of the tip nearest to the object [m], world.
-        tips: (N, 3) centres of the tips [m], world.
-        gaps: (N,) distance between tip and object [m], negative if they overlap.
-        slip: (N,) tangential speed of the tip relative to the object [m/s].
-        touching: (N,) 1.0 if the tip carried force in the last step, else 0.0.
-        forces: (N, 3) measured force of each tip ON the object [N], object frame.
-        stray: (1,) total force on the object [N] from other parts of the hand: other links, and tips' links more than 5 mm from the tip's
-            point.
-        gravity_torques: (M,) joint torques that carry the weight of the links [N m].
-        angles, rates: (M,) joint angles [rad] and rates [rad/s].
-        frames, origins, axes: (M, 3, 3), (M, 3) [m], (M, 3) of links and joints, world frame.
     """
 
-    position: Array
-    rotation: Array
-    linear: Array
-    angular: Array
-    points: Array
-    normals: Array
-    touch: Array
-    tips: Array
-    gaps: Array
-    slip: Array
-    touching: Array
-    forces: Array
-    stray: Array
-    gravity_torques: Array
-    angles: Array
-    rates: Array
-    frames: Array
-    origins: Array
-    axes: Array
+    position: Array  # (3,) centre of the object [m], world frame
+    rotation: Array  # (3, 3) from the object frame to the world frame
+    linear: Array  # (3,) velocity of the object [m/s], world frame
+    angular: Array  # (3,) angular velocity of the object [rad/s], world frame
+    points: Array  # (N, 3) point of the surface nearest to each tip [m], object frame
+    normals: Array  # (N, 3) inward unit normal there, object frame
+    touch: Array  # (N, 3) point of the tip nearest to the object [m], world frame
+    tips: Array  # (N, 3) centres of the tips [m], world frame
+    gaps: Array  # (N,) distance between tip and object [m], negative if they overlap
+    slip: Array  # (N,) tangential speed of the tip relative to the object [m/s]
+    touching: Array  # (N,) 1.0 if the tip carried force in the last step, else 0.0
+    forces: Array  # (N, 3) measured force of each tip ON the object [N], object frame
+    stray: Array  # (1,) total force on the object [N] of other links, and of tips' links more than 5 mm from the tip's point
+    gravity_torques: Array  # (M,) joint torques that carry the weight of the links [N m]
+    angles: Array  # (M,) joint angles [rad]
+    rates: Array  # (M,) joint rates [rad/s]
+    frames: Array  # (M, 3, 3) rotations of the links, world frame
+    origins: Array  # (M, 3) origins of the links [m], world frame
+    axes: Array  # (M, 3) axes of the joints, world frame

@@ -36,19 +36,14 @@ def glb(tree: Any, data: bytes = b"") -> bytes:
 
 def gltf(**changes: Any) -> dict[str, Any]:
     """Return the JSON of a tetrahedron; `accessors__0__count=3` changes an entry."""
+    corners = {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"}
+    faces = {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"}
     tree: dict[str, Any] = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
-        ],
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}], "accessors": [corners, faces],
         "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 24}],
         "buffers": [{"byteLength": 72}],
-    }
+    }  # fmt: skip
     for path, value in changes.items():
         *parts, name = path.split("__")
         place: Any = tree
@@ -116,7 +111,7 @@ VALID: dict[str, tuple[str, bytes]] = {
 """Kind and content of valid files, by name."""
 
 
-_ENTITIES = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10 if k else "1 " * 10}">' for k in range(10))
+ENTITIES = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10 if k else "1 " * 10}">' for k in range(10))
 HOSTILE: dict[str, tuple[str, bytes, str]] = {
     "obj: 250,000 faces": (".obj", b"v 0 0 0\n" + b"f 1 2 3\n" * 250_000, "250000 faces"),
     "obj: a polygon of a million corners": (".obj", b"v 0 0 0\nf " + b"1 " * 1_000_000, "999998 faces"),
@@ -147,7 +142,7 @@ HOSTILE: dict[str, tuple[str, bytes, str]] = {
     "glb: views of one byte many times": (".glb", glb(gltf(accessors=[{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"}] * 4000, meshes=[{"primitives": [{"attributes": {"POSITION": k}} for k in range(4000)]}], bufferViews=[{"buffer": 0, "byteLength": 900_000, "byteStride": 250_000}]), bytes(900_000)), "bytes of corners"),
     "glb: long JSON": (".glb", glb(b"[" * 5_000_000), "5000000 bytes of JSON"),
     "glb: a long file": (".glb", tetrahedron()[:8] + b"\xff" * 4 + tetrahedron()[12:], "claims 4294967295"),
-    "dae: entities": (".dae", dae(head=f"<!DOCTYPE COLLADA [{_ENTITIES}]>", faces="&e9;"), "DOCTYPE"),
+    "dae: entities": (".dae", dae(head=f"<!DOCTYPE COLLADA [{ENTITIES}]>", faces="&e9;"), "DOCTYPE"),
     "dae: a circle": (".dae", dae('<node id="n"><instance_node url="#n"/></node>'), "<instance_node>, which is not supported"),
     "dae: nodes in one another": (".dae", dae("<node>" * 50_000 + "</node>" * 50_000), "nested too deep|50000 nodes"),
     "dae: not a number": (".dae", dae().replace(b"\n1 0 0", b"\nnan 0 0"), "'n' where numbers are expected"),

@@ -39,7 +39,7 @@ class Holder:
         s, mass = scene.look(), scene.config.object.mass
         skew = 0.5 * (s.rotation - s.rotation.T)
         turn = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
-        pull = scene.config.weight + 200.0 * s.position
+        pull = mass * scene.gravity + 200.0 * s.position
         pull += 2.0 * np.sqrt(200.0 * mass) * s.linear
         inertia = mass * 0.1**2 / 6.0
         twist = 2.0 * turn + 2.0 * np.sqrt(2.0 * inertia) * s.angular

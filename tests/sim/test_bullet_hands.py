@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import trimesh
 from engines import Bullet, bullet, needs_bullet
 from hands import make_link
 
 from grasp_env.sim import BulletEngine, HandKinematics, ObjectDescription
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.hand.description import Fingertip, Geometry, HandDescription, Link, Mimic, Palm
-from grasp_env.sim.picture.portrait import portrait
 
 pytestmark = needs_bullet
 
@@ -103,12 +99,3 @@ def test_links_that_always_overlap_do_not_push_each_other_apart() -> None:
         simulator.advance([0.0, 0.0], None)
     np.testing.assert_allclose(states(simulator), ((0.3, 0.0), (-0.3, 0.0)), atol=1e-9)
     simulator.close()
-
-
-def test_a_visual_mesh_is_drawn(tmp_path: Path) -> None:
-    trimesh.creation.box((0.02, 0.02, 0.02)).export(tmp_path / "box.obj")
-    look = Geometry("mesh", (1.0, 1.0, 1.0), file=str(tmp_path / "box.obj"))
-    drawn = portrait(one_link(make_link(visual=(look,)), 0.1), 64)
-    assert drawn.shape == (64, 128, 3)
-    assert drawn[:, :64].min() < 150  # grey before a light ground
-    assert drawn[:, 64:].min() > 200  # it touches nothing

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +19,6 @@ from grasp_env.sim.hand.files.pieces import convex_pieces
 from grasp_env.sim.hand.solids import MAX_CORNERS, cut_below, few_corners, outline, shrunk
 from grasp_env.sim.hand.tree import Geometry
 from grasp_env.sim.hand.urdf import hand_files
-from training.cli import main
 
 BOX = trimesh.creation.box((0.02, 0.03, 0.04))
 BALL = solid('<sphere radius="0.01"/>')
@@ -51,7 +48,7 @@ def bent() -> Any:
 
 
 @pytest.mark.parametrize(
-    "name", ["meshes/box.obj", "file://meshes/box.stl", "package://any_name/meshes/box.obj", "{folder}/meshes/box.stl"]
+    "name", ["meshes/box.obj", "package://any_name/meshes/box.obj", "file://{folder}/meshes/box.stl"]
 )
 def test_meshes_are_found_and_become_hulls(tmp_path: Path, name: str) -> None:
     """The meshes are in a folder above the URDF; their hulls are written and read without a change."""
@@ -83,7 +80,6 @@ CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
         ("a.obj", b"", "are broken"),
         ("a.obj", CORNERS + b"f 1 2 4\n", "are broken"),  # Bullet would read beyond its corners, and crash
         ("a.obj", b"f 1 2 3\n" + CORNERS, "are broken"),
-        ("a.obj", CORNERS + b"f -1 -2 -3\n", "are broken"),
         ("a.stl", bytes(10), "are empty"),
         ("a.stl", None, "are missing"),
     ],
@@ -115,13 +111,16 @@ def test_a_mesh_that_is_not_convex_falls_into_pieces(shape: trimesh.Trimesh, cou
         assert min(outside(np.zeros((1, 3)), piece).item() for piece in found) > 0.003
 
 
-def test_parts_inside_one_another_and_open_ones_are_one_piece() -> None:
-    """A cylinder with unconnected triangles; and a cylinder half inside a box."""
-    side = trimesh.creation.cylinder(0.01, 0.04)
-    loose = trimesh.Trimesh(side.triangles.reshape(-1, 3), np.arange(3 * len(side.faces)).reshape(-1, 3), process=False)
-    assert len(convex_pieces(np.array(loose.vertices).round(9), np.array(loose.faces))) == 1
-    hidden: Any = trimesh.util.concatenate([side, trimesh.creation.box((0.03, 0.03, 0.05))])
-    assert len(convex_pieces(np.array(hidden.vertices), np.array(hidden.faces))) == 1
+def test_pieces_are_joined_and_soups_are_not_cut() -> None:
+    """A cylinder half inside a box is one piece, no mesh has more than eight, and 20,000 loose triangles take no minutes."""
+    hidden = [trimesh.creation.cylinder(0.01, 0.04), trimesh.creation.box((0.03, 0.03, 0.05))]
+    row = [trimesh.creation.box((0.004,) * 3).apply_translation((0.01 * k, 0.0, 0.0)) for k in range(12)]
+    rng = np.random.default_rng(0)
+    corners = rng.normal(size=(20_000, 1, 3)) * 0.01 + rng.normal(size=(20_000, 3, 3)) * 0.005
+    soup = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(60_000).reshape(-1, 3), process=False)
+    for solids, count in ((hidden, 1), (row, 8), ([soup], 1)):
+        mesh: Any = trimesh.util.concatenate(solids)
+        assert len(convex_pieces(np.array(mesh.vertices), np.array(mesh.faces))) == count
 
 
 def test_few_corners_contain_all_and_little_more() -> None:
@@ -202,27 +201,17 @@ def test_the_second_reading_makes_and_reads_nothing_again(tmp_path: Path, monkey
     text = small(mesh("seen.obj", role="visual"), mesh("bent.stl", "1 -1 0.5"))
     first, _ = read(tmp_path, text, ["finger"])  # the fingertip is sought in what is seen
     assert len(first.palm.collision) == 2
+    corners, faces = np.array(bent().vertices), np.array(bent().faces)
+    kept = pieces.kept_pieces(corners, faces, "of a model")
     for module, name in ((pieces, "convex_pieces"), (mesh_files, "read_mesh_bytes"), (meshes, "_corners_exist")):
         monkeypatch.setattr(module, name, fail)
     assert read(tmp_path, text, ["finger"])[0] == first
+    assert all(map(np.array_equal, pieces.kept_pieces(corners, faces.astype(np.int32), "again"), kept))
+    with pytest.raises(AssertionError, match="from the cache"):
+        pieces.kept_pieces(1.1 * corners, faces, "other")
     bent().apply_scale(1.1).export(tmp_path / "bent.stl")  # the same file with other content
     with pytest.raises(AssertionError, match="from the cache"):
         read(tmp_path, text, ["finger"])
-
-
-def test_pieces_of_arrays_are_kept_by_content_and_listed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    corners, faces = np.array(bent().vertices), np.array(bent().faces)
-    found = pieces.kept_pieces(corners, faces, "bent")
-    assert [len(piece) for piece in found] == [8, 8]
-    assert main(["object", "list", "--json"]) == 0
-    (entry,) = json.loads(capsys.readouterr().out)["meshes"]
-    assert (entry["name"], entry["use"], entry["pieces"]) == ("bent", "hand", 2)
-    monkeypatch.setattr(pieces, "convex_pieces", fail)
-    assert all(map(np.array_equal, pieces.kept_pieces(corners, faces.astype(np.int32), "again"), found))
-    with pytest.raises(AssertionError, match="from the cache"):
-        pieces.kept_pieces(1.1 * corners, faces, "other")
 
 
 def test_all_missing_meshes_are_told_before_any_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,16 +251,13 @@ def write_dae(folder: Path, asset: str) -> None:
     [
         ("a.obj", b"v 60 0 0\nv 1 0 0\nv 0 50 0\nv 0 0 40\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n", 'are 1e-05 to 5; .* scale="0.001'),
         ("a.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all its faces are lines or points"),
-        ("a.obj", np.random.default_rng(0).bytes(10**5), "is not a mesh|holds no triangles"),
         ("a.txt", b"", "of no kind that is read"),
         ("/dev/zero", None, "neither beside the URDF nor"),
         ("http://example.org/a.obj", None, "only file://, package:// and plain paths"),
         ("a" * 5000 + ".obj", None, "neither beside the URDF nor"),
-        ("", None, "lacks filename="),
-        ("a.dae", "0", '<unit meter="0">, which must be a number of metres above 0'),
         ("a.dae", "inch", '<unit meter="inch">, which must be a number of metres above 0'),
     ],
-    ids=["millimetres", "a point", "noise", "kind", "device", "address", "long", "no name", "no unit", "inches"],
+    ids=["millimetres", "a point", "kind", "device", "address", "long", "inches"],
 )  # fmt: skip
 def test_files_that_are_no_mesh_of_a_hand_are_refused(tmp_path: Path, name: str, content: Any, message: str) -> None:
     if isinstance(content, str):
@@ -280,13 +266,3 @@ def test_files_that_are_no_mesh_of_a_hand_are_refused(tmp_path: Path, name: str,
         (tmp_path / name).write_bytes(content)
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, small(mesh(name)))
-
-
-def test_soups_of_triangles_take_seconds(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    points = (rng.normal(size=(20_000, 1, 3)) * 0.01 + rng.normal(size=(20_000, 3, 3)) * 0.005).reshape(-1, 3)
-    trimesh.Trimesh(points, np.arange(60_000).reshape(-1, 3), process=False).export(tmp_path / "soup.stl")
-    begun = time.perf_counter()
-    made, _ = read(tmp_path, small(mesh("soup.stl")))
-    assert time.perf_counter() - begun < 10.0
-    assert len(made.links[0].collision) <= 9

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -29,15 +28,10 @@ def jaws(motors: int = 1, force: float = 40.0) -> HandDescription:
         ball = Geometry("sphere", (0.008,), (0.0, 0.008 * side, 0.045))
         # the inner face is as far out as the sphere
         body = Geometry("box", (0.02, 0.026, 0.036), (0.0, 0.013 * side, 0.018))
-        slide: dict[str, Any] = {
-            "sliding": True,
-            "lower": 0.0,
-            "upper": 0.04,
-            "torque_limit": force,
-            "axis": (0.0, side, 0.0),
-        }
-        slide["mimic"] = Mimic("jaw0_joint") if links and motors == 1 else None
-        links.append(make_link(name, origin=(0.0, 0.0, 0.06), center=body.origin, collision=(body, ball), **slide))
+        links.append(make_link(
+            name, origin=(0.0, 0.0, 0.06), center=body.origin, collision=(body, ball), sliding=True, lower=0.0, upper=0.04,
+            torque_limit=force, axis=(0.0, side, 0.0), mimic=Mimic("jaw0_joint") if links and motors == 1 else None,
+        ))  # fmt: skip
         tips.append(Fingertip(name, name, ball.origin, 0.008))
     palm = Palm(collision=(Geometry("box", (0.06, 0.2, 0.06), (0.0, 0.0, 0.02)),))
     return HandDescription("jaws", palm, tuple(links), tuple(tips), placed=False)
@@ -82,10 +76,8 @@ def test_pads_stand_before_flat_jaws() -> None:
 
 
 def test_two_fingers_get_soft_contacts_and_it_is_said() -> None:
-    with pytest.warns(
-        GraspWarning,
-        match=r"torsional_friction=0.0056 m, 2/3 of friction 0.7 times the 12 mm .* object={'torsional_friction'",
-    ):
+    words = r"torsional_friction=0.0056 m, 2/3 of friction 0.7 times the 12 mm .* object={'torsional_friction'"
+    with pytest.warns(GraspWarning, match=words):
         config = EnvConfig(hand=jaws(), object=BALL).resolved()
     assert config.object.torsional_friction == torsion_of(0.7) == pytest.approx(2.0 / 3.0 * 0.7 * PATCH_RADIUS)
     given = EnvConfig(hand=jaws(), object=replace(BALL, torsional_friction=0.01)).resolved()
@@ -95,12 +87,8 @@ def test_two_fingers_get_soft_contacts_and_it_is_said() -> None:
 
 @pytest.mark.parametrize(
     ("hand", "item", "engine"),
-    [
-        pytest.param(jaws(1), CUBE, "bullet", marks=needs_bullet),
-        (jaws(2, 20.0), BALL, "mujoco"),
-        (claw(), CUBE, "mujoco"),
-    ],
-    ids=["one motor", "two motors", "claw"],
+    [pytest.param(jaws(1), CUBE, "bullet", marks=needs_bullet), (claw(), CUBE, "mujoco")],
+    ids=["jaws", "claw"],
 )
 def test_jaws_hold_under_a_random_wrench(hand: HandDescription, item: ObjectDescription, engine: str) -> None:
     with pytest.warns(GraspWarning, match="two fingers hold with soft contacts"):
@@ -120,7 +108,7 @@ def test_jaws_hold_under_a_random_wrench(hand: HandDescription, item: ObjectDesc
 
 @pytest.mark.parametrize(
     ("item", "approach", "way"),
-    [(BALL, "down", (0.0, -1.0, 0.0)), (CUBE, "up", (0.0, 1.0, 0.0)), (BALL, (3.0, 0.0, 4.0), (0.6, 0.0, 0.8)), (BALL, "side", None)],
+    [(CUBE, "up", (0.0, 1.0, 0.0)), (BALL, (3.0, 0.0, 4.0), (0.6, 0.0, 0.8)), (BALL, "side", None)],
 )  # fmt: skip
 def test_the_palm_looks_where_it_is_wanted(
     item: ObjectDescription, approach: str | tuple[float, ...], way: tuple[float, ...] | None
@@ -132,18 +120,19 @@ def test_the_palm_looks_where_it_is_wanted(
     assert abs(palm[1]) < np.sin(limit) if way is None else -palm @ way > np.cos(limit)
 
 
-def test_approaches_that_cannot_be_are_refused() -> None:
+def test_hands_that_cannot_be_placed() -> None:
+    with pytest.raises(InvalidInputError, match=r"surround it at 0 places.*none is left.* No two of its fingers"):
+        place_hand(jaws(), ObjectDescription("sphere", (0.4,), torsional_friction=0.01))
+    with pytest.raises(InvalidInputError, match=r"soft contacts only.* torsional_friction \[m\], 0.0056 "):
+        place_hand(jaws(), BALL)
     # two sides of a cube lie in the jaws, and the palm is at least 35 degrees off its diagonal
-    with pytest.raises(
-        InvalidInputError, match=r"at \d+ of which no side of the object comes from approach=\(0.577, 0.577, 0.577\)"
-    ):
+    words = r"at \d+ of which no side of the object comes from approach=\(0.577, 0.577, 0.577\)"
+    with pytest.raises(InvalidInputError, match=words):
         place_hand(jaws(), with_soft_contacts(CUBE, jaws()), approach=(1.0, 1.0, 1.0))
     with pytest.raises(UnknownNameError, match=r"choose one of .down., .up., .side."):
         place_hand(jaws(), CUBE, approach="sideways")
     with pytest.raises(InvalidInputError, match="must have a direction"):
         EnvConfig(hand=jaws(), approach=(0.0, 0.0, 0.0))
-    with pytest.raises(
-        InvalidInputError, match="approach='up' is for a hand that is put around the object, and the hand is placed"
-    ):
+    with pytest.raises(InvalidInputError, match="approach='up' is for a hand that is put around the object"):
         EnvConfig(approach="up")
     assert EnvConfig(hand=jaws(), approach=(0.0, -2.0, 0.0)).approach == (0.0, -1.0, 0.0)

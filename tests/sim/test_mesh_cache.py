@@ -1,7 +1,8 @@
-"""The cache of processed meshes, and third-party algorithms in processes of their own."""
+"""`grasp object`, which shows and mends meshes; the cache of processed meshes, and algorithms in processes of their own."""
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
@@ -12,30 +13,158 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
+from PIL import Image
 from processes import start
 from trimesh import creation
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim import ObjectDescription, progress
+from grasp_env.sim.mesh_files import read_mesh
 from grasp_env.sim.objects import cache, mesh, pieces
 from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.objects.cache import cached, clear, entries, folder
+from grasp_env.sim.objects.closing import close_mesh
+from training.cli import main
+from training.commands import mending
 
 
 @pytest.fixture(autouse=True)
-def cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """An empty cache, in memory and on disk."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     mesh._load.cache_clear()
-    yield tmp_path / "cache"
+    yield
     mesh._load.cache_clear()
+
+
+BALL = trimesh.creation.icosphere(2, 0.05)
+CORNERS, FACES = np.asarray(BALL.vertices), np.asarray(BALL.faces)
+TORN = FACES[np.arange(len(FACES)) % 3 != 0]
+"""A ball without a third of its faces: its holes meet in corners."""
+
+
+def save(path: Path, corners: Any, faces: Any) -> str:
+    trimesh.Trimesh(corners, faces, process=False).export(path)
+    return str(path)
+
+
+@pytest.fixture
+def answer(capsys: pytest.CaptureFixture[str]) -> Any:
+    def ask(*words: str) -> tuple[int, dict[str, Any]]:
+        capsys.readouterr()
+        code = main(["object", *words, "--json"])
+        return code, json.loads(capsys.readouterr().out)
+
+    return ask
+
+
+def test_show(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    ring = trimesh.creation.annulus(30.0, 50.0, 40.0, sections=8)
+    ring.apply_translation((0.0, 0.0, 7.0))
+    path = save(tmp_path / "ring.obj", ring.vertices, ring.faces)
+    assert main(["object", "show", path, "--scale", "0.001", "--draw", str(tmp_path / "ring.png"), "--size", "64"]) == 0
+    told = capsys.readouterr().out
+    for words in ("ring.obj", str(len(ring.faces)), "100.0 x 100.0 x 40.0", f"{1e-3 * ring.volume:.4g}", "0.0 0.0 7.0"):
+        assert words in told
+    assert "repaired" not in told
+    assert f"kept in {folder()}\n" in told
+    picture = np.array(Image.open(tmp_path / "ring.png")).astype(int)
+    assert picture.shape == (64, 128, 3)
+    spread = np.ptp(picture, axis=2)  # of colour: the mesh has one pale one, pieces have strong ones
+    assert spread[:, :64].max() < 60 < spread[:, 64:].max()
+    (reddest,) = {row.argmax() for row in picture[:, :64][spread[:, :64] > 15]}
+    assert reddest == 0
+    assert {row.argmax() for row in picture[:, 64:][spread[:, 64:] > 30]} == {0, 1, 2}  # pieces of several hues
+    code, told = answer("show", save(tmp_path / "open.obj", CORNERS, FACES[1:]))
+    assert (code, told["faces"], told["pieces"], told["picture"]) == (0, len(FACES), 1, None)
+    assert (told["volume"], *told["extent"]) == pytest.approx((BALL.volume, *BALL.extents))
+    assert "holes were filled with 1 faces" in told["repaired"][0]
+
+
+def test_a_torn_mesh_is_refused_mended_with_all_parts_and_hollows_and_accepted(tmp_path: Path, answer: Any) -> None:
+    count, crumb = len(CORNERS), [[0.0, 0.3, 0.0], [0.1, 0.3, 0.0], [0.0, 0.3, 0.1]]
+    corners = np.vstack([CORNERS, 0.5 * CORNERS, CORNERS + np.array((0.2, 0.0, 0.0)), crumb])
+    torn = np.vstack([FACES[5:], FACES[:, ::-1] + count, TORN + 2 * count, np.array([[0, 1, 2]]) + 3 * count])
+    path = save(tmp_path / "parts.obj", corners, torn)
+    with pytest.raises(InvalidInputError, match=r"is not closed.*mend it with `grasp object mend FILE`"):
+        ObjectDescription.from_mesh(path)
+    code, told = answer("mend", path)
+    assert (code, told["out"]) == (0, str(tmp_path / "parts_mended.obj"))
+    assert (told["faces_before"], told["parts"], told["parts_left_out"]) == (len(torn), 3, 1)
+    assert told["volume"] == pytest.approx((1.0 - 0.125 + 1.0) * BALL.volume, rel=0.05)  # missing faces are guessed
+    assert told["faces_kept"] > 0.3 * len(torn)
+    corners, faces, changes = close_mesh(*read_mesh(told["out"], "it"), "it")
+    assert (changes, len(faces)) == ([], told["faces_after"])
+    assert np.ptp(corners, axis=0) == pytest.approx((0.3, 0.1, 0.1), rel=0.05)
+    assert read_mesh(path, "it")[1].shape == torn.shape  # the file stays
+
+
+def test_a_closed_mesh_is_kept_and_nothing_is_overwritten_by_default(tmp_path: Path, answer: Any) -> None:
+    path = save(tmp_path / "ball.stl", 1e3 * CORNERS, FACES)
+    out = tmp_path / "ball_mended.obj"
+    out.write_text("mine")
+    code, told = answer("mend", path)
+    assert (code, out.read_text()) == (2, "mine")
+    assert f"--out {out}" in told["error"]["message"]
+    code, told = answer("mend", path, "--out", str(out))
+    assert (code, told["faces_kept"], told["faces_after"], told["changes"]) == (0, len(FACES), len(FACES), [])
+    assert told["volume"] == pytest.approx(1e9 * BALL.volume, rel=1e-5)  # in the unit of the file, which has 7 digits
+    assert not list(tmp_path.glob(".*"))  # nothing half written
+
+
+def test_mending_that_fails(tmp_path: Path, answer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    flat = save(tmp_path / "flat.obj", CORNERS * (1.0, 1.0, 0.0), FACES[:100])
+    for words in ("cannot be mended", "Blender"):
+        assert words in answer("mend", flat)[1]["error"]["message"]
+    torn = save(tmp_path / "torn.obj", CORNERS, TORN)
+    with monkeypatch.context() as patched:
+        patched.setattr(mending, "LONGEST", 0.01)
+        assert "did not end within" in answer("mend", torn)[1]["error"]["message"]
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    assert "broke off" in answer("mend", torn)[1]["error"]["message"]
+    assert not list(tmp_path.glob("*mended*"))
+
+
+def test_list_and_clear(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    assert answer("list") == (0, {"folder": str(folder()), "meshes": []})
+    for name, solid in (("ball", BALL), ("box", trimesh.creation.box((0.05, 0.06, 0.07)))):
+        ObjectDescription.from_mesh(save(tmp_path / f"{name}.obj", solid.vertices, solid.faces))
+    (folder() / "spoiled.npz").write_bytes(b"no archive")
+    told = {entry["name"]: entry for entry in answer("list")[1]["meshes"]}
+    assert {name: entry["pieces"] for name, entry in told.items()} == {"ball.obj": 1, "box.obj": 1, "(not readable)": None}  # fmt: skip
+    assert all(entry["bytes"] > 0 for entry in told.values())
+    assert main(["object", "list"]) == 0
+    assert f"in {folder()}\n" in capsys.readouterr().out
+    assert answer("clear")[1]["removed"] == 3
+    assert list(folder().iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("show", "needs a FILE"),
+        ("list {ball}", "belongs to `grasp object show` and `grasp object mend`"),
+        ("show {ball} --out a.obj", "--out belongs to `grasp object mend`"),
+        ("show {ball} --draw a.jpg", "must end in .png"),
+        ("show {ball} --scale 100", "give --scale 0.001"),
+        ("mend nowhere.txt", ".obj, .stl"),
+        ("show {ball} --draw /nowhere/a.png", "/nowhere"),
+    ],
+)
+def test_errors_are_one_line(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ball = save(tmp_path / "ball.obj", CORNERS, FACES)
+    assert main(["object", *words.format(ball=ball).split()]) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
 
 
 def fail(*_: Any, **__: Any) -> Any:
     raise AssertionError("this should come from the cache")
 
 
-def save(path: Path, *sides: float) -> str:
+def box(path: Path, *sides: float) -> str:
     creation.box(sides or (0.06, 0.05, 0.04)).export(path)
     return str(path)
 
@@ -45,7 +174,7 @@ def make(value: float = 3.0) -> Callable[[], dict[str, Any]]:
 
 
 def test_entries_are_found_by_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = save(tmp_path / "a.obj")
+    path = box(tmp_path / "a.obj")
     item = ObjectDescription.from_mesh(path)
     (entry,) = entries()
     assert (entry.name, entry.use, entry.path.parent) == ("a.obj", "object", folder())
@@ -53,25 +182,19 @@ def test_entries_are_found_by_content(tmp_path: Path, monkeypatch: pytest.Monkey
     assert entry.size == entry.path.stat().st_size
     monkeypatch.setattr(mesh, "_processed", fail)
     mesh._load.cache_clear()
-    for again in (ObjectDescription.from_mesh(path), ObjectDescription.from_mesh(save(tmp_path / "b.obj"))):
+    for again in (ObjectDescription.from_mesh(path), ObjectDescription.from_mesh(box(tmp_path / "b.obj"))):
         np.testing.assert_array_equal(again.faces[0], item.faces[0])
         np.testing.assert_array_equal(again.pieces[0], item.pieces[0])
         assert again.moments == item.moments
     ObjectDescription.from_mesh(path, 0.5)  # the scale is not part of the content
     assert len(entries()) == 1
     with pytest.raises(AssertionError, match="from the cache"):
-        ObjectDescription.from_mesh(save(tmp_path / "a.obj", 0.06, 0.05, 0.041))
-    assert clear() == 1
-    assert entries() == []
-    assert clear() == 0
+        ObjectDescription.from_mesh(box(tmp_path / "a.obj", 0.06, 0.05, 0.041))
+    cached("newer", "newer", make())
+    os.utime(folder() / "newer.npz", (time.time() + 50.0,) * 2)
+    assert [each.name for each in entries()] == ["newer", "a.obj"]
+    assert (clear(), entries(), clear()) == (2, [], 0)
     assert list(folder().iterdir()) == []
-
-
-def test_the_newest_entry_comes_first() -> None:
-    for age, name in ((50.0, "old"), (0.0, "new"), (99.0, "older")):
-        cached(name, name, {"value"}, make())
-        os.utime(folder() / f"{name}.npz", (time.time() - age, time.time() - age))
-    assert [entry.name for entry in entries()] == ["new", "old", "older"]
 
 
 @pytest.mark.parametrize(
@@ -79,25 +202,24 @@ def test_the_newest_entry_comes_first() -> None:
     [
         lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
         lambda path: path.write_bytes(b""),
-        lambda path: np.savez(path, other=np.zeros(3)),
         lambda path: np.savez(path, value=np.array([Path()], dtype=object)),  # a pickle would run code
     ],
-    ids=["half", "empty", "other arrays", "a pickle"],
+    ids=["half", "empty", "a pickle"],
 )
 def test_a_damaged_entry_is_made_anew(spoil: Callable[[Path], Any]) -> None:
-    cached("key", "name", {"value"}, make(1.0))
+    cached("key", "name", make(1.0))
     spoil(folder() / "key.npz")
     assert len(entries()) == 1
-    assert cached("key", "name", {"value"}, make(2.0))["value"] == 2.0
-    assert cached("key", "name", {"value"}, fail)["value"] == 2.0
+    assert cached("key", "name", make(2.0))["value"] == 2.0
+    assert cached("key", "name", fail)["value"] == 2.0
 
 
-def test_without_a_folder_locks_or_patience(cache_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_folder_locks_or_patience(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """None of these is an error, and none takes long."""
     monkeypatch.setattr(cache, "LONGEST_WAIT", 0.3)
     begun = time.monotonic()
     with cache._locked(folder() / "key.npz"):
-        assert cached("key", "name", {"value"}, make())["value"] == 3.0
+        assert cached("key", "name", make())["value"] == 3.0
     assert 0.25 < time.monotonic() - begun < 10.0
     monkeypatch.setattr(cache, "LONGEST_WAIT", 150.0)
 
@@ -105,11 +227,11 @@ def test_without_a_folder_locks_or_patience(cache_folder: Path, monkeypatch: pyt
         raise OSError(38, "no locks here")
 
     monkeypatch.setattr(cache.fcntl, "flock", refuse)
-    assert cached("second", "name", {"value"}, make())["value"] == 3.0
-    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_folder / "file"))
-    (cache_folder / "file").write_text("not a folder")
+    assert cached("second", "name", make())["value"] == 3.0
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    (tmp_path / "file").write_text("not a folder")
     for value in (1.0, 2.0):
-        assert cached("key", "name", {"value"}, make(value))["value"] == value
+        assert cached("key", "name", make(value))["value"] == value
     assert (entries(), clear()) == ([], 0)
     assert time.monotonic() - begun < 30.0
 
@@ -125,7 +247,7 @@ def make():
     time.sleep(0.5)
     return {"value": np.arange(5)}
 
-print(cached("key", "name", {"value"}, make)["value"].sum())
+print(cached("key", "name", make)["value"].sum())
 """
 
 

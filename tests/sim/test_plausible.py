@@ -85,9 +85,7 @@ def moment(made: Link) -> float:
         (BOX + "".join(joint(n, "palm", f"{n}1") + link(f"{n}1", 0.9, 3.0) for n in "abcd"), "links weigh 12 kg together", "mass", 3.0),
     ],
 )  # fmt: skip
-def test_implausible_values_are_replaced_and_told(
-    tmp_path: Path, text: str, words: str, field: str, value: float
-) -> None:
+def test_implausible_values_are_replaced(tmp_path: Path, text: str, words: str, field: str, value: float) -> None:
     made, told = read(tmp_path, text)
     first = made.links[-1 if text in (SEEN, UNSEEN) else 0]
     assert (moment(first) if field == "moment" else getattr(first, field)) == pytest.approx(value, rel=0.05)

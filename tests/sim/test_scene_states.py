@@ -60,18 +60,6 @@ def test_reset_is_exact(make_scene: Callable[..., Scene], make_holder: Callable,
         held.reset("setled")
 
 
-def test_scenes_of_one_process_are_independent(make_scene: Callable[..., Scene], make_holder: Callable) -> None:
-    """Whatever the number of their server, and with visual shapes or without."""
-    scenes = [make_scene(visuals=visuals) for visuals in (False, True)]
-    for scene in scenes:
-        make_holder().settle(scene, duration=0.1)
-    first = record(scenes[0], make_holder())
-    make_scene(gravity=(0.0, 0.0, 0.0)).close()
-    for scene in scenes:
-        scene.reset("settled")
-        np.testing.assert_array_equal(record(scene, make_holder()), first)
-
-
 def test_loading_another_object_and_back_is_exact(held: Scene, make_holder: Callable) -> None:
     """An object out of reach leaves the scene unchanged."""
     config = held.config

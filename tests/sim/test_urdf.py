@@ -63,9 +63,8 @@ def test_a_written_hand_reads_as_itself(tmp_path: Path, name: str) -> None:
 def test_a_users_hand_is_that_of_its_file() -> None:
     """Frames and masses are compared with PyBullet in test_kinematics."""
     made = crooked()
-    assert made.joint_names == (
-        "c_swing", "palm_fold", "b_root", "b_curl", "a_root", "a_curl", "c_curl", "c_hook", "b_hook",
-    )  # fmt: skip
+    names = "c_swing palm_fold b_root b_curl a_root a_curl c_curl c_hook b_hook"
+    assert made.joint_names == tuple(names.split())
     assert (made.palm.name, made.finger_names) == ("base", CROOKED_TIPS)
     assert made.torque_limits.tolist() == [4.0, 6.0, 2.5, 3.5, 2.0, 3.0, 4.0, 3.0, 3.0]
     endless, first = made.links[2], made.links[4]
@@ -95,12 +94,6 @@ def test_visual_meshes_are_left_out_and_tip_radius_makes_a_tip(tmp_path: Path) -
     assert [shape.kind for shape in made.links[0].collision + made.links[0].visual] == ["sphere", "sphere"]
 
 
-@pytest.mark.parametrize(("given", "limit"), [([3.0], 3.0), ({"bend": 3.0}, 3.0), ({}, 2.0)])
-def test_torques_are_those_given_else_those_of_the_file(tmp_path: Path, given: Any, limit: float) -> None:
-    made, told = read(tmp_path, SMALL, torque_limit=given)
-    assert (made.torque_limits.tolist(), told) == ([limit], "")
-
-
 def test_coupled_and_sliding_joints_are_read(tmp_path: Path) -> None:
     made, _ = read(tmp_path, CHAINED, ["end"])
     links = {each.joint: each for each in made.links}
@@ -128,7 +121,8 @@ def test_everything_wrong_with_a_file_is_told_at_once(tmp_path: Path) -> None:
 def test_all_repairs_are_told_at_once(tmp_path: Path) -> None:
     look = '<visual><geometry><mesh filename="a.glb"/></geometry></visual>'
     (tmp_path / "a.glb").touch()
-    made, told = read(tmp_path, small(SPHERE + look).replace(INERTIAL, "").replace('effort="2"', 'effort="0"'))
+    text = small(SPHERE + look).replace(INERTIAL, "").replace('effort="2"', 'effort="0"')
+    made, told = read(tmp_path, f'<!-- a licence -->\n<?xml version="1.0"?>{text}')
     for repair in (
         "effort 0 of 'bend'",
         "get that of their shapes at 1 g/cm^3: 'finger'",
@@ -168,13 +162,6 @@ def test_inertias_of_no_body_become_the_nearest_of_one(tmp_path: Path, given: tu
     assert np.linalg.norm(others - wrong, axis=(1, 2)).min() > 0.98 * distance - 1e-6
 
 
-def test_names_of_all_kinds_and_comments_before_the_declaration(tmp_path: Path) -> None:
-    text = SMALL.replace('name="bend"', 'name="&lt;bend &amp; &quot;turn&quot;&gt;"')
-    made, _ = read(tmp_path, f'<!-- a licence -->\n<?xml version="1.0"?>{text}')
-    assert made.joint_names == ('<bend & "turn">',)
-    assert read(tmp_path, hand_urdf(made))[0].joint_names == made.joint_names
-
-
 EXTRA = joint("bend_2", "palm", "finger_2")
 END, DRIVE, RATIO = "</robot>", '<mimic joint="drive"', 'multiplier="1.5"'
 
@@ -183,7 +170,6 @@ END, DRIVE, RATIO = "</robot>", '<mimic joint="drive"', 'multiplier="1.5"'
     ("old", "new", "message"),
     [
         (END, "", "is not XML: no element found"),
-        (END, f'<link name="spare"/>{END}', "2 links are carried by no joint, 'palm', 'spare'"),
         (END, f'<link name="palm"/>{END}', "two links are called 'palm'"),
         (END, f"{EXTRA.replace('finger_2', 'finger')}{END}", "'finger' is the child of two joints, 'bend' and"),
         (END, f"{EXTRA}{END}", "joint 'bend_2' names the link 'finger_2', which is not in the file"),
@@ -194,17 +180,14 @@ END, DRIVE, RATIO = "</robot>", '<mimic joint="drive"', 'multiplier="1.5"'
         ("revolute", "fixed", "no joint moves"),
         ('xyz="0 2 0"', 'xyz="0 0 0"', "joint 'bend': the axis .* has no direction"),
         ('xyz="0 2 0"', 'xyz="0 0"', r"must have shape \(3,\), got \(2,\)"),
-        ('xyz="0 2 0"', 'xyz="0 nan 1"', "must be finite"),
         ('lower="-1"', 'lower="2"', "joint 'bend', <limit> .*lower=2.0 must be below upper=1.0"),
         ('<child link="finger"/>', "", "joint 'bend' names no child"),
         ('mass value="0.1"', 'mass value="-1"', "mass=-1.0 kg must be above 0"),
         (SPHERE, "", "fingertip 'finger' has no shape to lie in; pass tip_radius="),
         ("<sphere", "<cone", "the shape <cone> is not one of"),
-        ('radius="0.01"', 'radius="0"', "size=.* must be above 0"),
         ('link name="finger"', "link", "<link> has no name"),
         (DRIVE, '<mimic joint="tip"', "the joints 'mid', 'tip' mimic each other in a loop"),
         (DRIVE, '<mimic joint="none"', "'mid' mimics 'none', which is not a joint of the file; joints are"),
-        (RATIO, 'multiplier="0"', "ratio=0.0 does not move the joint"),
         ('name="drive" type="revolute"', 'name="drive" type="fixed"', "mimics 'drive', which does not move"),
     ],
 )
@@ -219,19 +202,14 @@ def test_files_that_are_no_hand_are_refused(tmp_path: Path, old: str, new: str, 
     ("options", "message"),
     [
         *(({"torque_limit": given}, "torque_limit") for given in (0.0, [1.0, 2.0], {"ja": 1.0}, {"ia": 0.0}, "3")),
-        ({"joint_limits": {"no": (0.0, 1.0)}}, "joint_limits: no joint is called 'no'; joints are 'ia'"),
         ({"joint_limits": {"ia": 1.0}}, r"joint_limits of 'ia'=1.0 must be \(lower, upper\)"),
-        ({"joint_limits": {"ia": (1.0, 0.0)}}, "joint_limits of 'ia': lower=1.0 must be below upper=0.0"),
         ({"joint_limits": [(0.0, 1.0)]}, "joint_limits=.* must be a dict with names of joints as keys"),
         ({"inertials": {"palm": 0.1}}, "inertials: no moving link is called 'palm'; moving links are 'i1'"),
-        ({"inertials": {"i1": 0.0}}, r"inertials of 'i1': mass \[kg\] must be finite and > 0"),
         ({"inertials": {"i1": (0.1, (0, 0, 0))}}, r"must be a mass \[kg\], or \(mass, center, inertia\)"),
         ({"inertials": {"i1": (0.1, (0, 0, 0), (1, 0, 0, 1, 0, 9))}}, "inertials of 'i1': inertia=.* the principal moments"),
-        ({"fingertips": ("thumb", "i1", "toe")}, "no link is called 'thumb', 'toe'; links are 'palm', 'i1'"),
         ({"fingertips": ("palm",)}, "'palm' does not move, it is part of the palm"),
         ({"fingertips": ("i1", "i1")}, "two fingertips are called 'i1'"),
         *(({"fingertips": tips}, "fingertips=.* must be a list of one link name or more") for tips in ((), 0, "i1", {"i1": 1.0})),
-        ({"fingertips": {"i1": ((0.0, 0.0), 0.1)}}, r"fingertips: point .* of 'i1' must have shape \(3,\)"),
         ({"fingertips": {"i1": ((0.0, 0.0, 0.0), -1.0)}}, "fingertips: radius .* must be finite and > 0"),
         ({"palm": ""}, "palm='' must be a name"),
     ],
@@ -261,9 +239,7 @@ CALLS = f"""<robot name="made" xmlns:xacro="{SPACE}"><xacro:arg name="gap" defau
 <xacro:finger name="left" y="$(arg gap)"/><xacro:finger name="right" y="-0.04"/></robot>"""
 
 
-def test_xacro_files_find_packages_beside_their_own_and_files_beside_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_xacro_files_find_packages_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, file, text in (("parts", "finger.xacro", MACRO), ("hand", "hand.urdf.xacro", CALLS)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "package.xml").write_text(f"<package><name>{name}</name></package>")

@@ -14,22 +14,14 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
 
-DEVIATION = math.radians(30.0)
-"""Largest angle between the direction from the palm to the object and the wanted one [rad]."""
-SIDE = "side"
-"""Name of all horizontal directions."""
-DIRECTIONS = {"down": (0.0, -1.0, 0.0), "up": (0.0, 1.0, 0.0), SIDE: None}
-"""Directions by name, world frame. Gravity is along -y: with "down" the palm is above the object."""
+DEVIATION = math.radians(30.0)  # largest angle between the direction from the palm to the object and the wanted one
+DIRECTIONS = {"down": (0.0, -1.0, 0.0), "up": (0.0, 1.0, 0.0), "side": None}
+"""Directions by name, world frame; "side" is any horizontal one. Gravity is along -y: with "down" the palm is above the object."""
 _PROBE, _STEP = 0.002, 1e-4  # diameter of the ball that probes for the palm, and its steps [m]
 
 
 def as_approach(value: Any, name: str) -> str | tuple[float, float, float]:
-    """Check a wanted direction, world frame: return a name in `DIRECTIONS`, or a vector (3,) with unit length.
-
-    Raises:
-        UnknownNameError: The name is not in `DIRECTIONS`.
-        InvalidInputError: It is not a direction.
-    """
+    """Check a wanted direction, world frame: return a name in `DIRECTIONS`, or a vector (3,) with unit length."""
     if as_text(value) is not None:
         return choice(value, name, DIRECTIONS, ", or give the direction (3,) from the palm to the object, world frame")
     given = as_array(value, (3,), name)
@@ -43,11 +35,7 @@ def as_approach(value: Any, name: str) -> str | tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Approach:
-    """A wanted direction from the palm to the object.
-
-    Attributes:
-        wanted: See `as_approach`.
-    """
+    """A wanted direction from the palm to the object, see `as_approach`."""
 
     wanted: str | tuple[float, float, float]
 

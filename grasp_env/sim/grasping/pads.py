@@ -9,7 +9,7 @@ import numpy as np
 from grasp_env._check import Array
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
-from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Vector3
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link
 from grasp_env.sim.objects.description import ObjectDescription
 
 PATCH_RADIUS = 0.012
@@ -50,10 +50,11 @@ def with_protruding_tips(hand: HandDescription) -> HandDescription:
     way /= max(float(np.linalg.norm(way)), 1e-9)
     links, moved = list(hand.links), list[Fingertip]()
     for tip, number, towards in zip(hand.fingertips, kinematics.tip_links.tolist(), (way, -way), strict=True):
-        step = _step_to_protrude(links[number], tip, frames[number].T @ towards)
-        x, y, z = (np.array(tip.center) + step * (frames[number].T @ towards)).tolist()
+        inward, link = frames[number].T @ towards, links[number]
+        x, y, z = (np.array(tip.center) + _step_to_protrude(link, tip, inward) * inward).tolist()
         moved.append(replace(tip, center=(x, y, z)))
-        links[number] = _with_sphere(links[number], tip, (x, y, z))
+        shapes = (replace(shape, origin=(x, y, z)) if _is_sphere(shape, tip) else shape for shape in link.collision)
+        links[number] = replace(link, collision=tuple(shapes))
     return replace(hand, links=tuple(links), fingertips=tuple(moved))
 
 
@@ -62,20 +63,10 @@ def _step_to_protrude(link: Link, tip: Fingertip, way: Array) -> float:
     from grasp_env.sim.hand.solids import outline  # imports scipy, which other hands do not need
 
     front = float(np.dot(tip.center, way)) + tip.radius
-    steps = [
-        _PROTRUSION + outline(shape) @ way - front
-        for shape in link.collision
-        if not _is_sphere(shape, tip) and shape.kind != "mesh"
-    ]
-    needed = np.concatenate([*steps, np.zeros(1)])
+    others = [shape for shape in link.collision if not _is_sphere(shape, tip) and shape.kind != "mesh"]
+    needed = np.concatenate([np.zeros(1), *(_PROTRUSION + outline(shape) @ way - front for shape in others)])
     return float(needed[needed <= _MAX_STEP].max(initial=0.0))
 
 
 def _is_sphere(shape: Geometry, tip: Fingertip) -> bool:
     return shape.kind == "sphere" and bool(np.allclose(shape.origin, tip.center, atol=1e-9))
-
-
-def _with_sphere(link: Link, tip: Fingertip, center: Vector3) -> Link:
-    """Return the link with the sphere of its tip moved."""
-    shapes = (replace(shape, origin=center) if _is_sphere(shape, tip) else shape for shape in link.collision)
-    return replace(link, collision=tuple(shapes))

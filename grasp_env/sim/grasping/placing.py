@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations
@@ -104,9 +105,8 @@ def _placed(
     faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
     best: tuple[float, float, HandDescription] | None = None
     for attempt in range(_MAX_ATTEMPTS):
-        sites, facing = find_sites(
-            hand, item, rng, least, _SITES, pushed=(attempt % 2 == 0) == (item.shape != "cuboid")
-        )
+        pushed = (attempt % 2 == 0) == (item.shape != "cuboid")
+        sites, facing = find_sites(hand, item, rng, least, _SITES, pushed)
         places, faced = places + len(sites), faced | facing
         palms = [None if approach is None else trials.palm(site) for site in sites]
         found: list[_Candidate] = []
@@ -142,15 +142,11 @@ def _placed(
             break
     if best is not None:
         return best[2]
-    counts = ", ".join(
-        f"{count} {what}" for what, count in sorted(trials.faults.items(), key=lambda pair: -pair[1]) if count
-    )
-    aside = (
-        f", at {min(astray, places)} of which no side of the object comes from approach={approach}" if astray else ""
-    )
+    counts = ", ".join(f"{count} {what}" for what, count in trials.faults.most_common() if count)
+    aside = f", at {min(astray, places)} of which no side of the object comes from approach={approach}"
     raise InvalidInputError(
         f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape} of "
-        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{aside}; of the "
+        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{aside if astray else ''}; of the "
         f"candidates tried there {counts or 'none is left'}. {'' if places else _never_facing(hand, faced)}{_wide_joints(hand)}Use an object of another size or "
         "more friction, another seed, or place the hand by `HandDescription.moved` and `home`"
     )
@@ -160,36 +156,33 @@ def _never_facing(hand: HandDescription, faced: NDArray[np.bool_]) -> str:
     """Return a sentence about fingers that never face each other, or ""."""
     names = hand.finger_names
     pairs = [f"{names[i]} and {names[j]}" for i, j in combinations(range(len(names)), 2) if not faced[i, j]]
-    if not pairs:
-        return ""
-    if not faced.any():
+    if pairs and not faced.any():
         return f"No two of its fingers ({', '.join(names)}) face each other with room for the object between them. "
-    more = f" and {len(pairs) - _LISTED} more pairs" if len(pairs) > _LISTED else ""
-    return f"Within their ranges these fingers never face each other: {'; '.join(pairs[:_LISTED])}{more}. "
+    text = f"Within their ranges these fingers never face each other: {_listed(pairs, '; ', ' pairs')}. "
+    return text if pairs else ""
 
 
 def _wide_joints(hand: HandDescription) -> str:
     """Return a sentence about joints whose ranges are wider than those of fingers, or ""."""
     wide = [link.joint for link in hand.links if not link.sliding and not link.upper - link.lower < _WIDE]
-    if not wide:
-        return ""
-    more = f" and {len(wide) - _LISTED} more" if len(wide) > _LISTED else ""
-    return (
-        f"Joints that turn by more than {_WIDE:g} rad are seldom those of a finger: {', '.join(wide[:_LISTED])}{more}; give the true ranges "
-        "as joint_limits={joint: (lower, upper)} to from_urdf. "
+    text = (
+        f"Joints that turn by more than {_WIDE:g} rad are seldom those of a finger: {_listed(wide)}; give the true ranges as "
+        "joint_limits={joint: (lower, upper)} to from_urdf. "
     )
+    return text if wide else ""
+
+
+def _listed(names: list[str], between: str = ", ", kind: str = "") -> str:
+    more = f" and {len(names) - _LISTED} more{kind}" if len(names) > _LISTED else ""
+    return between.join(names[:_LISTED]) + more
 
 
 class _Trials:
-    """Trial grasps of one object by one hand in many poses.
-
-    Attributes:
-        faults: Number of rejected candidates, by reason.
-    """
+    """Trial grasps of one object by one hand in many poses, and the number of rejected candidates by reason."""
 
     def __init__(self, hand: HandDescription, item: ObjectDescription) -> None:
         self.hand, self.item = with_protruding_tips(hand), item
-        self.faults: dict[str, int] = {}
+        self.faults = Counter[str]()
         self._pairs = touching_pairs(hand, at_home=False)
         self._parts: dict[tuple[int, ...], tuple[HandKinematics, core.HandLimbs]] = {}
 
@@ -200,8 +193,7 @@ class _Trials:
             candidate = self._met(_Candidate(fingers, site.posture, turn, shift))
             search = self._search(candidate)
             plan = search.run(rng, tries, _RAYS)
-            for what, count in search.faults.items():
-                self.faults[what] = self.faults.get(what, 0) + count
+            self.faults.update(search.faults)
             if plan is not None:
                 return candidate._replace(home=plan.start)
             if not max(search.short):
@@ -246,20 +238,15 @@ class _Trials:
         kinematics = self._part(candidate.fingers)[0]
         moves = [kinematics.jacobian(plan.angles, finger) for finger in range(len(candidate.fingers))]
         levers = [np.linalg.svd(move, compute_uv=False) for move in moves]
-        made = (
-            [1.0]
-            if len(moves) == SOFT_PAIR
-            else [
-                float(np.linalg.norm(motor_force_basis(move[:, own]).T @ candidate.turn.T @ normal))
-                for move, own, normal in zip(moves, kinematics.carries, plan.normals, strict=True)
-            ]
-        )
+        made = [
+            float(np.linalg.norm(motor_force_basis(move[:, own]).T @ candidate.turn.T @ normal))
+            for move, own, normal in zip(moves, kinematics.carries, plan.normals, strict=True)
+        ]
+        share = 1.0 if len(moves) == SOFT_PAIR else max(min(made), _MIN_MADE)
         ratios = [values[-1] / values[0] for values in levers if values[-1] > _PLANAR * values[0]]
         idle = self.hand.finger_count - len(candidate.fingers)
         uneven = max(1.0, _EVEN / min(ratios, default=1.0))
-        return (
-            plan.force * _IDLE**idle * uneven**2 * max(min(made), _MIN_MADE) ** -_MADE * (_ROOM / plan.clearance) ** 0.5
-        )
+        return plan.force * _IDLE**idle * uneven**2 * share**-_MADE * (_ROOM / plan.clearance) ** 0.5
 
     def placed(self, candidate: _Candidate) -> HandDescription:
         """Return the hand in the pose of a candidate."""

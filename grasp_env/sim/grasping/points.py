@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,33 +13,24 @@ from grasp_env import core
 from grasp_env._check import Array, as_array
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.presets import paper_cuboid
-from grasp_env.sim.config import START_CLEARANCE, SceneConfig
+from grasp_env.sim.config import ON_SURFACE, START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
-FRICTION_MARGIN = 0.85
-"""Share of the friction that a grasp may use."""
-ON_SURFACE = 1e-4
-"""Largest distance of a given point from the surface [m]."""
-LARGEST_FORCE = 500.0
-"""Largest total normal force of a grasp in the worst case [N]."""
-
+FRICTION_MARGIN = 0.85  # share of the friction that a grasp may use
+LARGEST_FORCE = 500.0  # largest total normal force of a grasp in the worst case [N]
 _GRAVITY, _PUSH, _TURN = 9.81, 2.0, 0.06  # loads that rate a grasp [m/s^2], [N], [N m]
 _ASIDE = 1e-3  # distance at which a given normal is tested [m]
 _SPACE = 0.003  # least distance between fingers [m]
 _PLACES, _RAYS, _STARTS, _ROUNDS = 20, 140, 20, 8
 _SPREAD = 0.7  # spread of the directions in which places are sought
-_MARGINS = (
-    (0.005, 0.1, 0.003, 0.0003),
-    (0.003, 0.02, 0.0015, 0.0006),
-    (0.001, 0.0, 0.0005, 0.0015),
-)  # flat surface [m], distance from joint limits [rad], clearance [m], distance to a mesh's pieces [m]; easier row by row
+# flat surface [m], distance from joint limits [rad], clearance [m], distance to a mesh's pieces [m]; easier row by row
+_MARGINS = ((0.005, 0.1, 0.003, 0.0003), (0.003, 0.02, 0.0015, 0.0006), (0.001, 0.0, 0.0005, 0.0015))
 _DIRECTIONS = 120
 _TRIES = 3  # runs with the easier margins
-_NO_CLOSURE = "without force closure"
 _MISSES = (
     "too near to an edge",
     "out of reach",
@@ -81,13 +73,7 @@ class GraspPlan:
 def grasp_points(
     item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None
 ) -> tuple[Array, Array]:
-    """Find contacts with which the hand holds the object: `plan_grasp` without the angles.
-
-    Returns:
-        Points [m] and inward unit normals, (N, 3) each, object frame, in the order of the fingers.
-
-    Raises:
-        InvalidInputError: See `plan_grasp`.
+    """Find contacts with which the hand holds the object: points [m] and inward unit normals, (N, 3) each, of `plan_grasp`.
 
     Example:
         >>> hand = HandKinematics(HandDescription.four_finger())
@@ -128,13 +114,9 @@ def plan_grasp(
 def _plan_of_points(item: ObjectDescription, kinematics: HandKinematics, points: Array, normals: Array) -> GraspPlan:
     """Return the plan for given contacts."""
     engine = engine_of(quiet=True)  # nothing is simulated
-    at, start = (
-        SceneConfig(
-            kinematics.hand, item, tuple(map(tuple, points.tolist())), clearance=away, engine=engine
-        ).nominal_tips()
-        for away in (0.0, START_CLEARANCE)
-    )
-    return GraspPlan(points, normals, kinematics.solve(at), kinematics.solve(start), np.inf, 0.0)
+    at = SceneConfig(kinematics.hand, item, tuple(map(tuple, points.tolist())), engine=engine)
+    angles, start = (kinematics.solve(config.nominal_tips()) for config in (at, replace(at, clearance=START_CLEARANCE)))
+    return GraspPlan(points, normals, angles, start, np.inf, 0.0)
 
 
 def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -183,46 +165,27 @@ def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike 
 
 
 class GraspSearch:
-    """Search for a grasp of one object by one hand: pools of places for each finger, choices among them, postures of the whole hand.
+    """Search for a grasp of one object by a hand, whose limbs are in its pose.
 
-    Args:
-        item: The object.
-        limbs: Limbs of the hand in its pose.
-        hand: The hand, for names and numbers.
-
-    Attributes:
-        faults: Number of rejected candidates, by reason.
-        short: Number of times that each finger found no place, (N,).
+    It makes pools of places for each finger, chooses among them, and finds postures of the whole hand. It counts rejected candidates by
+    reason in `faults`, and how often each finger found no place in `short`.
     """
 
     def __init__(self, item: ObjectDescription, limbs: core.HandLimbs, hand: HandDescription) -> None:
         self.item, self.limbs, self.hand = item, limbs, hand
-        self.faults: dict[str, int] = {}
+        self.faults = Counter[str]()
         self.short = [0] * hand.finger_count
         self._gap = limbs.palm_gap(item.surface)
         length = 0.5 * float(np.mean(item.extent))
         self._spread = [*item.extent, *[2.0 * _SPREAD] * 3]
         self.core = core.GraspSearch.make(
-            limbs,
-            item.surface,
-            friction=FRICTION_MARGIN * item.friction * hand.tip_friction,
-            torsion=FRICTION_MARGIN * item.torsional_friction * hand.tip_friction,
-            length=length,
-            space=_SPACE,
-            start=START_CLEARANCE,
-            gravity=(0.0, -_GRAVITY, 0.0),
-            loads=_loads(item.mass, length),
-            directions=_spread_directions(),
-        )
+            limbs, item.surface, friction=FRICTION_MARGIN * item.friction * hand.tip_friction,
+            torsion=FRICTION_MARGIN * item.torsional_friction * hand.tip_friction, length=length, space=_SPACE, start=START_CLEARANCE,
+            gravity=(0.0, -_GRAVITY, 0.0), loads=_loads(item.mass, length), directions=_spread_directions(),
+        )  # fmt: skip
 
     def run(self, rng: np.random.Generator, tries: int = _TRIES, rays: int = _RAYS) -> GraspPlan | None:
-        """Search for a grasp, with new random places and easier margins after each failure; None if there is none.
-
-        Args:
-            rng: Random generator.
-            tries: Runs with each of the easier margins.
-            rays: Number of rays along which places are sought, per finger and run.
-        """
+        """Search for a grasp, with new places along `rays` and easier margins, `tries` times each, after each failure; None if none is found."""
         if self._gap < _MARGINS[-1][2]:
             return None
         for margins in _MARGINS[:1] + _MARGINS[1:] * tries:
@@ -230,11 +193,11 @@ class GraspSearch:
                 self.core.fill(finger, rng.random((rays, 6)), self._spread, margins, _PLACES)
                 for finger in range(self.hand.finger_count)
             ]
-            self._count_faults(counts)
-            if min(counts) > 0:
-                found = self._best(rng, margins[2])
-                if found is not None:
-                    return found
+            for finger, count in enumerate(counts):
+                self.short[finger] += count == 0
+                self.faults.update(dict(zip(_MISSES, self.core.misses(finger), strict=True)))
+            if min(counts) > 0 and (found := self._best(rng, margins[2])) is not None:
+                return found
         return None
 
     def reason(self) -> str:
@@ -259,12 +222,6 @@ class GraspSearch:
             "or use a hand with more fingers or another palm pose"
         )
 
-    def _count_faults(self, counts: list[int]) -> None:
-        for finger, count in enumerate(counts):
-            self.short[finger] += count == 0
-            for what, number in zip(_MISSES, self.core.misses(finger), strict=True):
-                self.faults[what] = self.faults.get(what, 0) + number
-
     def _best(self, rng: np.random.Generator, clearance: float) -> GraspPlan | None:
         """Return the best choice for which the whole hand has a posture that touches at the tips only, or None."""
         fingers, joints = self.hand.finger_count, self.hand.joint_count
@@ -274,13 +231,13 @@ class GraspSearch:
         self.core.choose(picks.tolist(), forces, points, normals, choices)
         for turn in np.argsort(forces, kind="stable"):
             if forces[turn] > LARGEST_FORCE:
-                self.faults[_NO_CLOSURE] = self.faults.get(_NO_CLOSURE, 0) + 1
+                self.faults["without force closure"] += 1
                 return None
             angles, start = np.empty(joints), np.empty(joints)
             fault = self.core.assemble([int(place) for place in choices[turn]], clearance, angles, start)
             if fault == 0:
                 return GraspPlan(points[turn], normals[turn], angles, start, float(forces[turn]), clearance)
-            self.faults[_FAULTS[fault - 1]] = self.faults.get(_FAULTS[fault - 1], 0) + 1
+            self.faults[_FAULTS[fault - 1]] += 1
         return None
 
 
@@ -298,9 +255,8 @@ def _four_finger() -> HandDescription:
 
 @lru_cache(maxsize=8)
 def _limbs(kinematics: HandKinematics) -> core.HandLimbs:
-    return core.HandLimbs.make(
-        kinematics.tree, hand_limbs(kinematics.hand), kinematics.home, touching_pairs(kinematics.hand)
-    )
+    hand = kinematics.hand
+    return core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home, touching_pairs(hand))
 
 
 @lru_cache(maxsize=1)

@@ -19,15 +19,11 @@ from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
 from grasp_env.sim.hand.limbs import hand_limbs
 from grasp_env.sim.objects.description import ObjectDescription
 
-_ROUNDS, _POSTURES = (
-    40,
-    200,
-)  # rounds at most; postures in each, with the same angles of joints that move several fingers
+_ROUNDS = 40
+_POSTURES = 200  # in each round, with the same angles of joints that move several fingers
 _LOCKED_ROUNDS = 4  # rounds for hands with one motor, whose postures form a line
-_PAIRS, _ACROSS = (
-    30_000,
-    0.7,
-)  # pairs of tips in a round; least distance of a pair over the largest at which both touch the ball
+_PAIRS = 30_000  # pairs of tips in a round
+_ACROSS = 0.7  # least distance of a pair over the largest at which both touch the ball
 _CENTERS, _DRAWS = 1000, 6  # centres in a round; postures drawn for each further finger at each
 _NEAR = 0.008  # largest gap between a tip and the ball [m]
 _CLEAR = 0.001  # least distance between the rest of a finger and the object [m]
@@ -40,7 +36,7 @@ _LOOKS = 40  # rotations drawn to find one with the wanted direction of the palm
 _PLAIN, _FEW = (
     2,
     20,
-)  # rounds that use the whole ranges of joints; number of sites below which later rounds use parts of them
+)  # rounds that use whole ranges of joints; number of sites below which later rounds use parts of them
 _SPAN = 0.8  # largest part of a range in these rounds [rad]
 _PARTS = 3  # parts of a range in turn: lower end, middle, upper end
 _BESIDE = 0.1  # standard deviation of half of the later postures around those of sites found [rad]
@@ -50,39 +46,20 @@ _INSIDE = 0.05  # margin of first postures at the ends of a joint's range, relat
 
 @dataclass(frozen=True)
 class Site:
-    """A site for the object in the hand.
+    """A site for the object in the hand, hand frame."""
 
-    Attributes:
-        center: Centre of the object [m], (3,), hand frame.
-        posture: Joint angles of the hand [rad], (M,).
-        fingers: Fingers that touch.
-        axis: Unit direction along which they push, (3,), hand frame.
-        score: Rating; smaller is better.
-    """
-
-    center: Array
-    posture: Array
-    fingers: tuple[int, ...]
-    axis: Array
-    score: float
+    center: Array  # of the object [m]
+    posture: Array  # joint angles of the hand [rad], (M,)
+    fingers: tuple[int, ...]  # that touch
+    axis: Array  # unit direction along which they push
+    score: float  # smaller is better
 
     def turned(
-        self,
-        rng: np.random.Generator,
-        item: ObjectDescription,
-        palm: Array | None = None,
-        approach: Approach | None = None,
+        self, rng: np.random.Generator, item: ObjectDescription, palm: Array | None, approach: Approach | None
     ) -> Array | None:
         """Draw a rotation (3, 3) from the hand's frame to the object's that turns `axis` into one of its axes, or any direction if it is round.
 
-        Args:
-            rng: Random generator.
-            item: The object.
-            palm: Unit direction from the palm to the object, (3,), hand frame.
-            approach: Wanted direction after the rotation; None for any.
-
-        Returns:
-            The rotation, or None if none of those drawn has the wanted direction.
+        None if none of those drawn turns `palm`, the unit direction from the palm to the object, into a wanted `approach`.
         """
         if approach is None or palm is None:
             return self._drawn(rng, item)
@@ -105,19 +82,10 @@ class Site:
 def find_sites(
     hand: HandDescription, item: ObjectDescription, rng: np.random.Generator, least: int, most: int, pushed: bool = True
 ) -> tuple[list[Site], NDArray[np.bool_]]:
-    """Find places at which the hand's fingers can surround an object.
+    """Find at most `most` places, best first, at which at least `least` of the hand's fingers can surround an object.
 
-    Args:
-        hand: The hand, in the pose of its description.
-        item: The object.
-        rng: Random generator.
-        least: Smallest number of fingers that touch.
-        most: Largest number of sites.
-        pushed: Prefer sites at which motors push along the normals; they are rare for some cuboids.
-
-    Returns:
-        The sites, best first; and an array (N, N), True if two fingers faced each other in any posture with room for the object between
-        them.
+    Also return an array (N, N), True if two fingers faced each other with room for the object between them. If `pushed`, sites are
+    preferred at which motors push along the normals; they are rare for some cuboids.
     """
     kinematics = HandKinematics(hand)
     low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
@@ -152,9 +120,8 @@ def find_sites(
         for site in found:
             if len(sites) == most:
                 return sites, faced
-            if all(
-                np.linalg.norm(site.center - other.center) > _APART or site.fingers != other.fingers for other in sites
-            ):
+            alike = [other.center for other in sites if other.fingers == site.fingers]
+            if all(np.linalg.norm(site.center - center) > _APART for center in alike):
                 sites.append(site)
     return sites, faced
 
@@ -188,8 +155,7 @@ class _Reach:
 
     def around(self, least: int, faced: NDArray[np.bool_]) -> list[Site]:
         """Find centres of a ball that tips of several fingers touch; note pairs that face each other in `faced`."""
-        tips, fingers, rng, item = self.tips, self.fingers, self.rng, self.item
-        radius = self.radius
+        tips, fingers, rng, item, radius = self.tips, self.fingers, self.rng, self.item, self.radius
         centers, pairs, samples = self._between(radius + self.radii)
         for side in (0, 1):
             good = self._clear(pairs[:, side], samples[:, side], centers)
@@ -260,9 +226,8 @@ class _Reach:
         for finger in range(self.fingers):
             rows = np.flatnonzero(fingers == finger)
             found = np.empty(len(rows))
-            self.limbs.beside(
-                finger, self.postures[samples[rows]], np.ascontiguousarray(middles[rows]), 2.0 * _CLEAR, found
-            )
+            places = np.ascontiguousarray(middles[rows])
+            self.limbs.beside(finger, self.postures[samples[rows]], places, 2.0 * _CLEAR, found)
             gaps[rows] = found
         return gaps > _CLEAR
 

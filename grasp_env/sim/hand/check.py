@@ -12,8 +12,7 @@ from grasp_env._check import as_array, as_list, as_text
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.ranges import Range
 
-LARGEST = 1e9
-"""Largest number of a hand, in metres, kilograms, newton metres, radians."""
+LARGEST = 1e9  # number of a hand, in metres, kilograms, newton metres, radians
 T = TypeVar("T")
 Vector3: TypeAlias = tuple[float, float, float]
 

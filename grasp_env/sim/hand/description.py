@@ -1,9 +1,6 @@
 """Describe a hand as data: a tree of links on a palm, with the fingertips that touch the object.
 
-The URDF that PyBullet loads (`urdf.hand_urdf`) and the arrays of the kinematics (`kinematics.HandKinematics`) are
-derived from this one record.
-
-Longer than most modules: `from_file` documents each of its arguments.
+The engines' files and `HandKinematics` are derived from this one record. Longer than most modules: `from_file` documents each argument.
 """
 
 from __future__ import annotations
@@ -22,22 +19,12 @@ from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand.fingers import FingerDescription
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import inertia_matrix, with_rotor
-from grasp_env.sim.hand.tree import (
-    Fingertip,
-    Geometry,
-    Link,
-    Mimic,
-    Palm,
-    check_fingertips,
-    check_mimics,
-    check_tree,
-)
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm, check_fingertips, check_mimics, check_tree
 
 __all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescription", "Link", "Mimic", "Palm", "Vector3"]
 
 
-ROTOR_INERTIA = 1e-4
-"""Default rotor inertia at a joint [kg m^2]; see `HandDescription.with_rotors`."""
+ROTOR_INERTIA = 1e-4  # default rotor inertia at a joint [kg m^2]; see `HandDescription.with_rotors`
 _LIGHT_INERTIA = 1e-5
 """End links with less inertia about their joint than this [kg m^2] get `ROTOR_INERTIA` added: a torque error of 50 mN m would change
 their speed by 50 rad/s in one control tick."""
@@ -146,25 +133,18 @@ class HandDescription:
             position: Origin of the palm frame [m], (3,), world frame.
             rotation: Roll, pitch and yaw [rad], (3,).
         """
-        place = Frame.of(
-            _vector(numbers(position, 3, "position [m]")), _vector(numbers(rotation, 3, "rotation (roll, pitch, yaw)"))
-        )
+        x, y, z = numbers(position, 3, "position [m]")
+        roll, pitch, yaw = numbers(rotation, 3, "rotation (roll, pitch, yaw)")
+        place = Frame.of((x, y, z), (roll, pitch, yaw))
 
-        def carried(geometry: Geometry) -> Geometry:
-            origin, angles = place.carry(geometry.origin, geometry.rotation)
-            return replace(geometry, origin=origin, rotation=angles)
-
-        links = []
-        for link in self.links:
+        links = list(self.links)
+        for index, link in enumerate(links):
             if link.parent == self.palm.name:
                 origin, angles = place.carry(link.origin, link.rotation)
-                link = replace(link, origin=origin, rotation=angles)
-            links.append(link)
-        palm = replace(
-            self.palm,
-            collision=tuple(map(carried, self.palm.collision)),
-            visual=tuple(map(carried, self.palm.visual)),
-        )
+                links[index] = replace(link, origin=origin, rotation=angles)
+        palm = self.palm
+        solid, drawn = (tuple(shape.carried(place) for shape in each) for each in (palm.collision, palm.visual))
+        palm = replace(palm, collision=solid, visual=drawn)
         return replace(self, palm=palm, links=tuple(links), placed=True)
 
     def without_visuals(self) -> HandDescription:
@@ -185,12 +165,10 @@ class HandDescription:
         (added,) = numbers((inertia,), 1, "inertia [kg m^2]")
         if added < 0.0:
             raise InvalidInputError(f"inertia={added} kg m^2 must be 0 or above")
-        heavier = [
-            replace(link, inertia=with_rotor(link.inertia, added))
-            if not link.sliding and (link.mimic is None if links is None else link.name in links)
-            else link
-            for link in self.links
-        ]
+        heavier = list(self.links)
+        for index, link in enumerate(heavier):
+            if not link.sliding and (link.mimic is None if links is None else link.name in links):
+                heavier[index] = replace(link, inertia=with_rotor(link.inertia, added))
         return replace(self, links=tuple(heavier))
 
     def _light_ends(self) -> list[str]:
@@ -206,10 +184,7 @@ class HandDescription:
 
     @staticmethod
     def of_fingers(
-        fingers: Sequence[FingerDescription],
-        name: str = "hand",
-        palm: Palm | None = None,
-        tip_friction: float = 1.0,
+        fingers: Sequence[FingerDescription], name: str = "hand", palm: Palm | None = None, tip_friction: float = 1.0
     ) -> HandDescription:
         """Make a hand of hanging fingers, each with three or four joints.
 
@@ -304,14 +279,10 @@ class HandDescription:
         from grasp_env.sim.hand.files.importing import read_hand
         from grasp_env.sim.hand.files.options import HandOptions  # these need the parts above
 
-        read = read_hand(
-            path, HandOptions(fingertips, tip_radius, torque_limit, joint_limits, inertials, palm, rotor_inertia)
-        )
+        options = HandOptions(fingertips, tip_radius, torque_limit, joint_limits, inertials, palm, rotor_inertia)
+        read = read_hand(path, options)
         angles = numbers(home, None, "home [rad]")
-        hand = HandDescription(
-            read.name, read.palm, read.links, read.fingertips, angles, tip_friction, placed=bool(angles)
-        )
-        repairs = list(read.repairs)
+        hand, repairs = HandDescription(*read[:4], angles, tip_friction, placed=bool(angles)), read.repairs
         if rotor_inertia is not None:
             hand = hand.with_rotors(rotor_inertia)
         elif light := hand._light_ends():
@@ -332,36 +303,30 @@ class HandDescription:
     @staticmethod
     def four_finger() -> HandDescription:
         """Return the hand of the reference grasp: a thumb at z < 0 and three fingers at z > 0."""
-        return HandDescription.of_fingers(
-            [_thumb(), _front("middle", 0.0, 1), _front("left", -0.045, 2), _front("right", 0.045, 3)], "four_finger"
-        )
+        return HandDescription.of_fingers(_four_fingers(), "four_finger")
 
     @staticmethod
     def three_finger() -> HandDescription:
         """Return a hand with a thumb at z < 0 and two fingers at z > 0."""
-        return HandDescription.of_fingers(
-            [_thumb(), _front("left", -0.03, 2), _front("right", 0.03, 3)], "three_finger"
-        )
+        fingers = [_thumb(), _front("left", -0.03, 2), _front("right", 0.03, 3)]
+        return HandDescription.of_fingers(fingers, "three_finger")
 
     @staticmethod
     def five_finger() -> HandDescription:
         """Return a hand with a thumb at z < 0 and four fingers at z > 0."""
-        return HandDescription.of_fingers(
-            [
-                _thumb(),
-                _front("index", -0.0175, 1),
-                _front("middle", 0.0175, 4),
-                _front("left", -0.05, 2),
-                _front("right", 0.05, 3),
-            ],
-            "five_finger",
-        )
+        fingers = [
+            _front("index", -0.0175, 1),
+            _front("middle", 0.0175, 4),
+            _front("left", -0.05, 2),
+            _front("right", 0.05, 3),
+        ]
+        return HandDescription.of_fingers([_thumb(), *fingers], "five_finger")
 
     @staticmethod
     def four_finger_4dof() -> HandDescription:
         """Return the four-finger hand with one more flexion in each finger: 16 joints."""
-        fingers = [_thumb(), _front("middle", 0.0, 1), _front("left", -0.045, 2), _front("right", 0.045, 3)]
-        return HandDescription.of_fingers([replace(finger, **_FOUR_JOINTS) for finger in fingers], "four_finger_4dof")
+        fingers = [replace(finger, **_FOUR_JOINTS) for finger in _four_fingers()]
+        return HandDescription.of_fingers(fingers, "four_finger_4dof")
 
     @staticmethod
     def allegro() -> HandDescription:
@@ -375,12 +340,8 @@ class HandDescription:
 
 
 HANDS: dict[str, Callable[[], HandDescription]] = {
-    "four_finger": HandDescription.four_finger,
-    "three_finger": HandDescription.three_finger,
-    "five_finger": HandDescription.five_finger,
-    "four_finger_4dof": HandDescription.four_finger_4dof,
-    "allegro": HandDescription.allegro,
-    "leap": HandDescription.leap,
+    name: getattr(HandDescription, name)
+    for name in ("four_finger", "three_finger", "five_finger", "four_finger_4dof", "allegro", "leap")
 }
 """The built-in hands by name."""
 
@@ -398,6 +359,10 @@ def _thumb() -> FingerDescription:
     return FingerDescription("thumb", (0.0, 0.135, -0.09), (0.0, 0.0, 1.0), color=_COLORS[0])
 
 
+def _four_fingers() -> list[FingerDescription]:
+    return [_thumb(), _front("middle", 0.0, 1), _front("left", -0.045, 2), _front("right", 0.045, 3)]
+
+
 def _front(name: str, x: float, color: int) -> FingerDescription:
     """Return a finger opposite the thumb. Fingers near the middle touch high contacts and start farther away."""
     depth = 0.105 if abs(x) < 0.02 else 0.09
@@ -407,11 +372,6 @@ def _front(name: str, x: float, color: int) -> FingerDescription:
 def _box_palm() -> Palm:
     box = Geometry("box", (0.124, 0.016, 0.236), (0.0, 0.145, 0.0))
     return Palm(collision=(box,), visual=(box,))
-
-
-def _vector(values: tuple[float, ...]) -> Vector3:
-    x, y, z = values
-    return x, y, z
 
 
 def _middle(link: Link) -> float:

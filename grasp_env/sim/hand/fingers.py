@@ -27,8 +27,7 @@ _JOINT_TO_LINK = 1.5  # radius of the ball drawn at a joint, relative to the rad
 class FingerDescription:
     """The mounting, lengths, masses and strength of one finger.
 
-    The fields with one number per joint (`link_lengths`, `link_masses`, `joint_lower`, `joint_upper`, `home`) all have
-    three numbers (swing, two flexions) or four (swing, three flexions).
+    The fields with one number per joint all have three numbers (swing, two flexions) or four (swing, three flexions).
 
     Attributes:
         name: Prefix of the names of its links and joints, and name of its fingertip.
@@ -100,11 +99,8 @@ class FingerDescription:
 
     def links(self, palm: str) -> tuple[Link, ...]:
         """Return the links of the finger; the parent of the first is the link `palm`."""
-        links: list[Link] = []
-        for index, kind in enumerate(_LINK_NAMES[len(self.link_lengths)]):
-            before = links[-1].name if links else palm
-            links.append(self._link(index, f"{self.name}_{kind}", before))
-        return tuple(links)
+        names = [palm, *(f"{self.name}_{kind}" for kind in _LINK_NAMES[len(self.link_lengths)])]
+        return tuple(self._link(index, names[index + 1], names[index]) for index in range(len(self.link_lengths)))
 
     def fingertip(self) -> Fingertip:
         """Return the sphere at the end of the distal link."""
@@ -123,22 +119,14 @@ class FingerDescription:
             short = (_capsule(radius, length - radius),) if length > radius else ()
             collision = (*short, Geometry("sphere", (self.tip_radius,), tip))
             visual += (Geometry("sphere", (self.tip_radius,), tip, color=_TIP_COLOR),)
+        origin = self.base if first else (self.link_lengths[index - 1], 0.0, 0.0)
+        rotation = roll_pitch_yaw(self.rotation) if first else (0.0, 0.0, 0.0)
+        axis = (0.0, 0.0, 1.0) if first else (0.0, -1.0, 0.0)
+        inertia = (along, 0.0, 0.0, across, 0.0, across)
         return Link(
-            name=name,
-            parent=parent,
-            origin=self.base if first else (self.link_lengths[index - 1], 0.0, 0.0),
-            rotation=roll_pitch_yaw(self.rotation) if first else (0.0, 0.0, 0.0),
-            axis=(0.0, 0.0, 1.0) if first else (0.0, -1.0, 0.0),
-            lower=self.joint_lower[index],
-            upper=self.joint_upper[index],
-            torque_limit=self.torque_limit,
-            mass=mass,
-            center=(center, 0.0, 0.0),
-            inertia=(along, 0.0, 0.0, across, 0.0, across),
-            collision=collision,
-            visual=visual,
-            color=self.color,
-        )
+            name, parent, origin, rotation, axis, self.joint_lower[index], self.joint_upper[index], self.torque_limit, mass,
+            (center, 0.0, 0.0), inertia, collision, visual, self.color,
+        )  # fmt: skip
 
     def _with_tip(self, mass: float, center: float, along: float, across: float) -> tuple[float, float, float, float]:
         """Return mass, centre and moments of the distal link including the solid sphere of its tip."""

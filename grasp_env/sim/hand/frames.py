@@ -7,36 +7,28 @@ from typing import NamedTuple
 
 import numpy as np
 
+from grasp_env._check import Array
 from grasp_env.sim.hand.check import Vector3
 
 
-def rotation_matrix(angles: Vector3) -> np.ndarray:
-    """Return Rz(yaw) Ry(pitch) Rx(roll), (3, 3), for roll, pitch and yaw [rad].
-
-    Example:
-        >>> rotation_matrix((0.0, 0.0, math.pi / 2)).round(3) + 0.0
-        array([[ 0., -1.,  0.],
-               [ 1.,  0.,  0.],
-               [ 0.,  0.,  1.]])
-    """
+def rotation_matrix(angles: Vector3) -> Array:
+    """Return Rz(yaw) Ry(pitch) Rx(roll), (3, 3), for roll, pitch and yaw [rad]."""
     (sr, sp, sy), (cr, cp, cy) = np.sin(angles), np.cos(angles)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    return np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ])  # fmt: skip
 
 
-def axis_rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+def axis_rotation(axis: Array, angle: float) -> Array:
     """Return the rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
 
 
-def roll_pitch_yaw(rotation: np.ndarray) -> Vector3:
+def roll_pitch_yaw(rotation: Array) -> Vector3:
     """Return roll, pitch and yaw [rad] of a rotation matrix, accurate to the last digits also near gimbal lock."""
     yaw = math.atan2(rotation[1, 0], rotation[0, 0])
     c, s = math.cos(yaw), math.sin(yaw)
@@ -49,13 +41,22 @@ def roll_pitch_yaw(rotation: np.ndarray) -> Vector3:
 class Frame(NamedTuple):
     """Pose of an inner frame in an outer one: p_outer = rotation @ p_inner + origin."""
 
-    rotation: np.ndarray
-    origin: np.ndarray
+    rotation: Array
+    origin: Array
 
     @staticmethod
     def of(origin: Vector3, angles: Vector3) -> Frame:
         """Make a frame from an origin [m] and roll, pitch, yaw [rad]."""
         return Frame(rotation_matrix(angles), np.array(origin, dtype=float))
+
+    @staticmethod
+    def of_joint(axis: Array, angle: float, sliding: bool) -> Frame:
+        """Return the motion of a joint about, or of a sliding one along, its unit axis (3,)."""
+        return Frame(np.eye(3), angle * axis) if sliding else Frame(axis_rotation(axis, angle), np.zeros(3))
+
+    def inverse(self) -> Frame:
+        """Return the pose of the outer frame in the inner one."""
+        return Frame(self.rotation.T, -self.rotation.T @ self.origin)
 
     def carry(self, origin: Vector3, angles: Vector3) -> tuple[Vector3, Vector3]:
         """Transform an origin [m] and roll, pitch, yaw [rad] to the outer frame; the identity changes no digit."""
@@ -70,3 +71,6 @@ class Frame(NamedTuple):
         """Return the origin [m] and roll, pitch, yaw [rad]."""
         x, y, z = self.origin.tolist()
         return (x, y, z), roll_pitch_yaw(self.rotation)
+
+
+IDENTITY = Frame(np.eye(3), np.zeros(3))

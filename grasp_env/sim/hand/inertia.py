@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import numbers
 
@@ -14,15 +15,7 @@ Inertia: TypeAlias = tuple[float, float, float, float, float, float]
 
 
 def inertia_of(values: Any, name: str) -> Inertia:
-    """Return the inertia of a body that can exist: positive, no principal moment above the sum of the others.
-
-    Args:
-        values: ixx, ixy, ixz, iyy, iyz, izz.
-        name: name of the link, for the message.
-
-    Raises:
-        InvalidInputError: no body has this inertia.
-    """
+    """Return the inertia of a body that can exist, positive and no principal moment above the sum of the others, or raise an error."""
     given = numbers(values, 6, f"{name}: inertia")
     moments = np.linalg.eigvalsh(inertia_matrix(given))
     if moments[0] <= 0.0:
@@ -35,16 +28,12 @@ def inertia_of(values: Any, name: str) -> Inertia:
             f"{name}: inertia={given} has the principal moments {moments.tolist()} kg m^2; in a body the largest is "
             "below the sum of the other two. Check units, signs and that it is about the centre of mass"
         )
-    return given[0], given[1], given[2], given[3], given[4], given[5]
+    xx, xy, xz, yy, yz, zz = given
+    return xx, xy, xz, yy, yz, zz
 
 
 def nearest_inertia(values: Inertia, mass: float) -> Inertia | None:
-    """Return the nearest inertia that a body can have; None if the given one is possible.
-
-    Args:
-        values: ixx, ixy, ixz, iyy, iyz, izz.
-        mass: mass of the body [kg]. No radius of gyration gets below 1 mm.
-    """
+    """Return the nearest inertia that a body of this mass [kg] can have; None if the given one is possible. Gyration is at least 1 mm."""
     from scipy.optimize import nnls
 
     moments, axes = np.linalg.eigh(inertia_matrix(values))
@@ -56,13 +45,13 @@ def nearest_inertia(values: Inertia, mass: float) -> Inertia | None:
     return inertia_numbers((axes * (sums @ seconds)) @ axes.T)
 
 
-def inertia_matrix(values: Sequence[float]) -> np.ndarray:
+def inertia_matrix(values: Sequence[float]) -> Array:
     """Return the matrix (3, 3) of ixx, ixy, ixz, iyy, iyz, izz."""
     xx, xy, xz, yy, yz, zz = values
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def inertia_numbers(matrix: np.ndarray) -> Inertia:
+def inertia_numbers(matrix: Array) -> Inertia:
     """Return ixx, ixy, ixz, iyy, iyz, izz of a matrix (3, 3)."""
     xx, xy, xz = matrix[0].tolist()
     return xx, xy, xz, float(matrix[1, 1]), float(matrix[1, 2]), float(matrix[2, 2])

@@ -14,13 +14,11 @@ from grasp_env._files import as_path, replacing
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import rotation_matrix
+from grasp_env.sim.hand.tree import Mimic
 
 _OTHER_STARTS = 11
 _LIMIT = 1e-6  # [rad], largest excess of an angle over a limit
-
-
-_SMALLEST_LEVER = 0.01
-"""Singular values of a Jacobian up to this, relative to the largest, count as 0: the motors produce no force along their directions."""
+_SMALLEST_LEVER = 0.01  # singular values of a Jacobian up to this, relative to the largest, count as 0
 
 
 class HandKinematics:
@@ -30,8 +28,7 @@ class HandKinematics:
         hand: The description.
         tree: Its links and fingertips in the core.
         home: Rest posture [rad], (M,).
-        lower, upper: Joint limits [rad], (M,), -inf and inf for joints without limits. They are narrowed so that coupled joints stay
-            within their own limits.
+        lower, upper: Joint limits [rad], (M,), -inf and inf without limits, so narrow that coupled joints stay within theirs.
         torque_limits: Torque limits [N m], (M,).
         drivers: The index of each joint's driver, (M,); a joint that is not coupled drives itself.
         motors: Indices of the joints with a motor, ascending.
@@ -55,30 +52,16 @@ class HandKinematics:
         self.drivers: Indices = np.array(hand.drivers, dtype=np.int64)
         self.motors: Indices = np.flatnonzero(self.drivers == np.arange(hand.joint_count))
         self.lower, self.upper = _ranges(hand)
-        self.tree = core.Tree.make(
-            [
-                core.Link(
-                    parent=parent,
-                    offset=link.origin,
-                    rotation=rotation_matrix(link.rotation).ravel().tolist(),
-                    axis=link.axis,
-                    mass=link.mass,
-                    center=link.center,
-                    lower=lower,
-                    upper=upper,
-                    torque_limit=link.torque_limit,
-                    sliding=link.sliding,
-                    driver=-1 if link.mimic is None else driver,
-                    ratio=1.0 if link.mimic is None else link.mimic.ratio,
-                    shift=0.0 if link.mimic is None else link.mimic.offset,
-                    inertia=link.inertia,
-                )
-                for parent, driver, link, lower, upper in zip(
-                    parents, hand.drivers, hand.links, self.lower, self.upper, strict=True
-                )
-            ],
-            [core.Tip(link=numbers[tip.link], center=tip.center, radius=tip.radius) for tip in hand.fingertips],
-        )
+        links = list[core.Link]()
+        for index, link in enumerate(hand.links):
+            driver, mimic = (-1, Mimic("none")) if link.mimic is None else (hand.drivers[index], link.mimic)
+            links.append(core.Link(
+                parent=parents[index], offset=link.origin, rotation=rotation_matrix(link.rotation).ravel().tolist(), axis=link.axis,
+                mass=link.mass, center=link.center, lower=self.lower[index], upper=self.upper[index], torque_limit=link.torque_limit,
+                sliding=link.sliding, driver=driver, ratio=mimic.ratio, shift=mimic.offset, inertia=link.inertia,
+            ))  # fmt: skip
+        tips = [core.Tip(link=numbers[tip.link], center=tip.center, radius=tip.radius) for tip in hand.fingertips]
+        self.tree = core.Tree.make(links, tips)
         self.home = np.array(hand.home)
         self.torque_limits = hand.torque_limits
         self.tip_links: Indices = np.array([numbers[tip.link] for tip in hand.fingertips], dtype=np.int64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -12,6 +13,7 @@ from grasp_env.sim.hand.description import Geometry, HandDescription
 from grasp_env.sim.hand.frames import rotation_matrix
 from grasp_env.sim.hand.kinematics import HandKinematics
 
+_Pair: TypeAlias = tuple[int, int]
 _POSTURES = 64  # random postures within the joint ranges
 _NEAR = 0.002  # [m], largest gap of near links
 _MOSTLY = 0.9  # fraction of the postures in which links must be near to count as always near
@@ -44,14 +46,9 @@ def _limb(link: int, shape: Geometry, tipped: bool, spheres: set[tuple[int, floa
     else:
         half = (shape.size[0], shape.size[0], 0.5 * shape.size[1])
     # the other shapes of a link with a tip surround the sphere and may touch the object with it
+    center, rotation = origin.tolist(), frame.ravel().tolist()
     return core.Limb.solid(
-        link=link,
-        kind=shape.kind,
-        half=half,
-        center=origin.tolist(),
-        rotation=frame.ravel().tolist(),
-        corners=corners,
-        tip=tipped,
+        link=link, kind=shape.kind, half=half, center=center, rotation=rotation, corners=corners, tip=tipped
     )
 
 
@@ -59,41 +56,27 @@ def touching_pairs(hand: HandDescription, at_home: bool = True) -> tuple[tuple[i
     """Return the pairs of links whose contact must be ignored, because their coarse shapes always touch; as indices, -1 for the palm.
 
     Two links form such a pair if they overlap in the rest posture, or in at least half of the random postures, or if they overlap in
-    some posture and are within 2 mm in nearly all. Links that share a joint are left out.
-
-    Args:
-        hand: The hand.
-        at_home: True if a pair that overlaps in the rest posture counts.
+    some posture and are within 2 mm in nearly all. Links that share a joint are left out, and the rest posture unless `at_home`.
     """
     overlaps, nears, home = _pairs(hand)
     always = {pair for pair, count in overlaps.items() if 2 * count >= _POSTURES or nears[pair] >= _MOSTLY * _POSTURES}
     return tuple(sorted(always | home if at_home else always))
 
 
-_Counts: TypeAlias = dict[tuple[int, int], int]
-
-
 @lru_cache(maxsize=32)
-def _pairs(hand: HandDescription) -> tuple[_Counts, _Counts, set[tuple[int, int]]]:
+def _pairs(hand: HandDescription) -> tuple[Counter[_Pair], Counter[_Pair], set[_Pair]]:
     """Count, for pairs of links, the random postures with overlap and with a gap below `_NEAR`; find overlaps in the rest posture."""
     kinematics = HandKinematics(hand)
     limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home)
     low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
     draws = np.random.default_rng(0).random((_POSTURES, hand.joint_count))
-    overlaps, nears = _Counts(), _Counts()
+    overlaps, nears = Counter[_Pair](), Counter[_Pair]()
     for draw in draws:
-        gaps = _least(limbs.link_gaps(low + draw * (high - low), _NEAR))
-        for pair, gap in gaps.items():
-            nears[pair] = nears.get(pair, 0) + 1
-            if gap <= 0.0:
-                overlaps[pair] = overlaps.get(pair, 0) + 1
-    home = {pair for pair, gap in _least(limbs.link_gaps(kinematics.home, 0.0)).items() if gap <= 0.0}
-    return overlaps, nears, home
+        gaps = limbs.link_gaps(low + draw * (high - low), _NEAR)
+        nears.update({(first, second) for first, second, _ in gaps})
+        overlaps.update(_overlapping(gaps))
+    return overlaps, nears, _overlapping(limbs.link_gaps(kinematics.home, 0.0))
 
 
-def _least(found: list[tuple[int, int, float]]) -> dict[tuple[int, int], float]:
-    """Return the smallest gap of each pair of links [m]."""
-    out: dict[tuple[int, int], float] = {}
-    for first, second, gap in found:
-        out[first, second] = min(gap, out.get((first, second), np.inf))
-    return out
+def _overlapping(gaps: list[tuple[int, int, float]]) -> set[_Pair]:
+    return {(first, second) for first, second, gap in gaps if gap <= 0.0}

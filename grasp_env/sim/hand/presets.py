@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -133,14 +134,16 @@ def leap() -> dict[str, Any]:
 def _parts(name: str, fingers: Sequence[_Finger], palm: Boxes, torque: float) -> dict[str, Any]:
     """Return the arguments of a `HandDescription` that is not placed."""
     solid = _boxes(palm)
+    links = tuple(link for finger in fingers for link in _links(finger, torque))
+    tips = tuple(
+        Fingertip(finger.name, f"{finger.name}_{finger.rows[-1].name}", _metres(finger.tip), 1e-3 * finger.radius)
+        for finger in fingers
+    )
     return {
         "name": name,
         "palm": Palm("palm", solid, solid, _DARK),
-        "links": tuple(link for finger in fingers for link in _links(finger, torque)),
-        "fingertips": tuple(
-            Fingertip(finger.name, f"{finger.name}_{finger.rows[-1].name}", _metres(finger.tip), 1e-3 * finger.radius)
-            for finger in fingers
-        ),
+        "links": links,
+        "fingertips": tips,
         "placed": False,
     }
 
@@ -151,25 +154,11 @@ def _links(finger: _Finger, torque: float) -> list[Link]:
         last = row is finger.rows[-1]
         shapes = _boxes(row.boxes)
         ball = (Geometry("sphere", (1e-3 * finger.radius,), _metres(finger.tip)),) if last else ()
-        center, inertia = _uniform(1e-3 * row.mass, (*shapes, *ball))
-        links.append(
-            Link(
-                name=f"{finger.name}_{row.name}",
-                parent=links[-1].name if links else "palm",
-                origin=_metres(row.origin),
-                rotation=row.turn,
-                axis=row.axis,
-                lower=row.lower,
-                upper=row.upper,
-                torque_limit=torque,
-                mass=1e-3 * row.mass,
-                center=center,
-                inertia=inertia,
-                collision=(*shapes, *ball),
-                visual=(*shapes, *(Geometry("sphere", shape.size, shape.origin, color=_TIP) for shape in ball)),
-                color=_GREY,
-            )
-        )
+        looks = tuple(replace(shape, color=_TIP) for shape in ball)
+        links.append(Link(
+            f"{finger.name}_{row.name}", links[-1].name if links else "palm", _metres(row.origin), row.turn, row.axis, row.lower, row.upper,
+            torque, 1e-3 * row.mass, *_uniform(1e-3 * row.mass, (*shapes, *ball)), (*shapes, *ball), (*shapes, *looks), _GREY,
+        ))  # fmt: skip
     return links
 
 

@@ -11,10 +11,9 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from grasp_env._check import Array
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry, Vector3
+from grasp_env.sim.mesh_shape import numbered, sides_of
 
-MAX_CORNERS = 40
-"""Largest number of corners of a hull. A larger hull is replaced by one that contains it: around a round end its corners stick
-out by an eighth of the radius."""
+MAX_CORNERS = 40  # of a hull; one that contains it replaces a larger one, and protrudes by 1/8 of a round end's radius
 _FLAT = 3e-8  # [m], largest ratio of volume to area (about half of the thickness) of a flat shape
 _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 _THIN = 5e-4  # [m], thickness that is added to a flat shape on either side
@@ -27,12 +26,9 @@ def outline(shape: Geometry) -> Array:
         points = 0.5 * _SIGNS * shape.size
     elif shape.kind == "sphere":
         points = _BALL * shape.size[0]
-    elif shape.kind == "capsule":
+    elif shape.kind in ("capsule", "cylinder"):
         ends = 0.5 * shape.size[1] * np.array([[[0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0]]])
-        points = (_BALL * shape.size[0] + ends).reshape(-1, 3)
-    elif shape.kind == "cylinder":
-        ends = 0.5 * shape.size[1] * np.array([[[0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0]]])
-        points = (_RING * shape.size[0] + ends).reshape(-1, 3)
+        points = ((_BALL if shape.kind == "capsule" else _RING) * shape.size[0] + ends).reshape(-1, 3)
     else:
         points = np.array(shape.corners, dtype=float).reshape(-1, 3)
     return points @ place.rotation.T + place.origin
@@ -46,11 +42,7 @@ def hull_shape(
 
 
 def hull_of(points: Array) -> ConvexHull:
-    """Return the hull of points (K, 3) [m]; flat hulls are made 1 mm thick.
-
-    Raises:
-        ValueError: There are no points, or they are not finite.
-    """
+    """Return the hull of points (K, 3) [m], of which there must be one and all finite; flat hulls are made 1 mm thick."""
     try:
         hull = ConvexHull(points)
         if hull.volume > _FLAT * hull.area:
@@ -114,7 +106,7 @@ def cut_below(points: Array, normal: Array, offset: float) -> Array:
     """Return corners of the part of the hull of points (K, 3) with normal @ x <= offset; none if that part is empty or flat."""
     hull = hull_of(points)
     heights = hull.points @ normal - offset
-    edges = np.unique(np.sort(hull.simplices[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = numbered(sides_of(hull.simplices))[0]
     a, b = heights[edges[:, 0]], heights[edges[:, 1]]
     crossing = a * b < 0.0
     at = (a[crossing] / (a[crossing] - b[crossing]))[:, None]

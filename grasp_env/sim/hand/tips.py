@@ -13,9 +13,7 @@ from grasp_env._check import Array
 from grasp_env.sim.hand.solids import cut_below, few_corners, hull_of, hull_shape, outline
 from grasp_env.sim.hand.tree import Geometry, Link, Vector3
 
-SMALLEST, LARGEST = 0.004, 0.015
-"""Smallest and largest radius of fitted spheres [m]."""
-
+SMALLEST, LARGEST = 0.004, 0.015  # smallest and largest radius of fitted spheres [m]
 _MIDDLE = 0.25  # fraction of the largest distance: if the mean of the far points is nearer, it gives no direction
 _END = 0.03  # [m] length of the link's end in which the sphere is fitted
 _SHORT = (0.001, 0.002, 0.004)  # [m], allowed gaps between the sphere and the end of the link
@@ -30,13 +28,10 @@ class Ball(NamedTuple):
 
 
 def end_direction(points: Array, axis: Array, outward: Array) -> Array:
-    """Return the unit direction (3,) in which a link ends: towards the points farthest from the axis of its joint.
+    """Return the unit direction (3,) in which a link ends: towards the points (K, 3) [m] farthest from the axis of its joint.
 
-    Args:
-        points: Points of the link (K, 3) [m], link frame.
-        axis: Unit axis of the joint, (3,).
-        outward: Direction away from the palm, (3,). It decides if points are equally far on both sides, as for a jaw whose frame
-            is in its middle.
+    The direction away from the palm, `outward`, decides if points are equally far on both sides, as for a jaw whose frame is in its
+    middle.
     """
     flat = points - np.outer(points @ axis, axis)
     away = np.linalg.norm(flat, axis=1)
@@ -61,9 +56,8 @@ def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
     best: tuple[float, Array, float, Array, Array] | None = None
     for short in _SHORT:
         # constraints on a sphere (c, r): normals @ c + r <= offsets, direction @ c + r >= far - short, r <= LARGEST
-        rows = np.vstack(
-            [np.column_stack([normals, np.ones(len(normals))]), -np.append(direction, 1.0), (0.0, 0.0, 0.0, 1.0)]
-        )
+        inside = np.column_stack([normals, np.ones(len(normals))])
+        rows = np.vstack([inside, -np.append(direction, 1.0), (0.0, 0.0, 0.0, 1.0)])
         sides = np.append(offsets, (short - far, LARGEST))
         found = _best((0.0, 0.0, 0.0, 1.0), rows, sides)
         if found is not None and (best is None or found[3] - _PRICE * short > best[0]):
@@ -86,19 +80,17 @@ def cut_back(link: Link, ball: Ball, direction: Array) -> Link:
     center, back = np.array(ball.center), float(np.dot(ball.center, direction)) - ball.radius
     shapes: list[Geometry] = []
     for shape in link.collision:
-        if shape.kind == "sphere" and np.linalg.norm(np.array(shape.origin) - center) < 1e-9:
-            shapes.append(shape)
-            continue
         points = outline(shape)
         front = cut_below(points, -direction, -float(center @ direction))
-        if len(front) == 0 or np.linalg.norm(front - center, axis=1).max() <= 0.9 * ball.radius:
+        if (
+            (shape.kind == "sphere" and np.linalg.norm(np.array(shape.origin) - center) < 1e-9)
+            or len(front) == 0
+            or np.linalg.norm(front - center, axis=1).max() <= 0.9 * ball.radius
+            # the sphere is not at this shape's end
+            or (points @ direction).max() > float(center @ direction) + 3.0 * ball.radius
+        ):
             shapes.append(shape)
-            continue
-        if (points @ direction).max() > float(center @ direction) + 3.0 * ball.radius:
-            shapes.append(shape)  # the sphere is not at this shape's end
-            continue
-        left = cut_below(points, direction, back)
-        if len(left):
+        elif len(left := cut_below(points, direction, back)):
             shapes.append(hull_shape(few_corners(left), color=shape.color))
     return replace(link, collision=tuple(shapes))
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from grasp_env._check import as_text, choice, instance
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3, hull_corners, limits, numbers, parts, positive, unit, word
+from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import Inertia, inertia_of
 
 SIZES = {
@@ -71,6 +72,11 @@ class Geometry:
             color=None if self.color is None else numbers(self.color, 3, f"{name}: color"),
             corners=hull_corners(self.corners, name) if self.kind == "hull" else (),
         )
+
+    def carried(self, frame: Frame) -> Geometry:
+        """Return the shape in the outer frame of `frame`."""
+        origin, angles = frame.carry(self.origin, self.rotation)
+        return replace(self, origin=origin, rotation=angles)
 
 
 @dataclass(frozen=True)
@@ -224,21 +230,21 @@ def check_tree(name: str, palm: Palm, links: tuple[Link, ...]) -> None:
     """Check that names differ and that every link stands after its parent."""
     if not links:
         raise InvalidInputError(f"{name}: links=() is empty; describe at least one moving link")
-    known, joints, all_names = [palm.name], set[str](), {link.name for link in links}
-    for link in links:
-        if link.name in known:
-            raise InvalidInputError(f"{name}: two links are called {link.name!r}; give each its own name")
-        if link.joint in joints:
-            raise InvalidInputError(f"{name}: two joints are called {link.joint!r}; give each its own name")
+    names = [palm.name, *(link.name for link in links)]
+    _check_different(name, "links", names)
+    _check_different(name, "joints", [link.joint for link in links])
+    for index, link in enumerate(links):
+        known = names[: index + 1]
         if link.parent not in known:
-            hint = (
-                "stands after it in `links`, or is the link itself; order parents before children"
-                if link.parent in all_names
-                else f"is not a link; known are {', '.join(known)}"
-            )
+            late = "stands after it in `links`, or is the link itself; order parents before children"
+            hint = late if link.parent in names else f"is not a link; known are {', '.join(known)}"
             raise InvalidInputError(f"{name}: the parent {link.parent!r} of link {link.name!r} {hint}")
-        known.append(link.name)
-        joints.add(link.joint)
+
+
+def _check_different(name: str, kind: str, names: list[str]) -> None:
+    if len(set(names)) < len(names):
+        twice = max(names, key=names.count)
+        raise InvalidInputError(f"{name}: two {kind} are called {twice!r}; give each its own name")
 
 
 def check_mimics(name: str, links: tuple[Link, ...]) -> None:
@@ -256,13 +262,11 @@ def check_fingertips(name: str, links: tuple[Link, ...], tips: tuple[Fingertip, 
     """Check that there is a fingertip, that names differ, and that every fingertip is on a moving link."""
     if not tips:
         raise InvalidInputError(f"{name}: fingertips=() is empty; name at least one, as a hand only touches with them")
-    names, known = set[str](), [link.name for link in links]
+    _check_different(name, "fingertips", [tip.name for tip in tips])
+    known = [link.name for link in links]
     for tip in tips:
-        if tip.name in names:
-            raise InvalidInputError(f"{name}: two fingertips are called {tip.name!r}; give each its own name")
         if tip.link not in known:
             raise InvalidInputError(
                 f"{name}: fingertip {tip.name!r} is on link {tip.link!r}, which does not move or does not exist; "
                 f"moving links are {', '.join(known)}"
             )
-        names.add(tip.name)

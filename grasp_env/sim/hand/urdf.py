@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -15,29 +16,31 @@ from grasp_env._check import Array
 from grasp_env._files import digest
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
+from grasp_env.sim.mesh_files import obj_text
 
-HULL_MARGIN = 1e-3
-"""Margin that Bullet adds around the hulls of a URDF [m]; changeDynamics cannot change it."""
-
+HULL_MARGIN = 1e-3  # that Bullet adds around the hulls of a URDF [m]; changeDynamics cannot change it
 _SPEED_LIMIT = "100"  # [rad/s]; Bullet's default, far above what a grasp needs
 
 
 def hand_files(hand: HandDescription, margin: float = 0.0) -> dict[str, str]:
     """Return names and texts of all files of the hand: "hand.urdf", and each of its hulls once.
 
-    Args:
-        hand: The hand to write.
-        margin: Distance by which collision hulls are shrunk [m], for an engine that adds it around them. It is at most a third of
-            the radius of a hull's largest inner ball, so that thin hulls keep their shape.
+    Collision hulls are shrunk by `margin` [m], for an engine that adds it around them, but by no more than a third of the radius of
+    their largest inner ball, so that thin hulls keep their shape.
     """
     files = {"hand.urdf": hand_urdf(hand)}
     for body in (hand.palm, *hand.links):
-        for role, shapes in (("visual", body.visual), ("collision", body.collision)):
-            for corners in {shape.corners: None for shape in shapes if shape.kind == "hull"}:
-                name = _hull_name(role, corners)
-                if name not in files:
-                    files[name] = _hull_obj(corners, margin if role == "collision" else 0.0)
+        for role, shapes, depth in (("visual", body.visual, 0.0), ("collision", body.collision, margin)):
+            hulls = {shape.corners for shape in shapes if shape.kind == "hull"}
+            files |= {_hull_name(role, corners): _hull_obj(corners, depth) for corners in hulls}
     return files
+
+
+def write_hand(hand: HandDescription, folder: str, margin: float = 0.0) -> str:
+    """Write the `hand_files` into a folder; return the path of the URDF."""
+    for name, text in hand_files(hand, margin).items():
+        Path(folder, name).write_text(text, encoding="utf-8")
+    return str(Path(folder, "hand.urdf"))
 
 
 def hand_urdf(hand: HandDescription) -> str:
@@ -61,13 +64,13 @@ def hand_urdf(hand: HandDescription) -> str:
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def _text(values: Iterable[float]) -> str:
-    """Return numbers with all their digits, so that the simulator and the kinematics agree."""
+def digits(values: Iterable[float]) -> str:
+    """Return numbers with all their digits, so that the engines and the kinematics agree."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def _add_origin(element: Element, origin: Vector3, rotation: Vector3 = (0.0, 0.0, 0.0)) -> None:
-    SubElement(element, "origin", xyz=_text(origin), rpy=_text(rotation))
+    SubElement(element, "origin", xyz=digits(origin), rpy=digits(rotation))
 
 
 def _add_joint(robot: Element, link: Link) -> None:
@@ -78,7 +81,7 @@ def _add_joint(robot: Element, link: Link) -> None:
     SubElement(joint, "parent", link=link.parent)
     SubElement(joint, "child", link=link.name)
     _add_origin(joint, link.origin, link.rotation)
-    SubElement(joint, "axis", xyz=_text(link.axis))
+    SubElement(joint, "axis", xyz=digits(link.axis))
     limit = SubElement(joint, "limit", effort=repr(link.torque_limit), velocity=_SPEED_LIMIT)
     if link.mimic is not None:
         ratio, offset = repr(link.mimic.ratio), repr(link.mimic.offset)
@@ -99,7 +102,7 @@ def _add_shapes(element: Element, body: Link | Palm) -> None:
     for index, geometry in enumerate(body.visual):
         visual = _add_geometry(element, "visual", geometry)
         material = SubElement(visual, "material", name=f"{body.name}_{index}")  # PyBullet keeps one color for each name
-        SubElement(material, "color", rgba=_text((*(geometry.color or body.color), 1.0)))
+        SubElement(material, "color", rgba=digits((*(geometry.color or body.color), 1.0)))
     for geometry in body.collision:
         _add_geometry(element, "collision", geometry)
 
@@ -109,11 +112,11 @@ def _add_geometry(element: Element, role: str, geometry: Geometry) -> Element:
     _add_origin(part, geometry.origin, geometry.rotation)
     shape = SubElement(part, "geometry")
     if geometry.kind == "box":
-        SubElement(shape, "box", size=_text(geometry.size))
+        SubElement(shape, "box", size=digits(geometry.size))
     elif geometry.kind == "hull":
         SubElement(shape, "mesh", filename=_hull_name(role, geometry.corners))
     elif geometry.kind == "mesh":
-        SubElement(shape, "mesh", filename=geometry.file, scale=_text(geometry.size))
+        SubElement(shape, "mesh", filename=geometry.file, scale=digits(geometry.size))
     else:
         names: tuple[str, ...] = ("radius", "length")[: len(geometry.size)]
         SubElement(shape, geometry.kind, dict(zip(names, map(repr, geometry.size), strict=True)))
@@ -130,9 +133,7 @@ def _hull_obj(corners: tuple[Vector3, ...], margin: float) -> str:
     """Return a hull as a Wavefront file, shrunk by a margin [m], with faces counterclockwise from outside."""
     from grasp_env.sim.hand.solids import shrunk
 
-    points, faces = hull_faces(shrunk(np.array(corners), margin) if margin > 0.0 else np.array(corners))
-    lines = [f"v {_text(corner)}" for corner in points] + [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in faces.tolist()]
-    return "\n".join(lines) + "\n"
+    return obj_text([hull_faces(shrunk(np.array(corners), margin) if margin > 0.0 else np.array(corners))])
 
 
 def hull_faces(points: Array) -> tuple[Array, Any]:

@@ -19,42 +19,33 @@ from grasp_env.sim.progress import ProgressLine
 
 
 def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Array]:
-    """Run a function in a process of its own and return its arrays; Ctrl-C ends both processes.
+    """Run a function (module:function), which takes and returns arrays by name, in a process of its own; Ctrl-C ends both processes.
 
-    Args:
-        task: Name of the function, module:function. It takes arrays by name and returns a dict of arrays.
-        text: Description of the task, for the progress line.
-        seconds: Time limit.
-        given: Arrays that it takes.
+    The text describes the task on the progress line.
 
     Raises:
         TimeoutError: It exceeded the time limit.
         ChildProcessError: It crashed or raised; the message is the end of its output.
     """
     paths = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+    environment = {**os.environ, "PYTHONPATH": paths}
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder, "given.npz"), allow_pickle=False, **given)
         command = [sys.executable, "-c", f"from {__name__} import work; work()", task, folder, str(seconds)]
         with open(Path(folder, "output"), "w+b") as output:
+            # not in the user's folder, from which modules would be imported
             child = subprocess.Popen(
-                command,
-                env={**os.environ, "PYTHONPATH": paths},
-                cwd=folder,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
-            )  # not in the user's folder, from which modules would be imported
+                command, env=environment, cwd=folder, stdin=subprocess.DEVNULL, stdout=output, stderr=output
+            )
             try:
                 _wait(child, text, seconds)
             finally:
-                if child.poll() is None:
-                    child.kill()
-                    child.wait()
+                child.kill()
+                child.wait()
             if child.returncode != 0:
                 output.seek(0)
-                raise ChildProcessError(
-                    output.read()[-500:].decode(errors="replace") or f"exit code {child.returncode}"
-                )
+                said = output.read()[-500:].decode(errors="replace")
+                raise ChildProcessError(said or f"exit code {child.returncode}")
         with np.load(Path(folder, "made.npz"), allow_pickle=False) as made:
             return {name: made[name] for name in made.files}
 

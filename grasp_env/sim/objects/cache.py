@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,8 +14,7 @@ import numpy as np
 from grasp_env._files import WEIGHTS as MOST_BYTES
 from grasp_env._files import read_bytes, replacing, unpacked
 
-LONGEST_WAIT = 150.0
-"""Longest time that a process waits for another one that makes the same entry [s]; then it makes the entry itself."""
+LONGEST_WAIT = 150.0  # longest wait for another process that makes the same entry [s]
 _NAME, _USE = "name", "use"  # keys of the name and the use among the arrays of an entry
 _ENTRIES = "[!.]*.npz"  # not the temporary files that other processes are writing
 
@@ -42,25 +41,17 @@ def folder() -> Path:
     return user_cache_path("grasp-force", appauthor=False) / "objects"
 
 
-def cached(
-    key: str, name: str, arrays: Set[str], make: Callable[[], dict[str, Any]], use: str = "object"
-) -> dict[str, Any]:
+def cached(key: str, name: str, make: Callable[[], dict[str, Any]], use: str = "object") -> dict[str, Any]:
     """Return the arrays that `make` returns, from the cache if possible; otherwise make them and keep them there.
 
-    A folder that cannot be written or an entry that cannot be read only costs time.
-
-    Args:
-        key: Key of the content, letters and digits.
-        name: Name of the mesh, for the list of entries.
-        arrays: Names of all arrays that `make` returns; an entry without one of them is made anew.
-        make: Function that makes the arrays.
-        use: Use of the mesh, for the list of entries: "object" or "hand".
+    The key, of letters and digits, identifies the content. Name and use ("object" or "hand") of the mesh are for the list of entries. A
+    folder that cannot be written or an entry that cannot be read only costs time.
     """
     path = folder() / f"{key}.npz"
-    if (found := _read(path)).keys() >= arrays:
+    if found := _read(path):
         return found
     with _locked(path):
-        if (found := _read(path)).keys() >= arrays:  # made by the process that was waited for
+        if found := _read(path):  # made by the process that was waited for
             return found
         made = make()
         with suppress(OSError), replacing(path) as temporary, open(temporary, "wb") as file:
@@ -70,13 +61,12 @@ def cached(
 
 def entries() -> list[Entry]:
     """Return the entries of the cache, newest first."""
-    out: list[Entry] = []
+    out = list[Entry]()
     for path in folder().glob(_ENTRIES):
         with suppress(OSError):
             status, name, use = path.stat(), "(not readable)", "object"
             with suppress(Exception), open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
-                name = str(arrays[_NAME])
-                use = str(arrays[_USE]) if _USE in arrays else use  # missing in entries of earlier versions
+                name, use = str(arrays[_NAME]), str(arrays[_USE])
             out.append(Entry(path, name, use, status.st_size, status.st_mtime))
     return sorted(out, key=lambda entry: -entry.time)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.mesh_shape import WELD, extent_of, open_edges, volume, weld
+from grasp_env.sim.mesh_shape import WELD, extent_of, grouped, numbered, open_edges, sides_of, volume, weld
 
 _SEAM = 1e-5  # distance within which corners of open seams are merged, relative to the extent
 _MIN_VOLUME = 1e-6  # least volume of a solid, relative to the cube of its extent
@@ -24,9 +24,6 @@ def close_mesh(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[
 
     Coincident corners and faces are merged. Then, until the mesh is closed, trimesh orients faces alike, seams are welded, and trimesh
     fills holes. Manifold unites overlapping parts; a part inside out within another is a cavity.
-
-    Raises:
-        InvalidInputError: It cannot be closed, or encloses no volume.
     """
     extent = extent_of(corners)
     corners, faces = weld(corners, faces, WELD * extent)
@@ -99,7 +96,7 @@ def _solid(corners: Array, faces: Any, extent: float, name: str, changes: list[s
             f"{name} has {len(parts)} parts that are not connected, allowed are up to {_MAX_PARTS}; delete the crumbs, or remesh it"
         )
     volumes = [volume(corners, part) for part in parts]
-    if sum(abs(each) for each in volumes) <= _MIN_VOLUME * extent**3:
+    if sum(map(abs, volumes)) <= _MIN_VOLUME * extent**3:
         raise InvalidInputError(f"{name} encloses no volume; it must be a solid, such as a plate with two sides")
     solid = [k for k, size in enumerate(volumes) if abs(size) > _FLAT_VOLUME * extent**3]
     if len(solid) < len(parts) and _WALLS not in changes:
@@ -107,9 +104,8 @@ def _solid(corners: Array, faces: Any, extent: float, name: str, changes: list[s
     parts, volumes = [parts[k] for k in solid], [volumes[k] for k in solid]
     within = _nested(corners, parts, volumes)
     # the outermost part is solid: if it is inside out, so is everything within it
-    flips = [
-        volumes[min([number, *around], key=lambda k: len(within[k]))] < 0.0 for number, around in enumerate(within)
-    ]
+    outermost = [min([number, *around], key=lambda k: len(within[k])) for number, around in enumerate(within)]
+    flips = [volumes[number] < 0.0 for number in outermost]
     if any(flips):
         changes.append("faces that pointed inward were turned")
     parts = [part[:, ::-1] if flip else part for part, flip in zip(parts, flips, strict=True)]
@@ -126,11 +122,10 @@ def _nested(corners: Array, parts: list[Any], volumes: list[float]) -> list[list
     if len(parts) == 1:
         return out
     used = [np.unique(part) for part in parts]
-    boxes = [(corners[each].min(axis=0), corners[each].max(axis=0)) for each in used]
+    low = np.array([corners[each].min(axis=0) for each in used])
+    high = np.array([corners[each].max(axis=0) for each in used])
     for outer, (part, size) in enumerate(zip(parts, volumes, strict=True)):
-        inner = [
-            k for k, (low, high) in enumerate(boxes) if (low > boxes[outer][0]).all() and (high < boxes[outer][1]).all()
-        ]
+        inner = np.flatnonzero((low > low[outer]).all(axis=1) & (high < high[outer]).all(axis=1)).tolist()
         if inner:
             outward = part if size > 0.0 else part[:, ::-1]
             solid = core.Surface.mesh(corners, outward.astype(float), [corners[used[outer]]])
@@ -143,12 +138,8 @@ def _nested(corners: Array, parts: list[Any], volumes: list[float]) -> list[list
 
 def _parts(corners: Array, faces: Any) -> list[Any]:
     """Return the faces of each part connected by edges; parts that are not closed by themselves are merged."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    count = len(faces)
-    ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    number = np.unique(ends, axis=0, return_inverse=True)[1].reshape(-1)
+    ends = np.sort(sides_of(faces), axis=1)
+    number = numbered(ends)[1]
     sides, order = np.bincount(number), np.argsort(number, kind="stable")
     first = np.cumsum(sides) - sides
     plain = first[sides == 2]
@@ -156,10 +147,7 @@ def _parts(corners: Array, faces: Any) -> list[Any]:
     for edge in np.flatnonzero(sides > 2):
         around = order[first[edge] : first[edge] + sides[edge]]
         pairs.append(_pairs_around(corners, faces, around, *ends[around[0]]))
-    one, other = np.concatenate(pairs).T
-    labels = connected_components(coo_array((np.ones(len(one)), (one, other)), shape=(count, count)), directed=False)[1]
-    sorts = np.argsort(labels, kind="stable")
-    parts = np.split(faces[sorts], np.flatnonzero(np.diff(labels[sorts])) + 1)
+    parts = grouped(faces, np.concatenate(pairs), np.arange(len(faces)))
     whole = [part for part in parts if not open_edges(part)]
     rest = [part for part in parts if open_edges(part)]
     return [*whole, np.concatenate(rest)] if rest else whole
@@ -171,26 +159,21 @@ def _pairs_around(corners: Array, faces: Any, around: Any, a: int, b: int) -> An
     frame = np.linalg.svd(away[None])[2]
     if frame[0] @ away < 0.0:
         frame = -frame
-    third = np.array([faces[side // 3, (side % 3 + 2) % 3] for side in around])
-    across = (corners[third] - corners[a]) @ frame[1:].T
+    rows, first = np.divmod(around, 3)
+    across = (corners[faces[rows, (first + 2) % 3]] - corners[a]) @ frame[1:].T
     turn = 1.0 if np.linalg.det(frame) > 0.0 else -1.0
     angles = (np.arctan2(turn * across[:, 1], across[:, 0]) / _SAME_ANGLE).round()
-    ahead = np.array(
-        [faces[side // 3, side % 3] == a for side in around]
-    )  # True if the face's solid lies at smaller angles, else at larger ones
-    order = np.lexsort([ahead, angles])
-    waiting: list[int] = []
-    pairs: list[tuple[int, int]] = []
-    done: set[int] = set()
-    for k in [*order.tolist(), *order.tolist()]:
-        if k in done:
+    ahead = faces[rows, first] == a  # True if the face's solid lies at smaller angles, else at larger ones
+    order = np.lexsort([ahead, angles]).tolist()
+    waiting, pairs, done = list[int](), list[tuple[int, int]](), set[int]()
+    for k in [*order, *order]:
+        if k in done or (ahead[k] and not waiting):
             continue
-        if ahead[k] and waiting:
-            pairs.append((int(around[waiting.pop()]) // 3, int(around[k]) // 3))
-            done.add(k)
-        elif not ahead[k] and k not in waiting:
+        done.add(k)
+        if ahead[k]:
+            pairs.append((int(rows[waiting.pop()]), int(rows[k])))
+        else:
             waiting.append(k)
-            done.add(k)
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 

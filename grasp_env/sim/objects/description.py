@@ -20,12 +20,8 @@ from grasp_env.settings import POSITIVE, Kind, Settings, one_of, placed, real, s
 from grasp_env.sim.hand.check import numbers
 from grasp_env.sim.objects.mesh import Mesh, load_mesh
 
-SMALLEST, LARGEST = 0.001, 1.0
-"""Smallest and largest extent of an object along each axis [m]."""
-
-OBJECT_COLOR = (0.86, 0.80, 0.68)
-"""Colour of objects in pictures: red, green and blue in [0, 1]."""
-
+SMALLEST, LARGEST = 0.001, 1.0  # smallest and largest extent of an object along each axis [m]
+OBJECT_COLOR = (0.86, 0.80, 0.68)  # in pictures: red, green and blue in [0, 1]
 SIZES = {
     "cuboid": ("x", "y", "z"),
     "cylinder": ("diameter", "height"),
@@ -36,13 +32,7 @@ SIZES = {
 """Dimensions in the size of each shape."""
 SHAPES = tuple(SIZES)
 SHAPES_WITHOUT_MESH = tuple(shape for shape in SHAPES if shape != "mesh")
-_DEFAULTS = {
-    "cuboid": (0.1, 0.1, 0.1),
-    "cylinder": (0.1, 0.1),
-    "sphere": (0.1,),
-    "capsule": (0.07, 0.1),
-    "mesh": (1.0,),
-}
+_DEFAULTS = {"cuboid": (0.1,) * 3, "cylinder": (0.1,) * 2, "sphere": (0.1,), "capsule": (0.07, 0.1), "mesh": (1.0,)}
 _MAX_MASS, _MAX_FRICTION = 1000.0, 10.0  # [kg], [1]; more is a mistake of units
 
 
@@ -192,25 +182,20 @@ class ObjectDescription(Settings):
     @cached_property
     def surface(self) -> core.Surface:
         """Surface of the object, which finds nearest points."""
-        numbers = np.zeros(3)
         if self._mesh is not None:
             return core.Surface.mesh(self._mesh.vertices, self._mesh.faces.astype(float), list(self._mesh.pieces))
-        numbers[: len(self.size)] = 0.5 * np.array(self.size)
+        half = np.zeros(3)
+        half[: len(self.size)] = 0.5 * np.array(self.size)
         if self.shape == "capsule":
-            numbers[1] -= numbers[0]
-        return core.Surface.make(self.shape, numbers)
+            half[1] -= half[0]
+        return core.Surface.make(self.shape, half)
 
     @cached_property
     def moments(self) -> tuple[float, float, float]:
         """Moments of inertia about the body axes, which are principal axes [kg m^2]."""
-        if self.inertia is not None:
-            x, y, z = self.inertia
-            return x, y, z
-        if self._mesh is not None:
-            x, y, z = (self.mass * self._mesh.gyration).tolist()
-            return x, y, z
-        x, y, z = _solid_gyration(self.shape, self.size)
-        return self.mass * x, self.mass * y, self.mass * z
+        gyration = _solid_gyration(self.shape, self.size) if self._mesh is None else self._mesh.gyration
+        x, y, z = np.multiply(self.mass, gyration).tolist() if self.inertia is None else self.inertia
+        return x, y, z
 
     @cached_property
     def inertia_matrix(self) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from functools import lru_cache
+from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,48 +16,28 @@ from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.mesh_files import KINDS, mesh_bytes, read_mesh_bytes
 from grasp_env.sim.objects.cache import cached
 
-_VERSION = "6"
-"""Version of the processed arrays, part of the cache's key: increase it when they change."""
-_ARRAYS = frozenset(("vertices", "faces", "pieces", "counts", "gyration", "rotation", "center", "volume", "changes"))
+_VERSION = "6"  # version of the processed arrays, part of the cache's key: increase it when they change
 _SAME_MOMENT = 1e-6  # relative difference of moments, or product of inertia, below which axes are not distinguished
 
 
 class Mesh(NamedTuple):
-    """A closed mesh, body frame, not to be written to.
+    """A closed mesh, body frame, not to be written to."""
 
-    Attributes:
-        vertices: Corners [m], (V, 3).
-        faces: Indices of their corners, counterclockwise from outside, (F, 3) int64.
-        pieces: Corners (K, 3) [m] of convex pieces that together cover it.
-        gyration: Squared radii of gyration of the uniform solid about the axes [m^2], (3,).
-        rotation: Rotation from the axes of the file to those of the body, (3, 3).
-        center: Centre of mass in the file's frame [m], (3,).
-        volume: Volume [m^3].
-        extent: Sides of its bounding box [m].
-        changes: Descriptions of the repairs that closed it.
-    """
-
-    vertices: Array
-    faces: Any
-    pieces: tuple[Array, ...]
-    gyration: Array
-    rotation: Array
-    center: Array
-    volume: float
-    extent: tuple[float, float, float]
-    changes: tuple[str, ...]
+    vertices: Array  # corners [m], (V, 3)
+    faces: Any  # indices of their corners, counterclockwise from outside, (F, 3) int64
+    pieces: tuple[Array, ...]  # corners (K, 3) [m] of convex pieces that together cover it
+    gyration: Array  # squared radii of gyration of the uniform solid about the axes [m^2], (3,)
+    rotation: Array  # from the axes of the file to those of the body, (3, 3)
+    center: Array  # of mass in the file's frame [m], (3,)
+    volume: float  # [m^3]
+    extent: tuple[float, float, float]  # sides of its bounding box [m]
+    changes: tuple[str, ...]  # descriptions of the repairs that closed it
 
 
 def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
-    """Read and process a mesh. Results are kept in the user's cache folder, and the last few in memory until their files change.
+    """Read and process a mesh file; `scale` is the factor to metres. Unless `tell` is False, a warning tells of repairs.
 
-    Args:
-        path: Path of a file of one of the `KINDS`.
-        scale: Factor from its coordinates to metres.
-        tell: Warn of repairs.
-
-    Raises:
-        InvalidInputError: There is no such file, or it is not a mesh, has too many faces or cannot be closed.
+    Results are kept in the user's cache folder, and the last few in memory until their files change.
     """
     if not isinstance(path, str | os.PathLike) or os.path.splitext(path)[1].lower() not in KINDS:
         raise InvalidInputError(f"mesh={shown(path)} must be a file of type {', '.join(KINDS)}; convert it")
@@ -65,11 +46,11 @@ def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InvalidInputError(f"mesh={path!r} cannot be read: {reason}; give the path of a mesh file") from None
-    mesh = _load(os.path.abspath(path), scale, status.st_mtime_ns, status.st_size, f"mesh={path!r}")
+    name = f"mesh={path!r}"
+    mesh = _load(os.path.abspath(path), scale, status.st_mtime_ns, status.st_size, name)
     if mesh.changes and tell:
-        warn(
-            f"mesh={path!r} was repaired: {'; '.join(mesh.changes)}. `grasp object show FILE --draw PICTURE` shows the result"
-        )
+        changes = "; ".join(mesh.changes)
+        warn(f"{name} was repaired: {changes}. `grasp object show FILE --draw PICTURE` shows the result")
     return mesh
 
 
@@ -79,7 +60,7 @@ def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mes
     kind = Path(path).suffix.lower()
     blob = mesh_bytes(path, name)
     key = digest(_VERSION.encode(), kind.encode(), blob)
-    made = cached(key, os.path.basename(path), _ARRAYS, lambda: _processed(*read_mesh_bytes(blob, kind, name), name))
+    made = cached(key, os.path.basename(path), lambda: _processed(*read_mesh_bytes(blob, kind, name), name))
     ends = np.cumsum(made["counts"])[:-1]
     vertices, pieces = np.ascontiguousarray(scale * made["vertices"]), scale * made["pieces"]
     for array in (vertices, made["faces"], pieces):  # shared by all objects of this file
@@ -122,13 +103,9 @@ def _centred(corners: Array, faces: Any) -> dict[str, Any]:
     seconds = seconds - np.outer(center, center)
     inertia = np.trace(seconds) * np.eye(3) - seconds
     rotation = principal_rotation(inertia)
-    return {
-        "vertices": (corners - shift - center) @ rotation.T,
-        "gyration": np.diag(rotation @ inertia @ rotation.T).copy(),
-        "rotation": rotation,
-        "center": center + shift,
-        "volume": volume,
-    }
+    body = {"rotation": rotation, "center": center + shift, "volume": volume}
+    gyration = np.diag(rotation @ inertia @ rotation.T).copy()
+    return {**body, "vertices": (corners - shift - center) @ rotation.T, "gyration": gyration}
 
 
 def principal_rotation(inertia: Array) -> Array:
@@ -147,16 +124,14 @@ def principal_rotation(inertia: Array) -> Array:
         return np.eye(3)
     moments, axes = np.linalg.eigh(inertia)
     best, angle = np.eye(3), np.inf
-    for order in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):
-        turned = np.empty((3, 3))
-        for signs in range(4):
-            rows = axes[:, order].T * np.array([1 - 2 * (signs & 1), 1 - (signs & 2), 1.0])[:, None]
+    for order in permutations(range(3)):
+        for x, y in ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)):
+            rows = axes[:, order].T * np.array([[x], [y], [1.0]])
             rows[2] *= np.linalg.det(rows)
-            turned[:] = rows
-            turned = _aligned(turned, moments[list(order)], _SAME_MOMENT * size)
+            turned = _aligned(rows, moments[list(order)], _SAME_MOMENT * size)
             found = float(np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0)))
             if found < angle - 1e-9:
-                best, angle = turned.copy(), found
+                best, angle = turned, found
     return best
 
 
@@ -167,6 +142,5 @@ def _aligned(rows: Array, moments: Array, close: float) -> Array:
             # the turn of rows i and j that maximises the trace
             turn = np.arctan2(rows[j, i] - rows[i, j], rows[i, i] + rows[j, j])
             sine, cosine = np.sin(turn), np.cos(turn)
-            rows = rows.copy()
             rows[i], rows[j] = cosine * rows[i] + sine * rows[j], cosine * rows[j] - sine * rows[i]
     return rows

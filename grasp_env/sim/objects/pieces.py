@@ -12,19 +12,13 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.sim.mesh_shape import reduce_hull, volume
 from grasp_env.sim.objects.apart import apart
 
-CONVEX = 1e-3
-"""Share of its hull's volume that a mesh may lack and still count as convex."""
+CONVEX = 1e-3  # share of its hull's volume that a mesh may lack and still count as convex
 CONCAVITY = 0.03
 """Largest concavity of a piece as CoACD defines it: about the distance it may protrude from the mesh, over half the mesh's size."""
-MAX_PIECES = 32
-"""Largest number of pieces of a connected mesh."""
-MAX_CORNERS = 256
-"""Largest number of corners of a piece: the faces of a ball of 66 mm are then within 0.7 mm."""
-FINE = 2e-4
-"""Distance by which omitted corners may stand out of a piece, relative to its size."""
-LONGEST = 60.0
-"""Longest time to cut a mesh [s]; 1 to 12 s are usual."""
-
+MAX_PIECES = 32  # of a connected mesh
+MAX_CORNERS = 256  # of a piece: the faces of a ball of 66 mm are then within 0.7 mm
+FINE = 2e-4  # distance by which omitted corners may stand out of a piece, relative to its size
+LONGEST = 60.0  # longest time to cut a mesh [s]; 1 to 12 s are usual
 _MAX_CUT_FACES = 5000  # faces, above which a mesh is simplified before it is cut
 _SEARCH = {"mcts_iterations": 60, "mcts_max_depth": 2, "resolution": 1000, "preprocess_mode": "off"}
 """A third of CoACD's default search. Its preprocessing is off, as it adds a shell of a hundredth of the mesh's size."""
@@ -35,14 +29,6 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
 
     The pieces contain all corners of the mesh, except for what `MAX_CORNERS` leaves out. In hollows they protrude from the mesh by a few
     hundredths of its size.
-
-    Args:
-        corners: Corners of a closed mesh, (V, 3).
-        faces: Its faces, counterclockwise from outside, (F, 3).
-        name: Name of the mesh, for messages.
-
-    Raises:
-        InvalidInputError: Neither can cut it.
     """
     from scipy.spatial import ConvexHull
 
@@ -72,25 +58,21 @@ def by_coacd(corners: Array, faces: Any) -> dict[str, Array]:
     import coacd
 
     coacd.set_log_level("error")
-    mesh = coacd.Mesh(corners, faces)
-    return _packed(coacd.run_coacd(mesh, threshold=CONCAVITY, max_convex_hull=MAX_PIECES, **_SEARCH))
+    found = coacd.run_coacd(coacd.Mesh(corners, faces), threshold=CONCAVITY, max_convex_hull=MAX_PIECES, **_SEARCH)
+    return _packed(found)
 
 
 def by_vhacd(corners: Array, faces: Any) -> dict[str, Array]:
     """Cut a mesh by V-HACD 4, with the same result as `by_coacd`."""
     import vhacdx
 
-    return _packed(
-        vhacdx.compute_vhacd(corners, faces.astype(np.uint32), maxConvexHulls=MAX_PIECES, maxNumVerticesPerCH=64)
-    )
+    options = {"maxConvexHulls": MAX_PIECES, "maxNumVerticesPerCH": 64}
+    return _packed(vhacdx.compute_vhacd(corners, faces.astype(np.uint32), **options))
 
 
 def _packed(found: list[Any]) -> dict[str, Array]:
-    pieces = [np.asarray(points, dtype=float) for points, _ in found]
-    return {
-        "points": np.concatenate([np.empty((0, 3)), *pieces]),
-        "counts": np.array([len(each) for each in pieces], dtype=int),
-    }
+    pieces = [np.empty((0, 3)), *(np.asarray(points, dtype=float) for points, _ in found)]
+    return {"points": np.concatenate(pieces), "counts": np.array([len(each) for each in pieces[1:]], dtype=int)}
 
 
 def _simplified(corners: Array, faces: Any) -> tuple[Array, Any]:
@@ -116,8 +98,6 @@ def _covering(pieces: list[Array], corners: Array) -> list[Array]:
         return []
     heights = np.array([(corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in hulls])
     nearest, outside = heights.argmin(axis=0), heights.min(axis=0) > 0.0
-    out: list[Array] = []
-    for number, hull in enumerate(hulls):
-        grown = ConvexHull(np.vstack([hull.points[hull.vertices], corners[outside & (nearest == number)]]))
-        out.append(reduce_hull(grown.points[grown.vertices], MAX_CORNERS, FINE))
-    return out
+    added = [corners[outside & (nearest == number)] for number in range(len(hulls))]
+    grown = [ConvexHull(np.vstack([hull.points[hull.vertices], more])) for hull, more in zip(hulls, added, strict=True)]
+    return [reduce_hull(hull.points[hull.vertices], MAX_CORNERS, FINE) for hull in grown]

@@ -14,15 +14,9 @@ from grasp_env import ranges
 from grasp_env._check import Array, as_array, positive
 
 WRENCH_COLOR = (150, 30, 140)
-
-LONGEST = 0.08
-"""Length of the longest force arrow [m]."""
-
-WRENCH_STRETCH = 2.0
-"""Ratio of the drawn scale of the wrench's force to that of the fingers' forces, which are larger."""
-
-LONGEST_TURN = math.radians(300.0)
-"""Angle of the longest arc of a moment [rad]."""
+LONGEST = 0.08  # length of the longest force arrow [m]
+WRENCH_STRETCH = 2.0  # drawn scale of the wrench's force over that of the fingers' forces, which are larger
+LONGEST_TURN = math.radians(300.0)  # angle of the longest arc of a moment [rad]
 
 
 @dataclass(frozen=True, eq=False)

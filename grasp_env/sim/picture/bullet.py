@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,9 +10,10 @@ import numpy as np
 from PIL import Image
 
 from grasp_env._check import Array
+from grasp_env.sim.bullet import joint_indices
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.urdf import hand_files
+from grasp_env.sim.hand.urdf import write_hand
 from grasp_env.sim.objects.description import OBJECT_COLOR
 from grasp_env.sim.picture.annotation import Annotation
 from grasp_env.sim.picture.painter import AMBIENT, DIFFUSE, LIGHT, SPECULAR, Painter, before_background, lines_of
@@ -22,12 +22,7 @@ from grasp_env.sim.scene import Scene
 
 
 class BulletPainter(Painter):
-    """Renderer of the bodies in a PyBullet server; see `Painter`.
-
-    Args:
-        client: The connection.
-        scene: Scene that owns the connection; None if the painter owns it and closes it.
-    """
+    """Renderer of the bodies in a PyBullet server, which it closes unless a scene owns it; see `Painter`."""
 
     def __init__(self, client: Client, scene: Scene | None = None) -> None:
         self._client, self._scene = client, scene
@@ -44,13 +39,9 @@ class BulletPainter(Painter):
         """See `Painter`."""
         client = Client()
         with tempfile.TemporaryDirectory() as folder:
-            for name, text in hand_files(hand).items():
-                with open(os.path.join(folder, name), "w", encoding="utf-8") as file:
-                    file.write(text)
-            body = bullet.loadURDF(os.path.join(folder, "hand.urdf"), useFixedBase=True, physicsClientId=client.number)
-        names = [bullet.getJointInfo(body, index, client.number)[1].decode() for index in range(hand.joint_count)]
-        for name, angle in zip(hand.joint_names, angles.tolist(), strict=True):
-            bullet.resetJointState(body, names.index(name), angle, physicsClientId=client.number)
+            body = bullet.loadURDF(write_hand(hand, folder), useFixedBase=True, physicsClientId=client.number)
+        for joint, angle in zip(joint_indices(client.number, body, hand), angles.tolist(), strict=True):
+            bullet.resetJointState(body, joint, angle, physicsClientId=client.number)
         return cls(client)
 
     def shoot(self, view: View, factor: int = 1, shadows: bool = False) -> tuple[Image.Image, Array]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from PIL import Image
 
-from grasp_env._check import Array, number, whole
+from grasp_env._check import number, whole
 from grasp_env.errors import InvalidInputError
 from grasp_env.ranges import Range
 from grasp_env.sim.engine import class_of
@@ -86,6 +85,7 @@ class Camera:
 
     Attributes:
         painter: Renderer of the scene, see `Painter`.
+        view: Current position and opening.
 
     Raises:
         SimulationError: This machine has no OpenGL, which MuJoCo's pictures need. The message says how to install it.
@@ -166,7 +166,3 @@ class Camera:
             picture = Image.composite(mixed, picture, Image.fromarray(depth != behind_depth))
         picture = picture.reduce(factor) if factor > 1 else smooth_edges(picture)
         return np.array(picture if annotation is None else draw(picture, annotation, self.view))
-
-    def project(self, points: ArrayLike) -> Array:
-        """Return pixels (N, 2), right and down, of points (N, 3) [m], world frame; see `View.project`."""
-        return self.view.project(points)

@@ -26,20 +26,12 @@ from grasp_env.sim.picture.painter import Painter, before_background
 from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
 from grasp_env.sim.scene import Scene
 
-_BACKENDS = ("egl", "osmesa", "glfw", "cgl")
-"""Modules of MuJoCo that make an OpenGL context, by their names in the variable MUJOCO_GL."""
+_BACKENDS = ("egl", "osmesa", "glfw", "cgl")  # modules of MuJoCo that make an OpenGL context, as MUJOCO_GL names them
 _MOST_SHAPES = 10_000
 
 
 class MujocoPainter(Painter):
-    """Renderer with a model of its own, which has only the visual shapes of hand and object; see `Painter`.
-
-    Args:
-        scene: Scene to draw; None for a hand alone, see `of_hand`.
-
-    Raises:
-        SimulationError: This machine has no OpenGL.
-    """
+    """Renderer with a model of its own, which has only the visual shapes of hand and object; see `Painter`."""
 
     def __init__(self, scene: Scene | None = None) -> None:
         self._scene = scene
@@ -124,8 +116,8 @@ class MujocoPainter(Painter):
             )  # fmt: skip
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        names = [self._model.joint(link_name(index)).qposadr[0] for index in range(hand.joint_count)]
-        self._order = np.array([*names, *range(hand.joint_count, self._model.nq)])
+        joints = [self._model.joint(link_name(index)).qposadr[0] for index in range(hand.joint_count)]
+        self._order = np.array([*joints, *range(hand.joint_count, self._model.nq)])
         self._shapes = mujoco.MjvScene(self._model, _MOST_SHAPES)
         self._context.make_current()
         while self._brushes:

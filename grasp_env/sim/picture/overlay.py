@@ -17,21 +17,15 @@ from grasp_env.sim.picture.view import View
 
 Color: TypeAlias = tuple[int, ...]
 """Red, green, blue and optional opacity, 0 to 255."""
-
-CONE_LENGTH = 0.036
-"""Length of the sides of the drawn friction cones [m]."""
-
-VEIL = 0.2
-"""Share of contrast removed from the picture below."""
-
+CONE_LENGTH = 0.036  # length of the sides of the drawn friction cones [m]
+VEIL = 0.2  # share of contrast removed from the picture below
 _WHITE, _INK, _FAINT, _INACTIVE, _ALARM = (255, 255, 255), (38, 42, 51), (112, 119, 132), (150, 154, 162), (190, 38, 30)
 _FINE = 2  # drawn pixels per delivered pixel along each side, for smooth edges
 _BAR = 0.03  # longest arrow of the legend [m]
 _LINE = 1.3  # line spacing over font size
 _HIGHEST = 0.4  # largest share of the picture's height for text; otherwise it is left out
 _THREE_COLUMNS = 320  # width from which the legend has three columns [pixels]
-_TURN_RADIUS = 0.03  # radius of the moment's arc [m]
-_LEAST_TURN = 0.15  # least visible arc [rad]
+_TURN_RADIUS, _LEAST_TURN = 0.03, 0.15  # radius of the moment's arc [m]; least visible arc [rad]
 
 
 def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Image:
@@ -39,12 +33,7 @@ def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Imag
 
     A force arrow ends at its contact and its length is `scale` times the force, so that a force inside its friction cone is drawn
     inside the drawn cone. The wrench's force starts at `center`. Its moment is an arc about the moment's axis, by `turn` times the
-    moment. Bodies in front hide nothing.
-
-    Args:
-        picture: RGB picture taken with `view`; it is not changed.
-        annotation: The annotation.
-        view: View of the picture.
+    moment. Bodies in front hide nothing. The RGB picture, taken with `view`, is not changed.
     """
     veiled = picture.point(lambda value: 255.0 - (1.0 - VEIL) * (255.0 - value))
     view = replace(view, width=_FINE * view.width, height=_FINE * view.height)
@@ -103,9 +92,8 @@ class _Pen:
 def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None:
     point, normal, friction = annotation.points[i], annotation.normals[i], annotation.friction[i]
     if not annotation.active[i]:
-        place = view.project(point[None])[0]
-        pen.ring(place, 6.0, (*_WHITE, 220), 4.6)
-        pen.ring(place, 6.0, _INACTIVE, 2.0)
+        for color, width in (((*_WHITE, 220), 4.6), (_INACTIVE, 2.0)):
+            pen.ring(view.project(point[None])[0], 6.0, color, width)
         return
     length = CONE_LENGTH / math.hypot(1.0, friction)
     across = np.linalg.svd(normal[None])[2][1:]  # two directions in the tangent plane
@@ -114,9 +102,7 @@ def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None
     pixels = view.project(np.vstack([rim, point, tails]))
     mouth, cone, (place, tail, measured) = pixels[:-3], pixels[:-2], pixels[-3:]
     outline = cone[np.argmax(cone @ _circle(64).T, axis=0)]  # convex hull: the farthest point in each direction
-    color = tuple(
-        (215.0 * annotation.colors[i]).clip(0.0, 255.0).astype(int).tolist()
-    )  # a little darker than the links
+    color = tuple((215.0 * annotation.colors[i]).clip(0.0, 255.0).astype(int).tolist())  # darker than the links
     for shape, fill, edge in ((outline, 70, 170), (mouth, 45, 190)):
         pen.polygon(shape, (*color, fill))
         pen.line(shape, (*color, edge), 1.1)
@@ -160,12 +146,9 @@ def _sizes(width: int, height: int) -> tuple[float, int, int]:
 
 
 def _draw_legend(pen: _Pen, view: View, annotation: Annotation, width: int, height: int) -> list[dict[str, Any]]:
-    """Draw the band at the bottom and its icons, unless the picture is too small for it.
+    """Draw the band at the bottom and its icons, unless the picture is too small for it; return the texts of the picture.
 
-    Positions do not depend on the numbers, so that nothing jumps in a film.
-
-    Returns:
-        The texts of the picture, as arguments of `ImageDraw.text`, in delivered pixels.
+    The texts are arguments of `ImageDraw.text`. Positions do not depend on the numbers, so that nothing jumps in a film.
     """
     words: list[dict[str, Any]] = []
     pad, normal, small = _sizes(width, height)
@@ -205,10 +188,8 @@ def _legend(pen: _Pen, view: View, annotation: Annotation) -> list[tuple[str, fl
     ends = view.project(annotation.center + np.outer(lengths, view.axes[0]))[:, 0]
     longest, bar, longer = (ends[1:, None] - ends[0]) * right
     moment = round_down(0.5 * math.pi / annotation.turn)
-    angles = np.linspace(0.0, moment * annotation.turn, 12)
-    arc = (
-        20.0 * unit * np.column_stack([np.cos(angles) - np.cos(angles[-1]), 0.5 * np.sin(angles[-1]) - np.sin(angles)])
-    )
+    x, y = (turned(np.linspace(0.0, moment * annotation.turn, 12)) for turned in (np.cos, np.sin))
+    arc = 20.0 * unit * np.column_stack([x - x[-1], 0.5 * y[-1] - y])
     cone = 9.0 * unit * np.array([[2.0, 0.0], [0.0, -0.7], [0.0, 0.7], [2.0, 0.0]])
 
     def draw_cone(at: Array) -> None:

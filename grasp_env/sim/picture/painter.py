@@ -15,12 +15,9 @@ from grasp_env.sim.picture.annotation import WRENCH_COLOR, WRENCH_STRETCH, Annot
 from grasp_env.sim.picture.view import View
 from grasp_env.sim.scene import Scene
 
-BACKGROUND_DEPTH = 0.99999
-"""Least OpenGL depth of the background."""
-AMBIENT, DIFFUSE, SPECULAR = 0.62, 0.42, 0.08
-"""Intensities of ambient, diffuse and specular light."""
-LIGHT = (0.5, 1.0, 0.6)
-"""Direction towards the light, world frame."""
+BACKGROUND_DEPTH = 0.99999  # least OpenGL depth of the background
+AMBIENT, DIFFUSE, SPECULAR = 0.62, 0.42, 0.08  # intensities of light
+LIGHT = (0.5, 1.0, 0.6)  # direction towards the light, world frame
 
 
 class Painter(Protocol):
@@ -52,11 +49,9 @@ class Painter(Protocol):
 
     def show(self, annotation: Annotation) -> None:
         """Draw the forces of the fingers and of the wrench as lines in the window, for engines that have one."""
-        ...
 
     def close(self) -> None:
         """Free the renderer, but not the scene."""
-        ...
 
 
 def before_background(pixels: Any, depth: Any) -> tuple[Image.Image, Array]:
@@ -67,16 +62,11 @@ def before_background(pixels: Any, depth: Any) -> tuple[Image.Image, Array]:
 
 
 def lines_of(annotation: Annotation) -> list[tuple[Array, Array, Array]]:
-    """Return start [m], end [m] and colour of a line for each finger, which ends at its contact, and of one for the wrench's force.
-
-    The line of an inactive contact has no length.
-    """
+    """Return start [m], end [m] and colour of a line for each finger, without length if inactive, and of one for the wrench's force."""
     starts = annotation.points - annotation.scale * annotation.active[:, None] * annotation.forces
     tip = annotation.center + WRENCH_STRETCH * annotation.scale * annotation.wrench[:3]
-    return [
-        *zip(starts, annotation.points, annotation.colors, strict=True),
-        (annotation.center, tip, np.divide(WRENCH_COLOR, 255.0)),
-    ]
+    wrench = annotation.center, tip, np.divide(WRENCH_COLOR, 255.0)
+    return [*zip(starts, annotation.points, annotation.colors, strict=True), wrench]
 
 
 @lru_cache(maxsize=4)

@@ -21,9 +21,7 @@ from grasp_env.sim.objects.description import OBJECT_COLOR
 from grasp_env.sim.objects.mesh import Mesh
 from grasp_env.sim.picture.view import View
 
-_TIP = (0.90, 0.25, 0.15)
-_SOLID = (0.62, 0.70, 0.80)
-_PALM = (0.45, 0.50, 0.58)
+_TIP, _SOLID, _PALM = (0.90, 0.25, 0.15), (0.62, 0.70, 0.80), (0.45, 0.50, 0.58)
 _FINE = 2  # rendered pixels per delivered pixel along each side
 _ROOM = 0.04  # share of the picture left free around the hand or mesh
 _DRAWN = 0.2  # size to which a mesh is scaled for its picture, as a camera cannot come nearer to small ones [m]
@@ -33,12 +31,8 @@ _NOWHERE = (0.0, 0.0, 0.0)
 def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None) -> np.ndarray:
     """Return a picture (size, 2 size, 3) uint8 of a hand's visual shapes, and of its collision shapes with red fingertips.
 
-    The palm is below the fingertips, which close towards the camera, as far as a hand has such sides.
-
-    Args:
-        hand: The hand to draw.
-        size: Height, and width of each half [pixels].
-        angles: Joint angles [rad], (M,); None for `home`.
+    The palm is below the fingertips, which close towards the camera, as far as a hand has such sides. The joints are at `angles` (M,)
+    [rad], or at `home`.
     """
     posture = np.array(hand.home) if angles is None else angles
     upright = hand.moved((0.0, 0.0, 0.0), roll_pitch_yaw(_upright(hand, posture)))
@@ -53,14 +47,7 @@ def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None
 
 
 def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
-    """Return a picture (size, 2 size, 3) uint8 of a mesh, and of its convex pieces, each in a colour of its own.
-
-    The body's y axis is up.
-
-    Args:
-        mesh: The mesh to draw.
-        size: Height, and width of each half [pixels].
-    """
+    """Return a picture (size, 2 size, 3) uint8 of a mesh, with its y axis up, and of its convex pieces, each in a colour of its own."""
     scale = _DRAWN / max(mesh.extent)
     pieces = [
         Geometry("hull", (), color=_color(index), corners=tuple(map(tuple, (scale * piece).tolist())))
@@ -82,19 +69,8 @@ def _color(index: int) -> Vector3:
 
 def _lookalike(shapes: tuple[Geometry, ...]) -> HandDescription:
     """Make a hand whose only visual shapes are these, as painters draw hands."""
-    link = Link(
-        "unseen",
-        "palm",
-        _NOWHERE,
-        _NOWHERE,
-        (0.0, 0.0, 1.0),
-        -1.0,
-        1.0,
-        1.0,
-        1.0,
-        _NOWHERE,
-        (1.0, 0.0, 0.0, 1.0, 0.0, 1.0),
-    )
+    body = 1.0, _NOWHERE, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # mass, centre, inertia
+    link = Link("unseen", "palm", _NOWHERE, _NOWHERE, (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, *body)
     return HandDescription("mesh", Palm(visual=shapes), (link,), (Fingertip("tip", "unseen", _NOWHERE, 1.0),))
 
 
@@ -106,11 +82,11 @@ def _shot(hand: HandDescription, angles: Array, view: View) -> np.ndarray:
 
 def _solid(hand: HandDescription) -> HandDescription:
     """Return the hand with its collision shapes as its visual shapes."""
-    spheres = {(tip.link, tip.center) for tip in hand.fingertips}
+    tips = {("sphere", tip.link, tip.center) for tip in hand.fingertips}
 
     def body(part: Link | Palm, color: Vector3) -> tuple[Geometry, ...]:
         return tuple(
-            replace(shape, color=_TIP if shape.kind == "sphere" and (part.name, shape.origin) in spheres else color)
+            replace(shape, color=_TIP if (shape.kind, part.name, shape.origin) in tips else color)
             for shape in part.collision
         )
 

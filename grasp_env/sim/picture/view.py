@@ -11,11 +11,7 @@ from numpy.typing import ArrayLike
 from grasp_env._check import Array
 from grasp_env.sim.hand.description import Vector3
 
-NEAR_PLANE = 0.05
-"""Least distance from the camera that is drawn [m]."""
-
-FAR_PLANE = 5.0
-"""Largest distance from the camera that is drawn [m]."""
+NEAR_PLANE, FAR_PLANE = 0.05, 5.0  # least and largest distance from the camera that is drawn [m]
 
 
 @dataclass(frozen=True)
@@ -58,13 +54,9 @@ class View:
         return (self.eye - np.asarray(points, dtype=float)) @ self.axes[2]
 
     def project(self, points: ArrayLike) -> Array:
-        """Project points to pixels.
+        """Return pixels (N, 2), right and down from the top left corner of the picture, inside it or not, of points (N, 3) [m].
 
-        Args:
-            points: Points (N, 3) [m], world frame. Points behind the camera are treated as just in front of it.
-
-        Returns:
-            Pixels (N, 2), right and down from the top left corner of the picture, inside it or not.
+        Points behind the camera are treated as just in front of it.
         """
         local = (np.asarray(points, dtype=float) - self.eye) @ self.axes.T
         part = local[:, :2] / (np.maximum(-local[:, 2:], NEAR_PLANE) * self.slope)
@@ -78,12 +70,10 @@ class View:
         return along[..., None] * np.dstack([across, up, np.full_like(up, -1.0)]) @ self.axes + self.eye
 
     def fitted(self, points: Array, margin: float, below: float) -> View:
-        """Return the view moved, with the same direction and opening, so that all points are in the picture and centred.
+        """Return the view moved, with the same direction and opening, so that all points (N, 3) [m] are in the picture and centred.
 
-        Args:
-            points: Points (N, 3) [m], world frame.
-            margin: Share of the width and of the height left free on the left, on the right and above.
-            below: Share of the height left free below; `margin + below` and `2 margin` are less than 1.
+        The share `margin` of width and height stays free on the left, on the right and above, `below` of the height below. Both their
+        sum and `2 margin` are less than 1.
         """
         local = points @ self.axes.T
         # x + s_high z <= c_x + s_high c_z and x - s_low z >= c_x - s_low c_z for every point, and the same for y

@@ -7,6 +7,7 @@ covers all.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,54 +16,29 @@ import numpy as np
 from grasp_env._check import Array
 from grasp_env.sim.mujoco_api import mujoco
 
-_STATIONS = 7
-"""Number of positions of a motor at which the joints are measured."""
-_TRAVEL, _REST = 0.2, 0.8
-"""Time from one position to the next, and waiting time before the joints are measured [s]."""
-_MAX_STEPS, _LONGEST_STEP = 4000, 0.005
-"""Largest number of simulation steps for one motor, and longest time step [s]; the time step of the file is adjusted to these."""
-_HELD = 1e6
-"""Armature that freezes a joint against constraints [kg m^2]."""
-_ROTOR, _SLIDER = 1e-3, 1.0
-"""Armature of every hinge [kg m^2] and slide [kg], so that joints on one tendon move alike."""
-_SETTLING = 0.05
-"""Time in which a joint without springs comes to rest [s]."""
-_DIGITS = 4
-"""Significant digits of a coupling, as many as the measurement has."""
-_STILL = 1e-6
-"""Largest travel of a joint that counts as still [rad] or [m]."""
-_MOVED = 0.02
-"""Smallest travel of a coupled joint, as a share of its range, or [rad] without one."""
-_NEARLY = 0.9
-"""Share of the largest relative travel on a tendon; the first joint that moves as far is the driver."""
-_STRAIGHT = 0.05
-"""Largest deviation of a coupled joint from its line, as a share of its travel, before the coupling counts as curved."""
-_FREE_TURN, _FREE_WAY = np.pi, 0.1
-"""Travel in both directions of a hinge [rad] and a slide [m] without limits."""
+_STATIONS = 7  # positions of a motor at which the joints are measured
+_TRAVEL, _REST = 0.2, 0.8  # time from one position to the next, and waiting time before the joints are measured [s]
+_MAX_STEPS, _LONGEST_STEP = 4000, 0.005  # steps for one motor, and time step [s]; that of the file is adjusted to these
+_HELD = 1e6  # armature that freezes a joint against constraints [kg m^2]
+_ROTOR, _SLIDER = 1e-3, 1.0  # armature of hinges [kg m^2] and slides [kg], so that joints on one tendon move alike
+_SETTLING = 0.05  # time in which a joint without springs comes to rest [s]
+_DIGITS = 4  # significant digits of a coupling, as many as the measurement has
+_STILL = 1e-6  # largest travel of a joint that counts as still [rad] or [m]
+_MOVED = 0.02  # smallest travel of a coupled joint, as a share of its range, or [rad] without one
+_NEARLY = 0.9  # share of the largest relative travel on a tendon; the first joint that moves as far is the driver
+STRAIGHT = 0.05  # largest `Motor.bend` of a coupling that a line fits well
+_FREE_TURN, _FREE_WAY = np.pi, 0.1  # travel in both directions of a hinge [rad] and a slide [m] without limits
 
 
 @dataclass(frozen=True)
 class Motor:
-    """A motor and the joints that it moves.
+    """A motor, the joint that it moves farthest, and the others: angle = ratio * angle of `joint` + offset."""
 
-    Attributes:
-        actuator: Number of the actuator; -1 for a joint that counts as a motor because the file has no actuators.
-        joint: Number of the joint that moves farthest.
-        followers: Ratio and offset of the other joints that it moves: angle = ratio * angle of `joint` + offset.
-        arm: Torque of `joint` [N m] per force of the motor [N or N m], including the share of the followers.
-        bend: Largest distance of a follower from its line, as a share of its travel.
-    """
-
-    actuator: int
+    actuator: int  # -1 for a joint that counts as a motor because the file has no actuators
     joint: int
-    followers: dict[int, tuple[float, float]]
-    arm: float
-    bend: float
-
-    @property
-    def curved(self) -> bool:
-        """True if a line is a poor fit of the coupling."""
-        return self.bend > _STRAIGHT
+    followers: dict[int, tuple[float, float]]  # ratio and offset
+    arm: float  # torque of `joint` [N m] per force of the motor [N or N m], including the share of the followers
+    bend: float  # largest distance of a follower from its line, as a share of its travel
 
 
 def find_motors(model: Any) -> list[Motor]:
@@ -141,12 +117,7 @@ def _actuators(model: Any) -> list[tuple[int, int]]:
 
 
 class _Bench:
-    """A test bench that moves the motors of a model one at a time, without gravity and contacts.
-
-    Args:
-        model: The compiled model.
-        held: Joints with a motor of their own, which are frozen while another motor moves.
-    """
+    """A test bench that moves the motors of a model one at a time, without gravity and contacts; joints of others are `held`."""
 
     def __init__(self, model: Any, held: list[int]) -> None:
         self.model, self.held = model, held
@@ -168,10 +139,7 @@ class _Bench:
     def moved_by(self, actuator: int, joint: int, arm: float) -> tuple[Motor, dict[int, float]] | None:
         """Return a motor with all joints that it moves, and the travel of each over its range; None: none moves, or the simulation fails.
 
-        Args:
-            actuator: Number of the actuator; -1 for none.
-            joint: Number of the joint on which it acts; -1 for a tendon.
-            arm: Lever arm of the actuator at `joint`.
+        The actuator is -1 for none, the joint -1 for a tendon.
         """
         path = self._path(actuator, joint)
         if path is None:
@@ -182,8 +150,8 @@ class _Bench:
         driver = angles[:, column]
         if np.ptp(driver) < _STILL:
             return None
-        followers, far, bend = dict[int, tuple[float, float]](), {self.movable[column]: float(spans[column])}, 0.0
         first = self.movable[column]
+        followers, far, bend = dict[int, tuple[float, float]](), {first: float(spans[column])}, 0.0
         for other, name in enumerate(self.movable):
             travel = float(np.ptp(angles[:, other]))
             moves = travel > _STILL if name in self.paired else spans[other] >= _MOVED
@@ -197,7 +165,7 @@ class _Bench:
             bend = max(bend, away / travel)
         if joint < 0:
             arm = abs(float(np.polyfit(driver, lengths, 1)[0]))
-        return Motor(actuator, self.movable[column], followers, arm, bend), far
+        return Motor(actuator, first, followers, arm, bend), far
 
     def _equality(self, joint: int, driver: int) -> tuple[float, float] | None:
         """Return ratio and offset of a joint that a linear equality couples to a driver; None without such an equality."""
@@ -210,7 +178,7 @@ class _Bench:
 
     def _path(self, actuator: int, joint: int) -> tuple[Array, Array] | None:
         """Return angles of the movable joints (K, J) and lengths of the actuator (K,) at the motor's stations."""
-        model = mujoco.MjModel.from_binary_path("bench.mjb", {"bench.mjb": _binary(self.model)})
+        model = copy(self.model)
         model.opt.gravity[:] = 0.0
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         model.opt.timestep = max(float(model.opt.timestep), _STATIONS * (_TRAVEL + _REST) / _MAX_STEPS)
@@ -260,10 +228,8 @@ class _Bench:
                 data.qpos[address] = target
             before = float(target)
             mujoco.mj_forward(model, data)
-            angles[row], lengths[row] = (
-                data.qpos[self.addresses],
-                data.actuator_length[actuator] if actuator >= 0 else 0.0,
-            )
+            angles[row] = data.qpos[self.addresses]
+            lengths[row] = data.actuator_length[actuator] if actuator >= 0 else 0.0
         return (angles, lengths) if np.isfinite(angles).all() else None
 
     def _free(self, joint: int) -> bool:
@@ -275,10 +241,3 @@ def _idle(model: Any, data: Any) -> Array:
     gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
     force = bias[:, 0] + bias[:, 1] * data.actuator_length
     return np.where(gain != 0.0, -force / np.where(gain != 0.0, gain, 1.0), 0.0)
-
-
-def _binary(model: Any) -> bytes:
-    """Return a compiled model in MuJoCo's binary format."""
-    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return buffer.tobytes()

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
-
-import numpy as np
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
 
 from grasp_env.errors import shown
 from grasp_env.sim.hand.check import Vector3
-from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.frames import IDENTITY, Frame
 from grasp_env.sim.hand.inertia import Inertia
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
-_MAX_LISTED = 20
-NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Inertia of a link without one in the file."""
+Ends: TypeAlias = Sequence[tuple[str, str, str]]
+"""Name, parent and child of each joint."""
+NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of a link without one in the file
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,7 @@ class FileLink:
 
     name: str
     mass: float = 0.0
-    inertial_frame: Frame = field(default_factory=lambda: Frame(np.eye(3), np.zeros(3)))
+    inertial_frame: Frame = IDENTITY
     inertia: Inertia = NO_INERTIA
     collision: tuple[Geometry, ...] = ()
     visual: tuple[Geometry, ...] = ()
@@ -35,10 +33,7 @@ class FileLink:
 
 @dataclass(frozen=True)
 class FileJoint:
-    """A joint of a file: `origin` and `rotation` place the child at angle 0; `effort` is None if the file has none.
-
-    `rotor` is the inertia of its motor [kg m^2], which a URDF cannot give.
-    """
+    """A joint of a file: `origin` and `rotation` place the child at angle 0; `effort` is None and `rotor` [kg m^2] 0 without one."""
 
     name: str
     parent: str
@@ -77,10 +72,9 @@ class HandFile(Protocol):
 
 def names_of(values: Sequence[Any]) -> str:
     """Return at most 60 names for a message, and the number of the others."""
-    return ", ".join(map(shown, values[:60])) + (f" and {len(values) - 60} more" if len(values) > 60 else "")
+    return listed(list(map(shown, values)), 60)
 
 
-def listed(rows: Sequence[str]) -> str:
-    """Return at most 20 texts for a message, and the number of the others."""
-    more = f" and {len(rows) - _MAX_LISTED} more" if len(rows) > _MAX_LISTED else ""
-    return ", ".join(rows[:_MAX_LISTED]) + more
+def listed(rows: Sequence[str], most: int = 20) -> str:
+    """Return at most `most` texts for a message, and the number of the others."""
+    return ", ".join(rows[:most]) + (f" and {len(rows) - most} more" if len(rows) > most else "")

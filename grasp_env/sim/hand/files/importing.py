@@ -1,7 +1,6 @@
 """Assemble a hand from the links and joints of a file: links behind a fixed joint are merged into their parent.
 
-Public files have links without mass, impossible inertias and placeholders for torques. All repairs are listed in one warning, all
-faults in one error.
+All repairs of impossible or missing values are listed in one warning, all faults in one error.
 """
 
 from __future__ import annotations
@@ -9,23 +8,26 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from grasp_env._check import AllFaults, Array
+from grasp_env._extras import need
+from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3
-from grasp_env.sim.hand.files.elements import FileJoint, HandFile, names_of
-from grasp_env.sim.hand.files.joint_ranges import judge_ranges
-from grasp_env.sim.hand.files.linkages import find_rods, free_ranges
+from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, HandFile, names_of
+from grasp_env.sim.hand.files.joints import find_rods, free_ranges, judge_ranges
 from grasp_env.sim.hand.files.options import HandOptions, Inertial
-from grasp_env.sim.hand.files.part import arrange
+from grasp_env.sim.hand.files.part import arrange, read_part
 from grasp_env.sim.hand.files.pieces import hull_of_file
 from grasp_env.sim.hand.files.plausible import Body, Judge
-from grasp_env.sim.hand.files.reading import open_file, read_part
-from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.files.urdf import UrdfReader
+from grasp_env.sim.hand.frames import IDENTITY, Frame
 from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, inertia_numbers, with_rotor
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tips import Ball, cut_back, end_direction, inscribed
@@ -34,23 +36,17 @@ from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
 _NEAR = 1e-3  # [m] from a joint, below which points give no direction
 
 
-@dataclass(frozen=True)
-class ReadHand:
-    """The parts of a hand in a file.
-
-    Attributes:
-        repairs: A sentence for each thing that was assumed, left out or changed.
-    """
+class ReadHand(NamedTuple):
+    """The parts of a hand in a file, and a sentence for each thing that was assumed, left out or changed."""
 
     name: str
     palm: Palm
     links: tuple[Link, ...]
     fingertips: tuple[Fingertip, ...]
-    repairs: tuple[str, ...]
+    repairs: list[str]
 
 
-@dataclass(frozen=True)
-class _Place:
+class _Place(NamedTuple):
     """The place of a file's link: the moving link to which it belongs, None for the palm, and its frame in that link."""
 
     carrier: str | None
@@ -58,23 +54,30 @@ class _Place:
 
 
 def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
-    """Read the parts of a hand from a file; `HandDescription.from_file` describes the arguments.
-
-    Returns:
-        The parts; links stand parents before children, otherwise in the order of the file's joints.
-
-    Raises:
-        InvalidInputError: The file is not a hand that can be simulated.
-    """
+    """Read the parts of a hand from a file, see `HandDescription.from_file`; links stand in the order of the joints, after their parents."""
     with AllFaults() as check:
         check(options.checked_palm)
         tips = check(options.tips)
         check(options.radius)
     try:
-        return _Importer(open_file(path, tuple(tips or ())), options).hand
+        return _Importer(_opened(path, tuple(tips or ())), options).hand
     except InvalidInputError as error:
         message = str(error)
         raise InvalidInputError(message if message.startswith("cannot read") else f"{path}: {message}") from None
+
+
+def _opened(path: str | os.PathLike[str], tips: tuple[str, ...]) -> HandFile:
+    """Return the reader of a file, chosen by its first element."""
+    first: Element = parsed(path, read_xml, InvalidInputError, f"the file {shown_path(path)}", "XML")
+    if first.tag == "robot":
+        return UrdfReader(path, first)
+    if first.tag == "mujoco":
+        with need("mujoco"):
+            from grasp_env.sim.hand.files.mjcf import MjcfReader
+        return MjcfReader(path, tips)
+    raise InvalidInputError(
+        f"the first element is <{first.tag[:40]}>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"
+    )
 
 
 class _Importer:
@@ -93,10 +96,8 @@ class _Importer:
         self.repairs = [*file.notes, *part.notes, *held, *wide, *uncoupled]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
-            why = "".join(f"; {sentence}" for sentence in held)
-            raise InvalidInputError(
-                f"no joint moves; a hand needs joints of type revolute, continuous or prismatic{why}"
-            )
+            sentences = ["no joint moves; a hand needs joints of type revolute, continuous or prismatic", *held]
+            raise InvalidInputError("; ".join(sentences))
         self.links = file.with_shapes(self.links)  # may take seconds, but meshes are cached by content
         self.places = self._placed()
         for why in dict.fromkeys(file.undrawn.values()):
@@ -115,40 +116,37 @@ class _Importer:
             fitted = [pair for pair in fitted if pair[0].name not in rods]
         links = [self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name]) for link in links]
         tips = tuple(tip for tip, _ in fitted)
-        self.hand = ReadHand(file.name, palm, tuple(links), tips, tuple(self.repairs))
+        self.hand = ReadHand(file.name, palm, tuple(links), tips, self.repairs)
 
     def _placed(self) -> dict[str, _Place]:
         """Return the place of each link."""
-        places = {self.root: _Place(None, Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))}
+        places = {self.root: _Place(None, IDENTITY)}
         for joint in self.joints:
-            here = places[joint.parent].carrier
-            frame = places[joint.parent].frame @ Frame.of(joint.origin, joint.rotation)
-            own = Frame(np.eye(3), np.zeros(3))
-            places[joint.child] = _Place(here, frame) if joint.fixed else _Place(joint.child, own)
+            carrier, frame = places[joint.parent]
+            fixed = _Place(carrier, frame @ Frame.of(joint.origin, joint.rotation))
+            places[joint.child] = fixed if joint.fixed else _Place(joint.child, IDENTITY)
         return places
 
     def _shapes(self, name: str, carrier: str | None) -> tuple[tuple[Geometry, ...], tuple[Geometry, ...]]:
         """Return collision and visual shapes of a link with everything fixed to it; links without visuals show their collisions."""
-        collision: list[Geometry] = []
-        visual: list[Geometry] = []
-        base = self.links[name].color
+        collision, visual = list[Geometry](), list[Geometry]()
         for other, place in self.places.items():
             if place.carrier != carrier:
                 continue
             link = self.links[other]
-            own = None if link.color == base else link.color
-            collision += [_carried(place.frame, shape) for shape in link.collision]
+            own = None if link.color == self.links[name].color else link.color
+            collision += [shape.carried(place.frame) for shape in link.collision]
             for shape in link.visual or link.collision:
-                visual.append(replace(_carried(place.frame, shape), color=shape.color or own))
+                visual.append(replace(shape.carried(place.frame), color=shape.color or own))
         return tuple(collision), tuple(visual)
 
     def _body(self, joint: FileJoint) -> Body:
         """Return the body that a joint moves."""
-        before = self.places[joint.parent]
-        place, _ = before.frame.carry(joint.origin, joint.rotation)
-        collision, _ = self._shapes(joint.child, joint.child)
+        carrier, frame = self.places[joint.parent]
+        shapes = self._shapes(joint.child, joint.child)
         points = np.vstack([*self._points(self._group(joint.child)), np.empty((0, 3))])
-        return Body(joint, *self._inertial(joint.child), collision, points, before.carrier, place)
+        place = frame.carry(joint.origin, joint.rotation)
+        return Body(joint, *self._inertial(joint.child), *shapes, points, carrier, *place)
 
     def _judged(
         self, bodies: list[Body], torques: Mapping[str, float], inertials: Mapping[str, float | Inertial]
@@ -159,46 +157,26 @@ class _Importer:
         for body, own, limit in zip(bodies, judge.inertials(inertials), judge.torques(torques), strict=True):
             joint = body.joint
             turned = self.own_rotors and joint.rotor > 0.0 and not joint.sliding
-            before = self.places[joint.parent]
-            origin, rotation = before.frame.carry(joint.origin, joint.rotation)
-            links.append(
-                Link(
-                    name=joint.child,
-                    parent=before.carrier or self.root,
-                    origin=origin,
-                    rotation=rotation,
-                    axis=joint.axis,
-                    lower=joint.lower,
-                    upper=joint.upper,
-                    torque_limit=limit,
-                    mass=own.mass,
-                    center=own.center,
-                    inertia=with_rotor(own.inertia, joint.rotor) if turned else own.inertia,
-                    collision=body.shapes,
-                    visual=self._shapes(joint.child, joint.child)[1],
-                    color=self.links[joint.child].color or (0.5, 0.5, 0.5),
-                    joint=joint.name,
-                    sliding=joint.sliding,
-                    mimic=joint.mimic,
-                )
-            )
+            inertia = with_rotor(own.inertia, joint.rotor) if turned else own.inertia
+            color = self.links[joint.child].color or (0.5, 0.5, 0.5)
+            links.append(Link(
+                joint.child, body.carrier or self.root, body.origin, body.rotation, joint.axis, joint.lower, joint.upper, limit, own.mass,
+                own.center, inertia, body.shapes, body.looks, color, joint.name, joint.sliding, joint.mimic,
+            ))  # fmt: skip
         self.repairs += judge.notes
         return links
 
     def _inertial(self, name: str) -> tuple[float, Vector3, Inertia]:
         """Return mass, centre and inertia of a moving link with everything fixed to it, in its frame; mass 0: the file has none."""
+        links = [(place.frame, self.links[other]) for other, place in self.places.items() if place.carrier == name]
         parts = [
-            (
-                place.frame @ self.links[other].inertial_frame,
-                self.links[other].mass,
-                inertia_matrix(self.links[other].inertia),
-            )
-            for other, place in self.places.items()
-            if place.carrier == name and self.links[other].mass > 0.0
+            (frame @ link.inertial_frame, link.mass, inertia_matrix(link.inertia))
+            for frame, link in links
+            if link.mass > 0.0
         ]
         mass = sum(weight for _, weight, _ in parts)
         if mass <= 0.0:
-            return 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            return 0.0, (0.0, 0.0, 0.0), NO_INERTIA
         center = sum((weight * frame.origin for frame, weight, _ in parts), np.zeros(3)) / mass
         total = np.zeros((3, 3))
         for frame, weight, inertia in parts:
@@ -209,40 +187,37 @@ class _Importer:
 
     def _tips(self, given: dict[str, Ball | None] | None, radius: float | None) -> list[tuple[Fingertip, Array]]:
         """Return the fingertips, each with the direction in which its link ends."""
-        if given is not None:
-            with AllFaults() as check:
-                return [check(self._tip, name, ball, radius) for name, ball in given.items()]
-        parents = {self.places[joint.parent].carrier for joint in self.moving}
-        ends = [joint.child for joint in self.moving if joint.child not in parents]
-        bare = [end for end in ends if not self._points(self._group(end))]
-        if bare and len(bare) < len(ends):
-            self.repairs.append(f"end links without a shape are not fingertips: {names_of(bare)}")
-            ends = [end for end in ends if end not in bare]
+        if given is None:
+            parents = {self.places[joint.parent].carrier for joint in self.moving}
+            ends = [joint.child for joint in self.moving if joint.child not in parents]
+            bare = [end for end in ends if not self._points(self._group(end))]
+            if bare and len(bare) < len(ends):
+                self.repairs.append(f"end links without a shape are not fingertips: {names_of(bare)}")
+                ends = [end for end in ends if end not in bare]
+            given = dict.fromkeys(ends)
         with AllFaults() as check:
-            return [check(self._tip, end, None, radius) for end in ends]
+            return [check(self._tip, name, ball, radius) for name, ball in given.items()]
 
     def _group(self, name: str) -> list[str]:
         """Return the names of a link and of everything fixed to it."""
         group = [name]
         for joint in self.joints:
-            if joint.fixed and joint.parent in group:
-                group.append(joint.child)
+            group += [joint.child] if joint.fixed and joint.parent in group else []
         return group
 
     def _points(self, group: Sequence[str]) -> list[Array]:
         """Return convex pieces (K, 3) [m] of the links' collision shapes, or else of their visuals, carrier's frame."""
         solids = [(self.places[name].frame, shape) for name in group for shape in self.links[name].collision]
-        if not solids:
-            solids = [(self.places[name].frame, shape) for name in group for shape in self.links[name].visual]
+        looks = [(self.places[name].frame, shape) for name in group for shape in self.links[name].visual]
         pieces = list[Array]()
-        for frame, shape in solids:
+        for frame, shape in solids or looks:
             if shape.kind == "mesh":
                 place = frame @ Frame.of(shape.origin, shape.rotation)
                 if shape.file not in self._corners:
                     self._corners[shape.file] = hull_of_file(Path(shape.file))
                 pieces.append(self._corners[shape.file] * shape.size @ place.rotation.T + place.origin)
             else:
-                pieces.append(outline(_carried(frame, shape)))
+                pieces.append(outline(shape.carried(frame)))
         return pieces
 
     def _tip(self, name: str, given: Ball | None, radius: float | None) -> tuple[Fingertip, Array]:
@@ -250,16 +225,13 @@ class _Importer:
         place = self.places[name]
         if place.carrier is None:
             raise InvalidInputError(f"the fingertip {name!r} does not move, it is part of the palm; choose another")
-        joint = next(joint for joint in self.moving if joint.child == place.carrier)
-        axis = np.array(joint.axis)
+        axis = np.array(next(joint.axis for joint in self.moving if joint.child == place.carrier))
         group = self._group(name)
         own = self._points(group)
         pieces = own or self._points(self._group(place.carrier))
         ball = None if given is None else Ball(_moved(place.frame, given.center), given.radius)
         # a link ends where its shapes are farthest, or at the given tip
-        ends = (
-            np.vstack(own) if own and ball is None else np.array([place.frame.origin if ball is None else ball.center])
-        )
+        ends = np.array([ball.center]) if ball else np.vstack(own) if own else place.frame.origin[None]
         if np.linalg.norm(ends, axis=1).max() < _NEAR and pieces:
             ends = np.vstack(pieces)
         direction = end_direction(ends, axis, self._outward(place.carrier, ends))
@@ -277,13 +249,11 @@ class _Importer:
 
     def _outward(self, link: str, points: Array) -> Array:
         """Return the vector (3,) from the middle of the palm to points (K, 3) of a link [m], in its frame, with all joints at 0."""
-        own = Frame(np.eye(3), np.zeros(3))
-        above: str | None = link
+        own, above = IDENTITY, link
         while above is not None:
             joint = next(joint for joint in self.moving if joint.child == above)
-            before = self.places[joint.parent]
-            own = before.frame @ Frame.of(joint.origin, joint.rotation) @ own
-            above = before.carrier
+            above, frame = self.places[joint.parent]
+            own = frame @ Frame.of(joint.origin, joint.rotation) @ own
         palm = [outline(shape) for shape in self._shapes(self.root, None)[0]]
         middle = np.vstack(palm).mean(axis=0) if palm else np.zeros(3)
         return own.rotation.T @ (own.rotation @ points.mean(axis=0) + own.origin - middle)
@@ -306,12 +276,10 @@ class _Importer:
     def _with_tips(self, link: Link, tips: list[tuple[Fingertip, Array]]) -> Link:
         """Return the link with a sphere for each fingertip, its other shapes cut back behind them."""
         for tip, direction in tips:
-            sphere = Geometry("sphere", (tip.radius,), tip.center)
             link = cut_back(link, Ball(tip.center, tip.radius), direction)
-            there = any(
-                shape.kind == "sphere" and math.dist(shape.origin, tip.center) < 1e-12 for shape in link.collision
-            )
-            if not there:
+            balls = [shape.origin for shape in link.collision if shape.kind == "sphere"]
+            if all(math.dist(center, tip.center) >= 1e-12 for center in balls):
+                sphere = Geometry("sphere", (tip.radius,), tip.center)
                 link = replace(link, collision=(*link.collision, sphere), visual=(*link.visual, sphere))
         return link
 
@@ -319,11 +287,6 @@ class _Importer:
 def _moved(frame: Frame, point: Vector3) -> Vector3:
     """Transform a point [m] to the outer frame; the identity changes no digit."""
     return frame.carry(point, (0.0, 0.0, 0.0))[0]
-
-
-def _carried(frame: Frame, shape: Geometry) -> Geometry:
-    origin, angles = frame.carry(shape.origin, shape.rotation)
-    return replace(shape, origin=origin, rotation=angles)
 
 
 def _ranged(joint: FileJoint, limits: tuple[float, float] | None) -> FileJoint:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,8 @@ from grasp_env.sim.mesh_files import key_lines, key_places, one_newline
 from grasp_env.sim.mesh_shape import WELD, extent_of, weld
 from grasp_env.sim.objects.cache import cached
 
-DRAWN = (".obj", ".stl", ".dae")
-"""Suffixes of mesh files that Bullet draws."""
-
-PARENTS = 5
-"""Number of folders above a hand's file in which its meshes are looked for."""
+DRAWN = (".obj", ".stl", ".dae")  # suffixes of mesh files that Bullet draws
+PARENTS = 5  # number of folders above a hand's file in which its meshes are looked for
 _MAX_VISUAL_BYTES = 20 * MEGABYTE  # largest visual mesh [bytes]
 _MAX_BLOCKS = 10_000
 _LONGEST_HEAD = 65_536  # head of a .dae in which its unit is looked for [bytes]
@@ -32,15 +30,9 @@ _MADE = "1"  # version of the check; change it when the check changes, so that o
 
 
 def find_mesh(name: str, urdf: Path) -> Path | None:
-    """Find a mesh file under its name in a URDF: an absolute path, or relative to the URDF's folder or one above it.
+    """Find a mesh file under its name in a URDF: an absolute path, or relative to the URDF's folder or one above it; None if missing.
 
-    The package name in package:// and model:// may be missing in the path.
-
-    Returns:
-        Its path; None if there is no such file.
-
-    Raises:
-        InvalidInputError: The name is an address such as http://.
+    The package name in package:// and model:// may be missing in the path. Addresses such as http:// are refused.
     """
     kind, separator, rest = name.partition("://")
     path = Path(unquote(rest) if separator else name)
@@ -62,11 +54,7 @@ def find_mesh(name: str, urdf: Path) -> Path | None:
 
 
 def read_mesh(path: str | Path) -> tuple[Array, Any]:
-    """Return corners (V, 3), in the file's units, without duplicates, and faces (F, 3) of a mesh.
-
-    Raises:
-        InvalidInputError: The file is not a mesh, or too large. Its content is never executed.
-    """
+    """Return corners (V, 3), in the file's units, without duplicates, and faces (F, 3) of a mesh, or raise an InvalidInputError."""
     kind, name = Path(path).suffix.lower(), f"the mesh {path}"
     return read_mesh_bytes(mesh_files.mesh_bytes(path, name), kind, name)
 
@@ -84,9 +72,6 @@ def unit_of(path: Path) -> float:
     """Return the unit [m] of a .dae, as in <unit meter="0.001"/>; 1 without one and for other kinds of files.
 
     ROS applies the unit; trimesh and Bullet do not. None of them applies <up_axis>.
-
-    Raises:
-        InvalidInputError: The unit is not a number above 0.
     """
     if path.suffix.lower() != ".dae":
         return 1.0
@@ -102,25 +87,27 @@ def unit_of(path: Path) -> float:
     raise InvalidInputError(f'{path} has <unit meter="{text[:20]}">, which must be a number of metres above 0')
 
 
-def why_not_drawn(path: Path) -> str:
+def why_not_drawn(path: Path, scale: Sequence[float]) -> str:
     """Return the reason why Bullet cannot draw a mesh, "" if it can: it would crash if faces name missing corners."""
-    kind = path.suffix.lower()
-    if kind not in DRAWN:
+    if path.suffix.lower() not in DRAWN:
         return f"are not one of {', '.join(DRAWN)}"
     try:
         blob = read_bytes(path, _MAX_VISUAL_BYTES)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
-    if kind != ".obj":
-        return "" if len(blob) > 84 else "are empty"
+    if path.suffix.lower() != ".obj":
+        why = "" if len(blob) > 84 else "are empty"
+    else:
+        key = digest(_MADE.encode(), b"drawn", blob)
+        why = str(cached(key, path.name, lambda: {"why": _why_broken(blob)}, use="hand")["why"])
+    return why or ("are mirrored by a scale below 0" if min(scale) < 0.0 else "")
 
-    def make() -> dict[str, Any]:
-        with suppress(ValueError):
-            if _corners_exist(blob):
-                return {"why": np.array("")}
-        return {"why": np.array("are broken")}
 
-    return str(cached(digest(_MADE.encode(), b"drawn", blob), path.name, frozenset(("why",)), make, use="hand")["why"])
+def _why_broken(blob: bytes) -> Any:
+    with suppress(ValueError):
+        if _corners_exist(blob):
+            return np.array("")
+    return np.array("are broken")
 
 
 def _corners_exist(blob: bytes) -> bool:

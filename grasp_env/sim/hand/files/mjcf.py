@@ -10,43 +10,30 @@ from pathlib import Path
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import Vector3
-from grasp_env.sim.hand.files.couplings import Motor, find_motors
+from grasp_env.sim.hand.files.couplings import STRAIGHT, Motor, find_motors
 from grasp_env.sim.hand.files.elements import FileJoint, FileLink, names_of
 from grasp_env.sim.hand.files.mjcf_model import frame_of, load_model, model_name, name_of
 from grasp_env.sim.hand.files.mjcf_shapes import MjcfShapes
-from grasp_env.sim.hand.frames import Frame, axis_rotation
+from grasp_env.sim.hand.frames import IDENTITY, Frame
 from grasp_env.sim.hand.inertia import inertia_numbers
 from grasp_env.sim.hand.tips import SMALLEST
 from grasp_env.sim.hand.tree import Geometry, Mimic
 from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.progress import progress_bar
 
-_LEAST_SPAN = 0.1
-"""Smallest plausible median range of the hinges [rad]."""
+_LEAST_SPAN = 0.1  # smallest plausible median range of the hinges [rad]
 _MAX_BODIES = 500
-"""Largest number of bodies in a file."""
-_LIGHT = 1e-3
-"""Mass of the link between two joints of one body [kg], which is massless in MuJoCo."""
-_LIGHT_INERTIA = 1e-7
-"""Inertia of that link about each axis [kg m^2]."""
-_IDENTITY = Frame(np.eye(3), np.zeros(3))
+_LIGHT = 1e-3  # mass of the link between two joints of one body [kg], which is massless in MuJoCo
+_LIGHT_INERTIA = 1e-7  # inertia of that link about each axis [kg m^2]
 
 
 class MjcfReader:
     """A reader of one file; `urdf.UrdfReader` describes the attributes.
 
     A body without joints is fixed to its parent. A body with several joints becomes several links. Joints without a motor are
-    frozen. Free bodies without a motor, such as objects of a scene, are left out.
-
-    Args:
-        path: Path of the file.
-        tips: Names of bodies, sites or geometries that are fingertips: sites and geometries become fixed links.
-
-    Raises:
-        InvalidInputError: There is no such file, MuJoCo refuses it, or its content is not a hand.
+    frozen. Free bodies without a motor, such as objects of a scene, are left out. Sites and geometries that are named as fingertips
+    become fixed links.
     """
 
     def __init__(self, path: str | os.PathLike[str], tips: Sequence[str] = ()) -> None:
@@ -91,20 +78,17 @@ class MjcfReader:
         own = {geom for _, geom in self._tips.values() if geom is not None}
         shaped = dict[str, FileLink]()
         for name, link in progress_bar(list(links.items()), f"{self.path.name}: convex pieces of meshes"):
+            shaped[name] = link
             if name in self._tips:
                 _, geom = self._tips[name]
-                solids = (
-                    self._shapes.solids(geom, _IDENTITY)
-                    if geom is not None
-                    else [Geometry("sphere", (self._radius(name),))]
-                )
+                if geom is None:
+                    solids = [Geometry("sphere", (max(float(self.model.site(name).size[0]), SMALLEST),))]
+                else:
+                    solids = self._shapes.solids(geom, IDENTITY)
                 shaped[name] = replace(link, collision=tuple(solids))
             elif name in bodies:
-                body = bodies[name]
-                collision, visual, color = self._shapes.of_body(body, self._shifts[body], own)
+                collision, visual, color = self._shapes.of_body(bodies[name], self._shifts[bodies[name]], own)
                 shaped[name] = replace(link, collision=tuple(collision), visual=tuple(visual), color=color)
-            else:
-                shaped[name] = link
         return shaped
 
     def _mend_degrees(self) -> None:
@@ -134,12 +118,11 @@ class MjcfReader:
             self.notes.append(f"actuators that move no joint of their own are left out: {names_of(idle)}")
         lines = list[str]()
         for motor in self.motors:
+            driver = name_of(model, "joint", motor.joint)
+            bend = f" (misses by up to {motor.bend:.0%} of its travel)" if motor.bend > STRAIGHT else ""
             for other, (ratio, offset) in motor.followers.items():
                 shift = f" {offset:+g}" if offset else ""
-                bend = f" (misses by up to {motor.bend:.0%} of its travel)" if motor.curved else ""
-                lines.append(
-                    f"{name_of(model, 'joint', other)} = {ratio:g} * {name_of(model, 'joint', motor.joint)}{shift}{bend}"
-                )
+                lines.append(f"{name_of(model, 'joint', other)} = {ratio:g} * {driver}{shift}{bend}")
         if lines:
             self.notes.append(f"joints that share a motor are coupled as MuJoCo moves them: {', '.join(lines)}")
 
@@ -163,8 +146,7 @@ class MjcfReader:
         (root,) = tops if len(tops) == 1 and not carriers & tops else (0,)
         inside = [body for body in range(model.nbody) if root in above(body)]
         ball, free = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_FREE)
-        still, left = list[str](), list[str]()
-        bodies = list[int]()
+        still, left, bodies = list[str](), list[str](), list[int]()
         for body in inside:
             if body != root and parent[body] not in bodies:
                 continue
@@ -193,89 +175,59 @@ class MjcfReader:
         for name in tips:
             if name in self._names.values():
                 continue
-            for site in range(self.model.nsite):
-                if self.model.site(site).name == name and int(self.model.site_bodyid[site]) in self._bodies:
-                    found[name] = int(self.model.site_bodyid[site]), None
-            for geom in range(self.model.ngeom):
-                if self.model.geom(geom).name == name and int(self.model.geom_bodyid[geom]) in self._bodies:
-                    found[name] = int(self.model.geom_bodyid[geom]), geom
+            kinds = mujoco.mjtObj
+            site, geom = (mujoco.mj_name2id(self.model, kind, name) for kind in (kinds.mjOBJ_SITE, kinds.mjOBJ_GEOM))
+            if site >= 0 and int(self.model.site_bodyid[site]) in self._bodies:
+                found[name] = int(self.model.site_bodyid[site]), None
+            if geom >= 0 and int(self.model.geom_bodyid[geom]) in self._bodies:
+                found[name] = int(self.model.geom_bodyid[geom]), geom
         return found
 
     def _read(self) -> tuple[list[FileLink], list[FileJoint]]:
         model = self.model
         links, joints = list[FileLink](), list[FileJoint]()
         # pose of each body's frame in its link's frame, which lies on the axis of the joint
-        shifts = {self._root: _IDENTITY}
+        shifts = {self._root: IDENTITY}
         ends = {self._root: self._names[self._root]}
         followers = {other: (motor, line) for motor in self.motors for other, line in motor.followers.items()}
         efforts = {motor.joint: self._effort(motor) for motor in self.motors}
         for body in self._bodies:
             if body == self._root:
-                links.append(self._link(body, _IDENTITY))
+                links.append(self._link(body, IDENTITY))
                 continue
             above = int(model.body_parentid[body])
             parent, place = ends[above], shifts[above] @ frame_of(model.body_pos[body], model.body_quat[body])
             name, moved = self._names[body], self._joints[body]
             for number, joint in enumerate(moved):
-                child = name if number == len(moved) - 1 else f"{name}/{name_of(model, 'joint', joint)}"
+                own = name_of(model, "joint", joint)
+                child = name if number == len(moved) - 1 else f"{name}/{own}"
                 axis, anchor = np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
                 first = float(model.qpos0[model.jnt_qposadr[joint]])
                 sliding = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
-                zero = (
-                    Frame(np.eye(3), anchor - first * axis) if sliding else Frame(axis_rotation(axis, -first), anchor)
-                )
-                origin, rotation = (place @ zero).numbers()
-                lower, upper = self._range(joint)
-                mimic = None
+                zero = Frame(np.eye(3), anchor) @ Frame.of_joint(axis, -first, sliding)
+                x, y, z = (axis / np.linalg.norm(axis)).tolist()
+                lower, upper = model.jnt_range[joint].tolist() if model.jnt_limited[joint] else (-math.inf, math.inf)
+                mimic, rotor = None, float(model.dof_armature[model.jnt_dofadr[joint]])
                 if joint in followers:
                     motor, (ratio, offset) = followers[joint]
                     mimic = Mimic(name_of(model, "joint", motor.joint), ratio, offset)
-                joints.append(
-                    FileJoint(
-                        name_of(model, "joint", joint),
-                        parent,
-                        child,
-                        False,
-                        origin,
-                        rotation,
-                        _vector(axis / np.linalg.norm(axis)),
-                        lower,
-                        upper,
-                        efforts.get(joint),
-                        sliding,
-                        mimic,
-                        float(model.dof_armature[model.jnt_dofadr[joint]]),
-                    )
-                )
+                joints.append(FileJoint(
+                    own, parent, child, False, *(place @ zero).numbers(), (x, y, z), lower, upper, efforts.get(joint), sliding, mimic, rotor
+                ))  # fmt: skip
                 parent, place = child, Frame(np.eye(3), -anchor)
                 if child != name:
-                    links.append(FileLink(child, _LIGHT, _IDENTITY, inertia_numbers(_LIGHT_INERTIA * np.eye(3))))
+                    links.append(FileLink(child, _LIGHT, IDENTITY, inertia_numbers(_LIGHT_INERTIA * np.eye(3))))
             if not moved:
-                origin, rotation = place.numbers()
-                joints.append(FileJoint(f"{name}/fixed", parent, name, True, origin, rotation))
-                place = _IDENTITY
+                joints.append(FileJoint(f"{name}/fixed", parent, name, True, *place.numbers()))
+                place = IDENTITY
             shifts[body], ends[body] = place, name
             links.append(self._link(body, place))
         for name, (body, geom) in self._tips.items():
-            frame = shifts[body] if geom is not None else shifts[body] @ self._site(name)
+            site = IDENTITY if geom is not None else frame_of(model.site(name).pos, model.site(name).quat)
             links.append(FileLink(name))
-            joints.append(FileJoint(f"{name}/fixed", ends[body], name, True, *frame.numbers()))
+            joints.append(FileJoint(f"{name}/fixed", ends[body], name, True, *(shifts[body] @ site).numbers()))
         self._shifts = shifts
         return links, joints
-
-    def _site(self, name: str) -> Frame:
-        site = self.model.site(name)
-        return frame_of(site.pos, site.quat)
-
-    def _radius(self, name: str) -> float:
-        """Return the radius of the sphere that replaces a site [m]."""
-        return max(float(self.model.site(name).size[0]), SMALLEST)
-
-    def _range(self, joint: int) -> tuple[float, float]:
-        if not self.model.jnt_limited[joint]:
-            return -math.inf, math.inf
-        low, high = self.model.jnt_range[joint].tolist()
-        return low, high
 
     def _effort(self, motor: Motor) -> float | None:
         """Return the largest torque of a motor at its joint; None if the file has none."""
@@ -297,8 +249,3 @@ class MjcfReader:
         inertial = shift @ frame_of(model.body_ipos[body], model.body_iquat[body])
         inertia = inertia_numbers(np.diag(model.body_inertia[body]))
         return FileLink(self._names[body], float(model.body_mass[body]), inertial, inertia)
-
-
-def _vector(row: Array) -> Vector3:
-    x, y, z = row.tolist()
-    return x, y, z

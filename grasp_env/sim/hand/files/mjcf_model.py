@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -17,46 +16,27 @@ from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.objects.apart import apart
 
-_SECONDS = 30.0
-"""Longest time to compile a file [s]."""
-_MAX_MEMORY = 8 << 30
-"""Largest memory to compile a file [bytes]."""
-_UNNAMED = "MuJoCo Model"
-"""Name that MuJoCo gives to a model without one."""
-_COUNTS = {"body": "nbody", "joint": "njnt", "actuator": "nu"}
-"""Fields of a model with the number of elements of each kind."""
+_SECONDS, _MAX_MEMORY = 30.0, 8 << 30  # longest time [s] and largest memory [bytes] to compile a file
+_UNNAMED = "MuJoCo Model"  # name that MuJoCo gives to a model without one
+_COUNTS = {"body": "nbody", "joint": "njnt", "actuator": "nu"}  # fields with the number of elements of each kind
 
 
 def load_model(path: Path) -> tuple[Any, bool]:
-    """Return the compiled model of a file, and True if its angles are degrees.
-
-    Raises:
-        InvalidInputError: MuJoCo refuses the file, or takes too long.
-    """
+    """Return the compiled model of a file, and True if its angles are degrees."""
     where = f"cannot read the MuJoCo model {shown_path(path)}"
+    task, text = f"{__name__}:compile_mjcf", f"compiling {path.name}"
     try:
-        made = apart(
-            f"{__name__}:compile_mjcf", f"compiling {path.name}", _SECONDS, path=np.array(str(path.absolute()))
-        )
+        made = apart(task, text, _SECONDS, path=np.array(str(path.absolute())))
     except (TimeoutError, ChildProcessError) as error:
         raise InvalidInputError(f"{where}: MuJoCo's compiler failed: {str(error).splitlines()[-1]}") from None
     if "error" in made:
         raise InvalidInputError(f"{where}: {' '.join(str(made['error']).split())}")
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "model.mjb")
-        file.write_bytes(made["model"].tobytes())
-        return mujoco.MjModel.from_binary_path(str(file)), bool(made["degrees"])
+    model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": made["model"].tobytes()})
+    return model, bool(made["degrees"])
 
 
 def compile_mjcf(path: Any) -> dict[str, Any]:
-    """Compile a file; `apart` runs this function in a separate process.
-
-    Args:
-        path: Path of the file, an array of one text.
-
-    Returns:
-        The binary "model", uint8, and "degrees", True if its angles are degrees; or the "error" as text.
-    """
+    """Return the binary "model", uint8, of a file and "degrees", True if its angles are; or the "error". `apart` runs this function."""
     try:
         import resource
 

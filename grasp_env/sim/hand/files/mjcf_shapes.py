@@ -17,11 +17,7 @@ from grasp_env.sim.mujoco_api import mujoco
 
 
 class MjcfShapes:
-    """The geometries of a model from the file `path`.
-
-    Attributes:
-        undrawn: Meshes that cannot be drawn, with the reason.
-    """
+    """The geometries of a model from the file `path`; `undrawn` are meshes that cannot be drawn, with the reason."""
 
     def __init__(self, model: Any, path: Path) -> None:
         self._model, self._path = model, path
@@ -30,13 +26,7 @@ class MjcfShapes:
     def of_body(
         self, body: int, shift: Frame, without: set[int]
     ) -> tuple[list[Geometry], list[Geometry], Vector3 | None]:
-        """Return collision and visual shapes of a body, and its color.
-
-        Args:
-            body: Number of the body.
-            shift: The body's frame in that of its link.
-            without: Geometries that are links of their own.
-        """
+        """Return collision shapes, but for geometries `without`, visual shapes and color of a body at `shift` in its link's frame."""
         model = self._model
         mine = [geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) == body]
         touching = [geom for geom in mine if model.geom_contype[geom] or model.geom_conaffinity[geom]]
@@ -55,18 +45,21 @@ class MjcfShapes:
         color = _color(model, geom)
         kinds = mujoco.mjtGeom
         a, b, c = model.geom_size[geom].tolist()
-        if kind == int(kinds.mjGEOM_SPHERE):
-            return [Geometry("sphere", (a,), origin, rotation, color)]
-        if kind in (int(kinds.mjGEOM_CAPSULE), int(kinds.mjGEOM_CYLINDER)):
-            name = "capsule" if kind == int(kinds.mjGEOM_CAPSULE) else "cylinder"
-            return [Geometry(name, (a, 2.0 * b), origin, rotation, color)]
-        if kind == int(kinds.mjGEOM_BOX):
-            return [Geometry("box", (2.0 * a, 2.0 * b, 2.0 * c), origin, rotation, color)]
+        primitives = {
+            int(kinds.mjGEOM_SPHERE): ("sphere", (a,)),
+            int(kinds.mjGEOM_CAPSULE): ("capsule", (a, 2.0 * b)),
+            int(kinds.mjGEOM_CYLINDER): ("cylinder", (a, 2.0 * b)),
+            int(kinds.mjGEOM_BOX): ("box", (2.0 * a, 2.0 * b, 2.0 * c)),
+        }
+        if kind in primitives:
+            name, size = primitives[kind]
+            return [Geometry(name, size, origin, rotation, color)]
+        pieces = list[Array]()
         if kind == int(kinds.mjGEOM_ELLIPSOID):
-            return [hull_shape(few_corners(outline(Geometry("sphere", (1.0,))) * (a, b, c)), origin, rotation, color)]
-        if kind == int(kinds.mjGEOM_MESH):
-            return [hull_shape(piece, origin, rotation, color) for piece in self._pieces(int(model.geom_dataid[geom]))]
-        return []
+            pieces = [few_corners(outline(Geometry("sphere", (1.0,))) * (a, b, c))]
+        elif kind == int(kinds.mjGEOM_MESH):
+            pieces = self._pieces(int(model.geom_dataid[geom]))
+        return [hull_shape(piece, origin, rotation, color) for piece in pieces]
 
     def _pieces(self, mesh: int) -> list[Array]:
         model = self._model
@@ -85,12 +78,11 @@ class MjcfShapes:
         scale = model.mesh_scale[mesh].tolist()
         if file is None:
             return self.solids(geom, shift)
-        if why := why_not_drawn(file) or ("are mirrored by a scale below 0" if min(scale) < 0.0 else ""):
+        if why := why_not_drawn(file, scale):
             self.undrawn[file.name] = why
             return self.solids(geom, shift)
         # MuJoCo moved the mesh to its centre and principal axes
-        moved = frame_of(model.mesh_pos[mesh], model.mesh_quat[mesh])
-        back = Frame(moved.rotation.T, -moved.rotation.T @ moved.origin)
+        back = frame_of(model.mesh_pos[mesh], model.mesh_quat[mesh]).inverse()
         origin, rotation = (self._place(geom, shift) @ back).numbers()
         return [Geometry("mesh", tuple(scale), origin, rotation, _color(model, geom), file=str(file))]
 

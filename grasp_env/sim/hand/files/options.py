@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -16,11 +16,6 @@ from grasp_env.sim.hand.inertia import Inertia, inertia_of
 from grasp_env.sim.hand.tips import Ball
 
 T = TypeVar("T")
-Tips: TypeAlias = Sequence[str] | dict[str, tuple[Sequence[float], float]] | None
-"""Names of links; or points on them [m], link frame, with radii [m]; None: the moving links at the ends."""
-Torques: TypeAlias = float | Sequence[float] | dict[str, float] | None
-Ranges: TypeAlias = dict[str, tuple[float, float]] | None
-Inertials: TypeAlias = dict[str, float | tuple[float, Sequence[float], Sequence[float]]] | None
 
 
 class Inertial(NamedTuple):
@@ -35,11 +30,11 @@ class Inertial(NamedTuple):
 class HandOptions:
     """Values that a caller gives for a hand; `HandDescription.from_file` describes each."""
 
-    fingertips: Tips = None
+    fingertips: Any = None
     tip_radius: float | None = None
-    torque_limit: Torques = None
-    joint_limits: Ranges = None
-    inertials: Inertials = None
+    torque_limit: Any = None
+    joint_limits: Any = None
+    inertials: Any = None
     palm: str | None = None
     rotor_inertia: float | None = None
 
@@ -53,40 +48,26 @@ class HandOptions:
 
     def tips(self) -> dict[str, Ball | None] | None:
         """Return the fingertips by the names of their links, each with its sphere or None; None: not given."""
-        given: Any = self.fingertips
-        if given is None:
+        if (given := self.fingertips) is None:
             return None
-        wrong = InvalidInputError(
-            f"fingertips={shown(given)} must be a list of one link name or more, or {{link: (point, radius)}} [m]"
-        )
-        if isinstance(given, dict):
-            tips: dict[str, Ball | None] = {}
-            for key, value in given.items():
-                name, pair = as_text(key), as_list(value)
-                if name is None or pair is None or len(pair) != 2:
-                    raise wrong
-                x, y, z = numbers(pair[0], 3, f"fingertips: point [m] of {name!r}")
-                tips[name] = Ball((x, y, z), positive(pair[1], f"fingertips: radius [m] of {name!r}"))
-            if not tips:
-                raise wrong
-            return tips
-        each = as_list(given) or []
-        names = [text for tip in each if (text := as_text(tip)) is not None]
-        if not names or len(names) < len(each):
-            raise wrong
-        for name in names:
-            if names.count(name) > 1:
-                raise InvalidInputError(f"two fingertips are called {name!r}; give each its own link")
-        return dict.fromkeys(names)
+        names = list(given) if isinstance(given, dict) else as_list(given) or []
+        pairs = [as_list(value) or [] for value in given.values()] if isinstance(given, dict) else []
+        if not names or None in map(as_text, names) or any(len(pair) != 2 for pair in pairs):
+            raise InvalidInputError(
+                f"fingertips={shown(given)} must be a list of one link name or more, or {{link: (point, radius)}} [m]"
+            )
+        tips = dict[str, Ball | None].fromkeys(map(str, names))
+        if len(tips) < len(names):
+            twice = max(names, key=names.count)
+            raise InvalidInputError(f"two fingertips are called {twice!r}; give each its own link")
+        for name, pair in zip(tips, pairs, strict=False):
+            x, y, z = numbers(pair[0], 3, f"fingertips: point [m] of {name!r}")
+            tips[name] = Ball((x, y, z), positive(pair[1], f"fingertips: radius [m] of {name!r}"))
+        return tips
 
     def torques(self, joints: Sequence[str], drivers: Mapping[str, str]) -> dict[str, float]:
-        """Return the given torque limits [N m] by joint.
-
-        Args:
-            joints: Names of all moving joints.
-            drivers: The driver of each coupled joint.
-        """
-        given: Any = self.torque_limit
+        """Return the given torque limits [N m] by moving joint; coupled joints, whose `drivers` are given by joint, have none."""
+        given = self.torque_limit
         if given is None or isinstance(given, dict):
             if idle := [name for name in dict(given or {}) if name in drivers]:
                 raise InvalidInputError(

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
 from grasp_env._check import AllFaults
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.files.elements import FileJoint, names_of
-from grasp_env.sim.hand.frames import Frame, axis_rotation
+from grasp_env.sim.hand.files.elements import Ends, FileJoint, FileLink, HandFile, names_of
+from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Mimic
-
-Ends: TypeAlias = Sequence[tuple[str, str, str]]
-"""Name, parent and child of each joint."""
 
 LONGEST_FINGER = 6
 """Largest number of motors of an unbranched chain; fingers of public hands have up to 5, arms without a hand 6 and more."""
@@ -25,69 +21,74 @@ LONGEST_WRIST = 3
 
 @dataclass(frozen=True)
 class Part:
-    """The part of a file that is the hand.
-
-    Attributes:
-        root: Name of the palm's link.
-        links: Names of the palm, of links fixed to it, and of all their descendants.
-        reversed_joints: Names of the fixed joints that carry the palm; they are read from child to parent.
-        notes: Sentences on what is left out.
-    """
+    """The part of a file that is the hand: the palm's link, and all links fixed to it or carried by it."""
 
     root: str
     links: tuple[str, ...]
-    reversed_joints: frozenset[str] = frozenset()
-    notes: tuple[str, ...] = ()
+    reversed_joints: frozenset[str] = frozenset()  # fixed joints that carry the palm, read from child to parent
+    notes: tuple[str, ...] = ()  # sentences on what is left out
 
 
-def find_part(root: str, ends: Ends, fixed: Collection[str], mimics: Mapping[str, str], palm: str | None) -> Part:
-    """Find the part of a file that is the hand.
+def read_part(
+    file: HandFile, palm: str | None, tips: Collection[str]
+) -> tuple[Part, dict[str, FileLink], list[FileJoint]]:
+    """Return the part of a file that is the hand, with a palm that is named or None, its links by name and its joints.
 
-    Args:
-        root: Name of the root link, see `find_root`.
-        ends: Name, parent and child of each joint.
-        fixed: Names of the fixed joints.
-        mimics: The driver that each coupled joint names.
-        palm: Name of the palm's link; None: `root`.
-
-    Raises:
-        InvalidInputError: There is no such palm, or it carries no moving joint; or no palm is named and the file is an arm or a
-            whole robot.
+    An error lists all faults, those of the links named as `tips` included.
     """
-    robot = _Robot(root, ends, fixed, mimics)
-    if palm is not None:
-        return robot.part(palm)
-    robot.refuse_arms()
-    return Part(root, robot.links)
+    root, fault = "", None
+    try:
+        root = find_root(file.names, file.ends)
+    except InvalidInputError as error:
+        fault = error
+    part = Part(root, tuple(file.names))
+    if fault is None:
+        robot = _Robot(root, file)
+        part = robot.whole() if palm is None else robot.part(palm)
+    kept = set(part.links)
+    inside = {joint for joint, parent, child in file.ends if parent in kept and child in kept}
+    mimics = {joint: other for joint, other in file.mimics.items() if joint in inside}
+    with AllFaults() as check:
+        elements = check(file.elements, kept)
+        if fault is not None:
+            check.add(fault)
+        check(_known, tips, file.names, part)
+        check(check_mimics, file.ends, file.fixed, mimics)
+    return part, *elements
+
+
+def _known(tips: Collection[str], links: Sequence[str], part: Part) -> None:
+    """Check that every fingertip is a link of the hand."""
+    if missing := [tip for tip in tips if tip not in links]:
+        raise InvalidInputError(f"no link is called {', '.join(map(repr, missing))}; links are {names_of(links)}")
+    if left := [tip for tip in tips if tip not in part.links]:
+        raise InvalidInputError(
+            f"the palm {part.root!r} does not carry the fingertips {names_of(left)}; its links are {names_of(part.links)}"
+        )
 
 
 class _Robot:
     """The links of a file in rigid groups, each named by its topmost link."""
 
-    def __init__(self, root: str, ends: Ends, fixed: Collection[str], mimics: Mapping[str, str]) -> None:
-        self._root, self._ends, self._fixed = root, ends, fixed
-        self._above = {child: (joint, parent) for joint, parent, child in ends}
-        self._below: dict[str, list[tuple[str, str]]] = {}
-        for joint, parent, child in ends:
-            self._below.setdefault(parent, []).append((joint, child))
+    def __init__(self, root: str, file: HandFile) -> None:
+        self._root, self._ends, self._fixed = root, file.ends, file.fixed
+        self._above = {child: (joint, parent) for joint, parent, child in file.ends}
         self.links = tuple(self._down(root))
         self._group = {root: root}
-        self._joints: dict[str, list[tuple[str, str]]] = {
-            root: []
-        }  # moving joints of each group, with their child links
+        self._joints = {root: list[tuple[str, str]]()}  # moving joints of each group, with their child links
         for link in self.links[1:]:
             joint, parent = self._above[link]
-            self._group[link] = self._group[parent] if joint in fixed else link
-            if joint not in fixed:
+            self._group[link] = self._group[parent] if joint in file.fixed else link
+            if joint not in file.fixed:
                 self._joints[self._group[parent]].append((joint, link))
                 self._joints[link] = []
-        self._arms = self._chains(mimics)
+        self._arms = self._chains(file.mimics)
 
     def _down(self, top: str) -> list[str]:
         """Return a link and all its descendants, parents first."""
         found = [top]
         for link in found:
-            found += [child for _, child in self._below.get(link, [])]
+            found += [child for _, parent, child in self._ends if parent == link]
         return found
 
     def _chains(self, mimics: Mapping[str, str]) -> dict[str, list[str]]:
@@ -121,10 +122,10 @@ class _Robot:
                 palms[group] = max(parents, key=parents.count)
         return [palm for group, palm in palms.items() if group in self._arms] or list(palms.values())
 
-    def refuse_arms(self) -> None:
-        """Raise InvalidInputError if a chain of joints is too long for a finger or a wrist."""
+    def whole(self) -> Part:
+        """Return the whole file as the part, unless a chain of joints is too long for a finger or a wrist."""
         if not self._arms:
-            return
+            return Part(self._root, self.links)
         group, chain = max(self._arms.items(), key=lambda item: len(item[1]))
         where = " and leads to a branching" if self._joints[group] else ""
         palms = " or ".join(f"palm={name!r}" for name in self._palms())
@@ -160,20 +161,15 @@ class _Robot:
         limbs = [joint for joint in moving if joint not in inside and joint not in arm]
         notes = list[str]()
         if arm:
-            notes.append(
-                f"the joints that carry the palm {palm!r} hold still, their links are left out: {names_of(arm[::-1])}"
-            )
+            still = f"the joints that carry the palm {palm!r} hold still, their links are left out"
+            notes.append(f"{still}: {names_of(arm[::-1])}")
         if limbs:
             notes.append(f"limbs that the palm {palm!r} does not carry are left out, with the joints {names_of(limbs)}")
         return Part(palm, tuple(links), frozenset(reversed_joints), tuple(notes))
 
 
 def find_root(links: Sequence[str], ends: Ends) -> str:
-    """Return the root link, which is the child of no joint.
-
-    Raises:
-        InvalidInputError: The links are not a tree; the message lists every fault.
-    """
+    """Return the root link, which is the child of no joint; an error lists all faults if the links are not a tree."""
     children: dict[str, str] = {}
     faults = list[str]()
     for joint, *pair in ends:
@@ -208,11 +204,7 @@ def find_root(links: Sequence[str], ends: Ends) -> str:
 
 
 def check_mimics(ends: Ends, fixed: Collection[str], mimics: Mapping[str, str]) -> None:
-    """Check that the driver of every coupled joint moves and that couplings form no loop.
-
-    Raises:
-        InvalidInputError: A coupling is impossible; the message lists all of these.
-    """
+    """Check that the driver of every coupled joint moves and that couplings form no loop; an error lists all that do not."""
     faults, known = list[str](), [name for name, _, _ in ends]
     for joint, other in mimics.items():
         if other not in known:
@@ -256,13 +248,9 @@ def arrange(part: Part, joints: Sequence[FileJoint]) -> tuple[list[FileJoint], l
             driven.append(_frozen(joint, mimic.angle(other.lower)))
         else:
             driven.append(replace(joint, mimic=mimic))
-    notes = list[str]()
-    if alone:
-        notes.append(f"joints that mimic others that are left out hold still: {names_of(alone)}")
-    if stuck:
-        notes.append(
-            f"joints with equal limits, lower = upper, hold still: {names_of(stuck)}; give the true ranges as joint_limits="
-        )
+    equal = "joints with equal limits, lower = upper, hold still"
+    notes = [f"joints that mimic others that are left out hold still: {names_of(alone)}"] if alone else []
+    notes += [f"{equal}: {names_of(stuck)}; give the true ranges as joint_limits="] if stuck else []
     return _ordered(part.root, driven), notes
 
 
@@ -270,23 +258,19 @@ def _ordered(root: str, joints: list[FileJoint]) -> list[FileJoint]:
     """Sort the joints of a tree: parents before children, otherwise in file order."""
     ordered, known, rest = list[FileJoint](), {root}, list(joints)
     while rest:
-        ready = next(joint for joint in rest if joint.parent in known)
-        rest.remove(ready)
-        ordered.append(ready)
-        known.add(ready.child)
+        ordered.append(rest.pop(next(at for at, joint in enumerate(rest) if joint.parent in known)))
+        known.add(ordered[-1].child)
     return ordered
 
 
 def _reversed(joint: FileJoint) -> FileJoint:
     """Return a fixed joint with parent and child exchanged."""
-    frame = Frame.of(joint.origin, joint.rotation)
-    origin, rotation = Frame(frame.rotation.T, -frame.rotation.T @ frame.origin).numbers()
+    origin, rotation = Frame.of(joint.origin, joint.rotation).inverse().numbers()
     return replace(joint, parent=joint.child, child=joint.parent, origin=origin, rotation=rotation)
 
 
 def _frozen(joint: FileJoint, angle: float) -> FileJoint:
     """Return a joint fixed at an angle [rad], a sliding one at a length [m]."""
-    axis = np.array(joint.axis)
-    moved = Frame(np.eye(3), angle * axis) if joint.sliding else Frame(axis_rotation(axis, angle), np.zeros(3))
+    moved = Frame.of_joint(np.array(joint.axis), angle, joint.sliding)
     origin, rotation = (Frame.of(joint.origin, joint.rotation) @ moved).numbers()
     return FileJoint(joint.name, joint.parent, joint.child, True, origin, rotation)

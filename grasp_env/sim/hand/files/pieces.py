@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env._check import AllFaults, Array
 from grasp_env._files import digest
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim import mesh_shape
 from grasp_env.sim.hand.files.meshes import read_mesh_bytes
-from grasp_env.sim.hand.solids import few_corners, hull_of, principal_axes
-from grasp_env.sim.hand.tree import Vector3
+from grasp_env.sim.hand.solids import few_corners, hull_of, hull_shape, principal_axes
+from grasp_env.sim.hand.tree import Geometry, Vector3
 from grasp_env.sim.mesh_files import mesh_bytes
-from grasp_env.sim.mesh_shape import (
-    WELD,
-    connected_parts,
-    edges_of,
-    extent_of,
-    farthest,
-    open_edges,
-    reduce_hull,
-    volume,
-    weld,
-)
 from grasp_env.sim.objects.cache import cached
+from grasp_env.sim.progress import progress_bar
 
 _FULL = 0.9  # share of its hull's volume from which on a mesh counts as convex
 _MAX_PIECES = 8
@@ -37,25 +30,51 @@ _FINE = 5000  # number of faces above which a mesh is simplified before it is cu
 _GRAINS = 150.0  # number of grid cells along the extent of a simplified mesh
 _SMALLEST, _LARGEST = 1e-5, 5.0  # [m] extent of a mesh
 _CRUMBS = 40  # number of parts above which a mesh is cut as a whole
-MAX_VISUAL_CORNERS = 256
-"""Largest number of corners of the hull of a visual mesh in which a fingertip is fitted."""
-_VISUAL_ERROR = 2e-4  # relative error of that hull
+_VISUAL_CORNERS, _VISUAL_ERROR = (
+    256,
+    2e-4,
+)  # of the hull of a visual mesh in which a tip is fitted, and its relative error
+_MADE = "1"  # version of the pieces; change it when they change, so that older cache entries are not used
 
-_MADE = "1"
-"""Version of the pieces. Change it when they change, so that older cache entries are not used."""
-_ARRAYS = frozenset(("pieces", "counts"))
+
+@dataclass(frozen=True)
+class MeshUse:
+    """A mesh of a <collision> or <visual> that has not been read: its name in the hand's file, its path and its pose."""
+
+    name: str
+    path: Path
+    scale: Vector3
+    origin: Vector3
+    rotation: Vector3
+    color: Vector3 | None
+
+
+def solids_of(shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str) -> dict[str, list[Geometry]]:
+    """Return the collision shapes by link, with meshes replaced by convex pieces; `file` is named on the progress line."""
+    first = dict[tuple[Path, Vector3], tuple[str, str]]()
+    for link, parts in shapes.items():
+        for part in parts:
+            if isinstance(part, MeshUse):
+                first.setdefault((part.path, part.scale), (link, part.name))
+    pieces, faults = dict[tuple[Path, Vector3], list[Array]](), list[str]()
+    for use, (link, name) in progress_bar(list(first.items()), f"{file}: convex pieces of meshes"):
+        try:
+            pieces[use] = pieces_of_file(*use)
+        except InvalidInputError as error:
+            faults.append(f"link {link!r}, <collision>, {shown(name)}: {error}")
+    with AllFaults() as check:
+        check.add(*faults)
+
+    def solids(part: Geometry | MeshUse) -> list[Geometry]:
+        if isinstance(part, Geometry):
+            return [part]
+        return [hull_shape(piece, part.origin, part.rotation) for piece in pieces[part.path, part.scale]]
+
+    return {link: [solid for part in parts for solid in solids(part)] for link, parts in shapes.items()}
 
 
 def pieces_of_file(path: Path, scale: Vector3) -> list[Array]:
-    """Return the `convex_pieces` of a mesh file, from the cache if possible.
-
-    Args:
-        path: Path of the file.
-        scale: Factors from its coordinates to metres.
-
-    Raises:
-        InvalidInputError: The file is not a mesh, or too large. Its content is never executed.
-    """
+    """Return the `convex_pieces` of a mesh file, from the cache if possible; `scale` are factors to metres."""
     kind, name = path.suffix.lower(), f"the mesh {path}"
     blob = mesh_bytes(path, name)
 
@@ -67,35 +86,26 @@ def pieces_of_file(path: Path, scale: Vector3) -> list[Array]:
 
 
 def hull_of_file(path: Path) -> Array:
-    """Return at most `MAX_VISUAL_CORNERS` corners (K, 3) of the hull of a mesh file, in its units, from the cache if possible.
-
-    Raises:
-        InvalidInputError: The file is not a mesh, or too large.
-    """
+    """Return at most `_VISUAL_CORNERS` corners (K, 3) of the hull of a mesh file, in its units, from the cache if possible."""
     kind, name = path.suffix.lower(), f"the mesh {path}"
     blob = mesh_bytes(path, name)
 
     def make() -> list[Array]:
         hull = hull_of(read_mesh_bytes(blob, kind, name)[0])
-        return [reduce_hull(hull.points[hull.vertices], MAX_VISUAL_CORNERS, _VISUAL_ERROR)]
+        return [mesh_shape.reduce_hull(hull.points[hull.vertices], _VISUAL_CORNERS, _VISUAL_ERROR)]
 
     return _kept(digest(_MADE.encode(), b"hull", kind.encode(), blob), path.name, make)[0]
 
 
 def kept_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
-    """Return the `convex_pieces` of a mesh that is not a file, from the cache if possible.
-
-    Args:
-        corners: Corners (V, 3) [m].
-        faces: Numbers of each face's corners, (F, 3).
-        name: Name of the mesh in the list of cache entries.
-
-    Raises:
-        InvalidInputError: The size is implausible for a part of a hand.
-    """
+    """Return the `convex_pieces` of corners (V, 3) [m] and faces (F, 3), from the cache if possible, which lists them under `name`."""
     corners, faces = np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int64)
     key = digest(_MADE.encode(), b"arrays", corners.tobytes(), faces.tobytes())
-    return _kept(key, name, lambda: convex_pieces(*weld(corners, faces, WELD * extent_of(corners))))
+    return _kept(
+        key,
+        name,
+        lambda: convex_pieces(*mesh_shape.weld(corners, faces, mesh_shape.WELD * mesh_shape.extent_of(corners))),
+    )
 
 
 def _kept(key: str, name: str, make: Callable[[], list[Array]]) -> list[Array]:
@@ -103,7 +113,7 @@ def _kept(key: str, name: str, make: Callable[[], list[Array]]) -> list[Array]:
         pieces = make()
         return {"pieces": np.concatenate(pieces), "counts": np.array([len(piece) for piece in pieces])}
 
-    made = cached(key, name, _ARRAYS, arrays, use="hand")
+    made = cached(key, name, arrays, use="hand")
     return np.split(made["pieces"], np.cumsum(made["counts"])[:-1])
 
 
@@ -111,14 +121,8 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
     """Return convex pieces that together contain a mesh, each as at most `solids.MAX_CORNERS` corners (K, 3).
 
     A mesh that fills nine tenths of its hull, or is too fine to be cut, is one piece. Otherwise its parts are cut by planes that
-    reduce the volume of the hulls. Pieces whose common hull adds little are joined, until at most `_MAX_PIECES` are left.
-
-    Args:
-        corners: Corners (V, 3) [m].
-        faces: Numbers of each face's corners, (F, 3).
-
-    Raises:
-        InvalidInputError: The size is implausible for a part of a hand.
+    reduce the volume of the hulls. Pieces whose common hull adds little are joined, until at most `_MAX_PIECES` are left. A size that is
+    implausible for a part of a hand is refused.
     """
     extent = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
     if not _SMALLEST <= extent <= _LARGEST:
@@ -128,10 +132,10 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
         )
     hull = hull_of(corners)
     parts = _parts(faces)
-    if abs(volume(corners, faces)) >= _FULL * hull.volume and len(parts) == 1:
+    if abs(mesh_shape.volume(corners, faces)) >= _FULL * hull.volume and len(parts) == 1:
         return [few_corners(corners)]
     if len(faces) > _FINE:
-        corners, faces = weld(corners, faces, extent / _GRAINS)
+        corners, faces = mesh_shape.weld(corners, faces, extent / _GRAINS)
         corners, faces = (extent / _GRAINS) * np.round(corners * (_GRAINS / extent)), np.unique(faces, axis=0)
         if len(faces) > 2 * _FINE:  # a soup of triangles: cutting would take minutes
             return [few_corners(corners)]
@@ -139,8 +143,8 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
     leaves: list[Array] = []
     worth = _WORTH * hull.volume
     for part in parts:
-        around, filled = hull_of(corners[np.unique(part)]), abs(volume(corners, part))
-        if around.volume - filled <= worth and not open_edges(part):  # no cut can remove more
+        around, filled = hull_of(corners[np.unique(part)]), abs(mesh_shape.volume(corners, part))
+        if around.volume - filled <= worth and not mesh_shape.open_edges(part):  # no cut can remove more
             leaves.append(around.points)
         else:
             leaves += _cut(corners, part, worth, 2 if filled < 0.85 * around.volume else 0, _DEEPEST)
@@ -155,12 +159,14 @@ def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> 
     whole = hull_of(points)
     if deepest == 0 or whole.volume <= worth:
         return [points]
-    edges = edges_of(faces)
+    edges = mesh_shape.numbered(mesh_shape.sides_of(faces))[0]
     axes = principal_axes(points)
     heights = points @ axes.T
     low, extent = heights.min(axis=0), np.ptp(heights, axis=0)
     tried = [(axis, start + part * size) for axis, start, size in zip(axes, low, extent, strict=True) for part in _CUTS]
-    few = [sum(_hull_volume(half[farthest(half)]) for half in _halves(corners, edges, *cut)) for cut in tried]
+    few = [
+        sum(_hull_volume(half[mesh_shape.farthest(half)]) for half in _halves(corners, edges, *cut)) for cut in tried
+    ]
     best, gain = None, worth
     for k in np.argsort(few, kind="stable"):
         if whole.volume - few[k] <= gain:  # later cuts gain less, as the hull of all points is larger than that of few
@@ -201,26 +207,23 @@ def _hull_volume(points: Array) -> float:
 
 def _parts(faces: Any) -> list[Any]:
     """Return the faces of each connected part, or all faces as one part if there are too many parts."""
-    parts = connected_parts(faces)
+    parts = mesh_shape.connected_parts(faces)
     return [faces] if len(parts) > _CRUMBS else parts
 
 
 def _joined(pieces: list[Array], worth: float) -> list[Array]:
     """Join pairs of pieces, smallest added volume first, while it is below `worth` or there are too many pieces."""
-    hulls = sorted(map(hull_of, pieces), key=lambda hull: hull.volume, reverse=True)
-    pieces = [hull.points[hull.vertices] for hull in hulls]
-    volumes = [float(hull.volume) for hull in hulls]
-    added: dict[tuple[int, int], float] = {}
-    alive = list(range(len(pieces)))
-    while len(alive) > 1:
-        for i, j in ((i, j) for i in alive for j in alive if i < j and (i, j) not in added):
-            added[i, j] = _hull_volume(np.vstack([pieces[i], pieces[j]])) - volumes[i] - volumes[j]
-        (i, j), least = min(((pair, more) for pair, more in added.items()), key=lambda entry: entry[1])
-        if least > worth and len(alive) <= _MAX_PIECES:
+    hulls = dict(enumerate(sorted(map(hull_of, pieces), key=lambda hull: hull.volume, reverse=True)))
+    together: dict[tuple[int, int], tuple[float, Any]] = {}  # added volume and common hull of pairs
+    while len(hulls) > 1:
+        for i, j in combinations(hulls, 2):
+            if (i, j) not in together:
+                hull = hull_of(np.vstack([hulls[k].points[hulls[k].vertices] for k in (i, j)]))
+                together[i, j] = float(hull.volume) - float(hulls[i].volume) - float(hulls[j].volume), hull
+        (i, j), (least, hull) = min(together.items(), key=lambda entry: entry[1][0])
+        if least > worth and len(hulls) <= _MAX_PIECES:
             break
-        together = hull_of(np.vstack([pieces[i], pieces[j]]))
-        pieces.append(together.points[together.vertices])
-        volumes.append(float(together.volume))
-        alive = [k for k in alive if k not in (i, j)] + [len(pieces) - 1]
-        added = {pair: more for pair, more in added.items() if i not in pair and j not in pair}
-    return [pieces[k] for k in alive]
+        hulls[max(hulls) + 1] = hull
+        hulls = {k: hull for k, hull in hulls.items() if k not in (i, j)}
+        together = {pair: each for pair, each in together.items() if i not in pair and j not in pair}
+    return [hull.points[hull.vertices] for hull in hulls.values()]

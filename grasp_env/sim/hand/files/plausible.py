@@ -16,42 +16,32 @@ from grasp_env._check import Array
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import FileJoint, listed, names_of
 from grasp_env.sim.hand.files.options import Inertial
-from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, nearest_inertia
+from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, inertia_numbers, nearest_inertia
 from grasp_env.sim.hand.solids import hull_of, outline
 from grasp_env.sim.hand.tree import Geometry
 
-TIP_FORCE = 15.0
-"""Assumed force of an unknown motor at the tip of a straight finger [N]. Makers' files give 4 N (Allegro), 6 N (LEAP), 9 N
-(Inspire), 20 N (Shadow, Dex3), 59 N (a prosthesis)."""
-JAW_FORCE = 20.0
-"""Assumed force of a sliding joint [N]."""
-LARGEST_TIP_FORCE = 100.0
-"""Largest plausible force at a fingertip [N]. The strongest finger of a maker's file has 59 N, a human index finger 50 N."""
-LARGEST_ROUND_TIP_FORCE = 30.0
-"""Largest plausible force at a fingertip [N] if all finger joints have 10, 100, ... N m. Makers who give all joints one effort have
-2 N to 9 N."""
-LARGEST_JAW_FORCE = 1000.0
-"""Effort from which on that of a sliding joint is implausible [N]; grippers on arms have 20 N to 235 N."""
-SHORTEST_FINGER = 0.03
-"""Smallest distance assumed from a joint to its fingertip [m]. A smaller one means that shapes are missing."""
+# forces at a fingertip [N]; makers' files give 4 (Allegro), 6 (LEAP), 9 (Inspire), 20 (Shadow, Dex3) and 59 (a prosthesis)
+TIP_FORCE, JAW_FORCE = (
+    15.0,
+    20.0,
+)  # assumed of an unknown motor, at the tip of a straight finger, and of a sliding joint
+LARGEST_TIP_FORCE = 100.0  # largest plausible one; a human index finger has 50
+LARGEST_ROUND_TIP_FORCE = 30.0  # the same if all finger joints have one effort of 10, 100, ... N m; makers' have 2 to 9
+LARGEST_JAW_FORCE = 1000.0  # effort from which on that of a sliding joint is implausible [N]; grippers have 20 to 235
+SHORTEST_FINGER = 0.03  # smallest distance assumed from a joint to its tip [m]; below it shapes are missing
 
-LARGEST_LINK = 1.0
-"""Largest plausible size of a moving link [m]; larger sizes are probably millimetres."""
+LARGEST_LINK = 1.0  # largest plausible size of a moving link [m]; larger sizes are probably millimetres
 LARGEST_DENSITY, LEAST_HEAVY = 50.0, 0.1
 """Density of the box around a link [g/cm^3] and mass [kg] above which the mass is wrong. Shapes may be smaller than their link."""
 LARGEST_MEAN_DENSITY, LEAST_HEAVY_HAND = 12.0, 1.0
-"""Mean density [g/cm^3] and mass [kg] of all moving links above which all masses are wrong; lead has 11.3, the heaviest maker's
-file 9."""
+"""Mean density [g/cm^3] and mass [kg] of all moving links above which all masses are wrong; the heaviest maker's file has 9 g/cm^3."""
 LEAST_DENSITY = 0.02
 """Density of a link's shapes [g/cm^3] below which its mass is wrong; foam has 0.03, the lightest link of a maker's file 0.15."""
-LARGEST_HAND = 10.0
-"""Largest plausible mass of all moving links [kg]."""
+LARGEST_HAND = 10.0  # largest plausible mass of all moving links [kg]
 LARGEST_GYRATION, LEAST_MOMENT = 1.0, 2e-4
 """Radius of gyration over the size of the link, and moment of inertia [kg m^2], above which the inertia is wrong. A body inside its
 shapes has at most 0.5; makers' files have 0.1 to 0.9. A smaller moment may include a rotor, see `HandDescription.with_rotors`."""
-LEAST_GYRATION = 0.02
-"""Radius of gyration over the size of the link below which the inertia is wrong; makers' files have 0.08 and more."""
-
+LEAST_GYRATION = 0.02  # the same ratio below which the inertia is wrong; makers' files have 0.08 and more
 ASSUMED_DENSITY, LEAST_MASS, LEAST_SIDE = 1000.0, 1e-3, 0.01
 """Density of links without a plausible mass [kg/m^3], their smallest mass [kg], and the smallest side of the box for an inertia [m]."""
 
@@ -64,27 +54,18 @@ _NO_INERTIA = "physically impossible inertias are replaced by the nearest possib
 
 @dataclass(frozen=True)
 class Body:
-    """A moving link including everything fixed to it, with the values of the file.
-
-    Attributes:
-        joint: The joint that moves it.
-        mass: Mass [kg]; 0: unknown.
-        center: Centre of mass [m], (3,), link frame.
-        inertia: Inertia about the centre of mass [kg m^2].
-        shapes: Collision shapes, link frame.
-        points: Points of its collision shapes, or of its visual ones if it has no others [m], (K, 3), link frame.
-        carrier: Name of the moving link that carries it; None: the palm.
-        place: Position of its joint [m], (3,), the carrier's frame.
-    """
+    """A moving link including everything fixed to it, with the values of the file; origin and rotation are those of its joint."""
 
     joint: FileJoint
-    mass: float
+    mass: float  # 0 if the file has none
     center: Vector3
     inertia: Inertia
     shapes: tuple[Geometry, ...]
-    points: Array
-    carrier: str | None
-    place: Vector3
+    looks: tuple[Geometry, ...]
+    points: Array  # of its collision shapes, or of its visual ones if it has no others [m], (K, 3)
+    carrier: str | None  # the moving link that carries it; None for the palm
+    origin: Vector3
+    rotation: Vector3
 
     @cached_property
     def volume(self) -> float:
@@ -93,33 +74,26 @@ class Body:
 
 
 class Judge:
-    """A judge of the moving links of a hand.
-
-    Args:
-        bodies: The moving links, parents before children.
-
-    Attributes:
-        notes: A sentence for each kind of implausible value.
-    """
+    """A judge of the moving links of a hand, parents before children; `notes` has a sentence for each kind of implausible value."""
 
     def __init__(self, bodies: Sequence[Body]) -> None:
         self._bodies = list(bodies)
         self.notes: list[str] = []
+        self._numbers = {body.joint.name: number for number, body in enumerate(bodies)}
         at = {body.joint.child: number for number, body in enumerate(bodies)}
         self._carrier = [-1 if body.carrier is None else at[body.carrier] for body in bodies]
         own = [np.vstack([np.zeros((1, 3)), body.points]) for body in bodies]
         for body, carrier in zip(bodies, self._carrier, strict=True):
             if carrier >= 0:
-                own[carrier] = np.vstack([own[carrier], body.place])
+                own[carrier] = np.vstack([own[carrier], body.origin])
         self._extents = own
         self._sizes = [float(np.linalg.norm(np.ptp(points, axis=0))) for points in own]
         self._reaches = [float(np.linalg.norm(points, axis=1).max()) for points in own]
         self._ends = [0] * len(bodies)
-        for number in range(len(bodies) - 1, -1, -1):
+        for number, carrier in reversed(list(enumerate(self._carrier))):
             self._ends[number] = max(1, self._ends[number])
-            carrier = self._carrier[number]
             if carrier >= 0:
-                away = float(np.linalg.norm(bodies[number].place)) + self._reaches[number]
+                away = float(np.linalg.norm(bodies[number].origin)) + self._reaches[number]
                 self._reaches[carrier] = max(self._reaches[carrier], away)
                 self._ends[carrier] += self._ends[number]
         self._length = max(self._reaches)  # [m], size assumed for a link without shapes
@@ -138,26 +112,24 @@ class Judge:
         carries the load of the joints that are coupled to it.
         """
         levers = list[float]()
-        drivers = {body.joint.name: number for number, body in enumerate(self._bodies)}
         own = [ends * max(SHORTEST_FINGER, reach) for ends, reach in zip(self._ends, self._reaches, strict=True)]
         for number, carrier in enumerate(self._carrier):
             levers.append(levers[carrier] if carrier >= 0 and self._ends[carrier] == 1 else own[number])
         for number, body in enumerate(self._bodies):
             if body.joint.mimic is not None:
                 lever = self._ends[number] if body.joint.sliding else own[number]
-                levers[drivers[body.joint.mimic.joint]] += abs(body.joint.mimic.ratio) * lever
+                levers[self._numbers[body.joint.mimic.joint]] += abs(body.joint.mimic.ratio) * lever
         return levers
 
     def inertials(self, given: Mapping[str, float | Inertial]) -> list[Inertial]:
         """Return mass, centre and inertia of each body: as given, else as in the file if plausible."""
-        given_values = [given.get(body.joint.child) for body in self._bodies]
         weighed = [body for body in self._bodies if body.mass > 0.0 and body.volume > 0.0]
         heavy, volume = sum(body.mass for body in weighed), sum(body.volume for body in weighed)
         heavier_than_lead = self._scaled and heavy > max(LEAST_HEAVY_HAND, 1e3 * LARGEST_MEAN_DENSITY * volume)
         changed: dict[str, list[str]] = {}
         found = list[Inertial]()
-        for number, (body, value) in enumerate(zip(self._bodies, given_values, strict=True)):
-            own = Inertial(body.mass, body.center, body.inertia)
+        for number, body in enumerate(self._bodies):
+            value, own = given.get(body.joint.child), Inertial(body.mass, body.center, body.inertia)
             if isinstance(value, Inertial):
                 own = value
             elif body.mass <= 0.0:
@@ -218,9 +190,8 @@ class Judge:
         for (effort, sliding), joints in assumed.items():
             least, most, names = min(joints.values()), max(joints.values()), names_of(list(joints))
             force = f" ({doubted[effort]:.0f} N at a fingertip)" if effort in doubted and not sliding else ""
-            cause = f"no effort is given for {names}"
-            if effort is not None:
-                cause = f"effort {effort:g} of {names} is no motor's limit{force}"
+            known = f"effort {effort:g} of {names} is no motor's limit{force}" if effort is not None else ""
+            cause = known or f"no effort is given for {names}"
             span = f"{least:g}" if least == most else f"{least:g} to {most:g}"
             unit = "N" if sliding else f"N m, {TIP_FORCE:g} N at the tip of a straight finger"
             self.notes.append(f"{cause}: assumed is {span} {unit}; give the true one as torque_limit=")
@@ -228,17 +199,15 @@ class Judge:
 
     def _add_jaws(self, limits: list[float], given: Mapping[str, float], assumed: set[str]) -> None:
         """Add up the forces of jaws that share a motor: files give the force of each jaw."""
-        numbers = {body.joint.name: number for number, body in enumerate(self._bodies)}
         shared = dict[str, float]()
         for number, body in enumerate(self._bodies):
             mimic, effort = body.joint.mimic, body.joint.effort
             if mimic is None or not body.joint.sliding or effort is None or not 0.0 < effort < LARGEST_JAW_FORCE:
                 continue
-            driver = numbers.get(mimic.joint, -1)
-            if driver < 0 or not self._bodies[driver].joint.sliding or mimic.joint in given or mimic.joint in assumed:
-                continue
-            limits[driver] += abs(mimic.ratio) * limits[number]
-            shared[mimic.joint] = limits[driver]
+            driver = self._numbers[mimic.joint]
+            if self._bodies[driver].joint.sliding and mimic.joint not in given and mimic.joint not in assumed:
+                limits[driver] += abs(mimic.ratio) * limits[number]
+                shared[mimic.joint] = limits[driver]
         if shared:
             forces = ", ".join(f"{joint!r} ({force:g} N)" for joint, force in shared.items())
             self.notes.append(
@@ -257,9 +226,8 @@ class Judge:
             forces.setdefault(effort, []).append(effort / self._levers[number])
             if self._ends[number] == 1:
                 fingers.append(effort)
-        alike = len(fingers) >= 3 and len(set(fingers)) == 1 and math.log10(fingers[0]).is_integer()
         most = dict.fromkeys(forces, LARGEST_TIP_FORCE)
-        if alike:
+        if len(fingers) >= 3 and len(set(fingers)) == 1 and math.log10(fingers[0]).is_integer():
             most[fingers[0]] = LARGEST_ROUND_TIP_FORCE
         return {effort: max(each) for effort, each in forces.items() if max(each) > most[effort]}
 
@@ -274,14 +242,13 @@ class Judge:
 
     def _inertia_is_wrong(self, number: int, own: Inertial) -> bool:
         """Return True if the inertia does not fit the size and mass of the link."""
-        size = self._sizes[number] if len(self._bodies[number].points) else self._length
+        shaped = len(self._bodies[number].points) > 0
+        size = self._sizes[number] if shaped else self._length
         if not self._scaled or size <= 0.0:
             return False
         moment = _largest(own.inertia)
         gyration = math.sqrt(max(moment, 0.0) / own.mass) / size
-        return (gyration < LEAST_GYRATION and len(self._bodies[number].points) > 0) or (
-            gyration > LARGEST_GYRATION and moment > LEAST_MOMENT
-        )
+        return (gyration < LEAST_GYRATION and shaped) or (gyration > LARGEST_GYRATION and moment > LEAST_MOMENT)
 
     def _box(self, number: int, mass: float | None = None) -> Inertial:
         """Return mass, centre and inertia of a box around a link; mass None: that of its shapes."""
@@ -294,9 +261,7 @@ class Judge:
 
 
 def _scaled(own: Inertial, factor: float) -> Inertial:
-    """Scale the mass and inertia of a body by a factor."""
-    xx, xy, xz, yy, yz, zz = (factor * value for value in own.inertia)
-    return Inertial(factor * own.mass, own.center, (xx, xy, xz, yy, yz, zz))
+    return Inertial(factor * own.mass, own.center, inertia_numbers(factor * inertia_matrix(own.inertia)))
 
 
 def _largest(inertia: Inertia) -> float:

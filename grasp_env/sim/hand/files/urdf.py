@@ -1,7 +1,4 @@
-"""Read a URDF file. Each element is checked where it is read, and all faults are reported together.
-
-Longer than most modules: the reader and the functions that turn elements into numbers share their error messages.
-"""
+"""Read a URDF file. Each element is checked where it is read, and all faults are reported together."""
 
 from __future__ import annotations
 
@@ -18,29 +15,22 @@ import numpy as np
 from grasp_env._check import AllFaults
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Vector3, limits, numbers
-from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink
-from grasp_env.sim.hand.files.mesh_uses import MeshUse, solids_of
+from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink, listed
 from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
+from grasp_env.sim.hand.files.pieces import MeshUse, solids_of
 from grasp_env.sim.hand.files.xacro import expanded, is_xacro
-from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.frames import IDENTITY, Frame
 from grasp_env.sim.hand.inertia import Inertia
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
-MAX_ELEMENTS = 500
-"""Largest number of links, and of joints, in a file."""
-MAX_SHAPES = 2000
-"""Largest number of collision and visual shapes together."""
-_MAX_MISSING = 40  # missing meshes that a message names
+MAX_ELEMENTS = 500  # links, and joints, in a file
+MAX_SHAPES = 2000  # collision and visual shapes together
 
 _TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
 
 
 class UrdfReader:
-    """A reader of one URDF or xacro file.
-
-    Args:
-        path: Path of the file.
-        robot: Its first element.
+    """A reader of one URDF or xacro file with the first element `robot`.
 
     Attributes:
         name: Name of the robot.
@@ -50,16 +40,13 @@ class UrdfReader:
         fixed: Names of fixed joints.
         undrawn: Visual meshes that are left out, with the reason.
         notes: A sentence for each thing that was assumed or left out.
-
-    Raises:
-        InvalidInputError: There are no links, or too many; or xacro refuses the file.
     """
 
     def __init__(self, path: str | os.PathLike[str], robot: Element) -> None:
         self.path = Path(os.fsdecode(path))
         self.notes: list[str] = []
-        if is_xacro(path, robot):
-            robot = expanded(path)
+        if is_xacro(self.path, robot):
+            robot = expanded(self.path)
         self.name: str = robot.get("name") or "hand"
         self._links, self._joints = robot.findall("link"), robot.findall("joint")
         if not self._links:
@@ -73,7 +60,6 @@ class UrdfReader:
             raise InvalidInputError(f"there are {shapes} shapes, allowed are up to {MAX_SHAPES}; take the hand out")
         self._materials = list(robot.iter("material"))
         self._palette: dict[str, Vector3] = {}
-        self._faults_of_visuals: dict[Path, str] = {}
         self._missing: dict[str, list[str]] = {}
         self._shapes: dict[str, tuple[list[Geometry | MeshUse], list[Geometry | MeshUse]]] = {}
         self.names = [element.get("name", "") for element in self._links]
@@ -81,23 +67,17 @@ class UrdfReader:
             (element.get("name", ""), _end(element, "parent"), _end(element, "child")) for element in self._joints
         ]
         self.mimics = {
-            element.get("name", ""): (mimic.get("joint", "") if (mimic := element.find("mimic")) is not None else "")
+            element.get("name", ""): mimic.get("joint", "")
             for element in self._joints
-            if element.find("mimic") is not None and element.get("type") != _FIXED
+            if (mimic := element.find("mimic")) is not None and element.get("type") != _FIXED
         }
         self.fixed = {element.get("name", "") for element in self._joints if element.get("type") == _FIXED}
         self.undrawn: dict[str, str] = {}
 
     def elements(self, wanted: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
-        """Return links by name, and the joints between them in file order; others are not read.
+        """Return the wanted links by name, and the joints between them in file order; an error lists all faults of these.
 
         Mesh files are looked for here, and read by `with_shapes`.
-
-        Args:
-            wanted: Names of the links.
-
-        Raises:
-            InvalidInputError: Elements are invalid or meshes are missing; the message lists all of them.
         """
         self._palette = {
             material.get("name", ""): color
@@ -120,19 +100,14 @@ class UrdfReader:
     def _link(self, element: Element) -> FileLink:
         name = _name(element, "<link>")
         where = f"link {name!r}"
-        color: Vector3 | None = None
-        looks: list[tuple[Element, Vector3 | None]] = []
-        for shape in element.findall("visual"):
-            own = self._color_of_visual(shape, f"{where}, <visual>")
-            color = color or own
-            looks.append((shape, None if own == color else own))
+        looks = [(shape, self._color_of_visual(shape, f"{where}, <visual>")) for shape in element.findall("visual")]
+        color = next((own for _, own in looks if own), None)
         with AllFaults() as check:
             inertial = check(_inertial, element.find("inertial"), where)
             collision = [check(self._placed, shape, name) for shape in element.findall("collision")]
-            visual = [check(self._placed, shape, name, own) for shape, own in looks]
-        mass, frame, inertia = inertial
+            visual = [check(self._placed, shape, name, None if own == color else own) for shape, own in looks]
         self._shapes[name] = list(filter(None, collision)), list(filter(None, visual))
-        return FileLink(name, mass, frame, inertia, color=color)
+        return FileLink(name, *inertial, color=color)
 
     def _color_of_visual(self, element: Element, where: str) -> Vector3 | None:
         material = element.find("material")
@@ -144,18 +119,13 @@ class UrdfReader:
         """Raise InvalidInputError if collision meshes are missing."""
         if self._missing:
             each = [f"{shown(name)} ({', '.join(dict.fromkeys(links))})" for name, links in self._missing.items()]
-            more = f" and {len(each) - _MAX_MISSING} more" if len(each) > _MAX_MISSING else ""
             raise InvalidInputError(
-                f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: "
-                f"{', '.join(each[:_MAX_MISSING])}{more}. Download the whole package and keep its folder structure"
+                f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: {listed(each, 40)}. "
+                "Download the whole package and keep its folder structure"
             )
 
     def with_shapes(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
-        """Return the links with their shapes: convex pieces of collision meshes, and visual meshes that can be drawn.
-
-        Raises:
-            InvalidInputError: Files are not meshes of a hand; the message lists all of them.
-        """
+        """Return the links with their shapes: convex pieces of collision meshes, and visual meshes that can be drawn."""
         solids = solids_of({name: self._shapes[name][0] for name in links}, self.path.name)
         shaped = dict[str, FileLink]()
         for name, link in links.items():
@@ -191,10 +161,7 @@ class UrdfReader:
 
     def _visual_mesh(self, use: MeshUse) -> Geometry | None:
         """Return a visual mesh; None if it cannot be drawn, which is recorded."""
-        if use.path not in self._faults_of_visuals:
-            self._faults_of_visuals[use.path] = why_not_drawn(use.path)
-        why = self._faults_of_visuals[use.path] or ("are mirrored by a scale below 0" if min(use.scale) < 0.0 else "")
-        if why:
+        if why := why_not_drawn(use.path, use.scale):
             self.undrawn[use.name] = why
             return None
         return Geometry("mesh", use.scale, use.origin, use.rotation, use.color, file=str(use.path))
@@ -247,9 +214,8 @@ def _color(material: Element, where: str) -> Vector3 | None:
 
 def _inertial(inertial: Element | None, where: str) -> tuple[float, Frame, Inertia]:
     """Return mass, frame and inertia of an <inertial>; they may be physically impossible."""
-    frame = Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     if inertial is None:
-        return 0.0, frame, NO_INERTIA
+        return 0.0, IDENTITY, NO_INERTIA
     mass = _number(inertial.find("mass"), "value", None, f"{where}, <inertial>, <mass>")
     if mass < 0.0:
         raise InvalidInputError(f"{where}: mass={mass} kg must be above 0")
@@ -258,10 +224,8 @@ def _inertial(inertial: Element | None, where: str) -> tuple[float, Frame, Inert
         return 0.0, frame, NO_INERTIA
     element, required = inertial.find("inertia"), ("ixx", "iyy", "izz")
     inside = f"{where}, <inertial>, <inertia>"
-    xx, xy, xz, yy, yz, zz = (
-        _number(element, name, None if name in required else "0", inside)
-        for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    )
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    xx, xy, xz, yy, yz, zz = (_number(element, name, None if name in required else "0", inside) for name in names)
     return mass, frame, (xx, xy, xz, yy, yz, zz)
 
 
@@ -324,8 +288,7 @@ def _joint(element: Element) -> FileJoint:
         limits = check(_limits, element.find("limit"), kind, where)
         effort = check(_effort, element.find("limit"), where)
         mimic = check(_mimic, element.find("mimic"), where)
-    lower, upper = limits
-    return FileJoint(name, parent, child, False, origin, rotation, axis, lower, upper, effort, kind == _SLIDING, mimic)
+    return FileJoint(name, parent, child, False, origin, rotation, axis, *limits, effort, kind == _SLIDING, mimic)
 
 
 def _axis(element: Element, where: str) -> Vector3:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -15,26 +14,21 @@ from grasp_env._files import parsed, read_xml
 from grasp_env.errors import GraspError, InvalidInputError
 from grasp_env.sim.hand.files.meshes import PARENTS
 
-_ELEMENT = re.compile(r"\{[^}]*xacro/?\}")
-"""Start of the tag of a xacro element, for any address of the namespace."""
+_ELEMENT = re.compile(r"\{[^}]*xacro/?\}")  # start of the tag of a xacro element, for any address of the namespace
 
 
-def is_xacro(path: str | os.PathLike[str], robot: Element) -> bool:
+def is_xacro(path: Path, robot: Element) -> bool:
     """Return True if a file is named like a xacro file or has a xacro element."""
-    return os.fsdecode(path).endswith(".xacro") or any(_ELEMENT.match(element.tag) for element in robot.iter())
+    return path.suffix == ".xacro" or any(_ELEMENT.match(element.tag) for element in robot.iter())
 
 
-def expanded(path: str | os.PathLike[str]) -> Element:
+def expanded(path: Path) -> Element:
     """Return the robot of a xacro file, its arguments at their defaults.
 
     `$(find package)` searches the folders above the file and their siblings. Xacro evaluates expressions in the file, so read
     only files that you trust.
-
-    Raises:
-        InvalidInputError: Xacro refuses the file, or it only defines macros.
-        MissingExtraError: xacrodoc is not installed.
     """
-    file = Path(os.fsdecode(path)).absolute()
+    file = path.absolute()
     with need("xacro"):
         import xacro  # xacrodoc lets it find packages without ROS
         import xacrodoc
@@ -58,11 +52,7 @@ def _packages(file: Path) -> dict[str, str]:
     found = dict[str, str]()
     for folder in list(file.parents)[: PARENTS + 1]:
         for manifest in [folder / "package.xml", *sorted(folder.glob("*/package.xml"))]:
-            if not manifest.is_file():
-                continue
-            try:
-                name = parsed(manifest, read_xml, InvalidInputError, str(manifest), "XML").findtext("name", "").strip()
-            except GraspError:
-                continue
-            found.setdefault(name, str(manifest.parent))
+            with suppress(GraspError):  # missing, or not XML
+                package = parsed(manifest, read_xml, InvalidInputError, str(manifest), "XML")
+                found.setdefault(package.findtext("name", "").strip(), str(manifest.parent))
     return found

@@ -1,39 +1,80 @@
-"""Joints that share a motor: the range that their limits leave it, and rods among their links, which are not fingers."""
+"""Joints of a hand's file: ranges that no finger has, ranges of joints that share a motor, and rods among their links.
+
+The bounds come from some 200 public files of hands and robots. Degrees become radians, and ranges too wide for a finger are listed.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+import statistics
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 from scipy.optimize import linprog
 
 from grasp_env._check import Array
-from grasp_env.sim.hand.files.elements import FileJoint, names_of
-from grasp_env.sim.hand.frames import Frame, axis_rotation
+from grasp_env.sim.hand.files.elements import FileJoint, listed, names_of
+from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tree import Fingertip, Link
 
-_LEAST_RANGE = 0.25
-"""Smallest share of a motor's range that coupled joints may leave it; otherwise their limits are ignored."""
-_POSTURES = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Positions within the motors' ranges at which links are compared."""
-_PINNED = 0.002
-"""Largest gap between two links joined by a pin [m], as shapes are coarse."""
-_SHORTER = 0.9
-"""Largest reach of a rod over that of the finger that it moves."""
+LARGEST_TURN = 3.3  # largest plausible range of a joint [rad]: a hinge between two links folds by half a turn
+HALF_TURN = 3.1  # smallest one-sided range [rad], as 0 to pi, that is a placeholder if three joints or more share it
+DEGREES = 4.0 * math.pi  # median range [rad] above which all ranges are taken as degrees
+LARGEST_STROKE = 0.5  # largest plausible range of a sliding joint [m]
+_LEAST_RANGE = 0.25  # smallest share of a motor's range that coupled joints may leave it, or their limits are ignored
+_POSTURES = (0.1, 0.3, 0.5, 0.7, 0.9)  # positions within the motors' ranges at which links are compared
+_PINNED = 0.002  # largest gap between two links joined by a pin [m], as shapes are coarse
+_SHORTER = 0.9  # largest reach of a rod over that of the finger that it moves
+
+
+def judge_ranges(
+    joints: Sequence[FileJoint], given: Mapping[str, tuple[float, float]]
+) -> tuple[list[FileJoint], list[str]]:
+    """Return the joints with ranges in radians, and sentences on implausible ranges; those in `given` are not judged."""
+    judged = [joint for joint in joints if not joint.fixed and joint.name not in given]
+    spans = [joint.upper - joint.lower for joint in judged if not joint.sliding and math.isfinite(joint.lower)]
+    notes, true = list[str](), "; give the true ones as joint_limits="
+    if spans and statistics.median(spans) > DEGREES:
+        turned = {
+            joint.name: replace(joint, lower=math.radians(joint.lower), upper=math.radians(joint.upper))
+            for joint in judged
+            if not joint.sliding
+        }
+        joints, judged = ([turned.get(joint.name, joint) for joint in each] for each in (joints, judged))
+        shown = listed([_range(joint) for joint in turned.values()])
+        notes.append(f"ranges of more than two turns are taken as degrees: {shown}{true}")
+    driven = [joint for joint in judged if joint.mimic is None]
+    wide = [_range(joint) for joint in driven if _is_wide(joint, driven)]
+    if wide:
+        notes.append(f"ranges too wide for a finger's joint are kept: {listed(wide)}{true}")
+    return list(joints), notes
+
+
+def _is_wide(joint: FileJoint, others: Sequence[FileJoint]) -> bool:
+    """Return True if a range is too wide for a hinge, or a one-sided half turn shared by several joints."""
+    span = joint.upper - joint.lower
+    if joint.sliding:
+        return span > LARGEST_STROKE
+    alike = sum((other.lower, other.upper) == (joint.lower, joint.upper) for other in others)
+    one_side = max(-joint.lower, joint.upper) > 0.75 * span
+    return span > LARGEST_TURN or (span > HALF_TURN and one_side and alike >= 3)
+
+
+def _range(joint: FileJoint) -> str:
+    if not math.isfinite(joint.lower):
+        return f"{joint.name!r} (unlimited)"
+    return f"{joint.name!r} ({joint.lower:.3g} to {joint.upper:.3g} {'m' if joint.sliding else 'rad'})"
 
 
 def free_ranges(joints: Sequence[FileJoint], given: Collection[str]) -> tuple[list[FileJoint], list[str]]:
     """Return the joints with ranges that fit their couplings, and a sentence on those that were changed.
 
     Other programs only use the limits of the joint with the motor, so wrong limits of coupled joints go unnoticed. If these would leave
-    the motor less than `_LEAST_RANGE` of its range, they are replaced by the image of the motor's range.
-
-    Args:
-        joints: All joints.
-        given: Names of joints whose ranges a caller gives; these are kept.
+    the motor less than `_LEAST_RANGE` of its range, they are replaced by the image of the motor's range. The ranges of the joints
+    named in `given` are kept.
     """
     left = {joint.name: (joint.lower, joint.upper) for joint in joints}
     for joint in joints:
@@ -42,18 +83,16 @@ def free_ranges(joints: Sequence[FileJoint], given: Collection[str]) -> tuple[li
             before = left[joint.mimic.joint]
             left[joint.mimic.joint] = max(before[0], low), min(before[1], high)
     drivers = {joint.name: joint for joint in joints}
-    changed, out = list[str](), list[FileJoint]()
+    changed = dict[str, FileJoint]()
     for joint in joints:
-        fitting = joint
         if joint.mimic is not None and joint.name not in given:
             driver, (low, high) = drivers[joint.mimic.joint], left[joint.mimic.joint]
             if math.isfinite(driver.lower) and high - low < _LEAST_RANGE * (driver.upper - driver.lower):
                 lower, upper = sorted((joint.mimic.angle(driver.lower), joint.mimic.angle(driver.upper)))
-                fitting = replace(joint, lower=lower, upper=upper)
-                changed.append(joint.name)
-        out.append(fitting)
+                changed[joint.name] = replace(joint, lower=lower, upper=upper)
     text = "the limits of coupled joints leave their motor hardly any range and are ignored"
-    return out, [f"{text}: {names_of(changed)}"] if changed else []
+    fitting = [changed.get(joint.name, joint) for joint in joints]
+    return fitting, [f"{text}: {names_of(list(changed))}"] if changed else []
 
 
 def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
@@ -63,12 +102,7 @@ def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
     """
     chains = [_chain(links, tip.link) for tip in tips]
     motors = [frozenset(link.mimic.joint if link.mimic else link.joint for link in chain) for chain in chains]
-    alike = [
-        (rod, finger)
-        for rod in range(len(tips))
-        for finger in range(len(tips))
-        if motors[rod] == motors[finger] and rod != finger
-    ]
+    alike = [(rod, finger) for rod, finger in permutations(range(len(tips)), 2) if motors[rod] == motors[finger]]
     if not alike:
         return set()
     postures = [_frames(links, part) for part in _POSTURES]
@@ -78,10 +112,9 @@ def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
     ]  # fmt: skip
     rods = set[str]()
     for rod, finger in alike:
-        end = chains[rod][0]
         others = [link for link in chains[finger] if link not in chains[rod]]
         if reach[rod] < _SHORTER * reach[finger] and any(
-            all(_touch(end, other, frames) for frames in postures) for other in others
+            all(_touch(chains[rod][0], other, frames) for frames in postures) for other in others
         ):
             rods.add(tips[rod].name)
     return rods if len(rods) < len(tips) else set()
@@ -105,9 +138,7 @@ def _frames(links: Sequence[Link], part: float) -> dict[str, Frame]:
     frames = dict[str, Frame]()
     for link in links:
         angle = angles[link.joint] if link.mimic is None else link.mimic.angle(angles[link.mimic.joint])
-        axis = np.array(link.axis)
-        own = Frame(np.eye(3), angle * axis) if link.sliding else Frame(axis_rotation(axis, angle), np.zeros(3))
-        place = Frame.of(link.origin, link.rotation) @ own
+        place = Frame.of(link.origin, link.rotation) @ Frame.of_joint(np.array(link.axis), angle, link.sliding)
         frames[link.name] = frames[link.parent] @ place if link.parent in frames else place
     return frames
 
