@@ -37,13 +37,15 @@ def jaws(motors: int = 1, force: float = 40.0) -> HandDescription:
     return HandDescription("jaws", palm, tuple(links), tuple(tips), placed=False)
 
 
-def claw() -> HandDescription:
-    """Return two fingers that one motor swings against each other."""
+def claw(ratio: float = 1.0) -> HandDescription:
+    """Return two fingers that one motor swings against each other, the second `ratio` times as fast."""
     hand = gripper(2, 1, torque=8.0)
-    return replace(hand, links=(hand.links[0], replace(hand.links[1], mimic=Mimic("f0_0_joint"))))
+    return replace(hand, links=(hand.links[0], replace(hand.links[1], mimic=Mimic("f0_0_joint", ratio))))
 
 
-@pytest.mark.parametrize(("hand", "item"), [(jaws(1), CUBE), (claw(), BALL)], ids=["jaws", "claw"])
+@pytest.mark.parametrize(
+    ("hand", "item"), [(jaws(1), CUBE), (claw(), BALL), (claw(0.6), BALL)], ids=["jaws", "claw", "slow finger"]
+)
 def test_both_jaws_touch_at_once(hand: HandDescription, item: ObjectDescription) -> None:
     soft = with_soft_contacts(item, hand)
     kinematics = HandKinematics(place_hand(hand, soft))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from engines import HAND_FLAGS, Client, bullet, joint_indices, needs_bullet
-from hands import load_hand, mass_matrix
+from hands import gripper, load_hand, mass_matrix
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
@@ -82,6 +83,25 @@ def test_kinematics_and_dynamics_match_pybullet(name: str) -> None:
     # PyBullet finds principal axes to about 1e-8 of the inertia
     np.testing.assert_allclose(theirs[np.ix_(columns, columns)], total, atol=1e-11)
     client.close()
+
+
+def test_coupled_joints_add_to_their_drivers() -> None:
+    """The oracle is the same hand without couplings; E holds the slopes of its angles, in the angles of the drivers."""
+    hand = gripper(3, 3, coupled=True)
+    links = [replace(link, mimic=link.mimic and replace(link.mimic, ratio=0.7, offset=0.1)) for link in hand.links]
+    one, free = (
+        HandKinematics(replace(hand, links=tuple(some)))
+        for some in (links, [replace(link, mimic=None) for link in links])
+    )
+    angles = one.coupled(np.random.default_rng(3).uniform(-0.6, 1.1, hand.joint_count))
+    ends = np.array([one.coupled(angles + shift) for shift in np.eye(len(angles))]).T - angles[:, None]
+    near = {"rtol": 0, "atol": 1e-12}
+    np.testing.assert_allclose(one.mass_matrix(angles), ends.T @ free.mass_matrix(angles) @ ends, **near)
+    np.testing.assert_allclose(
+        one.gravity_torques(angles, GRAVITY), free.gravity_torques(angles, GRAVITY) @ ends, **near
+    )
+    for finger in range(3):
+        np.testing.assert_allclose(one.jacobian(angles, finger), free.jacobian(angles, finger) @ ends, **near)
 
 
 def test_mobility_is_the_largest_acceleration_of_tips() -> None:
