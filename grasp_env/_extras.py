@@ -18,16 +18,7 @@ _CUTTERS = ("vhacdx",) if platform.machine() == "aarch64" and not find_spec("coa
 EXTRAS = {
     "cli": ("rich", "tyro"),
     "sim": (
-        "PIL",
-        "collada",
-        "fast_simplification",
-        "gymnasium",
-        "manifold3d",
-        "networkx",
-        "platformdirs",
-        "trimesh",
-        *_CUTTERS,
-        _ENGINE,
+        "PIL", "collada", "fast_simplification", "gymnasium", "manifold3d", "networkx", "platformdirs", "trimesh", *_CUTTERS, _ENGINE,
     ),
     "mujoco": ("mujoco",),
     "mend": ("pymeshfix",),
@@ -38,7 +29,7 @@ EXTRAS = {
     "report": ("PIL", "imageio", "jinja2", "matplotlib", "pandas", "pyarrow"),
     "ray": ("ray",),
     "video": ("imageio_ffmpeg", "moviepy"),
-}
+}  # fmt: skip
 """Modules that each extra installs."""
 
 

@@ -233,10 +233,7 @@ class EpisodeLimits(Settings):
         0.1, real(POSITIVE), "Time without force closure before the grasp counts as lost.", unit="s"
     )
     max_slide: float = setting(
-        3e-3,
-        real(NOT_NEGATIVE),
-        "Distance that a touching fingertip may have slid on the object.",
-        unit="m",
+        3e-3, real(NOT_NEGATIVE), "Distance that a touching fingertip may have slid on the object.", unit="m"
     )
     max_overlap: float = setting(
         5e-4, real(NOT_NEGATIVE), "Largest penetration of a fingertip into the object.", unit="m"

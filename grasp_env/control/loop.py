@@ -14,9 +14,8 @@ from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceOptimizer, ForceSolution
-from grasp_env.force.initial import InitialForceRule, StartFrom, rule_name, rule_start
+from grasp_env.force.initial import InitialForceRule, StartFrom, refused_start, rule_name, rule_start
 from grasp_env.force.objective import Objective
-from grasp_env.force.optimizer import refused_start
 from grasp_env.force.options import FLOWS
 from grasp_env.force.record import CODE, OUTSIDE, REFUSED, REPLACED, RESULTS, START
 from grasp_env.force.rules import RULES, initial_rule

@@ -219,10 +219,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
 
     def __init__(
-        self,
-        render_mode: str | None = None,
-        config: EnvConfig | dict[str, Any] | str | None = None,
-        **settings: Any,
+        self, render_mode: str | None = None, config: EnvConfig | dict[str, Any] | str | None = None, **settings: Any
     ) -> None:
         EzPickle.__init__(self, render_mode, config, **settings)
         if render_mode is not None:

@@ -7,7 +7,7 @@ limits are linear in the forces; `ForceLimits.rows` returns them as A f <= b.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,11 +35,6 @@ class LimitArrays(NamedTuple):
     jacobian: Array
     torque_limit: Array
     torque_bias: Array
-
-
-_ARRAYS = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
-LimitNumbers = tuple[Array | None, Array | None, Array | None, Array | None, Array | None]
-"""The return type of `ForceLimits.given`."""
 
 
 class LimitRows(NamedTuple):
@@ -107,7 +102,7 @@ class ForceLimits:
         with AllFaults() as check:
             least = check(_bound, self.min_normal, "min_normal", "contact", ranges.LEAST_NORMAL_FORCE)
             most = check(_bound, self.max_normal, "max_normal", "contact", ranges.NORMAL_FORCE)
-        _check_order(least, most)
+        _check_order(np.atleast_1d(least), np.atleast_1d(most))
         arrays: dict[str, Array] = {"min_normal": least, "max_normal": most}
         if (self.jacobian is None) != (self.torque_limit is None):
             raise InvalidInputError(
@@ -122,16 +117,10 @@ class ForceLimits:
                 raise InvalidInputError(
                     f"torque_limit has {len(limit)} entries, the jacobian {joints} joints: give one or {joints}"
                 )
-            bias = (
-                np.zeros(joints)
-                if self.torque_bias is None
-                else as_array(self.torque_bias, (joints,), "torque_bias", ranges.BIAS)
-            )
-            arrays |= {
-                "jacobian": np.ascontiguousarray(jac),
-                "torque_limit": np.broadcast_to(limit, (joints,)).copy(),
-                "torque_bias": bias,
-            }
+            bias = np.zeros(joints) if self.torque_bias is None else self.torque_bias
+            arrays["jacobian"] = np.ascontiguousarray(jac)
+            arrays["torque_limit"] = np.broadcast_to(limit, (joints,)).copy()
+            arrays["torque_bias"] = as_array(bias, (joints,), "torque_bias", ranges.BIAS)
         elif self.torque_bias is not None:
             raise InvalidInputError(
                 "torque_bias without torque limits has no effect: give jacobian and torque_limit too"
@@ -146,7 +135,7 @@ class ForceLimits:
         Raises:
             InvalidInputError: limits or a Jacobian for another number of contacts.
         """
-        each = {}
+        each, nothing = [], np.zeros(0)
         n_contacts = whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
         for name in ("min_normal", "max_normal"):
             value = np.asarray(getattr(self, name))
@@ -154,43 +143,18 @@ class ForceLimits:
                 raise InvalidInputError(
                     f"{name} has {len(value)} entries, the grasp {n_contacts} contacts: give one or {n_contacts}"
                 )
-            each[name] = np.broadcast_to(value, (n_contacts,)).copy()
+            each.append(np.broadcast_to(value, (n_contacts,)).copy())
         if self.jacobian is None:
-            nothing = np.zeros(0)
-            return LimitArrays(**each, jacobian=np.zeros((n_contacts, 6, 0)), torque_limit=nothing, torque_bias=nothing)
+            return LimitArrays(*each, np.zeros((n_contacts, 6, 0)), nothing, nothing)
         given = checked_jacobian(self.jacobian, n_contacts)
         jac = np.zeros((n_contacts, 6, given.shape[2]))
         jac[:, : given.shape[1]] = given
-        return LimitArrays(
-            **each, jacobian=jac, torque_limit=np.array(self.torque_limit), torque_bias=np.array(self.torque_bias)
-        )
+        return LimitArrays(*each, jac, np.array(self.torque_limit), np.array(self.torque_bias))
 
     @property
     def joints(self) -> int:
         """Number of joints J of the torque limits; 0 without them."""
         return 0 if self.jacobian is None else np.asarray(self.jacobian).shape[2]
-
-    def given(self, n_contacts: int) -> LimitNumbers:
-        """Return the arrays for the core: least and largest normal forces (N,), Jacobian (N, 3 or 6, J), torque limits and bias (J,).
-
-        Limits that were not given are None.
-
-        Args:
-            n_contacts: N.
-
-        Raises:
-            InvalidInputError: see `checked`.
-        """
-        made: dict[str, Any] = vars(self)  # arrays after __post_init__
-        least, most, jacobian, limit, bias = map(made.__getitem__, _ARRAYS)
-        if least is not None and least.ndim == 0:
-            least = np.full(n_contacts, least) if least else None
-        if most is not None and most.ndim == 0:
-            most = np.full(n_contacts, most) if most < np.inf else None
-        for each in (least, most, jacobian):
-            if each is not None and len(each) != n_contacts:
-                self.checked(n_contacts)  # raises, with the reason
-        return least, most, jacobian, limit, bias
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
         """Return (M,) descriptions of the finite limits of `n_contacts` contacts, in the order of `rows`."""
@@ -270,6 +234,20 @@ def as_limits(value: object) -> ForceLimits | None:
     return instance(value, ForceLimits, "limits", or_none=True)
 
 
+def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Array | None, ...]:
+    """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`; None for those that were not given."""
+    if limits is None:
+        return (None,) * 5
+    least, most, *others = (getattr(limits, name) for name in LimitArrays._fields)  # arrays after __post_init__
+    if least.ndim == 0:
+        least = np.full(n_contacts, least) if least else None
+    if most.ndim == 0:
+        most = np.full(n_contacts, most) if most < np.inf else None
+    if any(each is not None and len(each) != n_contacts for each in (least, most, others[0])):
+        limits.checked(n_contacts)  # raises, with the reason
+    return least, most, *others
+
+
 def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:
     """Return (N, 4, J) from (N, 6, J): velocity along (normal, o, t) and angular velocity about the normal."""
     turned = np.einsum("nik,nij->nkj", grasp.frames, jacobian[:, :3])
@@ -285,37 +263,28 @@ def _with_torsion(grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None) -> 
 
 
 def _bound(value: ArrayLike, name: str, of: str, within: ranges.Range) -> Array:
-    """Return a number or a vector of limits.
-
-    inf means no limit. It is refused for `min_normal`, the only limit whose range starts at 0.
-    """
-    zero = within.low == 0.0
+    """Return a number or a vector of limits; inf means no limit, except for `min_normal`, the only limit whose range starts at 0."""
+    unlimited = within.low > 0.0
     try:
         array = as_array(value, None, name, finite=False)
     except InvalidInputError as error:
         raise InvalidInputError(f"{name} must be a number or one per {of}: {error}") from None
-    low = array >= 0.0 if zero else array > 0.0
-    if array.ndim > 1 or array.size == 0 or not (low & (np.isfinite(array) | (not zero))).all():
+    fits = (array >= within.low) & (array <= within.high) | (unlimited & (array == np.inf))
+    if array.ndim > 1 or array.size == 0 or not fits.all():
         raise InvalidInputError(
-            f"{name} must be {'>= 0 and finite,' if zero else '> 0, inf for no limit,'} one for all or one per {of}, got "
-            f"{shown(array)}"
+            f"{name} must lie within {within}{', or be inf for no limit' * unlimited}, one for all or one per {of}, got {shown(array)}"
         )
-    finite = array[np.isfinite(array)]
-    if not ((finite >= within.low) & (finite <= within.high)).all():
-        raise InvalidInputError(f"{name} must lie within {within}{'' if zero else ', or be inf'}, got {shown(array)}")
     return array
 
 
 def _check_order(least: Array, most: Array) -> None:
     try:
-        crossing = np.broadcast_to(least >= most, np.broadcast_shapes(least.shape, most.shape)).reshape(-1)
+        least, most = np.broadcast_arrays(least, most)
     except ValueError:
         raise InvalidInputError(
             f"min_normal has {len(least)} entries and max_normal {len(most)}: give one or N of each"
         ) from None
-    if crossing.any():
-        k = int(crossing.argmax())
+    for k in np.flatnonzero(least >= most)[:1]:
         raise InvalidInputError(
-            f"max_normal must be > min_normal at every contact; at contact {k} they are "
-            f"{np.broadcast_to(most, crossing.shape)[k]:g} and {np.broadcast_to(least, crossing.shape)[k]:g}"
+            f"max_normal must be > min_normal at every contact; at contact {k} they are {most[k]:g} and {least[k]:g}"
         )

@@ -36,7 +36,7 @@ from grasp_env.force.initial import (
     rule_start,
     start_names,
 )
-from grasp_env.force.limits import ForceLimits, LimitNumbers, as_limits
+from grasp_env.force.limits import ForceLimits, as_limits, given_limits
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.options import MAX_ITERATIONS, checked_options
@@ -161,9 +161,7 @@ class ForceOptimizer:
         self.core_finds_start, self.remembers = initial is None or start > 0, remembers
         weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
-        limits: LimitNumbers = (
-            (None, None, None, None, None) if self.limits is None else self.limits.given(grasp.n_contacts)
-        )
+        limits = given_limits(self.limits, grasp.n_contacts)
         weighed = None if plain else weights.weights(grasp.n_contacts)
         try:
             self.core: Any = core.ForceOptimizer.make(
@@ -384,24 +382,20 @@ class ForceOptimizer:
         if not self.core.update(*now[:5]):
             raise InvalidInputError("the contacts or limits are invalid: give finite numbers and inward unit normals")
         self._grasp = moved
-        if self.limits is not None:
-            given = {
-                name: each.copy()
-                for name, each in (("jacobian", now.jacobian), ("torque_bias", now.torque_bias))
-                if each is not None
-            }
-            self.limits = replace(self.limits, **given)
+        self.limits = self._limits_of(now)
 
     def _arrays(self, *given: Any, **named: Any) -> Call:
         """Return the checked arrays of a call on these contacts and limits."""
         return checked_call(self.grasp, 0 if self.limits is None else self.limits.joints, *given, **named)
 
-    def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartFrom:
-        """Return the start of a call.
+    def _limits_of(self, now: Call) -> ForceLimits | None:
+        """Return the limits with the Jacobian and the torque bias of a call."""
+        given = {name: getattr(now, name) for name in ("jacobian", "torque_bias")}
+        given = {name: value.copy() for name, value in given.items() if value is not None}
+        return replace(self.limits, **given) if self.limits is not None and given else self.limits
 
-        Raises:
-            InfeasibleStartError: a rule fails, or returns no force.
-        """
+    def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartFrom:
+        """Return the start of a call; an `InfeasibleStartError` if a rule fails, or returns no force."""
         requested: Any = self._initial if initial is None else checked_initial(initial)
         if requested is None or self.method == "conic":
             return StartFrom(0)
@@ -444,12 +438,7 @@ class ForceOptimizer:
                 moved = touching_grasp(self.grasp, now)
             except GraspError:  # the caller has overwritten its arrays since
                 return explain(solution, None, limits)
-            changed = {
-                name: value
-                for name, value in (("jacobian", now.jacobian), ("torque_bias", now.torque_bias))
-                if value is not None
-            }
-            limits = replace(limits, **changed) if limits is not None and changed else limits
+            limits = self._limits_of(now)
         return explain(solution, moved, limits)
 
     def _error(self, row: Array, wrench: Wrench, now: Call, start: StartFrom) -> GraspError:
@@ -519,6 +508,3 @@ def optimize_force(
         raise
     warn_of(grasp, solution.wrench, optimizer.limits)
     return solution
-
-
-__all__ = ["ForceOptimizer", "optimize_force"]

@@ -117,10 +117,7 @@ def test_a_joint_that_two_fingers_share_keeps_its_limit() -> None:
         for link in hand.links
     ]
     env = FourFingerGrasp(
-        hand=replace(hand, links=tuple(links)),
-        contact_points=POINTS,
-        task=PUSHES,
-        agent={"rate": 250},
+        hand=replace(hand, links=tuple(links)), contact_points=POINTS, task=PUSHES, agent={"rate": 250}
     )
     env.reset(seed=0)
     joint, over, torques, limited = hand.joint_names.index(driver), False, [], 0
