@@ -34,10 +34,7 @@ EXTRAS = {
 
 
 def need(*extras: str) -> nullcontext[None]:
-    """Raise an error if one of these extras is not installed. Call it before importing from them, alone or in a `with`.
-
-    Raises:
-        MissingExtraError: with the command that installs the missing extras.
+    """Raise a `MissingExtraError` with the command that installs these extras, if one is missing. Call it before importing from them.
 
     Example:
         >>> with need("sim"):

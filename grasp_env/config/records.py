@@ -196,13 +196,7 @@ class Reward(Settings):
             )
 
     def terms(self, held: bool, iterations: float, costs: Sequence[float]) -> dict[str, float]:
-        """Return the terms that add up to a step's reward.
-
-        Args:
-            held: True if the object is still held; a step that loses it pays -`failure_cost` and nothing else.
-            iterations: iterations of the method in this step.
-            costs: the other costs of `COSTS`, in their order, from 0 to 1.
-        """
+        """Return the terms that add up to a step's reward, from the method's iterations and the other costs of `COSTS` in their order, 0 to 1."""
         shares = (min(1.0, iterations / self.iteration_scale), *costs) if held else (0.0,) * len(COSTS)
         paid = self.held if held else 0.0 - self.failure_cost
         charged = {

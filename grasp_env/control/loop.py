@@ -73,11 +73,7 @@ class ForceLoop:
         return f"ForceLoop({self.config.solver.method} from {rule_name(self.initial_force)})"
 
     def begin(self, scene: Scene) -> None:
-        """Prepare everything that depends on the object and the grasp.
-
-        Raises:
-            RankDeficientGraspError, InfeasibleStartError: the planned contacts cannot hold an object.
-        """
+        """Prepare everything that depends on the object and the grasp; a `GraspError` if the planned contacts cannot hold an object."""
         item, hand, config = scene.config.object, scene.config.hand, self.config
         self.count = hand.finger_count
         self.scene = scene
@@ -104,20 +100,12 @@ class ForceLoop:
         self.reset()
 
     def grasp(self, points: Array, normals: Array) -> Grasp:
-        """Return the grasp of contacts (N, 3) [m] with inward unit normals (N, 3), object frame, and the assumed friction.
-
-        Raises:
-            RankDeficientGraspError: they cannot hold an object.
-        """
+        """Return the grasp of contacts (N, 3) [m] with inward unit normals (N, 3), object frame, and the assumed friction."""
         soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
         return Grasp.from_contacts(points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {})
 
     def reset(self, rng: np.random.Generator | None = None) -> None:
-        """Forget the episode: the next solve starts as the first one did.
-
-        Args:
-            rng: source of the noise's seed (one draw, whatever the settings); None: keep the current noise.
-        """
+        """Forget the episode; `rng` gives the seed of the noise in one draw, whatever the settings (None: keep the current noise)."""
         self.scene.look()
         self._core.reset()
         self.settling = self._settling
@@ -266,11 +254,7 @@ HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Ho
 
 
 def make_optimizer(grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule) -> ForceOptimizer:
-    """Return the method of the settings for contacts near those of `grasp`; on soft contacts, which the flows do not support, Newton.
-
-    Raises:
-        RankDeficientGraspError, InfeasibleStartError: these contacts cannot hold an object.
-    """
+    """Return the method of the settings for contacts near those of `grasp`; on soft contacts, which the flows do not support, Newton."""
     soft, method, initial = grasp.contacts.soft, config.solver.method, initial_force
     if soft and method in FLOWS:
         method = "newton"

@@ -39,11 +39,7 @@ def keep_factor(time: float, tick: float) -> float:
 
 
 class NoiseRows:
-    """Rows of standard normal numbers; a seed gives the same rows however many are drawn.
-
-    Args:
-        rng: generator of its own: the numbers are drawn in blocks of rows.
-        width: numbers per row.
+    """Rows of `width` standard normal numbers, drawn in blocks from a generator of their own: a seed gives the same rows however many.
 
     Example:
         >>> noise = NoiseRows(np.random.default_rng(0), width=3)

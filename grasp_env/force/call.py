@@ -34,16 +34,7 @@ def checked_call(
     torque_bias: Any = None,
     contacts: Any = None,
 ) -> Call:
-    """Check the arguments of a call.
-
-    Args:
-        grasp: the optimizer's contacts.
-        joints: number of joints of its torque limits.
-        positions, normals, friction, jacobian, torque_bias, contacts: see `ForceOptimizer.solve`.
-
-    Raises:
-        InvalidInputError: wrong shapes, values that are not finite or out of range.
-    """
+    """Check the arguments of a call of `ForceOptimizer.solve` on its contacts and its limits of so many joints."""
     n = grasp.n_contacts
 
     def array(value: Any, shape: tuple[int | None, ...], name: str, within: Any = None) -> Any:
@@ -80,11 +71,7 @@ def checked_call(
 
 
 def touching_grasp(grasp: Grasp, call: Call) -> Grasp:
-    """Return the touching contacts of a call as a grasp.
-
-    Raises:
-        InvalidInputError, RankDeficientGraspError: they are not a grasp.
-    """
+    """Return the touching contacts of a call as a grasp; a `GraspError` if they are none."""
     positions, normals, friction, _, _, mask = call
     chosen = slice(None) if mask is None else mask
     models, tangents = grasp.models, grasp.contacts.tangents

@@ -42,13 +42,7 @@ class ForceSolutions(Sequence[ForceSolution]):
     """
 
     def __init__(self, records: Array, method: str, names: Sequence[str], requested: str) -> None:
-        """Wrap filled records.
-
-        Args:
-            records, method: see the attributes.
-            names: the name of each start, in the order of `STARTS`.
-            requested: the name of the requested start.
-        """
+        """Wrap filled records, with the names of all starts in the order of `STARTS` and the name of the requested one."""
         self.records, self.method, self._names, self._requested = records, method, names, requested
 
     def __len__(self) -> int:
@@ -156,11 +150,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
 
 def checked_batch(wrenches: ArrayLike, workers: int | None) -> tuple[Array, int]:
-    """Return the checked wrenches (M, 6) and the number of threads.
-
-    Raises:
-        InvalidInputError: wrong shapes, or values out of range.
-    """
+    """Return the checked wrenches (M, 6) and the number of threads."""
     with AllFaults() as check:
         loads = check(lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches"))
         threads = (os.cpu_count() or 1) if workers is None else check(whole, workers, "workers", 1, ranges.WORKERS)

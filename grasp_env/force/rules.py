@@ -42,11 +42,7 @@ class CoreStart:
     objective: Objective = field(default_factory=Objective)
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """Return the start (N, 3) [N].
-
-        Raises:
-            InfeasibleStartError: there is no such start for this grasp and wrench.
-        """
+        """Return the start (N, 3) [N], or raise an `InfeasibleStartError`."""
         phi = as_objective(self.objective)
         optimizer = ForceOptimizer(grasp, force_weight=phi.force_weight, barrier_weight=phi.barrier_weight)
         try:

@@ -79,12 +79,7 @@ def checked_tangents(tangents: ArrayLike | None, normals: Array) -> Array:
 
 
 def checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
-    """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of unit moments.
-
-    Raises:
-        InvalidInputError: values that are not finite.
-        RankDeficientGraspError: rank(G) < 6.
-    """
+    """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of unit moments."""
     if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
         raise InvalidInputError("positions, normals and tangents must be finite")  # only from `unchecked`
     u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)

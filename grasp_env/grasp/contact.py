@@ -9,15 +9,9 @@ from grasp_env.core import TANGENT_SWITCH
 
 
 def contact_frames(normals: Array) -> Array:
-    """Return contact frames, whose columns are (n, o, t) in object coordinates.
+    """Return contact frames (N, 3, 3), whose columns are (n, o, t) in object coordinates, of inward unit normals (N, 3).
 
     o is the normalised projection of e_x on the tangent plane, or of e_y if |n . e_x| > 0.9; t = n x o.
-
-    Args:
-        normals: (N, 3) inward unit normals, object frame.
-
-    Returns:
-        (N, 3, 3) rotations R_i with R_i @ (normal, o, t) = force in object coordinates.
 
     Example:
         >>> contact_frames(np.array([[0.0, 0.0, 1.0]]))[0].T   # rows: n, o, t

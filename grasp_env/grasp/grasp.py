@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from grasp_env import ranges
 from grasp_env._check import AllFaults, Array, ContactForces, Wrench, as_array
 from grasp_env.core import ContactReader, Contacts
-from grasp_env.errors import GraspError, InvalidInputError, shown
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.grasp.checks import (
     DEFAULT_TANGENTS,
     check_place,
@@ -149,18 +149,12 @@ class Grasp:
                 return cls._from_compiled(
                     contacts, _friction=friction if type(friction) is float else np.array(friction)
                 )
-        try:
-            points = checked_points(positions)
-            inward = as_array(normals, (len(points), 3), "normals")
-            models = ContactModels.checked(contact_model, friction, torsional_friction, len(points))
-        except GraspError:
-            with AllFaults() as check:
-                points = check(checked_points, positions)
-                check(as_array, normals, (None, 3), "normals")
-            with AllFaults() as check:  # these depend on the number of contacts
-                check(as_array, normals, (len(points), 3), "normals")
-                check(ContactModels.checked, contact_model, friction, torsional_friction, len(points))
-            raise
+        with AllFaults() as check:
+            points = check(checked_points, positions)
+            count = None if points is None else len(points)
+            inward = check(as_array, normals, (count, 3), "normals")
+            if count is not None:
+                models = check(ContactModels.checked, contact_model, friction, torsional_friction, count)
         normalise_normals(inward)
         grasp = cls._made(points, inward, models, checked_tangents(tangents, inward))
         if torsional_friction is not None:
@@ -169,21 +163,13 @@ class Grasp:
 
     @classmethod
     def unchecked(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array | None = None) -> Grasp:
-        """Make the same grasp as `from_contacts`, to the last bit, from trusted arrays in control loops.
+        """Make the same grasp as `from_contacts`, to the last bit, from trusted arrays (N, 3) and the models of N contacts.
 
         Not checked are the number of contacts, the models, tangents that are nearly along a normal, and torsional friction against
         the grasp's length.
 
-        Args:
-            positions: (N, 3) float64 contact points [m], finite; copied.
-            normals: (N, 3) float64 inward normals, of unit length to rounding; copied.
-            models: models of N contacts, such as `nominal.models`.
-            tangents: (N, 3) float64, not along the normals; None: the rule of `contact_frames`.
-
         Raises:
-            InvalidInputError: arrays of another type or shape, not finite, normals not of unit length, or a grasp too small, too
-                large or too far from the origin.
-            RankDeficientGraspError: rank(G) < 6.
+            InvalidInputError, RankDeficientGraspError: see `from_contacts`; arrays of another type than float64.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -319,11 +305,7 @@ class Grasp:
     def wrench(self, force: ContactForces, torsion: Array | None = None) -> Wrench:
         """Return the wrench (6,) [N, N m] of contact forces `force` (N, 3) and `torsion` (N,) on the object: G f (+ T torsion)."""
         made = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(-1)
-        return (
-            made
-            if torsion is None
-            else made + self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
-        )
+        return made if torsion is None else made + self._twisted(torsion)
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
         """Return the largest |component| of G f + w [N], moments about the contacts' centre and divided by `length`.
@@ -341,7 +323,7 @@ class Grasp:
         """
         error = self.matrix @ self._rows(force, "force").reshape(-1) + as_array(wrench, (6,), "wrench", ranges.SIZE)
         if torsion is not None:
-            error += self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
+            error += self._twisted(torsion)
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
@@ -352,6 +334,9 @@ class Grasp:
         """Return contact-frame forces (normal, o, t) (N, 3) [N] from object-frame `vectors` (N, 3)."""
         return np.einsum("nji,nj->ni", self.frames, self._rows(vectors, "vectors"))
 
+    def _twisted(self, torsion: ArrayLike) -> Wrench:
+        return self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
+
     def _rows(self, value: ArrayLike, name: str) -> Array:
         """Return checked rows (N, 3) from (N, 3) or flat (3N,)."""
         rows = as_array(value, None, name, ranges.SIZE)
@@ -361,11 +346,7 @@ class Grasp:
 
 
 def as_grasp(value: object) -> Grasp:
-    """Return `value` if it is a grasp.
-
-    Raises:
-        InvalidInputError: it is not.
-    """
+    """Return `value` if it is a grasp, or raise an `InvalidInputError`."""
     if not isinstance(value, Grasp):
         raise InvalidInputError(f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {shown(value)}")
     return value

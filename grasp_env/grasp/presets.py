@@ -48,10 +48,7 @@ def preset(name: str, friction: float | Array | None = None) -> Grasp:
 
 
 def paper_cuboid(friction: float | Array | None = None) -> Grasp:
-    """Return the reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4.
-
-    Args:
-        friction: another coefficient, as in `preset`.
+    """Return the reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4; `friction` as in `preset`.
 
     Example:
         >>> paper_cuboid().positions[0]
@@ -61,10 +58,7 @@ def paper_cuboid(friction: float | Array | None = None) -> Grasp:
 
 
 def tripod(friction: float | Array | None = None) -> Grasp:
-    """Return three fingers around a disc of 40 mm radius, mu = 0.5.
-
-    Args:
-        friction: another coefficient, as in `preset`.
+    """Return three fingers around a disc of 40 mm radius, mu = 0.5; `friction` as in `preset`.
 
     Example:
         >>> tripod(friction=0.8).friction
@@ -74,13 +68,5 @@ def tripod(friction: float | Array | None = None) -> Grasp:
 
 
 def five_finger_cuboid(friction: float | Array | None = None) -> Grasp:
-    """Return a thumb against four fingers on the cuboid, mu = 0.4.
-
-    Args:
-        friction: another coefficient, as in `preset`.
-
-    Example:
-        >>> five_finger_cuboid().matrix.shape
-        (6, 15)
-    """
+    """Return a thumb against four fingers on the cuboid, mu = 0.4; `friction` as in `preset`."""
     return preset("five_finger_cuboid", friction)
