@@ -11,7 +11,7 @@ from oracles import full_flow
 from oracles import reduced_flow as flow
 from oracles.descent import followed
 from oracles.reduced_flow import flow_vector, landscape, picked_projector, reduced_projector
-from problems import GRASPS, LIGHT, PAPER_WRENCH, STEP_RULES, closure_grasps
+from problems import GRASPS, LIGHT, STEP_RULES, closure_grasps
 
 from grasp_env.force import (
     AdaptiveStep,
@@ -96,22 +96,6 @@ def test_printed_indices_for_four_fingers() -> None:
     assert picked_projector(CUBOID.cone_matrix).shape == (12, 36)
 
 
-def test_the_first_step_by_hand() -> None:
-    """One step of Eq. 26 with explicit inverses and a pseudoinverse in place of Q: nothing of the package but G."""
-    x, alpha, p = CUBOID.to_cone(LinearCombination(OBJECTIVE)(CUBOID, PAPER_WRENCH)), 1e-3, np.zeros((12, 12))
-    for k, (u, o, t) in enumerate(x.reshape(-1, 3)):
-        p[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = [[u, 0, o], [0, u, t], [o, t, u]]
-    inverse = np.linalg.inv(p)
-    drive = (0.1 * inverse @ inverse - np.eye(12)).reshape(-1, order="F")
-    a = full_flow.constraints(CUBOID.cone_matrix)
-    step = drive - np.linalg.pinv(a) @ (a @ drive)
-    after = (p.reshape(-1, order="F") + alpha * step).reshape(12, 12, order="F")
-    mine = x + alpha * reduced_projector(CUBOID.cone_matrix) @ flow_vector(x, weights(CUBOID))
-    k = np.arange(0, 12, 3)
-    for offset, entries in enumerate((after[k, k], after[k + 2, k], after[k + 2, k + 1])):
-        np.testing.assert_allclose(mine[offset::3], entries, rtol=1e-12, atol=1e-12)
-
-
 # step rules
 
 
@@ -141,17 +125,3 @@ def test_every_iterate_is_inside_balanced_and_better(rule: StepRule) -> None:
             assert grasp.cone_margin(solution.force) > 0.0
             size = np.abs(solution.initial_force).max() + np.abs(grasp.unit_frame @ wrench).max()
             assert grasp.residual(solution.force, wrench) <= 1e-12 * size
-
-
-def test_barzilai_borwein_steps_are_inverse_curvatures() -> None:
-    land = landscape(CUBOID.cone_matrix, weights(CUBOID))
-    for variant in ("long", "short", "alternate"):
-        descent, iterates = followed(start(CUBOID, 2.0), land, BarzilaiBorweinStep(1e-3, variant=variant), 10)
-        drives = [land.direction(x) for x in iterates]
-        for k, alpha in enumerate(descent.steps[1:], 1):
-            s, y = iterates[k] - iterates[k - 1], drives[k - 1] - drives[k]
-            long, short = land.metric @ s**2 / (land.metric @ (s * y)), land.metric @ (s * y) / (land.metric @ y**2)
-            expected = {"long": long, "short": short, "alternate": short if k % 2 else long}[variant]
-            halvings = float(np.log2(expected / alpha))  # until Phi decreases
-            assert halvings == pytest.approx(round(halvings), abs=1e-6)
-            assert halvings > -1e-6

@@ -11,7 +11,7 @@ from force.generators import random_grasp, random_wrench
 from scipy.spatial.transform import Rotation
 
 from grasp_env.errors import GraspError, InfeasibleWrenchError
-from grasp_env.force import ForceLimits, ForceSolution, Status, optimize_force
+from grasp_env.force import ForceSolution, Status, optimize_force
 from grasp_env.grasp import Grasp
 
 hypothesis = pytest.importorskip("hypothesis")
@@ -137,20 +137,6 @@ def test_powers_of_two_scale_every_bit(seed: int, kind: str, criterion: str, pow
 
 
 # limits, criteria, prices
-
-
-@properties
-@given(SEEDS, KINDS, CRITERIA)
-def test_limits_that_do_not_bind_change_nothing(seed: int, kind: str, criterion: str) -> None:
-    grasp, wrench, rng = case(seed, kind)
-    free = least(grasp, wrench, criterion=criterion)
-    if kind == "hard":
-        almost = remade(grasp, contact_model="soft", torsional_friction=1e-9 * grasp.length)
-        assert cost(almost, wrench, criterion) == pytest.approx(free.objective, rel=1e-4)
-    jac = grasp.length * rng.standard_normal((grasp.n_contacts, 3, 4))
-    torque = 2.0 * np.abs(np.einsum("nij,ni->j", jac, free.object_force)).max() + 1e-3 * grasp.length
-    limits = ForceLimits(max_normal=2.0 * float(free.force[:, 0].max()), jacobian=jac, torque_limit=torque)
-    assert cost(grasp, wrench, criterion, limits=limits) == pytest.approx(free.objective, rel=CONIC)
 
 
 @properties

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from problems import GRASPS
 
 from grasp_env import core
 from grasp_env.errors import GraspWarning, InfeasibleWrenchError, InvalidInputError
@@ -128,14 +127,6 @@ def test_plausible_problems_get_no_advice() -> None:
                 told += [text for text in advise(grasp, load, bound) if "condition number" not in text]
                 tried += 1
     assert told == []
-
-
-@pytest.mark.parametrize("name", GRASPS)
-def test_good_grasps_need_no_advice_and_are_solved_in_silence(name: str) -> None:
-    assert advise(GRASPS[name], PAPER) == []
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        ForceOptimizer(GRASPS[name], method="newton")
 
 
 def test_some_normals_are_only_blamed_if_turning_them_round_helps() -> None:

@@ -117,16 +117,6 @@ def test_no_wrench_of_the_ball_is_worse(shape: str) -> None:
     assert max(costs) >= 0.6 * worst.lower
 
 
-def test_a_finite_set_represents_its_convex_hull() -> None:
-    rng, optimizer = np.random.default_rng(6), ForceOptimizer(UNEVEN, method="conic")
-    listed = wrench.sample_ball(rng, 20)
-    worst, costs = worst_case(UNEVEN, listed), [optimizer.solve(load).objective for load in listed]
-    assert worst.least_force == max(costs)
-    np.testing.assert_array_equal(worst.wrench, listed[int(np.argmax(costs))])
-    between = rng.dirichlet(np.ones(20), 50) @ listed
-    assert max(optimizer.solve(load).objective for load in between) <= worst.upper * (1 + 1e-6)
-
-
 @pytest.mark.parametrize("criterion", ["sum", "max"])
 def test_without_force_closure(criterion: str) -> None:
     palm = Grasp.from_contacts(CUBOID.positions, [[0, 0, 1]] * 4, 0.4)
