@@ -82,6 +82,16 @@ def checked_size(wrench: Array, name: str = "wrench") -> Array:
     return wrench
 
 
+def as_wrenches(value: ArrayLike) -> Array:
+    """Return finite wrenches (..., 6) of any size."""
+    wrenches = as_array(value, None, "wrench", ranges.SIZE)
+    if wrenches.shape[-1:] != (6,):
+        raise InvalidInputError(
+            f"wrench must have shape (6,) or (..., 6), force [N] then moment [N m], got {wrenches.shape}"
+        )
+    return wrenches
+
+
 def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
     """Return a float > 0 within a range, or raise an `InvalidInputError`."""
     found = as_number(value)

@@ -189,7 +189,7 @@ class ForceLoop:
         adjustment: Array | None = None,
         given: Array | None = None,
     ) -> list[float]:
-        """Run one control tick: read the scene, find the forces, and return the torques that produce them.
+        """Run one control tick: read the scene, find the forces, and return the joint torques (M,) [N m] that produce them.
 
         Args:
             external: (6,) external wrench [N, N m], object frame, as a perfect sensor would measure it.
@@ -198,12 +198,6 @@ class ForceLoop:
             due: True at the first tick of an agent's step.
             adjustment: (3N - 6,) [N] along internal forces of the planned contacts, added to the start, which is then repaired.
             given: (N, 3) forces to command instead of optimised ones [N], contact frames.
-
-        Returns:
-            Joint torques (M,) [N m].
-
-        Raises:
-            GraspError: a user's start rule does not fit.
         """
         core, noise, reading = self._core, self._noise, self.scene.new_reading()
         if given is not None and self._held != Hold.direct:

@@ -380,14 +380,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return self._spec
 
     def truncate_after(self, steps: int) -> None:
-        """Truncate episodes after a given number of agent steps from the next reset on, as `max_episode_steps` of `gym.make` does.
-
-        Args:
-            steps: number of agent steps of an episode.
-
-        Raises:
-            InvalidInputError: more steps than can be planned.
-        """
+        """Truncate episodes after a given number of agent steps from the next reset on, as `max_episode_steps` of `gym.make` does."""
         self.config = self.config.override(duration=whole(steps, "max_episode_steps", 1) / self.config.agent.rate)
         self._stage_or_raise().config = self._stage_or_raise().episode = self.config
         self._step_limit = steps
@@ -566,12 +559,9 @@ def why_idle(config: EnvConfig) -> str:
 
 
 def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """Complete an environment: `gym.make` calls this last.
+    """Complete an environment with Gymnasium's wrappers: `gym.make` calls this last.
 
     `max_episode_steps` sets the length of an episode, shorter or longer than the task's. Warn if actions change nothing.
-
-    Args:
-        env: the environment with Gymnasium's wrappers.
     """
     made, layer = env.unwrapped, env
     if not isinstance(made, FourFingerGrasp):

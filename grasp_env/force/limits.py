@@ -166,13 +166,7 @@ class ForceLimits:
         return tuple(out)
 
     def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
-        """Return the distances of forces from the limits.
-
-        Args:
-            grasp: the contacts.
-            force: (N, 3) [N]: normal, o, t.
-            torsion: (N,) [N m]; None: zero.
-        """
+        """Return the distances from the limits of forces (N, 3) [N] and torsions (N,) [N m] (None: zero)."""
         least, most, jac, limit, bias = self.checked(as_grasp(grasp).n_contacts)
         forces = _with_torsion(grasp, force, torsion)
         torque = np.einsum("nij,ni->j", _in_contact_frames(grasp, jac), forces) + bias
@@ -194,34 +188,23 @@ class ForceLimits:
         Raises:
             InvalidInputError: limits for another number of contacts.
         """
-        return self._rows(grasp)[0]
-
-    def _rows(self, grasp: Grasp) -> tuple[LimitRows, Array]:
-        """Return `rows` and the limit (M,) behind each row [N, N m]."""
         count = as_grasp(grasp).n_contacts
         least, most, jac, limit, bias = self.checked(count)
         labels = self.labels(count)
         capacity = 2 * (count + len(limit))
-        matrix, bound, limit_values = np.empty((capacity, count, 4)), np.empty(capacity), np.empty(capacity)
-        made = core.limit_rows(least, most, _in_contact_frames(grasp, jac), limit, bias, matrix, bound, limit_values)
+        matrix, bound, of_rows = np.empty((capacity, count, 4)), np.empty(capacity), np.empty(capacity)
+        made = core.limit_rows(least, most, _in_contact_frames(grasp, jac), limit, bias, matrix, bound, of_rows)
         assert made == len(labels)
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.cone_scale > 0.0
         transmitted[:, 3] = grasp.models.torsional_friction > 0.0
         rows = (matrix[:made] * transmitted).reshape(made, 4 * count)
-        return LimitRows(rows, bound[:made].copy(), labels), limit_values[:made].copy()
+        return LimitRows(rows, bound[:made].copy(), labels)
 
     def violations(
         self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9
     ) -> list[str]:
-        """Return one message for each limit that forces exceed.
-
-        Args:
-            grasp: the contacts.
-            force: (N, 3) [N]: normal, o, t.
-            torsion: (N,) [N m]; None: zero.
-            tolerance: largest excess that is ignored [N, N m].
-        """
+        """Return one message for each limit that forces (N, 3) [N] and torsions (N,) [N m] exceed by more than `tolerance` [N, N m]."""
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
         forces = _with_torsion(grasp, force, torsion)

@@ -346,18 +346,7 @@ class ForceOptimizer:
         return row[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3), start.replaced or bool(row[REPLACED])
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
-        """Optimise the forces for many wrenches, independently of each other, as `optimize_forces` does.
-
-        Args:
-            wrenches: (M, 6) external wrenches on the object [N, N m].
-            workers: number of threads; None: one per processor core.
-
-        Returns:
-            All solutions. A wrench that no force balances has the status INFEASIBLE; nothing is raised.
-
-        Raises:
-            InvalidInputError: see `optimize_forces`.
-        """
+        """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other; see `optimize_forces`."""
         return solve_many(self, *checked_batch(wrenches, workers))
 
     def update(
@@ -482,8 +471,7 @@ def optimize_force(
         grasp: the contacts.
         wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N m], in the frame of the
             contacts' positions; balanced as G f + wrench = 0.
-        optimum: the optimal Phi, if known: the solve stops when Phi is within `tolerance` (relative) of it (for studies).
-        trace: keep Phi of every iterate in `objective_trace`.
+        optimum, trace: see `ForceOptimizer.solve`.
         options: the keywords of `ForceOptimizer`, with its defaults.
 
     Raises:

@@ -48,10 +48,11 @@ def check_place(count: int, size: float, centre: Array) -> None:
         raise InvalidInputError(
             f"positions must lie within {ranges.LENGTH} of their centre (root mean square), got {size:g} m: give them in metres"
         )
-    raise InvalidInputError(
-        f"positions must have their centre within {ranges.DISTANCE:g} times their length, {size:g} m, of the origin, got {math.hypot(*centre.tolist()):g} m: "
-        "put the object frame's origin near the contacts"
-    )
+    if (far := math.hypot(*centre.tolist())) > ranges.DISTANCE * size:
+        raise InvalidInputError(
+            f"positions must have their centre within {ranges.DISTANCE:g} times their length, {size:g} m, of the origin, got {far:g} m: "
+            "put the object frame's origin near the contacts"
+        )
 
 
 def check_torsion(gamma: Array, length: float) -> None:

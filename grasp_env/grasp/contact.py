@@ -25,11 +25,4 @@ def contact_frames(normals: Array) -> Array:
     axis[along_x, 1] = 1.0
     o = axis - normals * np.einsum("ij,ij->i", axis, normals)[:, None]
     o /= np.sqrt(np.einsum("ij,ij->i", o, o))[:, None]
-    return np.stack([normals, o, _cross(normals, o)], axis=2)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    # np.cross takes tens of microseconds, too long for a control loop
-    ax, ay, az = a.T
-    bx, by, bz = b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+    return np.stack([normals, o, np.cross(normals, o)], axis=2)

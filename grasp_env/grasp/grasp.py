@@ -5,7 +5,6 @@ Longer than most modules: one class, whose arrays and frames are documented one 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -190,10 +189,7 @@ class Grasp:
     def _made(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array) -> Grasp:
         contacts = Contacts.put(positions, normals, models.cone_scale, models.torsional_friction, tangents)
         grasp = cls._from_compiled(contacts, models=models)
-        size = contacts.length
-        far = math.hypot(*contacts.centre.tolist()) > ranges.DISTANCE * size
-        if far or not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
-            check_place(grasp.n_contacts, size, grasp.centre)
+        check_place(contacts.count, contacts.length, contacts.centre)
         if contacts.refused:  # the core has not placed them
             raise InvalidInputError("positions must be finite and normals finite and of unit length")
         if not contacts.clear:  # the core cannot tell that the rank is 6: the singular values decide
@@ -254,10 +250,7 @@ class Grasp:
         return self._rows(x, "x") / self.models.cone_divisor
 
     def cone_margins(self, force: ContactForces) -> Array:
-        """Return the friction-cone margins (N,) [N]: u - sqrt(o^2 + t^2), which is mu * normal - |tangential| for round cones.
-
-        Args:
-            force: (N, 3) [N]: normal, o, t.
+        """Return the friction-cone margins (N,) [N] of `force` (N, 3) [N]: u - sqrt(o^2 + t^2), mu * normal - |tangential| for round cones.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -268,16 +261,7 @@ class Grasp:
         return u - np.hypot(o, t)
 
     def cone_margin(self, force: ContactForces) -> float:
-        """Return the least of `cone_margins` [N].
-
-        Args:
-            force: (N, 3) [N]: normal, o, t.
-
-        Example:
-            >>> from grasp_env.grasp import presets
-            >>> presets.tripod().cone_margin([[2, 0.1, 0], [2, 0, 0], [2, 0, 0]])   # mu = 0.5
-            0.9
-        """
+        """Return the least of `cone_margins` [N] of `force` (N, 3) [N]."""
         return float(self.cone_margins(force).min())
 
     @property

@@ -48,18 +48,10 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
 
 
 def reference_basis(grasp: Grasp) -> Array:
-    """Return orthonormal object-frame internal forces (3N, 3N - 6), the `reference` for nearby grasps.
+    """Return orthonormal object-frame internal forces (3N, 3N - 6), the `reference` of `null_space_basis` for nearby grasps.
 
     The columns come from squeezes along the lines between pairs of contacts (the virtual linkage of Williams and Khatib, 1993). If
     these are not a basis of the null space (coplanar contacts, N > 4), an orthonormal basis by the SVD of G replaces them.
-
-    Args:
-        grasp: the nominal grasp; a nearby grasp uses the result as `null_space_basis(nearby, reference)`.
-
-    Example:
-        >>> from grasp_env.grasp import presets
-        >>> reference_basis(presets.tripod()).shape
-        (9, 3)
     """
     count, dimension = as_grasp(grasp).n_contacts, grasp.null_dimension
     pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]

@@ -30,18 +30,10 @@ PRESETS = tuple(_CONTACTS)
 
 
 def preset(name: str, friction: float | Array | None = None) -> Grasp:
-    """Return the named grasp.
-
-    Args:
-        name: one of `PRESETS`.
-        friction: replaces the preset's coefficient: a number, (N,), or (N, 2) for elliptic cones.
+    """Return the named grasp, one of `PRESETS`; `friction`, a number, (N,) or (N, 2), replaces its coefficient.
 
     Raises:
         UnknownNameError: no preset has that name.
-
-    Example:
-        >>> preset("tripod").n_contacts
-        3
     """
     positions, normals, own = _CONTACTS[choice(name, "preset", PRESETS)]
     return Grasp.from_contacts(positions, normals, own if friction is None else friction)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import Array, Wrench, as_array, positive
+from grasp_env._check import Array, Wrench, as_array, as_wrenches, positive
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
@@ -157,9 +157,5 @@ def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
 
 
 def _split(wrench: ArrayLike) -> tuple[Array, Array]:
-    checked = as_array(wrench, None, "wrench", ranges.SIZE)
-    if checked.shape[-1:] != (6,):
-        raise InvalidInputError(
-            f"wrench must have shape (6,) or (..., 6), force [N] then moment [N m], got {checked.shape}"
-        )
+    checked = as_wrenches(wrench)
     return checked[..., :3], checked[..., 3:]
