@@ -21,7 +21,7 @@ ZERO = np.zeros(6, dtype=np.float32)
 class Headless(FourFingerGrasp):
     """Gymnasium's checker opens every mode, and "human" needs a display."""
 
-    metadata = {**FourFingerGrasp.metadata, "render_modes": ["rgb_array"]}
+    metadata = {**FourFingerGrasp.metadata, "render_modes": ["rgb_array"]}  # noqa: RUF012
 
 
 @pytest.mark.filterwarnings("error")

@@ -69,22 +69,6 @@ def test_pose_error_against_scipy() -> None:
     np.testing.assert_allclose(error[3:6], [1e-12, 0.0, 0.0], rtol=1e-6)
 
 
-def test_wrench_to_balance_signs() -> None:
-    np.testing.assert_allclose(balanced(state()), [0, -0.3 * 9.81, 0, 0, 0, 0], atol=1e-15)
-    # displaced to +x: the grasp must push back, so the wrench it balances points to +x
-    assert balanced(state(position=(0.01, 0, 0)))[0] == pytest.approx(0.3 * 30.0**2 * 0.01)
-    assert balanced(state(linear=(0.1, 0, 0)))[0] == pytest.approx(0.3 * 2 * 30.0 * 0.1)
-    assert balanced(state(turn=(0, 0, 0.1)))[5] > 0
-    assert balanced(state(angular=(0, 0, 0.1)))[5] > 0
-    # gravity stays in the world while the object turns
-    turned = balanced(state(turn=(0, 0, np.pi / 2)))
-    np.testing.assert_allclose(turned[:3], [-0.3 * 9.81, 0, 0], atol=1e-12)
-    external = np.arange(1.0, 7.0)  # in the object frame
-    np.testing.assert_allclose(
-        balanced(state(turn=(0, 0, np.pi / 2)), external=external) - turned, external, atol=1e-12
-    )
-
-
 def test_inertial_wrench_of_a_moving_target() -> None:
     """On the target the grasp must give what its motion needs: d(m v)/dt and dL/dt, here by differences."""
     inertia, step = ITEM.inertia_matrix, 1e-4

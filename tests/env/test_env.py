@@ -6,12 +6,10 @@ import pickle
 import re
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from episodes import episode
 
-from grasp_env.config.records import ACTION_MODES
 from grasp_env.env import observation
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.force.rules import initial_rule
@@ -108,15 +106,6 @@ def test_actions_move_the_start_of_every_optimisation_and_not_the_optimum() -> N
     assert moved == pytest.approx(base, rel=3e-4)
     for method in ("newton", "full_flow"):
         assert episode(5, method=method)[1][-1]["objective"] == pytest.approx(base, rel=3e-4)
-
-
-def test_action_modes() -> None:
-    for mode, size in zip(ACTION_MODES, (6, 12, 1), strict=True):
-        env = FourFingerGrasp(action_mode=mode)
-        assert env.action_space == gym.spaces.Box(-1.0, 1.0, (size,))
-        env.close()
-    ignored, zero = episode(3, action_mode="none", action=np.ones(1, dtype=np.float32))[0], episode(3)[0]
-    np.testing.assert_array_equal(ignored, zero)
 
 
 def test_contact_forces_as_actions_hold_the_object() -> None:

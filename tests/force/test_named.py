@@ -188,18 +188,6 @@ def test_multipliers_of_an_excess_bound_that_of_every_wrench(name: str, method: 
         assert bound <= (np.inf if np.isnan(least) else least) + 1e-6 * found.limit_excess
 
 
-@pytest.mark.parametrize("method", ["newton", "sum"])
-@pytest.mark.parametrize("name", [name for name in SMOOTH if name != "own joints"])
-def test_without_a_wrench(name: str, method: str) -> None:
-    p = NAMED[name]
-    found, reference = optimize_force(p.grasp, np.zeros(6), **p.options(method)), p.reference()
-    assert found.status is Status.OPTIMAL
-    assert reference.residual(found.force, found.torsion, np.zeros(6)) <= 1e-14 * max(1.0, np.abs(found.force).max())
-    assert reference.violation(found.force, found.torsion) <= 1e-14
-    if p.limits is None and method == "sum":
-        assert np.abs(found.force).max() <= 1e-12
-
-
 @EACH
 @pytest.mark.parametrize("most", [0, 1, 4])
 def test_stopped_early_it_is_still_what_it_says(name: str, method: str, most: int) -> None:

@@ -108,16 +108,6 @@ def test_pseudoinverse_is_the_least_norm_answer() -> None:
         np.testing.assert_allclose(grasp.pseudoinverse, plain, rtol=0, atol=1e-11 * np.abs(plain).max())
 
 
-def test_an_elliptic_cone_becomes_round() -> None:
-    grasp, rng = presets.tripod([[0.5, 0.5], [0.2, 0.8], [1.0, 0.25]]), np.random.default_rng(0)
-    np.testing.assert_allclose(grasp.friction, [0.5, 0.4, 0.5])
-    for _ in range(50):
-        angle, normal, mu = rng.uniform(0, 2 * np.pi, 3), rng.uniform(0.1, 10, 3), grasp.models.friction
-        edge = np.stack([normal, mu[:, 0] * normal * np.cos(angle), mu[:, 1] * normal * np.sin(angle)], axis=1)
-        np.testing.assert_allclose(grasp.cone_margins(edge), 0.0, atol=1e-14 * normal.max())
-    same(presets.tripod(np.full((3, 2), 0.5)), presets.tripod(0.5))
-
-
 def test_rank_is_that_of_the_singular_values() -> None:
     """A clear rank is decided without them, since they cost ten times the rest of a grasp."""
     rng, clear, refused = np.random.default_rng(0), 0, 0
@@ -189,11 +179,3 @@ def test_a_grasp_is_an_immutable_copy() -> None:
     shown = grasp.matrix
     del grasp
     np.testing.assert_array_equal(shown, presets.tripod().matrix)
-
-
-def test_presets() -> None:
-    for name in presets.PRESETS:
-        assert presets.preset(name, 0.7).friction.tolist() == [0.7] * presets.preset(name).n_contacts
-    cuboid = presets.paper_cuboid()
-    assert (cuboid.positions[0].tolist(), cuboid.normals[:, 2].tolist()) == ([0, 0, -0.05], [1, -1, -1, -1])
-    assert (cuboid.friction == 0.4).all()

@@ -34,7 +34,7 @@ from grasp_env.grasp import (
 )
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
-from grasp_env.sim import BulletEngine, FingerDescription, HandDescription, MujocoEngine
+from grasp_env.sim import BulletEngine, FingerDescription, HandDescription
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.task.disturbance import DISTURBANCES
@@ -181,12 +181,9 @@ def calls(folder: Path) -> dict[str, Call]:
         "Grasp.from_contacts, hard": Call(
             lambda **k: Grasp.from_contacts(**k).pseudoinverse, {k: contacts[k] for k in ("positions", "normals", "friction")}
         ),
-        "Grasp.with_friction": Call(CUBOID.with_friction, {"friction": 0.5}),
         "Grasp.wrench": Call(CUBOID.wrench, {"force": FORCE, "torsion": np.zeros(4)}),
         "Grasp.residual": Call(CUBOID.residual, {"force": FORCE, "wrench": PAPER, "torsion": np.zeros(4)}),
-        "Grasp.cone_margin": Call(CUBOID.cone_margin, {"force": FORCE}),
         "Grasp.to_object_frame": Call(CUBOID.to_object_frame, {"force": FORCE}),
-        "Grasp.to_contact_frame": Call(CUBOID.to_contact_frame, {"vectors": FORCE}),
         "preset": Call(presets.preset, {"name": "tripod", "friction": 0.5}),
         "transformed": Call(transformed, {"grasp": SOFT, "rotation": np.eye(3), "translation": np.zeros(3)}),
         "transform_wrench": Call(transform_wrench, {"wrench": PAPER, "rotation": np.eye(3), "translation": np.zeros(3)}),
@@ -200,11 +197,8 @@ def calls(folder: Path) -> dict[str, Call]:
         "load_grasp": Call(load_grasp, {"path": str(folder / "none.json")}),
         **{f"optimize_force, {method}": _solve(method) for method in ("reduced_flow", "newton", "conic")},
         "optimize_force, full_flow": _solve("full_flow", max_iterations=20),
-        "optimize_force, max": _solve("conic", criterion="max"),
         "optimize_force, soft newton": _solve("newton", SOFT),
-        "optimize_force, soft max": _solve("conic", SOFT, criterion="max"),
         "optimize_force, limits": _solve("newton", limits=f.ForceLimits(max_normal=50.0)),
-        "optimize_force, conic limits": _solve("conic", limits=f.ForceLimits(max_normal=50.0)),
         "optimize_force, elastic": _solve("newton", limits=f.ForceLimits(max_normal=2.0), elastic=True),
         "optimize_force, learned": _solve("newton", initial=_learned()),
         "optimize_force, from a force": _solve("newton", initial=FORCE, wrench=np.zeros(6)),
@@ -223,9 +217,6 @@ def calls(folder: Path) -> dict[str, Call]:
             _with(lambda: f.ForceOptimizer(CUBOID, limits=LIMITED), "solve"),
             {"wrench": PAPER, **PLACE, "jacobian": JACOBIAN, "torque_bias": np.zeros(5), "contacts": np.ones(4, dtype=bool)},
         ),
-        "ForceOptimizer.solve_many": Call(
-            _with(lambda: _optimizer("newton"), "solve_many"), {"wrenches": np.tile(PAPER, (3, 1)), "workers": 1}
-        ),
         "optimize_forces": Call(
             f.optimize_forces,
             {"grasps": CUBOID, "wrenches": np.tile(PAPER, (3, 1)), "method": "newton", "workers": 1, "tolerance": 1e-4, "initial": None},
@@ -236,24 +227,13 @@ def calls(folder: Path) -> dict[str, Call]:
         "ForceLimits": Call(
             _rows, {"min_normal": 0.1, "max_normal": 9.0, "jacobian": JACOBIAN, "torque_limit": 2.0, "torque_bias": np.zeros(5)}
         ),
-        "limited newton": Call(
-            lambda wrench, **k: f.optimize_force(CUBOID, wrench, method="newton", limits=f.ForceLimits(**k)),
-            {"wrench": PAPER, "min_normal": 0.1, "max_normal": 90.0, "jacobian": JACOBIAN, "torque_limit": 9.0},
-        ),
         "ForceLimits.slack": Call(f.ForceLimits(max_normal=5.0).slack, {"grasp": CUBOID, "force": FORCE, "torsion": np.zeros(4)}),
-        "ForceLimits.violations": Call(
-            f.ForceLimits(max_normal=5.0).violations, {"grasp": CUBOID, "force": FORCE, "torsion": np.zeros(4), "tolerance": 1e-9}
-        ),
-        "ForceLimits.rows": Call(f.ForceLimits(max_normal=5.0).rows, {"grasp": CUBOID}),
-        "ForceLimits.checked": Call(f.ForceLimits(max_normal=5.0).checked, {"n_contacts": 4}),
         "Objective": Call(f.Objective, {"force_weight": 1.0, "barrier_weight": [0.01] * 4}),
         **{f"Objective.{name}": Call(getattr(f.Objective(), name), {"x": FORCE.reshape(-1)}) for name in ("value", "gradient", "hessian")},
         "Objective.lower_bound": Call(
             f.Objective().lower_bound, {"multipliers": -PAPER, "cone_matrix": CUBOID.cone_matrix, "wrench": PAPER}
         ),
         "Repair": Call(lambda objective, **k: f.Repair(objective)(**k), {**state, "candidate": FORCE, "objective": f.Objective()}),
-        "OfflineBasis.of": Call(f.OfflineBasis.of, {"grasp": CUBOID, "objective": None}),
-        "OfflineBasis.combine": Call(f.OfflineBasis.of(CUBOID).combine, {"wrench": PAPER, "printed": False}),
         "LinearCombination": Call(_started(LinearCombination), state),
         **{name: Call(_started(partial(CoreStart, name)), state) for name in ("single_value", "lagrange", "phase_one")},
         "FixedStep": Call(f.FixedStep, {"size": 0.3}),
@@ -261,10 +241,6 @@ def calls(folder: Path) -> dict[str, Call]:
         "AdaptiveStep": Call(f.AdaptiveStep, {"first": 0.3, "grow": 1.5, "shrink": 0.5}),
         "BarzilaiBorweinStep": Call(f.BarzilaiBorweinStep, {"first": 0.3, "shrink": 0.5, "variant": "short"}),
         "ExactStep": Call(f.ExactStep, {"precision": 1e-3}),
-        "a flow with a step": Call(
-            lambda **k: f.optimize_force(CUBOID, PAPER, method="reduced_flow", step_rule=f.AdaptiveStep(**k), max_iterations=100),
-            {"first": 0.3, "grow": 1.5, "shrink": 0.5},
-        ),
         "description_matrix": Call(f.description_matrix, {"force": FORCE, "friction": CUBOID.friction}),
         "joint_torques": Call(f.joint_torques, {"jacobian": JACOBIAN, "force": FORCE, "bias": np.zeros(5), "moment": None}),
         "force_closure": Call(q.force_closure, {"grasp": CUBOID, "limits": None}),
@@ -280,7 +256,6 @@ def calls(folder: Path) -> dict[str, Call]:
             f"learned, {method}": Call(_with(_learned, method), state) for method in ("__call__", "covers", "raw")
         },
         "EnvConfig": Call(EnvConfig, settings),
-        "MujocoEngine": Call(MujocoEngine, asdict(MujocoEngine())),
         "BulletEngine": Call(BulletEngine, asdict(BulletEngine())),
         "EnvConfig.override": Call(EnvConfig().override, {"friction": 0.4, "size": (0.1, 0.1, 0.1), "sensors": {"delay": 0.0}, "disturbance": {"name": "random", "force": 1.0}}),
         **{
@@ -326,7 +301,6 @@ def calls(folder: Path) -> dict[str, Call]:
              "palm": "base", "tip_radius": None, "torque_limit": None, "joint_limits": {"b_root": (-1.0, 1.0)}, "inertials": {"fold": 0.05}, "home": (), "position": (0, 0, 0.0), "rotation": (0, 0, 0.0), "tip_friction": 1.0, "rotor_inertia": None},
         ),
         "null_space_basis": Call(null_space_basis, {"grasp": CUBOID, "reference": reference_basis(CUBOID)}),
-        "reference_basis": Call(reference_basis, {"grasp": CUBOID}),
         "a grasp's file": Call(
             _load(folder),
             {**contacts, "schema": "grasp-force/grasp/1", "units": {"positions": "m"}},
@@ -344,7 +318,6 @@ def calls(folder: Path) -> dict[str, Call]:
              "min-normal": 0.0, "max-normal": 50.0, "criterion": "sum", "initial": "single_value"},
         ),
         "Link": Call(Link, link),
-        "Palm": Call(Palm, {"name": "palm", "collision": (), "visual": (), "color": (1, 0, 0)}),
         "Geometry": Call(Geometry, {"kind": "capsule", "size": (0.01, 0.1), "origin": (0, 0, 0), "rotation": (0, 0, 0), "color": None}),
         "Fingertip": Call(Fingertip, {"name": "tip", "link": "a", "center": (0, 0, 0), "radius": 0.01}),
     }  # fmt: skip
