@@ -199,6 +199,16 @@ def test_without_force_closure_the_episode_ends_with_that_cause() -> None:
         assert (np.hypot(force[:, 1], force[:, 2]) <= 0.4 * force[:, 0] + 1e-9).all()
 
 
+@needs_bullet
+def test_gaps_of_force_closure_are_survived_each_on_its_own() -> None:
+    """Without gravity two fingers are pulled off twice and come back; the gaps together are longer than one may be."""
+    limits = {"duration": 4.0, "max_contact_gap": 0.4, "max_drift": 0.05}
+    trial = Trial((2, 3), [*range(51, 54), *range(401, 404)], 200, gravity=(0.0, 0.0, 0.0), limits=limits)
+    last = trial.infos[-1]
+    assert (last["contacts"], last["failure"], last["force_closure"]) == (4, "", True)
+    assert sum(not tick["closure"] for tick in trial.ticks) > 0.4 * 250
+
+
 def test_one_missed_tick_does_not_let_a_finger_go() -> None:
     """RELEASE counts ticks in a row: three single misses with contact between them keep the finger."""
     env = FourFingerGrasp()

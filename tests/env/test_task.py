@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from grasp_env.config import EnvConfig
 from grasp_env.env.plan import Plan, make_plan
-from grasp_env.task import Payload, SixDirections
+from grasp_env.task import Hold, Move, Payload, SixDirections
 from grasp_env.task import motion as m
 from grasp_env.task.disturbance import DISTURBANCES
 from grasp_env.task.tasks import PUSH_RAMP
@@ -72,6 +72,14 @@ def test_six_pushes_in_order_with_short_ramps() -> None:
     assert np.linalg.norm(np.diff(push, axis=0), axis=1).max() < 4.0 * 15.0 / 8.0 * tick / PUSH_RAMP * 1.001
     short = SixDirections(push_time=0.1).push(times, tick, 0.2)  # a ramp of 25 ms
     np.testing.assert_allclose(short[round(0.09 / tick)], [2.0, 0.0, 0.0], atol=1e-12)
+
+
+def test_tasks_fill_in_their_own_limits_and_sizes() -> None:
+    pushed, usual = (EnvConfig(task=task).resolved().limits for task in (SixDirections(push_time=0.5), Hold()))
+    assert (pushed.duration, pushed.max_drift, pushed.max_tilt) == (3.0, 0.05, SixDirections.tilt_limit)
+    assert (usual.duration, usual.max_drift, usual.max_tilt) == (2.0, 0.02, 0.35)
+    for motion, size in m.MOTION_SIZES.items():
+        np.testing.assert_array_equal(plan(task=Move(motion)).target, plan(task=Move(motion, size)).target)
 
 
 def difference(values: np.ndarray) -> np.ndarray:

@@ -125,3 +125,17 @@ def test_every_iterate_is_inside_balanced_and_better(rule: StepRule) -> None:
             assert grasp.cone_margin(solution.force) > 0.0
             size = np.abs(solution.initial_force).max() + np.abs(grasp.unit_frame @ wrench).max()
             assert grasp.residual(solution.force, wrench) <= 1e-12 * size
+
+
+def test_barzilai_borwein_steps_are_inverse_curvatures() -> None:
+    land = landscape(CUBOID.cone_matrix, weights(CUBOID))
+    for variant in ("long", "short", "alternate"):
+        descent, iterates = followed(start(CUBOID, 2.0), land, BarzilaiBorweinStep(1e-3, variant=variant), 10)
+        drives = [land.direction(x) for x in iterates]
+        for k, alpha in enumerate(descent.steps[1:], 1):
+            s, y = iterates[k] - iterates[k - 1], drives[k - 1] - drives[k]
+            long, short = land.metric @ s**2 / (land.metric @ (s * y)), land.metric @ (s * y) / (land.metric @ y**2)
+            expected = {"long": long, "short": short, "alternate": short if k % 2 else long}[variant]
+            halvings = float(np.log2(expected / alpha))  # until Phi decreases
+            assert halvings == pytest.approx(round(halvings), abs=1e-6)
+            assert halvings > -1e-6

@@ -25,6 +25,8 @@ from grasp_env.errors import (
     UnsupportedProblemError,
 )
 from grasp_env.force import (
+    AdaptiveStep,
+    ArmijoStep,
     BarzilaiBorweinStep,
     FixedStep,
     ForceLimits,
@@ -77,6 +79,7 @@ def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
         (solve(method="full_flow", grasp=Grasp.from_contacts(0.05 * RING, -RING, 0.5)), "the full flow is dense: at most 8 contacts"),
         (solve(initial=optimize_force(GRASPS["cuboid, 5"], PAPER_WRENCH)), "previous solution has 5 contacts, the grasp 4"),
         (partial(setattr, ForceOptimizer(GRASP), "previous", 3), "previous must be a ForceSolution or None"), (solve(method="Newton"), "did you mean 'newton'"),
+        (partial(AdaptiveStep, grow=0.5), "grow must lie within 1 to"), (partial(ArmijoStep, slope=1.0), "slope must lie within .*less than 1"),
         (solve(method="reduced_flow", step_rule="exact"), r"a FixedStep, ArmijoStep, .* or ExactStep, got 'exact'"),
         # names: each lists the choices
         *((named, f"unknown {kind} 'simplex':.* choose one of .*{re}") for kind, re, named in (

@@ -85,6 +85,8 @@ def test_margins_by_hand_and_soft_contacts() -> None:
         [[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], 0.5, contact_model="soft", torsional_friction=0.005
     )
     assert force_closure(presets.tripod()).margin == pytest.approx(1 / 4, rel=1e-7)
+    outward = Grasp.from_contacts(presets.tripod().positions, presets.tripod().normals * [[1.0], [-1.0], [1.0]], 0.5)
+    assert "normals of contacts [1] point away" in force_closure(outward).help
     assert force_closure(pinch).margin == pytest.approx(1 / 3, rel=1e-7)
     positions = [[0.005, 0, -0.02], [-0.005, 0, 0.02], [0, 0.03, 0], [0, -0.03, 0]]
     normals, models = [[0, 0, 1], [0, 0, -1], [0, -1, 0], [0, 1, 0]], ["soft"] * 2 + ["frictionless"] * 2
