@@ -65,6 +65,5 @@ def finger_structure(snapshot: Snapshot, kinematics: HandKinematics, grasp: Gras
     carried = forces - forces @ span @ span.T
     parts = [(part.reshape(-1, count, 3) ** 2).sum(axis=(0, 2)) for part in (carried, forces)]
     share = np.sqrt(parts[0] / np.maximum(parts[1], np.finfo(float).tiny))
-    return FingerStructure(
-        components, np.minimum(share, 1.0)
-    )  # shared motors couple the fingers: the carried part of one may exceed its own force
+    # shared motors couple the fingers: the carried part of one may exceed its own force
+    return FingerStructure(components, np.minimum(share, 1.0))

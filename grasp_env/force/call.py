@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import AllFaults, as_array, as_list
+from grasp_env._check import AllFaults, as_array
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.torques import checked_jacobian
 from grasp_env.grasp.grasp import Grasp
@@ -38,7 +38,7 @@ def checked_call(
     n = grasp.n_contacts
 
     def array(value: Any, shape: tuple[int | None, ...], name: str, within: Any = None) -> Any:
-        return None if value is None else np.ascontiguousarray(as_array(value, shape, name, within, copy=False))
+        return None if value is None else as_array(value, shape, name, within, copy=False)
 
     def rows() -> Any:
         if jacobian is None:
@@ -46,13 +46,12 @@ def checked_call(
         checked = checked_jacobian(jacobian, n)
         if checked.shape[2] != joints:
             raise InvalidInputError(f"jacobian must be that of {joints} joints, got shape {checked.shape}")
-        return np.ascontiguousarray(checked)
+        return checked
 
     def touching() -> Any:
         if contacts is None:
             return None
-        each = as_list(contacts)
-        mask = np.asarray(contacts if each is None else each)
+        mask = np.asarray(contacts)
         if mask.shape != (n,) or mask.dtype != np.bool_ or n > 64:
             raise InvalidInputError(
                 f"contacts must be ({n},) of true and false, of at most 64 contacts, got {shown(contacts)}"

@@ -150,7 +150,7 @@ def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective)
 def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:
     """Return a rule's force as a C-contiguous array (N, 3)."""
     try:
-        return np.ascontiguousarray(as_array(force, (grasp.n_contacts, 3), "initial force"))
+        return as_array(force, (grasp.n_contacts, 3), "initial force")
     except InvalidInputError as error:
         reason = "it returned None: does it end in a return?" if force is None else error
         raise InfeasibleStartError(f"initial-force rule {name!r}: {reason}") from None

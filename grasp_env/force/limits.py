@@ -118,7 +118,7 @@ class ForceLimits:
                     f"torque_limit has {len(limit)} entries, the jacobian {joints} joints: give one or {joints}"
                 )
             bias = np.zeros(joints) if self.torque_bias is None else self.torque_bias
-            arrays["jacobian"] = np.ascontiguousarray(jac)
+            arrays["jacobian"] = jac
             arrays["torque_limit"] = np.broadcast_to(limit, (joints,)).copy()
             arrays["torque_bias"] = as_array(bias, (joints,), "torque_bias", ranges.BIAS)
         elif self.torque_bias is not None:

@@ -105,7 +105,7 @@ def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
     given = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
     if given.size % 3 or not 1 <= given.size // 3 <= ranges.SIDE_BY_SIDE:
         raise InvalidInputError(f"x must have shape (3N,) for at least one contact, got {given.shape}")
-    rows = np.ascontiguousarray(given.reshape(-1, 3))
+    rows = given.reshape(-1, 3)
     if inside and not (rows[:, 0] * (1.0 - 1e-15) > np.hypot(rows[:, 1], rows[:, 2])).all():
         raise InvalidInputError(
             f"x must lie strictly inside the cones, u > |(o, t)| at every contact, got {shown(given)}"

@@ -141,9 +141,7 @@ class ForceOptimizer:
         start, model, remembers = 0, None, False
         # names of all starts as solutions show them, and of the requested one
         self.names = names, requested = start_names(initial, options)
-        if initial is None:
-            pass
-        elif isinstance(initial, ForceSolution):
+        if isinstance(initial, ForceSolution):
             start, remembers = PREVIOUS, True
         elif isinstance(initial, str):
             start, remembers = STARTS.index(initial), initial == "previous"
@@ -318,11 +316,7 @@ class ForceOptimizer:
         contacts: ArrayLike | None = None,
         initial: Initial | None = None,
     ) -> ContactForces:
-        """Return the initial force (N, 3) [N] of `solve`.
-
-        Args:
-            wrench: (6,) external wrench [N, N m].
-            positions, normals, friction, contacts, initial: see `solve`.
+        """Return the initial force (N, 3) [N] of `solve`, which documents the arguments.
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
@@ -358,10 +352,7 @@ class ForceOptimizer:
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
     ) -> None:
-        """Replace values of the constructor. Those left out stay; the 12-basis is computed again if the start needs it.
-
-        Args:
-            positions, normals, friction, jacobian, torque_bias: see `solve`.
+        """Replace values of the constructor, see `solve`. Those left out stay; the 12-basis is computed again if the start needs it.
 
         Raises:
             InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer is unchanged.

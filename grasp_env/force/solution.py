@@ -62,12 +62,7 @@ STATUSES = {
 
 
 def start_name(used: str, requested: str, replaced: bool, outside: bool) -> str:
-    """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the training range of a learned one.
-
-    Example:
-        >>> start_name("internal_force", "previous", True, False)
-        'internal_force (previous was replaced)'
-    """
+    """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the training range of a learned one."""
     if replaced:
         return f"{used} ({requested} was replaced)"
     return f"{used} (outside its training range)" if outside else used

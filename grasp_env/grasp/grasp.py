@@ -169,12 +169,6 @@ class Grasp:
 
         Raises:
             InvalidInputError, RankDeficientGraspError: see `from_contacts`; arrays of another type than float64.
-
-        Example:
-            >>> from grasp_env.grasp import presets
-            >>> g = presets.tripod()
-            >>> bool((Grasp.unchecked(g.positions, g.normals, g.models).matrix == g.matrix).all())
-            True
         """
         try:
             along = DEFAULT_TANGENTS if tangents is None else np.ascontiguousarray(tangents)
@@ -298,12 +292,6 @@ class Grasp:
             force: (N, 3) [N]: normal, o, t.
             wrench: (6,) external wrench [N, N m].
             torsion: (N,) torsions of soft contacts [N m]; None: zero.
-
-        Example:
-            >>> from grasp_env.grasp import presets
-            >>> grasp = presets.tripod()
-            >>> grasp.residual([[2, 0, 0], [2, 0, 0], [2, 0, 0]], [0.5, 0, 0, 0, 0, 0])
-            0.5
         """
         error = self.matrix @ self._rows(force, "force").reshape(-1) + as_array(wrench, (6,), "wrench", ranges.SIZE)
         if torsion is not None:

@@ -19,21 +19,14 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
 
     Args:
         grasp: the grasp.
-        reference: (3N, 3N - 6) object-frame vectors stacked contact by contact, such as `reference_basis` of a nominal grasp;
-            None: the reference basis of `grasp` itself.
+        reference: (3N, 3N - 6) object-frame vectors stacked contact by contact, the `reference_basis` of a nominal grasp;
+            None: that of `grasp` itself.
 
     Returns:
         (3N, 3N - 6) contact-frame forces (normal, o, t), stacked; G @ basis = 0, columns orthonormal.
 
     Raises:
         InvalidInputError: a reference of another shape, or one whose projection loses rank.
-
-    Example:
-        >>> from grasp_env.grasp import presets
-        >>> grasp = presets.paper_cuboid()
-        >>> basis = null_space_basis(grasp)
-        >>> basis.shape, bool(abs(grasp.matrix @ basis).max() < 1e-12)
-        ((12, 6), True)
     """
     if reference is None:
         reference = reference_basis(grasp)

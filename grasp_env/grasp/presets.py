@@ -50,12 +50,7 @@ def paper_cuboid(friction: float | Array | None = None) -> Grasp:
 
 
 def tripod(friction: float | Array | None = None) -> Grasp:
-    """Return three fingers around a disc of 40 mm radius, mu = 0.5; `friction` as in `preset`.
-
-    Example:
-        >>> tripod(friction=0.8).friction
-        array([0.8, 0.8, 0.8])
-    """
+    """Return three fingers around a disc of 40 mm radius, mu = 0.5; `friction` as in `preset`."""
     return preset("tripod", friction)
 
 

@@ -91,13 +91,9 @@ class GraspQuality:
 
 
 def singular_values(grasp: Grasp, length: float | None = None) -> Array:
-    """Return the singular values (6,) of G [N per N], decreasing; moments and torsions are divided by `length`.
+    """Return the singular values (6,) of G [N per N], decreasing; moments and torsions are divided by `length` [m] (None: the grasp's).
 
     Components that a contact does not transmit are left out.
-
-    Args:
-        grasp: the contacts, of any models.
-        length: length that converts moments to forces [m]; None: `grasp.length`.
 
     Example:
         >>> from grasp_env.grasp import presets
