@@ -13,7 +13,6 @@ from episodes import episode
 from grasp_env.env import observation
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.force.rules import initial_rule
-from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN
 
 ZERO = np.zeros(6, dtype=np.float32)
 DOC = FourFingerGrasp.__doc__ or ""
@@ -173,22 +172,6 @@ def test_pictures_change_nothing_and_copies_are_equal() -> None:
         rows.append(np.array(seen))
     np.testing.assert_array_equal(rows[0], rows[1])
     np.testing.assert_array_equal(rows[0], rows[2])
-
-
-def test_pictures_of_an_episode_have_one_scale_and_later_ones_never_a_larger_one() -> None:
-    for fixed in ({}, {"force": 8.0, "moment": 1e-3}):
-        env, scales = FourFingerGrasp(render_mode="rgb_array", disturbance="random", duration=0.2, pictures=fixed), []
-        for seed in range(6):
-            env.reset(seed=seed)
-            notes = [env._annotation(env.scene) for _ in range(10) if env.step(ZERO)]
-            assert len({(note.scale, note.turn) for note in notes}) == 1
-            scales.append((notes[0].scale, notes[0].turn))
-            longest = max(np.linalg.norm(note.forces, axis=1).max() for note in notes)
-            assert fixed or notes[0].scale * longest < 1.2 * LONGEST  # the plan knows no pose feedback
-        env.close()
-        assert (np.diff(scales, axis=0) <= 0.0).all()
-        assert fixed or scales[-1] < scales[0]
-    np.testing.assert_allclose(scales[-1], [LONGEST / 8.0, LONGEST_TURN / 0.02])  # at least 0.02 N m
 
 
 def test_a_picture_is_in_the_world_frame_and_names_the_end() -> None:

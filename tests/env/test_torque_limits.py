@@ -5,14 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from engines import needs_bullet
 from episodes import episode
 
 from grasp_env.env import FourFingerGrasp
-from grasp_env.errors import GraspWarning
 from grasp_env.sim import HandDescription
-from grasp_env.sim.hand.description import _front, _thumb
 from grasp_env.sim.hand.tree import Mimic
 from grasp_env.task import SixDirections
 
@@ -38,24 +34,6 @@ def test_limits_that_leave_enough_cost_nothing_of_the_hold() -> None:
     strong = episode(20)[1]  # limits that are far away
     assert all(info["limited"] == 0 and not info["saturated"] for info in strong)
     assert 11.0 < min(info["torque_margin"] for info in strong) < 12.0
-
-
-@pytest.mark.parametrize("engine", [pytest.param("bullet", marks=needs_bullet), "mujoco"])
-def test_two_fingers_hold_by_torsion(engine: str) -> None:
-    """Two hard contacts cannot keep the object from turning about the line between them."""
-    pinch = HandDescription.of_fingers([_thumb(), _front("front", 0.0, 1)], "pinch")
-    given = {"hand": pinch, "contact_points": ((0.0, 0.0, -0.05), (0.0, 0.0, 0.05)), "engine": engine}
-    soft = {"object": {"torsional_friction": 0.005}, "disturbance": "random", "action_mode": "none", "duration": 2.0}
-    _, infos = episode(None, seed=1, **soft, **given)
-    last = infos[-1]
-    assert (last["is_success"], last["contacts"], last["status"]) == (True, 2, "optimal")
-    assert max(info["tilt"] for info in infos) < 0.01
-    with pytest.warns(GraspWarning, match=r"assumed is torsional_friction=0.0032 m"):
-        env = FourFingerGrasp(**given)
-    assert env.config.object.torsional_friction == pytest.approx(2.0 / 3.0 * 0.4 * 0.012)
-    env.reset(seed=0)
-    assert env.step(env.action_space.sample())[4]["status"] == "optimal"
-    env.close()
 
 
 def test_a_joint_that_two_fingers_share_keeps_its_limit() -> None:

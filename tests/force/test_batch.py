@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from force.named import attempt
-from problems import closure_grasps
 
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
 from grasp_env.force.many import CHUNK
@@ -72,25 +71,6 @@ def ring(count: int) -> Grasp:
 
 
 @pytest.mark.parametrize("method", ["newton", "conic"])
-def test_any_number_of_contacts_and_wrenches_of_any_size(method: str) -> None:
-    """Batches find every optimum of single calls, and invent none."""
-    for grasp in (*closure_grasps(5), *map(ring, (8, 9, 17))):
-        loads = wide_loads(20)
-        batch, optimizer = optimize_forces(grasp, loads, method=method), ForceOptimizer(grasp, method=method)
-        for k, load in enumerate(loads):
-            one = optimizer.solve(load)
-            close = 10 * AGREES * np.abs(one.force).max()  # some of these hardly span the wrenches
-            np.testing.assert_allclose(batch.force[k], one.force, rtol=0, atol=close)
-    rng = np.random.default_rng(7)
-    loads = rng.standard_normal((400, 6)) * 10.0 ** rng.uniform(-6, 6, (400, 1)) * [1, 1, 1, 0.05, 0.05, 0.05]
-    batch = optimize_forces(GRASP, loads, method=method, tolerance=1e-10)
-    optimizer = ForceOptimizer(GRASP, method=method, tolerance=1e-10)
-    assert batch.optimal[[optimizer.solve(load).status is Status.OPTIMAL for load in loads]].all()
-    assert ((batch.objective - batch.lower_bound)[batch.optimal] <= 1e-10 * batch.lower_bound[batch.optimal]).all()
-    assert (batch.cone_margin >= 0.0).all()
-
-
-@pytest.mark.parametrize("method", ["newton", "conic"])
 def test_grasps_of_every_kind_side_by_side(method: str) -> None:
     """Nearly coplanar, without force closure, soft, elliptic and frictionless among ordinary ones: the results of single calls."""
     base = ring(8)
@@ -113,17 +93,6 @@ def test_grasps_of_every_kind_side_by_side(method: str) -> None:
     ordinary = [k for k in range(len(grasps)) if k not in (3, 7, 11, 12, 13)]
     without = optimize_forces([grasps[k] for k in ordinary], loads[ordinary], method=method)
     np.testing.assert_array_equal(without.records, batch.records[ordinary])
-
-
-@pytest.mark.parametrize("thin", [1e-3, 1e-6])
-def test_grasps_near_rank_loss_are_solved_alone(thin: float) -> None:
-    """Contacts nearly on a line, where the order of sums matters more than rounding: the bits of single calls."""
-    base = ring(8)
-    points = [base.positions * [1.0, thin, thin] * (1.0 + 0.03 * k) for k in range(9)]
-    grasps = [Grasp.from_contacts(each, base.normals, 0.5) for each in points]
-    loads = np.random.default_rng(4).standard_normal((9, 6)) * np.repeat([1.0, 0.01], 3)
-    for found, grasp, load in zip(optimize_forces(grasps, loads), grasps, loads, strict=True):
-        np.testing.assert_array_equal(found.force, attempt(lambda g=grasp, w=load: optimize_force(g, w)).force)
 
 
 # threads, processes, interrupts

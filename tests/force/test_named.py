@@ -186,31 +186,3 @@ def test_multipliers_of_an_excess_bound_that_of_every_wrench(name: str, method: 
         bound = found.lower_bound - found.multipliers @ (other - p.wrench)
         least = p.reference().least_excess(other)  # nan: no force in the cones balances that one
         assert bound <= (np.inf if np.isnan(least) else least) + 1e-6 * found.limit_excess
-
-
-@EACH
-@pytest.mark.parametrize("most", [0, 1, 4])
-def test_stopped_early_it_is_still_what_it_says(name: str, method: str, most: int) -> None:
-    """Balanced, inside and with a valid bound, or no force at all."""
-    p, known = NAMED[name], NAMED[name].known[method]
-    found = attempt(lambda: optimize_force(p.grasp, p.wrench, **p.options(method), max_iterations=most))
-    if found.status is Status.INFEASIBLE:
-        assert known["status"] in ("infeasible", "limits_exceeded")
-        p.assert_infeasible(found)
-        return
-    reference = Reference(p.grasp, None if p.elastic else p.limits)
-    size, largest = float(np.abs(reference.load(p.wrench)).max()), float(np.abs(found.force).max())
-    assert reference.violation(found.force, found.torsion) <= 1e-13 * max(size, largest)
-    away = 1.0 + float(np.abs(p.grasp.positions).max()) / reference.length
-    assert reference.residual(found.force, found.torsion, p.wrench) <= 1e-8 * size + 1e-13 * away * largest
-    if known["status"] == "infeasible":
-        return
-    near = known["digits"] + 1e-10 if known["status"] == "optimal" else 1e-6
-    assert found.lower_bound <= known["objective"] * (1.0 + near)
-    assert found.objective >= known["objective"] * (1.0 - near)
-    prices = found.limit_multipliers
-    if method != "newton" and known["status"] == "optimal" and len(prices) == len(p.reference().bound):
-        # far from the optimum too, the bound is what its multipliers prove
-        bound, _ = p.reference().dual_bound(found.multipliers, prices, p.wrench, method)
-        rounding = 1e-8 * abs(bound) + 1e-12 * float(np.abs(found.multipliers * p.wrench).sum())
-        assert found.lower_bound <= max(bound, 0.0) + rounding

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from oracles.boundary import longest_step
-from oracles.newton import solve
+from oracles.newton import kkt_step
 from oracles.phi import gradient, hessian, phi
 
 
@@ -56,14 +56,8 @@ def derivatives(z: np.ndarray, terms: Terms) -> tuple[np.ndarray, np.ndarray]:
 
 def newton_step(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> tuple[np.ndarray, float]:
     """(step, squared decrement) with matrix (6, n) of z: the step ends in balance."""
-    size = len(z)
-    slope, full = derivatives(z, terms)
-    kkt = np.block([[full, -matrix.T], [matrix, np.zeros((6, 6))]])
-    scale = np.sqrt(np.concatenate([1.0 / np.diag(kkt)[:size], np.ones(6)]))
-    scale[size:] = 1.0 / np.sqrt(((matrix * scale[:size]) ** 2).sum(axis=1))
-    right = -scale * np.concatenate([slope, matrix @ z + wrench])
-    step = (scale * solve(scale[:, None] * kkt * scale, right))[:size]
-    return step, float(-slope @ step)
+    step, _, decrement = kkt_step(*derivatives(z, terms), matrix, matrix @ z + wrench)
+    return step, decrement
 
 
 def minimum(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> np.ndarray | None:
