@@ -244,7 +244,7 @@ def _converted(value: Any, shape: Shape | None, name: str) -> Array:
             if not why:
                 _check_shape(given.shape, shape, name)
                 if given.dtype.kind == "O":  # integers of any size, fractions
-                    each = [as_number(entry) for entry in given.flat]
+                    each: Any = [as_number(entry) for entry in given.flat]
                     why, given = "not all of it is numbers" if None in each else "", np.reshape(each, given.shape)
                 if not why:
                     return np.array(given, dtype=np.float64, order="C")

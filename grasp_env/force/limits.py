@@ -7,7 +7,7 @@ limits are linear in the forces; `ForceLimits.rows` returns them as A f <= b.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -135,21 +135,23 @@ class ForceLimits:
         Raises:
             InvalidInputError: limits or a Jacobian for another number of contacts.
         """
-        each, nothing = [], np.zeros(0)
         n_contacts = whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
-        for name in ("min_normal", "max_normal"):
+
+        def of_each(name: str) -> Array:
             value = np.asarray(getattr(self, name))
             if value.ndim and len(value) != n_contacts:
                 raise InvalidInputError(
                     f"{name} has {len(value)} entries, the grasp {n_contacts} contacts: give one or {n_contacts}"
                 )
-            each.append(np.broadcast_to(value, (n_contacts,)).copy())
+            return np.broadcast_to(value, (n_contacts,)).copy()
+
+        least, most, nothing = of_each("min_normal"), of_each("max_normal"), np.zeros(0)
         if self.jacobian is None:
-            return LimitArrays(*each, np.zeros((n_contacts, 6, 0)), nothing, nothing)
+            return LimitArrays(least, most, np.zeros((n_contacts, 6, 0)), nothing, nothing)
         given = checked_jacobian(self.jacobian, n_contacts)
         jac = np.zeros((n_contacts, 6, given.shape[2]))
         jac[:, : given.shape[1]] = given
-        return LimitArrays(*each, jac, np.array(self.torque_limit), np.array(self.torque_bias))
+        return LimitArrays(least, most, jac, np.array(self.torque_limit), np.array(self.torque_bias))
 
     @property
     def joints(self) -> int:
@@ -217,18 +219,20 @@ def as_limits(value: object) -> ForceLimits | None:
     return instance(value, ForceLimits, "limits", or_none=True)
 
 
-def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Array | None, ...]:
+def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, Any, Any, Any, Any]:
     """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`; None for those that were not given."""
     if limits is None:
-        return (None,) * 5
-    least, most, *others = (getattr(limits, name) for name in LimitArrays._fields)  # arrays after __post_init__
+        return None, None, None, None, None
+    least, most, jacobian, torque, bias = (
+        getattr(limits, name) for name in LimitArrays._fields
+    )  # arrays after __post_init__
     if least.ndim == 0:
         least = np.full(n_contacts, least) if least else None
     if most.ndim == 0:
         most = np.full(n_contacts, most) if most < np.inf else None
-    if any(each is not None and len(each) != n_contacts for each in (least, most, others[0])):
+    if any(each is not None and len(each) != n_contacts for each in (least, most, jacobian)):
         limits.checked(n_contacts)  # raises, with the reason
-    return least, most, *others
+    return least, most, jacobian, torque, bias
 
 
 def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:

@@ -25,4 +25,5 @@ def contact_frames(normals: Array) -> Array:
     axis[along_x, 1] = 1.0
     o = axis - normals * np.einsum("ij,ij->i", axis, normals)[:, None]
     o /= np.sqrt(np.einsum("ij,ij->i", o, o))[:, None]
-    return np.stack([normals, o, np.cross(normals, o)], axis=2)
+    t: Array = np.cross(normals, o)  # pyright: ignore[reportAssignmentType]
+    return np.stack([normals, o, t], axis=2)

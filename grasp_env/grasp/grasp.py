@@ -152,8 +152,8 @@ class Grasp:
             points = check(checked_points, positions)
             count = None if points is None else len(points)
             inward = check(as_array, normals, (count, 3), "normals")
-            if count is not None:
-                models = check(ContactModels.checked, contact_model, friction, torsional_friction, count)
+            given = contact_model, friction, torsional_friction
+            models: Any = None if count is None else check(ContactModels.checked, *given, count)
         normalise_normals(inward)
         grasp = cls._made(points, inward, models, checked_tangents(tangents, inward))
         if torsional_friction is not None:
