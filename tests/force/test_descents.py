@@ -1,65 +1,34 @@
-"""One optimum, whatever the start and the method; every iterate is balanced, strictly inside and never worse than before (Theorem 1)."""
+"""One optimum, whatever the start and the method, in few steps."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from force.clarabel_reference import Reference
 from problems import PROBLEMS, Problem, closure_grasps
 
 from grasp_env.errors import NotConvergedError
-from grasp_env.force import ForceSolution, Objective, Status, optimize_force
+from grasp_env.force import Objective, Status, optimize_force
 from grasp_env.force.options import DESCENTS
 from grasp_env.force.rules import RULES
-from grasp_env.grasp import Grasp
 
 
 def weights_of(problem: Problem) -> dict[str, float]:
     return {"force_weight": problem.force_weight, "barrier_weight": problem.barrier_weight}
 
 
-def assert_valid(solution: ForceSolution, grasp: Grasp) -> None:
-    """Balanced, inside, and its summary and trace true; Newton accepts a step of equal Phi at the rounding level."""
-    reference = Reference(grasp)
-    load = np.abs(reference.load(solution.wrench)).max()
-    for force in (solution.force, solution.initial_force):
-        assert np.isfinite(force).all()
-        size = np.abs(force).max() + load
-        assert reference.residual(force, np.zeros(len(force)), solution.wrench) <= 1e-10 * size
-        assert reference.cone_margin(force) > 0.0
-    # the solver sums in another order and in cone coordinates: rounding of twelve products
-    rounding = 1e-14 * (np.abs(solution.force).max() + load) / min(grasp.length, 1.0)
-    residual = reference.residual(solution.force, solution.torsion, solution.wrench)
-    assert abs(solution.cone_margin - reference.cone_margin(solution.force)) <= rounding
-    assert abs(solution.equilibrium_residual - residual) <= rounding
-    assert solution.lower_bound <= solution.objective * (1.0 + 1e-10)
-    trace, slack = solution.objective_trace, 1e-15 if solution.method == "newton" else -1e-300
-    if trace.size:
-        assert (np.diff(trace) <= slack * trace[:-1]).all()
-        assert (len(trace), trace[-1]) == (solution.iterations + 1, solution.objective)
-
-
 @pytest.mark.parametrize("method", DESCENTS)
-@pytest.mark.parametrize("problem", PROBLEMS[::2], ids=str)
-def test_stopping_anywhere_leaves_a_valid_grasp(problem: Problem, method: str) -> None:
-    options = {"initial": "single_value", "tolerance": 1e-6, "method": method, "trace": True, **weights_of(problem)}
-
-    def stop(limit: int) -> ForceSolution:
-        return optimize_force(problem.grasp, problem.wrench, max_iterations=limit, **options)
-
-    end = stop(20_000).raise_for_status()
-    assert_valid(end, problem.grasp)
-    for limit in (0, 1, 2, 5, 20):
-        if limit < end.iterations:
-            solution = stop(limit)
-            assert (solution.status, solution.iterations) == (Status.ITERATION_LIMIT, limit)
-            assert_valid(solution, problem.grasp)
-            assert solution.lower_bound <= problem.optimum * (1.0 + 1e-9)
-            np.testing.assert_array_equal(solution.objective_trace, end.objective_trace[: limit + 1])
-    if end.iterations:
-        with pytest.raises(NotConvergedError, match=rf"{method} ended after 0 iterations.*raise max_iterations"):
-            stop(0).raise_for_status()
-    np.testing.assert_allclose(stop(0).force, end.initial_force, rtol=3e-16)
+def test_stopped_early_it_says_so_and_every_step_was_better(method: str) -> None:
+    """Theorem 1: each iterate is inside, balanced and better than the one before."""
+    problem, options = PROBLEMS[0], {"initial": "single_value", "method": method, "trace": True}
+    found = optimize_force(problem.grasp, problem.wrench, max_iterations=2, **options, **weights_of(problem))
+    assert (found.status, found.iterations, len(found.objective_trace)) == (Status.ITERATION_LIMIT, 2, 3)
+    assert (np.diff(found.objective_trace) < 0.0).all()
+    assert found.objective_trace[-1] == found.objective
+    assert found.lower_bound <= problem.optimum * (1.0 + 1e-9)
+    assert problem.grasp.residual(found.force, problem.wrench) < 1e-10
+    assert problem.grasp.cone_margin(found.force) > 0.0
+    with pytest.raises(NotConvergedError, match=rf"{method} ended after 2 iterations.*raise max_iterations"):
+        found.raise_for_status()
 
 
 @pytest.mark.parametrize("method", DESCENTS)
