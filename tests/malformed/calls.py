@@ -6,7 +6,7 @@ import io
 import json
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -34,9 +34,6 @@ from grasp_env.grasp import (
 )
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
-from grasp_env.sim import BulletEngine, FingerDescription, HandDescription
-from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
-from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.task.disturbance import DISTURBANCES
 from grasp_env.task.tasks import TASKS
 from policies import LearnedInitialForce, ZeroPolicy
@@ -79,16 +76,6 @@ def _optimizer(method: str) -> f.ForceOptimizer:
 @cache
 def _learned() -> LearnedInitialForce:
     return LearnedInitialForce.pretrained()
-
-
-def _chain(first: Callable[..., Any], *rest: str) -> Callable[..., Any]:
-    """`first(**keywords)`, then methods of what it returns, without arguments."""
-
-    def run(**keywords: Any) -> Any:
-        made = first(**keywords)
-        return [getattr(made, name)() for name in rest] or made
-
-    return run
 
 
 def _with(make: Callable[[], Any], name: str) -> Callable[..., Any]:
@@ -169,11 +156,6 @@ def calls(folder: Path) -> dict[str, Call]:
         "torsional_friction": 0.005, "tangents": np.tile([1.0, 0.2, 0.0], (4, 1)),
     }  # fmt: skip
     worst = {"criterion": "sum", "tolerance": 0.3, "starts": 2, "points": 64, "seed": 0}
-    link = {
-        "name": "a", "parent": "palm", "origin": (0, 0, 0.1), "rotation": (0, 0, 0), "axis": (0, 0, 1.0), "lower": -1.0, "upper": 1.0,
-        "torque_limit": 1.0, "mass": 0.1, "center": (0, 0, 0), "inertia": (1e-4, 0, 0, 1e-4, 0, 1e-4), "collision": (), "visual": (),
-        "color": (1, 0, 0), "joint": "",
-    }  # fmt: skip
     settings = {item.name: getattr(EnvConfig(), item.name) for item in fields(EnvConfig)}
     state = {"grasp": CUBOID, "wrench": PAPER}
     return {
@@ -256,7 +238,6 @@ def calls(folder: Path) -> dict[str, Call]:
             f"learned, {method}": Call(_with(_learned, method), state) for method in ("__call__", "covers", "raw")
         },
         "EnvConfig": Call(EnvConfig, settings),
-        "BulletEngine": Call(BulletEngine, asdict(BulletEngine())),
         "EnvConfig.override": Call(EnvConfig().override, {"friction": 0.4, "size": (0.1, 0.1, 0.1), "sensors": {"delay": 0.0}, "disturbance": {"name": "random", "force": 1.0}}),
         **{
             f"plan of {name}": Call(
@@ -276,30 +257,6 @@ def calls(folder: Path) -> dict[str, Call]:
             lambda **k: EnvConfig().override(randomize=k).drawn(np.random.default_rng(0)),
             {"mass": (0.1, 0.2), "size": (0.07, 0.12), "gravity": lambda rng: (0.0, -9.81, 0.0), "shape": True},
         ),
-        "ObjectDescription": Call(
-            ObjectDescription,
-            {"shape": "cuboid", "size": (0.1, 0.1, 0.1), "mass": 0.2, "friction": 0.4, "inertia": (1e-4, 1e-4, 1e-4), "mesh": None, "torsional_friction": 0.0},
-        ),
-        "FingerDescription": Call(
-            _chain(FingerDescription, "fingertip"),
-            {"name": "a", "base": (0, 0.1, 0), "press": (0, 0, 1.0), "hang": (0, -1.0, 0), "link_lengths": (0.03, 0.08, 0.07),
-             "link_masses": (0.02, 0.03, 0.02), "tip_mass": 0.01, "link_radius": 0.0075, "tip_radius": 0.01, "torque_limit": 12.0,
-             "joint_lower": (-1.0, -1.8, 0.05), "joint_upper": (1.0, 1.2, 2.6), "home": (0.0, -0.6, 1.2), "color": (1, 0, 0)},
-        ),
-        "HandDescription.of_fingers": Call(
-            HandDescription.of_fingers,
-            {"fingers": [FingerDescription("thumb", (0, 0.135, -0.09), (0, 0, 1.0))], "name": "hand", "palm": None, "tip_friction": 1.0},
-        ),
-        "HandDescription": Call(
-            HandDescription,
-            {"name": "hand", "palm": Palm(), "links": (Link(**link),), "fingertips": (Fingertip("tip", "a", (0, 0, 0), 0.01),),
-             "home": (0.0,), "tip_friction": 1.0},
-        ),
-        "HandDescription.from_urdf": Call(
-            HandDescription.from_urdf,
-            {"path": str(Path(__file__).parents[1] / "sim" / "assets" / "crooked_hand.urdf"), "fingertips": ["pad_a", "finger_b_end", "finger_c_end"],
-             "palm": "base", "tip_radius": None, "torque_limit": None, "joint_limits": {"b_root": (-1.0, 1.0)}, "inertials": {"fold": 0.05}, "home": (), "position": (0, 0, 0.0), "rotation": (0, 0, 0.0), "tip_friction": 1.0, "rotor_inertia": None},
-        ),
         "null_space_basis": Call(null_space_basis, {"grasp": CUBOID, "reference": reference_basis(CUBOID)}),
         "a grasp's file": Call(
             _load(folder),
@@ -317,7 +274,4 @@ def calls(folder: Path) -> dict[str, Call]:
             {"wrench": PAPER, "preset": "tripod", "friction": 0.5, "method": "newton", "tolerance": 1e-4, "barrier-weight": 0.01,
              "min-normal": 0.0, "max-normal": 50.0, "criterion": "sum", "initial": "single_value"},
         ),
-        "Link": Call(Link, link),
-        "Geometry": Call(Geometry, {"kind": "capsule", "size": (0.01, 0.1), "origin": (0, 0, 0), "rotation": (0, 0, 0), "color": None}),
-        "Fingertip": Call(Fingertip, {"name": "tip", "link": "a", "center": (0, 0, 0), "radius": 0.01}),
     }  # fmt: skip
