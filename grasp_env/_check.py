@@ -51,11 +51,6 @@ def as_array(
     """Return `value` as a new finite float64 array of `shape` (None: any) with numbers in a range, contiguous.
 
     `finite=False` accepts infinities and nan; `copy=False` returns an array that needs no conversion as it is.
-
-    Example:
-        >>> as_array([1, float("nan")], (2,), "masses")
-        Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: masses must be finite, got [1.0, nan]
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
         _check_shape(value.shape, shape, name)
@@ -162,13 +157,6 @@ class AllFaults:
     """Collects the faults of several checks and raises them as one error at the end of the `with` block.
 
     A single fault is raised as it is, several as an `InvalidInputError` with the texts of all.
-
-    Example:
-        >>> with AllFaults() as check:
-        ...     mass = check(positive, 0.0, "mass")
-        ...     size = check(positive, -1.0, "size")
-        Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: mass must be finite and > 0, got 0.0; size must be finite and > 0, got -1.0
     """
 
     MOST_TEXTS = 40

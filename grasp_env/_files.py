@@ -39,11 +39,6 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
 
     Raises:
         OSError: missing, not readable, a folder, a device, a silent pipe, larger than `most`, or no path; `strerror` tells which.
-
-    Example:
-        >>> read_bytes("/dev/zero")
-        Traceback (most recent call last):
-        OSError: [Errno 22] it is a device, not a file: '/dev/zero'
     """
     try:
         name = os.fspath(path)

@@ -153,7 +153,7 @@ class InfeasibleStartError(GraspError):
 
 
 class NotConvergedError(GraspError, RuntimeError):
-    """A solution did not reach its tolerance; `solution` is the `ForceSolution`, if there is one."""
+    """A solution did not reach its tolerance; besides the `message` it has the `ForceSolution`, `solution`, if there is one."""
 
     def __init__(self, message: str, solution: Any = None) -> None:
         super().__init__(message)

@@ -196,7 +196,10 @@ class Reward(Settings):
             )
 
     def terms(self, held: bool, iterations: float, costs: Sequence[float]) -> dict[str, float]:
-        """Return the terms that add up to a step's reward, from the method's iterations and the other costs of `COSTS` in their order, 0 to 1."""
+        """Return the terms that add up to the reward of a step with the object `held` or lost.
+
+        `iterations` are the method's, `costs` the others of `COSTS` in their order, 0 to 1.
+        """
         shares = (min(1.0, iterations / self.iteration_scale), *costs) if held else (0.0,) * len(COSTS)
         paid = self.held if held else 0.0 - self.failure_cost
         charged = {

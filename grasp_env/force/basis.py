@@ -43,7 +43,7 @@ class OfflineBasis:
     def compute(
         cls, grasp: Grasp, objective: Objective | None = None, warm: OfflineBasis | None = None
     ) -> OfflineBasis:
-        """Solve the 13 problems (Newton, relative gap 1e-10), from a `warm` basis of a nearby grasp if there is one.
+        """Solve the 13 problems (Newton, relative gap 1e-10), from a `warm` basis of a nearby grasp if there is one; `objective` None: the defaults.
 
         Raises:
             InfeasibleStartError: the grasp has no force closure, so some unit wrenches have no force; or Newton does not converge.

@@ -168,7 +168,7 @@ class ForceLimits:
         return tuple(out)
 
     def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
-        """Return the distances from the limits of forces (N, 3) [N] and torsions (N,) [N m] (None: zero)."""
+        """Return the distances from the limits of `force` (N, 3) [N] and `torsion` (N,) [N m] (None: zero) on the contacts of `grasp`."""
         least, most, jac, limit, bias = self.checked(as_grasp(grasp).n_contacts)
         forces = _with_torsion(grasp, force, torsion)
         torque = np.einsum("nij,ni->j", _in_contact_frames(grasp, jac), forces) + bias
@@ -206,7 +206,7 @@ class ForceLimits:
     def violations(
         self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9
     ) -> list[str]:
-        """Return one message for each limit that forces (N, 3) [N] and torsions (N,) [N m] exceed by more than `tolerance` [N, N m]."""
+        """Return one message for each limit that `force` and `torsion` on `grasp`, see `slack`, exceed by more than `tolerance` [N, N m]."""
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
         forces = _with_torsion(grasp, force, torsion)

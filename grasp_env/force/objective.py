@@ -46,11 +46,6 @@ class Objective:
 
         Raises:
             InvalidInputError: weights for another number of contacts.
-
-        Example:
-            >>> Objective([1.0, 2.0], 0.01).weights(2)
-            array([[1.  , 0.01],
-                   [2.  , 0.01]])
         """
         count = whole(count, "count", 0, ranges.SIDE_BY_SIDE)
         out = np.empty((count, 2))

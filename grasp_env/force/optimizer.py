@@ -316,7 +316,7 @@ class ForceOptimizer:
         contacts: ArrayLike | None = None,
         initial: Initial | None = None,
     ) -> ContactForces:
-        """Return the initial force (N, 3) [N] of `solve`, which documents the arguments.
+        """Return the initial force (N, 3) [N] of `solve`, which documents wrench, positions, normals, friction, contacts and initial.
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
@@ -340,7 +340,7 @@ class ForceOptimizer:
         return row[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3), start.replaced or bool(row[REPLACED])
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
-        """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other; see `optimize_forces`."""
+        """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other, on `workers` threads; see `optimize_forces`."""
         return solve_many(self, *checked_batch(wrenches, workers))
 
     def update(
@@ -352,7 +352,9 @@ class ForceOptimizer:
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
     ) -> None:
-        """Replace values of the constructor, see `solve`. Those left out stay; the 12-basis is computed again if the start needs it.
+        """Replace positions, normals, friction, jacobian or torque_bias of the constructor, see `solve`; those left out stay.
+
+        The 12-basis is computed again if the start needs it.
 
         Raises:
             InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer is unchanged.

@@ -58,7 +58,7 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
 
 
 def load_grasp(path: str | Path) -> Grasp:
-    """Read a grasp from a JSON file, whose keys are those of `Grasp.from_contacts`; see the top of this module.
+    """Read a grasp from the JSON file at `path`, whose keys are those of `Grasp.from_contacts`; see the top of this module.
 
     If `schema` and `units` are given, they must be those of this version.
 

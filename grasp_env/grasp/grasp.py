@@ -162,7 +162,7 @@ class Grasp:
 
     @classmethod
     def unchecked(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array | None = None) -> Grasp:
-        """Make the same grasp as `from_contacts`, to the last bit, from trusted arrays (N, 3) and the models of N contacts.
+        """Make the same grasp as `from_contacts`, to the last bit, from trusted `positions`, `normals` and `tangents` (N, 3) and `models`.
 
         Not checked are the number of contacts, the models, tangents that are nearly along a normal, and torsional friction against
         the grasp's length.
@@ -230,13 +230,7 @@ class Grasp:
         return not self.contacts.soft
 
     def to_cone(self, force: ContactForces) -> Array:
-        """Return the flat cone coordinates (3N,) [N] of `force` (N, 3) [N]: (u, o, t) with u = mu * normal (VP of Eq. 18).
-
-        Example:
-            >>> from grasp_env.grasp import presets
-            >>> presets.tripod().to_cone([[2, 0.1, 0], [2, 0, 0], [2, 0, 0]])[:3]   # mu = 0.5
-            array([1. , 0.1, 0. ])
-        """
+        """Return the flat cone coordinates (3N,) [N] of `force` (N, 3) [N]: (u, o, t) with u = mu * normal (VP of Eq. 18)."""
         return (self._rows(force, "force") * self.models.cone_scale).reshape(-1)
 
     def to_force(self, x: Array) -> ContactForces:

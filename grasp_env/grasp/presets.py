@@ -34,6 +34,10 @@ def preset(name: str, friction: float | Array | None = None) -> Grasp:
 
     Raises:
         UnknownNameError: no preset has that name.
+
+    Example:
+        >>> preset("tripod", friction=0.8).friction
+        array([0.8, 0.8, 0.8])
     """
     positions, normals, own = _CONTACTS[choice(name, "preset", PRESETS)]
     return Grasp.from_contacts(positions, normals, own if friction is None else friction)

@@ -84,7 +84,7 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
 
 
 def wrench_about(wrench: ArrayLike, point: ArrayLike) -> Array:
-    """Express wrenches (..., 6) [N, N m] with moments about a point (3,) [m] instead of the origin, along the same axes: m' = m - p x F.
+    """Express `wrench` (..., 6) [N, N m] with moments about `point` (3,) [m], not the origin, along the same axes: m' = m - p x F.
 
     Example:
         >>> wrench_about([0, 0, -2, 0, 0.2, 0], [0.1, 0, 0])   # the weight has no moment about where it hangs

@@ -31,7 +31,7 @@ def paper_path(time: ArrayLike) -> Array:
 
 
 def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
-    """Return |(force, moment / length)| (...,) [N] of wrenches (..., 6) [N, N m], with a `length` [m] that converts moments to forces.
+    """Return |(force, moment / length)| (...,) [N] of `wrench` (..., 6) [N, N m], with a `length` [m] that converts moments to forces.
 
     Example:
         >>> float(magnitude([3, 0, 0, 0, 0, 0.2]))
@@ -43,19 +43,28 @@ def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
 
 
 def sample_ball(rng: np.random.Generator, count: int, force: float = FORCE_RADIUS, moment: float = MOMENT_RADIUS):
-    """Draw (count, 6) wrenches, forces and moments uniform in balls of radius `force` [N] and `moment` [N m]."""
+    """Draw (count, 6) wrenches by `rng`, forces and moments uniform in balls of radius `force` [N] and `moment` [N m].
+
+    Example:
+        >>> sample_ball(np.random.default_rng(0), 100).shape
+        (100, 6)
+    """
     _check_draw(rng, count)
     force, moment = number(force, "force", ranges.SIZE), number(moment, "moment", ranges.SIZE)
     return np.concatenate([_ball(rng, count) * force, _ball(rng, count) * moment], axis=1)
 
 
 def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, high: float = 20.0) -> Array:
-    """Draw (count, 6) wrenches, directions uniform on the 6-sphere of (force, moment / 0.05 m).
+    """Draw (count, 6) wrenches by `rng`, directions uniform on the 6-sphere of (force, moment / 0.05 m).
 
     Their `magnitude` is log-uniform from `low` to `high` [N].
 
     Raises:
         InvalidInputError: low > high, or values out of range.
+
+    Example:
+        >>> bool((magnitude(sample_magnitudes(np.random.default_rng(0), 100, high=4.0)) < 4.001).all())
+        True
     """
     _check_draw(rng, count)
     low, high = positive(low, "low", ranges.BALL), positive(high, "high", ranges.BALL)
@@ -69,9 +78,13 @@ def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, hi
 
 
 def sample_path(rng: np.random.Generator, count: int, step: float = 0.03) -> Array:
-    """Draw (count, 6) wrenches of a random walk in the standard ball.
+    """Draw (count, 6) wrenches by `rng`, a random walk in the standard ball.
 
     `step` is the largest change between successive wrenches as a fraction of each radius, 0 to 1.
+
+    Example:
+        >>> sample_path(np.random.default_rng(0), 50, step=0.01).shape
+        (50, 6)
     """
     _check_draw(rng, count)
     step = number(step, "step", ranges.Range(0.0, 1.0))
@@ -95,7 +108,12 @@ def _ball(rng: np.random.Generator, count: int) -> Array:
 
 
 def constant(wrench: Wrench, count: int) -> Array:
-    """Return the same wrench (6,) [N, N m] `count` times, (count, 6)."""
+    """Return the same wrench (6,) [N, N m] `count` times, (count, 6).
+
+    Example:
+        >>> constant(PAPER_CONSTANT, 3).shape
+        (3, 6)
+    """
     return np.tile(as_wrench(wrench), (whole(count, "count", 0, ranges.NUMBERS // 6), 1))
 
 

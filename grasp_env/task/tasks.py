@@ -60,7 +60,7 @@ class Task(Settings):
         return np.ones(len(times))
 
     def in_place(self, drift: float, tilt: float) -> bool:
-        """Return True if the object is near enough to its wanted position [m] and orientation [rad] for success."""
+        """Return True if `drift` [m] from the wanted position and `tilt` [rad] from the wanted orientation are small enough for success."""
         return bool(drift < self.drift_limit) and bool(tilt < self.tilt_limit)
 
 

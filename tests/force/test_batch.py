@@ -58,6 +58,11 @@ def test_no_answer_depends_on_threads_or_neighbours(kind: str) -> None:
     loads, options = wide_loads(3 * CHUNK // 2), KINDS[kind]
     batch = optimize_forces(GRASP, loads, workers=1, **options)
     np.testing.assert_array_equal(optimize_forces(GRASP, loads, workers=5, **options).records, batch.records)
+    if kind == "newton":  # more grasps than the core takes at once, some twice
+        grasps = [GRASP.with_friction(mu) for mu in np.linspace(0.3, 0.9, 700)]
+        many = [*grasps, *grasps[::-1]]
+        found = optimize_forces(many, loads[: len(many)], **options)
+        np.testing.assert_array_equal(found.records[700:], optimize_forces(many[700:], loads[700 : len(many)]).records)
     order = np.random.default_rng(1).permutation(len(loads))
     np.testing.assert_array_equal(optimize_forces(GRASP, loads[order], **options).records, batch.records[order])
 

@@ -115,6 +115,7 @@ def test_an_update_replaces_the_contacts() -> None:
     optimizer.update(**there, friction=0.35, torque_bias=np.full(4, 0.01))
     now = Grasp.from_contacts(**there, friction=0.35)
     np.testing.assert_array_equal(optimizer.grasp.matrix, now.matrix)
+    np.testing.assert_array_equal(optimizer.limits.torque_bias, 0.01)  # type: ignore[union-attr]
     limits = ForceLimits(jacobian=SHARED.jacobian, torque_limit=0.9, torque_bias=np.full(4, 0.01))
     want = optimize_force(now, LOAD, limits=limits, initial="linear_combination")
     np.testing.assert_allclose(optimizer.solve(LOAD).force, want.force, rtol=1e-9, atol=1e-9)
