@@ -20,12 +20,7 @@ FACETS = 32
 
 @dataclass(frozen=True)
 class Problem:
-    """A grasp, a wrench, the weights of Phi, and the known optimum.
-
-    Attributes:
-        optimum: min Phi, see `force/named.py`.
-        total_normal: sum of the normal forces at the optimum [N], from the project's notes; None where unknown.
-    """
+    """A grasp, a wrench, the weights of Phi, min Phi (see `force/named.py`), and the known sum of the normal forces there [N]."""
 
     name: str
     grasp: Grasp

@@ -104,14 +104,7 @@ def test_inertial_wrench_of_a_moving_target() -> None:
 
 
 class Trial:
-    """An episode in which the tips of some fingers are pulled off the object for a while.
-
-    Args:
-        pulled: numbers of the fingers.
-        ticks: control ticks at which they are pulled with 8 N.
-        steps: largest number of agent steps.
-        settings: settings of the environment.
-    """
+    """An episode of at most `steps` in which the tips of some fingers are pulled off the object with 8 N at some control ticks."""
 
     def __init__(self, pulled: tuple[int, ...], ticks: Sequence[int], steps: int = 100, **settings: Any) -> None:
         env = FourFingerGrasp(disturbance="none", **settings)

@@ -20,14 +20,10 @@ FLAT, LEAP = 1e-12, 10.0
 
 @dataclass(frozen=True)
 class Landscape:
-    """Phi on the state of a flow: vec(P) for the full one, VP for the reduced one.
+    """Phi on the state of a flow, vec(P) for the full one, VP for the reduced one; +inf outside the cones.
 
-    Attributes:
-        value: Phi at a state, +inf outside the cones.
-        gradient: its gradient.
-        curvature: its second derivative at a state along a move.
-        direction: the projected drive at a state.
-        metric: the weights of the squares in |state|^2, the same length in both: |P|_F^2.
+    Besides value and gradient it has the second derivative along a move, the projected drive at a state, and the weights of the
+    squares in |state|^2, which is |P|_F^2 in both.
     """
 
     value: Callable[[np.ndarray], float]
@@ -57,12 +53,7 @@ class Descent:
 class Ray:
     """Phi along one step d, as a step rule sees it. Lengths are those of P: |x|^2 = sum 3 u^2 + 2 o^2 + 2 t^2.
 
-    Attributes:
-        land: Phi. at: x. move: d.
-        here: Phi(x).
-        past: (alpha, |d|^2, inner product with this d) of the step before; None at the first.
-        count: accepted steps.
-        trials: number of evaluations of Phi.
+    `here` is Phi(x), `past` (alpha, |d|^2, inner product with this d) of the step before, `trials` the number of evaluations of Phi.
     """
 
     land: Landscape
@@ -156,14 +147,9 @@ def descend(
     rule: StepRule,
     max_iterations: int,
 ) -> Descent:
-    """State <- state + alpha * direction(state) while Phi decreases.
+    """State <- state + alpha * direction(state) from vec(P) or VP, strictly inside and balanced, while Phi decreases.
 
-    Args:
-        state: vec(P) or VP, strictly inside the cones and balanced.
-        landscape: Phi there.
-        converged: whether to stop at (state, Phi, accepted steps).
-        rule: the step rule.
-        max_iterations: the most accepted steps.
+    `converged(state, Phi, accepted steps)` tells whether to stop.
     """
     metric = landscape.metric
     result = Descent(state.copy(), values=[float(landscape.value(state))])

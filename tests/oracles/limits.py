@@ -14,12 +14,7 @@ from oracles.phi import gradient, hessian, phi
 
 
 class Terms(NamedTuple):
-    """Phi of contacts with limits.
-
-    Attributes:
-        weights: (N, 2) omega and lambda.
-        rows: (M, n) A; bound: (M,) b; row_weights: (M,).
-    """
+    """Phi of contacts with limits: weights (N, 2) omega and lambda; rows A (M, n), bound (M,) and weights of the rows (M,)."""
 
     weights: np.ndarray
     rows: np.ndarray
@@ -32,13 +27,7 @@ class Terms(NamedTuple):
 
 
 def value(z: np.ndarray, terms: Terms) -> np.floating:
-    """+inf unless strictly inside.
-
-    Example:
-        >>> terms = Terms(np.array([[1.0, 0.01]]), np.array([[1.0, 0.0, 0.0]]), np.array([1.0]), np.array([0.02]))
-        >>> float(value(np.array([0.5, 0.0, 0.0]), terms))
-        1.6
-    """
+    """+inf unless strictly inside."""
     slack = terms.bound - terms.rows @ z
     inside = (slack > 0.0).all()
     return phi(z[: 3 * len(terms.weights)], terms.weights) + (terms.row_weights / slack).sum() if inside else np.inf

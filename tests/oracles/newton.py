@@ -30,12 +30,7 @@ def kkt_step(
 
 
 def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Gauss with pivots, in the type that it is given: numpy's own has no long double.
-
-    Example:
-        >>> solve(np.array([[0.0, 2.0], [4.0, 1.0]]), np.array([2.0, 9.0]))
-        array([2., 1.])
-    """
+    """Gauss with pivots, in the type that it is given: numpy's own has no long double."""
     a = np.column_stack([matrix, right])
     size = len(matrix)
     for k in range(size):
@@ -115,12 +110,7 @@ def twelve_basis(matrix: np.ndarray, weights: np.ndarray, rest: np.ndarray) -> n
 
 
 def combine(basis: np.ndarray, wrench: np.ndarray, printed: bool = False) -> np.ndarray:
-    """sum_k E_k f_k + max(0, 1 - sum_k E_k) f_rest with E_k = max(0, +-w_k) (Eqs. 33, 34); `printed`: without the rest.
-
-    Example:
-        >>> combine(np.arange(13.0)[:, None], np.array([0.5, 0.0, -0.25, 0, 0, 0]))
-        array([5.])
-    """
+    """sum_k E_k f_k + max(0, 1 - sum_k E_k) f_rest with E_k = max(0, +-w_k) (Eqs. 33, 34); `printed`: without the rest."""
     parts = np.concatenate([np.maximum(0.0, wrench), np.maximum(0.0, -wrench)])
     rest = 0.0 if printed else max(0.0, 1.0 - float(parts.sum()))
     return parts @ basis[:12] + rest * basis[12]
