@@ -96,11 +96,6 @@ def inside_cones(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.stack([u, s * np.cos(angle), s * np.sin(angle)], axis=1).reshape(-1)
 
 
-def weights(x: np.ndarray, omega: float = 1.0, lam: float = 0.01) -> np.ndarray:
-    """(N, 2) the weights of Phi as the oracles take them, for cone coordinates (3N,)."""
-    return np.tile([omega, lam], (len(x) // 3, 1))
-
-
 def random_grasp(rng: np.random.Generator, count: int, cap: float = -1.0) -> Grasp:
     """`count` contacts on an ellipsoid, friction 0.3 to 1; `cap`: least z of the direction to a contact."""
     axes = rng.uniform(0.03, 0.06, 3)
