@@ -13,6 +13,7 @@ from episodes import episode
 from grasp_env.env import observation
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.force.rules import initial_rule
+from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN
 
 ZERO = np.zeros(6, dtype=np.float32)
 DOC = FourFingerGrasp.__doc__ or ""
@@ -197,4 +198,11 @@ def test_a_picture_is_in_the_world_frame_and_names_the_end() -> None:
     assert (note.title, note.hand, note.alarm[:6]) == ("move: rotate, push", "four finger", "lost: ")
     assert note.lines[0] == ("lost after", f"{env._tick * env._loop.dt:.2f} s")
     assert note.lines[1] == ("drift", f"{1e3 * env._outcome.drift:.2f} mm")
+    env.reset(seed=0, options={"wrench": np.zeros(6)})
+    assert (later := env._annotation(env.scene)).scale == note.scale  # lighter loads are drawn at the same scale
     env.close()
+    fixed = FourFingerGrasp(render_mode="rgb_array", pictures={"force": 8.0, "moment": 1e-3})
+    fixed.reset(seed=0)
+    assert (seen := fixed._annotation(fixed.scene)).scale == LONGEST / 8.0 != later.scale
+    assert seen.turn == LONGEST_TURN / 0.02  # at least 0.02 N m
+    fixed.close()

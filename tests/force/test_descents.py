@@ -8,7 +8,7 @@ from problems import PROBLEMS, Problem, closure_grasps
 
 from grasp_env.errors import NotConvergedError
 from grasp_env.force import Objective, Status, optimize_force
-from grasp_env.force.options import DESCENTS
+from grasp_env.force.options import DESCENTS, FLOWS
 from grasp_env.force.rules import RULES
 
 
@@ -28,6 +28,15 @@ def test_stopped_early_it_says_so_and_every_step_was_better(method: str) -> None
     assert problem.grasp.residual(found.force, problem.wrench) < 1e-10
     assert problem.grasp.cone_margin(found.force) > 0.0
     with pytest.raises(NotConvergedError, match=rf"{method} ended after 2 iterations.*raise max_iterations"):
+        found.raise_for_status()
+
+
+@pytest.mark.parametrize("method", FLOWS)
+def test_an_impossible_tolerance_stalls_at_the_optimum(method: str) -> None:
+    problem = PROBLEMS[0]
+    found = optimize_force(problem.grasp, problem.wrench, method=method, tolerance=1e-300, **weights_of(problem))
+    assert (found.status, found.objective) == (Status.STALLED, pytest.approx(problem.optimum, rel=1e-9))
+    with pytest.raises(NotConvergedError, match="more digits than the problem has"):
         found.raise_for_status()
 
 
