@@ -466,9 +466,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
                     values = np.asarray(action, np.float64) if plain else as_array(action, None, "it", finite=False)
             except InvalidInputError as error:  # not numbers
                 values, fault = np.empty(0), f" ({error})"
-        numbers = (
-            values.tolist() if values.shape == self._action_shape else ()
-        )  # plain Python: faster than numpy for six numbers
+        # plain Python: faster than numpy for six numbers
+        numbers = values.tolist() if values.shape == self._action_shape else ()
         if not numbers or not all(map(math.isfinite, numbers)):
             raise InvalidInputError(
                 f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {shown(action)}{fault}"

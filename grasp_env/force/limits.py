@@ -223,9 +223,8 @@ def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, Any,
     """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`; None for those that were not given."""
     if limits is None:
         return None, None, None, None, None
-    least, most, jacobian, torque, bias = (
-        getattr(limits, name) for name in LimitArrays._fields
-    )  # arrays after __post_init__
+    arrays: Any = vars(limits)  # arrays after __post_init__
+    least, most, jacobian, torque, bias = (arrays[name] for name in LimitArrays._fields)
     if least.ndim == 0:
         least = np.full(n_contacts, least) if least else None
     if most.ndim == 0:

@@ -82,9 +82,8 @@ def plausible(rng: np.random.Generator) -> tuple[Grasp, np.ndarray, ForceLimits 
     normals = -out / half
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     grasp = Grasp.from_contacts(points, normals, float(rng.uniform(0.15, 1.5)))
-    if not force_closure(grasp) or advise(
-        grasp
-    ):  # nearly singular, or contacts that coincide: that is no mistake of units
+    # nearly singular, or contacts that coincide: that is no mistake of units
+    if not force_closure(grasp) or advise(grasp):
         return None
     centre = grasp.positions.mean(axis=0)
     weight = np.exp(rng.uniform(np.log(0.1), np.log(50.0))) * np.append(normals[0], 0)[:3]
@@ -93,12 +92,8 @@ def plausible(rng: np.random.Generator) -> tuple[Grasp, np.ndarray, ForceLimits 
         push = rng.standard_normal(3) * rng.uniform(0.0, 10.0)
         load += np.append(push, np.cross(half * out[1], push))
     if rng.random() < 0.3:  # a screw, a lid, a tool that is up to four lengths long
-        load[3:] += (
-            rng.standard_normal(3)
-            * grasp.length
-            * np.exp(rng.uniform(np.log(0.1), np.log(8.0)))
-            * np.linalg.norm(weight)
-        )
+        turn = rng.standard_normal(3) * grasp.length * np.exp(rng.uniform(np.log(0.1), np.log(8.0)))
+        load[3:] += turn * np.linalg.norm(weight)
     if rng.random() < 0.5:  # the frame of the wrist, of a camera or of the robot's base, consistently
         shift = rng.standard_normal(3) * np.exp(rng.uniform(np.log(0.02), np.log(1.0)))
         grasp, load = transformed(grasp, np.eye(3), shift), wrench_about(load, -shift)
@@ -161,9 +156,8 @@ def test_poor_grasps_are_described() -> None:
     (text,) = [text for text in advise(grasp) if "nearly singular" in text]
     scaled = grasp.matrix / np.array([1, 1, 1, *[grasp.length] * 3])[:, None]
     told = float(text.split("condition number ")[1].split(":")[0])
-    assert told == pytest.approx(
-        np.linalg.cond(scaled), rel=0.3
-    )  # two digits are printed; about the centre, not the origin
+    # two digits are printed; about the centre, not the origin
+    assert told == pytest.approx(np.linalg.cond(scaled), rel=0.3)
     (text,) = advise(transformed(presets.tripod(), np.eye(3), [2.0, 0.0, 0.0]))
     assert "the object frame's origin is 2 m away" in text
     plain = presets.tripod()
