@@ -74,9 +74,8 @@ def test_inertial_wrench_of_a_moving_target() -> None:
     inertia, step = ITEM.inertia_matrix, 1e-4
 
     def rotation(t: float) -> Rotation:
-        return Rotation.from_rotvec(np.array([0.5, -0.3, 0.8]) * np.sin(t)) * Rotation.from_rotvec(
-            np.array([0.7, 0.9, -0.4]) * t
-        )
+        swing = Rotation.from_rotvec(np.array([0.5, -0.3, 0.8]) * np.sin(t))
+        return swing * Rotation.from_rotvec(np.array([0.7, 0.9, -0.4]) * t)
 
     def place(t: float) -> np.ndarray:
         return np.array([np.sin(t), np.cos(2 * t), t**3])

@@ -78,12 +78,8 @@ def read(entry: dict[str, Any]) -> Named:
             if isinstance(limits.get(name), list):
                 limits[name] = [np.inf if each is None else each for each in limits[name]]
         limits = ForceLimits(**limits)
-    given = {
-        "weights": entry.get("weights", {}),
-        "elastic": entry.get("elastic", False),
-        "known": entry.get("known", {}),
-    }
-    return Named(entry["name"], grasp, np.array(entry["wrench"]), limits, **given)
+    more = entry.get("weights", {}), entry.get("elastic", False), entry.get("known", {})
+    return Named(entry["name"], grasp, np.array(entry["wrench"]), limits, *more)
 
 
 ENTRIES: list[dict[str, Any]] = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else []

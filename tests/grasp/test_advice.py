@@ -103,11 +103,8 @@ def plausible(rng: np.random.Generator) -> tuple[Grasp, np.ndarray, ForceLimits 
     joints = int(rng.integers(4, 17))
     levers = rng.uniform(-1, 1, (count, 3, joints)) * rng.uniform(0.02, 0.3)
     torque = np.abs(np.einsum("nij,ni->j", levers, optimize_force(grasp, load).object_force))
-    return (
-        grasp,
-        load,
-        ForceLimits(jacobian=levers, torque_limit=torque.max() * np.exp(rng.uniform(0.1, np.log(100.0)))),
-    )
+    most = torque.max() * np.exp(rng.uniform(0.1, np.log(100.0)))
+    return grasp, load, ForceLimits(jacobian=levers, torque_limit=most)
 
 
 def test_plausible_problems_get_no_advice() -> None:
