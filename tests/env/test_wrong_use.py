@@ -79,7 +79,7 @@ def test_wrong_input_is_named(call: str, given: dict[str, Any], message: str) ->
     [
         ("frameskip", "settings are 'hand', 'object'"),
         ("tolerance", "did you mean .*'solver.tolerance'"), ("motion", "did you mean 'task.motion'"),
-        ("sensors.dely", "did you mean 'sensors.delay'"),
+        ("sensors.dely", "did you mean 'sensors.delay'"), ("object_mass", "did you mean 'object.mass'"),
         ("mas", "got an unexpected keyword argument 'mas': did you mean 'mass'"),
     ],
 )  # fmt: skip

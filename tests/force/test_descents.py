@@ -34,7 +34,9 @@ def test_stopped_early_it_says_so_and_every_step_was_better(method: str) -> None
 @pytest.mark.parametrize("method", FLOWS)
 def test_an_impossible_tolerance_stalls_at_the_optimum(method: str) -> None:
     problem = PROBLEMS[0]
-    found = optimize_force(problem.grasp, problem.wrench, method=method, tolerance=1e-300, **weights_of(problem))
+    options = {"tolerance": 1e-300, "trace": True, **weights_of(problem)}
+    found = optimize_force(problem.grasp, problem.wrench, method=method, **options)
+    assert len(found.objective_trace) == found.iterations + 1
     assert (found.status, found.objective) == (Status.STALLED, pytest.approx(problem.optimum, rel=1e-9))
     with pytest.raises(NotConvergedError, match="more digits than the problem has"):
         found.raise_for_status()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from problems import GRASPS
 
 from grasp_env import core
 from grasp_env.errors import GraspWarning, InfeasibleWrenchError, InvalidInputError
@@ -143,6 +144,7 @@ def test_some_normals_are_only_blamed_if_turning_them_round_helps() -> None:
 
 
 def test_poor_grasps_are_described() -> None:
+    assert [text for grasp in GRASPS.values() for text in advise(grasp, PAPER)] == []
     five = presets.five_finger_cuboid()
     positions = five.positions.copy()
     positions[3] = positions[1] + [1e-4, 0.0, 0.0]
