@@ -33,7 +33,10 @@ Shape: TypeAlias = tuple[int | None, ...]
 T = TypeVar("T")
 
 _FLOAT = np.dtype(np.float64)
-_KINDS = {"U": "text is", "S": "bytes are", "b": "true or false are", "c": "complex are", "M": "dates are", "m": "times are", "V": "records are"}  # fmt: skip
+_NO_NUMBERS = {
+    "U": "text is no number", "S": "bytes are no numbers", "b": "true or false are no numbers", "c": "complex are no numbers",
+    "M": "dates are no numbers", "m": "times are no numbers", "V": "records are no numbers",
+}  # fmt: skip
 
 
 def as_array(
@@ -45,28 +48,9 @@ def as_array(
     finite: bool = True,
     copy: bool = True,
 ) -> Array:
-    """Return `value` as a new finite float64 array of `shape`, contiguous.
+    """Return `value` as a new finite float64 array of `shape` (None: any) with numbers in a range, contiguous.
 
-    Args:
-        value: numbers.
-        shape: of the array, None in it: any length; None: any shape.
-        name: of the argument, for messages.
-        within: range of every number.
-        finite: False accepts infinities and nan.
-        copy: False returns an array that needs no conversion as it is.
-
-    Raises:
-        InvalidInputError: not numbers, another shape, not finite, or out of range.
-
-    Example:
-        >>> as_array([1, 2], (None,), "masses")
-        array([1., 2.])
-        >>> as_array([1, float("nan")], (2,), "masses")
-        Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: masses must be finite, got [1.0, nan]
-        >>> as_array("0.4", (), "friction")
-        Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: friction must be numbers of shape (): text is no number, got '0.4'
+    `finite=False` accepts infinities and nan; `copy=False` returns an array that needs no conversion as it is.
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
         _check_shape(value.shape, shape, name)
@@ -93,47 +77,41 @@ def checked_size(wrench: Array, name: str = "wrench") -> Array:
     return wrench
 
 
-def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
-    """Return a float > 0 within a range, or raise an `InvalidInputError`.
+def as_wrenches(value: ArrayLike) -> Array:
+    """Return finite wrenches (..., 6) of any size."""
+    wrenches = as_array(value, None, "wrench", ranges.SIZE)
+    if wrenches.shape[-1:] != (6,):
+        raise InvalidInputError(
+            f"wrench must have shape (6,) or (..., 6), force [N] then moment [N m], got {wrenches.shape}"
+        )
+    return wrenches
 
-    Example:
-        >>> positive(1e300, "friction", ranges.FRICTION)
-        Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: friction must lie within 0.0001 to 10000, got 1e+300
-    """
-    if type(value) is float and within.low <= value <= within.high:
-        return value
-    number = as_number(value)
-    if number is None:
-        raise InvalidInputError(f"{name} must be a number > 0, got {shown(value)}")
-    if not 0.0 < number < math.inf:
-        raise InvalidInputError(f"{name} must be finite and > 0, got {number}")
-    if not within.low <= number <= within.high:
-        raise InvalidInputError(f"{name} must lie within {within}, got {shown(value)}")
-    return number
+
+def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
+    """Return a float > 0 within a range, or raise an `InvalidInputError`."""
+    found = as_number(value)
+    if found is None or not 0.0 < found < math.inf:
+        raise InvalidInputError(
+            f"{name} must be {'a number' if found is None else 'finite and'} > 0, got {shown(value)}"
+        )
+    return number(found, name, within)
 
 
 def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
     """Return a finite float within a range, or raise an `InvalidInputError`."""
     found = as_number(value)
     if found is None or not within.low <= found <= within.high:
-        raise InvalidInputError(f"{name} must be a number within {within}, got {shown(value)}")
+        must = "be a number" if found is None else "lie"
+        raise InvalidInputError(f"{name} must {must} within {within}, got {shown(value)}")
     return found
 
 
 def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
-    """Return an integer from `least` to `most`, or raise an `InvalidInputError`; 2.0 is not an integer.
-
-    Example:
-        >>> whole(-1, "seed", 0)
-        Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: seed must be an integer >= 0, got -1
-    """
+    """Return an integer from `least` to `most`, or raise an `InvalidInputError`; 2.0 is not an integer."""
     is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool | np.timedelta64)
-    if not is_integer or value < least:
-        raise InvalidInputError(f"{name} must be an integer >= {least}, got {shown(value)}")
-    if value > most:
-        raise InvalidInputError(f"{name} must be an integer from {least} to {most}, got {shown(value)}")
+    if not is_integer or not least <= value <= most:
+        allowed = f"from {least} to {most}" if is_integer and value > most else f">= {least}"
+        raise InvalidInputError(f"{name} must be an integer {allowed}, got {shown(value)}")
     return int(value)
 
 
@@ -178,28 +156,19 @@ def as_list(value: Any) -> list[Any] | None:
 class AllFaults:
     """Collects the faults of several checks and raises them as one error at the end of the `with` block.
 
-    Raises:
-        GraspError: the single fault as it is, or an `InvalidInputError` with the texts of all.
-
-    Example:
-        >>> with AllFaults() as check:
-        ...     mass = check(positive, 0.0, "mass")
-        ...     size = check(positive, -1.0, "size")
-        Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: mass must be finite and > 0, got 0.0; size must be finite and > 0, got -1.0
+    A single fault is raised as it is, several as an `InvalidInputError` with the texts of all.
     """
 
     MOST_TEXTS = 40
 
     def __init__(self) -> None:
-        """Start without faults."""
         self.faults: list[GraspError] = []
 
     def __enter__(self) -> AllFaults:
         return self
 
     def __call__(self, check: Callable[..., T], *given: Any, **options: Any) -> T:
-        """Return `check(*given, **options)`; if it fails, keep its fault and return None, which is not used as the block then raises."""
+        """Return `check(*given, **options)`, or keep its fault and return None, which nobody uses as the block then raises."""
         try:
             return check(*given, **options)
         except GraspError as fault:
@@ -258,19 +227,15 @@ def _converted(value: Any, shape: Shape | None, name: str) -> Array:
     """Return a new float64 array of anything that numpy reads as real numbers."""
     try:
         with np.errstate(all="ignore"):
-            given = np.asarray(value)
-            kind = given.dtype.kind
-            why = f"{_KINDS[kind]} no number{'' if kind == 'U' else 's'}" if kind in _KINDS else ""
-            if np.ma.is_masked(value):
-                why = "masked entries are no numbers"
+            given: Any = np.asarray(value)
+            why = "masked entries are no numbers" if np.ma.is_masked(value) else _NO_NUMBERS.get(given.dtype.kind)
             if not why:
                 _check_shape(given.shape, shape, name)
-                if kind != "O":
+                if given.dtype.kind == "O":  # integers of any size, fractions
+                    each: Any = [as_number(entry) for entry in given.flat]
+                    why, given = "not all of it is numbers" if None in each else "", np.reshape(each, given.shape)
+                if not why:
                     return np.array(given, dtype=np.float64, order="C")
-                each = [as_number(entry) for entry in given.flat]  # integers of any size, fractions
-                if None not in each:
-                    return np.array(each, dtype=np.float64).reshape(given.shape)
-                why = "not all of it is numbers"
     except GraspError:
         raise
     except Exception as error:  # numpy's own
@@ -279,16 +244,14 @@ def _converted(value: Any, shape: Shape | None, name: str) -> Array:
 
 
 def _check_shape(got: tuple[int, ...], shape: Shape | None, name: str) -> None:
-    if shape is not None and got != shape:
-        fits = len(got) == len(shape) and all(want in (None, have) for want, have in zip(shape, got, strict=True))
-        if not fits:
-            raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {got}")
+    if shape is not None and (
+        len(got) != len(shape) or any(want not in (None, have) for want, have in zip(shape, got, strict=True))
+    ):
+        raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {got}")
     if (shape is None or None in shape) and math.prod(got) > ranges.NUMBERS:
         raise InvalidInputError(f"{name} must hold at most {ranges.NUMBERS} numbers, got shape {got}")
 
 
 def _text(shape: Shape | None) -> str:
-    if shape is None:
-        return "(...)"
-    parts = ["N" if want is None else str(want) for want in shape]
-    return f"({', '.join(parts)}{',' if len(parts) == 1 else ''})"
+    """Return a shape as Python writes it, with N for any length."""
+    return "(...)" if shape is None else str(shape).replace("None", "N")

@@ -18,16 +18,7 @@ _CUTTERS = ("vhacdx",) if platform.machine() == "aarch64" and not find_spec("coa
 EXTRAS = {
     "cli": ("rich", "tyro"),
     "sim": (
-        "PIL",
-        "collada",
-        "fast_simplification",
-        "gymnasium",
-        "manifold3d",
-        "networkx",
-        "platformdirs",
-        "trimesh",
-        *_CUTTERS,
-        _ENGINE,
+        "PIL", "collada", "fast_simplification", "gymnasium", "manifold3d", "networkx", "platformdirs", "trimesh", *_CUTTERS, _ENGINE,
     ),
     "mujoco": ("mujoco",),
     "mend": ("pymeshfix",),
@@ -38,15 +29,12 @@ EXTRAS = {
     "report": ("PIL", "imageio", "jinja2", "matplotlib", "pandas", "pyarrow"),
     "ray": ("ray",),
     "video": ("imageio_ffmpeg", "moviepy"),
-}
+}  # fmt: skip
 """Modules that each extra installs."""
 
 
 def need(*extras: str) -> nullcontext[None]:
-    """Raise an error if one of these extras is not installed. Call it before importing from them, alone or in a `with`.
-
-    Raises:
-        MissingExtraError: with the command that installs the missing extras.
+    """Raise a `MissingExtraError` with the command that installs these extras, if one is missing. Call it before importing from them.
 
     Example:
         >>> with need("sim"):

@@ -35,56 +35,44 @@ _BLOCK = 1 << 16
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
-    """Read a regular file, or a pipe such as /dev/stdin.
-
-    Args:
-        path: of the file.
-        most: largest size [bytes].
+    """Read a regular file, or a pipe such as /dev/stdin, of up to `most` bytes.
 
     Raises:
         OSError: missing, not readable, a folder, a device, a silent pipe, larger than `most`, or no path; `strerror` tells which.
-
-    Example:
-        >>> read_bytes("/dev/zero")
-        Traceback (most recent call last):
-        OSError: [Errno 22] it is a device, not a file: '/dev/zero'
     """
     try:
         name = os.fspath(path)
-        handle = os.open(
-            name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC
-        )  # opening a pipe must not wait for its writer
+        # opening a pipe must not wait for its writer
+        file = open(name, "rb", buffering=0, opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))  # noqa: SIM115
+    except IsADirectoryError:
+        raise OSError(21, "it is a folder, not a file", str(path)) from None
     except (TypeError, ValueError) as error:  # no path, or one with a zero in it
         raise OSError(22, f"no path of a file ({error})", shown(path)) from None
-    try:
-        kind = os.fstat(handle)
-        if stat.S_ISREG(kind.st_mode):
-            # files under /proc give a wrong size: no more than `most` is read either way
-            blob = b"" if kind.st_size > most else _read(handle, most, None)
-        elif stat.S_ISFIFO(kind.st_mode):
-            blob = _read(handle, most, select.poll())
-        else:
-            what = "a folder" if stat.S_ISDIR(kind.st_mode) else "a device"
-            raise OSError(22, f"it is {what}, not a file", str(name))
-    except TimeoutError as error:
-        raise OSError(error.errno, error.strerror, str(name)) from None
-    finally:
-        os.close(handle)
-    if max(len(blob), kind.st_size) > most:
-        raise OSError(27, f"it is larger than {most // MEGABYTE} MB", str(name))
-    return blob
+    with file:
+        kind = os.fstat(file.fileno())
+        if not stat.S_ISREG(kind.st_mode) and not stat.S_ISFIFO(kind.st_mode):
+            raise OSError(22, "it is a device, not a file", str(name))
+        blob, end = bytearray(), time.monotonic() + LONGEST
+        # files under /proc give a wrong size: no more than `most` is read either way
+        while max(len(blob), kind.st_size) <= most:
+            part = file.read(min(_BLOCK, most + 1 - len(blob)))
+            left = max(0.0, min(PATIENCE, end - time.monotonic()))
+            if part is None and not select.select([file], [], [], left)[0]:
+                raise OSError(110, "nothing comes out of this pipe", str(name))
+            if part == b"":
+                return bytes(blob)
+            blob += part or b""
+    raise OSError(27, f"it is larger than {most // MEGABYTE} MB", str(name))
 
 
 def read_json(
     path: str | os.PathLike[str], error: type[GraspError], what: str, most: int = TEXT, **options: Any
 ) -> Any:
-    """Read a JSON file in UTF-8, with or without a byte order mark.
+    """Read a JSON file in UTF-8, with or without a byte order mark; see `parsed`.
 
     Args:
-        path: of the file.
-        error: raised if file or content are wrong.
+        path, error, most: as in `parsed`.
         what: kind of file, for the message.
-        most: largest size [bytes].
         options: of `json.loads`.
     """
 
@@ -102,12 +90,7 @@ class _Builder(TreeBuilder):
 
 
 def read_xml(blob: bytes) -> Element:
-    """Return the first element of an XML file; comments before its declaration are skipped.
-
-    Raises:
-        ValueError: it has a DOCTYPE.
-        ParseError: it is not XML.
-    """
+    """Return the first element of an XML file without a DOCTYPE; comments before its declaration are skipped."""
     if blob.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         blob = blob.decode("utf-16").encode()
     try:
@@ -132,13 +115,10 @@ def parsed(
     """Return `read(bytes of a file)`; any failure becomes an `error`.
 
     Args:
-        path: of the file.
+        path: of the file, of up to `most` bytes.
         read: parses the bytes; its errors of this project stay as they are.
         error: class of the error.
-        name: of the file, for the message.
-        form: expected content, for the message.
-        hint: remedy, for the message.
-        most: largest size [bytes].
+        name, form, hint: of the file, its expected content, and the remedy, for the message.
     """
     try:
         blob = read_bytes(path, most)
@@ -161,11 +141,7 @@ def understood(
 
 
 def unpacked(blob: bytes, most: int = WEIGHTS) -> dict[str, np.ndarray]:
-    """Return the arrays of an .npz; numbers and text only.
-
-    Raises:
-        ValueError: it holds objects, or more than `most` bytes once unpacked.
-    """
+    """Return the arrays of an .npz; a ValueError if it holds objects, or more than `most` bytes once unpacked."""
     with zipfile.ZipFile(io.BytesIO(blob)) as packed:
         if sum(entry.file_size for entry in packed.infolist()) > most:
             raise ValueError(f"its arrays have more than {most // MEGABYTE} MB")
@@ -185,16 +161,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def digest(*parts: bytes) -> str:
-    """Return the sha256 of the joined bytes in hexadecimal.
-
-    Example:
-        >>> digest(b"gra", b"sp") == digest(b"grasp")
-        True
-    """
-    made = hashlib.sha256()
-    for part in parts:
-        made.update(part)
-    return made.hexdigest()
+    """Return the sha256 of the joined bytes in hexadecimal."""
+    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def as_path(path: Any, error: type[GraspError], what: str) -> Path:
@@ -211,23 +179,3 @@ def as_path(path: Any, error: type[GraspError], what: str) -> Path:
 def shown_path(path: object) -> str:
     """Return a path as text for a message."""
     return str(path) if isinstance(path, Path | str) else shown(path)
-
-
-def _read(handle: int, most: int, poll: select.poll | None) -> bytes:
-    """Read up to `most` + 1 bytes; from a pipe within `PATIENCE` and `LONGEST`."""
-    parts, size, end = list[bytes](), 0, time.monotonic() + LONGEST
-    if poll is not None:
-        poll.register(handle, select.POLLIN)
-    while size <= most:
-        try:
-            part = os.read(handle, min(_BLOCK, most + 1 - size))
-        except BlockingIOError:
-            left = min(PATIENCE, end - time.monotonic())
-            if poll is None or left <= 0.0 or not poll.poll(1e3 * left):
-                raise TimeoutError(110, "nothing comes out of this pipe") from None
-            continue
-        if not part:
-            break
-        parts.append(part)
-        size += len(part)
-    return b"".join(parts)

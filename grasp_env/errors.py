@@ -103,11 +103,8 @@ class UnknownSettingError(UnknownNameError, TypeError):
             likely: settings of other records that may be meant.
         """
         self.given, self.allowed = given, tuple(allowed)
-        meant = (
-            f" did you mean {' or '.join(map(repr, found))}?"
-            if (found := tuple(likely))
-            else alike(given, self.allowed)
-        )
+        listed = " or ".join(map(repr, likely))
+        meant = f" did you mean {listed}?" if listed else alike(given, self.allowed)
         named = f"got an unexpected keyword argument {shown(given)}:{meant} settings are {', '.join(map(repr, self.allowed))}"
         GraspError.__init__(self, named if self.allowed else given)
 
@@ -156,18 +153,9 @@ class InfeasibleStartError(GraspError):
 
 
 class NotConvergedError(GraspError, RuntimeError):
-    """A solution did not reach its tolerance.
-
-    Args:
-        message: the text.
-        solution: the `ForceSolution`.
-
-    Attributes:
-        solution: the `ForceSolution`.
-    """
+    """A solution did not reach its tolerance; besides the `message` it has the `ForceSolution`, `solution`, if there is one."""
 
     def __init__(self, message: str, solution: Any = None) -> None:
-        """Make the error."""
         super().__init__(message)
         self.solution = solution
 

@@ -65,10 +65,7 @@ def setting(default: Any, kind: Kind, doc: str, *, unit: str = "", none: str = "
     """Declare a field of a `Settings` record.
 
     Args:
-        default: its default value.
-        kind: the accepted values.
-        doc: one sentence.
-        unit: unit of its numbers.
+        default, kind, doc, unit: its default, the accepted values, one sentence, the unit of its numbers.
         none: the meaning of None; if empty, None is an error.
         random: True if it may be drawn at each reset.
     """
@@ -108,11 +105,7 @@ class Settings:
         """Raise an error if values that are valid alone contradict each other; called after each is checked and converted."""
 
     def replaced(self: S, given: Mapping[str, Any], path: str = "") -> S:
-        """Return a copy with some settings replaced.
-
-        Args:
-            given: settings by name.
-            path: path of the record for error messages, such as "sensors".
+        """Return a copy with some settings replaced; `path` of the record, such as "sensors", is for error messages.
 
         Raises:
             UnknownSettingError: the record has no setting of that name.
@@ -130,12 +123,7 @@ class Settings:
 
 
 def described(record: type[Settings], path: str = "") -> Iterator[tuple[str, type[Settings], About]]:
-    """Yield all settings of a record and of its nested records, in order: path, class, description.
-
-    Args:
-        record: the class.
-        path: path of the record itself, such as "" or "sensors".
-    """
+    """Yield all settings of a record (itself at a `path`) and of its nested records, in order: path, class, description."""
     for item in fields(record):
         about = item.metadata[_ABOUT]
         here = f"{path}.{item.name}" if path else item.name
@@ -163,13 +151,7 @@ def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
 
 
 def one_of(names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] = lambda _: False) -> Kind:
-    """One of several names, or another value that fits.
-
-    Args:
-        names: the accepted names.
-        instead: the other accepted values in words, such as "a rule".
-        fits: function that returns True if a value that is not a string is accepted.
-    """
+    """One of several names, or another value that `fits`; `instead` tells in words which, such as "a rule"."""
     allowed = tuple(names)
 
     def take(value: Any, name: str) -> Any:
@@ -202,13 +184,9 @@ def record(kind: type[Settings]) -> Kind:
 
 
 def any_of(table: Mapping[str, type[Settings]], base: type[Settings], hint: str, calls: bool = False) -> Kind:
-    """One of several records, its name, or a dict of its name and settings.
+    """One of several records by name, as a dict of its name and settings, or of their base class.
 
-    Args:
-        table: the classes by name.
-        base: their base class.
-        hint: end of the error message about an unknown name.
-        calls: True if a function is accepted, too.
+    `hint` ends the error message about an unknown name; `calls` accepts a function, too.
     """
 
     def take(value: Any, name: str) -> Any:
@@ -235,12 +213,8 @@ def placed(name: str) -> str:
 def to_json(value: Any, path: str = "") -> Any:
     """Return settings as JSON values; a record that is one of several has its name, too.
 
-    Args:
-        value: a record, or one of its values.
-        path: its path, for error messages.
-
     Raises:
-        InvalidInputError: a value without JSON, such as a function.
+        InvalidInputError: a value without JSON, such as a function, at a `path`.
     """
     if isinstance(value, Settings):
         named, start = {"name": value.name} if value.name else {}, path and f"{path}."

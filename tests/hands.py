@@ -106,22 +106,15 @@ def gripper(fingers: int, joints: int, coupled: bool = False, torque: float = 2.
     length = 0.12 / joints
     bone = Geometry("capsule", (0.006, length - 0.012), (0.0, 0.0, 0.5 * length - 0.004))
     ball = Geometry("sphere", (0.01,), (0.0, 0.0, length))
-    common: dict[str, Any] = {
-        "axis": (0.0, -1.0, 0.0),
-        "upper": 1.2,
-        "torque_limit": torque,
-        "center": (0.0, 0.0, 0.5 * length),
-    }
+    common: dict[str, Any] = {"axis": (0.0, -1.0, 0.0), "upper": 1.2, "torque_limit": torque}
+    common["center"] = (0.0, 0.0, 0.5 * length)
     for finger in range(fingers):
         turn = 2.0 * np.pi * finger / fingers
         for joint in range(joints):
             last, before = joint == joints - 1, f"f{finger}_{joint - 1}"
             if joint == 0:
-                place = {
-                    "origin": (0.06 * np.cos(turn), 0.06 * np.sin(turn), 0.01),
-                    "rotation": (0.0, 0.0, turn),
-                    "lower": -0.6,
-                }
+                origin = (0.06 * np.cos(turn), 0.06 * np.sin(turn), 0.01)
+                place = {"origin": origin, "rotation": (0.0, 0.0, turn), "lower": -0.6}
             else:
                 follows = Mimic(f"{before}_joint") if coupled and last else None
                 place = {"parent": before, "origin": (0.0, 0.0, length), "lower": 0.0, "mimic": follows}

@@ -20,12 +20,7 @@ FACETS = 32
 
 @dataclass(frozen=True)
 class Problem:
-    """A grasp, a wrench, the weights of Phi, and the known optimum.
-
-    Attributes:
-        optimum: min Phi, see `force/named.py`.
-        total_normal: sum of the normal forces at the optimum [N], from the project's notes; None where unknown.
-    """
+    """A grasp, a wrench, the weights of Phi, min Phi (see `force/named.py`), and the known sum of the normal forces there [N]."""
 
     name: str
     grasp: Grasp
@@ -99,11 +94,6 @@ def inside_cones(rng: np.random.Generator, count: int) -> np.ndarray:
     s = u * rng.uniform(0.0, 0.98, count)
     angle = rng.uniform(0.0, 2.0 * np.pi, count)
     return np.stack([u, s * np.cos(angle), s * np.sin(angle)], axis=1).reshape(-1)
-
-
-def weights(x: np.ndarray, omega: float = 1.0, lam: float = 0.01) -> np.ndarray:
-    """(N, 2) the weights of Phi as the oracles take them, for cone coordinates (3N,)."""
-    return np.tile([omega, lam], (len(x) // 3, 1))
 
 
 def random_grasp(rng: np.random.Generator, count: int, cap: float = -1.0) -> Grasp:

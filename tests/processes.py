@@ -25,11 +25,5 @@ class _Process(subprocess.Popen[Any]):
 
 
 def start(command: Sequence[str], seconds: float = 300.0, **options: Any) -> subprocess.Popen[Any]:
-    """Start a process that ctrl-C ends, even if the tests ignore SIGINT, as in `nohup make test &`.
-
-    Args:
-        command: program and arguments.
-        seconds: time after which it is killed.
-        options: options of `subprocess.Popen`.
-    """
+    """Start a process that ctrl-C ends, even if the tests ignore SIGINT, as in `nohup make test &`; it is killed after some seconds."""
     return _Process(command, seconds, **options)

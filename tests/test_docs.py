@@ -37,8 +37,13 @@ SHOWN_BY = {
     "policies.GraspForces": "policies.grasp_force",
     **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.Task" for kind in TASKS.values()},
     **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.DisturbanceSettings" for kind in DISTURBANCES.values()},
+    "grasp_env.grasp.load_grasp": "grasp_env.grasp.save_grasp",
+    **{
+        f"grasp_env.grasp.presets.{name}": "grasp_env.grasp.presets.preset" for name in ("tripod", "five_finger_cuboid")
+    },
+    **{f"grasp_env.force.{name}": "grasp_env.force.FixedStep" for name in ("ArmijoStep", "ExactStep")},
 }
-"""Results, by the call that returns them, and records, by their base: its example shows them."""
+"""Results, by the call that returns them, records, by their base, and variants, by the first: its example shows them."""
 NO_EXAMPLE = {
     "policies.Policy": "a protocol",
 }

@@ -141,21 +141,6 @@ def test_the_program_itself_names_its_extra() -> None:
     assert done.stderr == 'grasp: this needs rich, tyro: pip install "grasp-force[cli]"\n'
 
 
-def test_solve_and_help_need_no_other_extra() -> None:
-    script = "from training.cli import main; code = main(['solve', '--wrench', *'100000']); main(['rl', '--help'])"
-    done = _without(HEAVY, script)
-    assert done.returncode == 0, done.stderr
-    assert "--resume" in done.stdout
-
-
-def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from training.demo import record
-
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(MissingExtraError, match=r'this needs imageio_ffmpeg: pip install "grasp-force\[video\]"'):
-        record(tmp_path / "hand.mp4")
-
-
 def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     need(*(extra for extra in EXTRAS if extra != "ray"))
     monkeypatch.setitem(sys.modules, "trimesh", None)

@@ -123,15 +123,6 @@ def test_the_node_commands_what_its_controller_does() -> None:
 
 
 @pytest.mark.usefixtures("_needs_ros")
-def test_the_node_is_shut_down_while_it_is_active() -> None:
-    told = ros2.play([phase(), phase(0.3, transition="shutdown")])
-    first, last = told["phases"]
-    assert max(map(abs, first["effort"].values())) > 0.01
-    assert set(last["effort"].values()) == {0.0}
-    assert (told["code"], told["end"]) == (0, None)
-
-
-@pytest.mark.usefixtures("_needs_ros")
 def test_the_round_trip_is_measured() -> None:
     rows = ros2.run(ros2.Settings(seconds=1))
     for method in ros2.METHODS:

@@ -20,7 +20,7 @@ from grasp_env.force import ForceOptimizer, Objective, OfflineBasis
 from grasp_env.force.basis import core_contacts
 from grasp_env.force.description import METRIC
 from grasp_env.force.initial import InitialForceRule
-from grasp_env.force.record import CODE, CONVERGED, ITERATIONS, LIMIT, TRIALS, record_size
+from grasp_env.force.record import CODE, CONVERGED, ITERATIONS, LIMIT, TRIALS
 from grasp_env.force.rules import initial_rule
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep, StepRule
 from grasp_env.grasp import Grasp, presets, wrench
@@ -142,7 +142,7 @@ class Cases:
         trace: Array | None = None,
     ) -> Array:
         """Descend from the start of wrench k and return the core's record."""
-        record = np.empty(record_size(self.grasp.n_contacts))
+        record = np.empty(core.record_size(self.grasp.n_contacts))
         core.descend_flow(
             self.contacts, self.form, rule.parameters(), tolerance, limit, self.wrenches[k], self.starts[k], optimum,
             np.empty(0) if trace is None else trace, record,

@@ -198,10 +198,7 @@ class EnvConfig(Settings):
         )
 
     def drawn(self, rng: np.random.Generator) -> EnvConfig:
-        """Return the settings of one episode: a copy with the randomised settings drawn.
-
-        Args:
-            rng: generator of the episode.
+        """Return the settings of one episode: a copy with the randomised settings drawn from its generator.
 
         Raises:
             GraspError: a function fails, or returns an invalid value.
@@ -235,10 +232,7 @@ class EnvConfig(Settings):
 
 
 def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
-    """Return the settings as a record.
-
-    Args:
-        config: a record, or its `to_dict()` or `to_json()`, in which missing settings have their defaults; None: the defaults.
+    """Return a record, or its `to_dict()` or `to_json()`, as a record; missing settings, and None, have the defaults.
 
     Raises:
         InvalidInputError: not settings, no schema or another one than this version reads, or invalid values.

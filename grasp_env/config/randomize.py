@@ -67,14 +67,9 @@ RANDOMIZE = Kind(_checked_rules, "names, or dict from paths")
 
 
 def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict[str, Any]:
-    """Draw the settings of an episode, by path: the object's first, then the others in their order.
+    """Draw the settings of an episode by path: the numbers of an object of a `shape` first, then the others in the order of the rules.
 
     If one number of the object is drawn, all are drawn, used or not. The later draws then do not depend on which ones are used.
-
-    Args:
-        rules: the rules of `EnvConfig.randomize` by path.
-        shape: shape of the settings' object.
-        rng: generator of the episode.
 
     Raises:
         GraspError: a function fails, or returns an invalid value.

@@ -196,12 +196,9 @@ class Reward(Settings):
             )
 
     def terms(self, held: bool, iterations: float, costs: Sequence[float]) -> dict[str, float]:
-        """Return the terms that add up to a step's reward.
+        """Return the terms that add up to the reward of a step with the object `held` or lost.
 
-        Args:
-            held: True if the object is still held; a step that loses it pays -`failure_cost` and nothing else.
-            iterations: iterations of the method in this step.
-            costs: the other costs of `COSTS`, in their order, from 0 to 1.
+        `iterations` are the method's, `costs` the others of `COSTS` in their order, 0 to 1.
         """
         shares = (min(1.0, iterations / self.iteration_scale), *costs) if held else (0.0,) * len(COSTS)
         paid = self.held if held else 0.0 - self.failure_cost
@@ -233,10 +230,7 @@ class EpisodeLimits(Settings):
         0.1, real(POSITIVE), "Time without force closure before the grasp counts as lost.", unit="s"
     )
     max_slide: float = setting(
-        3e-3,
-        real(NOT_NEGATIVE),
-        "Distance that a touching fingertip may have slid on the object.",
-        unit="m",
+        3e-3, real(NOT_NEGATIVE), "Distance that a touching fingertip may have slid on the object.", unit="m"
     )
     max_overlap: float = setting(
         5e-4, real(NOT_NEGATIVE), "Largest penetration of a fingertip into the object.", unit="m"

@@ -23,11 +23,7 @@ _LIGHT, _LOADED = 0.1, 0.3  # [kg]: lighter objects would be pushed around in th
 
 
 def close_hand(scene: Scene, loop: ForceLoop) -> None:
-    """Bring all tips into contact while a jig holds the object.
-
-    Raises:
-        SimulationError: a finger did not arrive within `CLOSING_TIME`.
-    """
+    """Bring all tips into contact while a jig holds the object; a `SimulationError` if a finger does not arrive in time."""
     loop.begin(scene)
     mass = scene.config.object.mass
     if mass < _LIGHT:
@@ -65,11 +61,7 @@ def _slow(scene: Scene) -> bool:
 
 
 def take_over(scene: Scene, loop: ForceLoop) -> None:
-    """Remove the jig and let the force loop carry the weight until everything is at rest.
-
-    Raises:
-        SimulationError: the object was lost, or the contact forces do not carry its weight within 1 %.
-    """
+    """Remove the jig and let the force loop carry the weight until everything is at rest; a `SimulationError` if it does not."""
     loop.reset()
     target, quiet = resting_target(1)[0], 0
     every = round(loop.config.controller.rate / loop.config.agent.rate)

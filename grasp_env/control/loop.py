@@ -14,9 +14,8 @@ from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceOptimizer, ForceSolution
-from grasp_env.force.initial import InitialForceRule, StartFrom, rule_name, rule_start
+from grasp_env.force.initial import InitialForceRule, StartFrom, refused_start, rule_name, rule_start
 from grasp_env.force.objective import Objective
-from grasp_env.force.optimizer import refused_start
 from grasp_env.force.options import FLOWS
 from grasp_env.force.record import CODE, OUTSIDE, REFUSED, REPLACED, RESULTS, START
 from grasp_env.force.rules import RULES, initial_rule
@@ -74,11 +73,7 @@ class ForceLoop:
         return f"ForceLoop({self.config.solver.method} from {rule_name(self.initial_force)})"
 
     def begin(self, scene: Scene) -> None:
-        """Prepare everything that depends on the object and the grasp.
-
-        Raises:
-            RankDeficientGraspError, InfeasibleStartError: the planned contacts cannot hold an object.
-        """
+        """Prepare everything that depends on the object and the grasp; a `GraspError` if the planned contacts cannot hold an object."""
         item, hand, config = scene.config.object, scene.config.hand, self.config
         self.count = hand.finger_count
         self.scene = scene
@@ -105,20 +100,12 @@ class ForceLoop:
         self.reset()
 
     def grasp(self, points: Array, normals: Array) -> Grasp:
-        """Return the grasp of contacts (N, 3) [m] with inward unit normals (N, 3), object frame, and the assumed friction.
-
-        Raises:
-            RankDeficientGraspError: they cannot hold an object.
-        """
+        """Return the grasp of contacts (N, 3) [m] with inward unit normals (N, 3), object frame, and the assumed friction."""
         soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
         return Grasp.from_contacts(points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {})
 
     def reset(self, rng: np.random.Generator | None = None) -> None:
-        """Forget the episode: the next solve starts as the first one did.
-
-        Args:
-            rng: source of the noise's seed (one draw, whatever the settings); None: keep the current noise.
-        """
+        """Forget the episode; `rng` gives the seed of the noise in one draw, whatever the settings (None: keep the current noise)."""
         self.scene.look()
         self._core.reset()
         self.settling = self._settling
@@ -202,7 +189,7 @@ class ForceLoop:
         adjustment: Array | None = None,
         given: Array | None = None,
     ) -> list[float]:
-        """Run one control tick: read the scene, find the forces, and return the torques that produce them.
+        """Run one control tick: read the scene, find the forces, and return the joint torques (M,) [N m] that produce them.
 
         Args:
             external: (6,) external wrench [N, N m], object frame, as a perfect sensor would measure it.
@@ -211,12 +198,6 @@ class ForceLoop:
             due: True at the first tick of an agent's step.
             adjustment: (3N - 6,) [N] along internal forces of the planned contacts, added to the start, which is then repaired.
             given: (N, 3) forces to command instead of optimised ones [N], contact frames.
-
-        Returns:
-            Joint torques (M,) [N m].
-
-        Raises:
-            GraspError: a user's start rule does not fit.
         """
         core, noise, reading = self._core, self._noise, self.scene.new_reading()
         if given is not None and self._held != Hold.direct:
@@ -267,11 +248,7 @@ HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Ho
 
 
 def make_optimizer(grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule) -> ForceOptimizer:
-    """Return the method of the settings for contacts near those of `grasp`; on soft contacts, which the flows do not support, Newton.
-
-    Raises:
-        RankDeficientGraspError, InfeasibleStartError: these contacts cannot hold an object.
-    """
+    """Return the method of the settings for contacts near those of `grasp`; on soft contacts, which the flows do not support, Newton."""
     soft, method, initial = grasp.contacts.soft, config.solver.method, initial_force
     if soft and method in FLOWS:
         method = "newton"

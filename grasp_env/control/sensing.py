@@ -29,27 +29,12 @@ def late_ticks(config: EnvConfig) -> int:
 
 
 def keep_factor(time: float, tick: float) -> float:
-    """Return the share of its last value that a first-order filter of time constant `time` [s] keeps over `tick` [s].
-
-    Example:
-        >>> keep_factor(0.0, 0.004), keep_factor(0.02, 0.004)
-        (0.0, 0.8187...)
-    """
+    """Return the share of its last value that a first-order filter of time constant `time` [s] keeps over `tick` [s]."""
     return math.exp(-tick / time) if time > 1e-3 * tick else 0.0
 
 
 class NoiseRows:
-    """Rows of standard normal numbers; a seed gives the same rows however many are drawn.
-
-    Args:
-        rng: generator of its own: the numbers are drawn in blocks of rows.
-        width: numbers per row.
-
-    Example:
-        >>> noise = NoiseRows(np.random.default_rng(0), width=3)
-        >>> noise().shape
-        (3,)
-    """
+    """Rows of `width` standard normal numbers, drawn in blocks from a generator of their own: a seed gives the same rows however many."""
 
     _BLOCK = 64
 

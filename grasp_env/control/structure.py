@@ -31,11 +31,7 @@ class FingerStructure(NamedTuple):
     share: Array
 
     def warning(self, names: Sequence[str]) -> str:
-        """Return a warning about fingers whose structure carries more than `MAX_CARRIED`; empty if there are none.
-
-        Args:
-            names: names of the fingers, (N,).
-        """
+        """Return a warning about fingers, by name, whose structure carries more than `MAX_CARRIED`; empty if there are none."""
         listed = ", ".join(
             f"{share:.0%} of the force of {name!r} "
             + (f"(motors make {made} of 3 components)" if made < 3 else "(other fingers share its motors)")
@@ -53,13 +49,8 @@ def finger_structure(snapshot: Snapshot, kinematics: HandKinematics, grasp: Gras
     """Return the shares of the forces that motors produce and that structure carries, in the current posture.
 
     Contact forces f take the motor torques J^T f. J is the Jacobian of all contacts, with coupled joints and motors that several
-    fingers share. The part of f in the null space of J^T takes no torque, and no torque changes it.
-
-    Args:
-        snapshot: the hand around the object; every finger touches.
-        kinematics: the hand's kinematics.
-        grasp: the contacts.
-        wrenches: loads on the object [N, N m], (K, 6), object frame. Loads that the contacts cannot balance are ignored.
+    fingers share. The part of f in the null space of J^T takes no torque, and no torque changes it. `wrenches` (K, 6) are loads on
+    the object [N, N m], object frame. Those that the contacts cannot balance are ignored.
     """
     count, motors, turn = len(snapshot.points), kinematics.motors, snapshot.rotation
     jacobian = kinematics.statics(snapshot.angles, snapshot.touch)[0][:, :, motors]
@@ -74,6 +65,5 @@ def finger_structure(snapshot: Snapshot, kinematics: HandKinematics, grasp: Gras
     carried = forces - forces @ span @ span.T
     parts = [(part.reshape(-1, count, 3) ** 2).sum(axis=(0, 2)) for part in (carried, forces)]
     share = np.sqrt(parts[0] / np.maximum(parts[1], np.finfo(float).tiny))
-    return FingerStructure(
-        components, np.minimum(share, 1.0)
-    )  # shared motors couple the fingers: the carried part of one may exceed its own force
+    # shared motors couple the fingers: the carried part of one may exceed its own force
+    return FingerStructure(components, np.minimum(share, 1.0))

@@ -47,14 +47,10 @@ _ALIKE = 0.1  # largest difference between colours that count as equal
 
 
 class Annotator:
-    """Makes the annotations of one environment's pictures.
+    """Makes the annotations of the pictures of one environment, with its `resolved` settings and the hand in its scene.
 
     The scales follow from the largest force and moment in the plan of an episode, known at reset. They stay constant within an episode.
     A later episode with larger forces makes them smaller; they never grow. `pictures.force` and `pictures.moment` fix them.
-
-    Args:
-        config: the settings, `resolved`.
-        hand: the hand in the scene.
     """
 
     def __init__(self, config: EnvConfig, hand: HandDescription) -> None:
@@ -66,13 +62,7 @@ class Annotator:
         self._scale = self._turn = np.inf
 
     def expect(self, plan: Plan, scene: Scene, friction: float) -> None:
-        """Adapt the scales to the largest arrows of an episode.
-
-        Args:
-            plan: plan of the episode.
-            scene: the scene, with the object in the hand.
-            friction: friction coefficient that the controller assumes.
-        """
+        """Adapt the scales to the largest arrows of an episode, for the friction coefficient that the controller assumes."""
         config, wrenches = self._config, _wrenches(plan, scene)
         pull, moment = (float(np.linalg.norm(part, axis=1).max()) for part in (wrenches[:, :3], wrenches[:, 3:]))
         force = config.pictures.force or max(_largest(config, scene, wrenches, friction), WRENCH_STRETCH * pull)
@@ -80,15 +70,7 @@ class Annotator:
         self._turn = min(self._turn, LONGEST_TURN / max(config.pictures.moment or moment, LEAST_MOMENT))
 
     def __call__(self, loop: ForceLoop, scene: Scene, time: float, outcome: Outcome, failure: str) -> Annotation:
-        """Return the annotation of the current picture.
-
-        Args:
-            loop: the force loop with its last command and solution.
-            scene: the current scene.
-            time: time since reset [s].
-            outcome: state of the hold.
-            failure: cause of failure; "" while the object is held.
-        """
+        """Return the annotation of the current picture, `time` [s] after the reset; `failure` is "" while the object is held."""
         snapshot, solution = scene.look(), loop.solution
         to_world, count = snapshot.rotation, len(loop.force)
         return Annotation(
@@ -117,16 +99,11 @@ class Annotator:
 
 
 def title(config: EnvConfig) -> str:
-    """Return task and disturbance in words.
-
-    Args:
-        config: the settings, `resolved`.
+    """Return task and disturbance of `resolved` settings in words.
 
     Example:
         >>> title(EnvConfig(disturbance="tilting_gravity").resolved())
         'hold: tilting gravity'
-        >>> title(EnvConfig(task={"name": "six_directions"}).resolved())
-        'six directions: pushes of 10 N/kg'
     """
     name = name_of(config.disturbance)
     disturbance = DISTURBANCES.get(name, name).strip("_").replace("_", " ")

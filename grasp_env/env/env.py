@@ -219,10 +219,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
 
     def __init__(
-        self,
-        render_mode: str | None = None,
-        config: EnvConfig | dict[str, Any] | str | None = None,
-        **settings: Any,
+        self, render_mode: str | None = None, config: EnvConfig | dict[str, Any] | str | None = None, **settings: Any
     ) -> None:
         EzPickle.__init__(self, render_mode, config, **settings)
         if render_mode is not None:
@@ -383,14 +380,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return self._spec
 
     def truncate_after(self, steps: int) -> None:
-        """Truncate episodes after a given number of agent steps from the next reset on, as `max_episode_steps` of `gym.make` does.
-
-        Args:
-            steps: number of agent steps of an episode.
-
-        Raises:
-            InvalidInputError: more steps than can be planned.
-        """
+        """Truncate episodes after a given number of agent steps from the next reset on, as `max_episode_steps` of `gym.make` does."""
         self.config = self.config.override(duration=whole(steps, "max_episode_steps", 1) / self.config.agent.rate)
         self._stage_or_raise().config = self._stage_or_raise().episode = self.config
         self._step_limit = steps
@@ -476,9 +466,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
                     values = np.asarray(action, np.float64) if plain else as_array(action, None, "it", finite=False)
             except InvalidInputError as error:  # not numbers
                 values, fault = np.empty(0), f" ({error})"
-        numbers = (
-            values.tolist() if values.shape == self._action_shape else ()
-        )  # plain Python: faster than numpy for six numbers
+        # plain Python: faster than numpy for six numbers
+        numbers = values.tolist() if values.shape == self._action_shape else ()
         if not numbers or not all(map(math.isfinite, numbers)):
             raise InvalidInputError(
                 f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {shown(action)}{fault}"
@@ -569,12 +558,9 @@ def why_idle(config: EnvConfig) -> str:
 
 
 def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """Complete an environment: `gym.make` calls this last.
+    """Complete an environment with Gymnasium's wrappers: `gym.make` calls this last.
 
     `max_episode_steps` sets the length of an episode, shorter or longer than the task's. Warn if actions change nothing.
-
-    Args:
-        env: the environment with Gymnasium's wrappers.
     """
     made, layer = env.unwrapped, env
     if not isinstance(made, FourFingerGrasp):

@@ -34,15 +34,10 @@ class Plan:
 
 
 def make_plan(config: EnvConfig, rng: np.random.Generator, mass: float) -> Plan:
-    """Make the plan of one episode, T = round(limits.duration * controller.rate) + 1 rows.
+    """Make the plan of one episode of `resolved` settings, T = round(limits.duration * controller.rate) + 1 rows, for an object of a mass [kg].
 
-    A seed gives the same disturbance for every duration: a longer episode extends a shorter one. (Only the desired
-    motion of "move" depends on the duration, as it ends at rest.)
-
-    Args:
-        config: the settings, `resolved`.
-        rng: generator, drawn from once, whatever the settings.
-        mass: mass of the object [kg], for the pushes of "six_directions".
+    It draws once from the generator. A seed gives the same disturbance for every duration: a longer episode extends a shorter one. (Only
+    the desired motion of "move" depends on the duration, as it ends at rest.)
     """
     own, limits, tick = np.random.default_rng(int(rng.integers(2**63))), config.limits, 1.0 / config.controller.rate
     assert limits.duration is not None

@@ -27,20 +27,11 @@ class Stage:
 
     While shape and size stay the same, the fingers close only once. The state "closed", in which they just touch, is kept, and every
     mass and friction settles from there. Another shape is built and closed anew. In both cases an episode starts from the same bits,
-    whatever came before.
-
-    Args:
-        config: the settings.
-        loop: the force loop; it is prepared for every new object.
-        gui, visuals: see `Scene`.
+    whatever came before. A `GraspError` tells that the hand cannot reach or hold the object.
 
     Attributes:
         episode: the settings of the episode, including drawn ones.
         redrawn: number of random objects of the last draw that the hand could not hold.
-
-    Raises:
-        SimulationError: the hand cannot hold the object.
-        InvalidInputError: the hand cannot reach the object.
     """
 
     def __init__(self, config: EnvConfig, loop: ForceLoop, gui: bool, visuals: bool) -> None:
@@ -67,11 +58,7 @@ class Stage:
         return self._scene
 
     def set(self, rng: np.random.Generator) -> None:
-        """Let the hand hold the object of the next episode at rest, with randomised settings drawn from `rng`.
-
-        Raises:
-            SimulationError: none of `REDRAWS` random objects could be held.
-        """
+        """Let the hand hold the object of the next episode at rest, with randomised settings drawn from `rng`, `REDRAWS` times at most."""
         scene = self.scene
         if not self.config.randomize:
             scene.set_gravity(np.array(self.config.gravity))
@@ -99,11 +86,7 @@ class Stage:
         raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
 
     def _hold(self, item: ObjectDescription) -> None:
-        """Let the hand hold an object: from its place for the first object or, if it is not `placed`, from one for this object.
-
-        Raises:
-            GraspError: the hand holds it in none of the places.
-        """
+        """Let the hand hold an object: from its place for the first object or, if it is not `placed`, from one for this object."""
         first, failures = self._nominal is None, list[GraspError]()
         for place in self._places(item):
             try:

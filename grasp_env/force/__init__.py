@@ -16,21 +16,7 @@ from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinS
 from grasp_env.force.torques import joint_torques
 
 __all__ = [
-    "AdaptiveStep",
-    "ArmijoStep",
-    "BarzilaiBorweinStep",
-    "ExactStep",
-    "FixedStep",
-    "ForceLimits",
-    "ForceOptimizer",
-    "ForceSolution",
-    "ForceSolutions",
-    "Objective",
-    "OfflineBasis",
-    "Repair",
-    "Status",
-    "description_matrix",
-    "joint_torques",
-    "optimize_force",
-    "optimize_forces",
-]
+    "AdaptiveStep", "ArmijoStep", "BarzilaiBorweinStep", "ExactStep", "FixedStep", "ForceLimits", "ForceOptimizer",
+    "ForceSolution", "ForceSolutions", "Objective", "OfflineBasis", "Repair", "Status", "description_matrix",
+    "joint_torques", "optimize_force", "optimize_forces",
+]  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench, flag, instance
-from grasp_env.errors import InfeasibleStartError, InvalidInputError, RankDeficientGraspError
+from grasp_env.errors import InfeasibleStartError, RankDeficientGraspError
 from grasp_env.force.objective import Objective, as_objective
 from grasp_env.force.record import CODE, FORCE, LIMIT
 from grasp_env.force.solution import COMBINATION
@@ -43,12 +43,7 @@ class OfflineBasis:
     def compute(
         cls, grasp: Grasp, objective: Objective | None = None, warm: OfflineBasis | None = None
     ) -> OfflineBasis:
-        """Solve the 13 problems (Newton, relative gap 1e-10).
-
-        Args:
-            grasp: the grasp.
-            objective: Phi; None: the defaults.
-            warm: a basis of a nearby grasp with as many contacts, used as the start.
+        """Solve the 13 problems (Newton, relative gap 1e-10), from a `warm` basis of a nearby grasp if there is one; `objective` None: the defaults.
 
         Raises:
             InfeasibleStartError: the grasp has no force closure, so some unit wrenches have no force; or Newton does not converge.
@@ -78,11 +73,7 @@ class OfflineBasis:
     @classmethod
     def of(cls, grasp: Grasp, objective: Objective | None = None) -> OfflineBasis:
         """Return the basis of a grasp for an `objective`; it is cached as long as `grasp` lives."""
-        objective = as_objective(objective)
-        known = _CACHE.setdefault(as_grasp(grasp), {})
-        if objective not in known:
-            known[objective] = cls.compute(grasp, objective)
-        return known[objective]
+        return cls._cached(grasp, as_objective(objective), None)
 
     @staticmethod
     def known(grasp: Grasp) -> list[OfflineBasis]:
@@ -94,10 +85,14 @@ class OfflineBasis:
 
         A cached basis of `grasp` is returned unchanged, so a return to that grasp gives bitwise the same basis.
         """
+        return self._cached(grasp, self.objective, self)
+
+    @classmethod
+    def _cached(cls, grasp: Grasp, objective: Objective, warm: OfflineBasis | None) -> OfflineBasis:
         known = _CACHE.setdefault(as_grasp(grasp), {})
-        if self.objective not in known:
-            known[self.objective] = self.compute(grasp, self.objective, warm=self)
-        return known[self.objective]
+        if objective not in known:
+            known[objective] = cls.compute(grasp, objective, warm)
+        return known[objective]
 
     @property
     def forces(self) -> Array:
@@ -120,37 +115,23 @@ class OfflineBasis:
         return x.reshape(-1, 3) / self.cone_divisor
 
 
-def core_contacts(grasp: Grasp, objective: Objective, tangents: Array | None = None) -> core.Contacts:
+def core_contacts(grasp: Grasp, objective: Objective) -> core.Contacts:
     """Return the hard contacts of a grasp with the weights of Phi, for the core's solvers.
-
-    Args:
-        grasp: the contacts.
-        objective: Phi.
-        tangents: (N, 3) directions of o for contacts that move; (0, 3): the default rule; None: the current ones.
 
     Raises:
         RankDeficientGraspError: rank(G) < 6.
     """
     omega, lam, contacts = as_objective(objective).force_weight, objective.barrier_weight, as_grasp(grasp).contacts
+    uniform = type(omega) is float and type(lam) is float
+    given = (omega, lam) if uniform else (objective.weights(contacts.count),)
     try:
-        if tangents is None and type(omega) is float and type(lam) is float:
-            return contacts.weighed(omega, lam)
-        weights = objective.weights(contacts.count)
-        if tangents is None:
-            return contacts.weighed(weights)
-        return core.Contacts.make(grasp.positions, grasp.normals, grasp.models.cone_scale, weights, tangents)
-    except InvalidInputError:
-        raise
+        return contacts.weighed(*given)
     except ValueError as error:
         raise RankDeficientGraspError(str(error)) from None
 
 
 def starter(grasp: Grasp, objective: Objective, model: core.Model | None = None) -> core.ForceOptimizer:
-    """Return a compiled optimizer whose start is the combination of the grasp's 12-basis, the fallback of repairs and predictions.
-
-    Raises:
-        InfeasibleStartError: see `OfflineBasis.compute`.
-    """
+    """Return a compiled optimizer whose start is the combination of the grasp's 12-basis, the fallback of repairs and predictions."""
     basis = OfflineBasis.of(grasp, objective)
     made = _compiled(grasp, objective, start=COMBINATION, model=model)
     made.set_basis(basis.cone_forces)
@@ -160,14 +141,7 @@ def starter(grasp: Grasp, objective: Objective, model: core.Model | None = None)
 def start_of(
     optimizer: core.ForceOptimizer, start: int, wrench: Wrench, force: ContactForces | None
 ) -> ContactForces | None:
-    """Return the start (N, 3) [N] of a compiled optimizer on its own contacts, or None if it has none.
-
-    Args:
-        optimizer: see `starter`.
-        start: index into `STARTS`.
-        wrench: (6,) [N, N m].
-        force: (N, 3) [N], for starts that take a force.
-    """
+    """Return the start (N, 3) [N] of a `starter`, by its index in `STARTS`, or None if it has none; some take a force (N, 3) [N]."""
     # the core reports a start as LIMIT: a solve that stops after zero iterations
     row: Any = optimizer.start(start, force, None, wrench, None, None, None, None, None, None)
     return row[FORCE : FORCE + 3 * optimizer.count].reshape(-1, 3).copy() if row[CODE] == LIMIT else None

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import AllFaults, as_array, as_list
+from grasp_env._check import AllFaults, as_array
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.torques import checked_jacobian
 from grasp_env.grasp.grasp import Grasp
@@ -34,20 +34,11 @@ def checked_call(
     torque_bias: Any = None,
     contacts: Any = None,
 ) -> Call:
-    """Check the arguments of a call.
-
-    Args:
-        grasp: the optimizer's contacts.
-        joints: number of joints of its torque limits.
-        positions, normals, friction, jacobian, torque_bias, contacts: see `ForceOptimizer.solve`.
-
-    Raises:
-        InvalidInputError: wrong shapes, values that are not finite or out of range.
-    """
+    """Check the arguments of a call of `ForceOptimizer.solve` on its contacts and its limits of so many joints."""
     n = grasp.n_contacts
 
     def array(value: Any, shape: tuple[int | None, ...], name: str, within: Any = None) -> Any:
-        return None if value is None else np.ascontiguousarray(as_array(value, shape, name, within, copy=False))
+        return None if value is None else as_array(value, shape, name, within, copy=False)
 
     def rows() -> Any:
         if jacobian is None:
@@ -55,13 +46,12 @@ def checked_call(
         checked = checked_jacobian(jacobian, n)
         if checked.shape[2] != joints:
             raise InvalidInputError(f"jacobian must be that of {joints} joints, got shape {checked.shape}")
-        return np.ascontiguousarray(checked)
+        return checked
 
     def touching() -> Any:
         if contacts is None:
             return None
-        each = as_list(contacts)
-        mask = np.asarray(contacts if each is None else each)
+        mask = np.asarray(contacts)
         if mask.shape != (n,) or mask.dtype != np.bool_ or n > 64:
             raise InvalidInputError(
                 f"contacts must be ({n},) of true and false, of at most 64 contacts, got {shown(contacts)}"
@@ -80,11 +70,7 @@ def checked_call(
 
 
 def touching_grasp(grasp: Grasp, call: Call) -> Grasp:
-    """Return the touching contacts of a call as a grasp.
-
-    Raises:
-        InvalidInputError, RankDeficientGraspError: they are not a grasp.
-    """
+    """Return the touching contacts of a call as a grasp; a `GraspError` if they are none."""
     positions, normals, friction, _, _, mask = call
     chosen = slice(None) if mask is None else mask
     models, tangents = grasp.models, grasp.contacts.tangents

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -18,10 +18,6 @@ from grasp_env.force.repair import Repair, start_replaced
 from grasp_env.force.solution import GIVEN, LEARNED, STARTS, ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
-if TYPE_CHECKING:
-    pass
-
-T = TypeVar("T")
 BALANCE_TOLERANCE = 1e-8
 """Largest imbalance of a given start, relative to its force and wrench; above it, the error reports the imbalance."""
 
@@ -85,11 +81,7 @@ def rule_name(rule: Any) -> str:
 
 
 def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
-    """Call a user's rule; any failure becomes `InfeasibleStartError`.
-
-    Raises:
-        InfeasibleStartError: the rule fails; `__cause__` is its own error.
-    """
+    """Call a user's rule; any failure becomes an `InfeasibleStartError`, whose `__cause__` is the rule's own error."""
     takes = "a rule takes (grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
     what = f"initial-force rule {rule_name(rule)!r}"
     return call_user(function, *given, what=what, takes=takes, fault=InfeasibleStartError)
@@ -129,11 +121,7 @@ class LinearCombination:
 
 
 def checked_initial(initial: Any) -> Any:
-    """Return an `initial` argument with names as plain text.
-
-    Raises:
-        UnknownNameError, InvalidInputError: it is not a start.
-    """
+    """Return a checked `initial` argument with names as plain text."""
     named = as_text(initial)
     if named is not None:
         hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in named else ""
@@ -147,11 +135,7 @@ def checked_initial(initial: Any) -> Any:
 
 
 def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective) -> StartFrom:
-    """Return the start made by a rule or by a given force (N, 3) [N].
-
-    Raises:
-        InfeasibleStartError: the rule fails or returns no force.
-    """
+    """Return the start made by a rule or by a given force (N, 3) [N]; an `InfeasibleStartError` if the rule returns none."""
     if isinstance(initial, np.ndarray | list | tuple):
         return StartFrom(GIVEN, "given", force=_force("given", initial, grasp))
     name, force = rule_name(initial), call_rule(initial, initial, grasp, wrench.copy())
@@ -166,7 +150,7 @@ def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective)
 def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:
     """Return a rule's force as a C-contiguous array (N, 3)."""
     try:
-        return np.ascontiguousarray(as_array(force, (grasp.n_contacts, 3), "initial force"))
+        return as_array(force, (grasp.n_contacts, 3), "initial force")
     except InvalidInputError as error:
         reason = "it returned None: does it end in a return?" if force is None else error
         raise InfeasibleStartError(f"initial-force rule {name!r}: {reason}") from None

@@ -37,11 +37,6 @@ class LimitArrays(NamedTuple):
     torque_bias: Array
 
 
-_ARRAYS = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
-LimitNumbers = tuple[Array | None, Array | None, Array | None, Array | None, Array | None]
-"""The return type of `ForceLimits.given`."""
-
-
 class LimitRows(NamedTuple):
     """Limits as A f <= b, with f = (normal, o, t, torsion) stacked contact by contact.
 
@@ -107,7 +102,7 @@ class ForceLimits:
         with AllFaults() as check:
             least = check(_bound, self.min_normal, "min_normal", "contact", ranges.LEAST_NORMAL_FORCE)
             most = check(_bound, self.max_normal, "max_normal", "contact", ranges.NORMAL_FORCE)
-        _check_order(least, most)
+        _check_order(np.atleast_1d(least), np.atleast_1d(most))
         arrays: dict[str, Array] = {"min_normal": least, "max_normal": most}
         if (self.jacobian is None) != (self.torque_limit is None):
             raise InvalidInputError(
@@ -122,16 +117,10 @@ class ForceLimits:
                 raise InvalidInputError(
                     f"torque_limit has {len(limit)} entries, the jacobian {joints} joints: give one or {joints}"
                 )
-            bias = (
-                np.zeros(joints)
-                if self.torque_bias is None
-                else as_array(self.torque_bias, (joints,), "torque_bias", ranges.BIAS)
-            )
-            arrays |= {
-                "jacobian": np.ascontiguousarray(jac),
-                "torque_limit": np.broadcast_to(limit, (joints,)).copy(),
-                "torque_bias": bias,
-            }
+            bias = np.zeros(joints) if self.torque_bias is None else self.torque_bias
+            arrays["jacobian"] = jac
+            arrays["torque_limit"] = np.broadcast_to(limit, (joints,)).copy()
+            arrays["torque_bias"] = as_array(bias, (joints,), "torque_bias", ranges.BIAS)
         elif self.torque_bias is not None:
             raise InvalidInputError(
                 "torque_bias without torque limits has no effect: give jacobian and torque_limit too"
@@ -146,51 +135,28 @@ class ForceLimits:
         Raises:
             InvalidInputError: limits or a Jacobian for another number of contacts.
         """
-        each = {}
         n_contacts = whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
-        for name in ("min_normal", "max_normal"):
+
+        def of_each(name: str) -> Array:
             value = np.asarray(getattr(self, name))
             if value.ndim and len(value) != n_contacts:
                 raise InvalidInputError(
                     f"{name} has {len(value)} entries, the grasp {n_contacts} contacts: give one or {n_contacts}"
                 )
-            each[name] = np.broadcast_to(value, (n_contacts,)).copy()
+            return np.broadcast_to(value, (n_contacts,)).copy()
+
+        least, most, nothing = of_each("min_normal"), of_each("max_normal"), np.zeros(0)
         if self.jacobian is None:
-            nothing = np.zeros(0)
-            return LimitArrays(**each, jacobian=np.zeros((n_contacts, 6, 0)), torque_limit=nothing, torque_bias=nothing)
+            return LimitArrays(least, most, np.zeros((n_contacts, 6, 0)), nothing, nothing)
         given = checked_jacobian(self.jacobian, n_contacts)
         jac = np.zeros((n_contacts, 6, given.shape[2]))
         jac[:, : given.shape[1]] = given
-        return LimitArrays(
-            **each, jacobian=jac, torque_limit=np.array(self.torque_limit), torque_bias=np.array(self.torque_bias)
-        )
+        return LimitArrays(least, most, jac, np.array(self.torque_limit), np.array(self.torque_bias))
 
     @property
     def joints(self) -> int:
         """Number of joints J of the torque limits; 0 without them."""
         return 0 if self.jacobian is None else np.asarray(self.jacobian).shape[2]
-
-    def given(self, n_contacts: int) -> LimitNumbers:
-        """Return the arrays for the core: least and largest normal forces (N,), Jacobian (N, 3 or 6, J), torque limits and bias (J,).
-
-        Limits that were not given are None.
-
-        Args:
-            n_contacts: N.
-
-        Raises:
-            InvalidInputError: see `checked`.
-        """
-        made: dict[str, Any] = vars(self)  # arrays after __post_init__
-        least, most, jacobian, limit, bias = map(made.__getitem__, _ARRAYS)
-        if least is not None and least.ndim == 0:
-            least = np.full(n_contacts, least) if least else None
-        if most is not None and most.ndim == 0:
-            most = np.full(n_contacts, most) if most < np.inf else None
-        for each in (least, most, jacobian):
-            if each is not None and len(each) != n_contacts:
-                self.checked(n_contacts)  # raises, with the reason
-        return least, most, jacobian, limit, bias
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
         """Return (M,) descriptions of the finite limits of `n_contacts` contacts, in the order of `rows`."""
@@ -202,13 +168,7 @@ class ForceLimits:
         return tuple(out)
 
     def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
-        """Return the distances of forces from the limits.
-
-        Args:
-            grasp: the contacts.
-            force: (N, 3) [N]: normal, o, t.
-            torsion: (N,) [N m]; None: zero.
-        """
+        """Return the distances from the limits of `force` (N, 3) [N] and `torsion` (N,) [N m] (None: zero) on the contacts of `grasp`."""
         least, most, jac, limit, bias = self.checked(as_grasp(grasp).n_contacts)
         forces = _with_torsion(grasp, force, torsion)
         torque = np.einsum("nij,ni->j", _in_contact_frames(grasp, jac), forces) + bias
@@ -230,34 +190,23 @@ class ForceLimits:
         Raises:
             InvalidInputError: limits for another number of contacts.
         """
-        return self._rows(grasp)[0]
-
-    def _rows(self, grasp: Grasp) -> tuple[LimitRows, Array]:
-        """Return `rows` and the limit (M,) behind each row [N, N m]."""
         count = as_grasp(grasp).n_contacts
         least, most, jac, limit, bias = self.checked(count)
         labels = self.labels(count)
         capacity = 2 * (count + len(limit))
-        matrix, bound, limit_values = np.empty((capacity, count, 4)), np.empty(capacity), np.empty(capacity)
-        made = core.limit_rows(least, most, _in_contact_frames(grasp, jac), limit, bias, matrix, bound, limit_values)
+        matrix, bound, of_rows = np.empty((capacity, count, 4)), np.empty(capacity), np.empty(capacity)
+        made = core.limit_rows(least, most, _in_contact_frames(grasp, jac), limit, bias, matrix, bound, of_rows)
         assert made == len(labels)
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.cone_scale > 0.0
         transmitted[:, 3] = grasp.models.torsional_friction > 0.0
         rows = (matrix[:made] * transmitted).reshape(made, 4 * count)
-        return LimitRows(rows, bound[:made].copy(), labels), limit_values[:made].copy()
+        return LimitRows(rows, bound[:made].copy(), labels)
 
     def violations(
         self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9
     ) -> list[str]:
-        """Return one message for each limit that forces exceed.
-
-        Args:
-            grasp: the contacts.
-            force: (N, 3) [N]: normal, o, t.
-            torsion: (N,) [N m]; None: zero.
-            tolerance: largest excess that is ignored [N, N m].
-        """
+        """Return one message for each limit that `force` and `torsion` on `grasp`, see `slack`, exceed by more than `tolerance` [N, N m]."""
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
         forces = _with_torsion(grasp, force, torsion)
@@ -268,6 +217,21 @@ class ForceLimits:
 def as_limits(value: object) -> ForceLimits | None:
     """Return `value` if it is a `ForceLimits` or None; raise `InvalidInputError` otherwise."""
     return instance(value, ForceLimits, "limits", or_none=True)
+
+
+def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, Any, Any, Any, Any]:
+    """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`; None for those that were not given."""
+    if limits is None:
+        return None, None, None, None, None
+    arrays: Any = vars(limits)  # arrays after __post_init__
+    least, most, jacobian, torque, bias = (arrays[name] for name in LimitArrays._fields)
+    if least.ndim == 0:
+        least = np.full(n_contacts, least) if least else None
+    if most.ndim == 0:
+        most = np.full(n_contacts, most) if most < np.inf else None
+    if any(each is not None and len(each) != n_contacts for each in (least, most, jacobian)):
+        limits.checked(n_contacts)  # raises, with the reason
+    return least, most, jacobian, torque, bias
 
 
 def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:
@@ -285,37 +249,28 @@ def _with_torsion(grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None) -> 
 
 
 def _bound(value: ArrayLike, name: str, of: str, within: ranges.Range) -> Array:
-    """Return a number or a vector of limits.
-
-    inf means no limit. It is refused for `min_normal`, the only limit whose range starts at 0.
-    """
-    zero = within.low == 0.0
+    """Return a number or a vector of limits; inf means no limit, except for `min_normal`, the only limit whose range starts at 0."""
+    unlimited = within.low > 0.0
     try:
         array = as_array(value, None, name, finite=False)
     except InvalidInputError as error:
         raise InvalidInputError(f"{name} must be a number or one per {of}: {error}") from None
-    low = array >= 0.0 if zero else array > 0.0
-    if array.ndim > 1 or array.size == 0 or not (low & (np.isfinite(array) | (not zero))).all():
+    fits = (array >= within.low) & (array <= within.high) | (unlimited & (array == np.inf))
+    if array.ndim > 1 or array.size == 0 or not fits.all():
         raise InvalidInputError(
-            f"{name} must be {'>= 0 and finite,' if zero else '> 0, inf for no limit,'} one for all or one per {of}, got "
-            f"{shown(array)}"
+            f"{name} must lie within {within}{', or be inf for no limit' * unlimited}, one for all or one per {of}, got {shown(array)}"
         )
-    finite = array[np.isfinite(array)]
-    if not ((finite >= within.low) & (finite <= within.high)).all():
-        raise InvalidInputError(f"{name} must lie within {within}{'' if zero else ', or be inf'}, got {shown(array)}")
     return array
 
 
 def _check_order(least: Array, most: Array) -> None:
     try:
-        crossing = np.broadcast_to(least >= most, np.broadcast_shapes(least.shape, most.shape)).reshape(-1)
+        least, most = np.broadcast_arrays(least, most)
     except ValueError:
         raise InvalidInputError(
             f"min_normal has {len(least)} entries and max_normal {len(most)}: give one or N of each"
         ) from None
-    if crossing.any():
-        k = int(crossing.argmax())
+    for k in np.flatnonzero(least >= most)[:1]:
         raise InvalidInputError(
-            f"max_normal must be > min_normal at every contact; at contact {k} they are "
-            f"{np.broadcast_to(most, crossing.shape)[k]:g} and {np.broadcast_to(least, crossing.shape)[k]:g}"
+            f"max_normal must be > min_normal at every contact; at contact {k} they are {most[k]:g} and {least[k]:g}"
         )

@@ -13,23 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from grasp_env import ranges
 from grasp_env._check import AllFaults, Array, as_array, checked_size, whole
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
-from grasp_env.force.record import (
-    BOUND,
-    CODE,
-    CONTACTS,
-    CONVERGED,
-    FORCE,
-    ITERATIONS,
-    MARGIN,
-    MULTIPLIERS,
-    OBJECTIVE,
-    OUTSIDE,
-    REPLACED,
-    RESIDUAL,
-    START,
-    UNDECIDED,
-    WRENCH,
-)
+from grasp_env.force import record as at
 from grasp_env.force.solution import STATUSES, ForceSolution, Status, start_name
 
 
@@ -42,13 +26,7 @@ class ForceSolutions(Sequence[ForceSolution]):
     """
 
     def __init__(self, records: Array, method: str, names: Sequence[str], requested: str) -> None:
-        """Wrap filled records.
-
-        Args:
-            records, method: see the attributes.
-            names: the name of each start, in the order of `STARTS`.
-            requested: the name of the requested start.
-        """
+        """Wrap filled records, with the names of all starts in the order of `STARTS` and the name of the requested one."""
         self.records, self.method, self._names, self._requested = records, method, names, requested
 
     def __len__(self) -> int:
@@ -63,7 +41,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     def _name(self, record: Array) -> str:
         return start_name(
-            self._names[int(record[START])], self._requested, bool(record[REPLACED]), bool(record[OUTSIDE])
+            self._names[int(record[at.START])], self._requested, bool(record[at.REPLACED]), bool(record[at.OUTSIDE])
         )
 
     @property
@@ -77,64 +55,64 @@ class ForceSolutions(Sequence[ForceSolution]):
     @property
     def n_contacts(self) -> int:
         """Number of contacts N."""
-        return int(self.records[0, CONTACTS]) if len(self) else 0
+        return int(self.records[0, at.CONTACTS]) if len(self) else 0
 
     @property
     def force(self) -> Array:
         """(M, N, 3) normal, o, t in each contact frame [N]."""
         n = self.n_contacts
-        return self.records[:, FORCE : FORCE + 3 * n].reshape(len(self), n, 3)
+        return self.records[:, at.FORCE : at.FORCE + 3 * n].reshape(len(self), n, 3)
 
     @property
     def torsion(self) -> Array:
         """(M, N) torsions about the normals [N m]."""
         n = self.n_contacts
-        return self.records[:, FORCE + 6 * n : FORCE + 7 * n]
+        return self.records[:, at.FORCE + 6 * n : at.FORCE + 7 * n]
 
     @property
     def wrench(self) -> Array:
         """(M, 6) the balanced wrenches [N, N m]."""
-        return self.records[:, WRENCH : WRENCH + 6]
+        return self.records[:, at.WRENCH : at.WRENCH + 6]
 
     @property
     def multipliers(self) -> Array:
         """(M, 6) multipliers nu of balance."""
-        return self.records[:, MULTIPLIERS : MULTIPLIERS + 6]
+        return self.records[:, at.MULTIPLIERS : at.MULTIPLIERS + 6]
 
     @property
     def codes(self) -> NDArray[np.int_]:
         """(M,) 0 optimal, 1 iteration limit, 2 stalled, 3 infeasible, 5 limits exceeded, 7 undecided: keys of `STATUSES`."""
-        return self.records[:, CODE].astype(int)
+        return self.records[:, at.CODE].astype(int)
 
     @property
     def optimal(self) -> NDArray[np.bool_]:
         """(M,) True if the status is OPTIMAL."""
-        return self.records[:, CODE] == CONVERGED
+        return self.records[:, at.CODE] == at.CONVERGED
 
     @property
     def iterations(self) -> NDArray[np.int_]:
         """(M,) accepted steps."""
-        return self.records[:, ITERATIONS].astype(int)
+        return self.records[:, at.ITERATIONS].astype(int)
 
     @property
     def objective(self) -> Array:
         """(M,) Phi, or the sum or maximum of the normal forces [N]; inf if infeasible."""
-        return self.records[:, OBJECTIVE]
+        return self.records[:, at.OBJECTIVE]
 
     @property
     def lower_bound(self) -> Array:
         """(M,) dual bounds."""
-        return self.records[:, BOUND]
+        return self.records[:, at.BOUND]
 
     @property
     def equilibrium_residual(self) -> Array:
         """(M,) largest |component| of G f + w, moments divided by the grasp's length [N]."""
-        return self.records[:, RESIDUAL]
+        return self.records[:, at.RESIDUAL]
 
     @property
     def cone_margin(self) -> Array:
         """(M,) least friction-cone margin [N], in cone coordinates."""
-        return self.records[:, MARGIN]
+        return self.records[:, at.MARGIN]
 
     def counts(self) -> dict[Status, int]:
         """Return the number of problems with each status.
@@ -156,11 +134,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
 
 def checked_batch(wrenches: ArrayLike, workers: int | None) -> tuple[Array, int]:
-    """Return the checked wrenches (M, 6) and the number of threads.
-
-    Raises:
-        InvalidInputError: wrong shapes, or values out of range.
-    """
+    """Return the checked wrenches (M, 6) and the number of threads."""
     with AllFaults() as check:
         loads = check(lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches"))
         threads = (os.cpu_count() or 1) if workers is None else check(whole, workers, "workers", 1, ranges.WORKERS)
@@ -187,13 +161,8 @@ def solve_one(optimizer: Any, load: Array, record: Array) -> None:
         found = getattr(error, "solution", None)
         if found is None:
             record[:] = 0.0
-            record[CODE], record[OBJECTIVE], record[BOUND], record[CONTACTS] = (
-                UNDECIDED,
-                np.inf,
-                -np.inf,
-                optimizer.grasp.n_contacts,
-            )
-            record[WRENCH : WRENCH + 6] = load
+            record[at.CODE], record[at.OBJECTIVE], record[at.BOUND] = at.UNDECIDED, np.inf, -np.inf
+            record[at.CONTACTS], record[at.WRENCH : at.WRENCH + 6] = optimizer.grasp.n_contacts, load
         else:
             record[:] = found._record
 

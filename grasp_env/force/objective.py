@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_env import core, ranges
-from grasp_env._check import AllFaults, Array, as_array, as_list, instance, positive, whole
+from grasp_env._check import AllFaults, Array, as_array, instance, positive, whole
 from grasp_env.errors import InvalidInputError, shown
 
 Weight = float | Sequence[float]
@@ -46,11 +46,6 @@ class Objective:
 
         Raises:
             InvalidInputError: weights for another number of contacts.
-
-        Example:
-            >>> Objective([1.0, 2.0], 0.01).weights(2)
-            array([[1.  , 0.01],
-                   [2.  , 0.01]])
         """
         count = whole(count, "count", 0, ranges.SIDE_BY_SIDE)
         out = np.empty((count, 2))
@@ -88,12 +83,9 @@ class Objective:
         return out
 
     def lower_bound(self, multipliers: Array, cone_matrix: Array, wrench: Array) -> float:
-        """Return the dual value at multipliers nu (6,): no balanced force has a smaller Phi; -inf if they give no bound.
+        """Return the dual value at multipliers nu (6,): no force that balances `wrench` (6,) has a smaller Phi; -inf if they give no bound.
 
-        Args:
-            multipliers: (6,) nu with grad Phi = G^T nu at the optimum.
-            cone_matrix: (6, 3N), G in cone coordinates.
-            wrench: (6,) external wrench.
+        At the optimum grad Phi = G^T nu, with G in cone coordinates, `cone_matrix` (6, 3N).
         """
         nu, load = (
             as_array(multipliers, (6,), "multipliers", ranges.SIZE),
@@ -108,7 +100,7 @@ def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
     given = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
     if given.size % 3 or not 1 <= given.size // 3 <= ranges.SIDE_BY_SIDE:
         raise InvalidInputError(f"x must have shape (3N,) for at least one contact, got {given.shape}")
-    rows = np.ascontiguousarray(given.reshape(-1, 3))
+    rows = given.reshape(-1, 3)
     if inside and not (rows[:, 0] * (1.0 - 1e-15) > np.hypot(rows[:, 1], rows[:, 2])).all():
         raise InvalidInputError(
             f"x must lie strictly inside the cones, u > |(o, t)| at every contact, got {shown(given)}"
@@ -120,11 +112,7 @@ def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
 
 def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:
     """Return a weight within its range, or one per contact as a tuple."""
-    if (
-        as_list(value) is None
-        and not (isinstance(value, np.ndarray) and np.asarray(value).ndim)
-        and not isinstance(value, range)
-    ):
+    if not isinstance(value, list | tuple | range) and not (isinstance(value, np.ndarray) and value.ndim):
         return positive(value, name, within)
     each = as_array(value, (None,), name).tolist()
     with AllFaults() as check:

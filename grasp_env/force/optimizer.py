@@ -36,7 +36,7 @@ from grasp_env.force.initial import (
     rule_start,
     start_names,
 )
-from grasp_env.force.limits import ForceLimits, LimitNumbers, as_limits
+from grasp_env.force.limits import ForceLimits, as_limits, given_limits
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.options import MAX_ITERATIONS, checked_options
@@ -141,9 +141,7 @@ class ForceOptimizer:
         start, model, remembers = 0, None, False
         # names of all starts as solutions show them, and of the requested one
         self.names = names, requested = start_names(initial, options)
-        if initial is None:
-            pass
-        elif isinstance(initial, ForceSolution):
+        if isinstance(initial, ForceSolution):
             start, remembers = PREVIOUS, True
         elif isinstance(initial, str):
             start, remembers = STARTS.index(initial), initial == "previous"
@@ -161,9 +159,7 @@ class ForceOptimizer:
         self.core_finds_start, self.remembers = initial is None or start > 0, remembers
         weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
-        limits: LimitNumbers = (
-            (None, None, None, None, None) if self.limits is None else self.limits.given(grasp.n_contacts)
-        )
+        limits = given_limits(self.limits, grasp.n_contacts)
         weighed = None if plain else weights.weights(grasp.n_contacts)
         try:
             self.core: Any = core.ForceOptimizer.make(
@@ -320,11 +316,7 @@ class ForceOptimizer:
         contacts: ArrayLike | None = None,
         initial: Initial | None = None,
     ) -> ContactForces:
-        """Return the initial force (N, 3) [N] of `solve`.
-
-        Args:
-            wrench: (6,) external wrench [N, N m].
-            positions, normals, friction, contacts, initial: see `solve`.
+        """Return the initial force (N, 3) [N] of `solve`, which documents wrench, positions, normals, friction, contacts and initial.
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
@@ -348,18 +340,7 @@ class ForceOptimizer:
         return row[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3), start.replaced or bool(row[REPLACED])
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
-        """Optimise the forces for many wrenches, independently of each other, as `optimize_forces` does.
-
-        Args:
-            wrenches: (M, 6) external wrenches on the object [N, N m].
-            workers: number of threads; None: one per processor core.
-
-        Returns:
-            All solutions. A wrench that no force balances has the status INFEASIBLE; nothing is raised.
-
-        Raises:
-            InvalidInputError: see `optimize_forces`.
-        """
+        """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other, on `workers` threads; see `optimize_forces`."""
         return solve_many(self, *checked_batch(wrenches, workers))
 
     def update(
@@ -371,10 +352,9 @@ class ForceOptimizer:
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
     ) -> None:
-        """Replace values of the constructor. Those left out stay; the 12-basis is computed again if the start needs it.
+        """Replace positions, normals, friction, jacobian or torque_bias of the constructor, see `solve`; those left out stay.
 
-        Args:
-            positions, normals, friction, jacobian, torque_bias: see `solve`.
+        The 12-basis is computed again if the start needs it.
 
         Raises:
             InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer is unchanged.
@@ -384,24 +364,20 @@ class ForceOptimizer:
         if not self.core.update(*now[:5]):
             raise InvalidInputError("the contacts or limits are invalid: give finite numbers and inward unit normals")
         self._grasp = moved
-        if self.limits is not None:
-            given = {
-                name: each.copy()
-                for name, each in (("jacobian", now.jacobian), ("torque_bias", now.torque_bias))
-                if each is not None
-            }
-            self.limits = replace(self.limits, **given)
+        self.limits = self._limits_of(now)
 
     def _arrays(self, *given: Any, **named: Any) -> Call:
         """Return the checked arrays of a call on these contacts and limits."""
         return checked_call(self.grasp, 0 if self.limits is None else self.limits.joints, *given, **named)
 
-    def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartFrom:
-        """Return the start of a call.
+    def _limits_of(self, now: Call) -> ForceLimits | None:
+        """Return the limits with the Jacobian and the torque bias of a call."""
+        given = {name: getattr(now, name) for name in ("jacobian", "torque_bias")}
+        given = {name: value.copy() for name, value in given.items() if value is not None}
+        return replace(self.limits, **given) if self.limits is not None and given else self.limits
 
-        Raises:
-            InfeasibleStartError: a rule fails, or returns no force.
-        """
+    def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartFrom:
+        """Return the start of a call; an `InfeasibleStartError` if a rule fails, or returns no force."""
         requested: Any = self._initial if initial is None else checked_initial(initial)
         if requested is None or self.method == "conic":
             return StartFrom(0)
@@ -444,12 +420,7 @@ class ForceOptimizer:
                 moved = touching_grasp(self.grasp, now)
             except GraspError:  # the caller has overwritten its arrays since
                 return explain(solution, None, limits)
-            changed = {
-                name: value
-                for name, value in (("jacobian", now.jacobian), ("torque_bias", now.torque_bias))
-                if value is not None
-            }
-            limits = replace(limits, **changed) if limits is not None and changed else limits
+            limits = self._limits_of(now)
         return explain(solution, moved, limits)
 
     def _error(self, row: Array, wrench: Wrench, now: Call, start: StartFrom) -> GraspError:
@@ -493,8 +464,7 @@ def optimize_force(
         grasp: the contacts.
         wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N m], in the frame of the
             contacts' positions; balanced as G f + wrench = 0.
-        optimum: the optimal Phi, if known: the solve stops when Phi is within `tolerance` (relative) of it (for studies).
-        trace: keep Phi of every iterate in `objective_trace`.
+        optimum, trace: see `ForceOptimizer.solve`.
         options: the keywords of `ForceOptimizer`, with its defaults.
 
     Raises:
@@ -519,6 +489,3 @@ def optimize_force(
         raise
     warn_of(grasp, solution.wrench, optimizer.limits)
     return solution
-
-
-__all__ = ["ForceOptimizer", "optimize_force"]

@@ -47,13 +47,7 @@ class Options:
 
 
 def checked_options(*given: Any) -> Options:
-    """Return the checked keywords of an optimizer, given in the order of its signature.
-
-    The result is cached, since the checks take longer than a solve.
-
-    Raises:
-        UnknownNameError, InvalidInputError, UnsupportedProblemError: see `ForceOptimizer`.
-    """
+    """Return the checked keywords of an optimizer, in the order of its signature; cached, since the checks take longer than a solve."""
     try:
         return _cached(*given)
     except TypeError:  # unhashable arguments, such as a list of weights

@@ -32,13 +32,7 @@ def least_normal_motions(grasp: Grasp, q: Array) -> Array:
 
 
 def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | None) -> str:
-    """Explain why no force balances the wrench of an infeasible solution.
-
-    Args:
-        solution: the infeasible one.
-        grasp: the contacts of the call; None: the message names no contacts.
-        limits: the limits of the call.
-    """
+    """Explain why no force balances the wrench of an infeasible solution; without a grasp the message names no contacts."""
     twist = solution.certificate
     assert twist is not None
     wrench = f"wrench {solution.wrench.tolist()}"

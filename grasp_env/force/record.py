@@ -5,7 +5,7 @@ The core's `Record` (`core/include/grasp/record.hpp`) defines the layout; the of
 
 from __future__ import annotations
 
-from grasp_env.core import codes, record_fields, record_size
+from grasp_env.core import codes, record_fields
 
 _PLACES, _CODES = record_fields(), codes()
 
@@ -25,39 +25,8 @@ FORCE = _PLACES["force"]
 """Offset of the force, 3N numbers; 3N initial force, N torsion, 9N frames, joint torques and prices of limits follow."""
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED, RANK_LOST, UNDECIDED = (
     _CODES[name]
-    for name in (
-        "converged", "limit", "stalled", "infeasible", "refused", "limits_exceeded", "rank_lost", "undecided"
-    )
-)  # fmt: skip
+    for name in ("converged", "limit", "stalled", "infeasible", "refused", "limits_exceeded", "rank_lost", "undecided")
+)
 """Codes of the outcomes."""
 RESULTS = (CONVERGED, LIMIT, STALLED, LIMITS_EXCEEDED)
 """Codes of rows that contain a force."""
-
-
-__all__ = [
-    "BOUND",
-    "CODE",
-    "CONTACTS",
-    "CONVERGED",
-    "EXCESS",
-    "FORCE",
-    "INFEASIBLE",
-    "ITERATIONS",
-    "LIMIT",
-    "LIMITS_EXCEEDED",
-    "MARGIN",
-    "MULTIPLIERS",
-    "OBJECTIVE",
-    "OUTSIDE",
-    "RANK_LOST",
-    "REFUSED",
-    "REPLACED",
-    "RESIDUAL",
-    "RESULTS",
-    "STALLED",
-    "START",
-    "TRIALS",
-    "UNDECIDED",
-    "WRENCH",
-    "record_size",
-]

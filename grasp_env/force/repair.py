@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -19,7 +19,7 @@ from grasp_env.grasp.grasp import Grasp, as_grasp
 SAME_FORCE = 1e-12
 """Relative difference of the largest component up to which two forces count as equal."""
 Correction = Literal["tangent", "pseudoinverse"]
-CORRECTIONS: tuple[Correction, ...] = ("tangent", "pseudoinverse")
+CORRECTIONS: tuple[Correction, ...] = get_args(Correction)
 
 
 @dataclass(frozen=True)

@@ -42,11 +42,7 @@ class CoreStart:
     objective: Objective = field(default_factory=Objective)
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """Return the start (N, 3) [N].
-
-        Raises:
-            InfeasibleStartError: there is no such start for this grasp and wrench.
-        """
+        """Return the start (N, 3) [N], or raise an `InfeasibleStartError`."""
         phi = as_objective(self.objective)
         optimizer = ForceOptimizer(grasp, force_weight=phi.force_weight, barrier_weight=phi.barrier_weight)
         try:
@@ -68,46 +64,27 @@ class StartRule:
     Attributes:
         label: text for reports.
         make: objective -> rule.
-        needs: "closure" if the rule needs force closure (the 12-basis), "wrench" if a feasible wrench is enough.
     """
 
     label: str
     make: Callable[[Objective], InitialForceRule] = field(repr=False)
-    needs: str = "closure"
-
-    def __call__(self, objective: Objective) -> InitialForceRule:
-        """Return the rule for that Phi."""
-        return self.make(objective)
 
 
 RULES: dict[str, StartRule] = {
     "linear_combination": StartRule("12-basis (the paper, fixed at w = 0)", LinearCombination),
-    "linear_combination_printed": StartRule(
-        "12-basis, as printed", lambda objective: LinearCombination(objective, printed=True)
-    ),
+    "linear_combination_printed": StartRule("12-basis, as printed", partial(LinearCombination, printed=True)),
     "single_value": StartRule("single value", partial(CoreStart, "single_value")),
     "lagrange": StartRule("Lagrange", partial(CoreStart, "lagrange")),
-    "phase_one": StartRule("phase one, any force inside", partial(CoreStart, "phase_one"), needs="wrench"),
+    "phase_one": StartRule("phase one, any force inside", partial(CoreStart, "phase_one")),
 }
 """Start rules by name. "previous" is not among them: `ForceOptimizer` stores the previous solution."""
 
 
 def initial_rule(name: str, objective: Objective | None = None) -> InitialForceRule:
-    """Return the rule of that name for the given Phi.
-
-    Args:
-        name: a key of `RULES`.
-        objective: Phi; None: the defaults.
-
-    Raises:
-        UnknownNameError: no rule of that name.
+    """Return the rule of that name, a key of `RULES`, for the given Phi (None: the defaults).
 
     Example:
         >>> initial_rule("single_value")
         CoreStart(name='single_value', objective=Objective(force_weight=1.0, barrier_weight=0.01))
-        >>> initial_rule("newest")
-        Traceback (most recent call last):
-        grasp_env.errors.UnknownNameError: unknown initial-force rule 'newest': choose one of 'linear_combination', \
-'linear_combination_printed', 'single_value', 'lagrange', 'phase_one'
     """
-    return RULES[choice(name, "initial-force rule", RULES)](as_objective(objective))
+    return RULES[choice(name, "initial-force rule", RULES)].make(as_objective(objective))

@@ -11,19 +11,9 @@ from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force.record import CONVERGED, INFEASIBLE, LIMIT, LIMITS_EXCEEDED, STALLED, UNDECIDED
 
 STARTS = (
-    "standard",
-    "internal_force",
-    "linear_combination",
-    "linear_combination_printed",
-    "single_value",
-    "lagrange",
-    "phase_one",
-    "previous",
-    "given",
-    "guess",
-    "learned",
-    "central",
-)
+    "standard", "internal_force", "linear_combination", "linear_combination_printed", "single_value", "lagrange", "phase_one",
+    "previous", "given", "guess", "learned", "central",
+)  # fmt: skip
 """Names of the core's enumeration `Start`, in its order."""
 COMBINATION, PREVIOUS, GIVEN, GUESS, LEARNED = (
     STARTS.index(name) for name in ("linear_combination", "previous", "given", "guess", "learned")
@@ -72,18 +62,7 @@ STATUSES = {
 
 
 def start_name(used: str, requested: str, replaced: bool, outside: bool) -> str:
-    """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the training range.
-
-    Args:
-        used: the start that was used.
-        requested: the requested start.
-        replaced: True if nothing of the requested start is left.
-        outside: True if the wrench is outside the training range of a learned start.
-
-    Example:
-        >>> start_name("internal_force", "previous", True, False)
-        'internal_force (previous was replaced)'
-    """
+    """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the training range of a learned one."""
     if replaced:
         return f"{used} ({requested} was replaced)"
     return f"{used} (outside its training range)" if outside else used

@@ -8,19 +8,28 @@ step shrinks by at least a half, so every search ends. A rule is data, `paramete
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import Array, as_number, choice, positive
+from grasp_env._check import AllFaults, Array, choice, positive
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.ranges import Range
 
 FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT = range(5)
 """Kinds of rules, their first parameter."""
-SHORTEST = 1e-10
-"""Least length of a step, relative to the length of x."""
+VARIANTS = ("alternate", "long", "short")
+_FRACTION = Range(1e-300, 1.0 - 2.0**-53, "(less than 1)")
+_RANGES = {
+    "size": ranges.STEP,
+    "first": ranges.STEP,
+    "grow": Range(1.0, 1e6),
+    "shrink": ranges.SHRINK,
+    "slope": _FRACTION,
+    "precision": _FRACTION,
+}
 
 
 class StepRule(Protocol):
@@ -32,7 +41,23 @@ class StepRule(Protocol):
 
 
 @dataclass(frozen=True)
-class FixedStep:
+class _Checked:
+    """Base class of the rules: each number lies in its range of `_RANGES`."""
+
+    def __post_init__(self) -> None:
+        given = {item.name: getattr(self, item.name) for item in fields(self)}
+        with AllFaults() as check:
+            for name, value in given.items():
+                kept = (
+                    check(choice, value, name, VARIANTS)
+                    if name == "variant"
+                    else check(positive, value, name, _RANGES[name])
+                )
+                object.__setattr__(self, name, kept)
+
+
+@dataclass(frozen=True)
+class FixedStep(_Checked):
     """Constant step, halved within an iteration if it leaves a cone or does not decrease Phi.
 
     Attributes:
@@ -51,38 +76,24 @@ class FixedStep:
 
     size: float
 
-    def __post_init__(self) -> None:
-        _keep(self, size=positive(self.size, "size", ranges.STEP))
-
     def parameters(self) -> Array:
         """See `StepRule`."""
         return np.array([FIXED, self.size, 1.0, 0.5, 0.0])
 
 
 @dataclass(frozen=True)
-class ArmijoStep:
+class ArmijoStep(_Checked):
     """Backtracking with sufficient decrease (Armijo 1966).
 
     Attributes:
         first: first trial step of every iteration [N / force_weight].
         shrink: factor, 0.001 to 0.999, after a rejected step.
         slope: fraction in (0, 1) of the predicted decrease alpha |d|^2 that Phi must reach.
-
-    Example:
-        >>> from grasp_env.force import optimize_force
-        >>> from grasp_env.grasp import presets
-        >>> flow = {"method": "reduced_flow", "step_rule": ArmijoStep(first=1.0)}
-        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], **flow).status.name
-        'OPTIMAL'
     """
 
     first: float = 0.3
     shrink: float = 0.5
     slope: float = 1e-4
-
-    def __post_init__(self) -> None:
-        first = positive(self.first, "first", ranges.STEP)
-        _keep(self, first=first, shrink=_shrink(self.shrink), slope=_fraction("slope", self.slope))
 
     def parameters(self) -> Array:
         """See `StepRule`."""
@@ -90,7 +101,7 @@ class ArmijoStep:
 
 
 @dataclass(frozen=True)
-class AdaptiveStep:
+class AdaptiveStep(_Checked):
     """Accept the first of alpha, alpha * shrink, ... that decreases Phi inside the cones; then multiply alpha by `grow`.
 
     Attributes:
@@ -111,20 +122,13 @@ class AdaptiveStep:
     grow: float = 1.5
     shrink: float = 0.5
 
-    def __post_init__(self) -> None:
-        first, grow = positive(self.first, "first", ranges.STEP), _grow(self.grow)
-        _keep(self, first=first, grow=grow, shrink=_shrink(self.shrink))
-
     def parameters(self) -> Array:
         """See `StepRule`."""
         return np.array([ADAPTIVE, self.first, self.grow, self.shrink, 0.0])
 
 
-VARIANTS = ("alternate", "long", "short")
-
-
 @dataclass(frozen=True)
-class BarzilaiBorweinStep:
+class BarzilaiBorweinStep(_Checked):
     """Barzilai and Borwein (1988) in the metric of P: the inverse curvature along the previous step, kept monotone.
 
     With s the previous step and y the change of the projected gradient, "long" is <s, s> / <s, y> and "short" <s, y> / <y, y>.
@@ -149,35 +153,21 @@ class BarzilaiBorweinStep:
     shrink: float = 0.5
     variant: str = "short"
 
-    def __post_init__(self) -> None:
-        _keep(self, first=positive(self.first, "first", ranges.STEP), shrink=_shrink(self.shrink))
-        object.__setattr__(self, "variant", choice(self.variant, "variant", VARIANTS))
-
     def parameters(self) -> Array:
         """See `StepRule`; the index of the variant replaces `grow`."""
         return np.array([BARZILAI_BORWEIN, self.first, VARIANTS.index(self.variant), self.shrink, 0.0])
 
 
 @dataclass(frozen=True)
-class ExactStep:
+class ExactStep(_Checked):
     """Exact line search by safeguarded Newton on the derivative of Phi along the ray.
 
     Attributes:
         precision: fraction in (0, 1) of the slope at alpha = 0 at which the search ends. The flow needs FEWER iterations with 0.1
             than with the exact minimum, whose directions zigzag.
-
-    Example:
-        >>> from grasp_env.force import optimize_force
-        >>> from grasp_env.grasp import presets
-        >>> flow = {"method": "reduced_flow", "step_rule": ExactStep(precision=0.1)}
-        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], **flow).status.name
-        'OPTIMAL'
     """
 
     precision: float = 1e-3
-
-    def __post_init__(self) -> None:
-        _keep(self, precision=_fraction("precision", self.precision))
 
     def parameters(self) -> Array:
         """See `StepRule`."""
@@ -188,16 +178,7 @@ STEP_RULES: tuple[type[Any], ...] = (FixedStep, ArmijoStep, AdaptiveStep, Barzil
 
 
 def checked_rule(rule: Any) -> StepRule:
-    """Return the rule, or AdaptiveStep() for None.
-
-    Raises:
-        InvalidInputError: anything other than one of the rules.
-
-    Example:
-        >>> checked_rule(0.1)
-        Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: step_rule must be None or a FixedStep, ArmijoStep, AdaptiveStep, BarzilaiBorweinStep or ExactStep, got 0.1
-    """
+    """Return the rule, or AdaptiveStep() for None; an `InvalidInputError` for anything else."""
     if rule is None:
         return AdaptiveStep()
     if not isinstance(rule, STEP_RULES):
@@ -206,28 +187,3 @@ def checked_rule(rule: Any) -> StepRule:
             f"step_rule must be None or a {', '.join(names[:-1])} or {names[-1]}, got {shown(rule)}"
         )
     return rule
-
-
-def _fraction(name: str, value: Any) -> float:
-    found = as_number(value)
-    if found is None or not 0.0 < found < 1.0:
-        raise InvalidInputError(f"{name} must lie in (0, 1), got {shown(value)}")
-    return found
-
-
-def _grow(value: Any) -> float:
-    found = as_number(value)
-    if found is None or not 1.0 <= found < 1e6:
-        raise InvalidInputError(f"grow must be a finite factor >= 1, got {shown(value)}")
-    return found
-
-
-def _shrink(value: Any) -> float:
-    """Return a checked factor that ends a search soon: 1 - 1e-12 would take 1e13 trials."""
-    return positive(_fraction("shrink", value), "shrink", ranges.SHRINK)
-
-
-def _keep(rule: Any, **values: float) -> None:
-    """Set checked numbers of a frozen rule."""
-    for name, value in values.items():
-        object.__setattr__(rule, name, value)

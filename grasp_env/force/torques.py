@@ -51,15 +51,7 @@ def joint_torques(
 
 
 def checked_jacobian(jacobian: ArrayLike, count: int | None = None) -> Array:
-    """Return a Jacobian as (N, 3, J) or (N, 6, J), from that shape or from (3N, J).
-
-    Args:
-        jacobian: the Jacobian.
-        count: N; None: any.
-
-    Raises:
-        InvalidInputError: another shape, or values that are not finite.
-    """
+    """Return a Jacobian as (N, 3, J) or (N, 6, J), from that shape or from (3N, J), of `count` contacts (None: any)."""
     jac = as_array(jacobian, None, "jacobian", ranges.LEVER)
     shape = jac.shape
     if jac.ndim == 2 and jac.size and len(jac) % 3 == 0:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,19 +18,7 @@ SMALLEST_DISTANCE = 0.01
 """Distance of two contacts, as a fraction of the grasp's length, below which they act like one contact."""
 
 
-class TorqueLimits(Protocol):
-    """The attributes of `grasp_env.force.ForceLimits` that `advise` reads."""
-
-    @property
-    def jacobian(self) -> Any:
-        """(N, 3 or 6, J) Jacobian, or None."""
-
-    @property
-    def torque_limit(self) -> Any:
-        """(J,) torque limits [N m], or None."""
-
-
-def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: TorqueLimits | None = None) -> list[str]:
+def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) -> list[str]:
     """Return a list of texts, one for each likely mistake in a grasp, a wrench and limits. Nothing is printed.
 
     The texts report normals that point out of the object, millimetres (positions, torsional friction, Jacobian), friction above 2 or
@@ -61,13 +49,10 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: TorqueLimits |
     return [*(text for _, text in core.advise(*given)), *_coincident(grasp), *_condition(grasp)]
 
 
-def warn_of(grasp: Grasp, wrench: Wrench | None = None, limits: TorqueLimits | None = None) -> None:
+def warn_of(grasp: Grasp, wrench: Wrench | None = None, limits: Any = None) -> None:
     """Issue a `GraspWarning` about mistakes that are near certain, at the caller's line. It takes less than a microsecond.
 
-    Args:
-        grasp: the contacts.
-        wrench: (6,) float64. If given, warn about the wrench only: contacts and limits were already checked when the solver was made.
-        limits: checked limits.
+    With a wrench (6,) float64, it is about the wrench only: contacts and limits were checked when the solver was made.
     """
     rows = _torque_limits(grasp, limits)
     if core.looks_wrong(grasp.contacts, wrench, *rows):
@@ -80,7 +65,7 @@ def warn_of(grasp: Grasp, wrench: Wrench | None = None, limits: TorqueLimits | N
             warn("; ".join(found))
 
 
-def _torque_limits(grasp: Grasp, limits: TorqueLimits | None) -> tuple[Array | None, Array | None]:
+def _torque_limits(grasp: Grasp, limits: Any) -> tuple[Array | None, Array | None]:
     """Return the Jacobian (N, 3 or 6, J) and the torque limits (J,), or None for both."""
     if limits is None:
         return None, None

@@ -48,10 +48,11 @@ def check_place(count: int, size: float, centre: Array) -> None:
         raise InvalidInputError(
             f"positions must lie within {ranges.LENGTH} of their centre (root mean square), got {size:g} m: give them in metres"
         )
-    raise InvalidInputError(
-        f"positions must have their centre within {ranges.DISTANCE:g} times their length, {size:g} m, of the origin, got {math.hypot(*centre.tolist()):g} m: "
-        "put the object frame's origin near the contacts"
-    )
+    if (far := math.hypot(*centre.tolist())) > ranges.DISTANCE * size:
+        raise InvalidInputError(
+            f"positions must have their centre within {ranges.DISTANCE:g} times their length, {size:g} m, of the origin, got {far:g} m: "
+            "put the object frame's origin near the contacts"
+        )
 
 
 def check_torsion(gamma: Array, length: float) -> None:
@@ -79,12 +80,7 @@ def checked_tangents(tangents: ArrayLike | None, normals: Array) -> Array:
 
 
 def checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
-    """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of unit moments.
-
-    Raises:
-        InvalidInputError: values that are not finite.
-        RankDeficientGraspError: rank(G) < 6.
-    """
+    """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of unit moments."""
     if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
         raise InvalidInputError("positions, normals and tangents must be finite")  # only from `unchecked`
     u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)

@@ -9,15 +9,9 @@ from grasp_env.core import TANGENT_SWITCH
 
 
 def contact_frames(normals: Array) -> Array:
-    """Return contact frames, whose columns are (n, o, t) in object coordinates.
+    """Return contact frames (N, 3, 3), whose columns are (n, o, t) in object coordinates, of inward unit normals (N, 3).
 
     o is the normalised projection of e_x on the tangent plane, or of e_y if |n . e_x| > 0.9; t = n x o.
-
-    Args:
-        normals: (N, 3) inward unit normals, object frame.
-
-    Returns:
-        (N, 3, 3) rotations R_i with R_i @ (normal, o, t) = force in object coordinates.
 
     Example:
         >>> contact_frames(np.array([[0.0, 0.0, 1.0]]))[0].T   # rows: n, o, t
@@ -31,11 +25,5 @@ def contact_frames(normals: Array) -> Array:
     axis[along_x, 1] = 1.0
     o = axis - normals * np.einsum("ij,ij->i", axis, normals)[:, None]
     o /= np.sqrt(np.einsum("ij,ij->i", o, o))[:, None]
-    return np.stack([normals, o, _cross(normals, o)], axis=2)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    # np.cross takes tens of microseconds, too long for a control loop
-    ax, ay, az = a.T
-    bx, by, bz = b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+    t: Array = np.cross(normals, o)  # pyright: ignore[reportAssignmentType]
+    return np.stack([normals, o, t], axis=2)

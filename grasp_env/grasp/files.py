@@ -30,17 +30,10 @@ _HEADER = ("schema", "units")
 
 
 def save_grasp(grasp: Grasp, path: str | Path) -> Path:
-    """Write a grasp as JSON, atomically: to a temporary file that is then renamed.
+    """Write a grasp as JSON, atomically: to a temporary file that is then renamed; return the path.
 
     Numbers are written with all digits. Friction is written as (N,) if every cone is round, else as (N, 2). Tangents are omitted if
-    they follow the rule of `contact_frames`.
-
-    Args:
-        grasp: the grasp.
-        path: the file; missing folders are created, an existing file is replaced.
-
-    Returns:
-        The file's path.
+    they follow the rule of `contact_frames`. Missing folders are created, an existing file is replaced.
 
     Raises:
         GraspFileError: the file cannot be written.
@@ -65,25 +58,13 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
 
 
 def load_grasp(path: str | Path) -> Grasp:
-    """Read a grasp from a file.
+    """Read a grasp from the JSON file at `path`, whose keys are those of `Grasp.from_contacts`; see the top of this module.
 
-    Args:
-        path: a JSON file with `positions` (N, 3) [m], `normals` (N, 3) into the object, both in the object frame, and `friction`;
-            optional `contact_model`, `torsional_friction` [m] and `tangents`, as in `Grasp.from_contacts`. If `schema` and
-            `units` are given, they must be those of this version.
+    If `schema` and `units` are given, they must be those of this version.
 
     Raises:
         GraspFileError: the file is missing, is not JSON, has an unknown, repeated or missing key, other units, another schema, or
             values that are not a grasp. The message names the file and the field; `__cause__` is the error of `from_contacts`.
-
-    Example:
-        >>> import tempfile
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     file = Path(folder) / "mine.json"
-        ...     text = '{"positions": [[0.04, 0, 0], [-0.02, 0.03, 0], [-0.02, -0.03, 0]], '
-        ...     _ = file.write_text(text + '"normals": [[-1, 0, 0], [0.6, -0.8, 0], [0.6, 0.8, 0]], "friction": 0.5}')
-        ...     load_grasp(file).n_contacts
-        3
     """
     file = as_path(path, GraspFileError, "a grasp's file")
     given = _read(file)

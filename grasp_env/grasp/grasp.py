@@ -5,7 +5,6 @@ Longer than most modules: one class, whose arrays and frames are documented one 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 from grasp_env import ranges
 from grasp_env._check import AllFaults, Array, ContactForces, Wrench, as_array
 from grasp_env.core import ContactReader, Contacts
-from grasp_env.errors import GraspError, InvalidInputError, shown
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.grasp.checks import (
     DEFAULT_TANGENTS,
     check_place,
@@ -149,18 +148,12 @@ class Grasp:
                 return cls._from_compiled(
                     contacts, _friction=friction if type(friction) is float else np.array(friction)
                 )
-        try:
-            points = checked_points(positions)
-            inward = as_array(normals, (len(points), 3), "normals")
-            models = ContactModels.checked(contact_model, friction, torsional_friction, len(points))
-        except GraspError:
-            with AllFaults() as check:
-                points = check(checked_points, positions)
-                check(as_array, normals, (None, 3), "normals")
-            with AllFaults() as check:  # these depend on the number of contacts
-                check(as_array, normals, (len(points), 3), "normals")
-                check(ContactModels.checked, contact_model, friction, torsional_friction, len(points))
-            raise
+        with AllFaults() as check:
+            points = check(checked_points, positions)
+            count = None if points is None else len(points)
+            inward = check(as_array, normals, (count, 3), "normals")
+            given = contact_model, friction, torsional_friction
+            models: Any = None if count is None else check(ContactModels.checked, *given, count)
         normalise_normals(inward)
         grasp = cls._made(points, inward, models, checked_tangents(tangents, inward))
         if torsional_friction is not None:
@@ -169,27 +162,13 @@ class Grasp:
 
     @classmethod
     def unchecked(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array | None = None) -> Grasp:
-        """Make the same grasp as `from_contacts`, to the last bit, from trusted arrays in control loops.
+        """Make the same grasp as `from_contacts`, to the last bit, from trusted `positions`, `normals` and `tangents` (N, 3) and `models`.
 
         Not checked are the number of contacts, the models, tangents that are nearly along a normal, and torsional friction against
         the grasp's length.
 
-        Args:
-            positions: (N, 3) float64 contact points [m], finite; copied.
-            normals: (N, 3) float64 inward normals, of unit length to rounding; copied.
-            models: models of N contacts, such as `nominal.models`.
-            tangents: (N, 3) float64, not along the normals; None: the rule of `contact_frames`.
-
         Raises:
-            InvalidInputError: arrays of another type or shape, not finite, normals not of unit length, or a grasp too small, too
-                large or too far from the origin.
-            RankDeficientGraspError: rank(G) < 6.
-
-        Example:
-            >>> from grasp_env.grasp import presets
-            >>> g = presets.tripod()
-            >>> bool((Grasp.unchecked(g.positions, g.normals, g.models).matrix == g.matrix).all())
-            True
+            InvalidInputError, RankDeficientGraspError: see `from_contacts`; arrays of another type than float64.
         """
         try:
             along = DEFAULT_TANGENTS if tangents is None else np.ascontiguousarray(tangents)
@@ -204,10 +183,7 @@ class Grasp:
     def _made(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array) -> Grasp:
         contacts = Contacts.put(positions, normals, models.cone_scale, models.torsional_friction, tangents)
         grasp = cls._from_compiled(contacts, models=models)
-        size = contacts.length
-        far = math.hypot(*contacts.centre.tolist()) > ranges.DISTANCE * size
-        if far or not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
-            check_place(grasp.n_contacts, size, grasp.centre)
+        check_place(contacts.count, contacts.length, contacts.centre)
         if contacts.refused:  # the core has not placed them
             raise InvalidInputError("positions must be finite and normals finite and of unit length")
         if not contacts.clear:  # the core cannot tell that the rank is 6: the singular values decide
@@ -254,13 +230,7 @@ class Grasp:
         return not self.contacts.soft
 
     def to_cone(self, force: ContactForces) -> Array:
-        """Return the flat cone coordinates (3N,) [N] of `force` (N, 3) [N]: (u, o, t) with u = mu * normal (VP of Eq. 18).
-
-        Example:
-            >>> from grasp_env.grasp import presets
-            >>> presets.tripod().to_cone([[2, 0.1, 0], [2, 0, 0], [2, 0, 0]])[:3]   # mu = 0.5
-            array([1. , 0.1, 0. ])
-        """
+        """Return the flat cone coordinates (3N,) [N] of `force` (N, 3) [N]: (u, o, t) with u = mu * normal (VP of Eq. 18)."""
         return (self._rows(force, "force") * self.models.cone_scale).reshape(-1)
 
     def to_force(self, x: Array) -> ContactForces:
@@ -268,10 +238,7 @@ class Grasp:
         return self._rows(x, "x") / self.models.cone_divisor
 
     def cone_margins(self, force: ContactForces) -> Array:
-        """Return the friction-cone margins (N,) [N]: u - sqrt(o^2 + t^2), which is mu * normal - |tangential| for round cones.
-
-        Args:
-            force: (N, 3) [N]: normal, o, t.
+        """Return the friction-cone margins (N,) [N] of `force` (N, 3) [N]: u - sqrt(o^2 + t^2), mu * normal - |tangential| for round cones.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -282,16 +249,7 @@ class Grasp:
         return u - np.hypot(o, t)
 
     def cone_margin(self, force: ContactForces) -> float:
-        """Return the least of `cone_margins` [N].
-
-        Args:
-            force: (N, 3) [N]: normal, o, t.
-
-        Example:
-            >>> from grasp_env.grasp import presets
-            >>> presets.tripod().cone_margin([[2, 0.1, 0], [2, 0, 0], [2, 0, 0]])   # mu = 0.5
-            0.9
-        """
+        """Return the least of `cone_margins` [N] of `force` (N, 3) [N]."""
         return float(self.cone_margins(force).min())
 
     @property
@@ -319,11 +277,7 @@ class Grasp:
     def wrench(self, force: ContactForces, torsion: Array | None = None) -> Wrench:
         """Return the wrench (6,) [N, N m] of contact forces `force` (N, 3) and `torsion` (N,) on the object: G f (+ T torsion)."""
         made = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(-1)
-        return (
-            made
-            if torsion is None
-            else made + self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
-        )
+        return made if torsion is None else made + self._twisted(torsion)
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
         """Return the largest |component| of G f + w [N], moments about the contacts' centre and divided by `length`.
@@ -332,16 +286,10 @@ class Grasp:
             force: (N, 3) [N]: normal, o, t.
             wrench: (6,) external wrench [N, N m].
             torsion: (N,) torsions of soft contacts [N m]; None: zero.
-
-        Example:
-            >>> from grasp_env.grasp import presets
-            >>> grasp = presets.tripod()
-            >>> grasp.residual([[2, 0, 0], [2, 0, 0], [2, 0, 0]], [0.5, 0, 0, 0, 0, 0])
-            0.5
         """
         error = self.matrix @ self._rows(force, "force").reshape(-1) + as_array(wrench, (6,), "wrench", ranges.SIZE)
         if torsion is not None:
-            error += self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
+            error += self._twisted(torsion)
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
@@ -352,6 +300,9 @@ class Grasp:
         """Return contact-frame forces (normal, o, t) (N, 3) [N] from object-frame `vectors` (N, 3)."""
         return np.einsum("nji,nj->ni", self.frames, self._rows(vectors, "vectors"))
 
+    def _twisted(self, torsion: ArrayLike) -> Wrench:
+        return self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
+
     def _rows(self, value: ArrayLike, name: str) -> Array:
         """Return checked rows (N, 3) from (N, 3) or flat (3N,)."""
         rows = as_array(value, None, name, ranges.SIZE)
@@ -361,11 +312,7 @@ class Grasp:
 
 
 def as_grasp(value: object) -> Grasp:
-    """Return `value` if it is a grasp.
-
-    Raises:
-        InvalidInputError: it is not.
-    """
+    """Return `value` if it is a grasp, or raise an `InvalidInputError`."""
     if not isinstance(value, Grasp):
         raise InvalidInputError(f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {shown(value)}")
     return value

@@ -19,21 +19,14 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
 
     Args:
         grasp: the grasp.
-        reference: (3N, 3N - 6) object-frame vectors stacked contact by contact, such as `reference_basis` of a nominal grasp;
-            None: the reference basis of `grasp` itself.
+        reference: (3N, 3N - 6) object-frame vectors stacked contact by contact, the `reference_basis` of a nominal grasp;
+            None: that of `grasp` itself.
 
     Returns:
         (3N, 3N - 6) contact-frame forces (normal, o, t), stacked; G @ basis = 0, columns orthonormal.
 
     Raises:
         InvalidInputError: a reference of another shape, or one whose projection loses rank.
-
-    Example:
-        >>> from grasp_env.grasp import presets
-        >>> grasp = presets.paper_cuboid()
-        >>> basis = null_space_basis(grasp)
-        >>> basis.shape, bool(abs(grasp.matrix @ basis).max() < 1e-12)
-        ((12, 6), True)
     """
     if reference is None:
         reference = reference_basis(grasp)
@@ -48,18 +41,10 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
 
 
 def reference_basis(grasp: Grasp) -> Array:
-    """Return orthonormal object-frame internal forces (3N, 3N - 6), the `reference` for nearby grasps.
+    """Return orthonormal object-frame internal forces (3N, 3N - 6), the `reference` of `null_space_basis` for nearby grasps.
 
     The columns come from squeezes along the lines between pairs of contacts (the virtual linkage of Williams and Khatib, 1993). If
     these are not a basis of the null space (coplanar contacts, N > 4), an orthonormal basis by the SVD of G replaces them.
-
-    Args:
-        grasp: the nominal grasp; a nearby grasp uses the result as `null_space_basis(nearby, reference)`.
-
-    Example:
-        >>> from grasp_env.grasp import presets
-        >>> reference_basis(presets.tripod()).shape
-        (9, 3)
     """
     count, dimension = as_grasp(grasp).n_contacts, grasp.null_dimension
     pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]

@@ -30,28 +30,21 @@ PRESETS = tuple(_CONTACTS)
 
 
 def preset(name: str, friction: float | Array | None = None) -> Grasp:
-    """Return the named grasp.
-
-    Args:
-        name: one of `PRESETS`.
-        friction: replaces the preset's coefficient: a number, (N,), or (N, 2) for elliptic cones.
+    """Return the named grasp, one of `PRESETS`; `friction`, a number, (N,) or (N, 2), replaces its coefficient.
 
     Raises:
         UnknownNameError: no preset has that name.
 
     Example:
-        >>> preset("tripod").n_contacts
-        3
+        >>> preset("tripod", friction=0.8).friction
+        array([0.8, 0.8, 0.8])
     """
     positions, normals, own = _CONTACTS[choice(name, "preset", PRESETS)]
     return Grasp.from_contacts(positions, normals, own if friction is None else friction)
 
 
 def paper_cuboid(friction: float | Array | None = None) -> Grasp:
-    """Return the reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4.
-
-    Args:
-        friction: another coefficient, as in `preset`.
+    """Return the reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4; `friction` as in `preset`.
 
     Example:
         >>> paper_cuboid().positions[0]
@@ -61,26 +54,10 @@ def paper_cuboid(friction: float | Array | None = None) -> Grasp:
 
 
 def tripod(friction: float | Array | None = None) -> Grasp:
-    """Return three fingers around a disc of 40 mm radius, mu = 0.5.
-
-    Args:
-        friction: another coefficient, as in `preset`.
-
-    Example:
-        >>> tripod(friction=0.8).friction
-        array([0.8, 0.8, 0.8])
-    """
+    """Return three fingers around a disc of 40 mm radius, mu = 0.5; `friction` as in `preset`."""
     return preset("tripod", friction)
 
 
 def five_finger_cuboid(friction: float | Array | None = None) -> Grasp:
-    """Return a thumb against four fingers on the cuboid, mu = 0.4.
-
-    Args:
-        friction: another coefficient, as in `preset`.
-
-    Example:
-        >>> five_finger_cuboid().matrix.shape
-        (6, 15)
-    """
+    """Return a thumb against four fingers on the cuboid, mu = 0.4; `friction` as in `preset`."""
     return preset("five_finger_cuboid", friction)

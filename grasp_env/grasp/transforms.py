@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import Array, Wrench, as_array, positive
+from grasp_env._check import Array, Wrench, as_array, as_wrenches, positive
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
@@ -84,14 +84,7 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
 
 
 def wrench_about(wrench: ArrayLike, point: ArrayLike) -> Array:
-    """Express wrenches with moments about `point` instead of the origin, along the same axes: m' = m - point x F.
-
-    Args:
-        wrench: (..., 6) force [N] and moment about the origin [N m].
-        point: (3,) the new reference point [m], in the coordinates of the wrench.
-
-    Returns:
-        (..., 6) force and moment about `point`.
+    """Express `wrench` (..., 6) [N, N m] with moments about `point` (3,) [m], not the origin, along the same axes: m' = m - p x F.
 
     Example:
         >>> wrench_about([0, 0, -2, 0, 0.2, 0], [0.1, 0, 0])   # the weight has no moment about where it hangs
@@ -133,11 +126,6 @@ def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
 
     Raises:
         InvalidInputError: not (3, 3), not finite, not orthonormal to 1e-6, or a reflection.
-
-    Example:
-        >>> checked_rotation(np.diag([1.0, 1.0, -1.0]))
-        Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: rotation is a reflection ...
     """
     matrix = as_array(rotation, (3, 3), name, ranges.SIZE)
     gram = matrix.T @ matrix
@@ -157,9 +145,5 @@ def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
 
 
 def _split(wrench: ArrayLike) -> tuple[Array, Array]:
-    checked = as_array(wrench, None, "wrench", ranges.SIZE)
-    if checked.shape[-1:] != (6,):
-        raise InvalidInputError(
-            f"wrench must have shape (6,) or (..., 6), force [N] then moment [N m], got {checked.shape}"
-        )
+    checked = as_wrenches(wrench)
     return checked[..., :3], checked[..., 3:]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import Array, Wrench, as_array, as_wrench, instance, number, positive, whole
+from grasp_env._check import Array, Wrench, as_array, as_wrench, as_wrenches, instance, number, positive, whole
 from grasp_env.errors import InvalidInputError
 
 PAPER_CONSTANT: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
@@ -18,10 +18,7 @@ MAGNITUDE_LENGTH = 0.05
 
 
 def paper_path(time: ArrayLike) -> Array:
-    """Return W_ext(t) of the paper's Sec. IV.B, (6,) or (T, 6) [N, N m].
-
-    Args:
-        time: scalar or (T,) [s]; the paper's example ends at 2.
+    """Return W_ext(t) of the paper's Sec. IV.B, (6,) or (T, 6) [N, N m], at `time`, a scalar or (T,) [s]; its example ends at 2.
 
     Example:
         >>> paper_path(0.0)
@@ -34,39 +31,23 @@ def paper_path(time: ArrayLike) -> Array:
 
 
 def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
-    """Return |(force, moment / length)| [N] of wrenches.
-
-    Args:
-        wrench: (..., 6) [N, N m].
-        length: length that converts a moment to a force [m].
-
-    Returns:
-        (...,) [N].
+    """Return |(force, moment / length)| (...,) [N] of `wrench` (..., 6) [N, N m], with a `length` [m] that converts moments to forces.
 
     Example:
         >>> float(magnitude([3, 0, 0, 0, 0, 0.2]))
         5.0
     """
-    given = as_array(wrench, None, "wrench", ranges.SIZE)
-    if given.shape[-1:] != (6,):
-        raise InvalidInputError(f"wrench must have shape (6,) or (..., 6), got {given.shape}")
+    given = as_wrenches(wrench)
     scaled = np.concatenate([given[..., :3], given[..., 3:] / positive(length, "length", ranges.LENGTH)], axis=-1)
     return np.sqrt((scaled**2).sum(axis=-1))
 
 
 def sample_ball(rng: np.random.Generator, count: int, force: float = FORCE_RADIUS, moment: float = MOMENT_RADIUS):
-    """Draw (count, 6) wrenches, forces and moments uniform in balls of radius `force` and `moment`.
-
-    Args:
-        rng: random generator.
-        count: number of wrenches.
-        force: largest force [N].
-        moment: largest moment [N m].
+    """Draw (count, 6) wrenches by `rng`, forces and moments uniform in balls of radius `force` [N] and `moment` [N m].
 
     Example:
-        >>> wrenches = sample_ball(np.random.default_rng(0), 100)
-        >>> bool((np.linalg.norm(wrenches[:, :3], axis=1) <= 2.0).all())
-        True
+        >>> sample_ball(np.random.default_rng(0), 100).shape
+        (100, 6)
     """
     _check_draw(rng, count)
     force, moment = number(force, "force", ranges.SIZE), number(moment, "moment", ranges.SIZE)
@@ -74,21 +55,16 @@ def sample_ball(rng: np.random.Generator, count: int, force: float = FORCE_RADIU
 
 
 def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, high: float = 20.0) -> Array:
-    """Draw (count, 6) wrenches, directions uniform on the 6-sphere of (force, moment / 0.05 m), magnitudes log-uniform.
+    """Draw (count, 6) wrenches by `rng`, directions uniform on the 6-sphere of (force, moment / 0.05 m).
 
-    Args:
-        rng: random generator.
-        count: number of wrenches.
-        low: least `magnitude` [N].
-        high: largest `magnitude` [N].
+    Their `magnitude` is log-uniform from `low` to `high` [N].
 
     Raises:
         InvalidInputError: low > high, or values out of range.
 
     Example:
-        >>> sizes = magnitude(sample_magnitudes(np.random.default_rng(0), 100, low=1.0, high=4.0))
-        >>> bool((sizes > 0.999).all()), bool((sizes < 4.001).all())
-        (True, True)
+        >>> bool((magnitude(sample_magnitudes(np.random.default_rng(0), 100, high=4.0)) < 4.001).all())
+        True
     """
     _check_draw(rng, count)
     low, high = positive(low, "low", ranges.BALL), positive(high, "high", ranges.BALL)
@@ -102,17 +78,13 @@ def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, hi
 
 
 def sample_path(rng: np.random.Generator, count: int, step: float = 0.03) -> Array:
-    """Draw (count, 6) wrenches of a random walk in the standard ball.
+    """Draw (count, 6) wrenches by `rng`, a random walk in the standard ball.
 
-    Args:
-        rng: random generator.
-        count: number of wrenches.
-        step: largest change between successive wrenches, as a fraction of each radius, 0 to 1.
+    `step` is the largest change between successive wrenches as a fraction of each radius, 0 to 1.
 
     Example:
-        >>> path = sample_path(np.random.default_rng(0), 50, step=0.01)
-        >>> bool((np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1) < 0.021).all())
-        True
+        >>> sample_path(np.random.default_rng(0), 50, step=0.01).shape
+        (50, 6)
     """
     _check_draw(rng, count)
     step = number(step, "step", ranges.Range(0.0, 1.0))
@@ -136,11 +108,7 @@ def _ball(rng: np.random.Generator, count: int) -> Array:
 
 
 def constant(wrench: Wrench, count: int) -> Array:
-    """Return the same wrench `count` times, (count, 6).
-
-    Args:
-        wrench: (6,) [N, N m].
-        count: number of wrenches.
+    """Return the same wrench (6,) [N, N m] `count` times, (count, 6).
 
     Example:
         >>> constant(PAPER_CONSTANT, 3).shape

@@ -8,12 +8,4 @@ from grasp_env.quality.feasibility import feasibility
 from grasp_env.quality.measures import epsilon, quality, singular_values
 from grasp_env.quality.worst_wrench import WrenchBall, worst_case
 
-__all__ = [
-    "WrenchBall",
-    "epsilon",
-    "feasibility",
-    "force_closure",
-    "quality",
-    "singular_values",
-    "worst_case",
-]
+__all__ = ["WrenchBall", "epsilon", "feasibility", "force_closure", "quality", "singular_values", "worst_case"]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench
 from grasp_env.errors import NotConvergedError
-from grasp_env.force.limits import ForceLimits, LimitNumbers, as_limits
+from grasp_env.force.limits import ForceLimits, as_limits, given_limits
 from grasp_env.force.record import CONVERGED, INFEASIBLE
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
@@ -38,8 +39,7 @@ class Feasibility:
         return self.force is not None
 
 
-@dataclass(frozen=True, eq=False)
-class Deepest:
+class Deepest(NamedTuple):
     """Result of `deepest`.
 
     Attributes:
@@ -92,8 +92,6 @@ def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None)
 def deepest(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Deepest:
     """Return the core's result for checked arguments; see `feasibility`."""
     n = grasp.n_contacts
-    given: LimitNumbers = (None, None, None, None, None) if limits is None else limits.given(n)
-    solver = core.ForceOptimizer.make(grasp.contacts, None, 1.0, 1.0, *given)
+    solver = core.ForceOptimizer.make(grasp.contacts, None, 1.0, 1.0, *given_limits(limits, n))
     force, torsion, twist = np.empty((n, 3)), np.empty(n), np.empty(6)
-    code, iterations, margin = solver.deepest(wrench, force, torsion, twist)
-    return Deepest(code, iterations, margin, force, torsion, twist)
+    return Deepest(*solver.deepest(wrench, force, torsion, twist), force, torsion, twist)

@@ -91,13 +91,9 @@ class GraspQuality:
 
 
 def singular_values(grasp: Grasp, length: float | None = None) -> Array:
-    """Return the singular values (6,) of G [N per N], decreasing; moments and torsions are divided by `length`.
+    """Return the singular values (6,) of G [N per N], decreasing; moments and torsions are divided by `length` [m] (None: the grasp's).
 
     Components that a contact does not transmit are left out.
-
-    Args:
-        grasp: the contacts, of any models.
-        length: length that converts moments to forces [m]; None: `grasp.length`.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -114,11 +110,7 @@ def singular_values(grasp: Grasp, length: float | None = None) -> Array:
 def quality(
     grasp: Grasp, *, tolerance: float = 0.01, starts: int = 32, points: int = 400, seed: int = 0
 ) -> GraspQuality:
-    """Return the quality measures of a grasp.
-
-    Args:
-        grasp: the contacts, of any models.
-        tolerance, starts, points, seed: for both epsilons, see `worst_case`.
+    """Return the quality measures of a grasp of any models; tolerance, starts, points and seed of both epsilons as in `worst_case`.
 
     Example:
         >>> from grasp_env.grasp import presets

@@ -61,11 +61,7 @@ def name_of(disturbance: Disturbance | None) -> str:
 
 
 def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings: Any) -> tuple[Array, Array]:
-    """Return the external wrench (T, 6) [N, N m], object frame, and the gravity (T, 3) [m/s^2], world frame, of a disturbance.
-
-    Raises:
-        InvalidInputError: the disturbance failed, or its return value has the wrong shape or is not finite.
-    """
+    """Return the external wrench (T, 6) [N, N m], object frame, and the gravity (T, 3) [m/s^2], world frame, of a disturbance."""
     what, rows = f"the disturbance {name_of(rule) or shown(rule)}", len(times)
     takes = "a disturbance takes (times, rng, settings) and returns (T, 6) wrenches [N, N m], a row per tick"
     made = call_user(rule, times.copy(), rng, settings, what=what, takes=takes)

@@ -54,16 +54,10 @@ def resting_target(ticks: int) -> Array:
 
 
 def motion_target(motion: str, times: Array, size: float, period: float) -> Array:
-    """Return the object's desired motion.
+    """Return the object's desired motion: one of `MOTIONS` at times (T,) [s] from 0 on, of a size [m or rad] and a period [s].
 
     As many whole periods as fit before `times[-1]` are done, then the object rests; if not even one fits, it is cut short.
     A shake reaches its full size if three or more periods fit.
-
-    Args:
-        motion: a key of `MOTIONS`.
-        times: (T,) times [s], starting at 0.
-        size: height of "lift" [m], amplitude of "shake" [m], angle of "rotate" [rad].
-        period: duration of one motion [s].
 
     Returns:
         (T, 19): position [m], quaternion (x, y, z, w), linear and angular velocity, linear and angular acceleration,

@@ -48,13 +48,7 @@ class Task(Settings):
     """A short description for pictures, with settings in braces."""
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
-        """Return the force (T, 3) at the object's centre [N], world frame.
-
-        Args:
-            times: (T,) times of the control ticks [s].
-            tick: time between two ticks [s].
-            mass: mass of the object [kg].
-        """
+        """Return the force (T, 3) at the centre of an object of a mass [kg] [N], world frame, at times (T,) [s], a `tick` [s] apart."""
         return np.zeros((len(times), 3))
 
     def target(self, times: Array, tick: float) -> Array:
@@ -66,12 +60,7 @@ class Task(Settings):
         return np.ones(len(times))
 
     def in_place(self, drift: float, tilt: float) -> bool:
-        """Return True if the object is near enough to its place for success.
-
-        Args:
-            drift: distance from the wanted position [m].
-            tilt: angle from the wanted orientation [rad].
-        """
+        """Return True if `drift` [m] from the wanted position and `tilt` [rad] from the wanted orientation are small enough for success."""
         return bool(drift < self.drift_limit) and bool(tilt < self.tilt_limit)
 
 

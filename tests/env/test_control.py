@@ -69,30 +69,13 @@ def test_pose_error_against_scipy() -> None:
     np.testing.assert_allclose(error[3:6], [1e-12, 0.0, 0.0], rtol=1e-6)
 
 
-def test_wrench_to_balance_signs() -> None:
-    np.testing.assert_allclose(balanced(state()), [0, -0.3 * 9.81, 0, 0, 0, 0], atol=1e-15)
-    # displaced to +x: the grasp must push back, so the wrench it balances points to +x
-    assert balanced(state(position=(0.01, 0, 0)))[0] == pytest.approx(0.3 * 30.0**2 * 0.01)
-    assert balanced(state(linear=(0.1, 0, 0)))[0] == pytest.approx(0.3 * 2 * 30.0 * 0.1)
-    assert balanced(state(turn=(0, 0, 0.1)))[5] > 0
-    assert balanced(state(angular=(0, 0, 0.1)))[5] > 0
-    # gravity stays in the world while the object turns
-    turned = balanced(state(turn=(0, 0, np.pi / 2)))
-    np.testing.assert_allclose(turned[:3], [-0.3 * 9.81, 0, 0], atol=1e-12)
-    external = np.arange(1.0, 7.0)  # in the object frame
-    np.testing.assert_allclose(
-        balanced(state(turn=(0, 0, np.pi / 2)), external=external) - turned, external, atol=1e-12
-    )
-
-
 def test_inertial_wrench_of_a_moving_target() -> None:
     """On the target the grasp must give what its motion needs: d(m v)/dt and dL/dt, here by differences."""
     inertia, step = ITEM.inertia_matrix, 1e-4
 
     def rotation(t: float) -> Rotation:
-        return Rotation.from_rotvec(np.array([0.5, -0.3, 0.8]) * np.sin(t)) * Rotation.from_rotvec(
-            np.array([0.7, 0.9, -0.4]) * t
-        )
+        swing = Rotation.from_rotvec(np.array([0.5, -0.3, 0.8]) * np.sin(t))
+        return swing * Rotation.from_rotvec(np.array([0.7, 0.9, -0.4]) * t)
 
     def place(t: float) -> np.ndarray:
         return np.array([np.sin(t), np.cos(2 * t), t**3])
@@ -120,14 +103,7 @@ def test_inertial_wrench_of_a_moving_target() -> None:
 
 
 class Trial:
-    """An episode in which the tips of some fingers are pulled off the object for a while.
-
-    Args:
-        pulled: numbers of the fingers.
-        ticks: control ticks at which they are pulled with 8 N.
-        steps: largest number of agent steps.
-        settings: settings of the environment.
-    """
+    """An episode of at most `steps` in which the tips of some fingers are pulled off the object with 8 N at some control ticks."""
 
     def __init__(self, pulled: tuple[int, ...], ticks: Sequence[int], steps: int = 100, **settings: Any) -> None:
         env = FourFingerGrasp(disturbance="none", **settings)

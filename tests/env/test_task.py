@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -12,11 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from grasp_env.config import EnvConfig
 from grasp_env.env.plan import Plan, make_plan
-from grasp_env.errors import GraspError
-from grasp_env.task import Move, NoDisturbance, Payload, SixDirections
+from grasp_env.task import Hold, Move, Payload, SixDirections
 from grasp_env.task import motion as m
 from grasp_env.task.disturbance import DISTURBANCES
-from grasp_env.task.tasks import PUSH_RAMP, TASKS
+from grasp_env.task.tasks import PUSH_RAMP
 
 KINDS = [
     *[{"disturbance": name} for name in DISTURBANCES],
@@ -77,32 +74,12 @@ def test_six_pushes_in_order_with_short_ramps() -> None:
     np.testing.assert_allclose(short[round(0.09 / tick)], [2.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_tasks_and_motions_have_their_own_defaults() -> None:
-    for kind in TASKS.values():
-        own, task = EnvConfig(task=kind()).resolved(), kind()
-        assert (own.limits.duration, own.disturbance) == (task.duration, task.disturbance)
-        given = EnvConfig(task=kind()).override(duration=1.5, disturbance="none").resolved()
-        assert (given.limits.duration, given.disturbance) == (1.5, NoDisturbance())
-    for motion, size in m.MOTION_SIZES.items():
-        assert (plan(task=Move(motion)).target == plan(task=Move(motion, size)).target).all()
-    pushed, usual = EnvConfig(task=SixDirections(push_time=0.5)).resolved().limits, EnvConfig().resolved().limits
+def test_tasks_fill_in_their_own_limits_and_sizes() -> None:
+    pushed, usual = (EnvConfig(task=task).resolved().limits for task in (SixDirections(push_time=0.5), Hold()))
     assert (pushed.duration, pushed.max_drift, pushed.max_tilt) == (3.0, 0.05, SixDirections.tilt_limit)
     assert (usual.duration, usual.max_drift, usual.max_tilt) == (2.0, 0.02, 0.35)
-
-
-@pytest.mark.parametrize("record", [*DISTURBANCES.values(), *TASKS.values()])
-def test_extreme_settings_give_finite_plans(record: type) -> None:
-    """Every number of a task or disturbance, as small and as large as it may be, and the shortest episodes."""
-    place = "disturbance" if record in DISTURBANCES.values() else "task"
-    given = [{item.name: size} for item in fields(record) for size in (0.0, 1e-9, 1e-3, 1e9)]
-    for settings in [*given, {item.name: 1e-9 for item in fields(record) if item.type == "float"}]:
-        with suppress(GraspError):  # 0 is not allowed everywhere
-            assert all(np.isfinite(array).all() for array in arrays(plan(**{place: record(**settings)}))), settings
-    fast = {"controller.rate": 1000, "engine": {"name": "bullet", "rate": 1000}}
-    for others in ({"duration": 1e-9}, {"controller": {"rate": 50}}, fast):
-        made = plan(**{place: record()}, **others)
-        assert all(np.isfinite(array).all() for array in arrays(made))
-        assert len(made) == 1 or "duration" not in others
+    for motion, size in m.MOTION_SIZES.items():
+        np.testing.assert_array_equal(plan(task=Move(motion)).target, plan(task=Move(motion, size)).target)
 
 
 def difference(values: np.ndarray) -> np.ndarray:

@@ -34,19 +34,12 @@ MOTOR = 12.0  # [N m] of each joint of the hand
 class Loop:
     """A control loop on contacts that are written by hand, without gravity: the wrench to balance is the external one."""
 
-    def __init__(
-        self,
-        tolerance: float = 1e-10,
-        most_change: float = np.inf,
-        squeeze: float = 0.0,
-        grasp: Grasp = GRASP,
-        **options: Any,
-    ) -> None:
+    def __init__(self, tolerance: float = 1e-10, squeeze: float = 0.0, grasp: Grasp = GRASP, **options: Any) -> None:
         self.scene, self.views = scene_alone()
         settings = core.ControlSettings()
         settings.set_follow(tolerance, options.get("max_iterations", 200))
         settings.directions = reference_basis(GRASP).reshape(-1).tolist()
-        settings.most_change, settings.squeeze = most_change, squeeze
+        settings.most_change, settings.squeeze = np.inf, squeeze
         self.optimizer = ForceOptimizer(grasp, tolerance=tolerance, **options)
         self.core = controller_alone(self.scene, 4, settings, grasp=grasp, tolerance=tolerance, **options)
         self.arrays = self.core.arrays()
@@ -60,10 +53,8 @@ class Loop:
 
     def scatter(self, positions: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Place three joints a finger at random around a turned object; return the Jacobian (4, 6, 12), object frame, and the bias (12,)."""
-        views, turn = (
-            self.views,
-            Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix(),
-        )  # the object's frame to the world's
+        # the object's frame to the world's
+        views, turn = self.views, Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix()
         views.rotation[:] = turn
         views.touch[:] = positions @ turn.T
         views.axes[:] = np.tile(np.eye(3), (4, 1))

@@ -23,13 +23,7 @@ SOLVED = ("Solved", "AlmostSolved")
 
 
 class Optimum(NamedTuple):
-    """Clarabel's answer.
-
-    Attributes:
-        objective: [N].
-        error: see `own_error`.
-        solved: whether Clarabel reports success.
-    """
+    """Clarabel's objective [N], its own relative error (see `own_error`), and whether it reports success."""
 
     objective: float
     error: float

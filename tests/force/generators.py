@@ -57,11 +57,9 @@ def random_grasp(rng: np.random.Generator, kind: str, most: int = 20) -> Grasp:
     shape = (count, 2) if kind in ("elliptic", "mixed") else count
     names = {"mixed": list(rng.choice(["hard", "soft", "frictionless"], count)), "elliptic": "hard"}
     positions, friction = positions + size * rng.uniform(-2.0, 2.0, 3), rng.uniform(0.1, 1.2, shape)
-    options = {
-        "contact_model": names.get(kind, kind),
-        "torsional_friction": size * 10.0 ** rng.uniform(-3.0, 0.0, count),
-    }
-    return Grasp.from_contacts(positions, normals, friction, **options)
+    gamma = size * 10.0 ** rng.uniform(-3.0, 0.0, count)
+    model = names.get(kind, kind)
+    return Grasp.from_contacts(positions, normals, friction, contact_model=model, torsional_friction=gamma)
 
 
 def some_grasp(rng: np.random.Generator, kind: str, most: int = 20) -> Grasp:

@@ -38,13 +38,7 @@ JUDGED = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """A problem and its known results.
-
-    Attributes:
-        weights: omega and lambda of Phi.
-        elastic: True if limits may be exceeded when no force satisfies them.
-        known: status, objective (None: infeasible) and its relative digits, by method.
-    """
+    """A problem and its known results: status, objective (None: infeasible) and relative digits by method; weights are omega and lambda."""
 
     name: str
     grasp: Grasp
@@ -84,12 +78,8 @@ def read(entry: dict[str, Any]) -> Named:
             if isinstance(limits.get(name), list):
                 limits[name] = [np.inf if each is None else each for each in limits[name]]
         limits = ForceLimits(**limits)
-    given = {
-        "weights": entry.get("weights", {}),
-        "elastic": entry.get("elastic", False),
-        "known": entry.get("known", {}),
-    }
-    return Named(entry["name"], grasp, np.array(entry["wrench"]), limits, **given)
+    more = entry.get("weights", {}), entry.get("elastic", False), entry.get("known", {})
+    return Named(entry["name"], grasp, np.array(entry["wrench"]), limits, *more)
 
 
 ENTRIES: list[dict[str, Any]] = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else []
@@ -115,11 +105,7 @@ def value(p: Named, method: str, found: ForceSolution, reference: Reference) -> 
 
 
 def judged(p: Named, method: str) -> dict[str, Any]:
-    """Return status, objective and digits, solved here and by Clarabel.
-
-    Raises:
-        AssertionError: they do not agree.
-    """
+    """Return status, objective and digits, solved here and by Clarabel; an AssertionError if they do not agree."""
     reference, tight = p.reference(), {"tolerance": 1e-12 if method == "newton" else 1e-9}
     found = attempt(lambda: optimize_force(p.grasp, p.wrench, **(p.options(method) | tight)))
     name = f"{p.name}, {method}"

@@ -6,13 +6,11 @@ import multiprocessing
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 from force.named import attempt
-from problems import closure_grasps
 
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
 from grasp_env.force.many import CHUNK
@@ -60,6 +58,11 @@ def test_no_answer_depends_on_threads_or_neighbours(kind: str) -> None:
     loads, options = wide_loads(3 * CHUNK // 2), KINDS[kind]
     batch = optimize_forces(GRASP, loads, workers=1, **options)
     np.testing.assert_array_equal(optimize_forces(GRASP, loads, workers=5, **options).records, batch.records)
+    if kind == "newton":  # more grasps than the core takes at once, some twice
+        grasps = [GRASP.with_friction(mu) for mu in np.linspace(0.3, 0.9, 700)]
+        many = [*grasps, *grasps[::-1]]
+        found = optimize_forces(many, loads[: len(many)], **options)
+        np.testing.assert_array_equal(found.records[700:], optimize_forces(many[700:], loads[700 : len(many)]).records)
     order = np.random.default_rng(1).permutation(len(loads))
     np.testing.assert_array_equal(optimize_forces(GRASP, loads[order], **options).records, batch.records[order])
 
@@ -70,25 +73,6 @@ def ring(count: int) -> Grasp:
     normals = -np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     heights = np.random.default_rng(count).uniform(-0.02, 0.02, count)
     return Grasp.from_contacts(-0.04 * normals + np.outer(heights, [0, 0, 1]), normals, 0.5)
-
-
-@pytest.mark.parametrize("method", ["newton", "conic"])
-def test_any_number_of_contacts_and_wrenches_of_any_size(method: str) -> None:
-    """Batches find every optimum of single calls, and invent none."""
-    for grasp in (*closure_grasps(5), *map(ring, (8, 9, 17))):
-        loads = wide_loads(20)
-        batch, optimizer = optimize_forces(grasp, loads, method=method), ForceOptimizer(grasp, method=method)
-        for k, load in enumerate(loads):
-            one = optimizer.solve(load)
-            close = 10 * AGREES * np.abs(one.force).max()  # some of these hardly span the wrenches
-            np.testing.assert_allclose(batch.force[k], one.force, rtol=0, atol=close)
-    rng = np.random.default_rng(7)
-    loads = rng.standard_normal((400, 6)) * 10.0 ** rng.uniform(-6, 6, (400, 1)) * [1, 1, 1, 0.05, 0.05, 0.05]
-    batch = optimize_forces(GRASP, loads, method=method, tolerance=1e-10)
-    optimizer = ForceOptimizer(GRASP, method=method, tolerance=1e-10)
-    assert batch.optimal[[optimizer.solve(load).status is Status.OPTIMAL for load in loads]].all()
-    assert ((batch.objective - batch.lower_bound)[batch.optimal] <= 1e-10 * batch.lower_bound[batch.optimal]).all()
-    assert (batch.cone_margin >= 0.0).all()
 
 
 @pytest.mark.parametrize("method", ["newton", "conic"])
@@ -116,36 +100,9 @@ def test_grasps_of_every_kind_side_by_side(method: str) -> None:
     np.testing.assert_array_equal(without.records, batch.records[ordinary])
 
 
-@pytest.mark.parametrize("thin", [1e-3, 1e-6])
-def test_grasps_near_rank_loss_are_solved_alone(thin: float) -> None:
-    """Contacts nearly on a line, where the order of sums matters more than rounding: the bits of single calls."""
-    base = ring(8)
-    points = [base.positions * [1.0, thin, thin] * (1.0 + 0.03 * k) for k in range(9)]
-    grasps = [Grasp.from_contacts(each, base.normals, 0.5) for each in points]
-    loads = np.random.default_rng(4).standard_normal((9, 6)) * np.repeat([1.0, 0.01], 3)
-    for found, grasp, load in zip(optimize_forces(grasps, loads), grasps, loads, strict=True):
-        np.testing.assert_array_equal(found.force, attempt(lambda g=grasp, w=load: optimize_force(g, w)).force)
-
-
 # threads, processes, interrupts
 
 LOADS = sample_ball(np.random.default_rng(0), 100)
-
-
-@pytest.mark.parametrize("kind", ["newton", "conic", "flow", "limits"])
-def test_eight_threads_with_an_optimizer_each_or_a_shared_one(kind: str) -> None:
-    """Use one optimizer in one thread; if it is shared all the same, its answers are still right."""
-    alone, shared = [ForceOptimizer(GRASP, **KINDS[kind]) for _ in range(8)], ForceOptimizer(GRASP, **KINDS[kind])
-    want = np.array([shared.solve(load).force for load in LOADS])
-    remembers = ForceOptimizer(GRASP, **KINDS[kind], initial=None if kind == "conic" else "previous")
-    with ThreadPoolExecutor(8) as pool:
-        for found in pool.map(lambda own: [own.solve(load).force for load in LOADS], alone):
-            np.testing.assert_array_equal(found, want)
-        np.testing.assert_array_equal([found.force for found in pool.map(shared.solve, LOADS)], want)
-        for load, solution in zip(LOADS, pool.map(remembers.solve, LOADS), strict=True):
-            np.testing.assert_array_equal(solution.wrench, load)
-            assert solution.equilibrium_residual < 1e-9
-            assert solution.optimality_gap <= 1e-4
 
 
 def in_a_child(optimizer: ForceOptimizer, answers: multiprocessing.SimpleQueue) -> None:
@@ -179,35 +136,29 @@ from grasp_env.force import optimize_forces
 from grasp_env.grasp import presets
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a background job
-grasp, method, workers, many, count = presets.paper_cuboid(), sys.argv[1], eval(sys.argv[2]), sys.argv[3] == "grasps", int(sys.argv[4])
-loads = np.random.default_rng(0).standard_normal((count, 6)) * [1, 1, 1, 0.05, 0.05, 0.05]
-before, sent = optimize_forces(grasp, loads[:50], method=method).force, []
+grasp = presets.paper_cuboid()
+loads = np.random.default_rng(0).standard_normal((400_000, 6)) * [1, 1, 1, 0.05, 0.05, 0.05]
+before, sent = optimize_forces(grasp, loads[:50], method="reduced_flow").force, []
 def interrupt():
     sent.append(time.perf_counter())
     signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
 threading.Timer(0.1, interrupt).start()
 try:
-    optimize_forces([grasp] * count if many else grasp, loads, method=method, workers=workers, tolerance=1e-12)
+    optimize_forces(grasp, loads, method="reduced_flow", workers=2, tolerance=1e-12)
     sys.exit("finished")
 except KeyboardInterrupt:
     took = time.perf_counter() - sent[0]
-assert (optimize_forces(grasp, loads[:50], method=method).force == before).all()
+assert (optimize_forces(grasp, loads[:50], method="reduced_flow").force == before).all()
 begin = time.perf_counter()
 while threading.active_count() > 1 and time.perf_counter() < begin + 5.0:
     time.sleep(0.01)
 print(took, threading.active_count())
 """
-LONG = [("reduced_flow", "wrenches", 400_000), ("newton", "wrenches", 1_500_000), ("conic", "wrenches", 1_000_000), ("newton", "grasps", 300_000)]  # fmt: skip
-"""Batches of seconds, within 0.6 GiB."""
 
 
-@pytest.mark.parametrize(
-    ("method", "kind", "count", "workers"),
-    [(*LONG[0], 2), *(pytest.param(*batch, workers, marks=pytest.mark.slow) for batch in LONG for workers in (1, 2, None))],
-)  # fmt: skip
-def test_an_interrupt_ends_a_batch(method: str, kind: str, count: int, workers: int | None) -> None:
+def test_an_interrupt_ends_a_batch() -> None:
     """Within about a second, at any length; later batches have the same bits."""
-    command = [sys.executable, "-c", INTERRUPTED, method, str(workers), kind, str(count)]
+    command = [sys.executable, "-c", INTERRUPTED]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=ROOT, env=environment, timeout=120, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]

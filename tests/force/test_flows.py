@@ -11,23 +11,18 @@ from oracles import full_flow
 from oracles import reduced_flow as flow
 from oracles.descent import followed
 from oracles.reduced_flow import flow_vector, landscape, picked_projector, reduced_projector
-from problems import GRASPS, LIGHT, PAPER_WRENCH, STEP_RULES, closure_grasps
+from problems import GRASPS, LIGHT
 
 from grasp_env.force import (
     AdaptiveStep,
-    ArmijoStep,
     BarzilaiBorweinStep,
-    ExactStep,
-    FixedStep,
     ForceOptimizer,
     Objective,
     OfflineBasis,
     Status,
 )
 from grasp_env.force.initial import LinearCombination
-from grasp_env.force.step_size import StepRule
 from grasp_env.grasp import Grasp
-from grasp_env.grasp import wrench as wrenches
 
 OBJECTIVE = Objective(1.0, 0.1)
 CUBOID = GRASPS["cuboid, 4"]
@@ -96,51 +91,7 @@ def test_printed_indices_for_four_fingers() -> None:
     assert picked_projector(CUBOID.cone_matrix).shape == (12, 36)
 
 
-def test_the_first_step_by_hand() -> None:
-    """One step of Eq. 26 with explicit inverses and a pseudoinverse in place of Q: nothing of the package but G."""
-    x, alpha, p = CUBOID.to_cone(LinearCombination(OBJECTIVE)(CUBOID, PAPER_WRENCH)), 1e-3, np.zeros((12, 12))
-    for k, (u, o, t) in enumerate(x.reshape(-1, 3)):
-        p[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = [[u, 0, o], [0, u, t], [o, t, u]]
-    inverse = np.linalg.inv(p)
-    drive = (0.1 * inverse @ inverse - np.eye(12)).reshape(-1, order="F")
-    a = full_flow.constraints(CUBOID.cone_matrix)
-    step = drive - np.linalg.pinv(a) @ (a @ drive)
-    after = (p.reshape(-1, order="F") + alpha * step).reshape(12, 12, order="F")
-    mine = x + alpha * reduced_projector(CUBOID.cone_matrix) @ flow_vector(x, weights(CUBOID))
-    k = np.arange(0, 12, 3)
-    for offset, entries in enumerate((after[k, k], after[k + 2, k], after[k + 2, k + 1])):
-        np.testing.assert_allclose(mine[offset::3], entries, rtol=1e-12, atol=1e-12)
-
-
 # step rules
-
-
-WILD: dict[str, StepRule] = {
-    "constant": AdaptiveStep(1e-3, grow=1.0), "fixed, huge": FixedStep(1e12), "fixed, tiny": FixedStep(1e-15),
-    "armijo, huge": ArmijoStep(1e12, shrink=0.999, slope=0.9), "armijo, strict": ArmijoStep(1.0, slope=1.0 - 1e-16),
-    "adaptive, wild": AdaptiveStep(1e12, grow=999_999.0, shrink=0.999), "long, tiny": BarzilaiBorweinStep(1e-12, 0.01, "long"),
-    "exact, fine": ExactStep(1e-15), "exact, coarse": ExactStep(0.999),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("rule", [*STEP_RULES.values(), *WILD.values()], ids=[*STEP_RULES, *WILD])
-def test_every_iterate_is_inside_balanced_and_better(rule: StepRule) -> None:
-    rng = np.random.default_rng(3)
-    options = {"step_rule": rule, "barrier_weight": 0.1, "tolerance": 1e-12, "max_iterations": 80}
-    for k, grasp in enumerate(closure_grasps(8)):
-        optimizer = ForceOptimizer(grasp, method="full_flow" if k == 0 else "reduced_flow", **options)
-        for wrench in (*wrenches.sample_ball(rng, 1), *wrenches.sample_magnitudes(rng, 1, 1e-3, 1e3)):
-            solution = optimizer.solve(wrench, trace=True)
-            trace, steps = solution.objective_trace, solution.iterations
-            assert solution.status in (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED)
-            assert (len(trace), trace[-1]) == (steps + 1, solution.objective)
-            assert (np.diff(trace) < 0.0).all()
-            assert OBJECTIVE.value(grasp.to_cone(solution.force)) == pytest.approx(solution.objective, rel=1e-9)
-            assert steps <= solution.trials <= (81 * 2500 if rule != WILD["constant"] else steps)
-            assert solution.lower_bound <= solution.objective * (1.0 + 1e-10)
-            assert grasp.cone_margin(solution.force) > 0.0
-            size = np.abs(solution.initial_force).max() + np.abs(grasp.unit_frame @ wrench).max()
-            assert grasp.residual(solution.force, wrench) <= 1e-12 * size
 
 
 def test_barzilai_borwein_steps_are_inverse_curvatures() -> None:

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from force.generators import closed, finger_limits, own_joints
-from force.named import NAMED, attempt
+from force.generators import closed, finger_limits
+from force.named import attempt
 from problems import random_grasp
 
-from grasp_env.errors import InfeasibleWrenchError
-from grasp_env.force import ForceLimits, ForceOptimizer, Status, joint_torques, optimize_force, optimize_forces
+from grasp_env.force import ForceLimits, ForceOptimizer, Status, joint_torques
 from grasp_env.grasp import Grasp, presets
 from grasp_env.quality import feasibility
-
-CUBOID = presets.paper_cuboid()
-LOAD = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 
 
 def mixed(rng: np.random.Generator) -> Grasp:
@@ -106,32 +102,3 @@ def test_the_general_program_agrees(seed: int) -> None:
         for one, other in ((found.multipliers, want.multipliers), (found.limit_multipliers, want.limit_multipliers)):
             np.testing.assert_allclose(one, other, atol=1e-3 * np.abs(other).max())
     assert optimal > 1
-
-
-@pytest.mark.parametrize("method", ["newton", "conic"])
-def test_batches_hold_optima_proofs_and_excesses(method: str) -> None:
-    rng = np.random.default_rng(10)
-    options = {"limits": ForceLimits(jacobian=own_joints(rng, 4), torque_limit=0.15), "method": method}
-    many = rng.standard_normal((20, 6)) * np.repeat([1.0, 0.03], 3)
-    single = ForceOptimizer(CUBOID, **options, elastic=True)
-    relaxed, plain = (optimize_forces(CUBOID, many, **options, elastic=elastic) for elastic in (True, False))
-    assert set(relaxed.counts()) == {Status.OPTIMAL, Status.LIMITS_EXCEEDED}
-    for k, load in enumerate(many):
-        want = single.solve(load)
-        np.testing.assert_array_equal(relaxed[k]._record, want._record)
-        proven = plain[k].status is Status.INFEASIBLE
-        assert proven == (want.status is Status.LIMITS_EXCEEDED) == (plain[k].certificate is not None)
-        assert proven or (plain[k].force == want.force).all()
-    p = NAMED["pulled"]
-    for elastic in (False, True):  # what the cones cannot balance stays an error
-        with pytest.raises(InfeasibleWrenchError):
-            optimize_force(p.grasp, p.wrench, limits=ForceLimits(max_normal=5.0), elastic=elastic)
-
-
-@pytest.mark.parametrize("ratio", [1e-9, 1e-3, 1e6])
-@pytest.mark.parametrize("criterion", ["sum", "max"])
-def test_limits_far_from_the_wrench_in_size(ratio: float, criterion: str) -> None:
-    limits = ForceLimits(min_normal=1.0, max_normal=100.0 * max(1.0, ratio))
-    found = optimize_force(CUBOID, ratio * LOAD, method="conic", criterion=criterion, limits=limits).raise_for_status()
-    assert limits.violations(CUBOID, found.force, tolerance=0.0) == []
-    assert CUBOID.residual(found.force, ratio * LOAD) <= 1e-9 * ratio + 1e-14 * np.abs(found.force).max()

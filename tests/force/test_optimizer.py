@@ -115,6 +115,7 @@ def test_an_update_replaces_the_contacts() -> None:
     optimizer.update(**there, friction=0.35, torque_bias=np.full(4, 0.01))
     now = Grasp.from_contacts(**there, friction=0.35)
     np.testing.assert_array_equal(optimizer.grasp.matrix, now.matrix)
+    np.testing.assert_array_equal(optimizer.limits.torque_bias, 0.01)  # type: ignore[union-attr]
     limits = ForceLimits(jacobian=SHARED.jacobian, torque_limit=0.9, torque_bias=np.full(4, 0.01))
     want = optimize_force(now, LOAD, limits=limits, initial="linear_combination")
     np.testing.assert_allclose(optimizer.solve(LOAD).force, want.force, rtol=1e-9, atol=1e-9)
@@ -155,18 +156,12 @@ def test_previous_starts_with_the_methods_own_and_then_remembers(method: str, ow
     np.testing.assert_array_equal(optimizer.solve(PAPER_WRENCH).force, first.force)
 
 
-def test_warm_starts_on_the_papers_path_save_steps_and_follow_it() -> None:
+def test_warm_starts_on_the_papers_path_save_steps() -> None:
     path = wrenches.paper_path(np.linspace(0.0, 2.0, 200)) * np.repeat([1.0, 0.05], 3)
     warm, cold = (ForceOptimizer(CUBOID, method="reduced_flow", initial=start) for start in ("previous", None))
     steps = np.array([(warm.solve(w).iterations, cold.solve(w).iterations) for w in path])
     assert np.median(steps[:, 0]) <= 1
     assert steps[:, 0].sum() < 0.2 * steps[:, 1].sum()
-    newton = ForceOptimizer(CUBOID, initial=optimize_force(CUBOID, path[0]), tolerance=1e-9)
-    found = [newton.solve(w).raise_for_status() for w in path]
-    assert {each.initial for each in found} == {"previous"}
-    # the optimum follows the wrench with the gain of G^+ and the squeeze, about ten
-    moves = np.abs(np.diff([each.force for each in found], axis=0)).max()
-    assert moves < 10.0 * np.abs(np.diff(path[:, :3], axis=0)).max()
 
 
 @pytest.mark.parametrize("options", [{}, {"method": "reduced_flow"}, {"limits": ForceLimits(max_normal=8.0)}], ids=str)
@@ -212,29 +207,15 @@ def test_numbers_in_any_form_are_the_same_and_answers_are_copies(method: str) ->
     loads = np.random.default_rng(0).standard_normal((5, 6)) * np.repeat([1.0, 0.03], 3)
     rows = optimize_forces(CUBOID, loads, method=method)
     np.testing.assert_array_equal(optimize_forces(CUBOID, np.asfortranarray(loads), method=method).force, rows.force)
-    # the compiled call and the general one, which converts lists, agree from previous solutions too
-    fast, slow = (ForceOptimizer(CUBOID, method=method, initial=None if method == "conic" else "previous") for _ in range(2))  # fmt: skip
-    for each in loads:
-        one, other = fast.solve(each), slow.solve(each.tolist())
-        assert (one.status, one.initial) == (other.status, other.initial)
-        assert one.objective == pytest.approx(other.objective, rel=2e-4)
 
 
-def test_a_solution_certifies_itself() -> None:
-    solution = optimize_force(CUBOID, PAPER_WRENCH)
-    assert solution.raise_for_status() is solution
-    assert solution.optimality_gap == (solution.objective - solution.lower_bound) / solution.lower_bound
-    assert 0.0 < solution.optimality_gap <= 1e-4
-    assert solution.total_normal_force == solution.force[:, 0].sum()
-    assert solution.certificate is None
-    with pytest.raises(ValueError, match="read-only"):
-        solution.force[0, 0] = 0.0
+def test_a_cached_basis_does_not_keep_its_grasp_alive() -> None:
     grasp = presets.tripod()
     OfflineBasis.of(grasp)
     alive = weakref.ref(grasp)
     del grasp
     gc.collect()
-    assert alive() is None  # a cached basis does not keep its grasp alive
+    assert alive() is None
 
 
 # proofs
@@ -291,8 +272,11 @@ def test_words_name_what_the_proof_needs() -> None:
     assert len(slipping) > 1
     assert f"what the cones of contacts {', '.join(slipping)} can make" in str(caught.value)
     heavy, many = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0], ForceLimits(max_normal=0.1)
-    with pytest.raises(InfeasibleWrenchError, match="exceeds"):
-        ForceOptimizer(RING, limits=many, elastic=True).solve(heavy).raise_for_status()
+    exceeded = ForceOptimizer(RING, limits=many, elastic=True).solve(heavy)
+    with pytest.raises(
+        InfeasibleWrenchError, match=rf"excess is {100.0 * exceeded.limit_excess:.3g} % .* elastic=False names"
+    ):
+        exceeded.raise_for_status()
     positions = RING.positions.copy()
     with pytest.raises(InfeasibleWrenchError, match="and 6 more") as caught:
         ForceOptimizer(RING, limits=many).solve(heavy)
@@ -303,16 +287,3 @@ def test_words_name_what_the_proof_needs() -> None:
         ForceOptimizer(RING, limits=many).solve(heavy, positions=positions)
     positions[:] = np.nan  # the caller overwrites its array before the message is read
     assert "normal <= 0.1 N" in str(caught.value)
-
-
-def test_a_solution_says_what_it_shows_of_an_infeasible_wrench() -> None:
-    heavy, limits = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0], ForceLimits(max_normal=0.1)
-    proven = optimize_forces(RING, [heavy], limits=limits)[0]
-    with pytest.raises(InfeasibleWrenchError, match=r"12 contacts: .*\. The error of optimize_force names") as caught:
-        proven.raise_for_status()
-    assert f"The twist is {[round(v, 6) for v in proven.certificate.tolist()]}." in str(caught.value)
-    exceeded = optimize_forces(RING, [heavy], limits=limits, elastic=True)[0]
-    percent = f"{100.0 * exceeded.limit_excess:.3g} % of its limit"
-    assert exceeded.limit_excess > 0.01
-    with pytest.raises(InfeasibleWrenchError, match=rf"excess is {percent}\. .* elastic=False names"):
-        exceeded.raise_for_status()

@@ -6,7 +6,7 @@ import io
 import json
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -34,9 +34,6 @@ from grasp_env.grasp import (
 )
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
-from grasp_env.sim import BulletEngine, FingerDescription, HandDescription, MujocoEngine
-from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
-from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.task.disturbance import DISTURBANCES
 from grasp_env.task.tasks import TASKS
 from policies import LearnedInitialForce, ZeroPolicy
@@ -79,16 +76,6 @@ def _optimizer(method: str) -> f.ForceOptimizer:
 @cache
 def _learned() -> LearnedInitialForce:
     return LearnedInitialForce.pretrained()
-
-
-def _chain(first: Callable[..., Any], *rest: str) -> Callable[..., Any]:
-    """`first(**keywords)`, then methods of what it returns, without arguments."""
-
-    def run(**keywords: Any) -> Any:
-        made = first(**keywords)
-        return [getattr(made, name)() for name in rest] or made
-
-    return run
 
 
 def _with(make: Callable[[], Any], name: str) -> Callable[..., Any]:
@@ -169,11 +156,6 @@ def calls(folder: Path) -> dict[str, Call]:
         "torsional_friction": 0.005, "tangents": np.tile([1.0, 0.2, 0.0], (4, 1)),
     }  # fmt: skip
     worst = {"criterion": "sum", "tolerance": 0.3, "starts": 2, "points": 64, "seed": 0}
-    link = {
-        "name": "a", "parent": "palm", "origin": (0, 0, 0.1), "rotation": (0, 0, 0), "axis": (0, 0, 1.0), "lower": -1.0, "upper": 1.0,
-        "torque_limit": 1.0, "mass": 0.1, "center": (0, 0, 0), "inertia": (1e-4, 0, 0, 1e-4, 0, 1e-4), "collision": (), "visual": (),
-        "color": (1, 0, 0), "joint": "",
-    }  # fmt: skip
     settings = {item.name: getattr(EnvConfig(), item.name) for item in fields(EnvConfig)}
     state = {"grasp": CUBOID, "wrench": PAPER}
     return {
@@ -181,12 +163,9 @@ def calls(folder: Path) -> dict[str, Call]:
         "Grasp.from_contacts, hard": Call(
             lambda **k: Grasp.from_contacts(**k).pseudoinverse, {k: contacts[k] for k in ("positions", "normals", "friction")}
         ),
-        "Grasp.with_friction": Call(CUBOID.with_friction, {"friction": 0.5}),
         "Grasp.wrench": Call(CUBOID.wrench, {"force": FORCE, "torsion": np.zeros(4)}),
         "Grasp.residual": Call(CUBOID.residual, {"force": FORCE, "wrench": PAPER, "torsion": np.zeros(4)}),
-        "Grasp.cone_margin": Call(CUBOID.cone_margin, {"force": FORCE}),
         "Grasp.to_object_frame": Call(CUBOID.to_object_frame, {"force": FORCE}),
-        "Grasp.to_contact_frame": Call(CUBOID.to_contact_frame, {"vectors": FORCE}),
         "preset": Call(presets.preset, {"name": "tripod", "friction": 0.5}),
         "transformed": Call(transformed, {"grasp": SOFT, "rotation": np.eye(3), "translation": np.zeros(3)}),
         "transform_wrench": Call(transform_wrench, {"wrench": PAPER, "rotation": np.eye(3), "translation": np.zeros(3)}),
@@ -200,11 +179,8 @@ def calls(folder: Path) -> dict[str, Call]:
         "load_grasp": Call(load_grasp, {"path": str(folder / "none.json")}),
         **{f"optimize_force, {method}": _solve(method) for method in ("reduced_flow", "newton", "conic")},
         "optimize_force, full_flow": _solve("full_flow", max_iterations=20),
-        "optimize_force, max": _solve("conic", criterion="max"),
         "optimize_force, soft newton": _solve("newton", SOFT),
-        "optimize_force, soft max": _solve("conic", SOFT, criterion="max"),
         "optimize_force, limits": _solve("newton", limits=f.ForceLimits(max_normal=50.0)),
-        "optimize_force, conic limits": _solve("conic", limits=f.ForceLimits(max_normal=50.0)),
         "optimize_force, elastic": _solve("newton", limits=f.ForceLimits(max_normal=2.0), elastic=True),
         "optimize_force, learned": _solve("newton", initial=_learned()),
         "optimize_force, from a force": _solve("newton", initial=FORCE, wrench=np.zeros(6)),
@@ -223,9 +199,6 @@ def calls(folder: Path) -> dict[str, Call]:
             _with(lambda: f.ForceOptimizer(CUBOID, limits=LIMITED), "solve"),
             {"wrench": PAPER, **PLACE, "jacobian": JACOBIAN, "torque_bias": np.zeros(5), "contacts": np.ones(4, dtype=bool)},
         ),
-        "ForceOptimizer.solve_many": Call(
-            _with(lambda: _optimizer("newton"), "solve_many"), {"wrenches": np.tile(PAPER, (3, 1)), "workers": 1}
-        ),
         "optimize_forces": Call(
             f.optimize_forces,
             {"grasps": CUBOID, "wrenches": np.tile(PAPER, (3, 1)), "method": "newton", "workers": 1, "tolerance": 1e-4, "initial": None},
@@ -236,24 +209,13 @@ def calls(folder: Path) -> dict[str, Call]:
         "ForceLimits": Call(
             _rows, {"min_normal": 0.1, "max_normal": 9.0, "jacobian": JACOBIAN, "torque_limit": 2.0, "torque_bias": np.zeros(5)}
         ),
-        "limited newton": Call(
-            lambda wrench, **k: f.optimize_force(CUBOID, wrench, method="newton", limits=f.ForceLimits(**k)),
-            {"wrench": PAPER, "min_normal": 0.1, "max_normal": 90.0, "jacobian": JACOBIAN, "torque_limit": 9.0},
-        ),
         "ForceLimits.slack": Call(f.ForceLimits(max_normal=5.0).slack, {"grasp": CUBOID, "force": FORCE, "torsion": np.zeros(4)}),
-        "ForceLimits.violations": Call(
-            f.ForceLimits(max_normal=5.0).violations, {"grasp": CUBOID, "force": FORCE, "torsion": np.zeros(4), "tolerance": 1e-9}
-        ),
-        "ForceLimits.rows": Call(f.ForceLimits(max_normal=5.0).rows, {"grasp": CUBOID}),
-        "ForceLimits.checked": Call(f.ForceLimits(max_normal=5.0).checked, {"n_contacts": 4}),
         "Objective": Call(f.Objective, {"force_weight": 1.0, "barrier_weight": [0.01] * 4}),
         **{f"Objective.{name}": Call(getattr(f.Objective(), name), {"x": FORCE.reshape(-1)}) for name in ("value", "gradient", "hessian")},
         "Objective.lower_bound": Call(
             f.Objective().lower_bound, {"multipliers": -PAPER, "cone_matrix": CUBOID.cone_matrix, "wrench": PAPER}
         ),
         "Repair": Call(lambda objective, **k: f.Repair(objective)(**k), {**state, "candidate": FORCE, "objective": f.Objective()}),
-        "OfflineBasis.of": Call(f.OfflineBasis.of, {"grasp": CUBOID, "objective": None}),
-        "OfflineBasis.combine": Call(f.OfflineBasis.of(CUBOID).combine, {"wrench": PAPER, "printed": False}),
         "LinearCombination": Call(_started(LinearCombination), state),
         **{name: Call(_started(partial(CoreStart, name)), state) for name in ("single_value", "lagrange", "phase_one")},
         "FixedStep": Call(f.FixedStep, {"size": 0.3}),
@@ -261,10 +223,6 @@ def calls(folder: Path) -> dict[str, Call]:
         "AdaptiveStep": Call(f.AdaptiveStep, {"first": 0.3, "grow": 1.5, "shrink": 0.5}),
         "BarzilaiBorweinStep": Call(f.BarzilaiBorweinStep, {"first": 0.3, "shrink": 0.5, "variant": "short"}),
         "ExactStep": Call(f.ExactStep, {"precision": 1e-3}),
-        "a flow with a step": Call(
-            lambda **k: f.optimize_force(CUBOID, PAPER, method="reduced_flow", step_rule=f.AdaptiveStep(**k), max_iterations=100),
-            {"first": 0.3, "grow": 1.5, "shrink": 0.5},
-        ),
         "description_matrix": Call(f.description_matrix, {"force": FORCE, "friction": CUBOID.friction}),
         "joint_torques": Call(f.joint_torques, {"jacobian": JACOBIAN, "force": FORCE, "bias": np.zeros(5), "moment": None}),
         "force_closure": Call(q.force_closure, {"grasp": CUBOID, "limits": None}),
@@ -280,8 +238,6 @@ def calls(folder: Path) -> dict[str, Call]:
             f"learned, {method}": Call(_with(_learned, method), state) for method in ("__call__", "covers", "raw")
         },
         "EnvConfig": Call(EnvConfig, settings),
-        "MujocoEngine": Call(MujocoEngine, asdict(MujocoEngine())),
-        "BulletEngine": Call(BulletEngine, asdict(BulletEngine())),
         "EnvConfig.override": Call(EnvConfig().override, {"friction": 0.4, "size": (0.1, 0.1, 0.1), "sensors": {"delay": 0.0}, "disturbance": {"name": "random", "force": 1.0}}),
         **{
             f"plan of {name}": Call(
@@ -301,32 +257,7 @@ def calls(folder: Path) -> dict[str, Call]:
             lambda **k: EnvConfig().override(randomize=k).drawn(np.random.default_rng(0)),
             {"mass": (0.1, 0.2), "size": (0.07, 0.12), "gravity": lambda rng: (0.0, -9.81, 0.0), "shape": True},
         ),
-        "ObjectDescription": Call(
-            ObjectDescription,
-            {"shape": "cuboid", "size": (0.1, 0.1, 0.1), "mass": 0.2, "friction": 0.4, "inertia": (1e-4, 1e-4, 1e-4), "mesh": None, "torsional_friction": 0.0},
-        ),
-        "FingerDescription": Call(
-            _chain(FingerDescription, "fingertip"),
-            {"name": "a", "base": (0, 0.1, 0), "press": (0, 0, 1.0), "hang": (0, -1.0, 0), "link_lengths": (0.03, 0.08, 0.07),
-             "link_masses": (0.02, 0.03, 0.02), "tip_mass": 0.01, "link_radius": 0.0075, "tip_radius": 0.01, "torque_limit": 12.0,
-             "joint_lower": (-1.0, -1.8, 0.05), "joint_upper": (1.0, 1.2, 2.6), "home": (0.0, -0.6, 1.2), "color": (1, 0, 0)},
-        ),
-        "HandDescription.of_fingers": Call(
-            HandDescription.of_fingers,
-            {"fingers": [FingerDescription("thumb", (0, 0.135, -0.09), (0, 0, 1.0))], "name": "hand", "palm": None, "tip_friction": 1.0},
-        ),
-        "HandDescription": Call(
-            HandDescription,
-            {"name": "hand", "palm": Palm(), "links": (Link(**link),), "fingertips": (Fingertip("tip", "a", (0, 0, 0), 0.01),),
-             "home": (0.0,), "tip_friction": 1.0},
-        ),
-        "HandDescription.from_urdf": Call(
-            HandDescription.from_urdf,
-            {"path": str(Path(__file__).parents[1] / "sim" / "assets" / "crooked_hand.urdf"), "fingertips": ["pad_a", "finger_b_end", "finger_c_end"],
-             "palm": "base", "tip_radius": None, "torque_limit": None, "joint_limits": {"b_root": (-1.0, 1.0)}, "inertials": {"fold": 0.05}, "home": (), "position": (0, 0, 0.0), "rotation": (0, 0, 0.0), "tip_friction": 1.0, "rotor_inertia": None},
-        ),
         "null_space_basis": Call(null_space_basis, {"grasp": CUBOID, "reference": reference_basis(CUBOID)}),
-        "reference_basis": Call(reference_basis, {"grasp": CUBOID}),
         "a grasp's file": Call(
             _load(folder),
             {**contacts, "schema": "grasp-force/grasp/1", "units": {"positions": "m"}},
@@ -343,8 +274,4 @@ def calls(folder: Path) -> dict[str, Call]:
             {"wrench": PAPER, "preset": "tripod", "friction": 0.5, "method": "newton", "tolerance": 1e-4, "barrier-weight": 0.01,
              "min-normal": 0.0, "max-normal": 50.0, "criterion": "sum", "initial": "single_value"},
         ),
-        "Link": Call(Link, link),
-        "Palm": Call(Palm, {"name": "palm", "collision": (), "visual": (), "color": (1, 0, 0)}),
-        "Geometry": Call(Geometry, {"kind": "capsule", "size": (0.01, 0.1), "origin": (0, 0, 0), "rotation": (0, 0, 0), "color": None}),
-        "Fingertip": Call(Fingertip, {"name": "tip", "link": "a", "center": (0, 0, 0), "radius": 0.01}),
     }  # fmt: skip

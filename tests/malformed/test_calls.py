@@ -83,11 +83,3 @@ CHECKS = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck
 @given(data=st.data())
 def test_wrong_arguments_are_refused_in_words(name: str, table: dict[str, Call], data: st.DataObject) -> None:
     spoil(name, table, data)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=300, deadline=None, suppress_health_check=CHECKS, database=None)
-@given(data=st.data())
-def test_more_wrong_arguments(name: str, table: dict[str, Call], data: st.DataObject) -> None:
-    spoil(name, table, data)

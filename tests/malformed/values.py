@@ -36,15 +36,8 @@ def mistakes(draw: st.DrawFn, good: Any) -> Any:
             scaled = array * 10.0 ** draw(st.integers(-300, 300))
         return scaled if scaled.ndim else float(scaled)
     if kind == "shape" and array.ndim:
-        shapes = [
-            array[:-1],
-            np.concatenate([array, array[:1]]),
-            array[None],
-            array.reshape(-1),
-            array.T,
-            array[..., :0],
-        ]
-        return shapes[draw(st.integers(0, 5))]
+        more, flat = np.concatenate([array, array[:1]]), array.reshape(-1)
+        return [array[:-1], more, array[None], flat, array.T, array[..., :0]][draw(st.integers(0, 5))]
     if kind == "type" and array.dtype.kind == "f":
         with np.errstate(all="ignore"):
             return array.astype(draw(st.sampled_from(["f4", "i1", "i8", "c16", "U8", "O"])))

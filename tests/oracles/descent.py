@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grasp_env.force.record import CONVERGED, LIMIT, STALLED
 from grasp_env.force.step_size import ADAPTIVE, BARZILAI_BORWEIN, EXACT, VARIANTS, StepRule
 
 SHORTEST = 1e-10
@@ -20,14 +19,10 @@ FLAT, LEAP = 1e-12, 10.0
 
 @dataclass(frozen=True)
 class Landscape:
-    """Phi on the state of a flow: vec(P) for the full one, VP for the reduced one.
+    """Phi on the state of a flow, vec(P) for the full one, VP for the reduced one; +inf outside the cones.
 
-    Attributes:
-        value: Phi at a state, +inf outside the cones.
-        gradient: its gradient.
-        curvature: its second derivative at a state along a move.
-        direction: the projected drive at a state.
-        metric: the weights of the squares in |state|^2, the same length in both: |P|_F^2.
+    Besides value and gradient it has the second derivative along a move, the projected drive at a state, and the weights of the
+    squares in |state|^2, which is |P|_F^2 in both.
     """
 
     value: Callable[[np.ndarray], float]
@@ -41,8 +36,6 @@ class Landscape:
 class Descent:
     """Record of a descent: `values` holds Phi of every iterate, `steps` every accepted step size."""
 
-    state: np.ndarray
-    code: int = LIMIT
     trials: int = 0
     values: list[float] = field(default_factory=list)
     steps: list[float] = field(default_factory=list)
@@ -57,12 +50,7 @@ class Descent:
 class Ray:
     """Phi along one step d, as a step rule sees it. Lengths are those of P: |x|^2 = sum 3 u^2 + 2 o^2 + 2 t^2.
 
-    Attributes:
-        land: Phi. at: x. move: d.
-        here: Phi(x).
-        past: (alpha, |d|^2, inner product with this d) of the step before; None at the first.
-        count: accepted steps.
-        trials: number of evaluations of Phi.
+    `here` is Phi(x), `past` (alpha, |d|^2, inner product with this d) of the step before, `trials` the number of evaluations of Phi.
     """
 
     land: Landscape
@@ -149,51 +137,20 @@ def _exact(ray: Ray, precision: float) -> float | None:
     return alpha if trial < ray.here else ray.backtrack(alpha, 0.5)
 
 
-def descend(
-    state: np.ndarray,
-    landscape: Landscape,
-    converged: Callable[[np.ndarray, float, int], bool],
-    rule: StepRule,
-    max_iterations: int,
-) -> Descent:
-    """State <- state + alpha * direction(state) while Phi decreases.
-
-    Args:
-        state: vec(P) or VP, strictly inside the cones and balanced.
-        landscape: Phi there.
-        converged: whether to stop at (state, Phi, accepted steps).
-        rule: the step rule.
-        max_iterations: the most accepted steps.
-    """
-    metric = landscape.metric
-    result = Descent(state.copy(), values=[float(landscape.value(state))])
+def followed(state: np.ndarray, landscape: Landscape, rule: StepRule, count: int) -> tuple[Descent, list[np.ndarray]]:
+    """Up to `count` steps from vec(P) or VP, strictly inside and balanced, while Phi decreases; and all states."""
+    metric, result, states = landscape.metric, Descent(values=[float(landscape.value(state))]), [state]
     past: tuple[float, np.ndarray] | None = None
-    while True:
-        if converged(result.state, result.values[-1], result.iterations):
-            result.code = CONVERGED
-            return result
-        if result.iterations >= max_iterations:
-            return result
-        at, move = result.state, landscape.direction(result.state)
+    while result.iterations < count:
+        at, move = states[-1], landscape.direction(states[-1])
         before = past and (past[0], float(metric @ past[1] ** 2), float(metric @ (past[1] * move)))
         ray = Ray(landscape, at, move, result.values[-1], before, result.iterations)
         alpha = step(rule, ray)
         result.trials += ray.trials
         if alpha is None:
-            result.code = STALLED
-            return result
-        result.state = at + alpha * move
-        result.values.append(float(landscape.value(result.state)))
+            break
+        states.append(at + alpha * move)
+        result.values.append(float(landscape.value(states[-1])))
         result.steps.append(alpha)
         past = alpha, move
-
-
-def followed(state: np.ndarray, landscape: Landscape, rule: StepRule, count: int) -> tuple[Descent, list[np.ndarray]]:
-    """So many steps, and all states."""
-    states: list[np.ndarray] = []
-
-    def keep(state: np.ndarray, _value: float, _iterations: int) -> bool:
-        states.append(state)
-        return False
-
-    return descend(state, landscape, keep, rule, count), states
+    return result, states

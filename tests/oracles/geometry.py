@@ -6,14 +6,7 @@ import numpy as np
 
 
 def frame(normal: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
-    """(3, 3) columns (n, o, t): o the projection of `along` on the tangent plane, of e_x (e_y where |n_x| > 0.9) without one.
-
-    Example:
-        >>> frame(np.array([0.0, 0.0, 1.0])).T   # rows: n, o, t
-        array([[0., 0., 1.],
-               [1., 0., 0.],
-               [0., 1., 0.]])
-    """
+    """(3, 3) columns (n, o, t): o the projection of `along` on the tangent plane, of e_x (e_y where |n_x| > 0.9) without one."""
     n = normal / np.linalg.norm(normal)
     axis = np.eye(3)[1 if abs(n[0]) > 0.9 else 0] if along is None else along
     o = axis - n * (axis @ n)

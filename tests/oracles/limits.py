@@ -9,17 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 from oracles.boundary import longest_step
-from oracles.newton import solve
+from oracles.newton import kkt_step
 from oracles.phi import gradient, hessian, phi
 
 
 class Terms(NamedTuple):
-    """Phi of contacts with limits.
-
-    Attributes:
-        weights: (N, 2) omega and lambda.
-        rows: (M, n) A; bound: (M,) b; row_weights: (M,).
-    """
+    """Phi of contacts with limits: weights (N, 2) omega and lambda; rows A (M, n), bound (M,) and weights of the rows (M,)."""
 
     weights: np.ndarray
     rows: np.ndarray
@@ -32,13 +27,7 @@ class Terms(NamedTuple):
 
 
 def value(z: np.ndarray, terms: Terms) -> np.floating:
-    """+inf unless strictly inside.
-
-    Example:
-        >>> terms = Terms(np.array([[1.0, 0.01]]), np.array([[1.0, 0.0, 0.0]]), np.array([1.0]), np.array([0.02]))
-        >>> float(value(np.array([0.5, 0.0, 0.0]), terms))
-        1.6
-    """
+    """+inf unless strictly inside."""
     slack = terms.bound - terms.rows @ z
     inside = (slack > 0.0).all()
     return phi(z[: 3 * len(terms.weights)], terms.weights) + (terms.row_weights / slack).sum() if inside else np.inf
@@ -56,14 +45,8 @@ def derivatives(z: np.ndarray, terms: Terms) -> tuple[np.ndarray, np.ndarray]:
 
 def newton_step(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> tuple[np.ndarray, float]:
     """(step, squared decrement) with matrix (6, n) of z: the step ends in balance."""
-    size = len(z)
-    slope, full = derivatives(z, terms)
-    kkt = np.block([[full, -matrix.T], [matrix, np.zeros((6, 6))]])
-    scale = np.sqrt(np.concatenate([1.0 / np.diag(kkt)[:size], np.ones(6)]))
-    scale[size:] = 1.0 / np.sqrt(((matrix * scale[:size]) ** 2).sum(axis=1))
-    right = -scale * np.concatenate([slope, matrix @ z + wrench])
-    step = (scale * solve(scale[:, None] * kkt * scale, right))[:size]
-    return step, float(-slope @ step)
+    step, _, decrement = kkt_step(*derivatives(z, terms), matrix, matrix @ z + wrench)
+    return step, decrement
 
 
 def minimum(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> np.ndarray | None:

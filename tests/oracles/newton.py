@@ -10,33 +10,27 @@ from oracles.phi import gradient, hessian, phi
 def newton_step(
     x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """(step (3N,), multipliers (6,), squared decrement -grad . step) of min Phi s.t. G (x + step) + w = 0.
+    """(step (3N,), multipliers (6,), squared decrement -grad . step) of min Phi s.t. G (x + step) + w = 0, from x strictly inside."""
+    return kkt_step(gradient(x, weights), hessian(x, weights), matrix, matrix @ x + wrench)
 
-    Args:
-        x: (3N,) cone coordinates, strictly inside.
-        matrix: (6, 3N) G in cone coordinates.
-        wrench: (6,).
-        weights: (N, 2).
-    """
-    size = len(x)
-    kkt = np.block([[hessian(x, weights), -matrix.T], [matrix, np.zeros((6, 6))]])
-    slope = gradient(x, weights)
+
+def kkt_step(
+    slope: np.ndarray, full: np.ndarray, matrix: np.ndarray, missed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The same from the gradient (n,), the Hessian (n, n), matrix (6, n), and what balance misses (6,)."""
+    size = len(slope)
+    kkt = np.block([[full, -matrix.T], [matrix, np.zeros((6, 6))]])
     # rows of one size: near the cone's surface those of H differ by many powers of ten
     scale = np.sqrt(np.concatenate([1.0 / np.diag(kkt)[:size], np.ones(6)]))
     scale[size:] = 1.0 / np.sqrt(((matrix * scale[:size]) ** 2).sum(axis=1))
-    scaled, right = scale[:, None] * kkt * scale, -scale * np.concatenate([slope, matrix @ x + wrench])
+    scaled, right = scale[:, None] * kkt * scale, -scale * np.concatenate([slope, missed])
     first = solve(scaled, right)
     found = scale * (first + solve(scaled, right - scaled @ first))
     return found[:size], found[size:], float(-slope @ found[:size])
 
 
 def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Gauss with pivots, in the type that it is given: numpy's own has no long double.
-
-    Example:
-        >>> solve(np.array([[0.0, 2.0], [4.0, 1.0]]), np.array([2.0, 9.0]))
-        array([2., 1.])
-    """
+    """Gauss with pivots, in the type that it is given: numpy's own has no long double."""
     a = np.column_stack([matrix, right])
     size = len(matrix)
     for k in range(size):
@@ -116,12 +110,7 @@ def twelve_basis(matrix: np.ndarray, weights: np.ndarray, rest: np.ndarray) -> n
 
 
 def combine(basis: np.ndarray, wrench: np.ndarray, printed: bool = False) -> np.ndarray:
-    """sum_k E_k f_k + max(0, 1 - sum_k E_k) f_rest with E_k = max(0, +-w_k) (Eqs. 33, 34); `printed`: without the rest.
-
-    Example:
-        >>> combine(np.arange(13.0)[:, None], np.array([0.5, 0.0, -0.25, 0, 0, 0]))
-        array([5.])
-    """
+    """sum_k E_k f_k + max(0, 1 - sum_k E_k) f_rest with E_k = max(0, +-w_k) (Eqs. 33, 34); `printed`: without the rest."""
     parts = np.concatenate([np.maximum(0.0, wrench), np.maximum(0.0, -wrench)])
     rest = 0.0 if printed else max(0.0, 1.0 - float(parts.sum()))
     return parts @ basis[:12] + rest * basis[12]

@@ -9,12 +9,7 @@ import numpy as np
 
 
 def phi(x: np.ndarray, weights: np.ndarray) -> np.floating:
-    """Sum of 3 omega u + lambda (1/u + 2u/(u^2 - o^2 - t^2)); +inf unless strictly inside every cone.
-
-    Example:
-        >>> float(phi(np.array([0.5, 0.0, 0.0]), np.array([[1.0, 0.01]])))
-        1.56
-    """
+    """Sum of 3 omega u + lambda (1/u + 2u/(u^2 - o^2 - t^2)); +inf unless strictly inside every cone."""
     total = x.dtype.type(0.0)
     for (u, o, t), (omega, lam) in zip(x.reshape(-1, 3), weights, strict=True):
         d = determinant(u, o, t)
@@ -111,11 +106,7 @@ def least_of_lagrangian(y: np.ndarray, omega: float, lam: float) -> tuple[float,
 def lower_bound(multipliers: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray) -> float:
     """Least of the Lagrangian over all cones at nu (6,): no balanced force has a smaller Phi; -inf without information.
 
-    Args:
-        multipliers: (6,) nu, grad Phi = G^T nu at the optimum.
-        matrix: (6, 3N) G in cone coordinates.
-        wrench: (6,) external wrench, G x + w = 0.
-        weights: (N, 2).
+    matrix (6, 3N) is G in cone coordinates, wrench the external one, G x + w = 0; grad Phi = G^T nu at the optimum.
     """
     pull = (matrix.T @ multipliers).reshape(-1, 3)
     parts = [least_of_lagrangian(y, omega, lam)[0] for y, (omega, lam) in zip(pull, weights, strict=True)]

@@ -20,10 +20,6 @@ def picked_rows(count: int) -> NDArray[np.int_]:
 
     Printed for four contacts as m = 39 floor((i-1)/3) + 2^(2^(i - 3 floor((i-1)/3) - 1)) - 1, one-based; 39 is
     9N + 3. Rows 1, 3 and 15 = 12 + 3 of a block are its entries (1, 1), (3, 1) and (3, 2).
-
-    Example:
-        >>> picked_rows(4)[:6] + 1
-        array([ 1,  3, 15, 40, 42, 54])
     """
     block, line = np.divmod(np.arange(3 * count), 3)
     offset = np.where(line == 2, 3 * count + 3, 2 ** (2**line) - 1)

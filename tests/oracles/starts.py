@@ -8,12 +8,7 @@ import numpy as np
 def turned(x: np.ndarray, before: np.ndarray, now: np.ndarray, divisor: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Cone coordinates x (3N,) with tangential forces kept as vectors in space: written along `before`, read along `now`.
 
-    Args:
-        x: (3N,) cone coordinates.
-        before: (N, 3, 3) columns (n, o, t), the frames x is written in.
-        now: (N, 3, 3) frames of the result.
-        divisor: (N, 3) force = x / divisor.
-        scale: (N, 3) x = scale * force.
+    Frames are (N, 3, 3) with columns (n, o, t); force = x / divisor before, x = scale * force now, both (N, 3).
     """
     out = x.reshape(-1, 3).copy()
     for k, force in enumerate(x.reshape(-1, 3) / divisor):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from oracles import boundary, geometry, newton, phi
+from oracles import geometry, newton, phi
 from problems import PROBLEMS, Problem
 
 WEIGHTS = np.array([[1.0, 0.01], [0.3, 2.0], [2.5, 1e-3]])
@@ -45,15 +45,3 @@ def test_optima_are_those_of_the_named_problems(problem: Problem) -> None:
     )
     if problem.total_normal is not None:
         assert (x[0::3] / grasp.friction).sum() == pytest.approx(problem.total_normal, abs=5e-3)
-
-
-def test_steps_and_rays_end_at_the_same_place() -> None:
-    rng, bounded = np.random.default_rng(0), 0
-    for _ in range(200):
-        x = np.array([1.0, *rng.uniform(-0.6, 0.6, 2)])
-        step = rng.standard_normal(3)
-        low, high = boundary.ray_interval(x, step)
-        assert low == 0.0
-        assert boundary.longest_step(x, step) == (pytest.approx(high, rel=1e-6) if high < np.inf else np.inf)
-        bounded += high < np.inf
-    assert 50 < bounded < 200

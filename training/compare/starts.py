@@ -11,9 +11,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from grasp_env._check import ContactForces, Wrench
+from grasp_env.core import record_size
 from grasp_env.force import ForceOptimizer, ForceSolution, Objective, OfflineBasis, optimize_force, optimize_forces
 from grasp_env.force.initial import InitialForceRule, LearnedRule, call_rule
-from grasp_env.force.record import CONTACTS, FORCE, record_size
+from grasp_env.force.record import CONTACTS, FORCE
 from grasp_env.force.repair import Correction, carry_over
 from grasp_env.force.rules import RULES, CoreStart, initial_rule
 from grasp_env.grasp import Grasp, presets, wrench
@@ -84,7 +85,7 @@ class StartFactory:
     def made(self) -> dict[str, PreparedStart]:
         """Make every start of `STARTS`, then the package's other rules, then those of the user."""
         named = {key: STARTS[key].make(self) for key in STARTS}
-        own = {key: self.rule(rule(self.objective)) for key, rule in RULES.items() if key not in named}
+        own = {key: self.rule(rule.make(self.objective)) for key, rule in RULES.items() if key not in named}
         return {**named, **own, **{key: self.rule(rule) for key, rule in self.given.items()}}
 
     def named(self, name: str) -> PreparedStart:
