@@ -118,23 +118,14 @@ def label(
     """
     count = len(wrenches)
     grasps = {mu: with_mean_friction(grasp, mu) for mu in np.unique(friction).tolist()}
-    phi = {"force_weight": objective.force_weight, "barrier_weight": objective.barrier_weight}
-    solutions = optimize_forces(
-        [grasps[mu] for mu in friction.tolist()],
-        wrenches,
-        tolerance=LABEL_GAP,
-        max_iterations=LABEL_ITERATIONS,
-        workers=workers,
-        **phi,
-    )
+    options = {"tolerance": LABEL_GAP, "max_iterations": LABEL_ITERATIONS, "workers": workers, **vars(objective)}
+    solutions = optimize_forces([grasps[mu] for mu in friction.tolist()], wrenches, **options)
     null_space = null_space_basis(grasp, reference)
     dimension = null_space.shape[1]
     metric = np.empty((count, dimension, dimension), np.float32)
     force, least = solutions.force.reshape(count, -1), solutions.objective
     with np.errstate(divide="ignore", invalid="ignore"):
-        worst = float(
-            np.where(solutions.lower_bound > 0.0, least / solutions.lower_bound - 1.0, np.inf).max(initial=0.0)
-        )
+        worst = np.where(solutions.lower_bound > 0.0, least / solutions.lower_bound - 1.0, np.inf).max(initial=0.0)
     if not worst <= 1e-6:
         raise NotConvergedError(f"a training label has a relative gap of {worst:.2g}")
 
