@@ -23,6 +23,7 @@ CONFIG = StartsConfig(wrenches=6, timed=3, repeats=2, episodes=2, steps=5)
 NAMES = ("constant", "ball", "smooth", "trajectories", "random_4", "six_decades", "ball_frictions")
 HOLDS = ("gravity", "constant", "paper_path", "random")
 OWN = """
+import threading
 from dataclasses import dataclass
 from grasp_env.force import ForceOptimizer
 from grasp_env.force.initial import LinearCombination
@@ -48,6 +49,7 @@ def outside(grasp, wrench):
     return -(grasp.pseudoinverse @ wrench).reshape(-1, 3)
 
 two = 2
+held = threading.Lock().acquire
 """
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import trimesh
 from engines import needs_bullet
-from rich.console import Console
 
 from grasp_env.errors import InvalidInputError, SimulationError
 from training.cli import main
@@ -41,7 +40,6 @@ from training.compare.scenarios import (
 from training.results.run import Run
 from training.results.table import summary
 
-QUIET = Console(quiet=True)
 SHORT = {"disturbance": "random", "duration": 0.1}
 OBJECT = ("shape", "size_x", "size_y", "size_z", "mass", "friction")
 
@@ -144,7 +142,7 @@ PLAN = [
 
 def test_an_interrupted_run_continues_and_every_episode_counts(tmp_path, monkeypatch):
     config = HoldsConfig(seed=7)
-    rows, _ = run(config, plan=PLAN, workers=2, console=QUIET)
+    rows, _ = run(config, plan=PLAN, workers=2)
     assert rows["seed"].tolist() == [*range(7, 12), 7, 7]
     means = summary(rows)
     assert means[["case", "controller", "n", "held_sum"]].to_numpy().tolist() == [
@@ -160,9 +158,9 @@ def test_an_interrupted_run_continues_and_every_episode_counts(tmp_path, monkeyp
 
     monkeypatch.setattr(holds, "trial", stopping)
     with pytest.raises(KeyboardInterrupt):
-        run(config, folder, PLAN, on="inline", console=QUIET)
+        run(config, folder, PLAN, on="inline")
     seen.clear()
-    again, _ = run(config, folder, PLAN, on="inline", console=QUIET)
+    again, _ = run(config, folder, PLAN, on="inline")
     assert seen == [7, 7]  # the finished shards of the first scenario are kept
     assert again.equals(rows)
 

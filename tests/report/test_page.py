@@ -35,7 +35,7 @@ def held(tmp_path_factory):
                 "normal_force": 10.0 / scenario.keys.get("friction_margin", 1.0) + scenario.keys.get("squeeze", 0.0),
             })  # fmt: skip
     folder.save(table(rows), {"kind": "env", "quick": False, "settings": {"episodes": 20}})
-    return folder, write(folder).path.read_text()
+    return folder, write(folder)[0].read_text()
 
 
 def test_pages_need_no_other_file(held):
@@ -123,7 +123,7 @@ def test_hold_rates_mark_the_chosen_setting_and_count_failures(held):
 def test_any_table_gets_a_page_and_changed_files_are_refused(tmp_path):
     folder = Run.create(tmp_path, "other")
     folder.save(table([{"case": "a", "per_second": 2.0}, {"case": "a", "per_second": 4.0}]), {"kind": "something"})
-    assert "<td>3</td><td>4</td>" in write(folder).path.read_text()  # median and maximum
+    assert "<td>3</td><td>4</td>" in write(folder)[0].read_text()  # median and maximum
     folder.path("rows.parquet").write_bytes(b"no table")
     with pytest.raises(InvalidInputError, match="is not a table of results"):
         write(folder)

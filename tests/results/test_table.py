@@ -55,7 +55,7 @@ def test_a_finished_run_records_how_it_was_made(tmp_path):
     for call, message in (
         (lambda: run.begin({"seed": 2, "hands": ("allegro",)}), r"was begun with other settings \(seed\)"),
         (lambda: Run.create(tmp_path, "a"), "holds a finished run: choose another name or remove it"),
-        (lambda: Run.open(tmp_path / "nothing", "run.json"), "is not a finished run"),
+        (lambda: Run.open(tmp_path / "nothing"), "is not a finished run"),
         (lambda: check_counts(type("Settings", (), {"seed": -1}), {"seed": 0}), "seed"),
         (lambda: table([{"speed": 1.0}]), "unknown columns speed: add them to COLUMNS"),
         (lambda: table([{"iterations": "many"}]), "does not fit the kind of its column"),

@@ -32,7 +32,7 @@ def found(tmp_path_factory) -> SimpleNamespace:
     out = tmp_path_factory.mktemp("reproduce")
     assert main(["reproduce", "--quick", "--out", str(out)]) == 0
     (folder,) = out.iterdir()
-    rows, about = Run.open(folder, "run.json").load()
+    rows, about = Run.open(folder).load()
     assert (about["kind"], about["quick"]) == ("reproduce", True)
     assert folder.joinpath("report.html").is_file()
     return SimpleNamespace(rows=rows, summary=summary(rows))

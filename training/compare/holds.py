@@ -126,7 +126,6 @@ def run(
     *,
     on: str = "processes",
     workers: int = 0,
-    console: Console | None = None,
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Play the episodes; return their rows, and the settings for run.json.
 
@@ -136,29 +135,28 @@ def run(
         plan: scenarios instead of the config's.
         on: where the shards run, see `map_shards`.
         workers: see `map_shards`.
-        console: for the progress bar and the repairs to files of hands.
     """
-    console, plan = console or Console(stderr=True), config.plan() if plan is None else plan
+    plan = config.plan() if plan is None else plan
     for name in {ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines}:
         class_of(engine_of(name), "simulator")  # reports a missing engine here, not in the workers
     for name in config.hands:
         if name not in HANDS:
-            _print_repairs(lambda name=name: HandDescription.from_file(name), console)
+            _print_repairs(lambda name=name: HandDescription.from_file(name))
     for text in config.objects:  # cut into convex pieces once, here
-        _print_repairs(lambda text=text: ObjectDescription(**mesh_settings(text)[1]["object"]), console)
+        _print_repairs(lambda text=text: ObjectDescription(**mesh_settings(text)[1]["object"]))
     shards: dict[str, Shard] = {}
     for scenario in plan:
         seeds = range(config.seed, config.seed + scenario.episodes)
         for k in range(0, len(seeds), _CHUNK):
             shards[f"{scenario.name}/{k:05d}"] = Shard(scenario, tuple(seeds[k : k + _CHUNK]))
     keep = folder and folder.folder / "shards"
-    mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes", console=console)
+    rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes")
     about = {
         "kind": config.kind, "settings": asdict(config), "quick": config.quick,
         "scenarios": [asdict(scenario) for scenario in plan], "steps_per_second": _speeds(plan),
-        "map": mapped.about,
+        "map": mapped,
     }  # fmt: skip
-    return mapped.rows, about
+    return rows, about
 
 
 def work(shard: Shard) -> pd.DataFrame:
@@ -286,7 +284,7 @@ def _object(config: EnvConfig, info: dict[str, Any] | None = None) -> dict[str, 
     }
 
 
-def _print_repairs(read: Callable[[], Any], console: Console) -> None:
+def _print_repairs(read: Callable[[], Any]) -> None:
     """Print the repairs made in reading a file, once; the workers read it silently.
 
     Raises:
@@ -296,7 +294,7 @@ def _print_repairs(read: Callable[[], Any], console: Console) -> None:
         warnings.simplefilter("always")
         read()
     for warning in caught:
-        console.print(f"repaired: {warning.message}", highlight=False, soft_wrap=True)
+        Console(stderr=True).print(f"repaired: {warning.message}", highlight=False, soft_wrap=True)
 
 
 def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:

@@ -12,7 +12,7 @@ from training.report.page import axes
 from training.results.claims import Claim
 from training.results.statistics import iqm, iqm_interval, ratio_interval
 from training.results.table import pd
-from training.results.words import number, percent
+from training.results.words import number
 
 AGENTS = {
     "zero": ("the paper's start (zero policy)", "#000000"),
@@ -77,7 +77,7 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
                 "environment": place(environment), "policy": AGENTS[agent][0],
                 "training seeds": ends["training_seed"].nunique() or None,
             }  # fmt: skip
-            rates = percent(row["held_rate_low"]), percent(row["held_rate_high"])
+            rates = (f"{number(100.0 * row[f'held_rate_{part}'])} %" for part in ("low", "high"))
             cells["held"] = f"{row['held_sum']:.0f} of {len(ends)} [{', '.join(rates)}]"
             if iterations[agent].notna().all():  # a solver runs
                 counts = (number(row[f"iterations_{part}"]) for part in ("median", "p95", "p99"))

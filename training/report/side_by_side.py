@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from grasp_env.errors import InvalidInputError
-from training.report.page import Page, facts_of, render
+from training.report.page import facts_of, render
 from training.results.columns import KEYS
 from training.results.run import Run, understood
 from training.results.statistics import mean_interval, ratio_interval
@@ -98,11 +98,10 @@ def write(a: Run, b: Run, out: Run) -> Rows:
         raise InvalidInputError(f"{a.folder} and {b.folder} have no rows in common: compare runs of one command")
     ties = int((made["verdict"] == "tie").sum())
     note = f"{len(made) - ties} of {len(made)} comparisons differ, {ties} are ties."
-    page = Page(
+    page = render(
         title=f"{a.folder.name} (A) against {b.folder.name} (B)",
         intro=INTRO,
         quick=bool(about_a.get("quick") or about_b.get("quick")),
-        figures=(),
         tables=[("What differs first", note, made)],
         facts=[
             (f"{side}: {name}", value)
@@ -110,5 +109,5 @@ def write(a: Run, b: Run, out: Run) -> Rows:
             for name, value in facts_of(about)
         ],
     )
-    out.write_text("compare.html", render(page))
+    out.write_text("compare.html", page)
     return made

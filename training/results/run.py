@@ -57,15 +57,15 @@ class Run:
         return cls(folder)
 
     @classmethod
-    def open(cls, folder: str | Path, needs: str) -> Run:
-        """Open an existing run that holds the file `needs`.
+    def open(cls, folder: str | Path) -> Run:
+        """Open a finished run.
 
         Raises:
             InvalidInputError: there is no such run.
         """
         folder = Path(folder)
-        if not os.path.isfile(folder / needs):
-            raise InvalidInputError(f"{folder} is not a finished run: {needs} is missing; run `grasp evaluate` first")
+        if not os.path.isfile(folder / "run.json"):
+            raise InvalidInputError(f"{folder} is not a finished run: run.json is missing; run `grasp evaluate` first")
         return cls(folder)
 
     def path(self, name: str) -> Path:
