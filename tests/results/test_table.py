@@ -27,16 +27,18 @@ def made() -> pd.DataFrame:
     return table(rows)
 
 
-def test_an_interrupted_write_leaves_the_old_file(tmp_path):
+def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
     run = Run.create(tmp_path, "a")
     run.write_text("notes.txt", "whole")
 
-    def breaks(path: Path) -> None:
-        path.write_text("half")
+    def breaks(path: Path, text: str, encoding: str) -> None:
+        path.write_bytes(b"half")
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        run.write("notes.txt", breaks)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", breaks)
+        with pytest.raises(KeyboardInterrupt):
+            run.write_text("notes.txt", "all new")
     assert run.path("notes.txt").read_text() == "whole"
     assert [path.name for path in run.folder.iterdir()] == ["notes.txt"]
     with pytest.raises(ValueError, match="JSON compliant"):

@@ -43,13 +43,7 @@ class StartsConfig:
     """Settings of the comparison of starts.
 
     Attributes:
-        wrenches: number of cases in a full set of wrenches; the other sets have a share of it.
-        timed: number of wrenches whose calls are timed.
-        repeats: number of times each of those calls is timed.
-        episodes: episodes of each random scenario of the roll-outs, per start.
-        steps: steps of each roll-out, at 50 per second.
-        seed: seed of all held-out problems.
-        quick: a small version that ends within a minute; its report is marked as quick.
+        wrenches, timed, repeats, episodes, steps, seed, quick: the options of `grasp evaluate starts`.
     """
 
     wrenches: int = 1000

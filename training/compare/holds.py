@@ -9,6 +9,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any
@@ -26,19 +27,8 @@ from grasp_env.sim import HandKinematics, ObjectDescription
 from grasp_env.sim.engine import class_of, engine_of
 from grasp_env.sim.grasping.points import grasp_points
 from grasp_env.sim.hand.description import HANDS, HandDescription
-from training.compare.scenarios import (
-    ENGINES,
-    HOLDS_OF_STARTS,
-    PRESETS,
-    RANDOM_STARTS,
-    Scenario,
-    controllers_plan,
-    hands_plan,
-    mesh_settings,
-    short_name,
-    transfer_plan,
-    usual_engines,
-)
+from training.compare import scenarios
+from training.compare.scenarios import ENGINES, HOLDS_OF_STARTS, RANDOM_STARTS, Scenario, mesh_settings, short_name
 from training.data.episodes import episode
 from training.results.run import Run, check_counts
 from training.results.shards import map_shards
@@ -63,13 +53,7 @@ class HoldsConfig:
     Attributes:
         kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and disturbances), "objects" (the same with
             objects from mesh files) or "transfer" (the same hands in both engines).
-        hands: names, or files (URDF, xacro, MJCF); none: for "transfer" four_finger, allegro and leap.
-        engines: for "hands" and "objects": keys of `scenarios.ENGINES`; none: the default engine.
-        episodes: episodes of each main scenario; 0: 500 of "env", 100 of "hands", 10 of "objects", 300 of "transfer". The other
-            scenarios have fewer.
-        objects: for "objects": mesh files, see `scenarios.mesh_settings`.
-        seed: seed of the first episode; the next ones follow.
-        quick: a small version; its report is marked as quick.
+        hands, engines, episodes, objects, seed, quick: the options of `grasp evaluate`.
     """
 
     kind: str = "env"
@@ -105,10 +89,10 @@ class HoldsConfig:
         usual = {"env": 500, "hands": 100, "objects": 10, "transfer": 300}[self.kind]
         episodes = QUICK_EPISODES[self.kind] if self.quick else self.episodes or usual
         if self.kind == "env":
-            return controllers_plan(episodes, self.quick)
+            return scenarios.controllers_plan(episodes, self.quick)
         if self.kind in ("hands", "objects"):
-            return hands_plan(self.hands, self.engines or usual_engines(), episodes, self.objects)
-        return transfer_plan(self.hands or PRESETS, episodes)
+            return scenarios.hands_plan(self.hands, self.engines or scenarios.usual_engines(), episodes, self.objects)
+        return scenarios.transfer_plan(self.hands or scenarios.PRESETS, episodes)
 
 
 @dataclass(frozen=True)
@@ -201,14 +185,10 @@ def trial(
     row: dict[str, Any] = {"redrawn": redrawn, **_object(config)}
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", GraspWarning
-            )  # about the hand's structure, for every episode; the rows show the effect
-            env = FourFingerGrasp(config=config)
-            try:
+            # about the hand's structure, for every episode; the rows show the effect
+            warnings.simplefilter("ignore", GraspWarning)
+            with closing(FourFingerGrasp(config=config)) as env:
                 infos = [step.info for step in episode(env, seed)]
-            finally:
-                env.close()
     except GraspError as error:
         failure = NOT_PLACED if isinstance(error, InvalidInputError) else NO_START
         return {**row, "held": False, "failure": failure, "detail": str(error), "status": None}
@@ -306,19 +286,11 @@ def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
             first.setdefault(hand, {**scenario.settings, **ENGINES[engine]})
     out: dict[str, float] = {}
     for name, settings in first.items():
-        try:
-            env = FourFingerGrasp(config=settings_of(settings).override(randomize=()))
-        except GraspError:
-            continue
-        try:
+        with suppress(GraspError), closing(FourFingerGrasp(config=settings_of(settings).override(randomize=()))) as env:
             for seed in range(_ROUNDS):
                 running, begun = episode(env, seed, most=_TIMED), time.perf_counter()
                 steps = sum(1 for _ in running)
                 out[name] = max(out.get(name, 0.0), steps / (time.perf_counter() - begun))
-        except GraspError:
-            continue
-        finally:
-            env.close()
     return out
 
 

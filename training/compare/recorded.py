@@ -61,9 +61,8 @@ def record(
         with closing(FourFingerGrasp(hand=hand, **own)) as env:
             for k in range(place, episodes, len(hands)):
                 running = episode(env, seeds[k], most=steps)
-                noted.clear()  # the problems of closing the fingers
+                noted = found[k]  # without the problems of closing the fingers
                 deque(running, maxlen=0)
-                found[k] = noted.copy()
     return found
 
 

@@ -39,9 +39,8 @@ class Scenario:
     @property
     def name(self) -> str:
         """Name that is unique in a plan."""
-        return "/".join(
-            [self.case, *(f"{value:g}" if isinstance(value, float) else str(value) for value in self.keys.values())]
-        )
+        keys = (f"{value:g}" if isinstance(value, float) else str(value) for value in self.keys.values())
+        return "/".join([self.case, *keys])
 
 
 ENGINES: dict[str, dict[str, Any]] = {
@@ -253,20 +252,13 @@ def hands_plan(
         episodes: episodes of each random scenario; a deterministic one has one.
         objects: mesh files, see `mesh_settings`, instead of those of `OBJECTS`.
     """
-    if objects:
-        return [
-            Scenario(
-                f"mesh_{push}", {"hand": short_name(hand), "object": name}, episodes if push == "random" else 1,
-                {"hand": hand, **item, **PUSHES[push]}, tuple(engines), False,
-            )
-            for hand in hands for name, item in map(mesh_settings, objects) for push in PUSHES
-        ]  # fmt: skip
+    meshes: list[Any] = [("mesh", {"object": name}, own) for name, own in map(mesh_settings, objects)]
     return [
         Scenario(
-            f"{item}_{push}", {"hand": short_name(hand)}, 1 if item != "random" and push != "random" else episodes,
-            {"hand": hand, **OBJECTS[item], **PUSHES[push]}, tuple(engines), item == "random",
+            f"{item}_{push}", {"hand": short_name(hand), **keys}, episodes if "random" in (item, push) else 1,
+            {"hand": hand, **own, **PUSHES[push]}, tuple(engines), item == "random",
         )
-        for hand in hands for item in OBJECTS for push in PUSHES
+        for hand in hands for item, keys, own in meshes or [(item, {}, own) for item, own in OBJECTS.items()] for push in PUSHES
     ]  # fmt: skip
 
 

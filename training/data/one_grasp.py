@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -129,15 +128,13 @@ def label(
     if not worst <= 1e-6:
         raise NotConvergedError(f"a training label has a relative gap of {worst:.2g}")
 
-    def work(part: slice) -> None:
-        for begin in range(part.start, part.stop, CHUNK):
-            few = slice(begin, min(begin + CHUNK, part.stop))
-            scales = np.array([grasps[mu].models.cone_scale for mu in friction[few].tolist()])
-            metric[few] = _metric(force[few], scales, null_space, objective, least[few])
+    def work(begin: int) -> None:
+        few = slice(begin, begin + CHUNK)
+        scales = np.array([grasps[mu].models.cone_scale for mu in friction[few].tolist()])
+        metric[few] = _metric(force[few], scales, null_space, objective, least[few])
 
-    edges = np.linspace(0, count, workers + 1).astype(int)
     with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(work, (slice(a, b) for a, b in pairwise(edges))))
+        list(pool.map(work, range(0, count, CHUNK)))
     return Dataset(wrenches, friction, (force @ null_space).astype(np.float32), metric, least)
 
 

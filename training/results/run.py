@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -74,16 +74,12 @@ class Run:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def write(self, name: str, writer: Callable[[Path], object]) -> Path:
-        """Call writer(temporary path), then rename, so that an interrupted write leaves no partial file."""
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a text file; an interrupted write leaves no partial file."""
         path = self.path(name)
         with replacing(path) as temporary:
-            writer(temporary)
+            temporary.write_text(text, encoding="utf-8")
         return path
-
-    def write_text(self, name: str, text: str) -> Path:
-        """Write a text file."""
-        return self.write(name, lambda path: path.write_text(text, encoding="utf-8"))
 
     def write_json(self, name: str, value: Any) -> Path:
         """Write JSON; raise ValueError for NaN and infinity."""
