@@ -92,21 +92,15 @@ def fit(
     now = optimise(NetworkTask(config, network, train, held_out), state, resume, words)
     checkpoint = Checkpoint(
         tensors={
-            **{name: np.ascontiguousarray(value) for name, value in network.tensors().items()},
-            "reference": reference,
-            "pairs": pairs,
+            **{name: np.ascontiguousarray(value) for name, value in network.tensors().items()}, "reference": reference, "pairs": pairs,
         },
         numbers={
-            "sizes": [inputs, *config.hidden, outputs],
-            "friction_degree": config.degree,
-            "features": asdict(features),
-            "n_contacts": grasp.n_contacts,
-            "force_weight": config.force_weight,
-            "barrier_weight": config.barrier_weight,
+            "sizes": [inputs, *config.hidden, outputs], "friction_degree": config.degree, "features": asdict(features),
+            "n_contacts": grasp.n_contacts, "force_weight": config.force_weight, "barrier_weight": config.barrier_weight,
         },
         ranges={"magnitude": magnitudes, "friction": friction},
         card=_card(config, grasp, count, command, now),
-    )
+    )  # fmt: skip
     model, ball = LearnedInitialForce(checkpoint), source.ball(held_out_rng, HELD_OUT)
     nominal = np.full(HELD_OUT, float(grasp.friction.mean()))
     checkpoint.card["held_out_gap"] = {
