@@ -53,10 +53,7 @@ Rows = Iterator[dict[str, Any]]
 
 
 def run(quick: bool = False) -> pd.DataFrame:
-    """Compute every part, one after another in this process, since some parts measure times.
-
-    Args:
-        quick: few wrenches, repetitions and samples.
+    """Compute every part, one after another in this process, since some parts measure times; if `quick`, of few wrenches and samples.
 
     Returns:
         The rows. Cases: "weights", "times", "rates", "gaps", "forms", "costs_product", "costs_iteration", "path_<grasp>",
@@ -298,11 +295,7 @@ def path(name: str, grasp: Grasp, fine: float) -> Rows:
 
     "jump" is the change of a finger's force since the sample before. With samples ten times closer it becomes ten times smaller if
     the forces are continuous, and stays the same at a jump. "kink", the change of the rate, tells smooth forces from kinks likewise.
-
-    Args:
-        name: name of the grasp.
-        grasp: the grasp.
-        fine: time between samples [s]; the coarse samples are ten times as far apart.
+    `fine` is the time between samples [s]; the coarse samples are ten times as far apart.
     """
     times = np.arange(0.0, 2.0, fine)
     loads = wrench.paper_path(times)

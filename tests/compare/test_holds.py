@@ -17,7 +17,6 @@ from training.compare import holds
 from training.compare.holds import (
     NO_START,
     HoldsConfig,
-    Shard,
     draw_object,
     episode_columns,
     run,
@@ -112,7 +111,7 @@ def test_a_grasp_that_does_not_settle_or_cannot_be_placed_counts_as_not_held(mon
 @needs_bullet
 def test_a_seed_is_the_same_object_in_every_engine():
     pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
-    rows = work(Shard(Scenario("objects", {"hand": "four_finger"}, 2, SHORT, BOTH), (3, 4)))
+    rows = work((Scenario("objects", {"hand": "four_finger"}, 2, SHORT, BOTH), (3, 4)))
     assert rows["engine"].tolist() == ["bullet", "mujoco"] * 2
     assert rows["seed"].tolist() == [3, 3, 4, 4]
     for seed in (3, 4):
@@ -127,7 +126,7 @@ def test_an_object_of_a_mesh_file_is_held_and_named(tmp_path):
     path = str(tmp_path / "brick.stl")
     trimesh.creation.box((50, 50, 50)).export(path)
     plan = HoldsConfig("objects", ("allegro",), ("bullet", "faces"), objects=(f"{path}=0.001",)).plan()
-    rows = work(Shard(next(scenario for scenario in plan if scenario.case == "mesh_gravity"), (0,)))
+    rows = work((next(scenario for scenario in plan if scenario.case == "mesh_gravity"), (0,)))
     assert rows["held"].all()
     assert rows[["object", "engine"]].to_numpy().tolist() == [["brick", "bullet"], ["brick", "faces"]]
     np.testing.assert_allclose(rows["mass"], 0.15)

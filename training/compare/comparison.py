@@ -79,12 +79,7 @@ def run(
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Run the comparison; return its rows, and the settings for run.json.
 
-    Args:
-        config: the settings.
-        given: starts and solvers of a user.
-        folder: keeps finished shards; None: nothing is kept.
-        on: where the shards run, see `map_shards`. Times are measured in this process alone.
-        workers: see `map_shards`.
+    `folder` keeps finished shards; for `on` and `workers` see `map_shards`. Times are measured in this process alone.
     """
     config, objective = config.resolved(), Objective()
     shards = {name: Shard(name, config, given, objective) for name in plan(given)}

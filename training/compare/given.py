@@ -73,11 +73,7 @@ class Given:
 
     @classmethod
     def of(cls, starts: tuple[str, ...] = (), solvers: tuple[str, ...] = ()) -> Given:
-        """Load and check all starts and solvers before anything runs.
-
-        Args:
-            starts: texts of the form `START`.
-            solvers: texts of the form `SOLVER`.
+        """Load and check all starts (texts of the form `START`) and solvers (`SOLVER`) before anything runs.
 
         Raises:
             InvalidInputError: an invalid or used name, a missing object, or one that is no rule or solver. It lists all of them.

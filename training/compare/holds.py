@@ -44,6 +44,8 @@ _BEFORE, _IN_PLACE = 25, 1e-3
 """Last agent steps of an episode, and drift [m], in which a cut torque counts as the cause of the loss."""
 _TIMED, _ROUNDS = 100, 3
 """Number of agent steps whose rate is measured, and of repetitions."""
+Shard = tuple[Scenario, Sequence[int]]
+"""A scenario and some of its seeds, for a worker."""
 
 
 @dataclass(frozen=True)
@@ -95,14 +97,6 @@ class HoldsConfig:
         return scenarios.transfer_plan(self.hands or scenarios.PRESETS, episodes)
 
 
-@dataclass(frozen=True)
-class Shard:
-    """Some seeds of a scenario, for a worker."""
-
-    scenario: Scenario
-    seeds: tuple[int, ...]
-
-
 def run(
     config: HoldsConfig,
     folder: Run | None = None,
@@ -113,12 +107,7 @@ def run(
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Play the episodes; return their rows, and the settings for run.json.
 
-    Args:
-        config: the settings.
-        folder: keeps finished shards; None: nothing is kept.
-        plan: scenarios instead of the config's.
-        on: where the shards run, see `map_shards`.
-        workers: see `map_shards`.
+    `folder` keeps finished shards, `plan` replaces the scenarios of the config; for `on` and `workers` see `map_shards`.
     """
     plan = config.plan() if plan is None else plan
     for name in {ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines}:
@@ -132,7 +121,7 @@ def run(
     for scenario in plan:
         seeds = range(config.seed, config.seed + scenario.episodes)
         for k in range(0, len(seeds), _CHUNK):
-            shards[f"{scenario.name}/{k:05d}"] = Shard(scenario, tuple(seeds[k : k + _CHUNK]))
+            shards[f"{scenario.name}/{k:05d}"] = scenario, seeds[k : k + _CHUNK]
     keep = folder and folder.folder / "shards"
     rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes")
     about = {
@@ -145,13 +134,13 @@ def run(
 
 def work(shard: Shard) -> pd.DataFrame:
     """Return the rows of a shard; this runs in a worker. A seed runs in all engines before the next seed."""
-    scenario = shard.scenario
+    scenario, seeds = shard
     return table(
         {
             **scenario.keys, "case": scenario.case, "engine": engine, "seed": seed,
             **trial({**scenario.settings, **ENGINES[engine]}, scenario.random_objects, seed),
         }
-        for seed in shard.seeds for engine in scenario.engines
+        for seed in seeds for engine in scenario.engines
     )  # fmt: skip
 
 
@@ -168,13 +157,9 @@ def hold_of_start(
 def trial(
     settings: dict[str, Any], random_objects: bool, seed: int, rule: str | InitialForceRule | None = None
 ) -> dict[str, Any]:
-    """Play one episode in a new environment and return its columns.
+    """Play one episode in a new environment (see `settings_of`) and return its columns.
 
-    Args:
-        settings: settings of the environment, see `settings_of`.
-        random_objects: True if the seed draws the object.
-        seed: seed of the object and of everything random in the episode.
-        rule: start of the optimisations; None: the environment's own.
+    With `random_objects` the seed draws the object, too. `rule` is the start of the optimisations; None: the environment's own.
     """
     config, redrawn = settings_of(settings), 0
     if random_objects:
@@ -198,9 +183,8 @@ def trial(
 def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
     """Draw the random object of a seed: shape, size, mass and friction in the ranges of `randomize`, within reach of the hand.
 
-    Returns:
-        The object, its contact points (N, 3) [m] in the object frame, and the number of objects drawn before it without a grasp.
-        None of these depends on the controller or the engine. A hand without a fixed pose is placed anew for every object: no points.
+    Returns the object, its contact points (N, 3) [m] in the object frame, and the number of objects drawn before it without a grasp.
+    None of these depends on the controller or the engine. A hand without a fixed pose is placed anew for every object: no points.
     """
     rng, kinematics = np.random.default_rng([seed, 0x0B1EC7]), _kinematics(config.hand)
     drawn = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})

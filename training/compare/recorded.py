@@ -39,15 +39,9 @@ def record(
     steps: int = STEPS,
     **settings: Any,
 ) -> list[list[Problem]]:
-    """Record the problems of episodes, in order; the hands take turns.
+    """Record the problems of `episodes` episodes in all, of at most `steps` steps each, in order; the hands take turns.
 
-    Args:
-        episodes: number of episodes in all.
-        rng: draws the episodes' seeds.
-        disturbance: disturbance of the environment.
-        hands: names of the hands.
-        steps: largest number of steps of an episode.
-        settings: settings of the environment; none: random objects.
+    Without further `settings` of the environment the objects are random.
     """
     seeds, paper, noted = rng.integers(0, 2**31, episodes).tolist(), LinearCombination(), list[Problem]()
 

@@ -193,11 +193,10 @@ def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
 
 
 def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
-    """Plan the same hands, objects and controllers in both engines; only the four-finger hand varies the contact models.
+    """Plan the same hands (names or files), objects and controllers in both engines.
 
-    Args:
-        hands: names or files of hands.
-        episodes: episodes of each hand's random objects under a random wrench; the other scenarios have a third.
+    Each hand has `episodes` of random objects under a random wrench, and a third in other scenarios. Only the four-finger hand
+    varies the contact models.
     """
     plan: list[Scenario] = []
     for hand in hands:
@@ -244,13 +243,9 @@ def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
 def hands_plan(
     hands: Iterable[str], engines: Sequence[str], episodes: int, objects: Sequence[str] = ()
 ) -> list[Scenario]:
-    """Plan all combinations of hands, objects and disturbances.
+    """Plan all combinations of hands (names or files), objects (mesh files, see `mesh_settings`, or those of `OBJECTS`) and pushes.
 
-    Args:
-        hands: names or files of hands.
-        engines: keys of `ENGINES`.
-        episodes: episodes of each random scenario; a deterministic one has one.
-        objects: mesh files, see `mesh_settings`, instead of those of `OBJECTS`.
+    Each random scenario has `episodes`, a deterministic one has one.
     """
     meshes: list[Any] = [("mesh", {"object": name}, own) for name, own in map(mesh_settings, objects)]
     return [

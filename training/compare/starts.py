@@ -60,12 +60,7 @@ class PreparedStart:
 
 
 class StartFactory:
-    """Maker of starts for one Phi.
-
-    Args:
-        objective: Phi.
-        given: rules of a user by name, saved models among them.
-    """
+    """Maker of starts for one Phi; `given` are rules of a user by name, saved models among them."""
 
     def __init__(self, objective: Objective, given: Mapping[str, InitialForceRule] | None = None) -> None:
         self.objective, self.given = objective, dict(given or {})
@@ -292,14 +287,8 @@ def require_near_fixed(grasp: Grasp) -> None:
 def carry_force(old: Grasp, force: ContactForces, new: Grasp, objective: Objective) -> ContactForces:
     """Carry a force of one grasp over to the contact frames of another.
 
-    Each contact takes the force of the nearest old contact within 20 mm, as a vector in the object frame. A new finger gets its
-    optimum without load, u = sqrt(lambda / omega), which is strictly inside its cone, unlike zero.
-
-    Args:
-        old: the contacts of `force`.
-        force: (N, 3) [N].
-        new: the new contacts.
-        objective: Phi.
+    Each contact takes the force (N, 3) [N] of the nearest old contact within 20 mm, as a vector in the object frame. A new finger gets
+    its optimum without load, u = sqrt(lambda / omega), which is strictly inside its cone, unlike zero.
     """
     if old is new:
         return force

@@ -102,15 +102,9 @@ def label(
     friction: np.ndarray,
     workers: int = 2,
 ) -> Dataset:
-    """Label wrenches (B, 6) on a grasp with frictions (B,) by Newton's method, to a relative gap of 1e-10.
+    """Label wrenches (B, 6) [N, N m] on a grasp with mean frictions (B,) by Newton's method, to a relative gap of 1e-10.
 
-    Args:
-        grasp: the contacts; its mean friction is replaced.
-        reference: see `null_space_basis`.
-        objective: Phi.
-        wrenches: (B, 6) [N, N m].
-        friction: (B,).
-        workers: number of threads; the core releases the GIL.
+    For `reference` see `null_space_basis`; `workers` are threads, since the core releases the GIL.
 
     Raises:
         NotConvergedError: a label has a relative gap above 1e-6.
@@ -139,14 +133,9 @@ def label(
 
 
 def _metric(force: Array, scales: Array, null_space: Array, objective: Objective, least: Array) -> Array:
-    """Return upper factors (B, K, K) of the Hessian of Phi over 2 min Phi, in null-space coordinates at the optima.
+    """Return upper factors (B, K, K) of the Hessian of Phi over 2 min Phi, in null-space coordinates at the optimal forces (B, 3N) [N].
 
-    Args:
-        force: (B, 3N) optimal forces [N].
-        scales: (B, N, 3) scales of cone coordinates.
-        null_space: (3N, K).
-        objective: Phi.
-        least: (B,) min Phi.
+    `scales` (B, N, 3) are those of cone coordinates, `null_space` is (3N, K), `least` (B,) min Phi.
     """
     many, count = len(force), scales.shape[1]
     x = force * scales.reshape(many, -1)

@@ -41,14 +41,7 @@ order is |R m y - R z*|^2."""
 
 
 class NetworkTask:
-    """Regression of the optimum: the loss is the mean of a small power of the gap of Phi, to second order.
-
-    Args:
-        config: settings of the training.
-        module: the network.
-        train: training samples.
-        held_out: samples of each held-out set.
-    """
+    """Regression of the optimum by a network: the loss is the mean of a small power of the gap of Phi, to second order."""
 
     def __init__(self, config: FitConfig, module: Network, train: Samples, held_out: tuple[Samples, ...]) -> None:
         self.config, self.module = config, module
@@ -93,11 +86,8 @@ def optimise(task: NetworkTask, state: StateFile | None = None, resume: bool = F
 
     Unless time decides, the result has the same bits with any number of threads, and after an interrupt and resume.
 
-    Args:
-        task: network, samples and settings.
-        state: file in which the training is saved; None: it is not saved.
-        resume: continue from that file.
-        words: label of the progress on stderr (a bar on terminals, else lines); empty: no progress.
+    The training is saved in the file `state`, from which `resume` continues. `words` label the progress on stderr (a bar on terminals,
+    else lines); empty: no progress.
 
     Returns:
         Steps, seconds and the curve: rows (step, seconds, *score).

@@ -23,18 +23,11 @@ EXACT = 1e-10
 def scores(
     model: LearnedInitialForce, grasp: Grasp, wrenches: np.ndarray, frictions: np.ndarray, flow: bool = False
 ) -> dict[str, Any]:
-    """Score the network of a model, without its Newton steps, on wrenches (B, 6) on a grasp with frictions (B,).
-
-    Args:
-        model: the model.
-        grasp: the contacts; their mean friction is replaced.
-        wrenches: (B, 6) [N, N m].
-        frictions: (B,).
-        flow: run the flow, too.
+    """Score the network of a model, without its Newton steps, on wrenches (B, 6) [N, N m] on a grasp with mean frictions (B,).
 
     Returns:
         "gap" of the force before any step; "outside the cones": the share before the repair; "newton steps" to a certified gap of
-        1e-4: the shares that need 0, 1, ...; "flow iterations" to 1e-4.
+        1e-4: the shares that need 0, 1, ...; with `flow`, "flow iterations" to 1e-4.
     """
     alone = NetworkAlone(model)
     rows: list[tuple[float, bool, int, int]] = []

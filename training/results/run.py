@@ -92,9 +92,7 @@ class Run:
     def save(self, rows: pd.DataFrame, about: dict[str, Any]) -> None:
         """Write rows.parquet, rows.csv and, last, run.json, which marks the run as finished.
 
-        Args:
-            rows: the table of the run.
-            about: its kind and settings; machine, versions, commit and the meaning of the columns are added.
+        To `about`, its kind and settings, machine, versions, commit and the meaning of the columns are added.
         """
         from training.results import table  # importing this module needs no pandas
 
@@ -130,9 +128,7 @@ class Run:
 def understood(folder: Path, again: str) -> Iterator[None]:
     """Turn any error in the block into the message that the run's files were changed or made by another version.
 
-    Args:
-        folder: folder of the run.
-        again: advice how to make such files again.
+    `again` is advice how to make such files again.
 
     Raises:
         InvalidInputError: any error other than the project's own, which pass through.

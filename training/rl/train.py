@@ -41,14 +41,7 @@ STOP = ".stop"
 
 @dataclass(frozen=True)
 class Shard:
-    """Agent to train and score, or only to score, or one of `BASELINES`.
-
-    Attributes:
-        name: name in the table.
-        config: settings, with the number of episodes.
-        folder: folder of the agent's seed; None: a baseline.
-        seed: seed of the training; None: the agent is only scored.
-    """
+    """Agent to train and score, or with no `seed` only to score, or with no `folder` one of `BASELINES`."""
 
     name: str
     config: RLConfig
@@ -85,13 +78,10 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
 
 
 def train(config: RLConfig, out: Path, resume: bool = False, on: str = "") -> Run:
-    """Train every seed and score the agents beside the baselines.
+    """Train every seed and score the agents beside the baselines, in the run's folder `out`.
 
-    Args:
-        config: the settings.
-        out: folder of the run.
-        resume: continue from the last complete checkpoint of each seed.
-        on: where seeds are trained, see `map_shards`; empty: inline for one seed, else one process with one thread per seed.
+    With `resume` each seed continues from its last complete checkpoint. For `on` see `map_shards`; empty: inline for one seed, else
+    one process with one thread per seed.
 
     Raises:
         InvalidInputError: no such environment; the folder cannot be written, holds another or a finished run, or its disk is too full.
@@ -132,11 +122,7 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "") -> Ru
 def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "") -> Run:
     """Score the agents of all seeds of several runs, and measure how fast they act and train, alone in this process.
 
-    Args:
-        folders: folders of runs of `grasp rl`.
-        out: folder of the comparison.
-        config: settings, with the number of episodes.
-        on: where agents are scored, see `map_shards`; empty: processes.
+    The episodes are counted by `config`. For `on`, where agents are scored, see `map_shards`; empty: processes.
 
     Raises:
         InvalidInputError: a folder is no finished run or holds no agent, or `out` cannot be written.
@@ -190,13 +176,8 @@ def train_seed(
 ) -> Path:
     """Train one agent to `config.steps`, from the start or from its checkpoint.
 
-    Args:
-        config: resolved settings.
-        folder: receives checkpoints and TensorBoard events.
-        seed: seed of the training.
-        resume: continue from the checkpoint in `folder`.
-        bar: shows the steps; None: no progress.
-        stop: file whose existence interrupts the training as ctrl-C does.
+    `config` is resolved, `folder` receives checkpoints and TensorBoard events, and `bar` shows the steps. If the file `stop` exists, it
+    interrupts the training as ctrl-C does.
 
     Returns:
         The last checkpoint.
