@@ -20,8 +20,8 @@ from training.compare.comparison import StartsConfig
 from training.results.run import Run
 
 CONFIG = StartsConfig(wrenches=6, timed=3, repeats=2, episodes=2, steps=5)
-NAMES = ("constant", "ball", "smooth", "trajectories", "random_4", "six_decades", "ball_frictions")
-HOLDS = ("gravity", "constant", "paper_path", "random")
+NAMES = ("constant", "ball", "smooth", "random_4", "six_decades", "ball_frictions")
+HOLDS = ("gravity", "random")
 OWN = """
 import threading
 from dataclasses import dataclass

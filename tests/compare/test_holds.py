@@ -13,29 +13,9 @@ from engines import needs_bullet
 
 from grasp_env.errors import InvalidInputError, SimulationError
 from training.cli import main
-from training.compare import holds
-from training.compare.holds import (
-    NO_START,
-    HoldsConfig,
-    draw_object,
-    episode_columns,
-    run,
-    settings_of,
-    trial,
-    work,
-)
-from training.compare.scenarios import (
-    BOTH,
-    CONTROLLERS,
-    ENGINES,
-    LABELS,
-    RANDOM_WRENCH,
-    Scenario,
-    controllers_plan,
-    hands_plan,
-    mesh_settings,
-    transfer_plan,
-)
+from training.compare import holds, scenarios
+from training.compare.holds import HoldsConfig, draw_object, episode_columns, run, settings_of, trial, work
+from training.compare.scenarios import RANDOM_WRENCH, Scenario, mesh_settings
 from training.results.run import Run
 from training.results.table import summary
 
@@ -96,7 +76,7 @@ def test_an_episode_depends_on_its_seed_alone():
 
 def test_a_grasp_that_does_not_settle_or_cannot_be_placed_counts_as_not_held(monkeypatch):
     row = trial({**SHORT, "controller.friction_error": 2.0}, False, 0)
-    assert (row["failure"], row["held"]) == (NO_START, False)
+    assert (row["failure"], row["held"]) == ("no_start", False)
     assert "settle" in row["detail"]
     for error, failure in ((InvalidInputError, "not_placed"), (SimulationError, "no_start")):
 
@@ -111,7 +91,7 @@ def test_a_grasp_that_does_not_settle_or_cannot_be_placed_counts_as_not_held(mon
 @needs_bullet
 def test_a_seed_is_the_same_object_in_every_engine():
     pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
-    rows = work((Scenario("objects", {"hand": "four_finger"}, 2, SHORT, BOTH), (3, 4)))
+    rows = work((Scenario("objects", {"hand": "four_finger"}, 2, SHORT, scenarios.BOTH), (3, 4)))
     assert rows["engine"].tolist() == ["bullet", "mujoco"] * 2
     assert rows["seed"].tolist() == [3, 3, 4, 4]
     for seed in (3, 4):
@@ -166,11 +146,11 @@ def test_an_interrupted_run_continues_and_every_episode_counts(tmp_path, monkeyp
 
 def test_plans_are_sound(tmp_path):
     objects = HoldsConfig("objects", ("allegro", "leap"), episodes=5, objects=("parts/duck.obj=0.06", "mug.stl")).plan()
-    hands = hands_plan(("leap", str(tmp_path / "mine.urdf")), ("bullet",), 50)
-    controllers, transfer = controllers_plan(500), transfer_plan(("four_finger", "allegro"), 300)
+    hands = scenarios.hands_plan(("leap", str(tmp_path / "mine.urdf")), ("bullet",), 50)
+    controllers, transfer = scenarios.controllers_plan(500), scenarios.transfer_plan(("four_finger", "allegro"), 300)
     for plan in (controllers, [*transfer, *hands], objects):
         assert len({one.name for one in plan}) == len(plan)
-        assert all({*one.engines} <= {*ENGINES} and one.case in LABELS for one in plan)
+        assert all({*one.engines} <= {*scenarios.ENGINES} and one.case in scenarios.LABELS for one in plan)
         json.dumps([asdict(one) for one in plan], allow_nan=False)
     episodes = {one.name: one.episodes for one in (*controllers, *transfer, *hands)}
     for name, count in {
@@ -181,7 +161,7 @@ def test_plans_are_sound(tmp_path):
         assert episodes[name] == count, name
     settings = {one.name: one.settings for one in controllers}
     errors = {"controller.friction_error": 0.25, "controller.friction_margin": 0.6}
-    assert settings["friction/pd"] == {**RANDOM_WRENCH, **CONTROLLERS["pd"], **errors}
+    assert settings["friction/pd"] == {**RANDOM_WRENCH, **scenarios.CONTROLLERS["pd"], **errors}
     assert settings["all/pd/120"]["controller.squeeze"] == 120.0
     for one in objects:
         assert one.episodes == (5 if one.case == "mesh_random" else 1)

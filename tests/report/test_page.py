@@ -74,14 +74,13 @@ def test_tables_and_charts_of_starts_are_recomputed_from_the_rows():
     assert failures["count"].tolist() == [3]
 
 
-def test_claims_are_all_measured_missed_ones_first_and_can_be_missed(capsys):
-    folder = small_run().folder
-    text = folder.path("report.html").read_text()
+def test_claims_are_all_measured_missed_ones_first_and_can_be_missed(held, capsys):
+    folder, text = held
     folder.path("report.html").unlink()
     assert main(["report", str(folder.folder)]) == 0
     assert "asked" in capsys.readouterr().out
     assert folder.path("report.html").read_text() == text
-    rows, about = folder.load()
+    rows, about = small_run().folder.load()
     claims = judge(claims_of(about), summary(rows))
     verdicts = [row.met for row in claims]
     assert verdicts == sorted(verdicts, key=[False, None, True].index)
@@ -95,9 +94,8 @@ def test_hold_rates_mark_the_chosen_setting_and_count_failures(held):
     rows = held[0].load()[0]
     means = module_of({"kind": "env"}).derive(summary(rows))
     picked = means[means["chosen"]].set_index(["case", "controller"])
-    for (case, key), curve in means[means["case"].isin(["mild", "all"]) & (means["controller"] != "estimated")].groupby(
-        ["case", "controller"]
-    ):
+    varied = means[means["case"].isin(["mild", "all"]) & (means["controller"] != "estimated")]
+    for (case, key), curve in varied.groupby(["case", "controller"]):
         enough = curve[curve["held_mean"] >= holds.ASKED_RATE]
         best = picked.loc[(case, key)]
         if len(enough):  # of the settings that hold, the one with the least squeeze
@@ -126,9 +124,6 @@ def test_any_table_gets_a_page_and_changed_files_are_refused(tmp_path):
     assert "<td>3</td><td>4</td>" in write(folder)[0].read_text()  # median and maximum
     folder.path("rows.parquet").write_bytes(b"no table")
     with pytest.raises(InvalidInputError, match="is not a table of results"):
-        write(folder)
-    folder.path("rows.parquet").unlink()
-    with pytest.raises(InvalidInputError, match=r"cannot read the table .*rows.parquet"):
         write(folder)
 
 

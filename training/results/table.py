@@ -206,4 +206,5 @@ def chosen(rows: pd.DataFrame, query: str) -> pd.DataFrame:
     """Return the rows that a query of `pandas.DataFrame.query` selects; none if it names a missing column."""
     names = set(re.findall(r"[A-Za-z_]\w*", re.sub(r"'[^']*'|\"[^\"]*\"", "", query)))
     lacking = (names & {*COLUMNS}) - {*rows.columns}
-    return rows.iloc[:0] if lacking else rows.query(query)
+    # of the named columns alone, since `query` reads all
+    return rows.iloc[:0] if lacking else rows.loc[rows[[*names.intersection(rows.columns)]].eval(query)]
