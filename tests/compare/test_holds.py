@@ -121,7 +121,7 @@ PLAN = [
 
 def test_an_interrupted_run_continues_and_every_episode_counts(tmp_path, monkeypatch):
     config = HoldsConfig(seed=7)
-    rows, _ = run(config, plan=PLAN, workers=2)
+    rows, _ = run(config, plan=PLAN, workers=1)
     assert rows["seed"].tolist() == [*range(7, 12), 7, 7]
     means = summary(rows)
     assert means[["case", "controller", "n", "held_sum"]].to_numpy().tolist() == [

@@ -33,13 +33,14 @@ def test_processes_give_the_bytes_of_the_loop(tmp_path):
     assert map_shards(work.squares, {}, on="inline")[0].equals(pd.DataFrame())
 
 
-def test_the_shard_of_a_killed_worker_runs_again_and_finished_ones_do_not(tmp_path):
+def test_the_shard_of_a_killed_worker_runs_again_and_finished_ones_do_not(tmp_path, monkeypatch):
     shards = names([(place, tmp_path) for place in range(4)])
     rows, _ = map_shards(work.dies_once, shards, workers=1, keep=tmp_path / "shards")
     assert rows["problem"].tolist() == [0, 1, 2, 3]
     assert rows["workers"].tolist() == [1] * 4  # threads of a worker
     assert sorted((tmp_path / "calls").read_text().split()) == ["0", "1", "2", "3"]
-    with pytest.raises(SimulationError, match="killed 3 times in a row"):
+    monkeypatch.setattr("training.results.shards.ATTEMPTS", 2)
+    with pytest.raises(SimulationError, match="killed 2 times in a row"):
         map_shards(work.dies, names([0]), workers=1)
 
 

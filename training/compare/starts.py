@@ -268,9 +268,8 @@ class NetworkAlone:
         inside, outside = 0.0, 1.0
         for _ in range(40):
             middle = 0.5 * (inside + outside)
-            inside, outside = (
-                (middle, outside) if grasp.cone_margin(safe + middle * (raw - safe)) > 0.0 else (inside, middle)
-            )
+            good = grasp.cone_margin(safe + middle * (raw - safe)) > 0.0
+            inside, outside = (middle, outside) if good else (inside, middle)
         return safe + KEPT * inside * (raw - safe)
 
 

@@ -72,9 +72,9 @@ class Quality:
 
     def reason(self, margin: float = 0.0) -> str | None:
         """Return why the force is invalid; None if it balances the wrench with more than this cone margin."""
-        return (
-            "outside the cones" if self.margin <= margin else "out of balance" if self.residual > MAX_RESIDUAL else None
-        )
+        if self.margin <= margin:
+            return "outside the cones"
+        return "out of balance" if self.residual > MAX_RESIDUAL else None
 
     def columns(self, prefix: str = "") -> dict[str, float]:
         """Return the columns of a row, with a prefix; an infinite gap is left out."""

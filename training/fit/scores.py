@@ -42,16 +42,10 @@ def scores(
             taken = newton.solve(wrench, initial=start).iterations
             rows.append((max(0.0, gap), here.cone_margin(raw) <= 0.0, taken, left))
     gaps, outside, steps, iterations = np.array(rows).T
-    summary = {
-        "wrenches": len(rows),
-        "gap": quantiles(gaps),
-        "outside the cones": float(outside.mean()),
-        "newton steps": {
-            f"{k}{' or more' if k == MOST else ''}": float((np.minimum(steps, MOST) == k).mean())
-            for k in range(MOST + 1)
-        },
-    }
-    return summary | ({"flow iterations": quantiles(iterations)} if flow else {})
+    names = [*map(str, range(MOST)), f"{MOST} or more"]
+    shares = {name: float((np.minimum(steps, MOST) == k).mean()) for k, name in enumerate(names)}
+    found = {"wrenches": len(rows), "gap": quantiles(gaps), "outside the cones": float(outside.mean())}
+    return found | {"newton steps": shares} | ({"flow iterations": quantiles(iterations)} if flow else {})
 
 
 def quantiles(values: np.ndarray) -> dict[str, float]:

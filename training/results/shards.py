@@ -150,12 +150,11 @@ def _ray(on: str) -> Iterator[tuple[Runner, int]]:
     import ray  # pyright: ignore[reportMissingImports]
 
     try:
-        ray.init(
-            address=on if on.startswith("ray://") else "auto",
-            runtime_env={"env_vars": THREADS},
-            logging_level=logging.ERROR,
-            log_to_driver=False,
+        address, quiet = (
+            on if on.startswith("ray://") else "auto",
+            {"logging_level": logging.ERROR, "log_to_driver": False},
         )
+        ray.init(address=address, runtime_env={"env_vars": THREADS}, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise InvalidInputError(
             f"no Ray cluster was found for --on {on} ({str(error)[:200]}): start one with `ray start --head`, set RAY_ADDRESS, or use "

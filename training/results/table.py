@@ -121,15 +121,8 @@ def read(path: Path) -> pd.DataFrame:
             raise ValueError(f"its columns have more than {WEIGHTS // MEGABYTE} MB")
         return file.read().to_pandas()
 
-    rows = parsed(
-        path,
-        read=columns,
-        error=InvalidInputError,
-        name=f"the table {path}",
-        form="a table of results",
-        hint="; give a run's rows.parquet",
-        most=WEIGHTS,
-    )
+    words = {"name": f"the table {path}", "form": "a table of results", "hint": "; give a run's rows.parquet"}
+    rows = parsed(path, read=columns, error=InvalidInputError, most=WEIGHTS, **words)
     kinds = {name: DTYPES[COLUMNS[name].kind] for name in rows.columns if name in COLUMNS}
     try:
         return rows.astype(kinds)

@@ -133,16 +133,14 @@ def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "") 
         raise InvalidInputError(f"no trained agent in {', '.join(map(str, folders))}: name folders of `grasp rl`")
     config, shards = config.resolved(), dict[str, Shard]()
     for seed, meta in metas.items():  # the zero policy plays the episodes of the agents' curves
-        kept = {
-            name: meta["config"][name] for name in ("algorithm", "action", "env", "envs", "rollout", "curve_episodes")
-        }
+        names = ("algorithm", "action", "env", "envs", "rollout", "curve_episodes")
+        kept = {name: meta["config"][name] for name in names}
         mine = replace(config, **kept, learning_rate=0.0, gamma=-1.0, deviation=0.0).resolved()
         shards[str(seed)] = Shard(f"{meta['algorithm']}/{meta['action']}", mine, seed.absolute())
     run = Run.create(out.parent, out.name)
     kinds = {(shard.config.env, shard.name): shard.config for shard in shards.values()}
-    times = [] if config.quick else [
-        {"environment": env, "agent": name, **row} for (env, name), kind in kinds.items() for row in speeds(kind)
-    ]  # fmt: skip
+    rates = ({"environment": env, "agent": name, **row} for (env, name), kind in kinds.items() for row in speeds(kind))
+    times = [] if config.quick else list(rates)
     return _finish(run, shards, config, on or "processes", times)
 
 
