@@ -85,6 +85,6 @@ def small_run() -> SimpleNamespace:
         words += ["--start", given]
     words += ["--solver", f"mine={own}:Solver"]
     printed, errors = StringIO(), StringIO()
-    with shrunk(), patch.object(comparison, "_QUICK", {}), redirect_stdout(printed), redirect_stderr(errors):
+    with shrunk(), patch.multiple(comparison, _QUICK={}, WARM_UP=2), redirect_stdout(printed), redirect_stderr(errors):
         assert main(words) == 0, errors.getvalue()
     return SimpleNamespace(folder=Run(out / "small"), words=words, out=printed.getvalue(), err=errors.getvalue())

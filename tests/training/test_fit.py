@@ -43,7 +43,8 @@ def _small_scores(monkeypatch):
     monkeypatch.setattr("training.fit.one_grasp.HELD_OUT", 64)
 
 
-def test_labels_are_optima_and_the_metric_is_the_gap():
+def test_labels_are_optima_and_the_metric_is_the_gap(monkeypatch):
+    monkeypatch.setattr("training.data.one_grasp.CHUNK", 8)
     grasp, objective = presets.paper_cuboid(), Objective()
     samples = Source(grasp, (0.1, 20.0), (0.25, 0.6), True).draw(np.random.default_rng(0), 20, 10)
     data, rng = label(grasp, reference_basis(grasp), objective, *samples), np.random.default_rng(1)
@@ -105,7 +106,7 @@ def test_a_short_fit_learns_and_its_file_holds_the_network_of_every_friction():
             np.testing.assert_allclose(model.raw(grasp, wrench), expected, atol=1e-5 * np.abs(expected).max())
 
 
-def test_the_same_bits_with_one_thread_or_two_also_after_an_interrupt(tmp_path, monkeypatch):
+def test_the_same_bits_with_one_thread_or_two_also_after_an_interrupt(tmp_path, monkeypatch, capsys):
     settings, out = FitConfig(**FIXED), tmp_path / "model"
     whole, single = (fit(made) for made in (settings, FitConfig(**FIXED, threads=1)))
     real, calls = NetworkTask.batch, []
@@ -120,6 +121,7 @@ def test_the_same_bits_with_one_thread_or_two_also_after_an_interrupt(tmp_path, 
     with pytest.raises(KeyboardInterrupt):
         fit(settings, out=out)
     assert len(calls) == 4
+    assert "--resume continues from there" in capsys.readouterr().err
     with pytest.raises(InvalidInputError, match="unfinished training: add --resume"):
         fit(settings, out=out)
     with pytest.raises(InvalidInputError, match=r"other settings \(seed was 0, is 1\)"):

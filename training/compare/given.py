@@ -78,7 +78,8 @@ class Given:
         Raises:
             InvalidInputError: an invalid or used name, a missing object, or one that is no rule or solver. It lists all of them.
         """
-        names = [text.partition("=")[0] for text in (*starts, *solvers)]
+        origins = [text.partition("=")[::2] for text in (*starts, *solvers)]
+        names = [name for name, _ in origins]
         with AllFaults() as check:
             check(_check_names, names)
             made = {text.partition("=")[0]: check(_start, text) for text in starts}
@@ -90,9 +91,7 @@ class Given:
                 f"the starts and solvers {', '.join(names)} cannot be sent to the worker processes ({type(error).__name__}: "
                 f"{str(error)[:200]}): leave open files, locks and the like out of them"
             ) from error
-        return cls(
-            packed, tuple((name, text.partition("=")[2]) for name, text in zip(names, (*starts, *solvers), strict=True))
-        )
+        return cls(packed, tuple(origins))
 
     def unpack(self) -> tuple[dict[str, InitialForceRule], dict[str, Solver]]:
         """Return the starts and the solvers, each by name."""
@@ -204,9 +203,7 @@ def _imported(place: str, context: str, how: str) -> ModuleType:
         missing = isinstance(error, FileNotFoundError) or (
             isinstance(error, ModuleNotFoundError) and (error.name or "") in place
         )
-        why = (
-            "is not there: neither in the working directory nor installed"
-            if missing
-            else f"fails with {type(error).__name__}: {str(error)[:200]}"
-        )
+        why = f"fails with {type(error).__name__}: {str(error)[:200]}"
+        if missing:
+            why = "is not there: neither in the working directory nor installed"
         raise InvalidInputError(f"{context}: {place} {why}; give {how}") from error

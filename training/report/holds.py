@@ -175,11 +175,8 @@ def failures(rows: Rows, means: Rows) -> Rows:
     names = ("case", "hand", "object", "engine", "controller", "friction_margin", "squeeze", "failure")
     keys = [key for key in names if key in found.columns]
     found = found.assign(detail=found.get("detail", pd.Series("", found.index)))
-    made = (
-        found.groupby(keys, sort=False, dropna=False)
-        .agg(count=("seed", "size"), seed=("seed", "first"), detail=("detail", "first"))
-        .reset_index()
-    )
+    columns = {"count": ("seed", "size"), "seed": ("seed", "first"), "detail": ("detail", "first")}
+    made = found.groupby(keys, sort=False, dropna=False).agg(**columns).reset_index()
     made["detail"] = made["detail"].fillna("").str.slice(0, 160)
     return made.sort_values("count", ascending=False).dropna(axis=1, how="all").rename(columns={"seed": "first seed"})
 
