@@ -82,6 +82,7 @@ def test_a_run_leaves_rows_that_the_environment_repeats_and_no_pickle(ppo):
     agents = ("ppo/initial_force", "zero", "learned", "previous")
     assert sizes.index.tolist() == [(agent, HELD_OUT_SEED + k) for agent in agents for k in range(2)]
     assert sizes.tolist() == [40] * 2 + [20] * 6  # two training seeds
+    assert {*rows[rows["case"] == "curve"]["seed"]} == {CURVE_SEED}  # of agents and of the zero policy
     env: Any = gym.make(f"grasp_env:{ENV_ID}", config=RLConfig(env=SHORT).env_settings)
     mine, total = held_out[(held_out["agent"] == "zero") & (held_out["seed"] == HELD_OUT_SEED + 1)], 0.0
     env.reset(seed=HELD_OUT_SEED + 1)

@@ -78,7 +78,7 @@ class Given:
         Raises:
             InvalidInputError: an invalid or used name, a missing object, or one that is no rule or solver. It lists all of them.
         """
-        origins = [text.partition("=")[::2] for text in (*starts, *solvers)]
+        origins = [(name, what) for name, _, what in (text.partition("=") for text in (*starts, *solvers))]
         names = [name for name, _ in origins]
         with AllFaults() as check:
             check(_check_names, names)
