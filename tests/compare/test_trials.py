@@ -11,6 +11,7 @@ import pytest
 
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, Status
+from grasp_env.force.repair import carry_over
 from grasp_env.force.rules import CoreStart
 from grasp_env.grasp import presets, wrench
 from training.compare import trial
@@ -25,8 +26,13 @@ PHI = Objective()
 
 
 @pytest.fixture(scope="module")
-def starts():
-    return StartFactory(PHI).made()
+def factory():
+    return StartFactory(PHI)
+
+
+@pytest.fixture(scope="module")
+def starts(factory):
+    return factory.made()
 
 
 @pytest.fixture(scope="module")
@@ -140,6 +146,17 @@ def test_invalid_forces_are_told_from_each_other():
     assert of(rows, "discarded")["start_replaced"].tolist() == [True] * 5
     assert not of(rows, "own")["start_replaced"].any()
     np.testing.assert_array_equal(of(rows, "discarded")["iterations"], of(rows, "linear_combination")["iterations"])
+
+
+def test_the_nearest_stored_solution_is_that_of_its_wrench_and_optima_are_of_their_grasp(factory):
+    (forces, tree), optimizers = factory.stored, trial.Optimizers(PHI)
+    load = tree.data[7] * [1.0, 1.0, 1.0, 0.05, 0.05, 0.05]
+    fixed = presets.paper_cuboid()
+    found = factory.nearest("pseudoinverse").start(fixed, load, None)
+    np.testing.assert_array_equal(found, carry_over(fixed, load, forces[7], PHI, "pseudoinverse"))
+    for grasp in (fixed, presets.five_finger_cuboid()):
+        best = ForceOptimizer(grasp, tolerance=1e-10).solve(load)
+        assert optimizers.optimum(grasp, load)[1] == pytest.approx(best.objective, rel=1e-9)
 
 
 def test_slopes_are_differences_along_a_path():

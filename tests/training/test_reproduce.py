@@ -77,6 +77,12 @@ def test_rates_are_the_predicted_ones_and_operations_are_counted(found):
     assert costs[["form", "operations_max"]].to_numpy().tolist() == [["full", 20736], ["paper", 432], ["reduced", 144]]
 
 
+def test_a_repetition_is_timed_without_the_overhead_of_the_call(monkeypatch):
+    now = [0]
+    monkeypatch.setattr(reproduce.time, "perf_counter_ns", lambda: now[0])
+    assert reproduce._time_repetition(lambda count: now.__setitem__(0, now[0] + 100 + 7 * count), 10) == 7.0
+
+
 def test_path_rows_are_differences_of_forces_over_time(found):
     grasp, loads = presets.preset("five_finger_cuboid"), paper_path(np.array([0.2, 0.25, 0.3]))
     conic = ForceOptimizer(grasp, method="conic")
