@@ -103,19 +103,12 @@ def test_hold_rates_mark_the_chosen_setting_and_count_failures(held):
         else:
             assert best["held_mean"] == curve["held_mean"].max()
     assert any((means["chosen"] & (means["held_mean"] >= holds.ASKED_RATE)).tolist())
-    lost = {
-        "case": "objects",
-        "controller": "pd",
-        "held": False,
-        "failure": "no_start",
-        "seed": 77,
-        "detail": "no grasp",
-    }
+    lost = {"case": "objects", "controller": "pd", "held": False, "failure": "no_start", "seed": 77, "detail": "none"}
     more = join([rows, table([lost])])
     failures = holds.failures(more, means)
     assert failures["count"].sum() == (numbers(more, "held") == 0.0).sum()
     found = failures[failures["failure"] == "no_start"][["count", "first seed", "detail"]]
-    assert found.to_numpy().tolist() == [[1, 77, "no grasp"]]
+    assert found.to_numpy().tolist() == [[1, 77, "none"]]
 
 
 def test_any_table_gets_a_page_and_changed_files_are_refused(tmp_path):

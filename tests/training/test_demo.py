@@ -91,11 +91,7 @@ def test_a_film_shows_the_settings_and_the_outcome(tmp_path, capsys):
     lost = record(out, 1.0, controller={"kind": "pd"}, disturbance=path, pictures=pictures)
     assert str(lost) == f"lost after {lost.seconds:.1f} s: the object left its place"
     assert lost.seconds < 1.0
-    for name, seconds, message in (
-        ("a.avi", 1.0, "out must end"),
-        ("a.mp4", 0.0, "seconds"),
-        ("no/a.mp4", 1.0, "folder"),
-    ):
+    for name, seconds, message in (("a.avi", 1.0, "must end"), ("a.mp4", 0.0, "seconds"), ("no/a.mp4", 1.0, "folder")):
         with pytest.raises(InvalidInputError, match=message):
             record(tmp_path / name, seconds=seconds, env_id=ENV)
 

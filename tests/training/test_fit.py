@@ -182,14 +182,7 @@ def test_a_truncated_or_changed_state_is_refused(tmp_path):
         StateFile.begin(tmp_path / "other", settings, resume=True)
 
 
-WRONG = {
-    "seconds": -1.0,
-    "samples": 10,
-    "steps": 0,
-    "learning_rate": float("nan"),
-    "hidden": (),
-    "preset": "six_fingers",
-}
+WRONG = {"seconds": -1.0, "samples": 10, "steps": 0, "learning_rate": np.nan, "hidden": (), "preset": "six_fingers"}
 GRASPS = [
     ({"contact_model": "soft", "torsional_friction": 0.01}, {}, "three and more hard contacts"),
     ({"friction": 0.05}, {}, "no force closure at its friction"),

@@ -40,10 +40,8 @@ TINY: dict[str, Any] = {
     "steps": 96, "envs": 2, "episodes": 2, "curve_points": 1, "curve_episodes": 1, "rollout": 48, "warmup": 32, "buffer": 200,
     "checkpoint_every": 48, "env": SHORT,
 }  # fmt: skip
-WORDS = [
-    "rl",
-    *(word for name in ("envs", "rollout", "warmup", "buffer", "env") for word in (f"--{name}", str(TINY[name]))),
-]
+SET = ("envs", "rollout", "warmup", "buffer", "env")
+WORDS = ["rl", *(word for name in SET for word in (f"--{name}", str(TINY[name])))]
 
 
 @pytest.fixture(scope="module")
@@ -123,15 +121,8 @@ def test_the_page_is_made_of_the_rows(ppo):
 
 
 def test_an_episode_is_held_only_if_it_ends_well():
-    force = np.full((4, 3), 2.0)
-    info = {
-        "iterations": 3,
-        "commanded_force": force,
-        "torque_share": 0.25,
-        "drift": 0.004,
-        "fault": "",
-        "is_success": True,
-    }
+    info = {"iterations": 3, "commanded_force": np.full((4, 3), 2.0), "torque_share": 0.25, "drift": 0.004}
+    info |= {"fault": "", "is_success": True}
     first, last = Step(0.5, {**info, "drift": 0.01, "iterations": 5}, False), Step(0.25, info, True)
     assert outcome([first, last]) == {
         "held": True, "failure": None, "return": 0.75, "mean_iterations": 4.0, "commanded_force": 8.0, "torque_share": 0.25,
@@ -235,12 +226,8 @@ def test_runs_are_compared_and_agents_train_in_any_environment(ppo, tmp_path, mo
     monkeypatch.setattr(training.rl.speed, "STEPS", 48)
     monkeypatch.setattr(training.rl.speed, "ROUNDS", 1)
     ball, config = tmp_path / "ball", RLConfig(**{**TINY, "env": BALL, "steps": 48}).resolved()
-    assert RLConfig(env='{"hand": "allegro"}').sizes == {
-        "fingers": 4,
-        "joints": 16,
-        "observation_size": 87,
-        "action_size": 6,
-    }
+    sizes = RLConfig(env='{"hand": "allegro"}').sizes
+    assert sizes == {"fingers": 4, "joints": 16, "observation_size": 87, "action_size": 6}
     train(config, ball)
     agent = TrainedAgent.load(ball / "seed-0")
     assert as_config(agent.meta["env_settings"]) == EnvConfig().override(disturbance="random", **json.loads(BALL))
