@@ -263,6 +263,17 @@ def test_the_command_shows_a_urdf_and_saves_its_recording_at_ctrl_c(tmp_path):
     assert any(each["type"] == "SetPositionMessage" for _, each in film["messages"])
 
 
+def test_a_long_recording_ends_and_is_saved(bare, tmp_path, monkeypatch, capsys):
+    bare._button, bare._note = SimpleNamespace(label=""), SimpleNamespace(content="")
+    bare._record(tmp_path / "long.html")
+    bare._draw()
+    assert bare._button.label == "Stop and save"
+    monkeypatch.setattr("training.live.window.MAX_RECORDED", -1.0)
+    bare._draw()
+    assert (bare._button.label, capsys.readouterr().out) == ("Record", f"{tmp_path / 'long.html'}\n")
+    assert recorded(tmp_path / "long.html")["messages"]
+
+
 def pushes(hand: SimulatedHand) -> np.ndarray:
     """Commanded forces (N, 3) on the object [N], world frame."""
     return np.einsum("nij,nj->ni", hand.stage.scene.look().rotation @ hand.loop.frames, hand.loop.force)
