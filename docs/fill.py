@@ -348,7 +348,7 @@ TABLES: dict[str, Callable[[], str]] = {
 
 def save(folder: Path) -> str:
     """Save the summary and the picture of a run folder, and return the kind of the run."""
-    rows, about = Run.open(folder, "run.json").load()
+    rows, about = Run.open(folder).load()
     if about.get("quick"):
         raise SystemExit(f"{folder} is a quick run, whose numbers are not quoted: run it in full")
     RESULTS.mkdir(exist_ok=True)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -174,22 +175,13 @@ def test_every_public_name_has_an_example_that_runs() -> None:
 
 
 @pytest.mark.skipif(find_browser() is None, reason="there is no Chromium")
-def test_it_asks_for_nothing_and_fits_every_window(site: Path) -> None:
+def test_it_fits_every_window_draws_formulas_finds_and_asks_for_nothing(site: Path) -> None:
     with browser(find_browser() or "") as tab:
-        for page in PAGES:
-            for width in (390, 1280):
-                for scheme in ("light", "dark"):
-                    tab.show(site / page, width, 800, prefers_color_scheme=scheme)
-                    assert tab.value("document.documentElement.scrollWidth") <= width, (page, width)
-                    colour = tab.value("getComputedStyle(document.body).backgroundColor")
-                    assert (sum(map(int, re.findall(r"\d+", colour)[:3])) < 200) == (scheme == "dark"), (page, colour)
-        assert tab.errors == []
-        assert [request for request in tab.requests if not request.startswith("file://")] == []
-
-
-@pytest.mark.skipif(find_browser() is None, reason="there is no Chromium")
-def test_formulas_are_drawn_and_search_finds(site: Path) -> None:
-    with browser(find_browser() or "") as tab:
+        for page, (width, scheme) in product(PAGES, ((390, "light"), (1280, "dark"))):
+            tab.show(site / page, width, 800, prefers_color_scheme=scheme)
+            assert tab.value("document.documentElement.scrollWidth") <= width, (page, width)
+            colour = tab.value("getComputedStyle(document.body).backgroundColor")
+            assert (sum(map(int, re.findall(r"\d+", colour)[:3])) < 200) == (scheme == "dark"), (page, colour)
         tab.show(site / "mathematics.html", 1280, 800)
         assert tab.value("document.querySelectorAll('math').length") > 20
         heights = "[...document.querySelectorAll('.formula math')].map(m => m.getBoundingClientRect().height)"
@@ -204,3 +196,4 @@ def test_formulas_are_drawn_and_search_finds(site: Path) -> None:
             "[...document.querySelectorAll('#search-results li a')].some(a => a.href.includes('moving_contacts'))"
         )
         assert tab.errors == []
+        assert [request for request in tab.requests if not request.startswith("file://")] == []

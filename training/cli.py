@@ -178,7 +178,3 @@ def _fail(error: BaseException, as_json: bool) -> int:
         # some commands attach numbers to their error
         write_json({"error": described} | getattr(error, "numbers", {}))
     return code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

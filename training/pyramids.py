@@ -44,17 +44,9 @@ def pyramid_forces(grasp: Grasp, wrench: Wrench, facets: int = 8) -> ContactForc
     edges = across[:, :, None] * around  # (N, 3, facets)
     frame = grasp.unit_frame
     balance = np.einsum("rni,nik->rnk", (frame @ grasp.matrix).reshape(6, -1, 3), edges)
-    answer = linprog(
-        np.ones(edges[:, 0].size),
-        A_eq=balance.reshape(6, -1),
-        b_eq=-frame @ wrench,
-        method="highs-ds",
-        options={
-            "presolve": False,
-            "primal_feasibility_tolerance": _TOLERANCE,
-            "dual_feasibility_tolerance": _TOLERANCE,
-        },
-    )
+    options = {"presolve": False, "primal_feasibility_tolerance": _TOLERANCE, "dual_feasibility_tolerance": _TOLERANCE}
+    total, left, right = np.ones(edges[:, 0].size), balance.reshape(6, -1), -frame @ wrench
+    answer = linprog(total, A_eq=left, b_eq=right, method="highs-ds", options=options)
     if answer.status != 0:
         raise NotConvergedError(f"the linear program of wrench {wrench.tolist()} found no force: {answer.message}")
     return np.einsum("nik,nk->ni", edges, answer.x.reshape(-1, facets))

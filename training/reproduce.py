@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from scipy.linalg import block_diag, null_space
 
 from grasp_env import core
@@ -53,12 +52,8 @@ PAPER_TABLE: dict[str, tuple[tuple[float, ...], int | None]] = {
 Rows = Iterator[dict[str, Any]]
 
 
-def run(quick: bool = False, console: Console | None = None) -> pd.DataFrame:
-    """Compute every part, one after another in this process, since some parts measure times.
-
-    Args:
-        quick: few wrenches, repetitions and samples.
-        console: for the progress bar; None: stderr.
+def run(quick: bool = False) -> pd.DataFrame:
+    """Compute every part, one after another in this process, since some parts measure times; if `quick`, of few wrenches and samples.
 
     Returns:
         The rows. Cases: "weights", "times", "rates", "gaps", "forms", "costs_product", "costs_iteration", "path_<grasp>",
@@ -77,7 +72,7 @@ def run(quick: bool = False, console: Console | None = None) -> pd.DataFrame:
         "Table I": table_one(grasp, load),
     }  # fmt: skip
     rows: list[dict[str, Any]] = []
-    with progress(console) as bar:
+    with progress() as bar:
         task = bar.add_task("reproduce", total=len(parts))
         for name, part in parts.items():
             bar.update(task, description=name)
@@ -127,7 +122,7 @@ class Cases:
         self.objective = Objective(omega, barrier)
         self.contacts, basis = core_contacts(grasp, self.objective), OfflineBasis.of(grasp, self.objective)
         self.starts = np.array([basis.combine(load) for load in wrenches])
-        newton = ForceOptimizer(grasp, method="newton", force_weight=omega, barrier_weight=barrier, tolerance=1e-11)
+        newton = ForceOptimizer(grasp, method="newton", tolerance=1e-11, **vars(self.objective))
         solutions = [newton.solve(load) for load in wrenches]
         self.optima = np.array([solution.objective for solution in solutions])
         self.forces = np.array([solution.force for solution in solutions])
@@ -161,8 +156,8 @@ class Cases:
 
     def certified(self, rule: StepRule, initial: str | InitialForceRule, repeats: int = 5) -> tuple[Array, Array]:
         """Return the shortest time (n,) [us] of `repeats` certified compiled calls per wrench, and their iterations (n,)."""
-        weights = {"force_weight": self.omega, "barrier_weight": self.objective.barrier_weight}
-        flow = ForceOptimizer(self.grasp, method="reduced_flow", step_rule=rule, initial=initial, **weights)
+        options = {"method": "reduced_flow", "step_rule": rule, "initial": initial, **vars(self.objective)}
+        flow = ForceOptimizer(self.grasp, **options)
         best, rows = np.empty(len(self.wrenches)), np.empty((len(self.wrenches), flow.core.size))
         flow.core.times(self.wrenches, repeats, rows, best)
         return 1e6 * best, rows[:, ITERATIONS]
@@ -300,11 +295,7 @@ def path(name: str, grasp: Grasp, fine: float) -> Rows:
 
     "jump" is the change of a finger's force since the sample before. With samples ten times closer it becomes ten times smaller if
     the forces are continuous, and stays the same at a jump. "kink", the change of the rate, tells smooth forces from kinks likewise.
-
-    Args:
-        name: name of the grasp.
-        grasp: the grasp.
-        fine: time between samples [s]; the coarse samples are ten times as far apart.
+    `fine` is the time between samples [s]; the coarse samples are ten times as far apart.
     """
     times = np.arange(0.0, 2.0, fine)
     loads = wrench.paper_path(times)

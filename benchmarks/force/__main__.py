@@ -134,7 +134,7 @@ def _report(given: Any) -> int:
     loaded = []
     for folder in given.runs:
         with understood(folder, "run the benchmark again"):
-            loaded.append(Run.open(folder, "run.json").load())
+            loaded.append(Run.open(folder).load())
     rows, about = loaded[-1]
     sys.stdout.write("\n".join([*lines(rows, about["unit"]), ""]))
     other = [name for name, digest in about["tracks"].items() if loaded[0][1]["tracks"].get(name, digest) != digest]

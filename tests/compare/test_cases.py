@@ -34,10 +34,9 @@ def test_cases_repeat_and_depend_on_the_seed(name):
 @pytest.mark.parametrize(("name", "size"), [("jump_10", 0.1), ("jump_50", 0.5), ("jump_100", 1.0)])
 def test_jumps_have_their_size_and_stay_in_the_ball(name, size):
     for case in make_cases(name, 30, 0):
-        move = case.wrench - case.before[1]
-        for part, radius in ((slice(3), FORCE_RADIUS), (slice(3, 6), MOMENT_RADIUS)):
-            assert np.linalg.norm(move[part]) == pytest.approx(size * radius)
-            assert np.linalg.norm(case.wrench[part]) <= radius
+        now, move = ((each / RADII).reshape(2, 3) for each in (case.wrench, case.wrench - case.before[1]))
+        np.testing.assert_allclose(np.linalg.norm(move, axis=1), size)
+        assert np.linalg.norm(now, axis=1).max() <= 1.0
 
 
 def test_paths_are_chained_and_cover_what_they_promise():
@@ -111,9 +110,6 @@ def test_changes_of_contact_carry_the_forces_by_place():
                     np.testing.assert_allclose(new[finger], [0.1 / now.friction[finger], 0.0, 0.0])
     assert events == {"lost", "landed", "slipped"}
     assert without(presets.tripod(), 0) is None
-    rest = without(presets.five_finger_cuboid(), 1)
-    assert rest is not None
-    assert rest.n_contacts == 4
 
 
 def test_recordings_move_and_impacts_are_impacts():

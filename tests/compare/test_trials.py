@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import product
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, Status
+from grasp_env.force.repair import carry_over
 from grasp_env.force.rules import CoreStart
 from grasp_env.grasp import presets, wrench
 from training.compare import trial
 from training.compare.case import Case
 from training.compare.cases import make_cases
-from training.compare.given import Problem
 from training.compare.methods import METHODS, optimizer
 from training.compare.starts import STARTS, DoesNotApply, PreparedStart, StartFactory
 from training.compare.trial import FINE, TOLERANCE, trials
@@ -22,8 +26,13 @@ PHI = Objective()
 
 
 @pytest.fixture(scope="module")
-def starts():
-    return StartFactory(PHI).made()
+def factory():
+    return StartFactory(PHI)
+
+
+@pytest.fixture(scope="module")
+def starts(factory):
+    return factory.made()
 
 
 @pytest.fixture(scope="module")
@@ -43,24 +52,22 @@ def test_every_start_has_a_row_for_every_case_that_agrees_with_a_single_run(ball
         first = 1 if key.startswith("previous") else 0  # nothing lies before the first case
         for method in METHODS:
             assert of(rows, key, method)["problem"].tolist() == list(range(first, len(cases)))
-    for key in ("linear_combination", "basis_tangent", "previous_tangent", "learned_fixed"):
-        for k in (1, 5):
-            grasp, load = cases[k].grasp, cases[k].wrench
-            exact = ForceOptimizer(grasp, method="newton", tolerance=1e-10)
-            optimum, before = exact.solve(load), exact.solve(cases[k].before[1]).force
-            force = starts[key].start(grasp, load, before)
-            gap = PHI.value(grasp.to_cone(force)) / optimum.objective - 1.0
-            for method in METHODS:
-                row = of(rows, key, method).set_index("problem").loc[k]
-                assert row["start_gap"] == pytest.approx(max(0.0, gap), abs=1e-12)
-                for column, level in (("iterations", TOLERANCE), ("iterations_fine", FINE)):
-                    run = optimizer(grasp, method, PHI, level)
-                    solution = run.solve(load, initial=force, optimum=optimum.objective)
-                    assert row[column] == solution.iterations
-                    assert row["status"] == solution.status.value == "optimal"
-                assert row["iterations_coarse"] <= row["iterations"] <= row["iterations_fine"] <= row["trials"]
-                assert row["gap"] <= FINE
-                assert row["margin"] > 0.0
+    for key, k in product(("linear_combination", "basis_tangent", "previous_tangent", "learned_fixed"), (1, 5)):
+        grasp, load = cases[k].grasp, cases[k].wrench
+        exact = ForceOptimizer(grasp, method="newton", tolerance=1e-10)
+        optimum, before = exact.solve(load), exact.solve(cases[k].before[1]).force
+        force = starts[key].start(grasp, load, before)
+        gap = PHI.value(grasp.to_cone(force)) / optimum.objective - 1.0
+        for method in METHODS:
+            row = of(rows, key, method).set_index("problem").loc[k]
+            assert row["start_gap"] == pytest.approx(max(0.0, gap), abs=1e-12)
+            for column, level in (("iterations", TOLERANCE), ("iterations_fine", FINE)):
+                solution = optimizer(grasp, method, PHI, level).solve(load, initial=force, optimum=optimum.objective)
+                assert row[column] == solution.iterations
+                assert row["status"] == solution.status.value == "optimal"
+            assert row["iterations_coarse"] <= row["iterations"] <= row["iterations_fine"] <= row["trials"]
+            assert row["gap"] <= FINE
+            assert row["margin"] > 0.0
 
 
 def test_a_level_that_was_not_reached_counts_as_more_than_the_limit(monkeypatch, starts):
@@ -108,16 +115,12 @@ def test_a_start_that_does_not_apply_has_no_row_and_one_that_fails_has_one():
         assert of(rows, key).empty
         with pytest.raises(DoesNotApply):
             more[key].start(cases[0].grasp, cases[0].wrench, None)
-    for key, why in (
-        ("lagrange", "no feasible start"),
-        ("boom", "ValueError: many words"),
-        ("flat", "InvalidInputError: "),
-    ):
-        for method in METHODS:
-            found = of(rows, key, method)
-            assert found["status"].tolist() == ["no_start"] * len(cases)
-            assert found["iterations"].isna().all()
-            assert found["reason"].str.startswith(why).all(), found["reason"].tolist()
+    reasons = {"lagrange": "no feasible start", "boom": "ValueError: many words", "flat": "InvalidInputError: "}
+    for key, method in product(reasons, METHODS):
+        found = of(rows, key, method)
+        assert found["status"].tolist() == ["no_start"] * len(cases)
+        assert found["iterations"].isna().all()
+        assert found["reason"].str.startswith(reasons[key]).all(), found["reason"].tolist()
     assert of(rows, "boom")["reason"].str.len().max() <= 120
 
 
@@ -134,9 +137,8 @@ def test_invalid_forces_are_told_from_each_other():
     rows = table(trials("ball", cases, some, {}, PHI))
     alone = table(trials("ball", cases, some, {}, PHI, solved=False))
     for key, why in (("unbalanced", "out of balance"), ("outside", "outside the cones")):
-        assert of(rows, key)["reason"].tolist() == [why] * 5
         found = chosen(alone, f"start == '{key}'")
-        assert found["reason"].tolist() == [why] * 5
+        assert of(rows, key)["reason"].tolist() == found["reason"].tolist() == [why] * 5
         assert found["start_slope"].isna().all()  # an invalid force has no slope
     columns = [name for name in rows.columns if name not in ("start", "start_replaced")]
     mine, ours = (of(rows, key)[columns].reset_index(drop=True) for key in ("own", "single_value"))
@@ -144,6 +146,17 @@ def test_invalid_forces_are_told_from_each_other():
     assert of(rows, "discarded")["start_replaced"].tolist() == [True] * 5
     assert not of(rows, "own")["start_replaced"].any()
     np.testing.assert_array_equal(of(rows, "discarded")["iterations"], of(rows, "linear_combination")["iterations"])
+
+
+def test_the_nearest_stored_solution_is_that_of_its_wrench_and_optima_are_of_their_grasp(factory):
+    (forces, tree), optimizers = factory.stored, trial.Optimizers(PHI)
+    load = tree.data[7] * [1.0, 1.0, 1.0, 0.05, 0.05, 0.05]
+    fixed = presets.paper_cuboid()
+    found = factory.nearest("pseudoinverse").start(fixed, load, None)
+    np.testing.assert_array_equal(found, carry_over(fixed, load, forces[7], PHI, "pseudoinverse"))
+    for grasp in (fixed, presets.five_finger_cuboid()):
+        best = ForceOptimizer(grasp, tolerance=1e-10).solve(load)
+        assert optimizers.optimum(grasp, load)[1] == pytest.approx(best.objective, rel=1e-9)
 
 
 def test_slopes_are_differences_along_a_path():
@@ -156,40 +169,30 @@ def test_slopes_are_differences_along_a_path():
     assert np.isnan(slopes[[0, 2]]).all()  # the last case does not follow the one before it
 
 
-class Least:
-    """A user's solver: Newton on Phi."""
+def test_a_users_solver_is_one_more_method():
+    grasp, cases = presets.paper_cuboid(), make_cases("ball", 30, 0)
+    newton, basis = ForceOptimizer(grasp, method="newton"), OfflineBasis.of(grasp, PHI)
 
-    def solve(self, problem: Problem) -> np.ndarray:
+    def least(problem):
         assert problem.weights.shape == (len(problem.positions), 2)
-        grasp = presets.paper_cuboid()
         np.testing.assert_array_equal(problem.positions, grasp.positions)
         if problem.wrench[0] > 1.0:
             raise ArithmeticError("too far to the right")
-        force = ForceOptimizer(grasp, method="newton").solve(problem.wrench).force
-        return np.einsum("nij,nj->ni", problem.frames, force)
+        return np.einsum("nij,nj->ni", problem.frames, newton.solve(problem.wrench).force)
 
+    def squeeze(problem):  # balances, far from the optimum of Phi
+        return grasp.to_object_frame(basis.combine(problem.wrench))
 
-class Squeezes:
-    """A solver that balances, far from the optimum of Phi."""
-
-    def solve(self, problem: Problem) -> np.ndarray:
-        grasp = presets.paper_cuboid()
-        return grasp.to_object_frame(OfflineBasis.of(grasp, PHI).combine(problem.wrench))
-
-
-def test_a_users_solver_is_one_more_method():
-    cases, solvers = make_cases("ball", 30, 0), {"least": Least(), "squeezes": Squeezes()}
     right = sum(case.wrench[0] > 1.0 for case in cases)
     assert right
+    solvers: Any = {"least": SimpleNamespace(solve=least), "squeezes": SimpleNamespace(solve=squeeze)}
     rows = table(trials("ball", cases, {}, solvers, PHI))
-    least, squeezes = (chosen(rows, f"method == '{key}'") for key in solvers)
-    assert least["status"].value_counts().to_dict() == {"optimal": 30 - right, "failed": right}
-    assert {*least["reason"].dropna()} == {"ArithmeticError: too far to the right"}
-    assert least["gap"].max() <= TOLERANCE
-    assert {*squeezes["status"]} == {"feasible"}
-    assert squeezes["gap"].min() > TOLERANCE
-    force = OfflineBasis.of(cases[0].grasp, PHI).combine(cases[0].wrench)
-    assert squeezes["normal_force"].iloc[0] == pytest.approx(force[:, 0].sum())
+    best, squeezed = (chosen(rows, f"method == '{key}'") for key in solvers)
+    assert best["status"].value_counts().to_dict() == {"optimal": 30 - right, "failed": right}
+    assert {*best["reason"].dropna()} == {"ArithmeticError: too far to the right"}
+    assert best["gap"].max() <= TOLERANCE < squeezed["gap"].min()
+    assert {*squeezed["status"]} == {"feasible"}
+    assert squeezed["normal_force"].iloc[0] == pytest.approx(basis.combine(cases[0].wrench)[:, 0].sum())
 
 
 def test_timed_calls_start_where_the_compared_starts_are(starts):

@@ -133,7 +133,7 @@ def test_what_is_no_path(path: Any) -> None:
 
 def grasp(*words: str, text: str = "") -> subprocess.CompletedProcess[str]:
     """The command line, in a process of its own."""
-    return subprocess.run([sys.executable, "-m", "training.cli", *words], input=text, capture_output=True, text=True, timeout=120, check=False)  # fmt: skip
+    return subprocess.run([sys.executable, "-m", "training", *words], input=text, capture_output=True, text=True, timeout=120, check=False)  # fmt: skip
 
 
 def test_the_command_reads_a_pipe_and_refuses_a_device(tmp_path: Path) -> None:

@@ -25,12 +25,12 @@ def main(folder: Path) -> None:
     os.environ["RAY_ADDRESS"] = cluster.address
     try:
         shards = names([(k, 40) for k in range(12)])
-        mapped = map_shards(work.squares, shards, on="ray")
-        write(folder / "ray.parquet", mapped.rows)
-        write(folder / "inline.parquet", map_shards(work.squares, shards, on="inline").rows)
-        where = map_shards(work.process, names([(k, folder) for k in range(8)]), on="ray").rows["bytes"].nunique()
-        dead = map_shards(work.dies_once, names([(k, folder) for k in range(4)]), on="ray").rows["problem"].tolist()
-        print(f"workers {mapped.workers}, processes {where}, dead {dead}")
+        rows, about = map_shards(work.squares, shards, on="ray")
+        write(folder / "ray.parquet", rows)
+        write(folder / "inline.parquet", map_shards(work.squares, shards, on="inline")[0])
+        where = map_shards(work.process, names([(k, folder) for k in range(8)]), on="ray")[0]["bytes"].nunique()
+        dead = map_shards(work.dies_once, names([(k, folder) for k in range(4)]), on="ray")[0]["problem"].tolist()
+        print(f"workers {about['workers']}, processes {where}, dead {dead}")
     finally:
         ray.shutdown()
         cluster.shutdown()

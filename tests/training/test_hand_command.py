@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from training.cli import main
@@ -35,23 +34,17 @@ def test_a_file_is_printed_and_drawn(tmp_path, capsys):
     assert "is no motor's limit" not in out
 
 
-def test_a_preset_is_printed(capsys):
+def test_a_preset_is_printed_and_errors_are_one_line(capsys):
     assert main(["hand", "leap"]) == 0
     assert "0.95 N m" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("lepa", "did you mean 'leap'?"),
-        ("nowhere.urdf", "cannot read the file nowhere.urdf"),
-        ("leap --torque-limit 0.3", "leap is no file"),
-        ("leap --size 1", "size must be an integer >= 16"),
-        ("leap --draw /nowhere/a.png --size 16", "/nowhere"),
-    ],
-)
-def test_errors_are_one_line(words, message, capsys):
-    assert main(["hand", *words.split()]) == 2
-    err = capsys.readouterr().err
-    assert message in err
-    assert err.count("\n") == 1
+    for words, message in {
+        "lepa": "did you mean 'leap'?",
+        "nowhere.urdf": "cannot read the file nowhere.urdf",
+        "leap --torque-limit 0.3": "leap is no file",
+        "leap --size 1": "size must be an integer >= 16",
+        "leap --draw /nowhere/a.png --size 16": "/nowhere",
+    }.items():
+        assert main(["hand", *words.split()]) == 2
+        err = capsys.readouterr().err
+        assert message in err
+        assert err.count("\n") == 1

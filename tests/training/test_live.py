@@ -28,7 +28,6 @@ from grasp_env.grasp import Grasp, presets
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.hand.urdf import hand_urdf
 from grasp_env.sim.objects.description import ObjectDescription
-from training.cli import main
 from training.commands.rules import rule
 from training.live import look
 from training.live.answer import STARTS, answer
@@ -109,10 +108,8 @@ def test_what_cannot_be_held_is_proved_and_mended():
     speeds = (one_side.matrix.T @ found.twist).reshape(-1, 3)  # in the dual cones: no force brakes it
     assert (speeds[:, 0] >= 0.4 * np.hypot(speeds[:, 1], speeds[:, 2]) - 1e-6 * np.abs(speeds).max()).all()
     assert "More friction alone does not help" in found.words
-    sphere = look.object_mesh("sphere", (0.1,))
-    met = [
-        cast_ray(sphere, np.array(eye), np.zeros(3)) for eye in ((0.5, 1.0, 0.0), (-0.5, 1.0, 0.3), (0.0, 0.2, -1.0))
-    ]
+    sphere, eyes = look.object_mesh("sphere", (0.1,)), np.array([[0.5, 1.0, 0.0], [-0.5, 1.0, 0.3], [0.0, 0.2, -1.0]])
+    met = [cast_ray(sphere, eye, np.zeros(3)) for eye in eyes]
     smooth = Grasp.from_contacts(*map(np.array, zip(*met, strict=True)), 0.1)
     advised = float(answer(smooth, LOAD).words.split("Friction ")[1].split()[0])
     moods = [answer(smooth.with_friction(friction), LOAD).mood for friction in (advised, advised - 0.05)]
@@ -154,9 +151,7 @@ def test_contacts_lie_on_the_object_under_the_mouse(shape):
 
 
 def test_the_controls_set_the_problem(bare):
-    heavy = np.array(
-        [40.0, 0.0, 0.0, *LOAD[3:]]
-    )  # needs more than the 50 N at the end of the slider, which is no limit
+    heavy = np.array([40.0, 0.0, 0.0, *LOAD[3:]])  # needs more than 50 N: the end of the slider is no limit
     for control, value, changes in (
         (bare.friction, 0.8, {"grasp": GRASP.with_friction(0.8)}),
         (bare.force, tuple(heavy[:3]), {"wrench": heavy}),
@@ -252,17 +247,31 @@ def recorded(path: Path) -> dict[str, Any]:
     return msgspec.msgpack.decode(whole[8 : 8 + int.from_bytes(whole[:8], "little")])
 
 
-def test_the_command_saves_its_recording_at_ctrl_c(tmp_path):
-    record = tmp_path / "live.html"
-    command = [sys.executable, "-m", "training", "live", "--port", "0", "--record", str(record)]
+def test_the_command_shows_a_urdf_and_saves_its_recording_at_ctrl_c(tmp_path):
+    assert all(look.link_meshes(link) for make in HANDS.values() for link in make().links)
+    path, record = tmp_path / "mine.urdf", tmp_path / "live.html"
+    path.write_text(hand_urdf(HandDescription.four_finger()), encoding="utf-8")
+    command = [sys.executable, *f"-m training live --port 0 --hand {path} --record {record}".split()]
     with start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("http://127.0.0.1:")
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (130, "grasp: interrupted\n")
+    assert process.returncode == 130
+    assert re.fullmatch(r"(grasp: repaired: .*\n)*grasp: interrupted\n", err)
     film = recorded(record)
     assert any(each["type"] == "SetPositionMessage" for _, each in film["messages"])
+
+
+def test_a_long_recording_ends_and_is_saved(bare, tmp_path, monkeypatch, capsys):
+    bare._button, bare._note = SimpleNamespace(label=""), SimpleNamespace(content="")
+    bare._record(tmp_path / "long.html")
+    bare._draw()
+    assert bare._button.label == "Stop and save"
+    monkeypatch.setattr("training.live.window.MAX_RECORDED", -1.0)
+    bare._draw()
+    assert (bare._button.label, capsys.readouterr().out) == ("Record", f"{tmp_path / 'long.html'}\n")
+    assert recorded(tmp_path / "long.html")["messages"]
 
 
 def pushes(hand: SimulatedHand) -> np.ndarray:
@@ -320,14 +329,3 @@ def test_the_mouse_pulls_the_object_until_it_is_lost(hand):
     hand.step(0.0)
     assert "simulation diverged" in panel(hand)
     assert hand.status()[1] == "held"
-
-
-def test_every_hand_has_looks_and_a_urdf_is_shown(tmp_path, capsys):
-    assert all(look.link_meshes(link) for make in HANDS.values() for link in make().links)
-    path, record = tmp_path / "mine.urdf", tmp_path / "mine.html"
-    path.write_text(hand_urdf(HandDescription.four_finger()), encoding="utf-8")
-    assert main(["live", "--hand", str(path), "--port", "0", "--seconds", "0.5", "--record", str(record)]) == 0
-    out, err = capsys.readouterr()
-    assert out.startswith("http://127.0.0.1:")
-    assert err == "" or err.startswith("grasp: repaired: ")
-    assert recorded(record)["durationSeconds"] > 0.3

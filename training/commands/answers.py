@@ -1,11 +1,17 @@
-"""JSON output of sub-commands."""
+"""Output of sub-commands: JSON, tables and pictures."""
 
 from __future__ import annotations
 
 import json
 import math
 import sys
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from grasp_env._files import replacing
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def write_json(answer: dict[str, Any]) -> None:
@@ -21,3 +27,21 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def make_table(title: str, *columns: str) -> Table:
+    """Return an empty table with its first column on the left; without `columns` it has two, and no header."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", show_header=bool(columns))
+    for index, column in enumerate(columns or ("", "")):
+        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
+    return table
+
+
+def save_picture(pixels: Any, path: Path) -> None:
+    """Write pixels (height, width, 3) as a .png file."""
+    from PIL import Image
+
+    with replacing(path) as temporary:
+        Image.fromarray(pixels).save(temporary, format="PNG")

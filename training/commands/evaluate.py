@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import tyro
 
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
-from training.commands.options import one_of
+from training.commands.options import misplaced, one_of
 from training.compare.scenarios import BOTH, ENGINES
 
 OWN = {
     "starts": ("wrenches", "timed", "repeats", "episodes", "steps", "start", "solver"),
-    "env": ("hands", "objects", "engines", "episodes"),
+    "env": ("hands", "episodes"),
+    "env --hands ...": ("hands", "objects", "engines", "episodes"),
     "transfer": ("hands", "episodes"),
 }
 """Options that apply to some comparisons only."""
@@ -88,24 +89,19 @@ class Evaluate:
         folder = Run.create(self.out, self.name or default_name(kind))
         rows, about = self._measure(kind, folder)
         folder.save(rows, about)
-        report = write(folder)
-        sys.stderr.write(f"report: {report.path}\n")
+        path, claims = write(folder)
+        sys.stderr.write(f"report: {path}\n")
         if self.quick:
             sys.stdout.write("QUICK RUN: few trials; do not quote.\n")
-        sys.stdout.writelines(f"{line}\n" for line in lines(report.claims))
+        sys.stdout.writelines(f"{line}\n" for line in lines(claims))
 
     def _check(self) -> None:
         """Refuse options that belong to another comparison."""
-        unused = {name for names in OWN.values() for name in names} - {*OWN[self.what]}
-        if self.what == "env" and not self.hands:
-            unused |= {"engines", "objects"}
-        given = [item.name for item in fields(self) if item.name in unused and getattr(self, item.name) != item.default]
-        if given:
-            where = [what for what, names in OWN.items() if given[0] in names]
-            hands = " --hands ..." if given[0] in ("engines", "objects") else ""
+        option = misplaced(self, OWN, "env --hands ..." if self.what == "env" and self.hands else self.what)
+        if option:
+            where = next(what for what, names in OWN.items() if option in names)
             raise InvalidInputError(
-                f"--{given[0]} belongs to `grasp evaluate {where[0]}{hands}`, got `grasp evaluate {self.what}`: leave it out, or name "
-                "that comparison"
+                f"--{option} belongs to `grasp evaluate {where}`, got `grasp evaluate {self.what}`: leave it out, or name that comparison"
             )
 
     def _measure(self, kind: str, folder: Any) -> tuple[Any, dict[str, Any]]:

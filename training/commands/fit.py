@@ -46,7 +46,7 @@ class Fit(FitConfig):
             from training.fit.state import StateFile
 
             settings = FitConfig(**{name: getattr(self, name) for name in FitConfig.__dataclass_fields__})
-            checkpoint = fit(settings, True, " ".join(["grasp", *sys.argv[1:]]), self.out, self.resume).checkpoint
+            checkpoint = fit(settings, True, " ".join(["grasp", *sys.argv[1:]]), self.out, self.resume)
             path = checkpoint.save(self.out)
             StateFile(self.out, {}).remove()
         ball, flow = (checkpoint.card["held_out_gap"][name] for name in ("ball", "ball, friction of the grasp"))

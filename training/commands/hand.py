@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
-from rich.table import Table
 
 from grasp_env._extras import need
-from grasp_env._files import replacing
 from grasp_env.errors import InvalidInputError
+from training.commands.answers import make_table, save_picture
 from training.commands.options import left_out
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from grasp_env.sim.hand.description import HandDescription
 
 
@@ -73,25 +74,14 @@ class Hand:
         for warning in repairs:
             console.print(f"repaired: {warning.message}", style="yellow", highlight=False, soft_wrap=True)
         if self.draw is not None:
-            from PIL import Image
-
             from grasp_env.sim.picture.portrait import portrait
 
-            picture = Image.fromarray(portrait(hand, self.size))
-            with replacing(self.draw) as path:
-                picture.save(path, format="PNG")
+            save_picture(portrait(hand, self.size), self.draw)
             console.print(str(self.draw), highlight=False, soft_wrap=True)
 
 
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
-    return table
-
-
 def _joints(hand: HandDescription) -> Table:
-    table = _table(f"{hand.name}: {hand.joint_count} joints", "joint", "moves", "from", "to", "limit", "coupled to")
+    table = make_table(f"{hand.name}: {hand.joint_count} joints", "joint", "moves", "from", "to", "limit", "coupled to")
     for link in hand.links:
         far, strong = ("m", "N") if link.sliding else ("rad", "N m")
         ends = ("-", "-") if math.isinf(link.lower) else (f"{link.lower:.3f} {far}", f"{link.upper:.3f} {far}")
@@ -107,7 +97,7 @@ def _fingers(hand: HandDescription) -> Table:
     from grasp_env.sim.hand.kinematics import HandKinematics
 
     carries = HandKinematics(hand).carries
-    table = _table(f"{hand.finger_count} fingertips", "finger", "link", "centre, mm", "radius, mm", "motors")
+    table = make_table(f"{hand.finger_count} fingertips", "finger", "link", "centre, mm", "radius, mm", "motors")
     for tip, own in zip(hand.fingertips, carries, strict=True):
         center = " ".join(f"{1e3 * value:.1f}" for value in tip.center)
         table.add_row(tip.name, tip.link, center, f"{1e3 * tip.radius:.1f}", str(int(own.sum())))
@@ -116,7 +106,7 @@ def _fingers(hand: HandDescription) -> Table:
 
 def _links(hand: HandDescription) -> Table:
     grams = 1e3 * sum(link.mass for link in hand.links)
-    table = _table(f"{grams:.0f} g move", "link", "mass, g", "touches with", "corners of hulls", "looks")
+    table = make_table(f"{grams:.0f} g move", "link", "mass, g", "touches with", "corners of hulls", "looks")
     for body in (hand.palm, *hand.links):
         kinds = Counter(shape.kind for shape in body.collision)
         touches = ", ".join(f"{count} {kind}" for kind, count in kinds.items())

@@ -9,6 +9,10 @@ import numpy as np
 from grasp_env._check import Array
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
+from grasp_env.sim.mesh_files import obj_text, read_mesh_bytes
+from grasp_env.sim.mesh_shape import connected_parts, extent_of, open_edges, volume, weld
+from grasp_env.sim.objects.apart import apart
+from grasp_env.sim.objects.closing import close_mesh
 
 LONGEST = 180.0
 """Longest run of MeshFix [s]. 80,000 faces with a twentieth of them missing take 8; on some inputs it never ends."""
@@ -53,9 +57,6 @@ def mended(corners: Array, faces: Any, name: str) -> Mended:
         InvalidInputError: the mesh cannot be closed; the message says what to do.
     """
     need("mend")
-    from grasp_env.sim.objects.apart import apart
-    from grasp_env.sim.objects.closing import close_mesh
-
     try:
         made = apart(f"{__name__}:closed_parts", f"{name}: mending it", LONGEST, corners=corners, faces=faces)
     except TimeoutError:
@@ -80,9 +81,6 @@ def as_obj(mesh: Mended, name: str) -> bytes:
     Raises:
         InvalidInputError: the text is too large to be read, or is not a solid when read back.
     """
-    from grasp_env.sim.mesh_files import obj_text, read_mesh_bytes
-    from grasp_env.sim.objects.closing import close_mesh
-
     text = obj_text([(mesh.corners, mesh.faces)]).encode()
     name = f"what MeshFix makes of {name}"
     close_mesh(*read_mesh_bytes(text, ".obj", name, f"; {_REMESH}"), name)
@@ -94,8 +92,6 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
 
     Parts that are closed already stay as they are. If all are, MeshFix checks each for faces that cross.
     """
-    from grasp_env.sim.mesh_shape import connected_parts, extent_of, open_edges, weld
-
     corners, faces = weld(corners, faces, _GRAIN * extent_of(corners))
     faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]  # no duplicates
     parts = [_own_corners(corners, part) for part in connected_parts(faces)]
@@ -107,12 +103,8 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
             made.append(numbers + sum(map(len, points)))
             points.append(own)
             count += 1
-    return {
-        "corners": np.concatenate(points),
-        "faces": np.concatenate(made),
-        "parts": count,
-        "left_out": len(parts) - count,
-    }
+    left_out = len(parts) - count
+    return {"corners": np.concatenate(points), "faces": np.concatenate(made), "parts": count, "left_out": left_out}
 
 
 def _own_corners(corners: Array, faces: Any) -> tuple[Array, Any]:
@@ -127,8 +119,6 @@ def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
     MeshFix cuts a part where holes meet in a corner; the pieces are joined again.
     """
     from pymeshfix import PyTMesh
-
-    from grasp_env.sim.mesh_shape import open_edges, volume
 
     if len(faces) < _FEWEST:
         return corners, faces
@@ -153,6 +143,4 @@ def _arrays(fix: Any) -> tuple[Array, Any]:
 
 
 def _size(part: tuple[Array, Any]) -> float:
-    from grasp_env.sim.mesh_shape import volume
-
     return abs(volume(*part)) if len(part[1]) else 0.0

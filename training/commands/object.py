@@ -5,24 +5,22 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
 from rich.console import Console
-from rich.table import Table
 
 from grasp_env._extras import need
 from grasp_env._files import replacing
 from grasp_env.errors import InvalidInputError
-from training.commands.answers import write_json
-from training.commands.options import left_out
+from training.commands.answers import make_table, save_picture, write_json
+from training.commands.options import left_out, misplaced
 
 if TYPE_CHECKING:
     from grasp_env._check import Array
-    from grasp_env.sim.objects.mesh import Mesh
 
 OWN = {"show": ("file", "scale", "draw", "size"), "mend": ("file", "out"), "list": (), "clear": ()}
 """Options that apply to some actions only."""
@@ -75,11 +73,9 @@ class Object:
         """Refuse a missing file, and options of another action."""
         if self.file is None and "file" in OWN[self.what]:
             raise InvalidInputError(f"`grasp object {self.what}` needs a FILE: `grasp object {self.what} mug.obj`")
-        others = {name for names in OWN.values() for name in names} - {*OWN[self.what]}
-        given = [item.name for item in fields(self) if item.name in others and getattr(self, item.name) != item.default]
-        if given:
-            name = f"FILE {self.file}" if given[0] == "file" else f"--{given[0]}"
-            where = " and ".join(f"`grasp object {what}`" for what, names in OWN.items() if given[0] in names)
+        if option := misplaced(self, OWN, self.what):
+            name = f"FILE {self.file}" if option == "file" else f"--{option}"
+            where = " and ".join(f"`grasp object {what}`" for what, names in OWN.items() if option in names)
             raise InvalidInputError(f"{name} belongs to {where}, got `grasp object {self.what}`: leave it out")
 
     def _show(self) -> tuple[dict[str, Any], list[Any]]:
@@ -88,6 +84,7 @@ class Object:
         from grasp_env.sim.objects.cache import folder
         from grasp_env.sim.objects.description import check_extent
         from grasp_env.sim.objects.mesh import load_mesh
+        from grasp_env.sim.picture.portrait import mesh_portrait
 
         whole(self.size, "size", 16, 4096)
         _check_suffix(self.draw, "--draw", ".png")
@@ -96,7 +93,7 @@ class Object:
             mesh = load_mesh(str(self.file), real(POSITIVE).take(self.scale, "scale"))
         check_extent(mesh.extent, "mesh", "give --scale 0.001 if the file is in millimetres", "give another --scale")
         if self.draw is not None:
-            _save_picture(mesh, self.size, self.draw)
+            save_picture(mesh_portrait(mesh, self.size), self.draw)
         facts = {
             "file": self.file, "faces": len(mesh.faces), "extent": mesh.extent, "volume": mesh.volume,
             "center": mesh.center, "pieces": len(mesh.pieces), "repaired": [str(warning.message) for warning in warned],
@@ -136,25 +133,8 @@ def _check_suffix(path: Path | None, option: str, suffix: str) -> None:
         raise InvalidInputError(f"{option} {path} must end in {suffix}, the only kind that is written")
 
 
-def _save_picture(mesh: Mesh, size: int, draw: Path) -> None:
-    from PIL import Image
-
-    from grasp_env.sim.picture.portrait import mesh_portrait
-
-    picture = Image.fromarray(mesh_portrait(mesh, size))
-    with replacing(draw) as path:
-        picture.save(path, format="PNG")
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", show_header=bool(columns))
-    for index, column in enumerate(columns or ("", "")):
-        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
-    return table
-
-
 def _shown_page(facts: dict[str, Any]) -> list[Any]:
-    table = _table(facts["file"].name)
+    table = make_table(facts["file"].name)
     table.add_row("faces", str(facts["faces"]))
     table.add_row("size, mm", " x ".join(f"{1e3 * side:.1f}" for side in facts["extent"]))
     table.add_row("volume, cm^3", f"{1e6 * facts['volume']:.4g}")
@@ -168,7 +148,7 @@ def _shown_page(facts: dict[str, Any]) -> list[Any]:
 
 
 def _mended_page(facts: dict[str, Any]) -> list[Any]:
-    table = _table(facts["out"].name)
+    table = make_table(facts["out"].name)
     table.add_row("faces in the file", str(facts["faces_before"]))
     table.add_row("faces now", f"{facts['faces_after']}, {facts['faces_kept']} of them as in the file")
     table.add_row("parts", str(facts["parts"]))
@@ -187,7 +167,7 @@ def _list() -> tuple[dict[str, Any], list[Any]]:
         {"name": entry.name, "use": entry.use, "bytes": entry.size, "time": entry.time, "pieces": _pieces(entry.path)}
         for entry in entries()
     ]
-    table = _table(f"{len(found)} meshes, {sum(each['bytes'] for each in found) / 1e6:.1f} MB", "mesh", "use", "kB", "made", "convex pieces")  # fmt: skip
+    table = make_table(f"{len(found)} meshes, {sum(each['bytes'] for each in found) / 1e6:.1f} MB", "mesh", "use", "kB", "made", "convex pieces")  # fmt: skip
     for each in found:
         when = time.strftime("%Y-%m-%d %H:%M", time.localtime(each["time"]))
         table.add_row(each["name"], each["use"], f"{each['bytes'] / 1e3:.0f}", when, str(each["pieces"] or ""))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -59,6 +60,13 @@ def settings_of(words: Iterable[str]) -> dict[str, Any]:
         except (ValueError, RecursionError):
             made[path] = text
     return made
+
+
+def misplaced(command: Any, own: Mapping[str, Iterable[str]], what: str) -> str | None:
+    """Return the first given option that belongs only to another entry of `own` than `what`; None if there is none."""
+    others = {name for names in own.values() for name in names} - {*own[what]}
+    given = (item.name for item in fields(command) if getattr(command, item.name) != item.default)
+    return next((name for name in given if name in others), None)
 
 
 Wrench = Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="FX FY FZ MX MY MZ")]

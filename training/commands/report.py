@@ -39,7 +39,7 @@ class Report:
         if self.compare is not None:
             from training.report.side_by_side import write as compare
 
-            a, b = (Run.open(folder, "run.json") for folder in self.compare)
+            a, b = (Run.open(folder) for folder in self.compare)
             made = compare(a, b, b)
             sys.stdout.write(f"{made.head(40).to_string(index=False, na_rep='')}\n")
             sys.stderr.write(f"report: {b.folder / 'compare.html'}\n")
@@ -47,6 +47,6 @@ class Report:
         from training.report.page import write
         from training.results.claims import lines
 
-        report = write(Run.open(self.run or "", "run.json"))
-        sys.stderr.write(f"report: {report.path}\n")
-        sys.stdout.writelines(f"{line}\n" for line in lines(report.claims))
+        path, claims = write(Run.open(self.run or ""))
+        sys.stderr.write(f"report: {path}\n")
+        sys.stdout.writelines(f"{line}\n" for line in lines(claims))

@@ -31,4 +31,4 @@ class Reproduce:
 
         folder = Run.create(self.out, default_name("reproduce"))
         folder.save(run(self.quick), {"kind": "reproduce", "quick": self.quick})
-        print(write(folder).path)
+        print(write(folder)[0])

@@ -39,4 +39,4 @@ class RL(RLConfig):
             run = compare(self.compare, self.out, config, self.on)
         else:
             run = train(config, self.out, self.resume, self.on)
-        print(write(run).path)
+        print(write(run)[0])

@@ -185,11 +185,9 @@ def _positions(rng: np.random.Generator, count: int) -> list[Case]:
 
 
 def _random(contacts: int, rng: np.random.Generator, count: int) -> list[Case]:
-    cases = list[Case]()
-    for group in range(count):
-        grasp = EVALUATION.closed(rng, contacts)
-        cases.append(Case(grasp, wrench.sample_ball(rng, 1)[0], None, group))
-    return cases
+    return [
+        Case(EVALUATION.closed(rng, contacts), wrench.sample_ball(rng, 1)[0], None, group) for group in range(count)
+    ]
 
 
 def _recorded(name: str, rng: np.random.Generator, count: int) -> list[Case]:

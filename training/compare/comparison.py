@@ -11,7 +11,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from grasp_env._check import ContactForces
 from grasp_env.force import Objective
@@ -44,13 +43,7 @@ class StartsConfig:
     """Settings of the comparison of starts.
 
     Attributes:
-        wrenches: number of cases in a full set of wrenches; the other sets have a share of it.
-        timed: number of wrenches whose calls are timed.
-        repeats: number of times each of those calls is timed.
-        episodes: episodes of each random scenario of the roll-outs, per start.
-        steps: steps of each roll-out, at 50 per second.
-        seed: seed of all held-out problems.
-        quick: a small version that ends within a minute; its report is marked as quick.
+        wrenches, timed, repeats, episodes, steps, seed, quick: the options of `grasp evaluate starts`.
     """
 
     wrenches: int = 1000
@@ -82,45 +75,25 @@ class Shard:
 
 
 def run(
-    config: StartsConfig,
-    given: Given | None = None,
-    folder: Run | None = None,
-    *,
-    on: str = "processes",
-    workers: int = 0,
-    console: Console | None = None,
+    config: StartsConfig, given: Given, folder: Run | None = None, *, on: str = "processes", workers: int = 0
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Run the comparison; return its rows, and the settings for run.json.
 
-    Args:
-        config: the settings.
-        given: starts and solvers of a user.
-        folder: keeps finished shards; None: nothing is kept.
-        on: where the shards run, see `map_shards`. Times are measured in this process alone.
-        workers: see `map_shards`.
-        console: for the progress bar.
+    `folder` keeps finished shards; for `on` and `workers` see `map_shards`. Times are measured in this process alone.
     """
-    config, given, objective = config.resolved(), given or Given.of(), Objective()
+    config, objective = config.resolved(), Objective()
     shards = {name: Shard(name, config, given, objective) for name in plan(given)}
     keep = folder and folder.folder / "shards"
-    mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="comparing starts", console=console)
-    timed = join([time_calls(name, config, given, objective, console) for name in TIMED_SETS])
-    rows = join([mapped.rows.merge(timed, "left", ["case", "problem", "start", "method"]), _shipped()])
-    rows = rows.sort_values("case", kind="stable", key=lambda cases: cases.map(_place), ignore_index=True)
+    rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="comparing starts")
+    timed = join([time_calls(name, config, given, objective) for name in TIMED_SETS])
+    rows = join([rows.merge(timed, "left", ["case", "problem", "start", "method"]), _shipped()])
+    order = [*SETS, *(f"hold_{name}" for name in HOLDS_OF_STARTS), MODEL].index
+    rows = rows.sort_values("case", kind="stable", key=lambda cases: cases.map(order), ignore_index=True)
     about = {
-        "kind": "starts",
-        "settings": asdict(config),
-        "quick": config.quick,
-        "given": dict(given.names),
-        "objective": {"force_weight": objective.force_weight, "barrier_weight": objective.barrier_weight},
-        "map": mapped.about,
-    }
+        "kind": "starts", "settings": asdict(config), "quick": config.quick, "given": dict(given.names),
+        "objective": dict(vars(objective)), "map": mapped,
+    }  # fmt: skip
     return rows, about
-
-
-def _place(case: str) -> int:
-    """Return the position of a case in the table: the sets in their order, the roll-outs, the model."""
-    return [*SETS, *(f"hold_{name}" for name in HOLDS_OF_STARTS), MODEL].index(case)
 
 
 def _shipped() -> pd.DataFrame:
@@ -172,9 +145,7 @@ def _looked_at(
     return {key: one for key, one in made.items() if not only or key in only or key in given}
 
 
-def time_calls(
-    name: str, config: StartsConfig, given: Given, objective: Objective, console: Console | None
-) -> pd.DataFrame:
+def time_calls(name: str, config: StartsConfig, given: Given, objective: Objective) -> pd.DataFrame:
     """Measure the microseconds of every start and solver on wrenches of a set: the shortest of the repeats, the starts taking turns.
 
     All calls of one start on one grasp are made in a row, so code and data are in the cache as in a control loop that does nothing
@@ -225,7 +196,7 @@ def time_calls(
     best_of = {who: np.full((2, len(cases)), np.inf) for who in calls}
     collecting = gc.isenabled()
     try:
-        with progress(console) as bar:
+        with progress() as bar:
             for turn in bar.track(range(-1, config.repeats), description="timing calls"):
                 gc.collect()
                 gc.disable()

@@ -9,7 +9,7 @@ import os
 import pickle
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -72,30 +72,17 @@ class Given:
     names: tuple[tuple[str, str], ...]
 
     @classmethod
-    def of(
-        cls,
-        starts: tuple[str, ...] = (),
-        solvers: tuple[str, ...] = (),
-        objects: Mapping[str, InitialForceRule | str | Path] | None = None,
-    ) -> Given:
-        """Load and check all starts and solvers before anything runs.
-
-        Args:
-            starts: texts of the form `START`.
-            solvers: texts of the form `SOLVER`.
-            objects: starts from Python: rules, or paths of saved models.
+    def of(cls, starts: tuple[str, ...] = (), solvers: tuple[str, ...] = ()) -> Given:
+        """Load and check all starts (texts of the form `START`) and solvers (`SOLVER`) before anything runs.
 
         Raises:
             InvalidInputError: an invalid or used name, a missing object, or one that is no rule or solver. It lists all of them.
         """
-        paths = {name: os.fspath(made) for name, made in (objects or {}).items() if isinstance(made, str | os.PathLike)}
-        rules = {name: made for name, made in (objects or {}).items() if name not in paths}
-        texts = [*starts, *(f"{name}={path}" for name, path in paths.items())]
-        names = [text.partition("=")[0] for text in (*texts, *solvers)] + list(rules)
+        origins = [(name, what) for name, _, what in (text.partition("=") for text in (*starts, *solvers))]
+        names = [name for name, _ in origins]
         with AllFaults() as check:
             check(_check_names, names)
-            made = {text.partition("=")[0]: check(_start, text) for text in texts}
-            made |= {name: check(_rule, rule, f"the start {name}") for name, rule in rules.items()}
+            made = {text.partition("=")[0]: check(_start, text) for text in starts}
             methods = {text.partition("=")[0]: check(_solver, text) for text in solvers}
         try:
             packed = cloudpickle.dumps((made, methods))
@@ -104,9 +91,7 @@ class Given:
                 f"the starts and solvers {', '.join(names)} cannot be sent to the worker processes ({type(error).__name__}: "
                 f"{str(error)[:200]}): leave open files, locks and the like out of them"
             ) from error
-        origins = {text.partition("=")[0]: text.partition("=")[2] for text in (*texts, *solvers)}
-        origins |= {name: _origin(rule) for name, rule in rules.items()}
-        return cls(packed, tuple(origins.items()))
+        return cls(packed, tuple(origins))
 
     def unpack(self) -> tuple[dict[str, InitialForceRule], dict[str, Solver]]:
         """Return the starts and the solvers, each by name."""
@@ -152,7 +137,13 @@ def _start(text: str) -> InitialForceRule:
         return LearnedInitialForce.load(path)
     if what and ":" not in what and not os.path.exists(what):
         raise InvalidInputError(f"--start {text}: no such file or saved model is there (nor {what}.json): give {START}")
-    return _rule(_read(text, "--start", START), f"--start {text}")
+    made = _instance(_read(text, "--start", START), f"--start {text}")
+    if not callable(made):
+        raise InvalidInputError(
+            f"--start {text} is no rule but of type {type(made).__name__}: a rule takes (grasp, wrench) and returns an (N, 3) force"
+        )
+    rule: Callable[..., Any] = made
+    return rule
 
 
 def _solver(text: str) -> Solver:
@@ -163,16 +154,6 @@ def _solver(text: str) -> Solver:
             "in the object frame"
         )
     return made
-
-
-def _rule(made: Any, what: str) -> InitialForceRule:
-    made = _instance(made, what)
-    if not callable(made):
-        raise InvalidInputError(
-            f"{what} is no rule but of type {type(made).__name__}: a rule takes (grasp, wrench) and returns an (N, 3) force"
-        )
-    rule: Callable[..., Any] = made
-    return rule
 
 
 def _instance(made: Any, what: str) -> Any:
@@ -222,13 +203,7 @@ def _imported(place: str, context: str, how: str) -> ModuleType:
         missing = isinstance(error, FileNotFoundError) or (
             isinstance(error, ModuleNotFoundError) and (error.name or "") in place
         )
-        why = (
-            "is not there: neither in the working directory nor installed"
-            if missing
-            else f"fails with {type(error).__name__}: {str(error)[:200]}"
-        )
+        why = f"fails with {type(error).__name__}: {str(error)[:200]}"
+        if missing:
+            why = "is not there: neither in the working directory nor installed"
         raise InvalidInputError(f"{context}: {place} {why}; give {how}") from error
-
-
-def _origin(rule: Any) -> str:
-    return f"{type(rule).__module__}.{getattr(rule, '__qualname__', type(rule).__qualname__)}"

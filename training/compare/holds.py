@@ -9,6 +9,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any
@@ -26,19 +27,8 @@ from grasp_env.sim import HandKinematics, ObjectDescription
 from grasp_env.sim.engine import class_of, engine_of
 from grasp_env.sim.grasping.points import grasp_points
 from grasp_env.sim.hand.description import HANDS, HandDescription
-from training.compare.scenarios import (
-    ENGINES,
-    HOLDS_OF_STARTS,
-    PRESETS,
-    RANDOM_STARTS,
-    Scenario,
-    controllers_plan,
-    hands_plan,
-    mesh_settings,
-    short_name,
-    transfer_plan,
-    usual_engines,
-)
+from training.compare import scenarios
+from training.compare.scenarios import ENGINES, HOLDS_OF_STARTS, RANDOM_STARTS, Scenario, mesh_settings, short_name
 from training.data.episodes import episode
 from training.results.run import Run, check_counts
 from training.results.shards import map_shards
@@ -54,6 +44,8 @@ _BEFORE, _IN_PLACE = 25, 1e-3
 """Last agent steps of an episode, and drift [m], in which a cut torque counts as the cause of the loss."""
 _TIMED, _ROUNDS = 100, 3
 """Number of agent steps whose rate is measured, and of repetitions."""
+Shard = tuple[Scenario, Sequence[int]]
+"""A scenario and some of its seeds, for a worker."""
 
 
 @dataclass(frozen=True)
@@ -63,13 +55,7 @@ class HoldsConfig:
     Attributes:
         kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and disturbances), "objects" (the same with
             objects from mesh files) or "transfer" (the same hands in both engines).
-        hands: names, or files (URDF, xacro, MJCF); none: for "transfer" four_finger, allegro and leap.
-        engines: for "hands" and "objects": keys of `scenarios.ENGINES`; none: the default engine.
-        episodes: episodes of each main scenario; 0: 500 of "env", 100 of "hands", 10 of "objects", 300 of "transfer". The other
-            scenarios have fewer.
-        objects: for "objects": mesh files, see `scenarios.mesh_settings`.
-        seed: seed of the first episode; the next ones follow.
-        quick: a small version; its report is marked as quick.
+        hands, engines, episodes, objects, seed, quick: the options of `grasp evaluate`.
     """
 
     kind: str = "env"
@@ -105,18 +91,10 @@ class HoldsConfig:
         usual = {"env": 500, "hands": 100, "objects": 10, "transfer": 300}[self.kind]
         episodes = QUICK_EPISODES[self.kind] if self.quick else self.episodes or usual
         if self.kind == "env":
-            return controllers_plan(episodes, self.quick)
+            return scenarios.controllers_plan(episodes, self.quick)
         if self.kind in ("hands", "objects"):
-            return hands_plan(self.hands, self.engines or usual_engines(), episodes, self.objects)
-        return transfer_plan(self.hands or PRESETS, episodes)
-
-
-@dataclass(frozen=True)
-class Shard:
-    """Some seeds of a scenario, for a worker."""
-
-    scenario: Scenario
-    seeds: tuple[int, ...]
+            return scenarios.hands_plan(self.hands, self.engines or scenarios.usual_engines(), episodes, self.objects)
+        return scenarios.transfer_plan(self.hands or scenarios.PRESETS, episodes)
 
 
 def run(
@@ -126,50 +104,43 @@ def run(
     *,
     on: str = "processes",
     workers: int = 0,
-    console: Console | None = None,
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Play the episodes; return their rows, and the settings for run.json.
 
-    Args:
-        config: the settings.
-        folder: keeps finished shards; None: nothing is kept.
-        plan: scenarios instead of the config's.
-        on: where the shards run, see `map_shards`.
-        workers: see `map_shards`.
-        console: for the progress bar and the repairs to files of hands.
+    `folder` keeps finished shards, `plan` replaces the scenarios of the config; for `on` and `workers` see `map_shards`.
     """
-    console, plan = console or Console(stderr=True), config.plan() if plan is None else plan
+    plan = config.plan() if plan is None else plan
     for name in {ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines}:
         class_of(engine_of(name), "simulator")  # reports a missing engine here, not in the workers
     for name in config.hands:
         if name not in HANDS:
-            _print_repairs(lambda name=name: HandDescription.from_file(name), console)
+            _print_repairs(lambda name=name: HandDescription.from_file(name))
     for text in config.objects:  # cut into convex pieces once, here
-        _print_repairs(lambda text=text: ObjectDescription(**mesh_settings(text)[1]["object"]), console)
+        _print_repairs(lambda text=text: ObjectDescription(**mesh_settings(text)[1]["object"]))
     shards: dict[str, Shard] = {}
     for scenario in plan:
         seeds = range(config.seed, config.seed + scenario.episodes)
         for k in range(0, len(seeds), _CHUNK):
-            shards[f"{scenario.name}/{k:05d}"] = Shard(scenario, tuple(seeds[k : k + _CHUNK]))
+            shards[f"{scenario.name}/{k:05d}"] = scenario, seeds[k : k + _CHUNK]
     keep = folder and folder.folder / "shards"
-    mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes", console=console)
+    rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes")
     about = {
         "kind": config.kind, "settings": asdict(config), "quick": config.quick,
         "scenarios": [asdict(scenario) for scenario in plan], "steps_per_second": _speeds(plan),
-        "map": mapped.about,
+        "map": mapped,
     }  # fmt: skip
-    return mapped.rows, about
+    return rows, about
 
 
 def work(shard: Shard) -> pd.DataFrame:
     """Return the rows of a shard; this runs in a worker. A seed runs in all engines before the next seed."""
-    scenario = shard.scenario
+    scenario, seeds = shard
     return table(
         {
             **scenario.keys, "case": scenario.case, "engine": engine, "seed": seed,
             **trial({**scenario.settings, **ENGINES[engine]}, scenario.random_objects, seed),
         }
-        for seed in shard.seeds for engine in scenario.engines
+        for seed in seeds for engine in scenario.engines
     )  # fmt: skip
 
 
@@ -186,13 +157,9 @@ def hold_of_start(
 def trial(
     settings: dict[str, Any], random_objects: bool, seed: int, rule: str | InitialForceRule | None = None
 ) -> dict[str, Any]:
-    """Play one episode in a new environment and return its columns.
+    """Play one episode in a new environment (see `settings_of`) and return its columns.
 
-    Args:
-        settings: settings of the environment, see `settings_of`.
-        random_objects: True if the seed draws the object.
-        seed: seed of the object and of everything random in the episode.
-        rule: start of the optimisations; None: the environment's own.
+    With `random_objects` the seed draws the object, too. `rule` is the start of the optimisations; None: the environment's own.
     """
     config, redrawn = settings_of(settings), 0
     if random_objects:
@@ -203,14 +170,10 @@ def trial(
     row: dict[str, Any] = {"redrawn": redrawn, **_object(config)}
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", GraspWarning
-            )  # about the hand's structure, for every episode; the rows show the effect
-            env = FourFingerGrasp(config=config)
-            try:
+            # about the hand's structure, for every episode; the rows show the effect
+            warnings.simplefilter("ignore", GraspWarning)
+            with closing(FourFingerGrasp(config=config)) as env:
                 infos = [step.info for step in episode(env, seed)]
-            finally:
-                env.close()
     except GraspError as error:
         failure = NOT_PLACED if isinstance(error, InvalidInputError) else NO_START
         return {**row, "held": False, "failure": failure, "detail": str(error), "status": None}
@@ -220,9 +183,8 @@ def trial(
 def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
     """Draw the random object of a seed: shape, size, mass and friction in the ranges of `randomize`, within reach of the hand.
 
-    Returns:
-        The object, its contact points (N, 3) [m] in the object frame, and the number of objects drawn before it without a grasp.
-        None of these depends on the controller or the engine. A hand without a fixed pose is placed anew for every object: no points.
+    Returns the object, its contact points (N, 3) [m] in the object frame, and the number of objects drawn before it without a grasp.
+    None of these depends on the controller or the engine. A hand without a fixed pose is placed anew for every object: no points.
     """
     rng, kinematics = np.random.default_rng([seed, 0x0B1EC7]), _kinematics(config.hand)
     drawn = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})
@@ -286,7 +248,7 @@ def _object(config: EnvConfig, info: dict[str, Any] | None = None) -> dict[str, 
     }
 
 
-def _print_repairs(read: Callable[[], Any], console: Console) -> None:
+def _print_repairs(read: Callable[[], Any]) -> None:
     """Print the repairs made in reading a file, once; the workers read it silently.
 
     Raises:
@@ -296,7 +258,7 @@ def _print_repairs(read: Callable[[], Any], console: Console) -> None:
         warnings.simplefilter("always")
         read()
     for warning in caught:
-        console.print(f"repaired: {warning.message}", highlight=False, soft_wrap=True)
+        Console(stderr=True).print(f"repaired: {warning.message}", highlight=False, soft_wrap=True)
 
 
 def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
@@ -308,19 +270,11 @@ def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
             first.setdefault(hand, {**scenario.settings, **ENGINES[engine]})
     out: dict[str, float] = {}
     for name, settings in first.items():
-        try:
-            env = FourFingerGrasp(config=settings_of(settings).override(randomize=()))
-        except GraspError:
-            continue
-        try:
+        with suppress(GraspError), closing(FourFingerGrasp(config=settings_of(settings).override(randomize=()))) as env:
             for seed in range(_ROUNDS):
                 running, begun = episode(env, seed, most=_TIMED), time.perf_counter()
                 steps = sum(1 for _ in running)
                 out[name] = max(out.get(name, 0.0), steps / (time.perf_counter() - begun))
-        except GraspError:
-            continue
-        finally:
-            env.close()
     return out
 
 

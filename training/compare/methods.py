@@ -15,11 +15,4 @@ METHODS: dict[str, dict[str, Any]] = {FLOW: {"step_rule": BarzilaiBorweinStep()}
 
 def optimizer(grasp: Grasp, method: str, objective: Objective, tolerance: float, **options: Any) -> ForceOptimizer:
     """Return an optimizer for a method and Phi, to a relative gap; `options` are further options of `ForceOptimizer`."""
-    return ForceOptimizer(
-        grasp, method=method, tolerance=tolerance, **METHODS[method], **phi_options(objective), **options
-    )
-
-
-def phi_options(objective: Objective) -> dict[str, Any]:
-    """Return the weights of Phi as keywords of `ForceOptimizer`."""
-    return {"force_weight": objective.force_weight, "barrier_weight": objective.barrier_weight}
+    return ForceOptimizer(grasp, method=method, tolerance=tolerance, **METHODS[method], **vars(objective), **options)

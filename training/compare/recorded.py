@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -30,19 +31,6 @@ SLIP = (0.003, 0.010)
 RANDOM_OBJECTS: dict[str, Any] = {"randomize": ("shape", "size", "mass", "friction")}
 
 
-class Recorder:
-    """Start rule of the paper that records every problem it is called with."""
-
-    def __init__(self) -> None:
-        self.problems: list[Problem] = []
-        self._rule = LinearCombination()
-
-    def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """See `InitialForceRule`."""
-        self.problems.append((grasp, np.array(wrench)))
-        return self._rule(grasp, wrench)
-
-
 def record(
     episodes: int,
     rng: np.random.Generator,
@@ -51,33 +39,24 @@ def record(
     steps: int = STEPS,
     **settings: Any,
 ) -> list[list[Problem]]:
-    """Record the problems of episodes, in order; the hands take turns.
+    """Record the problems of `episodes` episodes in all, of at most `steps` steps each, in order; the hands take turns.
 
-    Args:
-        episodes: number of episodes in all.
-        rng: draws the episodes' seeds.
-        disturbance: disturbance of the environment.
-        hands: names of the hands.
-        steps: largest number of steps of an episode.
-        settings: settings of the environment; none: random objects.
+    Without further `settings` of the environment the objects are random.
     """
-    recorder, seeds = Recorder(), rng.integers(0, 2**31, episodes).tolist()
+    seeds, paper, noted = rng.integers(0, 2**31, episodes).tolist(), LinearCombination(), list[Problem]()
+
+    def rule(grasp: Grasp, wrench: Wrench) -> ContactForces:
+        noted.append((grasp, np.array(wrench)))
+        return paper(grasp, wrench)
+
     found: list[list[Problem]] = [[] for _ in range(episodes)]
+    own = {"disturbance": disturbance, "initial_force": rule, "duration": STEPS / 50, **(settings or RANDOM_OBJECTS)}
     for place, hand in enumerate(hands):
-        env = FourFingerGrasp(
-            hand=hand,
-            disturbance=disturbance,
-            initial_force=recorder,
-            duration=STEPS / 50,
-            **(settings or RANDOM_OBJECTS),
-        )
-        try:
+        with closing(FourFingerGrasp(hand=hand, **own)) as env:
             for k in range(place, episodes, len(hands)):
                 running = episode(env, seeds[k], most=steps)
-                recorder.problems = found[k]  # without the problems of closing the fingers
+                noted = found[k]  # without the problems of closing the fingers
                 deque(running, maxlen=0)
-        finally:
-            env.close()
     return found
 
 

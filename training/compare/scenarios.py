@@ -39,9 +39,8 @@ class Scenario:
     @property
     def name(self) -> str:
         """Name that is unique in a plan."""
-        return "/".join(
-            [self.case, *(f"{value:g}" if isinstance(value, float) else str(value) for value in self.keys.values())]
-        )
+        keys = (f"{value:g}" if isinstance(value, float) else str(value) for value in self.keys.values())
+        return "/".join([self.case, *keys])
 
 
 ENGINES: dict[str, dict[str, Any]] = {
@@ -194,11 +193,10 @@ def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
 
 
 def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
-    """Plan the same hands, objects and controllers in both engines; only the four-finger hand varies the contact models.
+    """Plan the same hands (names or files), objects and controllers in both engines.
 
-    Args:
-        hands: names or files of hands.
-        episodes: episodes of each hand's random objects under a random wrench; the other scenarios have a third.
+    Each hand has `episodes` of random objects under a random wrench, and a third in other scenarios. Only the four-finger hand
+    varies the contact models.
     """
     plan: list[Scenario] = []
     for hand in hands:
@@ -245,28 +243,17 @@ def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
 def hands_plan(
     hands: Iterable[str], engines: Sequence[str], episodes: int, objects: Sequence[str] = ()
 ) -> list[Scenario]:
-    """Plan all combinations of hands, objects and disturbances.
+    """Plan all combinations of hands (names or files), objects (mesh files, see `mesh_settings`, or those of `OBJECTS`) and pushes.
 
-    Args:
-        hands: names or files of hands.
-        engines: keys of `ENGINES`.
-        episodes: episodes of each random scenario; a deterministic one has one.
-        objects: mesh files, see `mesh_settings`, instead of those of `OBJECTS`.
+    Each random scenario has `episodes`, a deterministic one has one.
     """
-    if objects:
-        return [
-            Scenario(
-                f"mesh_{push}", {"hand": short_name(hand), "object": name}, episodes if push == "random" else 1,
-                {"hand": hand, **item, **PUSHES[push]}, tuple(engines), False,
-            )
-            for hand in hands for name, item in map(mesh_settings, objects) for push in PUSHES
-        ]  # fmt: skip
+    meshes: list[Any] = [("mesh", {"object": name}, own) for name, own in map(mesh_settings, objects)]
     return [
         Scenario(
-            f"{item}_{push}", {"hand": short_name(hand)}, 1 if item != "random" and push != "random" else episodes,
-            {"hand": hand, **OBJECTS[item], **PUSHES[push]}, tuple(engines), item == "random",
+            f"{item}_{push}", {"hand": short_name(hand), **keys}, episodes if "random" in (item, push) else 1,
+            {"hand": hand, **own, **PUSHES[push]}, tuple(engines), item == "random",
         )
-        for hand in hands for item in OBJECTS for push in PUSHES
+        for hand in hands for item, keys, own in meshes or [(item, {}, own) for item, own in OBJECTS.items()] for push in PUSHES
     ]  # fmt: skip
 
 

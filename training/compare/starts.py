@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from grasp_env._check import ContactForces, Wrench
-from grasp_env.core import record_size
+from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.force import ForceOptimizer, ForceSolution, Objective, OfflineBasis, optimize_force, optimize_forces
 from grasp_env.force.initial import InitialForceRule, LearnedRule, call_rule
 from grasp_env.force.record import CONTACTS, FORCE
@@ -20,7 +19,6 @@ from grasp_env.force.rules import RULES, CoreStart, initial_rule
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from training.compare.cases import HELD_OUT, scaled
-from training.compare.methods import phi_options
 
 Start = Callable[[Grasp, Wrench, "ContactForces | None"], ContactForces]
 """Function (grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3) [N]."""
@@ -62,12 +60,7 @@ class PreparedStart:
 
 
 class StartFactory:
-    """Maker of starts for one Phi.
-
-    Args:
-        objective: Phi.
-        given: rules of a user by name, saved models among them.
-    """
+    """Maker of starts for one Phi; `given` are rules of a user by name, saved models among them."""
 
     def __init__(self, objective: Objective, given: Mapping[str, InitialForceRule] | None = None) -> None:
         self.objective, self.given = objective, dict(given or {})
@@ -78,9 +71,11 @@ class StartFactory:
         return LearnedInitialForce.pretrained()
 
     @cached_property
-    def stored(self) -> Stored:
-        """Stored solutions, computed once."""
-        return Stored(self.objective)
+    def stored(self) -> tuple[Array, KDTree]:
+        """Optimal forces (n, N, 3) of the fixed grasp for `STORED` wrenches, and the tree of these wrenches, moments over 0.05 m."""
+        loads = wrench.sample_magnitudes(np.random.default_rng([HELD_OUT, 1 << 20]), STORED, *STORED_RANGE)
+        forces = optimize_forces(_FIXED, loads, workers=1, **vars(self.objective)).force
+        return forces, KDTree(scaled(loads))
 
     def made(self) -> dict[str, PreparedStart]:
         """Make every start of `STARTS`, then the package's other rules, then those of the user."""
@@ -109,7 +104,7 @@ class StartFactory:
         self, grasp: Grasp, load: Wrench, before: ContactForces, initial: str | InitialForceRule
     ) -> ContactForces:
         """Return the start of an optimizer that has solved before; the paper's if it has no other."""
-        optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=initial, **phi_options(self.objective))
+        optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=initial, **vars(self.objective))
         optimizer.previous = as_solution(grasp, before)
         return optimizer.start(load)
 
@@ -118,15 +113,23 @@ class StartFactory:
 
         def rule(grasp: Grasp, load: Wrench) -> ContactForces:
             require_near_fixed(grasp)
-            return carry_over(grasp, load, self.stored.nearest(load), self.objective, correction)
+            forces, tree = self.stored
+            return carry_over(grasp, load, forces[int(tree.query(scaled(load))[1])], self.objective, correction)
 
         return PreparedStart.of(rule)
 
     def stepped(self, rule: InitialForceRule | str, steps: int) -> PreparedStart:
-        """Make another start followed by a few Newton steps, as a control for starts that take such steps inside."""
-        return PreparedStart.of(
-            NewtonSteps(initial_rule(rule, self.objective) if isinstance(rule, str) else rule, self.objective, steps)
-        )
+        """Make another start followed by a few Newton steps, as a control for starts that take such steps inside.
+
+        One such step equals the tangent correction of a previous optimum, so the other starts get the same.
+        """
+        first = initial_rule(rule, self.objective) if isinstance(rule, str) else rule
+
+        def stepping(grasp: Grasp, load: Wrench) -> ContactForces:
+            options = {"initial": first(grasp, load), "max_iterations": steps, "tolerance": 1e-12}
+            return optimize_force(grasp, load, **options, **vars(self.objective)).force
+
+        return PreparedStart.of(stepping)
 
     @property
     def network(self) -> InitialForceRule:
@@ -265,38 +268,9 @@ class NetworkAlone:
         inside, outside = 0.0, 1.0
         for _ in range(40):
             middle = 0.5 * (inside + outside)
-            inside, outside = (
-                (middle, outside) if grasp.cone_margin(safe + middle * (raw - safe)) > 0.0 else (inside, middle)
-            )
+            good = grasp.cone_margin(safe + middle * (raw - safe)) > 0.0
+            inside, outside = (middle, outside) if good else (inside, middle)
         return safe + KEPT * inside * (raw - safe)
-
-
-class NewtonSteps:
-    """Start rule: another start followed by the first Newton steps.
-
-    One such step equals the tangent correction of a previous optimum, so the other starts get the same.
-    """
-
-    def __init__(self, rule: InitialForceRule, objective: Objective, steps: int) -> None:
-        self.rule, self.objective, self.steps = rule, objective, steps
-
-    def __call__(self, grasp: Grasp, load: Wrench) -> ContactForces:
-        """See `InitialForceRule`."""
-        start, phi = self.rule(grasp, load), phi_options(self.objective)
-        return optimize_force(grasp, load, initial=start, max_iterations=self.steps, tolerance=1e-12, **phi).force
-
-
-class Stored:
-    """Optimal forces of the fixed grasp for `STORED` wrenches, looked up by the nearest wrench."""
-
-    def __init__(self, objective: Objective) -> None:
-        loads = wrench.sample_magnitudes(np.random.default_rng([HELD_OUT, 1 << 20]), STORED, *STORED_RANGE)
-        self.forces = optimize_forces(presets.paper_cuboid(), loads, workers=1, **phi_options(objective)).force
-        self.tree = KDTree(scaled(loads))
-
-    def nearest(self, load: Wrench) -> ContactForces:
-        """Return the force (N, 3) stored for the wrench nearest to `load` (6,), with moments over 0.05 m."""
-        return self.forces[int(self.tree.query(scaled(load))[1])]
 
 
 def require_near_fixed(grasp: Grasp) -> None:
@@ -312,14 +286,8 @@ def require_near_fixed(grasp: Grasp) -> None:
 def carry_force(old: Grasp, force: ContactForces, new: Grasp, objective: Objective) -> ContactForces:
     """Carry a force of one grasp over to the contact frames of another.
 
-    Each contact takes the force of the nearest old contact within 20 mm, as a vector in the object frame. A new finger gets its
-    optimum without load, u = sqrt(lambda / omega), which is strictly inside its cone, unlike zero.
-
-    Args:
-        old: the contacts of `force`.
-        force: (N, 3) [N].
-        new: the new contacts.
-        objective: Phi.
+    Each contact takes the force (N, 3) [N] of the nearest old contact within 20 mm, as a vector in the object frame. A new finger gets
+    its optimum without load, u = sqrt(lambda / omega), which is strictly inside its cone, unlike zero.
     """
     if old is new:
         return force

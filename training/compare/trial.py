@@ -72,15 +72,13 @@ class Quality:
 
     def reason(self, margin: float = 0.0) -> str | None:
         """Return why the force is invalid; None if it balances the wrench with more than this cone margin."""
-        return (
-            "outside the cones" if self.margin <= margin else "out of balance" if self.residual > MAX_RESIDUAL else None
-        )
+        if self.margin <= margin:
+            return "outside the cones"
+        return "out of balance" if self.residual > MAX_RESIDUAL else None
 
     def columns(self, prefix: str = "") -> dict[str, float]:
         """Return the columns of a row, with a prefix; an infinite gap is left out."""
-        gap = self.gap if np.isfinite(self.gap) else None
-        named = {"gap": gap, "margin": self.margin, "residual": self.residual}
-        return {f"{prefix}{name}": value for name, value in named.items() if value is not None}
+        return {f"{prefix}{name}": value for name, value in vars(self).items() if np.isfinite(value)}
 
 
 class Optimizers:
@@ -93,14 +91,11 @@ class Optimizers:
 
     def optimum(self, grasp: Grasp, load: Array) -> tuple[ContactForces, float]:
         """Return the force (N, 3) of least Phi, and Phi there."""
-        if (
-            self._cached_optimum is None
-            or self._cached_optimum[0] is not grasp
-            or not np.array_equal(self._cached_optimum[1], load)
-        ):
+        known = self._cached_optimum
+        if known is None or known[0] is not grasp or not np.array_equal(known[1], load):
             solution = self._of(grasp)["optimum"].solve(load).raise_for_status()
-            self._cached_optimum = grasp, load, solution.force, solution.objective
-        return self._cached_optimum[2], self._cached_optimum[3]
+            known = self._cached_optimum = grasp, load, solution.force, solution.objective
+        return known[2:]
 
     def run(self, method: str, grasp: Grasp, load: Array, start: ContactForces, least_phi: float) -> dict[str, Any]:
         """Run a method from a start and return its columns."""
@@ -142,7 +137,7 @@ def trials(
         name: name of the set.
         cases: cases to solve.
         starts: see `StartFactory.made`; a start that does not apply to a case has no row there.
-        solvers: solvers of a user.
+        solvers: those of a user.
         objective: Phi.
         solved: True if the methods run; otherwise there is one row for each case and start.
     """
@@ -199,33 +194,22 @@ def problem_of(grasp: Grasp, load: Array, objective: Objective) -> Problem:
 def solver_columns(solver: Solver, grasp: Grasp, load: Array, least_phi: float, objective: Objective) -> dict[str, Any]:
     """Run a user's solver and return its columns; see the module for `status`."""
     try:
-        forces = as_array(
-            solver.solve(problem_of(grasp, load, objective)), (grasp.n_contacts, 3), "a solver", ranges.SIZE
-        )
+        made = solver.solve(problem_of(grasp, load, objective))
+        forces = as_array(made, (grasp.n_contacts, 3), "a solver", ranges.SIZE)
     except Exception as error:
         return {"status": "failed", "reason": failure_reason(error), "failed": True}
     local = np.einsum("nij,ni->nj", grasp.frames, forces)
     quality = Quality.of(grasp, load, local, least_phi, objective)
     reason = quality.reason(-MAX_RESIDUAL)
     status = "failed" if reason else "optimal" if quality.gap <= TOLERANCE else "feasible"
-    force = float(local[:, 0].sum())
-    return {
-        "status": status,
-        "reason": reason,
-        "failed": reason is not None,
-        "normal_force": force,
-        **quality.columns(),
-    }
+    columns = {"status": status, "reason": reason, "failed": reason is not None}
+    return {**columns, "normal_force": float(local[:, 0].sum()), **quality.columns()}
 
 
 def attempt(made: PreparedStart, grasp: Grasp, load: Array, carried_force: ContactForces | None) -> ContactForces:
     """Return the force (N, 3) [N] of a start, which may be a user's.
 
-    Args:
-        made: the start.
-        grasp: the contacts.
-        load: (6,) external wrench.
-        carried_force: (N, 3) optimum of the preceding case, carried over to these contacts; None if there is no preceding case.
+    `carried_force` (N, 3) is the optimum of the preceding case, carried over to these contacts; None if there is no preceding case.
 
     Raises:
         DoesNotApply: the start does not apply to this case.

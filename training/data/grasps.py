@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -98,17 +97,12 @@ def _cylinder(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     ends, reach = rng.random(count) < ENDS, np.sqrt(rng.random(count))
     up = np.array([0.0, 0.0, 1.0])
     side, top = np.where(height > 0.0, 1.0, -1.0)[:, None], ends[:, None]
-    places = np.where(
-        top, radius * (reach[:, None] * around) + side * half * up, radius * around + height[:, None] * up
-    )
+    flat, round_ = radius * (reach[:, None] * around) + side * half * up, radius * around + height[:, None] * up
+    places = np.where(top, flat, round_)
     return places, -np.where(top, side * up, around)
 
 
-SOLIDS: dict[str, Callable[[np.random.Generator, int], tuple[Array, Array]]] = {
-    "cuboid": _cuboid,
-    "ellipsoid": _ellipsoid,
-    "cylinder": _cylinder,
-}
+SOLIDS = {"cuboid": _cuboid, "ellipsoid": _ellipsoid, "cylinder": _cylinder}
 EVALUATION = Recipe()
 """Grasps on which starts are compared."""
 BENCH = Recipe(("ellipsoid",), friction=(0.3, 1.0), own_friction=True, margin=0.02, basis=False)

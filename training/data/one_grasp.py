@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -103,62 +102,40 @@ def label(
     friction: np.ndarray,
     workers: int = 2,
 ) -> Dataset:
-    """Label wrenches (B, 6) on a grasp with frictions (B,) by Newton's method, to a relative gap of 1e-10.
+    """Label wrenches (B, 6) [N, N m] on a grasp with mean frictions (B,) by Newton's method, to a relative gap of 1e-10.
 
-    Args:
-        grasp: the contacts; its mean friction is replaced.
-        reference: see `null_space_basis`.
-        objective: Phi.
-        wrenches: (B, 6) [N, N m].
-        friction: (B,).
-        workers: number of threads; the core releases the GIL.
+    For `reference` see `null_space_basis`; `workers` are threads, since the core releases the GIL.
 
     Raises:
         NotConvergedError: a label has a relative gap above 1e-6.
     """
     count = len(wrenches)
     grasps = {mu: with_mean_friction(grasp, mu) for mu in np.unique(friction).tolist()}
-    phi = {"force_weight": objective.force_weight, "barrier_weight": objective.barrier_weight}
-    solutions = optimize_forces(
-        [grasps[mu] for mu in friction.tolist()],
-        wrenches,
-        tolerance=LABEL_GAP,
-        max_iterations=LABEL_ITERATIONS,
-        workers=workers,
-        **phi,
-    )
+    options = {"tolerance": LABEL_GAP, "max_iterations": LABEL_ITERATIONS, "workers": workers, **vars(objective)}
+    solutions = optimize_forces([grasps[mu] for mu in friction.tolist()], wrenches, **options)
     null_space = null_space_basis(grasp, reference)
     dimension = null_space.shape[1]
     metric = np.empty((count, dimension, dimension), np.float32)
     force, least = solutions.force.reshape(count, -1), solutions.objective
     with np.errstate(divide="ignore", invalid="ignore"):
-        worst = float(
-            np.where(solutions.lower_bound > 0.0, least / solutions.lower_bound - 1.0, np.inf).max(initial=0.0)
-        )
+        worst = np.where(solutions.lower_bound > 0.0, least / solutions.lower_bound - 1.0, np.inf).max(initial=0.0)
     if not worst <= 1e-6:
         raise NotConvergedError(f"a training label has a relative gap of {worst:.2g}")
 
-    def work(part: slice) -> None:
-        for begin in range(part.start, part.stop, CHUNK):
-            few = slice(begin, min(begin + CHUNK, part.stop))
-            scales = np.array([grasps[mu].models.cone_scale for mu in friction[few].tolist()])
-            metric[few] = _metric(force[few], scales, null_space, objective, least[few])
+    def work(begin: int) -> None:
+        few = slice(begin, begin + CHUNK)
+        scales = np.array([grasps[mu].models.cone_scale for mu in friction[few].tolist()])
+        metric[few] = _metric(force[few], scales, null_space, objective, least[few])
 
-    edges = np.linspace(0, count, workers + 1).astype(int)
     with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(work, (slice(a, b) for a, b in pairwise(edges))))
+        list(pool.map(work, range(0, count, CHUNK)))
     return Dataset(wrenches, friction, (force @ null_space).astype(np.float32), metric, least)
 
 
 def _metric(force: Array, scales: Array, null_space: Array, objective: Objective, least: Array) -> Array:
-    """Return upper factors (B, K, K) of the Hessian of Phi over 2 min Phi, in null-space coordinates at the optima.
+    """Return upper factors (B, K, K) of the Hessian of Phi over 2 min Phi, in null-space coordinates at the optimal forces (B, 3N) [N].
 
-    Args:
-        force: (B, 3N) optimal forces [N].
-        scales: (B, N, 3) scales of cone coordinates.
-        null_space: (3N, K).
-        objective: Phi.
-        least: (B,) min Phi.
+    `scales` (B, N, 3) are those of cone coordinates, `null_space` is (3N, K), `least` (B,) min Phi.
     """
     many, count = len(force), scales.shape[1]
     x = force * scales.reshape(many, -1)

@@ -1,4 +1,4 @@
-"""Training loop: warm-up and cosine schedule, held-out scores, saved states, orderly interrupts."""
+"""Training loop: batches and loss, warm-up and cosine schedule, held-out scores, saved states, orderly interrupts."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 import torch
 from rich.console import Console
 from torch import Tensor, nn
 
+from policies.network import Network
+from training.fit.settings import FitConfig
 from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
 from training.results.bars import progress
@@ -30,68 +30,64 @@ CLIP = 5.0
 PARTS = 2
 """Parts of a batch. Each part's gradient is computed by one thread, and they are added in a fixed order, so that the sum has the same
 bits for any number of threads."""
-Part = Any
-"""Part of a batch, of a type that the task defines."""
+AT_ONCE = 16
+"""Number of frictions in a batch; the network has separate weights for each friction."""
+FLOOR = 1e-6
+"""Gap below which a smaller one gains nothing."""
+PERCENTILES = (50, 95, 99)
+Samples = tuple[Tensor, Tensor, Tensor]
+"""Features (F, B, inputs), R m (F, B, K, K) and R z* (F, B, K), friction by friction; with the network's output y the gap to second
+order is |R m y - R z*|^2."""
 
 
-class Task(Protocol):
-    """Training problem."""
+class NetworkTask:
+    """Regression of the optimum by a network: the loss is the mean of a small power of the gap of Phi, to second order."""
 
-    @property
-    def module(self) -> nn.Module:
-        """Module whose weights are optimised."""
-        ...
-
-    def batch(self, rng: np.random.Generator) -> list[Part]:
-        """Draw a batch, in `PARTS` parts."""
-        ...
-
-    def loss(self, part: Part) -> Tensor:
-        """Return the loss of a part. Several threads call it at once."""
-        ...
-
-    def score(self) -> list[float]:
-        """Return the held-out scores, one row of the curve."""
-        ...
-
-    def note(self, row: list[float]) -> str:
-        """Describe a row in words."""
-        ...
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Length and settings of a training.
-
-    Attributes:
-        seconds: processor time for the optimisation steps; 0: `steps` decides.
-        steps: number of optimisation steps.
-        learning_rate: peak learning rate.
-        seed: seed of the batches.
-        threads: threads that share the parts of a batch.
-        state: file in which the training is saved; None: it is not saved.
-        resume: continue from that file.
-        words: label of the progress on stderr (a bar on terminals, else lines); empty: no progress.
-    """
-
-    seconds: float
-    steps: int
-    learning_rate: float
-    seed: int
-    threads: int = 1
-    state: StateFile | None = None
-    resume: bool = False
-    words: str = ""
+    def __init__(self, config: FitConfig, module: Network, train: Samples, held_out: tuple[Samples, ...]) -> None:
+        self.config, self.module = config, module
+        self._train, self._held_out = train, held_out
 
     def done(self, now: Progress) -> float:
-        """Return the completed share, 0 to 1 or above."""
-        return now.cpu_seconds / self.seconds if self.seconds else now.step / self.steps
+        """Return the completed share of the training, 0 to 1 or above."""
+        return now.cpu_seconds / self.config.seconds if self.config.seconds else now.step / self.config.steps
+
+    def batch(self, rng: np.random.Generator) -> list[Samples]:
+        """Draw a batch, in `PARTS` parts."""
+        (frictions, each), size = self._train[0].shape[:2], self.config.batch_size // AT_ONCE
+        # one friction from each part of the range: the gradient of the polynomials varies less between batches
+        chosen = ((np.arange(AT_ONCE) + rng.random(AT_ONCE)) * (frictions / AT_ONCE)).astype(int)
+        begin = rng.integers(0, each - size + 1, AT_ONCE)
+        places = [(k, slice(b, b + size)) for k, b in zip(chosen, begin, strict=True)]
+        parts = (places[part::PARTS] for part in range(PARTS))
+        return [tuple(torch.stack([all_[at] for at in part]) for all_ in self._train) for part in parts]  # type: ignore[misc]
+
+    def loss(self, part: Samples) -> Tensor:
+        """Return the loss of a part. Several threads call it at once."""
+        # the small power keeps few hard wrenches from dominating the loss; the constant bounds its derivative
+        return (gaps(self.module, part) + FLOOR).pow(self.config.tail).mean()
+
+    @torch.no_grad()
+    def score(self) -> list[float]:
+        """Return percentiles of the gap to second order on each held-out set, one row of the curve."""
+        found = (gaps(self.module, each).numpy() for each in self._held_out)
+        return [float(value) for gap in found for value in np.percentile(gap, PERCENTILES)]
 
 
-def optimise(task: Task, plan: Plan) -> Progress:
+def gaps(network: Network, samples: Samples) -> Tensor:
+    """Return the relative gap of Phi (F * B,), to second order."""
+    inputs, metric, goal = samples
+    size = goal.shape[-1]
+    outputs, goal = network(inputs).reshape(-1, size, 1), goal.reshape(-1, size, 1)
+    return torch.baddbmm(goal, metric.reshape(-1, size, size), outputs, beta=-1).square().sum((1, 2))
+
+
+def optimise(task: NetworkTask, state: StateFile | None = None, resume: bool = False, words: str = "") -> Progress:
     """Train `task.module`.
 
     Unless time decides, the result has the same bits with any number of threads, and after an interrupt and resume.
+
+    The training is saved in the file `state`, from which `resume` continues. `words` label the progress on stderr (a bar on terminals,
+    else lines); empty: no progress.
 
     Returns:
         Steps, seconds and the curve: rows (step, seconds, *score).
@@ -99,37 +95,42 @@ def optimise(task: Task, plan: Plan) -> Progress:
     Raises:
         KeyboardInterrupt: after an interrupt or SIGTERM; the state at that moment is saved.
     """
-    rng = np.random.default_rng([plan.seed, 2])
-    optimiser = Soap(task.module.parameters(), lr=plan.learning_rate)
-    now, mark = Progress(), 0.0
-    if plan.state is not None and plan.resume:
-        now = plan.state.restore(task.module, optimiser, rng)
-        mark = _next_mark(plan.done(now))
-    since = now.seconds - time.perf_counter(), now.cpu_seconds - time.process_time()
+    config = task.config
+    rng = np.random.default_rng([config.seed, 2])
     parameters = list(task.module.parameters())
+    optimiser = Soap(parameters, lr=config.learning_rate)
+    now, mark = Progress(), 0.0
+    if state is not None and resume:
+        now = state.restore(task.module, optimiser, rng)
+        mark = _next_mark(task.done(now))
+    since = now.seconds - time.perf_counter(), now.cpu_seconds - time.process_time()
 
-    def gradients(part: Part) -> tuple[Tensor, ...]:
+    def gradients(part: Samples) -> tuple[Tensor, ...]:
         return torch.autograd.grad(task.loss(part), parameters)
 
-    with interruptible() as interrupted, _reporting(task, plan) as report, ThreadPoolExecutor(plan.threads) as pool:
+    with (
+        interruptible() as interrupted,
+        _reporting(task, words) as report,
+        ThreadPoolExecutor(config.threads) as pool,
+    ):
         while True:
-            done = plan.done(now)
+            done = task.done(now)
             if done >= min(mark, 1.0):
                 row = task.score()
                 now.curve.append([float(now.step), round(now.seconds, 2), *row])
                 mark = _next_mark(done)
                 report(now, row)
-                if plan.state is not None and done > 0.0:
-                    plan.state.save(task.module, optimiser, rng, now)
+                if state is not None and done > 0.0:
+                    state.save(task.module, optimiser, rng, now)
             if done >= 1.0:
                 return now
             if interrupted():
-                if plan.state is not None:
-                    plan.state.save(task.module, optimiser, rng, now)
-                    sys.stderr.write(f"saved {plan.state.path}: the same command with --resume continues from there\n")
+                if state is not None:
+                    state.save(task.module, optimiser, rng, now)
+                    sys.stderr.write(f"saved {state.path}: the same command with --resume continues from there\n")
                 raise KeyboardInterrupt
             for group in optimiser.param_groups:
-                group["lr"] = plan.learning_rate * _schedule(done)
+                group["lr"] = config.learning_rate * _schedule(done)
             for parameter, *found in zip(parameters, *pool.map(gradients, task.batch(rng)), strict=True):
                 parameter.grad = torch.stack(found).mean(dim=0)
             nn.utils.clip_grad_norm_(parameters, CLIP)
@@ -148,15 +149,17 @@ def _next_mark(done: float) -> float:
 
 
 @contextmanager
-def _reporting(task: Task, plan: Plan) -> Iterator[Callable[[Progress, list[float]], None]]:
-    console = Console(stderr=True, quiet=not plan.words)
-    total = round(plan.seconds) or plan.steps
+def _reporting(task: NetworkTask, words: str) -> Iterator[Callable[[Progress, list[float]], None]]:
+    console, seconds = Console(stderr=True, quiet=not words), task.config.seconds
+    total = round(seconds) or task.config.steps
     with progress(console) as bar:
-        shown = bar.add_task(f"{plan.words}, {'seconds' if plan.seconds else 'steps'}", total=total)
+        shown = bar.add_task(f"{words}, {'seconds' if seconds else 'steps'}", total=total)
 
         def report(now: Progress, row: list[float]) -> None:
-            bar.update(shown, completed=round(total * min(1.0, plan.done(now))), note=task.note(row))
-            if plan.words and not console.is_terminal:
-                sys.stderr.write(f"{plan.words}: step {now.step}, {now.seconds:.0f} s: {task.note(row)}\n")
+            ball, whole = (" ".join(f"{value:.0e}" for value in part) for part in (row[:3], row[3:]))
+            note = f"gaps, median p95 p99: ball {ball}, all {whole}"
+            bar.update(shown, completed=round(total * min(1.0, task.done(now))), note=note)
+            if words and not console.is_terminal:
+                sys.stderr.write(f"{words}: step {now.step}, {now.seconds:.0f} s: {note}\n")
 
         yield report

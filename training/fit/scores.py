@@ -23,18 +23,11 @@ EXACT = 1e-10
 def scores(
     model: LearnedInitialForce, grasp: Grasp, wrenches: np.ndarray, frictions: np.ndarray, flow: bool = False
 ) -> dict[str, Any]:
-    """Score the network of a model, without its Newton steps, on wrenches (B, 6) on a grasp with frictions (B,).
-
-    Args:
-        model: the model.
-        grasp: the contacts; their mean friction is replaced.
-        wrenches: (B, 6) [N, N m].
-        frictions: (B,).
-        flow: run the flow, too.
+    """Score the network of a model, without its Newton steps, on wrenches (B, 6) [N, N m] on a grasp with mean frictions (B,).
 
     Returns:
         "gap" of the force before any step; "outside the cones": the share before the repair; "newton steps" to a certified gap of
-        1e-4: the shares that need 0, 1, ...; "flow iterations" to 1e-4.
+        1e-4: the shares that need 0, 1, ...; with `flow`, "flow iterations" to 1e-4.
     """
     alone = NetworkAlone(model)
     rows: list[tuple[float, bool, int, int]] = []
@@ -49,16 +42,10 @@ def scores(
             taken = newton.solve(wrench, initial=start).iterations
             rows.append((max(0.0, gap), here.cone_margin(raw) <= 0.0, taken, left))
     gaps, outside, steps, iterations = np.array(rows).T
-    summary = {
-        "wrenches": len(rows),
-        "gap": quantiles(gaps),
-        "outside the cones": float(outside.mean()),
-        "newton steps": {
-            f"{k}{' or more' if k == MOST else ''}": float((np.minimum(steps, MOST) == k).mean())
-            for k in range(MOST + 1)
-        },
-    }
-    return summary | ({"flow iterations": quantiles(iterations)} if flow else {})
+    names = [*map(str, range(MOST)), f"{MOST} or more"]
+    shares = {name: float((np.minimum(steps, MOST) == k).mean()) for k, name in enumerate(names)}
+    found = {"wrenches": len(rows), "gap": quantiles(gaps), "outside the cones": float(outside.mean())}
+    return found | {"newton steps": shares} | ({"flow iterations": quantiles(iterations)} if flow else {})
 
 
 def quantiles(values: np.ndarray) -> dict[str, float]:

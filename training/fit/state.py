@@ -54,32 +54,28 @@ class StateFile:
 
     @classmethod
     def begin(cls, out: Path | None, settings: dict[str, Any], resume: bool) -> StateFile | None:
-        """Return the prepared state file of a training; None if `out` is None."""
-        if out is None:
-            return None
-        state = cls(out, settings)
-        state.prepare(resume)
-        return state
-
-    def prepare(self, resume: bool) -> None:
-        """Check, before any work, that the file can be written and that a training can be resumed.
+        """Return the state file of a training, None if `out` is None. It can be written and, if asked for, resumed.
 
         Raises:
             InvalidInputError: the folder cannot be written, its disk is too full, or it holds an unfinished training.
             ModelFileError: nothing to resume, or a damaged or foreign file.
         """
-        Run.create(self.path.parent, "")
-        free = shutil.disk_usage(self.path.parent).free
+        if out is None:
+            return None
+        state = cls(out, settings)
+        Run.create(out.parent, "")
+        free = shutil.disk_usage(out.parent).free
         if free < SPACE:
             raise InvalidInputError(
-                f"{self.path.parent} has {free / 1e6:.0f} MB free, {SPACE / 1e6:.0f} MB are needed: make room or choose another --out"
+                f"{out.parent} has {free / 1e6:.0f} MB free, {SPACE / 1e6:.0f} MB are needed: make room or choose another --out"
             )
         if resume:
-            self._read()
-        elif self.path.exists():
+            state._read()
+        elif state.path.exists():
             raise InvalidInputError(
-                f"{self.path} is an unfinished training: add --resume, remove it, or choose another --out"
+                f"{state.path} is an unfinished training: add --resume, remove it, or choose another --out"
             )
+        return state
 
     def save(
         self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator, now: Progress
@@ -90,15 +86,8 @@ class StateFile:
             tensors |= {f"moment.{index}.{name}": value.numpy() for name, value in moments.items()}
         tensors = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
         meta = {
-            "schema": SCHEMA,
-            "settings": self._settings,
-            "step": now.step,
-            "seconds": now.seconds,
-            "cpu_seconds": now.cpu_seconds,
-            "curve": now.curve,
-            "rng": rng.bit_generator.state,
-            "sha256": _digest(tensors),
-        }
+            "schema": SCHEMA, "settings": self._settings, **vars(now), "rng": rng.bit_generator.state, "sha256": _digest(tensors),
+        }  # fmt: skip
         try:
             with replacing(self.path) as temporary:
                 temporary.write_bytes(save(tensors, {"training": json.dumps(meta)}))
@@ -111,7 +100,7 @@ class StateFile:
         """Restore the saved weights, moments and generator.
 
         Raises:
-            ModelFileError: see `prepare`.
+            ModelFileError: see `begin`.
         """
         tensors, meta = self._read()
         try:

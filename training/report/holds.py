@@ -91,11 +91,13 @@ def arranged(means: Rows) -> tuple[Rows, str, list[str]]:
     found: Rows = means[means["held_mean"].notna()] if "held_mean" in means.columns else means.iloc[:0]
     if "chosen" in found.columns:
         found = found[found["chosen"] | ~found["case"].isin(list(CURVES))]
-    across = [
-        key for key in ("controller", "start", "engine", "hand") if key in found.columns and found[key].nunique() > 1
+    varied = [
+        key
+        for key in ("controller", "start", "engine", "hand", "object")
+        if key in found.columns and found[key].nunique() > 1
     ]
-    down = [key for key in ("hand", "object", "case") if key not in across[:1] and key in found.columns]
-    return found, next(iter(across), "engine"), [key for key in down if key == "case" or found[key].nunique() > 1]
+    across = next((key for key in varied if key != "object"), "engine")
+    return found, across, [key for key in ("hand", "object") if key in varied and key != across] + ["case"]
 
 
 def grid(rows: Rows, means: Rows) -> Rows:
@@ -104,12 +106,8 @@ def grid(rows: Rows, means: Rows) -> Rows:
     if found.empty:
         return found
     found = found.assign(text=[held_cell(row) for row in found.to_dict("records")])
-    made = found.pivot(index=down, columns=across, values="text").reindex(columns=found[across].unique()).fillna("–")
-    made = made.loc[
-        list(
-            dict.fromkeys(found[down].itertuples(index=False, name=None)) if len(down) > 1 else found[down[0]].unique()
-        )
-    ]
+    made = found.pivot_table(index=down, columns=across, values="text", aggfunc="first", sort=False)
+    made = made.reindex(columns=found[across].unique()).fillna("–")
     made.columns = [CONTROLLER_LABELS.get(name, str(name)) for name in made.columns]
     made = made.reset_index()
     return made.assign(case=[LABELS[case] for case in made["case"]]).rename(columns={"case": "held"})
@@ -172,27 +170,19 @@ def rates(rows: Rows, means: Rows) -> Rows:
 def failures(rows: Rows, means: Rows) -> Rows:
     """Count the causes of episodes that were not held, each with its first seed."""
     found = chosen(rows, "held == False")
-    keys = [
-        key
-        for key in ("case", "hand", "object", "engine", "controller", "friction_margin", "squeeze")
-        if key in found.columns
-    ]
     if found.empty:
         return found
-    groups = found.assign(detail=found.get("detail", pd.Series("", found.index))).groupby(
-        [*keys, "failure"], sort=False, dropna=False
-    )
-    made = groups.agg(count=("seed", "size"), seed=("seed", "first"), detail=("detail", "first")).reset_index()
+    names = ("case", "hand", "object", "engine", "controller", "friction_margin", "squeeze", "failure")
+    keys = [key for key in names if key in found.columns]
+    found = found.assign(detail=found.get("detail", pd.Series("", found.index)))
+    columns = {"count": ("seed", "size"), "seed": ("seed", "first"), "detail": ("detail", "first")}
+    made = found.groupby(keys, sort=False, dropna=False).agg(**columns).reset_index()
     made["detail"] = made["detail"].fillna("").str.slice(0, 160)
     return made.sort_values("count", ascending=False).dropna(axis=1, how="all").rename(columns={"seed": "first seed"})
 
 
 TABLES = (
-    (
-        "Episodes held",
-        "Held of all, and the mean of the measured normal force; for a varied setting, at the chosen value.",
-        grid,
-    ),
+    ("Episodes held", "Held of all, and the mean of the measured normal force; for a varied setting, at the chosen value.", grid),
     ("Hold rates, the lowest first", "Episodes held, and the mean of the measured normal force.", rates),
     ("Failures", "The first seed reproduces such an episode.", failures),
-)
+)  # fmt: skip

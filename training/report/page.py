@@ -5,12 +5,11 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from matplotlib import rc_context
@@ -42,47 +41,8 @@ Make = Callable[[Rows, Rows], Rows]
 """Function (rows, summary) -> table of text and numbers; empty if the run has nothing to show."""
 
 
-@dataclass(frozen=True)
-class Page:
-    """Contents of a page.
-
-    Attributes:
-        title: heading.
-        intro: three sentences: what is compared, how, and where the words are defined.
-        quick: True for a quick run, which the page marks.
-        figures: (title, caption, data URI of the SVG, alternative text).
-        tables: (title, note, table).
-        claims: judged claims.
-        words: (word, meaning).
-        facts: (name, value) of machine, versions and settings.
-        load: lines of Python that load the table.
-    """
-
-    title: str
-    intro: str
-    quick: bool
-    figures: Sequence[tuple[str, str, str, str]]
-    tables: Sequence[tuple[str, str, Rows]]
-    claims: Sequence[Judged] = ()
-    words: Sequence[tuple[str, str]] = ()
-    facts: Sequence[tuple[str, str]] = ()
-    load: Sequence[str] = field(default=())
-
-
-class Report(NamedTuple):
-    """Result of writing a page.
-
-    Attributes:
-        path: of report.html.
-        claims: the claims of the run, judged.
-    """
-
-    path: Path
-    claims: list[Judged]
-
-
-def write(run: Run) -> Report:
-    """Write report.html and summary.csv of a finished run; nothing is solved.
+def write(run: Run) -> tuple[Path, list[Judged]]:
+    """Write report.html and summary.csv of a finished run; return the page's path and the judged claims. Nothing is solved.
 
     Raises:
         InvalidInputError: its files are missing or were changed.
@@ -94,14 +54,14 @@ def write(run: Run) -> Report:
         derived = getattr(shown, "derive", lambda means: means)(means)
         claims = judge(claims_of(about), derived)
         figures = [
-            (title, caption, embedded(figure), f"{title}. {caption}")
+            (title, caption, base64.b64encode(svg(figure).encode()).decode("ascii"), f"{title}. {caption}")
             for title, caption, draw in getattr(shown, "FIGURES", ())
             if (figure := draw(rows, derived)) is not None
         ]
         tables = [
             (title, note, make(rows, derived)) for title, note, make in getattr(shown, "TABLES", [_summary_table])
         ]
-        page = Page(
+        page = render(
             title=f"{getattr(shown, 'TITLE', 'Results')}: {run.folder.name}",
             intro=getattr(shown, "INTRO", _INTRO),
             quick=bool(about.get("quick")),
@@ -117,7 +77,7 @@ def write(run: Run) -> Report:
                 f".{next((name for name in ('iterations', 'held') if name in rows.columns), rows.columns[-1])}.describe()",
             ),
         )
-        return Report(run.write_text("report.html", render(page)), claims)
+        return run.write_text("report.html", page), claims
 
 
 def module_of(about: dict[str, Any]) -> ModuleType | None:
@@ -150,8 +110,15 @@ def facts_of(about: dict[str, Any]) -> list[tuple[str, str]]:
     return list(facts.items())
 
 
-def render(page: Page) -> str:
-    """Return the page as HTML that needs no other file."""
+def render(**page: Any) -> str:
+    """Return a page as HTML that needs no other file.
+
+    Args:
+        page: title; intro (what is compared, how, and where the words are defined); quick, which marks the page; tables, each (title,
+            note, table); facts, each (name, value); if it has them, figures, each (title, caption, base64 of the SVG, alternative
+            text), judged claims, words, each (word, meaning), and the lines of Python that load the table.
+    """
+    whole = {"figures": (), "claims": (), "words": (), "load": (), **page}
     environment = Environment(
         loader=PackageLoader("training.report", "."),
         autoescape=select_autoescape(["html.j2"]),
@@ -160,7 +127,7 @@ def render(page: Page) -> str:
         lstrip_blocks=True,
     )
     environment.filters["cell"] = cell
-    return environment.get_template("page.html.j2").render(page=page, verdicts=VERDICTS, most=MOST_ROWS)
+    return environment.get_template("page.html.j2").render(page=whole, verdicts=VERDICTS, most=MOST_ROWS)
 
 
 def cell(value: Any) -> str:
@@ -207,11 +174,6 @@ def svg(figure: Figure) -> str:
     text = re.sub(r"(\d+\.\d{2})\d+", r"\1", text)
     ink = "svg{color:#101010}text{fill:currentColor;font-family:system-ui,sans-serif!important}@media(prefers-color-scheme:dark){svg{color:#e8e8e8}}"
     return text.replace(">", f"><style>{ink}</style>", 1)
-
-
-def embedded(figure: Figure) -> str:
-    """Return the SVG of a figure as a data URI."""
-    return "data:image/svg+xml;base64," + base64.b64encode(svg(figure).encode()).decode("ascii")
 
 
 _INTRO = (

@@ -152,10 +152,8 @@ def paper_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
     wide = found.pivot(index=["start", "case"], columns="contact", values="contact_force")
     wide["sum"], wide["1 - (2 + 3 + 4)"] = wide.sum(axis=1), wide[0] - wide[1] - wide[2] - wide[3]
     wide["steps"] = found.groupby(["start", "case"])["iterations"].first()
-    wide = wide.loc[found["start"].unique()].reset_index()
-    return wide.rename(columns={k: f"{k + 1} [N]" for k in range(4)}).replace(
-        {"case": {"table_one": "ours", "table_one_paper": "paper"}}
-    )
+    wide = wide.loc[found["start"].unique()].reset_index().rename(columns={k: f"{k + 1} [N]" for k in range(4)})
+    return wide.replace({"case": {"table_one": "ours", "table_one_paper": "paper"}})
 
 
 def paths_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
@@ -171,14 +169,10 @@ def paths_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 FIGURES = (
     ("Iterations", "From the 12-basis to a relative gap of 1e-4, by step rule, against lambda.", weights_figure),
-    (
-        "Squeeze",
-        "Excess of the normal force at the optimum of Phi over the least one within the exact cones, against lambda.",
-        excess_figure,
-    ),
+    ("Squeeze", "Excess of the normal force at the optimum of Phi over the least one within the exact cones, against lambda.", excess_figure),
     ("Rates", "Convergence of every step rule on the paper's constant wrench, lambda 0.01.", rates_figure),
     ("Forces along W_ext(t)", "Normal forces of every finger, per grasp and method.", paths_figure),
-)
+)  # fmt: skip
 TABLES = (
     ("Weights and step rules", "Iterations: median (p95). Excess: total normal force at the optimum of Phi above the least one within the "
      "exact cones. Only lambda / omega matters: omega scales Phi. 'Fixed, tuned' is the longest constant step that is never halved on "

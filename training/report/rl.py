@@ -12,7 +12,7 @@ from training.report.page import axes
 from training.results.claims import Claim
 from training.results.statistics import iqm, iqm_interval, ratio_interval
 from training.results.table import pd
-from training.results.words import number, percent
+from training.results.words import number
 
 AGENTS = {
     "zero": ("the paper's start (zero policy)", "#000000"),
@@ -77,7 +77,7 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
                 "environment": place(environment), "policy": AGENTS[agent][0],
                 "training seeds": ends["training_seed"].nunique() or None,
             }  # fmt: skip
-            rates = percent(row["held_rate_low"]), percent(row["held_rate_high"])
+            rates = (f"{number(100.0 * row[f'held_rate_{part}'])} %" for part in ("low", "high"))
             cells["held"] = f"{row['held_sum']:.0f} of {len(ends)} [{', '.join(rates)}]"
             if iterations[agent].notna().all():  # a solver runs
                 counts = (number(row[f"iterations_{part}"]) for part in ("median", "p95", "p99"))
@@ -123,18 +123,11 @@ def speed_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
     for environment in _environments(rows):
         for agent, (label, _) in AGENTS.items():
             rates = {
-                case: found[agent]["per_second_median"].iloc[0]
-                for case in SPEEDS
+                case: round(found[agent]["per_second_median"].iloc[0]) for case in SPEEDS
                 if agent in (found := _by_agent(summary, case, environment))
-            }
+            }  # fmt: skip
             if rates:
-                out.append(
-                    {
-                        "environment": place(environment),
-                        "agent": label,
-                        **{case: round(rate) for case, rate in rates.items()},
-                    }
-                )
+                out.append({"environment": place(environment), "agent": label, **rates})
     return pd.DataFrame(out)
 
 
@@ -143,9 +136,7 @@ def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure 
     rows = rows.assign(length=rows["step"] + 1)
     shown = {environment: _by_agent(rows, "curve", environment) for environment in _environments(rows)}
     shown = {
-        name: curves
-        for name, curves in shown.items()
-        if any(agent.endswith(ending) for agent in curves if agent != "zero")
+        name: curves for name, curves in shown.items() if any(agent.endswith(ending) for agent in {*curves} - {"zero"})
     }
     if not shown:
         return None
@@ -159,10 +150,8 @@ def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure 
             for line in lines:
                 panel.plot(line, color=colour, linewidth=0.7, alpha=0.55)
             steps = np.linspace(0.0, min(line.index[-1] for line in lines), 60)
-            mean = np.mean(
-                [np.interp(steps, line.index.to_numpy(float), line.to_numpy(float)) for line in lines], axis=0
-            )
-            panel.plot(steps, mean, color=colour, linewidth=2.2, label=name)
+            means = [np.interp(steps, line.index.to_numpy(float), line.to_numpy(float)) for line in lines]
+            panel.plot(steps, np.mean(means, axis=0), color=colour, linewidth=2.2, label=name)
         panel.axhline(curves["zero"][column].mean(), color="black", linestyle="--", label=AGENTS["zero"][0])
         panel.set(ylabel=label, xlim=(0, None))
         panel.set_title(place(environment), loc="left", fontsize=9)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from grasp_env.errors import InvalidInputError
-from training.report.page import Page, facts_of, render
+from training.report.page import facts_of, render
 from training.results.columns import KEYS
 from training.results.run import Run, understood
 from training.results.statistics import mean_interval, ratio_interval
@@ -30,35 +30,22 @@ def compare(a: Rows, b: Rows) -> Rows:
         The keys, "metric", "pairs", "A" and "B" (medians, or means), the ratio or difference as "change" with "low" and "high", and
         "verdict": "lower", "higher" or "tie". Ties come last.
     """
-    keys = [name for name in KEYS if name in a.columns and name in b.columns]
-    pairing = [
-        *keys,
-        *(name for name in ("problem", "seed", "training_seed", "step") if name in a.columns and name in b.columns),
-    ]
+    shared = a.columns.intersection(b.columns)
+    keys = [name for name in KEYS if name in shared]
+    pairing = keys + [name for name in ("problem", "seed", "training_seed", "step") if name in shared]
     if not pairing:
         raise InvalidInputError("the two runs have no key in common: compare runs of one command")
     both = a.merge(b, on=pairing, suffixes=("_a", "_b"))
     made: list[dict[str, Any]] = []
     for _, group in both.groupby(keys or pairing[:1], sort=False, dropna=False):
-        for metric, by_ratio in METRICS.items():
-            if f"{metric}_a" not in both.columns:
-                continue
+        named = {key: group[key].iloc[0] for key in keys}
+        for metric in (name for name in METRICS if name in shared):
             first, second = numbers(group, f"{metric}_a"), numbers(group, f"{metric}_b")
             known = np.isfinite(first) & np.isfinite(second)
             if known.any():
-                made.append(
-                    {
-                        **{key: group[key].iloc[0] for key in keys},
-                        "metric": metric,
-                        **_row(first[known], second[known], by_ratio),
-                    }
-                )
-    out = pd.DataFrame(made)
-    return (
-        out.sort_values("verdict", key=lambda verdicts: verdicts == "tie", kind="stable", ignore_index=True)
-        if len(out)
-        else out
-    )
+                made.append({**named, "metric": metric, **_row(first[known], second[known], METRICS[metric])})
+    made.sort(key=lambda row: row["verdict"] == "tie")
+    return pd.DataFrame(made)
 
 
 def _row(first: np.ndarray, second: np.ndarray, by_ratio: bool) -> dict[str, Any]:
@@ -71,15 +58,8 @@ def _row(first: np.ndarray, second: np.ndarray, by_ratio: bool) -> dict[str, Any
         change, (low, high) = float((second - first).mean()), mean_interval(second - first)
         level, middles = 0.0, (first.mean(), second.mean())
     verdict = "tie" if low <= level <= high else "lower" if high < level else "higher"
-    return {
-        "pairs": len(first),
-        "A": float(middles[0]),
-        "B": float(middles[1]),
-        "change": change,
-        "low": low,
-        "high": high,
-        "verdict": verdict,
-    }
+    columns = {"pairs": len(first), "A": float(middles[0]), "B": float(middles[1])}
+    return {**columns, "change": change, "low": low, "high": high, "verdict": verdict}
 
 
 def write(a: Run, b: Run, out: Run) -> Rows:
@@ -88,27 +68,21 @@ def write(a: Run, b: Run, out: Run) -> Rows:
     Raises:
         InvalidInputError: a run is not finished, or the two have no row in common.
     """
-    with (
-        understood(a.folder, "repeat the command that made it"),
-        understood(b.folder, "repeat the command that made it"),
-    ):
+    again = "repeat the command that made it"
+    with understood(a.folder, again), understood(b.folder, again):
         (mine, about_a), (theirs, about_b) = a.load(), b.load()
         made = compare(mine, theirs)
     if made.empty:
         raise InvalidInputError(f"{a.folder} and {b.folder} have no rows in common: compare runs of one command")
     ties = int((made["verdict"] == "tie").sum())
     note = f"{len(made) - ties} of {len(made)} comparisons differ, {ties} are ties."
-    page = Page(
+    page = render(
         title=f"{a.folder.name} (A) against {b.folder.name} (B)",
         intro=INTRO,
         quick=bool(about_a.get("quick") or about_b.get("quick")),
-        figures=(),
         tables=[("What differs first", note, made)],
-        facts=[
-            (f"{side}: {name}", value)
-            for side, about in (("A", about_a), ("B", about_b))
-            for name, value in facts_of(about)
-        ],
+        facts=[(f"A: {name}", value) for name, value in facts_of(about_a)]
+        + [(f"B: {name}", value) for name, value in facts_of(about_b)],
     )
-    out.write_text("compare.html", render(page))
+    out.write_text("compare.html", page)
     return made

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -83,10 +84,8 @@ GIVEN = (
 
 def colours(starts: list[str]) -> dict[str, str]:
     """Return the colour of every start; those of a user get the reserved colours in turn."""
-    given = [key for key in starts if key not in STARTS]
-    return {key: start_info(key).colour for key in starts} | {
-        key: GIVEN_COLOURS[place % len(GIVEN_COLOURS)] for place, key in enumerate(given)
-    }
+    given = dict(zip((key for key in starts if key not in STARTS), cycle(GIVEN_COLOURS), strict=False))
+    return {key: start_info(key).colour for key in starts} | given
 
 
 def shown(means: Rows) -> list[str]:
@@ -168,14 +167,13 @@ def network_figure(rows: Rows, means: Rows) -> Figure | None:
     return figure
 
 
-def profile(query: str, column: str, label: str, by: str = "start") -> Any:
+def profile(query: str, column: str, across: str, by: str = "start") -> Any:
     """Return a performance profile: the share of problems that each start solves within a factor of the best one."""
 
     def draw(rows: Rows, means: Rows) -> Figure | None:
         found, keys = chosen(rows, query), shown(means)
-        found: Rows = found[
-            found["start"].isin(keys) & (found["microseconds"].notna() if column == "microseconds" else True)
-        ]
+        found: Rows = found[found["start"].isin(keys)]
+        found = found[found[column].notna()] if column == "microseconds" else found
         if found.empty or column not in found.columns or found[column].isna().all():
             return None
         counted = column == "iterations"
@@ -192,14 +190,9 @@ def profile(query: str, column: str, label: str, by: str = "start") -> Any:
             key, _, method = str(who).partition(" · ")
             share = [(ratio[:, place] <= tau * (1 + 1e-12)).mean() for tau in factor]
             style = "--" if start_info(key).dashed else ":" if method == "newton" else "-"
-            panel.plot(
-                factor,
-                share,
-                style,
-                color=tint[key],
-                label=start_info(key).short + (" · Newton" if method == "newton" else ""),
-            )
-        panel.set(xscale="log", xlabel=label, ylabel="share of the problems", ylim=(0, 1.02), xlim=(1, 100))
+            label = start_info(key).short + (" · Newton" if method == "newton" else "")
+            panel.plot(factor, share, style, color=tint[key], label=label)
+        panel.set(xscale="log", xlabel=across, ylabel="share of the problems", ylim=(0, 1.02), xlim=(1, 100))
         panel.set_xticks([1, 10, 100], ["1", "10", "100"])
         panel.legend(fontsize=7.5, frameon=False, loc="lower right", ncols=2 if by == "both" else 1)
         return figure
@@ -230,9 +223,8 @@ def hardest_sets(rows: Rows, means: Rows) -> Rows:
     hard = flow[flow["start"] == BASIS].set_index("case")["iterations_p99"].sort_values(ascending=False)
     grid = grid.reindex(index=hard.index, columns=[key for key in shown(means) if key in grid.columns])
     grid.insert(0, "cases", [SETS[case].label for case in grid.index])
-    return grid.rename(columns={key: start_info(key).short for key in grid.columns if key != "cases"}).reset_index(
-        drop=True
-    )
+    names = {key: start_info(key).short for key in grid.columns if key != "cases"}
+    return grid.rename(columns=names).reset_index(drop=True)
 
 
 def hardest_problems(rows: Rows, means: Rows) -> Rows:
@@ -242,9 +234,8 @@ def hardest_problems(rows: Rows, means: Rows) -> Rows:
     found = found[found["start"].isin(shown(means))]
     if found.empty:
         return found
-    worst = found.assign(order=found["iterations"].fillna(ITERATION_LIMIT + 2).astype(float)).sort_values(
-        "order", ascending=False, kind="stable"
-    )
+    order = found["iterations"].fillna(ITERATION_LIMIT + 2).astype(float)
+    worst = found.assign(order=order).sort_values("order", ascending=False, kind="stable")
     return worst.drop_duplicates(["case", "problem"]).groupby("case", sort=False).head(2).head(12)[columns]
 
 
@@ -316,15 +307,10 @@ def failures(rows: Rows, means: Rows) -> Rows:
     found: Rows = chosen(rows, "status in ['no_start', 'failed', 'stalled', 'iteration_limit'] or held == False")
     if found.empty:
         return found
-    why = (
-        found["reason"]
-        .fillna(found["failure"] if "failure" in found.columns else found["status"])
-        .fillna(found["status"])
-    )
-    groups = found.assign(why=why, start=found["start"].fillna("")).groupby(
-        ["case", "start", "method", "why"], dropna=False, sort=False
-    )
-    return groups.size().reset_index(name="count").sort_values("count", ascending=False)
+    why = found["reason"].fillna(found.get("failure", found["status"])).fillna(found["status"])
+    found, keys = found.assign(why=why, start=found["start"].fillna("")), ["case", "start", "method", "why"]
+    counts = found.groupby(keys, dropna=False, sort=False).size().reset_index(name="count")
+    return counts.sort_values("count", ascending=False)
 
 
 TABLES = (

@@ -55,9 +55,8 @@ class Claim:
             return np.empty(0)
         lacking = f"{self.column.rpartition('_')[0]}_missing"
         if lacking in rows.columns and lacking != self.column:  # percentiles ignore the cases without a number
-            mine = mine.assign(
-                **{self.column: np.where(numbers(mine, lacking) > 0, np.nan, numbers(mine, self.column))}
-            )
+            known = np.where(numbers(mine, lacking) > 0, np.nan, numbers(mine, self.column))
+            mine = mine.assign(**{self.column: known})
         if other is None:
             return numbers(mine, self.column)
         # pair the rows by the keys that still have several values after both queries
@@ -113,12 +112,8 @@ def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Judged]:
         values = claim.values(rows)
         compare, worst = COMPARISONS[claim.comparison]
         finite = values[np.isfinite(values)]
-        if not len(values):
-            judged.append(Judged(claim, None, None))
-        elif len(finite) < len(values):
-            judged.append(Judged(claim, float(worst(finite)) if len(finite) else None, False))
-        else:
-            judged.append(Judged(claim, float(worst(values)), bool(np.all(compare(values, claim.asked)))))
+        met = len(finite) == len(values) and bool(np.all(compare(values, claim.asked))) if len(values) else None
+        judged.append(Judged(claim, float(worst(finite)) if len(finite) else None, met))
     order = list(VERDICTS)
     return sorted(judged, key=lambda row: order.index(row.met))
 

@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -57,15 +57,15 @@ class Run:
         return cls(folder)
 
     @classmethod
-    def open(cls, folder: str | Path, needs: str) -> Run:
-        """Open an existing run that holds the file `needs`.
+    def open(cls, folder: str | Path) -> Run:
+        """Open a finished run.
 
         Raises:
             InvalidInputError: there is no such run.
         """
         folder = Path(folder)
-        if not os.path.isfile(folder / needs):
-            raise InvalidInputError(f"{folder} is not a finished run: {needs} is missing; run `grasp evaluate` first")
+        if not os.path.isfile(folder / "run.json"):
+            raise InvalidInputError(f"{folder} is not a finished run: run.json is missing; run `grasp evaluate` first")
         return cls(folder)
 
     def path(self, name: str) -> Path:
@@ -74,16 +74,12 @@ class Run:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def write(self, name: str, writer: Callable[[Path], object]) -> Path:
-        """Call writer(temporary path), then rename, so that an interrupted write leaves no partial file."""
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a text file; an interrupted write leaves no partial file."""
         path = self.path(name)
         with replacing(path) as temporary:
-            writer(temporary)
+            temporary.write_text(text, encoding="utf-8")
         return path
-
-    def write_text(self, name: str, text: str) -> Path:
-        """Write a text file."""
-        return self.write(name, lambda path: path.write_text(text, encoding="utf-8"))
 
     def write_json(self, name: str, value: Any) -> Path:
         """Write JSON; raise ValueError for NaN and infinity."""
@@ -96,9 +92,7 @@ class Run:
     def save(self, rows: pd.DataFrame, about: dict[str, Any]) -> None:
         """Write rows.parquet, rows.csv and, last, run.json, which marks the run as finished.
 
-        Args:
-            rows: the table of the run.
-            about: its kind and settings; machine, versions, commit and the meaning of the columns are added.
+        To `about`, its kind and settings, machine, versions, commit and the meaning of the columns are added.
         """
         from training.results import table  # importing this module needs no pandas
 
@@ -134,9 +128,7 @@ class Run:
 def understood(folder: Path, again: str) -> Iterator[None]:
     """Turn any error in the block into the message that the run's files were changed or made by another version.
 
-    Args:
-        folder: folder of the run.
-        again: advice how to make such files again.
+    `again` is advice how to make such files again.
 
     Raises:
         InvalidInputError: any error other than the project's own, which pass through.

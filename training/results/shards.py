@@ -14,12 +14,9 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
 
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError, SimulationError
@@ -42,30 +39,6 @@ Runner = Callable[[Work, dict[str, Any]], Iterator[tuple[str, Answer]]]
 """Function that runs work on shards and yields (name, answer) as they finish."""
 
 
-@dataclass(frozen=True)
-class Mapped:
-    """Result of a map.
-
-    Attributes:
-        rows: rows of all shards, in their order.
-        on: where the shards ran.
-        workers: number of shards that ran in parallel.
-        wall_seconds: time from the first shard's start to the last one's end, without the start of Ray.
-        cpu_seconds: processor time of the shards that ran; kept shards count as zero.
-    """
-
-    rows: pd.DataFrame
-    on: str
-    workers: int
-    wall_seconds: float
-    cpu_seconds: float
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """Description of the map for run.json."""
-        return {name: value for name, value in vars(self).items() if name != "rows"}
-
-
 def map_shards(
     function: Work,
     shards: Mapping[str, Any],
@@ -74,8 +47,7 @@ def map_shards(
     workers: int = 0,
     keep: Path | None = None,
     label: str = "shards",
-    console: Console | None = None,
-) -> Mapped:
+) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Call a function on every shard and join the rows in the order of the shards.
 
     Args:
@@ -86,7 +58,11 @@ def map_shards(
         workers: number of processes; 0: one per core. Ray uses the cores of its cluster.
         keep: folder that keeps finished shards, so that an interrupted map can continue; None: nothing is kept.
         label: label of the progress bar.
-        console: console of the progress bar; None: stderr.
+
+    Returns:
+        The rows, and the description of the map for run.json: "on"; "workers", the number of shards that ran in parallel;
+        "wall_seconds" from the first shard's start to the last one's end, without the start of Ray; "cpu_seconds" of the shards that
+        ran, in which kept shards count as zero.
 
     Raises:
         InvalidInputError: `on` is invalid, or there is no such cluster.
@@ -100,7 +76,7 @@ def map_shards(
     found = {name: table.read(file) for name, file in files.items() if file and file.is_file()}
     left = {name: shard for name, shard in shards.items() if name not in found}
     count, cpu = min(workers or os.cpu_count() or 1, max(1, len(left))), 0.0
-    with progress(console) as bar, _runner(on, count) as (run, count):
+    with progress() as bar, _runner(on, count) as (run, count):
         task = bar.add_task(label, total=len(shards), completed=len(found))
         begun = time.perf_counter()
         for name, (rows, seconds) in run(function, left):
@@ -109,7 +85,8 @@ def map_shards(
                 table.write(file, rows)
             bar.update(task, advance=1, description=f"{label}: {name}")
         wall = time.perf_counter() - begun
-    return Mapped(table.join(found[name] for name in shards), on, count, wall, cpu)
+    about = {"on": on, "workers": count, "wall_seconds": wall, "cpu_seconds": cpu}
+    return table.join(found[name] for name in shards), about
 
 
 def _call(function: Work, shard: Any) -> Answer:
@@ -173,12 +150,11 @@ def _ray(on: str) -> Iterator[tuple[Runner, int]]:
     import ray  # pyright: ignore[reportMissingImports]
 
     try:
-        ray.init(
-            address=on if on.startswith("ray://") else "auto",
-            runtime_env={"env_vars": THREADS},
-            logging_level=logging.ERROR,
-            log_to_driver=False,
+        address, quiet = (
+            on if on.startswith("ray://") else "auto",
+            {"logging_level": logging.ERROR, "log_to_driver": False},
         )
+        ray.init(address=address, runtime_env={"env_vars": THREADS}, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise InvalidInputError(
             f"no Ray cluster was found for --on {on} ({str(error)[:200]}): start one with `ray start --head`, set RAY_ADDRESS, or use "

@@ -121,15 +121,8 @@ def read(path: Path) -> pd.DataFrame:
             raise ValueError(f"its columns have more than {WEIGHTS // MEGABYTE} MB")
         return file.read().to_pandas()
 
-    rows = parsed(
-        path,
-        read=columns,
-        error=InvalidInputError,
-        name=f"the table {path}",
-        form="a table of results",
-        hint="; give a run's rows.parquet",
-        most=WEIGHTS,
-    )
+    words = {"name": f"the table {path}", "form": "a table of results", "hint": "; give a run's rows.parquet"}
+    rows = parsed(path, read=columns, error=InvalidInputError, most=WEIGHTS, **words)
     kinds = {name: DTYPES[COLUMNS[name].kind] for name in rows.columns if name in COLUMNS}
     try:
         return rows.astype(kinds)
@@ -206,4 +199,5 @@ def chosen(rows: pd.DataFrame, query: str) -> pd.DataFrame:
     """Return the rows that a query of `pandas.DataFrame.query` selects; none if it names a missing column."""
     names = set(re.findall(r"[A-Za-z_]\w*", re.sub(r"'[^']*'|\"[^\"]*\"", "", query)))
     lacking = (names & {*COLUMNS}) - {*rows.columns}
-    return rows.iloc[:0] if lacking else rows.query(query)
+    # of the named columns alone, since `query` reads all
+    return rows.iloc[:0] if lacking else rows.loc[rows[[*names.intersection(rows.columns)]].eval(query)]

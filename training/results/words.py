@@ -5,8 +5,8 @@ from __future__ import annotations
 import textwrap
 
 
-def number(value: float | None, digits: int = 3) -> str:
-    """Format a number with `digits` significant digits and no exponent between 1e-4 and 1e6; None as a dash.
+def number(value: float | None) -> str:
+    """Format a number with three significant digits and no exponent between 1e-4 and 1e6; None as a dash.
 
     Example:
         >>> number(1234.5678), number(0.00012345), number(None), number(42)
@@ -14,24 +14,9 @@ def number(value: float | None, digits: int = 3) -> str:
     """
     if value is None:
         return "–"
-    if value == 0 or (float(value).is_integer() and abs(value) < 1e7):
+    if (float(value).is_integer() and abs(value) < 1e7) or 1000 <= abs(value) < 1e6:
         return f"{value:.0f}"
-    if 10**digits <= abs(value) < 1e6:
-        return f"{value:.0f}"
-    return f"{value:.{digits}g}" if 1e-4 <= abs(value) < 1e6 else f"{value:.{digits - 1}e}"
-
-
-def percent(value: float | None) -> str:
-    """Format a share as a percentage with three significant digits; None as a dash.
-
-    Example:
-        >>> percent(0.0123456), percent(3e-8), percent(None)
-        ('1.23 %', '3.0e-06 %', '–')
-    """
-    if value is None:
-        return "–"
-    scaled = 100.0 * value
-    return "0 %" if scaled == 0 else f"{scaled:.3g} %" if abs(scaled) >= 1e-3 else f"{scaled:.1e} %"
+    return f"{value:.3g}" if 1e-4 <= abs(value) < 1e6 else f"{value:.2e}"
 
 
 def small(value: float) -> str:

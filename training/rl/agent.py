@@ -55,13 +55,11 @@ def first_seed(seed: int, steps: int) -> int:
 def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
     """Make an untrained agent whose mean action is nearly zero and whose exploration is `config.deviation`."""
     torch.set_num_threads(1)  # more threads do not help networks this small
-    common: dict[str, Any] = {
-        "learning_rate": config.learning_rate, "gamma": config.gamma, "seed": seed, "device": "cpu",
-    }  # fmt: skip
+    common: Any = {"learning_rate": config.learning_rate, "gamma": config.gamma, "seed": seed, "device": "cpu"}
     if config.algorithm == "ppo":
         rollout = (
             max(config.rollout // config.envs // 8, 1) * 8
-        )  # steps of each environment, divisible into eight batches
+        )  # steps of an environment, divisible into eight batches
         policy = {"net_arch": _WIDTHS, "log_std_init": math.log(config.deviation)}
         size = rollout * config.envs // 8
         return PPO("MlpPolicy", envs, n_steps=rollout, batch_size=size, n_epochs=10, policy_kwargs=policy, **common)

@@ -12,13 +12,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
 from grasp_env.errors import InvalidInputError
-from policies.agent_files import (
-    find_checkpoint,
-    read_arrays,
-    read_meta,
-    read_tensors,
-    write_checkpoint,
-)
+from policies.agent_files import find_checkpoint, read_arrays, read_meta, read_tensors, write_checkpoint
 from training.results import provenance
 from training.rl.agent import arrays, first_seed, restore
 from training.rl.settings import RLConfig
@@ -66,19 +60,10 @@ class Training:
         agent, config = self.agent, self.config
         seconds, cpu_seconds = self.spent.round(2).tolist()
         meta = {
-            "algorithm": config.algorithm,
-            "action": config.action,
-            **config.sizes,
-            "seed": self.seed,
-            "config": asdict(config),
-            "env_settings": config.env_settings,
-            "provenance": provenance(),
-            "updates": agent._n_updates,
-            "episodes": agent._episode_num,
-            "seconds": seconds,
-            "cpu_seconds": cpu_seconds,
-            "curve": self.curve,
-        }
+            "algorithm": config.algorithm, "action": config.action, **config.sizes, "seed": self.seed, "config": asdict(config),
+            "env_settings": config.env_settings, "provenance": provenance(), "updates": agent._n_updates,
+            "episodes": agent._episode_num, "seconds": seconds, "cpu_seconds": cpu_seconds, "curve": self.curve,
+        }  # fmt: skip
         held = arrays(agent, self.envs)
         tensors = {stem: held.pop(stem) for stem in _TENSORS}
         return write_checkpoint(self.folder / FOLDER, agent.num_timesteps, meta, tensors, held)

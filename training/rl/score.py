@@ -22,11 +22,7 @@ def score(
 ) -> list[dict[str, Any]]:
     """Play the episodes of some seeds with deterministic actions, in one environment, and return their rows.
 
-    Args:
-        policy: the agent, or a `ZeroPolicy`.
-        settings: settings of the environment, or their dict.
-        seeds: seeds of the episodes.
-        initial_force: start rule instead of that of the settings.
+    `initial_force` replaces the start rule of the settings.
 
     Returns:
         A row for each step with "seed", "step", "reward" and, if a solver runs, "iterations". The last row of an episode also has the

@@ -72,8 +72,8 @@ class RLConfig:
             whole(seed, "seeds", 0)
         for name in ("learning_rate", "gamma", "deviation"):
             number(getattr(self, name), name)
-        if min(self.seed, *self.seeds, 0) < 0 or len(set(self.seeds)) != len(self.seeds):
-            raise InvalidInputError(f"seeds must be different integers >= 0, got {self.seeds or self.seed}")
+        if len(set(self.seeds)) != len(self.seeds):
+            raise InvalidInputError(f"seeds must be different integers >= 0, got {self.seeds}")
         if not 0.0 <= self.learning_rate < 1.0 or not self.gamma < 1.0 or not 0.0 <= self.deviation <= 1.0:
             raise InvalidInputError(
                 "learning_rate must be in [0, 1), gamma below 1, deviation in [0, 1], "

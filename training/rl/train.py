@@ -41,14 +41,7 @@ STOP = ".stop"
 
 @dataclass(frozen=True)
 class Shard:
-    """Agent to train and score, or only to score, or one of `BASELINES`.
-
-    Attributes:
-        name: name in the table.
-        config: settings, with the number of episodes.
-        folder: folder of the agent's seed; None: a baseline.
-        seed: seed of the training; None: the agent is only scored.
-    """
+    """Agent to train and score, or with no `seed` only to score, or with no `folder` one of `BASELINES`."""
 
     name: str
     config: RLConfig
@@ -84,22 +77,17 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
     return table({**who, **row} for row in [{"case": "held_out", **row} for row in found] + extra)
 
 
-def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", console: Console | None = None) -> Run:
-    """Train every seed and score the agents beside the baselines.
+def train(config: RLConfig, out: Path, resume: bool = False, on: str = "") -> Run:
+    """Train every seed and score the agents beside the baselines, in the run's folder `out`.
 
-    Args:
-        config: the settings.
-        out: folder of the run.
-        resume: continue from the last complete checkpoint of each seed.
-        on: where seeds are trained, see `map_shards`; empty: inline for one seed, else one process with one thread per seed.
-        console: console of the progress; None: stderr.
+    With `resume` each seed continues from its last complete checkpoint. For `on` see `map_shards`; empty: inline for one seed, else
+    one process with one thread per seed.
 
     Raises:
         InvalidInputError: no such environment; the folder cannot be written, holds another or a finished run, or its disk is too full.
         ModelFileError: a damaged checkpoint.
         KeyboardInterrupt: interrupted; every seed in training saves its last update.
     """
-    console = console or Console(stderr=True)
     config = config.resolved()
     settings = config.env_settings
     folders = {seed: out / f"seed-{seed}" for seed in config.seeds}
@@ -114,7 +102,7 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", conso
             done = Run(out).read_json("run.json")["config"]
             complete = config.steps <= done["steps"] and set(config.seeds) <= set(done["seeds"])
         if complete:
-            console.print(
+            Console(stderr=True).print(
                 f"{out} is finished, {done['steps']} steps: nothing is left to train; a larger --steps continues"
             )
             return Run(out)
@@ -128,61 +116,47 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", conso
     run.write_json("config.json", {**asdict(config), "env_settings": settings})
     name = f"{config.algorithm}/{config.action}"
     shards = {folder.name: Shard(name, config, folder.absolute(), seed) for seed, folder in folders.items()}
-    return _finish(run, shards, config, on or ("inline" if len(shards) == 1 else "processes"), console)
+    return _finish(run, shards, config, on or ("inline" if len(shards) == 1 else "processes"))
 
 
-def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "", console: Console | None = None) -> Run:
+def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "") -> Run:
     """Score the agents of all seeds of several runs, and measure how fast they act and train, alone in this process.
 
-    Args:
-        folders: folders of runs of `grasp rl`.
-        out: folder of the comparison.
-        config: settings, with the number of episodes.
-        on: where agents are scored, see `map_shards`; empty: processes.
-        console: console of the progress; None: stderr.
+    The episodes are counted by `config`. For `on`, where agents are scored, see `map_shards`; empty: processes.
 
     Raises:
         InvalidInputError: a folder is no finished run or holds no agent, or `out` cannot be written.
     """
-    runs = [Run.open(folder, "run.json").folder for folder in folders]
+    runs = [Run.open(folder).folder for folder in folders]
     metas = {seed: read_meta(find_checkpoint(seed)) for folder in runs for seed in sorted(folder.glob("seed-*"))}
     if not metas:
         raise InvalidInputError(f"no trained agent in {', '.join(map(str, folders))}: name folders of `grasp rl`")
     config, shards = config.resolved(), dict[str, Shard]()
     for seed, meta in metas.items():  # the zero policy plays the episodes of the agents' curves
-        kept = {
-            name: meta["config"][name] for name in ("algorithm", "action", "env", "envs", "rollout", "curve_episodes")
-        }
+        names = ("algorithm", "action", "env", "envs", "rollout", "curve_episodes")
+        kept = {name: meta["config"][name] for name in names}
         mine = replace(config, **kept, learning_rate=0.0, gamma=-1.0, deviation=0.0).resolved()
         shards[str(seed)] = Shard(f"{meta['algorithm']}/{meta['action']}", mine, seed.absolute())
     run = Run.create(out.parent, out.name)
     kinds = {(shard.config.env, shard.name): shard.config for shard in shards.values()}
-    times = [] if config.quick else [
-        {"environment": env, "agent": name, **row} for (env, name), kind in kinds.items() for row in speeds(kind)
-    ]  # fmt: skip
-    return _finish(run, shards, config, on or "processes", console, times)
+    rates = ({"environment": env, "agent": name, **row} for (env, name), kind in kinds.items() for row in speeds(kind))
+    times = [] if config.quick else list(rates)
+    return _finish(run, shards, config, on or "processes", times)
 
 
-def _finish(
-    run: Run,
-    shards: dict[str, Shard],
-    config: RLConfig,
-    on: str,
-    console: Console | None,
-    more: Sequence[dict[str, Any]] = (),
-) -> Run:
+def _finish(run: Run, shards: dict[str, Shard], config: RLConfig, on: str, more: Sequence[dict[str, Any]] = ()) -> Run:
     """Train and score agents, score the baselines in the same environments, and save the run."""
     worlds = {shard.config.env: shard.config for shard in shards.values()}
     baselines = {f"{name} {env}": Shard(name, world) for env, world in worlds.items() for name in BASELINES}
     every, stop = shards | baselines, run.path(STOP)
     stop.unlink(missing_ok=True)
     if on == "inline":
-        with progress(console) as bar:  # also shows steps
+        with progress() as bar:  # also shows steps
             rows = join([rows_of(shard, bar) for shard in bar.track(every.values(), description="agents")])
     else:
         try:
             with interruptible(orderly=False):
-                rows = map_shards(rows_of, every, on=on, label="agents", console=console).rows
+                rows, _ = map_shards(rows_of, every, on=on, label="agents")
         except KeyboardInterrupt:
             stop.touch()
             raise
@@ -200,13 +174,8 @@ def train_seed(
 ) -> Path:
     """Train one agent to `config.steps`, from the start or from its checkpoint.
 
-    Args:
-        config: resolved settings.
-        folder: receives checkpoints and TensorBoard events.
-        seed: seed of the training.
-        resume: continue from the checkpoint in `folder`.
-        bar: shows the steps; None: no progress.
-        stop: file whose existence interrupts the training as ctrl-C does.
+    `config` is resolved, `folder` receives checkpoints and TensorBoard events, and `bar` shows the steps. If the file `stop` exists, it
+    interrupts the training as ctrl-C does.
 
     Returns:
         The last checkpoint.
