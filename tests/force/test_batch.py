@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,22 @@ def test_grasps_of_every_kind_side_by_side(method: str) -> None:
 # threads, processes, interrupts
 
 LOADS = sample_ball(np.random.default_rng(0), 100)
+
+
+@pytest.mark.parametrize("kind", ["newton", "conic", "flow", "limits"])
+def test_eight_threads_with_an_optimizer_each_or_a_shared_one(kind: str) -> None:
+    """Use one optimizer in one thread; if it is shared all the same, its answers are still right."""
+    alone, shared = [ForceOptimizer(GRASP, **KINDS[kind]) for _ in range(8)], ForceOptimizer(GRASP, **KINDS[kind])
+    want = np.array([shared.solve(load).force for load in LOADS])
+    remembers = ForceOptimizer(GRASP, **KINDS[kind], initial=None if kind == "conic" else "previous")
+    with ThreadPoolExecutor(8) as pool:
+        for found in pool.map(lambda own: [own.solve(load).force for load in LOADS], alone):
+            np.testing.assert_array_equal(found, want)
+        np.testing.assert_array_equal([found.force for found in pool.map(shared.solve, LOADS)], want)
+        for load, solution in zip(LOADS, pool.map(remembers.solve, LOADS), strict=True):
+            np.testing.assert_array_equal(solution.wrench, load)
+            assert solution.equilibrium_residual < 1e-9
+            assert solution.optimality_gap <= 1e-4
 
 
 def in_a_child(optimizer: ForceOptimizer, answers: multiprocessing.SimpleQueue) -> None:

@@ -1,4 +1,4 @@
-"""Advice finds the mistakes that people make with units, signs and frames, and is silent about 700 plausible problems."""
+"""Advice finds the mistakes that people make with units, signs and frames, and is silent about 2,000 plausible problems."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_plausible_problems_get_no_advice() -> None:
     rng, told, tried = np.random.default_rng(34), list[str](), 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        while tried < 700:
+        while tried < 2000:
             problem = plausible(rng)
             if problem is not None:
                 grasp, load, bound = problem

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from grasp_env._check import Array, ContactForces, Wrench
+from grasp_env.core import record_size
 from grasp_env.force import ForceOptimizer, ForceSolution, Objective, OfflineBasis, optimize_force, optimize_forces
 from grasp_env.force.initial import InitialForceRule, LearnedRule, call_rule
 from grasp_env.force.record import CONTACTS, FORCE
