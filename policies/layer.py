@@ -9,7 +9,7 @@ The file is long because the public function, its two torch operators and their 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, NoReturn, TypeAlias
 
@@ -165,18 +165,11 @@ def grasp_force(
         >>> friction.grad < 0                                                            # more friction, less force
         tensor(True)
     """
-    if infeasible not in MODES:
-        choice(infeasible, "infeasible", MODES)
-    tolerance = positive(tolerance, "tolerance", TOLERANCE)
-    if not (type(max_iterations) is int and 0 <= max_iterations <= ITERATIONS):
-        max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
-    if chunk is not None:
-        chunk = whole(chunk, "chunk", 1)
+    settings = _settings(infeasible, tolerance, max_iterations, chunk)
     given = (
         positions, normals, friction, tangents, torsional_friction, wrench, jacobian, torque_limit, torque_bias,
         min_normal, max_normal, force_weight, barrier_weight, start,
     )  # fmt: skip
-    settings = infeasible, tolerance, max_iterations, chunk
     problems = _read_in_place(given)
     if problems is None:
         tensors, dtype = _checked_tensors(given)
@@ -220,10 +213,8 @@ class GraspForceLayer(nn.Module):
         self, infeasible: str = "mask", tolerance: float = 1e-10, max_iterations: int = 200, chunk: int | None = None
     ) -> None:
         super().__init__()
-        self.infeasible = choice(infeasible, "infeasible", MODES)
-        self.tolerance = positive(tolerance, "tolerance", TOLERANCE)
-        self.max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
-        self.chunk = chunk if chunk is None else whole(chunk, "chunk", 1)
+        settings = _settings(infeasible, tolerance, max_iterations, chunk)
+        self.infeasible, self.tolerance, self.max_iterations, self.chunk = settings
 
     def extra_repr(self) -> str:
         """Return the settings for the module's repr."""
@@ -245,6 +236,15 @@ class GraspForceLayer(nn.Module):
 
 
 # --- arguments
+
+
+def _settings(
+    infeasible: str, tolerance: float, max_iterations: int, chunk: int | None
+) -> tuple[str, float, int, int | None]:
+    if not (type(max_iterations) is int and 0 <= max_iterations <= ITERATIONS):  # a check takes 0.7 us
+        max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
+    chunk = chunk if chunk is None else whole(chunk, "chunk", 1)
+    return choice(infeasible, "infeasible", MODES), positive(tolerance, "tolerance", TOLERANCE), max_iterations, chunk
 
 
 def _refuse(name: str, given: Any, wanted: str) -> NoReturn:
@@ -341,7 +341,7 @@ def _optima(
 
     The facts are status, gap, residual and iterations. The state is what the gradients need.
     """
-    arrays = [np.empty((*lead, *tail)) for tail in _tails(problems.contacts)]
+    arrays = [np.empty((*lead, *tail)) for tail in batched_newton.tails(problems.contacts)]
     force, torsion, multipliers, facts, state = arrays
 
     def work(part: slice) -> None:
@@ -406,14 +406,11 @@ def _in_core(a: Tensor) -> bool:
     return a.device.type == "cpu" and _CORE
 
 
-def _parts(batch: int, chunk: int | None) -> list[slice]:
+def _parts(batch: int, chunk: int | None, *groups: Sequence[Any]) -> Iterator[tuple[Any, ...]]:
+    """Yield slices, each with that part of the tensors of every group; None stays None."""
     size = chunk or max(batch, 1)
-    return [slice(k, k + size) for k in range(0, batch, size)]
-
-
-def _rows(group: Sequence[Any], part: slice) -> tuple[Any, ...]:
-    """Return a slice of arrays or tensors; None stays None."""
-    return tuple([a if a is None else a[part] for a in group])
+    for part in (slice(k, k + size) for k in range(0, batch, size)):
+        yield part, *(tuple([a if a is None else a[part] for a in group]) for group in groups)
 
 
 def _solve_impl(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -425,10 +422,9 @@ def _solve_impl(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         out: Any = _optima(_read(given), lead, tolerance, max_iterations, chunk)
     else:
         out = _empty(tensors[0], (batch,), count)
-        for part in _parts(batch, chunk):
-            *mine, start = _rows(given, part)
+        for part, (*mine, start) in _parts(batch, chunk, given):
             found = batched_newton.solve(Inputs(*mine), tolerance, max_iterations, start)
-            for a, b in zip(out, (*found[1:], found.state), strict=True):
+            for a, b in zip(out, found, strict=True):
                 a[part] = b
         out = tuple([a if len(lead) == 1 else a.reshape(*lead, *a.shape[1:]) for a in out])
     if infeasible == "raise":
@@ -436,13 +432,8 @@ def _solve_impl(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     return out
 
 
-def _tails(count: int) -> tuple[tuple[int, ...], ...]:
-    """Return the trailing dimensions of force, torsion, multipliers, facts and state."""
-    return (count, 3), (count,), (6,), (4,), (4 * count + 7,)
-
-
 def _empty(like: Tensor, lead: Sequence[int], count: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    return tuple(like.new_empty((*lead, *tail), dtype=torch.float64) for tail in _tails(count))  # type: ignore[return-value]
+    return tuple(like.new_empty((*lead, *tail), dtype=torch.float64) for tail in batched_newton.tails(count))  # type: ignore[return-value]
 
 
 def _raise_for(status: Tensor, lead: Sequence[int]) -> None:
@@ -475,8 +466,8 @@ def _gradients_impl(*args: Any) -> list[Tensor]:
         found = [a.new_empty(a.shape) if a is not None and w else None for a, w in zip(given, wanted, strict=True)]
         like = _empty(made[0], (batch,), tensors[0].shape[-2])
         made[1:] = [torch.zeros_like(a) if d is None else d for d, a in zip(made[1:], like, strict=False)]
-        for part in _parts(batch, chunk):
-            by = _differentiate(Inputs(*_rows(given, part)), *_rows(made, part), elastic)
+        for part, mine, mine_made in _parts(batch, chunk, given, made):
+            by = _differentiate(Inputs(*mine), *mine_made, elastic)
             for a, b in zip(found, by, strict=True):
                 if a is not None:
                     a[part] = b
@@ -594,26 +585,14 @@ def _call(operator: Any, function: Any, *args: Any) -> Any:
 
 
 class _SolveFunction(torch.autograd.Function):
-    @staticmethod
-    def forward(*args: Any) -> Any:
-        return _solve(*args)
-
-    setup_context = staticmethod(_setup)
-    backward = staticmethod(_backward)
-    vmap = staticmethod(_solve_vmap)
+    forward, setup_context = staticmethod(_solve), staticmethod(_setup)  # type: ignore[assignment]
+    backward, vmap = staticmethod(_backward), staticmethod(_solve_vmap)  # type: ignore[assignment]
 
 
 class _GradientsFunction(torch.autograd.Function):
-    @staticmethod
-    def forward(*args: Any) -> Any:
-        return tuple(_gradients(*args))
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-        """Save nothing."""
-
-    backward = staticmethod(_no_second)
-    vmap = staticmethod(_gradients_vmap)
+    forward = staticmethod(lambda *args: tuple(_gradients(*args)))  # type: ignore[assignment]
+    setup_context = staticmethod(lambda ctx, inputs, output: None)  # type: ignore[assignment]
+    backward, vmap = staticmethod(_no_second), staticmethod(_gradients_vmap)  # type: ignore[assignment]
 
 
 class _EagerFunction(torch.autograd.Function):

@@ -20,7 +20,7 @@ from grasp_env.force.solution import LEARNED
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.grasp import as_grasp
 from grasp_env.grasp.null_space import null_space_basis
-from policies.checkpoint import FAULTS, MOST_CONTACTS, Checkpoint, malformed, number, replace, whole
+from policies.checkpoint import MOST_CONTACTS, Checkpoint, number, replace, whole
 from policies.features import Features
 
 PRETRAINED = Path(__file__).parent / "pretrained"
@@ -83,8 +83,11 @@ class LearnedInitialForce:
             n_lengths = self.sizes[0] - core.PLAIN_FEATURES
             if n_lengths < 1 or self.sizes[-1] != outputs:
                 raise ValueError(f"sizes {self.sizes} for {self.n_contacts} contacts")
-        except FAULTS as error:
-            raise malformed("of an initial force", error) from None
+        except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+            said = f"{type(error).__name__}: {error}"[:200]
+            raise ModelFileError(
+                f"the model is incomplete or malformed ({said}); train anew with `grasp fit`"
+            ) from None
         shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs), "pairs": (2 * n_lengths, 6)}
         for layer, (a, b) in enumerate(pairwise(self.sizes)):
             powers = self._degree + 1
@@ -154,7 +157,7 @@ class LearnedInitialForce:
             InfeasibleStartError: the model does not support these contacts, the grasp has no force closure, or the wrench
                 is not finite.
         """
-        load = read_load(wrench)
+        load = _read(wrench)
         force = start_of(self._prepare(grasp).starter, LEARNED, load, None)
         if force is None:
             raise _not_finite(load)
@@ -182,7 +185,7 @@ class LearnedInitialForce:
 
         Outside the range the start is still valid, and the solution says that it was out of range.
         """
-        return self._prepare(grasp).model.covers(grasp.unit_frame @ read_load(wrench))
+        return self._prepare(grasp).model.covers(grasp.unit_frame @ _read(wrench))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """Return the network's force (N, 3) [N] for a `grasp` and a `wrench` (6,): balanced, possibly outside the cones.
@@ -190,7 +193,7 @@ class LearnedInitialForce:
         Raises:
             InfeasibleStartError: see `__call__`.
         """
-        on, load = self._prepare(grasp), read_load(wrench)
+        on, load = self._prepare(grasp), _read(wrench)
         if not (np.abs(load) <= core.LARGEST).all():
             raise _not_finite(load)
         coordinates = np.empty(on.internal.shape[1])
@@ -276,10 +279,6 @@ def _not_finite(wrench: Array) -> InfeasibleStartError:
     return InfeasibleStartError(f"a wrench needs finite numbers up to {core.LARGEST:g}, got {wrench.tolist()}")
 
 
-def read_load(wrench: Any) -> Array:
-    """Return a wrench (6,) for the core, which checks that it is finite.
-
-    Raises:
-        InvalidInputError: the wrench is not (6,) numbers.
-    """
+def _read(wrench: Any) -> Array:
+    """Return a wrench (6,) for the core, which checks that it is finite."""
     return as_array(wrench, (6,), "wrench", finite=False)

@@ -76,7 +76,6 @@ def test_the_newest_whole_checkpoint_is_kept_and_read(tmp_path):
     [
         (META, lambda text: text.replace(b'"ppo"', b'"sac"'), "does not match its own sha256"),
         (META, lambda text: text.replace(b"rl-agent/3", b"rl-agent/1"), "has schema"),
-        (META, lambda text: text.replace(b'"joints": 12', b'"joints": 16'), "shows"),
         (META, lambda text: b"{", "JSON"),
         ("policy.safetensors", lambda blob: blob[:-1], "truncated or changed"),
         ("normaliser.npz", lambda blob: blob[:100], "truncated or changed"),
@@ -87,6 +86,22 @@ def test_damaged_files_are_refused(file, change, message, tmp_path):
         tmp_path, 1, {**META_DATA, "algorithm": "ppo"}, {"policy": parts("ppo")}, {"normaliser": NORMALISER}
     )
     (folder / file).write_bytes(change((folder / file).read_bytes()))
+    with pytest.raises(ModelFileError, match=message):
+        TrainedAgent.load(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"joints": 16}, "shows"),
+        ({"joints": -1}, "is for a hand of 4 fingers and -1 joints"),
+        ({"action": "none"}, "acts as 'none'"),
+        ({"env_id": "FourFingerGrasp-v9"}, "was trained on 'FourFingerGrasp-v9'"),
+    ],
+)
+def test_agents_for_something_else_are_refused(change, message, tmp_path):
+    meta = {**META_DATA, "algorithm": "ppo", **change}
+    folder = write_checkpoint(tmp_path, 1, meta, {"policy": parts("ppo")}, {"normaliser": NORMALISER})
     with pytest.raises(ModelFileError, match=message):
         TrainedAgent.load(folder)
 
