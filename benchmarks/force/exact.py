@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.force.bounds import Measure, Numbers, least
-from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
+from benchmarks.force.problems import Array, Problem
 
 CONTEXT = Context(prec=60, Emin=-(10**6), Emax=10**6)
 GAP = Decimal("1e-18")
@@ -106,19 +106,12 @@ def measure(problem: Problem) -> Measure:
     """
     if problem.width != 3 or len(problem.limit_bound):
         raise ValueError("exact optima are those of hard contacts without limits")
-    n = problem.n_contacts
     with localcontext(CONTEXT):
         normal, along = (_decimals(problem.frames[:, :, k]) for k in (0, 1))
         normal = normal / _norm(normal)
         along = along - normal * (normal * along).sum(axis=1)[:, None]
         along = along / _norm(along)
-        frames = np.stack([normal, along, np.cross(normal, along)], axis=2)
-        none = _decimals(np.zeros(0))
-        return Measure.around(
-            _decimals(problem.positions), frames, _decimals(problem.wrench), _decimals(problem.friction), _decimals(np.zeros(n)),
-            (none.reshape(0, n, 3), none, none), np.ones(n, dtype=bool) if problem.touching is None else problem.touching, 3,
-            Decimal(BARRIER_WEIGHT),
-        )  # fmt: skip
+        return Measure.of(problem, _decimals, np.stack([normal, along, np.cross(normal, along)], axis=2))
 
 
 def primal(problem: Problem, name: str) -> Optimum:
@@ -158,17 +151,11 @@ def dual(problem: Problem, name: str) -> Optimum:
         return p.optimum(-gradient, p.costs - z)
 
 
-def bounds_exact(problem: Problem, name: str, force: Numbers, multipliers: Numbers) -> tuple[Any, Any]:
-    """(lower, upper) by `bounds.Measure`, in Decimals, of a force (3 N,) and multipliers (6,) in Decimals or floats."""
+def measured(problem: Problem, name: str, force: Numbers, multipliers: Numbers) -> tuple[Any, Any, Any]:
+    """Lower bound, upper bound and objective by `bounds.Measure`, in Decimals, of a force (3 N,) and multipliers (6,) in Decimals or floats."""
     with localcontext(CONTEXT):
         m, f, nu = measure(problem), _decimals(force), _decimals(multipliers)
-        return m.lower(name, nu), m.upper(name, f, nu)
-
-
-def objective_exact(problem: Problem, name: str, force: Numbers) -> float:
-    """The objective at a force (3 N,) in Decimals, rounded."""
-    with localcontext(CONTEXT):
-        return float(measure(problem).objective(name, _decimals(force)))
+        return m.lower(name, nu), m.upper(name, f, nu), m.objective(name, f)
 
 
 def split(values: Numbers) -> tuple[Array, Array]:

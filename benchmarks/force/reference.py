@@ -1,6 +1,6 @@
 """References: certified optima by two independent solvers, and their checks for `validate`.
 
-Source 1 is the package (conic for `sum`, newton for `phi`), source 2 Clarabel. `bounds` measures both. If they do not settle an
+Source 1 is the package (conic for `sum`, newton for `phi`), source 2 Clarabel. `Measure` bounds both. If they do not settle an
 optimum of hard contacts without limits, or on request, both algorithms of `exact` replace them.
 """
 
@@ -11,7 +11,8 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
-from benchmarks.force import bounds, exact
+from benchmarks.force import exact
+from benchmarks.force.bounds import Measure
 from benchmarks.force.problems import Problem, Reference, Session, Track
 from benchmarks.force.sources import GAP, Found, clarabel, package
 from grasp_env.errors import GraspError
@@ -75,7 +76,7 @@ def _settled(task: tuple[Problem, str, str]) -> tuple[Found, float] | str:
             wrong = _disagreement(*sources)
             if not wrong:
                 return sources[0], sources[1].value
-        if not _plain(problem):
+        if problem.width > 3 or len(problem.limit_bound):  # `exact` has hard contacts without limits
             return wrong
     try:
         sources = [_exact(algorithm(problem, name)) for algorithm in (exact.primal, exact.dual)]
@@ -135,39 +136,31 @@ def _wrong(problem: Problem, name: str, reference: Reference, m: int) -> Iterato
     value, other, force, multipliers = (
         getattr(reference, each)[m] for each in ("value", "other", "force", "multipliers")
     )
-    stored = {"lower": reference.lower[m], "upper": reference.upper[m]}
+    lower, upper, measure = reference.lower[m], reference.upper[m], Measure.of(problem)
     if value == np.inf:
-        if not bounds.witness(problem, multipliers) > 0.0:
-            yield f"the witness proves nothing: {bounds.witness(problem, multipliers):.1e}"
-        if not (other == stored["lower"] == stored["upper"] == np.inf and np.isnan(force).all()):
+        if not measure.witness(multipliers) > 0.0:
+            yield f"the witness proves nothing: {measure.witness(multipliers):.1e}"
+        if not (other == lower == upper == np.inf and np.isnan(force).all()):
             yield "no force exists, but not all bounds are inf and all forces nan"
         return
-    rest = None if reference.rest is None or not reference.rest[m].any() else reference.rest[m]
-    if rest is None:
-        anew = bounds.dual_bound(problem, name, multipliers), bounds.primal_bound(problem, name, force, multipliers)
-        reached = bounds.objective(problem, name, force)
+    if reference.rest is None or not reference.rest[m].any():
+        found = (
+            measure.lower(name, multipliers),
+            measure.upper(name, force, multipliers),
+            measure.objective(name, force),
+        )
     else:
-        low, prices = np.split(rest, [len(force)])
-        full = exact.joined(force, low)
-        anew = exact.bounds_exact(problem, name, full, exact.joined(multipliers, prices))
-        reached = exact.objective_exact(problem, name, full)
-    for (which, bound), computed in zip(stored.items(), map(float, anew), strict=True):
+        low, prices = np.split(reference.rest[m], [len(force)])
+        found = exact.measured(problem, name, exact.joined(force, low), exact.joined(multipliers, prices))
+    *anew, reached = map(float, found)
+    for which, bound, computed in zip(("lower", "upper"), (lower, upper), anew, strict=True):
         if not abs(bound - computed) <= ROUNDING * value:
             yield f"the {which} bound is {computed!r}, stored {bound!r}"
     for what, distance, most in (
-        ("the gap between the bounds", stored["upper"] - stored["lower"], GAP),
-        ("the distance of the value from the upper bound", value - stored["upper"], GAP),
-        (
-            "the distance of the value from the objective of the force",
-            value - reached,
-            AGREEMENT,
-        ),
+        ("the gap between the bounds", upper - lower, GAP),
+        ("the distance of the value from the upper bound", value - upper, GAP),
+        ("the distance of the value from the objective of the force", value - reached, AGREEMENT),
         ("the distance of the sources", value - other, AGREEMENT),
     ):
         if not abs(distance) <= most * value:
             yield f"{what} is {abs(distance) / value:.1e} of the optimum, more than {most:g}"
-
-
-def _plain(problem: Problem) -> bool:
-    """Hard contacts without limits."""
-    return problem.width == 3 and not len(problem.limit_bound)

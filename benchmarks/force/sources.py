@@ -1,4 +1,4 @@
-"""The two sources of a reference in doubles: the package, and Clarabel on the cone program. `bounds` measures both."""
+"""The two sources of a reference in doubles: the package, and Clarabel on the cone program. `Measure` bounds both."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from importlib import import_module
 
 import numpy as np
 
-from benchmarks.force import bounds
 from benchmarks.force.bounds import Measure
 from benchmarks.force.package import grasp_of
 from benchmarks.force.problems import Array, Problem
@@ -28,7 +27,7 @@ class Found:
 
     Attributes:
         force, multipliers: (N k,), (6 + L,); the force is nan if the multipliers are a witness.
-        lower, upper: bounds by `bounds`; inf if the witness proves that no force exists.
+        lower, upper: bounds by `Measure`; inf if the witness proves that no force exists.
         rest: (N k + 6 + L,) rounding errors of both for results of `exact`, else None.
     """
 
@@ -82,7 +81,7 @@ def package(problem: Problem, name: str) -> Found:
 
 
 def clarabel(problem: Problem, name: str) -> Found:
-    """Source 2: Clarabel on the cone program, from `bounds.Measure` alone."""
+    """Source 2: Clarabel on the cone program, from `Measure` alone."""
     found = _best(problem, name, map(_Program(problem, name).solve, TOLERANCES))
     if (
         name == "phi" and not abs(found.gap) <= GAP
@@ -184,19 +183,15 @@ class _Program:
 
 def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, bool]]) -> Found:
     """The answer of the least gap, or the first witness that holds."""
-    none = best = Found(
-        np.full(problem.matrix.shape[1], np.nan), np.zeros(6 + len(problem.limit_bound)), -np.inf, np.inf
-    )
+    measure = Measure.of(problem)
+    none = best = Found(np.full(problem.matrix.shape[1], np.nan), np.zeros(6 + len(measure.bound)), -np.inf, np.inf)
     for force, multipliers, infeasible in answers:
-        if infeasible and bounds.witness(problem, multipliers) > 0.0:
+        if infeasible and measure.witness(multipliers) > 0.0:
             return replace(none, multipliers=multipliers, lower=np.inf)
         if infeasible or not (np.isfinite(force).all() and np.isfinite(multipliers).all()):
             continue
-        lower, upper = (
-            bounds.dual_bound(problem, name, multipliers),
-            bounds.primal_bound(problem, name, force, multipliers),
-        )
-        found = Found(force, multipliers, lower, upper)
+        bounds = measure.lower(name, multipliers), measure.upper(name, force, multipliers)
+        found = Found(force, multipliers, *map(float, bounds))
         if abs(found.gap) < abs(best.gap):
             best = found
         if abs(best.gap) <= 0.1 * GAP:

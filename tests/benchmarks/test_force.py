@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from oracles.phi import phi
 
-from benchmarks.force import bounds, generate, problems, reference
+from benchmarks.force import generate, problems, reference
+from benchmarks.force.bounds import Measure
 from benchmarks.force.package import problem_of
 from benchmarks.force.problems import Problem, load, names
 from benchmarks.force.score import parts_of, score
@@ -25,6 +26,7 @@ def made(wrench=WRENCH, **other) -> Problem:
 
 
 PROBLEM = made()
+MEASURE = Measure.of(PROBLEM)
 OPTIMUM = ForceOptimizer(presets.paper_cuboid(), method="conic", tolerance=1e-10).solve(WRENCH)
 FORCE, BEST = OPTIMUM.force.reshape(-1), OPTIMUM.objective
 ONE_SIDE = np.tile(np.array(presets.paper_cuboid().frames)[0], (4, 1, 1))
@@ -95,8 +97,8 @@ def test_a_problem_holds_the_package_s_matrices():
 def test_objectives_against_the_oracle():
     force = FORCE + np.tile([1.0, 0.0, 0.0], 4)
     x = presets.paper_cuboid().to_cone(force.reshape(4, 3))
-    assert bounds.objective(PROBLEM, "phi", force) == pytest.approx(phi(x, np.tile([1.0, 0.01], (4, 1))), rel=1e-12)
-    assert bounds.objective(PROBLEM, "sum", force) == pytest.approx(force[::3].sum(), rel=1e-14)
+    assert MEASURE.objective("phi", force) == pytest.approx(phi(x, np.tile([1.0, 0.01], (4, 1))), rel=1e-12)
+    assert MEASURE.objective("sum", force) == pytest.approx(force[::3].sum(), rel=1e-14)
 
 
 def test_scores_by_hand():
@@ -159,8 +161,8 @@ def test_no_witness_against_a_feasible_wrench():
     """Random twists, and those of the optimum, never separate what a force balances."""
     twists = [*np.random.default_rng(0).standard_normal((200, 6)), OPTIMUM.multipliers, -OPTIMUM.multipliers]
     for scale in (1e-6, 1.0, 1e6):
-        problem = made(scale * WRENCH)
-        assert max(bounds.witness(problem, twist) for twist in twists) <= 0.0
+        measure = Measure.of(made(scale * WRENCH))
+        assert max(measure.witness(twist) for twist in twists) <= 0.0
 
 
 def test_bounds_bracket_every_balanced_force():
@@ -169,7 +171,7 @@ def test_bounds_bracket_every_balanced_force():
     middle = ForceOptimizer(presets.paper_cuboid(), barrier_weight=1.0).solve(WRENCH).force.reshape(-1)
     for objective in ("sum", "phi"):
         forces = [middle + null.T @ rng.standard_normal(6) for _ in range(400)]
-        values = [bounds.objective(PROBLEM, objective, f) for f in forces if bounds.violation(PROBLEM, f) <= 0.0]
+        values = [MEASURE.objective(objective, f) for f in forces if MEASURE.violation(f) <= 0.0]
         assert len(values) > 20
         drawn = [OPTIMUM.multipliers * (1.0 + 0.5 * rng.standard_normal(6)) for _ in range(200)]
-        assert max(bounds.dual_bound(PROBLEM, objective, each) for each in drawn) <= min(values)
+        assert max(MEASURE.lower(objective, each) for each in drawn) <= min(values)

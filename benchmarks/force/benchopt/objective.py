@@ -2,7 +2,7 @@
 
 from benchopt import BaseObjective
 
-from benchmarks.force.score import parted, score
+from benchmarks.force.score import parts_of, score
 
 
 class Objective(BaseObjective):
@@ -20,7 +20,7 @@ class Objective(BaseObjective):
 
     def evaluate_result(self, answers):  # noqa: D102
         rows = [
-            score(problem, self.objective, float(best), parted(problem, answer))
+            score(problem, self.objective, float(best), parts_of(problem, answer))
             for session, each in zip(self.sessions, answers, strict=True)
             for problem, best, answer in zip(
                 session.problems, session.references[self.objective].value, each, strict=True
