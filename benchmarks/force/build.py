@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from grasp_env._files import digest, replacing
@@ -37,11 +37,17 @@ def library(
     """
     command = compiler("CXX", "g++", "clang++", "c++") if cpp else compiler("CC", "gcc", "clang", "cc")
     texts = (command, *flags, *(path.read_text(encoding="utf-8") for path in (*sources, *depends)))
-    path = BUILD / f"{name}_{digest(*(text.encode() + bytes(1) for text in texts))[:12]}.so"
+    words = [command, *flags, "-fPIC", "-shared", *map(str, sources), "-o"]
+    return made(name, "\0".join(texts).encode(), lambda part: execute([*words, str(part)]))
+
+
+def made(name: str, key: bytes, make: Callable[[Path], None]) -> Path:
+    """Return the library of a key in `BUILD`, written by `make` if it does not exist."""
+    path = BUILD / f"{name}_{digest(key)[:16]}.so"
     if not path.exists():
         BUILD.mkdir(parents=True, exist_ok=True)
         with replacing(path) as part:
-            execute([command, *flags, "-fPIC", "-shared", *map(str, sources), "-o", str(part)])
+            make(part)
     return path
 
 
