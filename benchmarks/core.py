@@ -108,11 +108,8 @@ def arrays(seed: int, count: int, wrenches: int) -> dict[str, Any]:
         turning = np.cos(angle[:, 0]) * loads[0] + np.sin(angle[:, 0]) * loads[1]
         found = {"positions": grasp.positions, "normals": grasp.normals, "friction": grasp.friction, "wrenches": loads}
         found |= {"path_points": points, "path_normals": normals, "path_wrenches": turning}
-        joints = (
-            LEVER
-            * np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
-            * (1.0 + 0.1 * np.sin(angle[:, :, None] + phase[:, :, None]))
-        )
+        turned = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
+        joints = LEVER * turned * (1.0 + 0.1 * np.sin(angle[:, :, None] + phase[:, :, None]))
         found |= {"path_joints": joints, "torque_limit": strongest(grasp, points, normals, turning, joints)}
         out |= {f"{group}/{name}": value for name, value in found.items()}
     return out
