@@ -127,12 +127,7 @@ def strongest(grasp: Grasp, points: Array, normals: Array, wrenches: Array, join
 
 
 def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:
-    """Run `core_side.py` in a checkout and return the lines that it wrote.
-
-    Raises:
-        InvalidInputError: it imports grasp_env from elsewhere.
-        GraspError: the process failed.
-    """
+    """Run `core_side.py` in a checkout and return the lines that it wrote, or raise a `GraspError`."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     command = [str(python), "-c", SIDE.read_text(encoding="utf-8"), *words]
     done = subprocess.run(command, cwd=root, env=kept | {"OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True)

@@ -96,11 +96,7 @@ def run(settings: Settings) -> pd.DataFrame:
 
 
 def measure(name: str, rate: int, seconds: float, language: str, program: Path | None = None) -> Loop:
-    """One run of the loop; program: the compiled example, else it is built.
-
-    Raises:
-        SimulationError: the controller does not answer, or cannot be built.
-    """
+    """One run of the loop; program: the compiled example, else it is built. A controller that fails is a `SimulationError`."""
     hand = SimulatedHand(name, rate)
     mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ended: Callable[[float], Any] | None = None
@@ -184,11 +180,7 @@ class Loop:
         self._answer = np.zeros(COMMANDS)
 
     def run(self, seconds: float) -> None:
-        """Run for a time [s].
-
-        Raises:
-            SimulationError: the controller does not answer.
-        """
+        """Run for a time [s]; a controller that does not answer is a `SimulationError`."""
         hand, fingers, drift, behind = self.hand, self.hand.hand.finger_count, 0.0, 0
         self._rise()
         due = time.perf_counter()
@@ -256,11 +248,7 @@ def _within(now: float, first: float, every: float, lasts: float) -> int:
 
 
 def build(folder: Path) -> Path:
-    """Compile the example in C++ for this processor.
-
-    Raises:
-        SimulationError: there is no CMake, or it fails.
-    """
+    """Compile the example in C++ for this processor, or raise a `SimulationError`."""
     beside = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     if (cmake := shutil.which("cmake", path=beside)) is None:
         raise SimulationError("the controller in C++ is built with cmake, which is not there: pip install cmake")

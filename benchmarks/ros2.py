@@ -91,11 +91,7 @@ def contacts(kinematics: HandKinematics) -> Array:
 
 
 def interpreter() -> str:
-    """The Python of a ROS 2 environment.
-
-    Raises:
-        InvalidInputError: no such environment was found.
-    """
+    """The Python of a ROS 2 environment; an `InvalidInputError` if there is none."""
     if given := os.environ.get(VARIABLE):
         return given
     if find_spec("rclpy") is None:

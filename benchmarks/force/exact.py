@@ -99,11 +99,7 @@ class _Scaled:
 
 
 def measure(problem: Problem) -> Measure:
-    """The problem in Decimals.
-
-    Raises:
-        ValueError: it has soft contacts or limits.
-    """
+    """The problem in Decimals; soft contacts and limits are a `ValueError`."""
     if problem.width != 3 or len(problem.limit_bound):
         raise ValueError("exact optima are those of hard contacts without limits")
     with localcontext(CONTEXT):
@@ -115,11 +111,7 @@ def measure(problem: Problem) -> Measure:
 
 
 def primal(problem: Problem, name: str) -> Optimum:
-    """The optimum by forces in the null space of A.
-
-    Raises:
-        ArithmeticError: no force strictly inside the cones was found, or an algorithm stopped early.
-    """
+    """The optimum by forces in the null space of A, or an `ArithmeticError` if no force strictly inside the cones was found."""
     with localcontext(CONTEXT):
         p = _Scaled(problem, name)
         basis = _null_space(p.matrix)
@@ -129,11 +121,7 @@ def primal(problem: Problem, name: str) -> Optimum:
 
 
 def dual(problem: Problem, name: str) -> Optimum:
-    """The optimum by the six multipliers of balance.
-
-    Raises:
-        ArithmeticError: an algorithm stopped early.
-    """
+    """The optimum by the six multipliers of balance."""
     with localcontext(CONTEXT):
         p = _Scaled(problem, name)
         largest = max(Decimal(1), np.abs(p.start).max())

@@ -236,12 +236,7 @@ def names(folder: Path = SETS) -> list[str]:
 
 
 def load(name: str, folder: Path = SETS) -> Track:
-    """A track from its files.
-
-    Raises:
-        ValueError: there is no such track, its files are not of this version, or the hash of the problems differs from that in
-            the JSON file.
-    """
+    """A track from its files, or a `ValueError` if there is none, or they are of another version or do not fit their SHA-256."""
     path = folder / f"{name}.npz"
     if not path.is_file():
         raise ValueError(f"no track {name!r} in {folder}: it holds {', '.join(names(folder))}")

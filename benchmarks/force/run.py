@@ -176,11 +176,7 @@ class Empty:
 
 
 def entrants(chosen: Sequence[str]) -> dict[str, Callable[[], Entrant]]:
-    """Entrants by name: those of `ENTRANTS`, FILE.py:CLASS, or FILE.so:FUNCTION.
-
-    Raises:
-        ValueError: there is no such entrant, or two have one name.
-    """
+    """Entrants by name: those of `ENTRANTS`, FILE.py:CLASS, or FILE.so:FUNCTION; others are a `ValueError`."""
     made: dict[str, Callable[[], Any]] = {}
     for spec in chosen:
         where, _, what = ENTRANTS.get(spec, spec).rpartition(":")
@@ -273,11 +269,7 @@ def unit() -> float:
 
 @cache
 def timer() -> Any:
-    """The clock in C, compiled once.
-
-    Raises:
-        RuntimeError: there is no C compiler.
-    """
+    """The clock in C, compiled once, or a `RuntimeError` without a compiler."""
     return ctypes.CDLL(str(library("timer", [HERE / "timer.c"], ["-O2"], (HERE / "force.h",))))
 
 

@@ -55,11 +55,7 @@ class Found:
 
 
 def package(problem: Problem, name: str) -> Found:
-    """Source 1: `ForceOptimizer`.
-
-    Raises:
-        GraspError: it refuses the problem.
-    """
+    """Source 1: `ForceOptimizer`, whose `GraspError` is raised if it refuses the problem."""
     grasp, limits = grasp_of(problem)
     method = "conic" if name == "sum" else "newton"
 

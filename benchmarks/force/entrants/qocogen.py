@@ -75,11 +75,7 @@ class QocogenFast(Qocogen):
 
 
 def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
-    """The shared library for a form's pattern, generated and compiled if it is not there.
-
-    Raises:
-        RuntimeError: there is no compiler, or it fails.
-    """
+    """The shared library for a form's pattern, generated and compiled if it is not there, or a `RuntimeError`."""
     command = compiler("CC", "gcc", "clang", "cc")
     sizes = f"{form.pattern.shape} {form.equations} {form.nonneg} {form.cones}"
     key = "\0".join([*_versions(), command, *flags, sizes]).encode() + np.packbits(form.pattern.astype(bool)).tobytes()
