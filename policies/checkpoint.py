@@ -6,7 +6,6 @@ A file may come from an untrusted source: sizes and numbers are checked before a
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,6 @@ from grasp_env.errors import ModelFileError, shown
 SCHEMA = "grasp-force/initial-force/5"
 MOST_TEXT, MOST_WEIGHTS = 1 << 20, 1 << 26
 """Largest sizes of the two files [bytes]; the shipped ones have 6,000 and 63,000."""
-MOST_CONTACTS = 64
-"""Largest number of contacts of a model."""
 _AGAIN = "copy both files again or train anew with `grasp fit`"
 
 
@@ -77,8 +74,7 @@ class Checkpoint:
                 raise ModelFileError(
                     f"model weights {file} do not match the sha256 in their .json: the file is truncated or was changed; {_AGAIN}"
                 )
-            ranges = {str(name): _pair(pair) for name, pair in meta["ranges"].items()}
-            made = cls(load(blob), dict(meta["numbers"]), ranges, dict(meta["card"]))
+            made = cls(load(blob), *(dict(meta[name]) for name in ("numbers", "ranges", "card")))
             for name, value in made.tensors.items():
                 if value.dtype not in (np.float32, np.float64) or not (np.abs(value) <= np.finfo(np.float32).max).all():
                     raise ValueError(f"tensor {name[:40]!r} is not finite in float32")
@@ -94,34 +90,6 @@ class Checkpoint:
             raise ModelFileError(
                 f"model: tensors {', '.join(name[:40] for name in wrong[:4])} do not fit its numbers; {_AGAIN}"
             )
-
-
-def whole(value: Any, name: str, least: int, most: int) -> int:
-    """Return an integer of a description within its bounds, or raise `ValueError`; 2.0 is not an integer."""
-    if type(value) is not int or not least <= value <= most:
-        raise ValueError(f"{name} must be an integer from {least} to {most}, got {shown(value)}")
-    return value
-
-
-def number(value: Any, name: str, least: float = -math.inf) -> float:
-    """Return a finite number of a description above `least`, or raise `ValueError`."""
-    # compared without conversion, because integers may exceed floats
-    if type(value) not in (int, float) or not (-MOST_NUMBER <= value <= MOST_NUMBER and value > least):
-        raise ValueError(
-            f"{name} must be a finite number{f' > {least:g}' if least > -math.inf else ''}, got {shown(value)}"
-        )
-    return float(value)
-
-
-MOST_NUMBER = 1e15
-"""Largest magnitude of a number of a description."""
-
-
-def _pair(value: Any) -> tuple[float, float]:
-    low, high = (number(v, "a range's end") for v in value)
-    if not low <= high:
-        raise ValueError(f"a range from {low:g} to {high:g}")
-    return low, high
 
 
 def signature(body: dict[str, Any]) -> str:

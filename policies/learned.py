@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_array, flag
+from grasp_env._check import Array, ContactForces, Wrench, as_array, flag, number, positive, whole
 from grasp_env._files import as_path
 from grasp_env.errors import InfeasibleStartError, ModelFileError
 from grasp_env.force import Objective
@@ -20,12 +20,14 @@ from grasp_env.force.solution import LEARNED
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.grasp import as_grasp
 from grasp_env.grasp.null_space import null_space_basis
-from policies.checkpoint import MOST_CONTACTS, Checkpoint, number, replace, whole
+from grasp_env.ranges import Range
+from policies.checkpoint import Checkpoint, replace
 from policies.features import Features
 
 PRETRAINED = Path(__file__).parent / "pretrained"
-MOST_DEGREE = 8
-"""Largest degree of the weights as polynomials of the friction."""
+MOST_CONTACTS, MOST_DEGREE = 64, 8
+"""Largest number of contacts of a model, and largest degree of its weights as polynomials of the friction."""
+_ANY, _POSITIVE = Range(-1e15, 1e15), Range(1e-300, 1e15)
 
 
 class LearnedInitialForce:
@@ -74,10 +76,10 @@ class LearnedInitialForce:
             self.sizes = tuple(whole(sizes[k], f"sizes[{k}]", 1, core.WIDEST) for k in range(stages))
             self.features = _features(numbers["features"])
             self.n_contacts = whole(numbers["n_contacts"], "n_contacts", 3, MOST_CONTACTS)
-            weights = (number(numbers[name], name, 0.0) for name in ("force_weight", "barrier_weight"))
+            weights = (positive(numbers[name], name, _POSITIVE) for name in ("force_weight", "barrier_weight"))
             self._trained = Objective(*weights)
             self._degree = whole(numbers["friction_degree"], "friction_degree", 0, MOST_DEGREE)
-            self._ranges = checkpoint.ranges["magnitude"], checkpoint.ranges["friction"]
+            self._ranges = [_pair(checkpoint.ranges[name]) for name in ("magnitude", "friction")]
             outputs = 3 * self.n_contacts - 6
             # the other inputs are lengths of tangential vectors, see `surface_pairs`
             n_lengths = self.sizes[0] - core.PLAIN_FEATURES
@@ -272,7 +274,16 @@ class _Prepared:
 def _features(numbers: dict[str, object]) -> Features:
     """Return the saved normalisation; divisors are above 0."""
     mean = ("log_mean", "friction_mean")
-    return Features(**{name: number(v, name, -np.inf if name in mean else 0.0) for name, v in numbers.items()})
+    return Features(**{
+        name: number(v, name, _ANY) if name in mean else positive(v, name, _POSITIVE) for name, v in numbers.items()
+    })  # fmt: skip
+
+
+def _pair(value: Any) -> tuple[float, float]:
+    low, high = (number(v, "a range's end", _ANY) for v in value)
+    if not low <= high:
+        raise ValueError(f"a range from {low:g} to {high:g}")
+    return low, high
 
 
 def _not_finite(wrench: Array) -> InfeasibleStartError:

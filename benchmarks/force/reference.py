@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
 
 import numpy as np
 
@@ -23,32 +24,23 @@ ROUNDING = 1e-11
 """Relative change of a bound that is computed anew: sums in another order round differently, and forces beyond the wrench amplify it."""
 
 
-def refer(
-    session: Session, objectives: Sequence[str], digits: str = "double", processes: int = 2
-) -> dict[str, Reference]:
-    """The references of a session's problems, by objective.
+def refer(session: Session, objectives: Sequence[str], digits: str = "double") -> dict[str, Reference]:
+    """The references of a session's problems, by objective; a `ValueError` names a problem that is not settled.
 
     Args:
         session: its references are not read.
         objectives: of the track.
         digits: "double": by the package and Clarabel, and by `exact` where they are not enough; "exact": all by `exact`.
-        processes: number of parallel processes.
-
-    Raises:
-        ValueError: a problem is not settled; the message names it.
     """
-    problems = session.problems
-    tasks = [(problem, name, digits) for name in objectives for problem in problems]
-    with ProcessPoolExecutor(processes) as pool:
-        found = list(pool.map(_settled, tasks, chunksize=4))
     made = {}
-    for start, name in zip(range(0, len(tasks), len(problems)), objectives, strict=True):
-        answers = []
-        for m, answer in enumerate(found[start : start + len(problems)]):
-            if isinstance(answer, str):
-                raise ValueError(f"session {session.name!r}, problem {m}, {name}: {answer}")
-            answers.append(answer)
-        made[name] = _reference(answers)
+    with ProcessPoolExecutor(2) as pool:
+        for name in objectives:
+            found: list[tuple[Found, float]] = []
+            for m, answer in enumerate(pool.map(_settled, session.problems, repeat(name), repeat(digits), chunksize=4)):
+                if isinstance(answer, str):
+                    raise ValueError(f"session {session.name!r}, problem {m}, {name}: {answer}")
+                found.append(answer)
+            made[name] = _reference(found)
     return made
 
 
@@ -61,9 +53,8 @@ def check(track: Track) -> list[str]:
     ]
 
 
-def _settled(task: tuple[Problem, str, str]) -> tuple[Found, float] | str:
+def _settled(problem: Problem, name: str, digits: str) -> tuple[Found, float] | str:
     """An answer and the optimum by the second source, or what is wrong."""
-    problem, name, digits = task
     wrong = ""
     if digits != "exact":
         sources = []
@@ -105,15 +96,13 @@ def _exact(optimum: exact.Optimum) -> Found:
 def _reference(answers: list[tuple[Found, float]]) -> Reference:
     """The record of a session; rests are there if any problem has one."""
     found = [answer for answer, _ in answers]
+    names = ("value", "lower", "upper", "force", "multipliers")
+    stacked = {name: np.array([getattr(each, name) for each in found]) for name in names}
     rests = None
     if any(each.rest is not None for each in found):
         none = np.zeros(len(found[0].force) + len(found[0].multipliers))
         rests = np.stack([none if each.rest is None else each.rest for each in found])
-    return Reference(
-        np.array([each.value for each in found]), np.array([each.lower for each in found]), np.array([each.upper for each in found]),
-        np.array([other for _, other in answers]), np.stack([each.force for each in found]),
-        np.stack([each.multipliers for each in found]), rests,
-    )  # fmt: skip
+    return Reference(**stacked, other=np.array([other for _, other in answers]), rest=rests)
 
 
 def _complaints(session: Session, objectives: Sequence[str]) -> Iterator[str]:
