@@ -33,11 +33,10 @@ EPISODES: dict[str, dict[str, Any]] = {
     "PD only": {"controller.kind": "pd"},
 }
 """Settings of the environments that are stepped."""
-NEW_OBJECT = ("shape", "size", "mass", "friction")
 RESETS: dict[str, dict[str, Any]] = {
     "same object": {},
     "same shape, new mass and friction": {"randomize": ("mass", "friction")},
-    "new shape": {"randomize": NEW_OBJECT},
+    "new shape": {"randomize": ("shape", "size", "mass", "friction")},
 }
 """Settings of the environments that are reset."""
 STEPS = 100

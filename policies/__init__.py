@@ -10,12 +10,8 @@ if TYPE_CHECKING:
     from policies.agent import TrainedAgent
     from policies.layer import GraspForceLayer, GraspForces, grasp_force
 
-_LATER = {
-    "TrainedAgent": "policies.agent",  # reads the layout of observations, which needs the extra "sim"
-    "GraspForceLayer": "policies.layer",
-    "GraspForces": "policies.layer",
-    "grasp_force": "policies.layer",
-}
+_LATER = dict.fromkeys(("GraspForceLayer", "GraspForces", "grasp_force"), "policies.layer")
+_LATER["TrainedAgent"] = "policies.agent"  # reads the layout of observations, which needs the extra "sim"
 """Names that are imported on first use, because they need an extra."""
 
 
@@ -30,11 +26,5 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
-    "GraspForceLayer",
-    "GraspForces",
-    "LearnedInitialForce",
-    "Policy",
-    "TrainedAgent",
-    "ZeroPolicy",
-    "grasp_force",
-]
+    "GraspForceLayer", "GraspForces", "LearnedInitialForce", "Policy", "TrainedAgent", "ZeroPolicy", "grasp_force",
+]  # fmt: skip

@@ -24,18 +24,14 @@ META = "agent.json"
 STEM = "step-"
 ACTIONS = ("initial_force", "contact_force")
 """Action modes of agents."""
+Parts = dict[str, dict[str, np.ndarray]]
+"""Arrays by name, by the stem of their file."""
 LARGEST_HAND = 1000
 """The numbers of fingers and of joints must be below this."""
 _AGAIN = "copy the whole folder again, or train anew with `grasp rl`"
 
 
-def write_checkpoint(
-    parent: Path,
-    steps: int,
-    meta: dict[str, Any],
-    tensors: dict[str, dict[str, np.ndarray]],
-    arrays: dict[str, dict[str, np.ndarray]],
-) -> Path:
+def write_checkpoint(parent: Path, steps: int, meta: dict[str, Any], tensors: Parts, arrays: Parts) -> Path:
     """Write `<parent>/step-<steps>` atomically, by renaming a hidden folder; then remove the older checkpoints.
 
     Args:

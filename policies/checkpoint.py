@@ -43,13 +43,8 @@ class Checkpoint:
         stem = _stem(path)
         stem.parent.mkdir(parents=True, exist_ok=True)
         blob = save({name: np.ascontiguousarray(value) for name, value in self.tensors.items()})
-        body = {
-            "schema": SCHEMA,
-            "weights": digest(blob),
-            "numbers": self.numbers,
-            "ranges": {name: list(pair) for name, pair in self.ranges.items()},
-            "card": self.card,
-        }
+        ranges = {name: list(pair) for name, pair in self.ranges.items()}
+        body = {"schema": SCHEMA, "weights": digest(blob), "numbers": self.numbers, "ranges": ranges, "card": self.card}
         text = (json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False) + "\n").encode()
         replace(_file(stem, ".safetensors"), blob)
         replace(_file(stem, ".json"), text)

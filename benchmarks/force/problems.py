@@ -265,9 +265,8 @@ def load(name: str, folder: Path = SETS) -> Track:
             for label, (arrays, references) in sessions.items()
         ], about)  # fmt: skip
         if track.digest() != about["sha256"]:
-            raise ValueError(
-                f"it does not hold the problems of {name}.json: their SHA-256 is {track.digest()}, expected {about['sha256']}"
-            )
+            told = f"their SHA-256 is {track.digest()}, expected {about['sha256']}"
+            raise ValueError(f"it does not hold the problems of {name}.json: {told}")
         return track
 
     again = "; make it again with `python -m benchmarks.force generate`"
@@ -281,18 +280,10 @@ def save(track: Track, folder: Path = SETS) -> None:
     for session in track.sessions:
         arrays |= {f"{session.name}/{name}": array for name, array in session.arrays.items()}
         for objective, reference in session.references.items():
-            arrays |= {
-                f"{session.name}/{objective}/{name}": array
-                for name, array in vars(reference).items()
-                if array is not None
-            }
-    about = {
-        "schema": SCHEMA,
-        **track.about,
-        "sha256": track.digest(),
-        "sessions": [session.name for session in track.sessions],
-        "arrays": FIELDS,
-    }
+            given = {name: array for name, array in vars(reference).items() if array is not None}
+            arrays |= {f"{session.name}/{objective}/{name}": array for name, array in given.items()}
+    about = {"schema": SCHEMA, **track.about, "sha256": track.digest()}
+    about |= {"sessions": [session.name for session in track.sessions], "arrays": FIELDS}
     path = folder / f"{track.name}.npz"
     with replacing(path) as temporary:
         np.savez_compressed(temporary, **arrays)
