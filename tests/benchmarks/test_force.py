@@ -117,17 +117,14 @@ def test_scores_by_hand():
     slid[1] += 2.0 * PROBLEM.friction[0] * FORCE[0]
     assert score(PROBLEM, "sum", BEST, parts_of(PROBLEM, slid))["violation"] > 0.1
     held = made(max_normal=np.full(4, 2.0))
-    assert score(held, "sum", BEST, parts_of(held, FORCE))["limit_excess"] == pytest.approx(
-        FORCE[::3].max() / 2.0 - 1.0
-    )
-    still = score(PROBLEM, "sum", BEST, parts_of(PROBLEM, (np.zeros(12), OPTIMUM.multipliers)))
-    assert not still["proved"]
-    assert not still["solved_coarse"]
-    outside = score(PROBLEM, "phi", 10.0, parts_of(PROBLEM, (np.zeros(12), np.ones(6))))
-    assert not outside["proved"]
-    assert not outside["solved_coarse"]
-    short = score(held, "sum", BEST, parts_of(held, (FORCE, OPTIMUM.multipliers)))  # without prices: they are zero
-    assert not short["proved"]
+    over = score(held, "sum", BEST, parts_of(held, FORCE))["limit_excess"]
+    assert over == pytest.approx(FORCE[::3].max() / 2.0 - 1.0)
+    nothing = [("sum", BEST, OPTIMUM.multipliers), ("phi", 10.0, np.ones(6))]
+    for name, best, multipliers in nothing:
+        still = score(PROBLEM, name, best, parts_of(PROBLEM, (np.zeros(12), multipliers)))
+        assert not any(still[what] for what in ("proved", "solved_coarse"))
+    # without prices: they are zero
+    assert not score(held, "sum", BEST, parts_of(held, (FORCE, OPTIMUM.multipliers)))["proved"]
     lost = made(touching=np.array([False, True, True, True]))
     assert not score(lost, "sum", BEST, parts_of(lost, FORCE))["solved_coarse"]
 
