@@ -20,7 +20,6 @@ dual one from nu = 0. Their results are bounds by `bounds.Measure`, for any accu
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from decimal import Context, Decimal, localcontext
 from typing import Any
 
@@ -45,20 +44,8 @@ Barrier = Callable[[Numbers, Any], "Parts | None"]
 """A barrier as a function of x (N, 3) and t; None outside."""
 
 
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """The optimum that an algorithm found; the numbers are Decimals.
-
-    Attributes:
-        lower, upper: bounds of the optimum [N].
-        force: (3 N,) N, in the frames of the problem.
-        multipliers: (6,) about the origin.
-    """
-
-    lower: Any
-    upper: Any
-    force: Numbers
-    multipliers: Numbers
+Optimum = tuple[Any, Any, Numbers, Numbers]
+"""Lower and upper bound of the optimum [N], force (3 N,) [N] in the frames of the problem, and multipliers (6,) about the origin, in Decimals."""
 
 
 class _Scaled:
@@ -91,7 +78,7 @@ class _Scaled:
         force[self.kept] = x * self.unit
         force[self.kept, 0] = force[self.kept, 0] / self.mu
         force = force.reshape(-1)
-        return Optimum(self.measure.lower(self.name, nu), self.measure.upper(self.name, force, nu), force, nu)
+        return self.measure.lower(self.name, nu), self.measure.upper(self.name, force, nu), force, nu
 
     def share(self, value: Any) -> Any:
         """The t at which the gap 2 N t is `GAP` of an optimum."""

@@ -36,30 +36,14 @@ def test_a_part_of_the_limits_binds_and_the_layer_keeps_all(problems):
     assert all(torch.equal(draw(3, COUNT)[1][name], values) for name, values in data.items())
     # the layer itself
     built = {LAYER: layer.ours(COUNT)}
-    rows = list(layer.compared(grasps, {name: data[name] for name in layer.BASE}, built))
-    assert max(part["balance"].max() for part in rows) < 1e-6
+    (rows,) = layer.compared(grasps, {name: data[name] for name in layer.BASE}, built)
+    assert rows["balance"].max() < 1e-6  # in cone coordinates
+    assert rows["force_excess"].between(0.0, 1.0).all()
+    assert 0.05 < rows["force_excess"].median() < 0.3
     for names in layer.CASES.values():
         given = layer.leaves({name: data[name] for name in names})
         slopes = torch.autograd.grad(built[LAYER](**given).square().sum(), list(given.values()))
         assert all(slope.isfinite().all() and slope.abs().max() > 0.0 for slope in slopes)
-
-
-def test_cone_coordinates_by_hand(problems):
-    data = {name: problems[1][name] for name in layer.BASE}
-    form, axes = cone_form(**data)
-    parts = torch.from_numpy(np.random.default_rng(0).standard_normal((COUNT, 4, 3)))
-    force = (parts[..., None] * axes).sum(dim=-2)
-    centre = data["positions"].mean(dim=1, keepdim=True)
-    arms = data["positions"] - centre
-    left = (form["matrix"] @ parts.flatten(1)[..., None])[..., 0] + form["load"]
-    torch.testing.assert_close(left[:, :3], force.sum(dim=1) + data["wrench"][:, :3])
-    moment = torch.linalg.cross(data["positions"], force).sum(dim=1) + data["wrench"][:, 3:]
-    about = moment - torch.linalg.cross(centre[:, 0], left[:, :3])
-    torch.testing.assert_close(left[:, 3:], about / (arms**2).sum(dim=2).mean(dim=1).sqrt()[:, None])
-    normal = (force * data["normals"]).sum(dim=2)
-    torch.testing.assert_close(parts[..., 0] * form["cost"], normal)
-    tangential = (force - normal[..., None] * data["normals"]).norm(dim=2)
-    torch.testing.assert_close(tangential, parts[..., 1:].norm(dim=2))
 
 
 @pytest.mark.parametrize("name", PEERS)
