@@ -75,6 +75,20 @@ def test_a_wrong_reference_is_found():
     assert len(faults) >= len(session.problems)
 
 
+@pytest.mark.parametrize("name", ["roll", "own", "soft", "infeasible", "hard"])
+def test_two_sources_settle_a_problem(name):
+    """Their references hold and are the published ones."""
+    track = load(name)
+    session = track.sessions[0]
+    arrays = {field: array[1:2] if len(array) > 1 else array for field, array in session.arrays.items()}
+    one = problems.Session("", arrays, {})
+    for objective in track.about["objectives"]:
+        settled = reference._settled(one.problems[0], objective, track.about["digits"])
+        one.references[objective] = reference._reference([settled])
+        assert settled[0].value == pytest.approx(session.references[objective].value[1], rel=1e-9)
+    assert reference.check(replace(track, sessions=[one])) == []
+
+
 def test_a_problem_holds_the_package_s_matrices():
     """`matrix` and limits against `Grasp` and `ForceLimits`, which compute them elsewhere."""
     grasp = presets.paper_cuboid()
@@ -89,9 +103,9 @@ def test_a_problem_holds_the_package_s_matrices():
     np.testing.assert_allclose(problem.limit_matrix, rows.matrix, atol=1e-14)
     np.testing.assert_allclose(problem.limit_bound, rows.bound, atol=1e-14)
     np.testing.assert_allclose(problem.matrix.reshape(6, 4, 4)[:, :, 3], soft.torsion_matrix, atol=1e-15)
-    lost = made(touching=np.array([True, True, False, True]), max_normal=np.full(4, 3.0))
-    assert not lost.matrix[:, 6:9].any()
-    assert not lost.limit_matrix[2].any()
+    lost = made(touching=np.array([True, True, False, True]), **given, **torques)
+    assert lost.limit_bound[1] == 0.0  # no least normal force
+    assert not np.concatenate([lost.matrix, lost.limit_matrix])[:, 6:9].any()
 
 
 def test_objectives_against_the_oracle():
@@ -116,6 +130,9 @@ def test_scores_by_hand():
     slid = FORCE.copy()
     slid[1] += 2.0 * PROBLEM.friction[0] * FORCE[0]
     assert score(PROBLEM, "sum", BEST, parts_of(PROBLEM, slid))["violation"] > 0.1
+    soft = made(torsional_friction=np.full(4, 0.01))
+    turned = np.column_stack([FORCE.reshape(4, 3), [0.0, 0.0, 0.0, -0.03 * FORCE[9]]])  # three times what it transmits
+    assert Measure.of(soft).violation(turned) == pytest.approx(2.0 * FORCE[9] / FORCE[::3].max())
     held = made(max_normal=np.full(4, 2.0))
     over = score(held, "sum", BEST, parts_of(held, FORCE))["limit_excess"]
     assert over == pytest.approx(FORCE[::3].max() / 2.0 - 1.0)

@@ -245,6 +245,7 @@ def test_tables_of_known_rows():
     made = table(rows)
     found = report.standings(made).set_index("method")
     assert found["solved"].to_dict() == {"fast": 100, "same": 100, "slow": 99}
+    assert found.index[-1] == "slow"
     assert found.loc["slow", "p50_ratio"] == pytest.approx(10.0, rel=0.05)
     assert found["first"].to_dict() == {"fast": "success, p50, p99", "same": found.loc["same", "first"], "slow": ""}
     assert "p50" in found.loc["same", "first"]

@@ -69,7 +69,7 @@ def agree(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_forces_are_those_of_the_optimizer(kind: str, backend: str) -> None:
+def test_forces_are_those_of_the_optimizer(kind: str) -> None:
     given = problems(kind, 4)
     result = grasp_force(**given)
     assert result.status.tolist() == [0] * 4
@@ -319,7 +319,7 @@ def test_operators_pass_the_check_of_torch() -> None:
 def test_modules_are_copied_and_used_by_workers() -> None:
     module, given = GraspForceLayer("elastic", tolerance=1e-8, chunk=100), problems("hard", 2)
     for copied in (copy.deepcopy(module), pickle.loads(pickle.dumps(module))):
-        assert repr(copied) == "GraspForceLayer(infeasible='elastic', tolerance=1e-08, max_iterations=200, chunk=100)"
+        assert repr(copied) == repr(module)  # which names the settings
         assert torch.equal(copied(**given).force, module(**given).force)
     loader = torch.utils.data.DataLoader(Forces(), batch_size=2, num_workers=1, multiprocessing_context="fork")
     torch.testing.assert_close(next(iter(loader)), grasp_force(**given).force, rtol=1e-9, atol=1e-12)
