@@ -131,7 +131,7 @@ def test_the_answers_of_all_passes_are_scored():
             pass
 
         def solve(self, problem, start=None):
-            return self.answers.pop() if self.answers else None
+            return self.answers.pop() if self.answers else 1.01 * best.force
 
     optimum = problems.Reference(
         *np.full((4, 1), best.objective), best.force.reshape(1, -1), np.array([best.multipliers])
