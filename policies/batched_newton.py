@@ -592,13 +592,8 @@ def solve(given: Inputs, tolerance: float = 1e-10, max_iterations: int = 200, st
     """Return the optimal forces of all problems.
 
     The results of an element with invalid numbers are zeros; it never affects other elements. An element without a force inside the cones
-    and limits gets the elastic force, see `GraspForces`.
-
-    Args:
-        given: the problems.
-        tolerance: relative certified gap.
-        max_iterations: largest number of accepted steps.
-        start: (B, N, 3) earlier forces in the caller's frame [N], used if a balanced force inside the cones is near.
+    and limits gets the elastic force, see `GraspForces`. `start`: (B, N, 3) earlier forces in the caller's frame [N], used if a balanced
+    force inside the cones is near.
     """
     batch, count = given.positions.shape[:2]
     whole = Solved(*(given.positions.new_zeros(batch, *tail) for tail in tails(count)))

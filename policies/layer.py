@@ -514,8 +514,13 @@ def _setup(ctx: Any, inputs: Any, output: Any) -> None:
 def _backward(ctx: Any, *losses: Any) -> tuple[Any, ...]:
     *tensors, state = ctx.saved_tensors
     wanted = [a is not None and needed for a, needed in zip(tensors, ctx.needs_input_grad, strict=False)]
+    return (*_wanted(ctx, tensors, state, losses, wanted), None, None, None, None, None)
+
+
+def _wanted(ctx: Any, tensors: Any, state: Tensor, losses: Any, wanted: list[bool]) -> list[Tensor | None]:
+    """Return gradients with respect to the wanted inputs by the operator, which refuses a second differentiation."""
     found = iter(_call(_gradients, _GradientsFunction, *tensors, state, *losses[:3], wanted, ctx.elastic, ctx.chunk))
-    return (*(next(found) if w else None for w in wanted), None, None, None, None, None)
+    return [next(found) if w else None for w in wanted]
 
 
 def _no_second(ctx: Any, *_: Any) -> NoReturn:
@@ -588,13 +593,9 @@ class _EagerFunction(torch.autograd.Function):
         given = tuple([b if a is None else a for a, b in zip(tensors, ctx.numbers, strict=True)])
         wanted = ctx.needs_input_grad[2 : 2 + _INPUTS]
         problems = None if torch.is_grad_enabled() else _read_in_place(given)
-        if problems is None:  # the gradients of an operator refuse a second differentiation
+        if problems is None:
             known, _ = _checked_tensors((*given, None))
-            parts = _call(
-                _gradients, _GradientsFunction, *known[:-1], state, *losses[:3], list(wanted), ctx.elastic, ctx.chunk
-            )
-            each = iter(parts)
-            found = [next(each) if w else None for w in wanted]
+            found = _wanted(ctx, known[:-1], state, losses, list(wanted))
         else:
             found = _slopes(problems, state, losses[:3], wanted, ctx.elastic, ctx.chunk)
         if found[2] is not None and found[2].shape[-2:] != given[2].shape[-2:]:  # one coefficient per contact
