@@ -10,8 +10,10 @@ if TYPE_CHECKING:
     from policies.agent import TrainedAgent
     from policies.layer import GraspForceLayer, GraspForces, grasp_force
 
-_LATER = dict.fromkeys(("GraspForceLayer", "GraspForces", "grasp_force"), "policies.layer")
-_LATER["TrainedAgent"] = "policies.agent"  # reads the layout of observations, which needs the extra "sim"
+_LATER = {
+    "TrainedAgent": "policies.agent",  # reads the layout of observations, which needs the extra "sim"
+    **dict.fromkeys(("GraspForceLayer", "GraspForces", "grasp_force"), "policies.layer"),
+}
 """Names that are imported on first use, because they need an extra."""
 
 

@@ -277,7 +277,8 @@ def _most(arrays: Arrays) -> Array:
 
 def _depth(arrays: Arrays, wrench: Array) -> float:
     """The margin of the first of some contacts with another wrench, by `feasibility`."""
-    grasp, limits = grasp_of(Problem(**{name: array[0] for name, array in arrays.items()} | {"wrench": wrench}))
+    first: Arrays = {name: array[0] for name, array in arrays.items()}
+    grasp, limits = grasp_of(Problem(**first | {"wrench": wrench}))
     return feasibility(grasp, wrench, limits).margin
 
 

@@ -251,8 +251,8 @@ def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, boo
             return replace(none, multipliers=multipliers, lower=np.inf)
         if infeasible or not (np.isfinite(force).all() and np.isfinite(multipliers).all()):
             continue
-        bounds = measure.lower(name, multipliers), measure.upper(name, force, multipliers)
-        found = Found(force, multipliers, *map(float, bounds))
+        lower, upper = measure.lower(name, multipliers), measure.upper(name, force, multipliers)
+        found = Found(force, multipliers, float(lower), float(upper))
         if abs(found.gap) < abs(best.gap):
             best = found
         if abs(best.gap) <= 0.1 * GAP:

@@ -55,7 +55,7 @@ def standings(rows: Rows) -> Rows:
             out.append(dict(zip([*CELL, "language"], key, strict=True)) | row)
     made = pd.DataFrame(out).sort_values("mean", kind="stable")
     order = {column: {value: k for k, value in enumerate(ran[column].unique())} for column in [*CELL, "language"]}
-    return made.sort_values(list(order), kind="stable", key=lambda series: series.map(order[series.name]))
+    return made.sort_values(list(order), kind="stable", key=lambda series: series.map(order[str(series.name)]))
 
 
 def lines(rows: Rows, unit: float) -> Iterator[str]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from decimal import localcontext
 
 import numpy as np
 import pytest
 from oracles.phi import phi
 
-from benchmarks.force import generate, problems, reference
+from benchmarks.force import exact, generate, problems, reference
 from benchmarks.force.bounds import Measure
+from benchmarks.force.entrants.forms import Dual, Primal
 from benchmarks.force.package import problem_of
 from benchmarks.force.problems import Problem, load, names
 from benchmarks.force.score import parts_of, score
@@ -86,6 +88,12 @@ def test_two_sources_settle_a_problem(name):
         settled = reference._settled(one.problems[0], objective, track.about["digits"])
         one.references[objective] = reference._reference([settled])
         assert settled[0].value == pytest.approx(session.references[objective].value[1], rel=1e-9)
+        if settled[0].rest is not None:
+            with localcontext(exact.CONTEXT):
+                force = exact.joined(settled[0].force, settled[0].rest[: len(settled[0].force)])
+                assert np.abs(exact.measure(one.problems[0]).missed(force)).max() < 1e-25  # doubles leave 1e-16
+        if settled[0].value == np.inf:  # either form shows it
+            assert all(reference._solved(make(one.problems[0]), 1e-9)[2] for make in (Dual, Primal))
     assert reference.check(replace(track, sessions=[one])) == []
 
 

@@ -308,6 +308,7 @@ def test_forward_mode_is_refused() -> None:
 
 def test_operators_pass_the_check_of_torch() -> None:
     given = problems("soft", 2)
+    given["positions"] = given["positions"].float()  # as is its gradient
     tensors = [given.get(name) for name in layer._NAMES]
     leaves = [a if a is None else a.clone().requires_grad_(k % 2 == 0) for k, a in enumerate(tensors)]
     torch.library.opcheck(layer._solve, (*leaves, "elastic", 1e-10, 200, None))
