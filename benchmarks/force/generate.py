@@ -278,7 +278,8 @@ def _most(arrays: Arrays) -> Array:
 def _depth(arrays: Arrays, wrench: Array) -> float:
     """The margin of the first of some contacts with another wrench, by `feasibility`."""
     first: Arrays = {name: array[0] for name, array in arrays.items()}
-    grasp, limits = grasp_of(Problem(**first | {"wrench": wrench}))
+    first["wrench"] = wrench
+    grasp, limits = grasp_of(Problem(**first))
     return feasibility(grasp, wrench, limits).margin
 
 
