@@ -58,11 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def execute(name: str, *words: str) -> None:
-    """Run the benchmark of that name, with options.
-
-    Raises:
-        GraspError: there is no such benchmark, or an argument is wrong.
-    """
+    """Run the benchmark of that name, with options; wrong ones are a `GraspError`."""
     if name not in BENCHMARKS:
         raise UnknownNameError("benchmark", name, BENCHMARKS)
     need("report")

@@ -108,11 +108,8 @@ def arrays(seed: int, count: int, wrenches: int) -> dict[str, Any]:
         turning = np.cos(angle[:, 0]) * loads[0] + np.sin(angle[:, 0]) * loads[1]
         found = {"positions": grasp.positions, "normals": grasp.normals, "friction": grasp.friction, "wrenches": loads}
         found |= {"path_points": points, "path_normals": normals, "path_wrenches": turning}
-        joints = (
-            LEVER
-            * np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
-            * (1.0 + 0.1 * np.sin(angle[:, :, None] + phase[:, :, None]))
-        )
+        turned = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
+        joints = LEVER * turned * (1.0 + 0.1 * np.sin(angle[:, :, None] + phase[:, :, None]))
         found |= {"path_joints": joints, "torque_limit": strongest(grasp, points, normals, turning, joints)}
         out |= {f"{group}/{name}": value for name, value in found.items()}
     return out
@@ -130,12 +127,7 @@ def strongest(grasp: Grasp, points: Array, normals: Array, wrenches: Array, join
 
 
 def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:
-    """Run `core_side.py` in a checkout and return the lines that it wrote.
-
-    Raises:
-        InvalidInputError: it imports grasp_env from elsewhere.
-        GraspError: the process failed.
-    """
+    """Run `core_side.py` in a checkout and return the lines that it wrote, or raise a `GraspError`."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     command = [str(python), "-c", SIDE.read_text(encoding="utf-8"), *words]
     done = subprocess.run(command, cwd=root, env=kept | {"OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True)

@@ -1,6 +1,6 @@
 """One side of the benchmark `core`: `python -c <this source> OUT PROBLEMS PASSES BEGIN ROW...` in any checkout.
 
-It imports only numpy and parts of `grasp_env` that old checkouts have, and writes its rows as lines of JSON.
+It imports only numpy and parts of `grasp_env` that both checkouts have, and writes its rows as lines of JSON.
 """
 
 from __future__ import annotations
@@ -61,11 +61,9 @@ def compiled(case: Case, passes: int, **options: Any) -> Answers:
     """The compiled call alone, start and certificate included, timed in C++; its objectives are those from Python."""
     from grasp_env.force import ForceOptimizer
 
-    optimizer: Any = ForceOptimizer(case["grasp"], **options)
-    before = hasattr(optimizer, "_method")  # 84dbd39 and earlier
-    solver = optimizer._method.solver if before else optimizer.core
+    solver = ForceOptimizer(case["grasp"], **options).core
     loads, best = case["wrenches"], np.empty(len(case["wrenches"]))
-    records = np.zeros((len(loads), 20 + 7 * len(case["positions"]) if before else solver.size))
+    records = np.zeros((len(loads), solver.size))
     solver.times(loads[:WARM_UP], 1, records[:WARM_UP], best[:WARM_UP])
     solver.times(loads, passes, records, best)
     return best, python(case, 1, **options)[1]
@@ -78,48 +76,31 @@ def path_of(case: Case, *more: str) -> list[Any]:
 
 def moving(case: Case, passes: int, **options: Any) -> Answers:
     """Current contacts and wrench into a certified force, from Python, along the path."""
-    from grasp_env import force
+    from grasp_env.force import ForceOptimizer
 
-    options |= {"method": "newton", "tolerance": 1e-4}
-    if hasattr(force, "ForcePipeline"):  # 84dbd39 and earlier
-        pipeline = vars(force)["ForcePipeline"](case["grasp"], **options)
-        return timed(passes, pipeline.solve, path_of(case), pipeline.reset)
-    optimizer = force.ForceOptimizer(case["grasp"], **options)
-    solve: Any = lambda points, normals, wrench: optimizer.solve(wrench, positions=points, normals=normals)  # noqa: E731
+    optimizer = ForceOptimizer(case["grasp"], method="newton", tolerance=1e-4, **options)
+
+    def solve(points: Any, normals: Any, wrench: Any) -> Any:
+        return optimizer.solve(wrench, positions=points, normals=normals)
+
     return timed(passes, solve, path_of(case), lambda: setattr(optimizer, "previous", None))
 
 
 def within_limits(case: Case, passes: int, part: float = 1.0, wanted: str = "OPTIMAL", **options: Any) -> Answers:
     """The same with the current Jacobian (three joints a finger), within a part of the torque limits."""
-    from grasp_env import force
     from grasp_env.errors import InfeasibleWrenchError
-    from grasp_env.grasp import Grasp
+    from grasp_env.force import ForceLimits, ForceOptimizer
 
-    limits: Any = {"torque_limit": part * case["torque_limit"]}
-    options |= {"method": "newton", "tolerance": 1e-4}
-    if hasattr(force, "contact_jacobian"):  # 84dbd39 and earlier: Jacobians in contact frames, contacts as grasps
-        turn: Any = vars(force)["contact_jacobian"]
-        first = force.ForceLimits(jacobian=turn(case["grasp"], case["path_jacobians"][0]), **limits)
-        optimizer: Any = force.ForceOptimizer(case["grasp"], limits=first, **options)
+    limits = ForceLimits(jacobian=case["path_jacobians"][0], torque_limit=part * case["torque_limit"])
+    optimizer = ForceOptimizer(case["grasp"], limits=limits, method="newton", tolerance=1e-4, **options)
 
-        def solve(points: Any, normals: Any, wrench: Any, jacobian: Any) -> Any:
-            grasp = Grasp.from_contacts(points, normals, case["friction"])
-            optimizer.move_to(grasp, force.ForceLimits(jacobian=turn(grasp, jacobian), **limits))
-            return optimizer.solve(wrench)
-    else:
-        given = force.ForceLimits(jacobian=case["path_jacobians"][0], **limits)
-        optimizer = force.ForceOptimizer(case["grasp"], limits=given, **options)
-
-        def solve(points: Any, normals: Any, wrench: Any, jacobian: Any) -> Any:
-            return optimizer.solve(wrench, positions=points, normals=normals, jacobian=jacobian)
-
-    def call(*given: Any) -> Any:
+    def solve(points: Any, normals: Any, wrench: Any, jacobian: Any) -> Any:
         try:
-            return solve(*given)
+            return optimizer.solve(wrench, positions=points, normals=normals, jacobian=jacobian)
         except InfeasibleWrenchError as error:
             return error.solution
 
-    return timed(passes, call, path_of(case, "jacobians"), lambda: setattr(optimizer, "previous", None), wanted)
+    return timed(passes, solve, path_of(case, "jacobians"), lambda: setattr(optimizer, "previous", None), wanted)
 
 
 def new_contacts(case: Case, passes: int, **options: Any) -> Answers:
@@ -134,7 +115,7 @@ def new_contacts(case: Case, passes: int, **options: Any) -> Answers:
 
 
 def grasps_of(case: Case) -> list[Any]:
-    """Time the calls of the path without a previous solution."""
+    """The grasps of the path."""
     from grasp_env.grasp import Grasp
 
     return [Grasp.from_contacts(points, normals, case["friction"]) for points, normals, _ in path_of(case)]

@@ -33,11 +33,10 @@ EPISODES: dict[str, dict[str, Any]] = {
     "PD only": {"controller.kind": "pd"},
 }
 """Settings of the environments that are stepped."""
-NEW_OBJECT = ("shape", "size", "mass", "friction")
 RESETS: dict[str, dict[str, Any]] = {
     "same object": {},
     "same shape, new mass and friction": {"randomize": ("mass", "friction")},
-    "new shape": {"randomize": NEW_OBJECT},
+    "new shape": {"randomize": ("shape", "size", "mass", "friction")},
 }
 """Settings of the environments that are reset."""
 STEPS = 100
@@ -112,12 +111,11 @@ def steps_beside_bare(name: str, options: dict[str, Any], seed: int, rounds: int
             bare = 1e-3 * bare_loop(inner, recorded) / STEPS
             if _pose(inner) != pose:
                 raise AssertionError("the bare loop went another way than the environment: an unfair comparison")
-            if turn:  # the first is warm-up
-                row = {"method": name, "problem": turn - 1}
-                ratio, rate = ours / bare, 1e6 / ours
-                rows.append({**row, "case": "step", "microseconds": ours, "per_second": rate, "ratio": ratio})
-                rows.append({**row, "case": "bare PyBullet calls of the step", "microseconds": bare})
-        return rows
+            row = {"method": name, "problem": turn - 1}
+            ratio, rate = ours / bare, 1e6 / ours
+            rows.append({**row, "case": "step", "microseconds": ours, "per_second": rate, "ratio": ratio})
+            rows.append({**row, "case": "bare PyBullet calls of the step", "microseconds": bare})
+        return rows[2:]  # the first turn is warm-up
     finally:
         env.close()
 
@@ -193,17 +191,17 @@ def weigh(options: dict[str, Any], resets: int, envs: int) -> dict[str, float]:
     warm = make(options)  # code and the first reset's caches belong to the process, not to an environment
     for k in range(max(20, resets // 10)):
         warm.reset(seed=k)
-    before = _resident()
+    first = _resident()
     for k in range(resets):
         warm.reset(seed=1000 + k)
-    growth = _resident() - before
     before = _resident()
     made = [make(options) for _ in range(envs)]
     for k, env in enumerate(made):
         env.reset(seed=k)
         env.step(np.zeros(env.action_space.shape, dtype=np.float32))
-    per_env = (_resident() - before) / envs
-    found = {"memory of an environment": per_env, "growth over the resets": growth, "memory in all": _resident()}
+    all_of_it = _resident()
+    per_env, growth = (all_of_it - before) / envs, before - first
+    found = {"memory of an environment": per_env, "growth over the resets": growth, "memory in all": all_of_it}
     for env in (warm, *made):
         env.close()
     return found

@@ -18,8 +18,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import util
 from pathlib import Path
@@ -96,23 +96,30 @@ def run(settings: Settings) -> pd.DataFrame:
 
 
 def measure(name: str, rate: int, seconds: float, language: str, program: Path | None = None) -> Loop:
-    """One run of the loop; program: the compiled example, else it is built.
-
-    Raises:
-        SimulationError: the controller does not answer, or cannot be built.
-    """
+    """One run of the loop; program: the compiled example, else it is built. A controller that fails is a `SimulationError`."""
     hand = SimulatedHand(name, rate)
+    mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ended: Callable[[float], Any] | None = None
     try:
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as scratch, other:
+            folder = Path(scratch)
             if language == "python":
-                start = python_controller(hand, rate)
+                given = other, hand.hand, float(rate), hand.friction
+                process = multiprocessing.get_context("spawn").Process(target=serve, args=given, daemon=True)
+                process.start()
+                ended = process.join
             else:
-                start = compiled_controller(hand, rate, Path(folder), program or build(Path(folder)))
-            with start as channel:
-                loop = Loop(hand, channel, rate)
-                loop.run(seconds)
-                return loop
+                file = hand.scene.kinematics.export(folder / "hand")
+                words = [program or build(folder), str(other.fileno()), file, str(rate), f"{hand.friction:.17g}"]
+                ended = subprocess.Popen(words, pass_fds=[other.fileno()]).wait
+            other.close()
+            loop = Loop(hand, mine, rate)
+            loop.run(seconds)
+            return loop
     finally:
+        mine.close()  # which ends the controller
+        if ended is not None:
+            ended(10.0)
         hand.env.close()
 
 
@@ -173,11 +180,7 @@ class Loop:
         self._answer = np.zeros(COMMANDS)
 
     def run(self, seconds: float) -> None:
-        """Run for a time [s].
-
-        Raises:
-            SimulationError: the controller does not answer.
-        """
+        """Run for a time [s]; a controller that does not answer is a `SimulationError`."""
         hand, fingers, drift, behind = self.hand, self.hand.hand.finger_count, 0.0, 0
         self._rise()
         due = time.perf_counter()
@@ -244,41 +247,8 @@ def _within(now: float, first: float, every: float, lasts: float) -> int:
     return int(number) + 1 if now >= first and since < lasts else 0
 
 
-@contextmanager
-def compiled_controller(hand: SimulatedHand, rate: int, folder: Path, program: Path) -> Iterator[socket.socket]:
-    """The example in C++, served by a process."""
-    file = hand.scene.kinematics.export(folder / "hand")
-    mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    words = [str(other.fileno()), str(file), str(rate), f"{hand.friction:.17g}"]
-    with (
-        subprocess.Popen([program, *words], pass_fds=[other.fileno()]) as process,
-        mine,
-    ):  # which ends when that is closed
-        other.close()
-        yield mine
-        mine.close()
-        process.wait(10.0)
-
-
-@contextmanager
-def python_controller(hand: SimulatedHand, rate: int) -> Iterator[socket.socket]:
-    """The example in Python, served by a process."""
-    mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    given = other, hand.hand, float(rate), hand.friction
-    process = multiprocessing.get_context("spawn").Process(target=serve, args=given, daemon=True)
-    with mine:
-        process.start()
-        other.close()
-        yield mine
-    process.join(10.0)
-
-
 def build(folder: Path) -> Path:
-    """Compile the example in C++ for this processor.
-
-    Raises:
-        SimulationError: there is no CMake, or it fails.
-    """
+    """Compile the example in C++ for this processor, or raise a `SimulationError`."""
     beside = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     if (cmake := shutil.which("cmake", path=beside)) is None:
         raise SimulationError("the controller in C++ is built with cmake, which is not there: pip install cmake")

@@ -62,9 +62,11 @@ def draw(seed: int, count: int) -> tuple[list[Grasp], Tensors]:
     forces = optimize_forces(grasps, wrenches, method="newton", workers=1)
     limits = rng.uniform(*ROOM, count)
     for k, grasp in enumerate(grasps):
-        needed = np.abs(np.einsum("nij,ni->j", joints[k], forces[k].object_force)).max()
-        limits[k] *= needed
-        while not _within(grasp, wrenches[k], joints[k], limits[k]):
+        limits[k] *= np.abs(np.einsum("nij,ni->j", joints[k], forces[k].object_force)).max()
+        while True:
+            within = ForceLimits(jacobian=joints[k], torque_limit=np.full(joints.shape[3], limits[k]))
+            if optimize_forces(grasp, wrenches[k][None], method="newton", limits=within, workers=1).optimal[0]:
+                break
             limits[k] *= 1.1
     made = {
         "positions": [grasp.positions for grasp in grasps],
@@ -76,11 +78,6 @@ def draw(seed: int, count: int) -> tuple[list[Grasp], Tensors]:
         "torsional_friction": rng.uniform(*PATCH, (count, CONTACTS)),
     }
     return grasps, {name: torch.from_numpy(np.array(values, dtype=float)) for name, values in made.items()}
-
-
-def _within(grasp: Grasp, wrench: Array, joints: Array, limit: float) -> bool:
-    limits = ForceLimits(jacobian=joints, torque_limit=np.full(joints.shape[2], limit))
-    return bool(optimize_forces(grasp, wrench[None], method="newton", limits=limits, workers=1).optimal[0])
 
 
 def ours(batch: int) -> Call:
@@ -147,11 +144,9 @@ def run(settings: Settings) -> pd.DataFrame:
     with one_thread():
         for batch in settings.batches:
             for case, names in CASES.items():
-                data = {name: problems[name] for name in names}
                 built = _built(CONTESTANTS if case == "hard" else OURS, batch, missing)
-                rows += timed(settings, case, batch, built, data)
-        built = _built(CONTESTANTS, most, missing)
-        parts = list(compared(grasps, {name: problems[name] for name in BASE}, built))
+                rows += timed(settings, case, batch, built, {name: problems[name] for name in names})
+        parts = list(compared(grasps, {name: problems[name] for name in BASE}, _built(CONTESTANTS, most, missing)))
     rows += [{"method": name, "reason": reason} for name, reason in missing.items()]
     return join([pd.DataFrame(rows), *parts])
 
@@ -170,10 +165,8 @@ def _built(contestants: dict[str, Contestant], batch: int, missing: dict[str, st
 
 def timed(settings: Settings, case: str, batch: int, built: dict[str, Call], data: Tensors) -> Iterator[dict[str, Any]]:
     """Rows of a case and a batch size."""
-    parts = [
-        {name: values[k : k + batch] for name, values in data.items()} for k in range(0, len(data["wrench"]), batch)
-    ]
-    parts = [part for part in parts if len(part["wrench"]) == batch][: settings.calls]
+    starts = range(0, len(data["wrench"]) - batch + 1, batch)[: settings.calls]
+    parts = [{name: values[k : k + batch] for name, values in data.items()} for k in starts]
     given = {True: [leaves(part) for part in parts], False: parts}
     cones = [leaves(cone_form(**part)[0]) for part in parts] if case == "hard" else []
     for turn in range(settings.rounds):
@@ -183,10 +176,8 @@ def timed(settings: Settings, case: str, batch: int, built: dict[str, Call], dat
             took = seconds(call, cones if name in PEERS else given[name != FORWARD], name != FORWARD, settings.passes)
             reference = took if name == LAYER else reference
             for k, each in enumerate(took):
-                ratio = each / reference[k] if name in PEERS else None
-                yield {
-                    "case": case, "batch": batch, "method": name, "problem": k, "microseconds": 1e6 * each / batch, "ratio": ratio,
-                }  # fmt: skip
+                row = {"case": case, "batch": batch, "method": name, "problem": k, "microseconds": 1e6 * each / batch}
+                yield row | {"ratio": each / reference[k] if name in PEERS else None}
 
 
 def leaves(given: Tensors) -> Tensors:

@@ -76,11 +76,8 @@ def run(settings: Settings) -> pd.DataFrame:
 
 def joints(hand: HandDescription, angles: Array) -> dict[str, Any]:
     """A JointState at rest, as the other process reads it."""
-    return {
-        "name": list(hand.joint_names),
-        "position": np.asarray(angles).tolist(),
-        "velocity": [0.0] * hand.joint_count,
-    }
+    position = np.asarray(angles).tolist()
+    return {"name": list(hand.joint_names), "position": position, "velocity": [0.0] * hand.joint_count}
 
 
 def contacts(kinematics: HandKinematics) -> Array:
@@ -91,17 +88,12 @@ def contacts(kinematics: HandKinematics) -> Array:
 
 
 def interpreter() -> str:
-    """The Python of a ROS 2 environment.
-
-    Raises:
-        InvalidInputError: no such environment was found.
-    """
+    """The Python of a ROS 2 environment; an `InvalidInputError` if there is none."""
     if given := os.environ.get(VARIABLE):
         return given
     if find_spec("rclpy") is None:
-        raise InvalidInputError(
-            f"{VARIABLE} must name the Python of an environment with rclpy; docs/hardware.md says how to make one"
-        )
+        told = "the Python of an environment with rclpy; docs/hardware.md says how to make one"
+        raise InvalidInputError(f"{VARIABLE} must name {told}")
     return sys.executable
 
 
@@ -130,11 +122,5 @@ def play(phases: list[dict[str, Any]], *parameters: str) -> dict[str, Any]:
     return {**json.loads(told), "log": log}
 
 
-BENCHMARK = Benchmark(
-    run,
-    Settings(),
-    {"seconds": 5},
-    ("latency_median", "latency_p99", "latency_p999", "latency_max", "unanswered_sum"),
-    words=METHODS,
-    draw=draw,
-)
+SHOWN = ("latency_median", "latency_p99", "latency_p999", "latency_max", "unanswered_sum")
+BENCHMARK = Benchmark(run, Settings(), {"seconds": 5}, SHOWN, words=METHODS, draw=draw)

@@ -97,11 +97,7 @@ class Options(Generic[Settings]):
 
 
 def checked(settings: Any) -> None:
-    """Check the ranges of settings.
-
-    Raises:
-        InvalidInputError: a whole number is out of its range.
-    """
+    """Raise an `InvalidInputError` if a whole number of the settings is out of its range."""
     for name in (part.name for part in fields(settings)):
         value = getattr(settings, name)
         least, most = RANGES.get(name, (1, 100_000))

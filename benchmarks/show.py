@@ -28,11 +28,7 @@ def summarised(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def earlier(folder: Path, kind: str) -> pd.DataFrame:
-    """The summary of an earlier run.
-
-    Raises:
-        InvalidInputError: the folder holds no run of this kind.
-    """
+    """Return the summary of an earlier run, or raise an `InvalidInputError` if the folder holds none of this kind."""
     if not os.path.isfile(folder / "run.json"):
         raise InvalidInputError(f"{folder} holds no run: give the folder of an earlier run of kind {kind}")
     with understood(folder, "run the benchmark again"):

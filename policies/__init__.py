@@ -12,9 +12,7 @@ if TYPE_CHECKING:
 
 _LATER = {
     "TrainedAgent": "policies.agent",  # reads the layout of observations, which needs the extra "sim"
-    "GraspForceLayer": "policies.layer",
-    "GraspForces": "policies.layer",
-    "grasp_force": "policies.layer",
+    **dict.fromkeys(("GraspForceLayer", "GraspForces", "grasp_force"), "policies.layer"),
 }
 """Names that are imported on first use, because they need an extra."""
 
@@ -30,11 +28,5 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
-    "GraspForceLayer",
-    "GraspForces",
-    "LearnedInitialForce",
-    "Policy",
-    "TrainedAgent",
-    "ZeroPolicy",
-    "grasp_force",
-]
+    "GraspForceLayer", "GraspForces", "LearnedInitialForce", "Policy", "TrainedAgent", "ZeroPolicy", "grasp_force",
+]  # fmt: skip

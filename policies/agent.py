@@ -64,7 +64,8 @@ class TrainedAgent:
         self._clip = float(normaliser["clip"])
         hidden, last, self._activation = NAMES[meta["algorithm"]]
         self._squashed = meta["algorithm"] == "sac"
-        layers = sorted((n for n in weights if n.startswith(hidden) and n.endswith(".weight")), key=_place)
+        layers = [name for name in weights if name.startswith(hidden) and name.endswith(".weight")]
+        layers.sort(key=lambda name: int(name.split(".")[-2]))
         self._hidden = [(weights[name].T, weights[name.removesuffix("weight") + "bias"]) for name in layers]
         self._last = weights[f"{last}.weight"].T, weights[f"{last}.bias"]
         if self._squashed:
@@ -131,7 +132,3 @@ class TrainedAgent:
             log = np.clip(x @ log[0] + log[1], -20.0, 2.0) if self._squashed else log
             action = action + np.exp(log) * self._rng.standard_normal(action.shape)
         return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)).astype(np.float32), state
-
-
-def _place(name: str) -> int:
-    return int(name.split(".")[-2])

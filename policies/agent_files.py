@@ -6,17 +6,17 @@ import io
 import json
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from grasp_env._files import WEIGHTS, as_path, digest, parsed, read_bytes, unpacked
+from grasp_env._files import WEIGHTS, as_path, digest, parsed, unpacked
 from grasp_env.env.observation import action_size, bounds
 from grasp_env.errors import ModelFileError
-from policies.checkpoint import signature
+from policies.checkpoint import described, signature
 
 SCHEMA = "grasp-force/rl-agent/3"
 ENV_ID = "FourFingerGrasp-v0"
@@ -24,18 +24,14 @@ META = "agent.json"
 STEM = "step-"
 ACTIONS = ("initial_force", "contact_force")
 """Action modes of agents."""
+Parts = dict[str, dict[str, np.ndarray]]
+"""Arrays by name, by the stem of their file."""
 LARGEST_HAND = 1000
 """The numbers of fingers and of joints must be below this."""
 _AGAIN = "copy the whole folder again, or train anew with `grasp rl`"
 
 
-def write_checkpoint(
-    parent: Path,
-    steps: int,
-    meta: dict[str, Any],
-    tensors: dict[str, dict[str, np.ndarray]],
-    arrays: dict[str, dict[str, np.ndarray]],
-) -> Path:
+def write_checkpoint(parent: Path, steps: int, meta: dict[str, Any], tensors: Parts, arrays: Parts) -> Path:
     """Write `<parent>/step-<steps>` atomically, by renaming a hidden folder; then remove the older checkpoints.
 
     Args:
@@ -111,12 +107,7 @@ def read_meta(folder: Path) -> dict[str, Any]:
         ModelFileError: the file is missing, not JSON, changed, or for another schema, environment or observation.
     """
     file = folder / META
-    meta = parsed(file, json.loads, ModelFileError, f"agent {file}", "JSON", f": {_AGAIN}")
-    schema = meta.get("schema") if isinstance(meta, dict) else None
-    if schema != SCHEMA:
-        raise ModelFileError(
-            f"agent {file} has schema {schema!r}, this version reads {SCHEMA!r}: train anew with `grasp rl`"
-        )
+    meta = described(file, SCHEMA, "agent", "grasp rl")
     if meta.get("env_id") != ENV_ID:
         raise ModelFileError(
             f"agent {file} was trained on {meta.get('env_id')!r}, this version has {ENV_ID!r}: train anew"
@@ -134,39 +125,26 @@ def read_meta(folder: Path) -> dict[str, Any]:
             f"agent {file} goes from {meta.get('observation_size')!r} numbers to {meta.get('action_size')!r}; {ENV_ID} shows {shown} "
             f"of such a hand and takes {needed}: train anew"
         )
-    body = {name: value for name, value in meta.items() if name != "sha256"}
-    if meta.get("sha256") != signature(body):
-        raise ModelFileError(f"agent {file} does not match its own sha256, it was changed: {_AGAIN}")
     return meta
 
 
 def read_tensors(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.ndarray]:
     """Read `<stem>.safetensors`; raise `ModelFileError` if its hash differs."""
-    try:
-        return load(_checked(folder, meta, f"{stem}.safetensors"))
-    except SafetensorError as error:
-        raise ModelFileError(f"agent file {folder / stem}.safetensors is malformed ({error}): {_AGAIN}") from None
+    return _read(folder / f"{stem}.safetensors", meta, load)
 
 
 def read_arrays(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.ndarray]:
     """Read `<stem>.npz` without objects; raise `ModelFileError` if its hash differs."""
-    try:
-        return unpacked(_checked(folder, meta, f"{stem}.npz"))
-    except ModelFileError:
-        raise
-    except Exception as error:  # zipfile, zlib and numpy raise different errors
-        raise ModelFileError(f"agent file {folder / stem}.npz is malformed ({error}): {_AGAIN}") from None
+    return _read(folder / f"{stem}.npz", meta, unpacked)
 
 
-def _checked(folder: Path, meta: dict[str, Any], name: str) -> bytes:
-    try:
-        blob = read_bytes(folder / name, WEIGHTS)
-    except OSError as error:
-        raise ModelFileError(f"agent file {folder / name}: {error.strerror}; {_AGAIN}") from None
-    files = meta.get("files")
-    if not isinstance(files, dict) or digest(blob) != files.get(name):
-        raise ModelFileError(f"agent file {folder / name} does not match its sha256: truncated or changed; {_AGAIN}")
-    return blob
+def _read(file: Path, meta: dict[str, Any], read: Callable[[bytes], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    def checked(blob: bytes) -> dict[str, np.ndarray]:
+        if digest(blob) != meta["files"].get(file.name):
+            raise ModelFileError(f"agent file {file} does not match its sha256: truncated or changed; {_AGAIN}")
+        return read(blob)
+
+    return parsed(file, checked, ModelFileError, f"agent file {file}", "a file of arrays", f": {_AGAIN}", WEIGHTS)
 
 
 def _npz(values: dict[str, np.ndarray]) -> bytes:

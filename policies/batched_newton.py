@@ -79,18 +79,23 @@ class Solved(NamedTuple):
     """Optima of B problems.
 
     Attributes:
-        state: (B, 4N + 7) input of `gradients`: z (N, 4), multipliers of balance in the unit frame, problem that was solved.
         force: (B, N, 3) in the caller's frame [N].
         torsion: (B, N) [N m].
         multipliers: (B, 6) Lagrange multipliers nu of balance: grad Phi = G^T nu.
         facts: (B, 4) status (`grasp::Code`), certified gap, residual [N], iterations.
+        state: (B, 4N + 7) input of `gradients`: z (N, 4), multipliers of balance in the unit frame, problem that was solved.
     """
 
-    state: Tensor
     force: Tensor
     torsion: Tensor
     multipliers: Tensor
     facts: Tensor
+    state: Tensor
+
+
+def tails(count: int) -> tuple[tuple[int, ...], ...]:
+    """Return the trailing dimensions of the tensors of `Solved`, for a number of contacts."""
+    return (count, 3), (count,), (6,), (4,), (4 * count + 7,)
 
 
 # --- the problem: differentiable in the inputs
@@ -587,17 +592,11 @@ def solve(given: Inputs, tolerance: float = 1e-10, max_iterations: int = 200, st
     """Return the optimal forces of all problems.
 
     The results of an element with invalid numbers are zeros; it never affects other elements. An element without a force inside the cones
-    and limits gets the elastic force, see `GraspForces`.
-
-    Args:
-        given: the problems.
-        tolerance: relative certified gap.
-        max_iterations: largest number of accepted steps.
-        start: (B, N, 3) earlier forces in the caller's frame [N], used if a balanced force inside the cones is near.
+    and limits gets the elastic force, see `GraspForces`. `start`: (B, N, 3) earlier forces in the caller's frame [N], used if a balanced
+    force inside the cones is near.
     """
     batch, count = given.positions.shape[:2]
-    tails = (4 * count + 7,), (count, 3), (count,), (6,), (4,)
-    whole = Solved(*(given.positions.new_zeros(batch, *tail) for tail in tails))
+    whole = Solved(*(given.positions.new_zeros(batch, *tail) for tail in tails(count)))
     whole.state[:, -1], whole.facts[:, 0], whole.facts[:, 1] = NOTHING, REFUSED, math.inf
     sane = _sane(given).nonzero().flatten()
     if len(sane):
@@ -605,7 +604,7 @@ def solve(given: Inputs, tolerance: float = 1e-10, max_iterations: int = 200, st
             given.map(lambda a: a[sane]), tolerance, max_iterations, None if start is None else start[sane]
         )
         # numbers so far apart that the result overflows are refused, too
-        finite = _finite(*part[:4], part.facts[:, 2:])
+        finite = _finite(*part[:3], part.facts[:, 2:], part.state)
         for to, a in zip(whole, part, strict=True):
             to[sane[finite]] = a[finite]
     return whole
@@ -650,7 +649,7 @@ def _solve_sane(given: Inputs, tolerance: float, max_iterations: int, start: Ten
     residual = problem.missed(whole.z).abs().amax(1)
     facts = torch.stack([whole.status, gap, residual, whole.iterations], -1)
     state = torch.cat([whole.z.flatten(1), whole.nu, mode.unsqueeze(-1)], -1)
-    return Solved(state, *problem.answers(whole.z, whole.nu), facts)
+    return Solved(*problem.answers(whole.z, whole.nu), facts, state)
 
 
 def gradients(

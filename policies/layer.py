@@ -9,7 +9,7 @@ The file is long because the public function, its two torch operators and their 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, NoReturn, TypeAlias
 
@@ -50,6 +50,7 @@ _PROBLEM_RANKS = {
     "torque_bias": 1, "min_normal": 1, "max_normal": 1, "force_weight": 1, "barrier_weight": 1, "start": 2,
 }  # fmt: skip
 """Number of trailing dimensions of each input tensor that belong to one problem. The dimensions before them are the batch."""
+_Solved: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 _NAMES, _RANKS = tuple(_PROBLEM_RANKS), tuple(_PROBLEM_RANKS.values())
 _TENSORS = len(_NAMES)
 _INPUTS = len(Inputs._fields)  # all but the start
@@ -96,26 +97,12 @@ class GraspForces(NamedTuple):
 
 
 def grasp_force(
-    positions: Tensor,
-    normals: Tensor,
-    friction: Given,
-    wrench: Tensor,
-    *,
-    tangents: Tensor | None = None,
-    torsional_friction: Given | None = None,
-    jacobian: Tensor | None = None,
-    torque_limit: Given | None = None,
-    torque_bias: Given | None = None,
-    min_normal: Given | None = None,
-    max_normal: Given | None = None,
-    force_weight: Given = 1.0,
-    barrier_weight: Given = 0.01,
-    start: Tensor | None = None,
-    infeasible: str = "mask",
-    tolerance: float = 1e-10,
-    max_iterations: int = 200,
-    chunk: int | None = None,
-) -> GraspForces:
+    positions: Tensor, normals: Tensor, friction: Given, wrench: Tensor, *,
+    tangents: Tensor | None = None, torsional_friction: Given | None = None, jacobian: Tensor | None = None,
+    torque_limit: Given | None = None, torque_bias: Given | None = None, min_normal: Given | None = None, max_normal: Given | None = None,
+    force_weight: Given = 1.0, barrier_weight: Given = 0.01, start: Tensor | None = None,
+    infeasible: str = "mask", tolerance: float = 1e-10, max_iterations: int = 200, chunk: int | None = None,
+) -> GraspForces:  # fmt: skip
     """Return the force of least Phi that balances each wrench, differentiable with respect to all tensors but `start`.
 
     Leading dimensions broadcast. All vectors are given in one frame of the caller's choice, and forces are returned in it. The result of an
@@ -165,18 +152,11 @@ def grasp_force(
         >>> friction.grad < 0                                                            # more friction, less force
         tensor(True)
     """
-    if infeasible not in MODES:
-        choice(infeasible, "infeasible", MODES)
-    tolerance = positive(tolerance, "tolerance", TOLERANCE)
-    if not (type(max_iterations) is int and 0 <= max_iterations <= ITERATIONS):
-        max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
-    if chunk is not None:
-        chunk = whole(chunk, "chunk", 1)
+    settings = _settings(infeasible, tolerance, max_iterations, chunk)
     given = (
         positions, normals, friction, tangents, torsional_friction, wrench, jacobian, torque_limit, torque_bias,
         min_normal, max_normal, force_weight, barrier_weight, start,
     )  # fmt: skip
-    settings = infeasible, tolerance, max_iterations, chunk
     problems = _read_in_place(given)
     if problems is None:
         tensors, dtype = _checked_tensors(given)
@@ -186,7 +166,7 @@ def grasp_force(
         if torch.is_grad_enabled() and any(a.requires_grad for a in given if isinstance(a, Tensor)):
             answers = _EagerFunction.apply(problems, settings, *given)
         else:
-            answers = _optima(problems, problems.lead, *settings[1:])
+            answers = _optima(problems, *settings[1:])
         force, torsion, multipliers, facts = answers[:4]
         if infeasible == "raise":
             _raise_for(facts[..., 0], problems.lead)
@@ -220,10 +200,8 @@ class GraspForceLayer(nn.Module):
         self, infeasible: str = "mask", tolerance: float = 1e-10, max_iterations: int = 200, chunk: int | None = None
     ) -> None:
         super().__init__()
-        self.infeasible = choice(infeasible, "infeasible", MODES)
-        self.tolerance = positive(tolerance, "tolerance", TOLERANCE)
-        self.max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
-        self.chunk = chunk if chunk is None else whole(chunk, "chunk", 1)
+        settings = _settings(infeasible, tolerance, max_iterations, chunk)
+        self.infeasible, self.tolerance, self.max_iterations, self.chunk = settings
 
     def extra_repr(self) -> str:
         """Return the settings for the module's repr."""
@@ -245,6 +223,13 @@ class GraspForceLayer(nn.Module):
 
 
 # --- arguments
+
+
+def _settings(infeasible: str, tolerance: float, max_iterations: int, chunk: int | None) -> tuple[Any, ...]:
+    if not (type(max_iterations) is int and 0 <= max_iterations <= ITERATIONS):  # a check takes 0.7 us
+        max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
+    chunk = chunk if chunk is None else whole(chunk, "chunk", 1)
+    return choice(infeasible, "infeasible", MODES), positive(tolerance, "tolerance", TOLERANCE), max_iterations, chunk
 
 
 def _refuse(name: str, given: Any, wanted: str) -> NoReturn:
@@ -334,14 +319,9 @@ def _of(given: Sequence[Any]) -> Any:
     return core.ForceProblems.of(tuple(given), CONTACTS, JOINTS)
 
 
-def _optima(
-    problems: core.ForceProblems, lead: Sequence[int], tolerance: float, max_iterations: int, chunk: int | None
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Return force, torsion, multipliers, facts and state of all problems, with these leading dimensions.
-
-    The facts are status, gap, residual and iterations. The state is what the gradients need.
-    """
-    arrays = [np.empty((*lead, *tail)) for tail in _tails(problems.contacts)]
+def _optima(problems: core.ForceProblems, tolerance: float, max_iterations: int, chunk: int | None) -> _Solved:
+    """Return the tensors of `batched_newton.Solved` for all problems."""
+    arrays = [np.empty((*problems.lead, *tail)) for tail in batched_newton.tails(problems.contacts)]
     force, torsion, multipliers, facts, state = arrays
 
     def work(part: slice) -> None:
@@ -352,17 +332,11 @@ def _optima(
 
 
 def _slopes(
-    problems: core.ForceProblems,
-    lead: Sequence[int],
-    state: Tensor,
-    losses: Sequence[Tensor | None],
-    wanted: Sequence[bool],
-    elastic: bool,
-    chunk: int | None,
-) -> list[Tensor | None]:
-    """Return gradients with respect to the inputs, with these leading dimensions."""
+    problems: core.ForceProblems, state: Tensor, losses: Sequence[Tensor | None], wanted: Sequence[bool], elastic: bool, chunk: int | None
+) -> list[Tensor | None]:  # fmt: skip
+    """Return gradients with respect to the inputs."""
     tails = _input_tails(problems.contacts, problems.jacobian_rows, problems.joints)
-    arrays = tuple([np.empty((*lead, *tail)) if w else None for w, tail in zip(wanted, tails, strict=False)])
+    arrays = tuple([np.empty((*problems.lead, *tail)) if w else None for w, tail in zip(wanted, tails, strict=False)])
     at, by_force, by_torsion, by_multipliers = [a if a is None else _array(a) for a in (state, *losses)]
 
     def work(part: slice) -> None:
@@ -406,43 +380,34 @@ def _in_core(a: Tensor) -> bool:
     return a.device.type == "cpu" and _CORE
 
 
-def _parts(batch: int, chunk: int | None) -> list[slice]:
+def _parts(batch: int, chunk: int | None, *groups: Sequence[Any]) -> Iterator[tuple[Any, ...]]:
+    """Yield slices, each with that part of the tensors of every group; None stays None."""
     size = chunk or max(batch, 1)
-    return [slice(k, k + size) for k in range(0, batch, size)]
+    for part in (slice(k, k + size) for k in range(0, batch, size)):
+        yield part, *(tuple([a if a is None else a[part] for a in group]) for group in groups)
 
 
-def _rows(group: Sequence[Any], part: slice) -> tuple[Any, ...]:
-    """Return a slice of arrays or tensors; None stays None."""
-    return tuple([a if a is None else a[part] for a in group])
-
-
-def _solve_impl(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+def _solve_impl(*args: Any) -> _Solved:
     tensors, (infeasible, tolerance, max_iterations, chunk) = args[:_TENSORS], args[_TENSORS:]
     lead, count = _lead(tensors), tensors[0].shape[-2]
     batch = lead.numel()
     given = _flattened(tensors, _RANKS, lead)
     if batch and _in_core(tensors[0]):
-        out: Any = _optima(_read(given), lead, tolerance, max_iterations, chunk)
+        out: Any = _optima(_read(given), tolerance, max_iterations, chunk)
     else:
         out = _empty(tensors[0], (batch,), count)
-        for part in _parts(batch, chunk):
-            *mine, start = _rows(given, part)
+        for part, (*mine, start) in _parts(batch, chunk, given):
             found = batched_newton.solve(Inputs(*mine), tolerance, max_iterations, start)
-            for a, b in zip(out, (*found[1:], found.state), strict=True):
+            for a, b in zip(out, found, strict=True):
                 a[part] = b
-        out = tuple([a if len(lead) == 1 else a.reshape(*lead, *a.shape[1:]) for a in out])
+    out = tuple([a if len(lead) == 1 else a.reshape(*lead, *a.shape[1:]) for a in out])
     if infeasible == "raise":
         _raise_for(out[3][..., 0], lead)
     return out
 
 
-def _tails(count: int) -> tuple[tuple[int, ...], ...]:
-    """Return the trailing dimensions of force, torsion, multipliers, facts and state."""
-    return (count, 3), (count,), (6,), (4,), (4 * count + 7,)
-
-
-def _empty(like: Tensor, lead: Sequence[int], count: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    return tuple(like.new_empty((*lead, *tail), dtype=torch.float64) for tail in _tails(count))  # type: ignore[return-value]
+def _empty(like: Tensor, lead: Sequence[int], count: int) -> _Solved:
+    return tuple(like.new_empty((*lead, *tail), dtype=torch.float64) for tail in batched_newton.tails(count))  # type: ignore[return-value]
 
 
 def _raise_for(status: Tensor, lead: Sequence[int]) -> None:
@@ -470,18 +435,17 @@ def _gradients_impl(*args: Any) -> list[Tensor]:
     given = _flattened(tensors, _RANKS[:_INPUTS], lead)
     made: Any = _flattened(answers, _ANSWER_RANKS, lead)
     if batch and _in_core(made[0]):
-        found: Any = _slopes(_read(given), lead, made[0], made[1:], wanted, elastic, chunk)
+        found: Any = _slopes(_read(given), made[0], made[1:], wanted, elastic, chunk)
     else:
         found = [a.new_empty(a.shape) if a is not None and w else None for a, w in zip(given, wanted, strict=True)]
         like = _empty(made[0], (batch,), tensors[0].shape[-2])
         made[1:] = [torch.zeros_like(a) if d is None else d for d, a in zip(made[1:], like, strict=False)]
-        for part in _parts(batch, chunk):
-            by = _differentiate(Inputs(*_rows(given, part)), *_rows(made, part), elastic)
+        for part, mine, mine_made in _parts(batch, chunk, given, made):
+            by = _differentiate(Inputs(*mine), *mine_made, elastic)
             for a, b in zip(found, by, strict=True):
                 if a is not None:
                     a[part] = b
-        found = [a if a is None else a.reshape(*lead, *a.shape[1:]) for a in found]
-    return [_as_given(g, a) for g, a in zip(found, tensors, strict=True) if g is not None]
+    return [_as_given(g.reshape(*lead, *g.shape[1:]), a) for g, a in zip(found, tensors, strict=True) if g is not None]
 
 
 def _as_given(gradient: Tensor, like: Tensor) -> Tensor:
@@ -504,7 +468,7 @@ def _differentiate(given: Inputs, *args: Any) -> Inputs:
         return pool.submit(work).result()
 
 
-def _solve_fake(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+def _solve_fake(*args: Any) -> _Solved:
     return _empty(args[0], _lead(args[:_TENSORS]), args[0].shape[-2])
 
 
@@ -550,8 +514,13 @@ def _setup(ctx: Any, inputs: Any, output: Any) -> None:
 def _backward(ctx: Any, *losses: Any) -> tuple[Any, ...]:
     *tensors, state = ctx.saved_tensors
     wanted = [a is not None and needed for a, needed in zip(tensors, ctx.needs_input_grad, strict=False)]
+    return (*_wanted(ctx, tensors, state, losses, wanted), None, None, None, None, None)
+
+
+def _wanted(ctx: Any, tensors: Any, state: Tensor, losses: Any, wanted: list[bool]) -> list[Tensor | None]:
+    """Return gradients with respect to the wanted inputs by the operator, which refuses a second differentiation."""
     found = iter(_call(_gradients, _GradientsFunction, *tensors, state, *losses[:3], wanted, ctx.elastic, ctx.chunk))
-    return (*(next(found) if w else None for w in wanted), None, None, None, None, None)
+    return [next(found) if w else None for w in wanted]
 
 
 def _no_second(ctx: Any, *_: Any) -> NoReturn:
@@ -594,26 +563,14 @@ def _call(operator: Any, function: Any, *args: Any) -> Any:
 
 
 class _SolveFunction(torch.autograd.Function):
-    @staticmethod
-    def forward(*args: Any) -> Any:
-        return _solve(*args)
-
-    setup_context = staticmethod(_setup)
-    backward = staticmethod(_backward)
-    vmap = staticmethod(_solve_vmap)
+    forward, setup_context = staticmethod(_solve), staticmethod(_setup)  # type: ignore[assignment]
+    backward, vmap = staticmethod(_backward), staticmethod(_solve_vmap)  # type: ignore[assignment]
 
 
 class _GradientsFunction(torch.autograd.Function):
-    @staticmethod
-    def forward(*args: Any) -> Any:
-        return tuple(_gradients(*args))
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-        """Save nothing."""
-
-    backward = staticmethod(_no_second)
-    vmap = staticmethod(_gradients_vmap)
+    forward = staticmethod(lambda *args: tuple(_gradients(*args)))  # type: ignore[assignment]
+    setup_context = staticmethod(lambda ctx, inputs, output: None)  # type: ignore[assignment]
+    backward, vmap = staticmethod(_no_second), staticmethod(_gradients_vmap)  # type: ignore[assignment]
 
 
 class _EagerFunction(torch.autograd.Function):
@@ -621,7 +578,7 @@ class _EagerFunction(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, problems: core.ForceProblems, settings: tuple[Any, ...], *given: Any) -> Any:
-        *answers, state = _optima(problems, problems.lead, *settings[1:])
+        *answers, state = _optima(problems, *settings[1:])
         tensors = [a if isinstance(a, Tensor) else None for a in given[:_INPUTS]]
         ctx.save_for_backward(*tensors, state)
         ctx.numbers = [None if isinstance(a, Tensor) else a for a in given[:_INPUTS]]
@@ -636,15 +593,11 @@ class _EagerFunction(torch.autograd.Function):
         given = tuple([b if a is None else a for a, b in zip(tensors, ctx.numbers, strict=True)])
         wanted = ctx.needs_input_grad[2 : 2 + _INPUTS]
         problems = None if torch.is_grad_enabled() else _read_in_place(given)
-        if problems is None:  # the gradients of an operator refuse a second differentiation
+        if problems is None:
             known, _ = _checked_tensors((*given, None))
-            parts = _call(
-                _gradients, _GradientsFunction, *known[:-1], state, *losses[:3], list(wanted), ctx.elastic, ctx.chunk
-            )
-            each = iter(parts)
-            found = [next(each) if w else None for w in wanted]
+            found = _wanted(ctx, known[:-1], state, losses, list(wanted))
         else:
-            found = _slopes(problems, problems.lead, state, losses[:3], wanted, ctx.elastic, ctx.chunk)
+            found = _slopes(problems, state, losses[:3], wanted, ctx.elastic, ctx.chunk)
         if found[2] is not None and found[2].shape[-2:] != given[2].shape[-2:]:  # one coefficient per contact
             found[2] = found[2].sum(-1)
         return (None, None, *[g if g is None else _as_given(g, a) for g, a in zip(found, given, strict=True)], None)

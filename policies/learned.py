@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_array, flag
+from grasp_env._check import Array, ContactForces, Wrench, as_array, flag, number, positive, whole
 from grasp_env._files import as_path
 from grasp_env.errors import InfeasibleStartError, ModelFileError
 from grasp_env.force import Objective
@@ -20,12 +20,14 @@ from grasp_env.force.solution import LEARNED
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.grasp import as_grasp
 from grasp_env.grasp.null_space import null_space_basis
-from policies.checkpoint import FAULTS, MOST_CONTACTS, Checkpoint, malformed, number, replace, whole
+from grasp_env.ranges import Range
+from policies.checkpoint import Checkpoint, replace
 from policies.features import Features
 
 PRETRAINED = Path(__file__).parent / "pretrained"
-MOST_DEGREE = 8
-"""Largest degree of the weights as polynomials of the friction."""
+MOST_CONTACTS, MOST_DEGREE = 64, 8
+"""Largest number of contacts of a model, and largest degree of its weights as polynomials of the friction."""
+_ANY, _POSITIVE = Range(-1e15, 1e15), Range(1e-300, 1e15)
 
 
 class LearnedInitialForce:
@@ -74,17 +76,20 @@ class LearnedInitialForce:
             self.sizes = tuple(whole(sizes[k], f"sizes[{k}]", 1, core.WIDEST) for k in range(stages))
             self.features = _features(numbers["features"])
             self.n_contacts = whole(numbers["n_contacts"], "n_contacts", 3, MOST_CONTACTS)
-            weights = (number(numbers[name], name, 0.0) for name in ("force_weight", "barrier_weight"))
+            weights = (positive(numbers[name], name, _POSITIVE) for name in ("force_weight", "barrier_weight"))
             self._trained = Objective(*weights)
             self._degree = whole(numbers["friction_degree"], "friction_degree", 0, MOST_DEGREE)
-            self._ranges = checkpoint.ranges["magnitude"], checkpoint.ranges["friction"]
+            self._ranges = [_pair(checkpoint.ranges[name]) for name in ("magnitude", "friction")]
             outputs = 3 * self.n_contacts - 6
             # the other inputs are lengths of tangential vectors, see `surface_pairs`
             n_lengths = self.sizes[0] - core.PLAIN_FEATURES
             if n_lengths < 1 or self.sizes[-1] != outputs:
                 raise ValueError(f"sizes {self.sizes} for {self.n_contacts} contacts")
-        except FAULTS as error:
-            raise malformed("of an initial force", error) from None
+        except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+            said = f"{type(error).__name__}: {error}"[:200]
+            raise ModelFileError(
+                f"the model is incomplete or malformed ({said}); train anew with `grasp fit`"
+            ) from None
         shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs), "pairs": (2 * n_lengths, 6)}
         for layer, (a, b) in enumerate(pairwise(self.sizes)):
             powers = self._degree + 1
@@ -154,7 +159,7 @@ class LearnedInitialForce:
             InfeasibleStartError: the model does not support these contacts, the grasp has no force closure, or the wrench
                 is not finite.
         """
-        load = read_load(wrench)
+        load = _read(wrench)
         force = start_of(self._prepare(grasp).starter, LEARNED, load, None)
         if force is None:
             raise _not_finite(load)
@@ -182,7 +187,7 @@ class LearnedInitialForce:
 
         Outside the range the start is still valid, and the solution says that it was out of range.
         """
-        return self._prepare(grasp).model.covers(grasp.unit_frame @ read_load(wrench))
+        return self._prepare(grasp).model.covers(grasp.unit_frame @ _read(wrench))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """Return the network's force (N, 3) [N] for a `grasp` and a `wrench` (6,): balanced, possibly outside the cones.
@@ -190,7 +195,7 @@ class LearnedInitialForce:
         Raises:
             InfeasibleStartError: see `__call__`.
         """
-        on, load = self._prepare(grasp), read_load(wrench)
+        on, load = self._prepare(grasp), _read(wrench)
         if not (np.abs(load) <= core.LARGEST).all():
             raise _not_finite(load)
         coordinates = np.empty(on.internal.shape[1])
@@ -269,17 +274,22 @@ class _Prepared:
 def _features(numbers: dict[str, object]) -> Features:
     """Return the saved normalisation; divisors are above 0."""
     mean = ("log_mean", "friction_mean")
-    return Features(**{name: number(v, name, -np.inf if name in mean else 0.0) for name, v in numbers.items()})
+    return Features(**{
+        name: number(v, name, _ANY) if name in mean else positive(v, name, _POSITIVE) for name, v in numbers.items()
+    })  # fmt: skip
+
+
+def _pair(value: Any) -> tuple[float, float]:
+    low, high = (number(v, "a range's end", _ANY) for v in value)
+    if not low <= high:
+        raise ValueError(f"a range from {low:g} to {high:g}")
+    return low, high
 
 
 def _not_finite(wrench: Array) -> InfeasibleStartError:
     return InfeasibleStartError(f"a wrench needs finite numbers up to {core.LARGEST:g}, got {wrench.tolist()}")
 
 
-def read_load(wrench: Any) -> Array:
-    """Return a wrench (6,) for the core, which checks that it is finite.
-
-    Raises:
-        InvalidInputError: the wrench is not (6,) numbers.
-    """
+def _read(wrench: Any) -> Array:
+    """Return a wrench (6,) for the core, which checks that it is finite."""
     return as_array(wrench, (6,), "wrench", finite=False)

@@ -21,51 +21,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.force", description=__doc__)
     commands = parser.add_subparsers(required=True)
 
-    def command(name: str, function: Any, text: str) -> argparse.ArgumentParser:
+    def command(name: str, function: Any, text: str) -> Any:
         made = commands.add_parser(name, help=text, description=text)
         made.set_defaults(function=function)
         made.add_argument("--sets", type=Path, default=SETS, help="folder of the tracks")
-        return made
+        return made.add_argument
 
-    made = command("run", _run, "time entrants on the tracks and score their answers")
-    made.add_argument(
-        "--solver",
-        action="append",
-        default=[],
-        metavar="FILE.py:CLASS",
-        help="your own entrant; FILE.so:FUNCTION for a C function",
-    )
-    made.add_argument(
-        "--against",
-        nargs="*",
-        default=list(ENTRANTS),
-        metavar="NAME",
-        help=f"entrants beside it: {', '.join(ENTRANTS)}; default: all",
-    )
-    made.add_argument("--tracks", nargs="+", default=[], metavar="TRACK")
-    made.add_argument(
-        "--quick", action="store_true", help="a few problems of each session, once: rough numbers within a minute"
-    )
-    made.add_argument("--out", type=Path, default=Path("runs"))
-    made.add_argument("--name", default="")
-    made = command(
-        "validate",
-        _validate,
-        "check the files of the tracks and their references; with --solver what that solves of them instead, without timing",
-    )
-    made.add_argument("--solver", action="append", default=[], metavar="FILE.py:CLASS")
-    made.add_argument("--tracks", nargs="+", default=[], metavar="TRACK")
-    made = command("report", _report, "print the tables of a run, or what changed between two")
-    made.add_argument("runs", nargs="+", type=Path, metavar="RUN")
-    made = command(
-        "generate",
-        _generate,
-        "make tracks and their references from a seed: 0 is the published one, others are for training or held out",
-    )
-    made.add_argument("tracks", nargs="*", default=[], metavar="TRACK")
-    made.add_argument("--seed", type=int, default=0)
-    made = command("record", _record, "write hands.json anew, from hands by name or file; needs the simulator")
-    made.add_argument("hands", nargs="+", metavar="HAND")
+    entered: dict[str, Any] = {"action": "append", "default": [], "metavar": "FILE.py:CLASS"}
+    own = "your own entrant; FILE.so:FUNCTION for a C function"
+    add = command("run", _run, "time entrants on the tracks and score their answers")
+    add("--solver", **entered, help=own)
+    beside = f"entrants beside it: {', '.join(ENTRANTS)}; default: all"
+    add("--against", nargs="*", default=list(ENTRANTS), metavar="NAME", help=beside)
+    add("--tracks", nargs="+", default=[], metavar="TRACK")
+    add("--quick", action="store_true", help="a few problems of each session, once: rough numbers within a minute")
+    add("--out", type=Path, default=Path("runs"))
+    add("--name", default="")
+    checks = "check the files of the tracks and their references; with --solver what that solves of them instead, without timing"
+    add = command("validate", _validate, checks)
+    add("--solver", **entered, help=own)
+    add("--tracks", nargs="+", default=[], metavar="TRACK")
+    add = command("report", _report, "print the tables of a run, or what changed between two")
+    add("runs", nargs="+", type=Path, metavar="RUN")
+    seeds = "make tracks and their references from a seed: 0 is the published one, others are for training or held out"
+    add = command("generate", _generate, seeds)
+    add("tracks", nargs="*", default=[], metavar="TRACK")
+    add("--seed", type=int, default=0)
+    add = command("record", _record, "write hands.json anew, from hands by name or file; needs the simulator")
+    add("hands", nargs="+", metavar="HAND")
     given = parser.parse_args(arguments)
     try:
         return given.function(given)
@@ -91,8 +74,8 @@ def _run(given: Any) -> int:
     tracks, chosen = _tracks(given), entrants([*given.solver, *given.against])
     run = Run.create(given.out, given.name or default_name("force"))
     before, effort = unit(), QUICK if given.quick else Effort()
-    rows, told = measured(tracks, chosen, effort, tick)
-    rows = table(rows)
+    found, told = measured(tracks, chosen, effort, tick)
+    rows = table(found)
     tick("")
     about = {
         "kind": "force", "quick": given.quick, "settings": asdict(effort), "unit": min(before, unit()), "load": os.getloadavg(),
@@ -113,8 +96,7 @@ def _validate(given: Any) -> int:
 
     tracks = _tracks(given)
     if given.solver:
-        rows = measured(tracks, entrants(given.solver), Effort(rounds=1, seconds=0.0))[0]
-        made = table(rows)
+        made = table(measured(tracks, entrants(given.solver), Effort(rounds=1, seconds=0.0))[0])
         sys.stdout.write("\n".join([*answers(made), ""]))
         return int(not made.loc[made["method"] != "empty", "solved"].any())
     faults = []
@@ -160,10 +142,10 @@ def _generate(given: Any) -> int:
         if name not in TRACKS:
             raise ValueError(f"no track {name!r}: there are {', '.join(TRACKS)}")
         track = generate(name, given.seed)
-        sessions = []
-        for session in track.sessions:
-            found = refer(session, track.about["objectives"], track.about["digits"])
-            sessions.append(replace(session, references=found))
+        sessions = [
+            replace(session, references=refer(session, track.about["objectives"], track.about["digits"]))
+            for session in track.sessions
+        ]
         save(replace(track, sessions=sessions), given.sets)
         sys.stdout.write(f"{given.sets / name}.npz: {sum(len(session.problems) for session in sessions)} problems\n")
     return 0

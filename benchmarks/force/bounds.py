@@ -1,7 +1,6 @@
 """Bounds and proofs from a force, multipliers or a witness, computed from the problem alone.
 
-`Measure` holds every formula, for NumPy's floats and for object arrays of `decimal.Decimal`, which `exact.py` gives it. The functions
-below it take a `Problem`. Forces and moments are compared in N: moments are taken about the centre of the contacts that touch and
+`Measure` holds every formula, for NumPy's floats and for object arrays of `decimal.Decimal`, which `exact.py` gives it. Forces and moments are compared in N: moments are taken about the centre of the contacts that touch and
 divided by their root mean square distance from it.
 
 The multipliers are (nu, p), those of balance (6,) and the prices of the limits (L,) >= 0. The gradient of an objective is
@@ -10,6 +9,7 @@ G^T nu - B^T p plus a part that the cones carry, and d objective / d wrench = -n
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,6 +59,7 @@ class Measure:
     """A problem in units of N, moments about `centre` and divided by `length`.
 
     Attributes:
+        problem: the problem.
         matrix: (6, N, k), zero where a contact does not touch.
         load: (6,) the wrench.
         friction, spin: (N,) Coulomb coefficients and torsional friction [m].
@@ -69,6 +70,7 @@ class Measure:
         weight: lambda of `phi`.
     """
 
+    problem: Problem
     matrix: Numbers
     load: Numbers
     friction: Numbers
@@ -79,38 +81,31 @@ class Measure:
     touching: NDArray[np.bool_]
     centre: Numbers
     length: Any
-    weight: Any = BARRIER_WEIGHT
+    weight: Any
 
     @classmethod
-    def of(cls, problem: Problem) -> Measure:
-        """The problem in floats."""
+    def of(
+        cls, problem: Problem, number: Callable[[Any], Numbers] = np.asarray, frames: Numbers | None = None
+    ) -> Measure:
+        """Return the measure of a problem, in the numbers that `number` makes of arrays; `frames` replace those of the problem."""
         n, k = problem.n_contacts, problem.width
         touching = np.ones(n, dtype=bool) if problem.touching is None else problem.touching
         spin = np.zeros(n) if problem.torsional_friction is None else problem.torsional_friction
-        rows = problem.limit_matrix.reshape(-1, n, k)
-        limits = rows, problem.limit_bound, problem.limit_size
-        return cls.around(
-            problem.positions, problem.frames, problem.wrench, problem.friction, spin, limits, touching, k
-        )
-
-    @classmethod
-    def around(
-        cls, positions: Numbers, frames: Numbers, wrench: Numbers, friction: Numbers, spin: Numbers,
-        limits: tuple[Numbers, Numbers, Numbers], touching: NDArray[np.bool_], width: int, weight: Any = BARRIER_WEIGHT,
-    ) -> Measure:  # fmt: skip
-        """From the arrays of a problem, in any numbers."""
-        count = int(touching.sum())
-        centre = positions[touching].sum(axis=0) / count
+        positions, wrench = number(problem.positions), number(problem.wrench)
+        centre = positions[touching].sum(axis=0) / int(touching.sum())
         arms = positions - centre
-        length = np.sqrt((arms[touching] ** 2).sum(axis=0).sum() / count)
-        columns = frames.transpose(0, 2, 1)  # (N, 3, 3), one column a row
+        length = np.sqrt((arms[touching] ** 2).sum(axis=0).sum() / int(touching.sum()))
+        columns = (number(problem.frames) if frames is None else frames).transpose(0, 2, 1)  # one column a row
         matrix = np.concatenate([columns, np.cross(arms[:, None] / length, columns)], axis=2)
-        if width == 4:
+        if k == 4:
             turning = np.concatenate([0 * columns[:, :1], columns[:, :1] / length], axis=2)
             matrix = np.concatenate([matrix, turning], axis=1)
-        matrix = matrix.transpose(2, 0, 1) * touching[:, None]
-        load = np.concatenate([wrench[:3], (wrench[3:] - np.cross(centre, wrench[:3])) / length])
-        return cls(matrix, load, friction, spin, *limits, touching, centre, length, weight)
+        return cls(
+            problem, matrix.transpose(2, 0, 1) * touching[:, None],
+            np.concatenate([wrench[:3], (wrench[3:] - np.cross(centre, wrench[:3])) / length]),
+            number(problem.friction), number(spin), number(problem.limit_matrix.reshape(-1, n, k)), number(problem.limit_bound),
+            number(problem.limit_size), touching, centre, length, number(BARRIER_WEIGHT)[()],
+        )  # fmt: skip
 
     def twist(self, nu: Numbers) -> Numbers:
         """Multipliers nu (6,) about the origin as those about the centre [N per N]."""
@@ -126,7 +121,7 @@ class Measure:
         return 3 * self.friction if name == "phi" else 1 + 0 * self.friction
 
     def objective(self, name: str, force: Numbers) -> Any:
-        """See the function."""
+        """Return the objective at a force (N k,) [N]; `phi` is +inf unless the force is strictly inside every cone."""
         f = force.reshape(len(self.friction), -1)[self.touching]
         if name == "sum":
             return f[:, 0].sum()
@@ -154,7 +149,11 @@ class Measure:
         return f.reshape(-1)
 
     def upper(self, name: str, force: Numbers, multipliers: Numbers) -> Any:
-        """See `primal_bound`."""
+        """Return an upper bound of the optimum from a force that may violate balance, cones and limits a little.
+
+        Normal forces are raised into the cones first. Then the residuals of balance and limits are added at the prices of the multipliers,
+        each component with its absolute value. By convexity this is a bound if the multipliers are optimal.
+        """
         f = self.inside(force) if name == "sum" else force
         cost = np.abs(self.twist(multipliers[:6])) @ np.abs(self.missed(f))
         return self.objective(name, f) + cost + (np.abs(multipliers[6:]) * np.maximum(self.over(f), 0)).sum()
@@ -167,7 +166,13 @@ class Measure:
         return g[:, 0], sideways, g[:, 0] + self.friction * sideways + spin
 
     def lower(self, name: str, multipliers: Numbers) -> Any:
-        """See `dual_bound`."""
+        """Return a lower bound of the optimum from any multipliers (6 + L,).
+
+        It is the least of the Lagrangian over the cones. With a = price - G^T nu + B^T p, the Lagrangian is a . f - nu . w - p . b and the
+        barrier of `phi`. It has a least value where a_n >= friction hypot(a_o, a_t) + torsional_friction abs(a_tau) at every contact: the
+        multipliers are multiplied by the largest theta <= 1 for which that holds. The price of a newton of normal force is 1, or
+        3 friction for `phi`, whose barrier adds its own least value (`least`).
+        """
         twist, prices, cost = self.twist(multipliers[:6]), np.maximum(multipliers[6:], 0), self.price(name)
         along, sideways, need = self.pull(twist, prices)
         most = (need / cost)[self.touching].max()
@@ -179,103 +184,66 @@ class Measure:
             bound += least(np.maximum(low, 0)[self.touching], high[self.touching], self.weight)[0].sum()
         return bound
 
+    def balance(self, force: Array) -> float:
+        """Return the relative residual of balance of a force (N k,): the largest |component| of G f + w over that of the wrench.
 
-def objective(problem: Problem, name: str, force: Array) -> float:
-    """The objective `name` at a force (N k,) [N]; `phi` is +inf unless the force is strictly inside every cone."""
-    return float(Measure.of(problem).objective(name, np.asarray(force, dtype=float)))
+        Without a wrench it is relative to the largest |component| of the force, torsion divided by the length.
+        """
+        size = np.abs(self.load).max() or np.abs(self._in_newtons(force)).max()
+        return _part(np.abs(self.missed(force)).max(), size)
 
+    def violation(self, force: Array) -> float:
+        """Return the distance of a force (N k,) from the cones, relative to the largest |normal force|; 0 inside.
 
-def balance(problem: Problem, force: Array) -> float:
-    """The relative residual of balance of a force (N k,): the largest |component| of G f + w over that of the wrench.
+        It is the largest of hypot(o, t) - friction * normal, -normal, and abs(torsion) / torsional_friction - normal over contacts that touch,
+        and of |components| of the others. Torsion that a contact cannot transmit is divided by the length.
+        """
+        f = self._in_newtons(force)
+        normal = f[:, 0]
+        outside = np.maximum(np.hypot(f[:, 1], f[:, 2]) - self.friction * normal, -normal)
+        if f.shape[1] == 4:
+            spins, torsion = self.spin > 0.0, np.abs(f[:, 3])
+            lever = np.where(spins, self.spin, 1.0) / self.length
+            outside = np.maximum(outside, np.where(spins, torsion / lever - normal, torsion))
+        outside = np.where(self.touching, outside, np.abs(f).max(axis=1))
+        return _part(max(outside.max(), 0.0), np.abs(normal).max())
 
-    Without a wrench it is relative to the largest |component| of the force, torsion divided by the length.
-    """
-    measure = Measure.of(problem)
-    size = float(np.abs(measure.load).max())
-    if size == 0.0:
-        size = float(np.abs(_in_newtons(measure, force)).max())
-    return _part(float(np.abs(measure.missed(np.asarray(force, dtype=float))).max()), size)
+    def excess(self, force: Array) -> float:
+        """Return the largest excess of a limit by a force (N k,), as a part of that limit; 0 within all."""
+        return float((self.over(force) / self.size).max(initial=0.0))
 
+    def witness(self, multipliers: Array) -> float:
+        """Return the margin by which multipliers (v, p) prove that no force exists; <= 0 without proof, at most 1.
 
-def violation(problem: Problem, force: Array) -> float:
-    """Return the distance of a force (N k,) from the cones, relative to the largest |normal force|; 0 inside.
+        Where G^T v + B^T p is in the dual cone of every contact, a force would give 0 <= f . (G^T v + B^T p) <= p . b - v . w. The result is
+        v . w - p . b over |v| |w| + p . |b|, with moments in the units of this module, so it does not depend on the scale of
+        (v, p). If a contact is outside its dual cone, `ROUNDING` included, its normal force could gain that distance. It is subtracted,
+        times the largest normal force: that contact's limit, or `REACH` times the wrench (or the largest least normal force, if that is
+        larger) for all contacts without a limit together. So the proof is complete where every contact has a limit or lies inside its dual
+        cone, and else holds up to that total of normal forces.
+        """
+        if not np.isfinite(multipliers).all():
+            return -np.inf
+        twist, prices = self.twist(multipliers[:6]), np.maximum(multipliers[6:], 0.0)
+        length, load = float(np.linalg.norm(twist)), float(np.linalg.norm(self.load))
+        sizes = (1.0 + self.friction + self.spin / self.length) * (
+            length + np.einsum("lnk,l->n", np.abs(self.rows), prices)
+        )
+        gained = np.maximum(self.pull(-twist, prices)[2] + ROUNDING * sizes, 0.0) * self.touching
+        least, most = self.problem.min_normal, self.problem.max_normal
+        most = np.full(len(gained), np.inf) if most is None else most
+        limited, largest = np.isfinite(most), load if least is None else max(load, least.max())
+        repair = gained[limited] @ most[limited] + REACH * largest * gained[~limited].max(initial=0.0)
+        size = length * load + prices @ np.abs(self.bound)
+        return float((twist @ self.load - prices @ self.bound - repair) / size) - ROUNDING if size > 0.0 else 0.0
 
-    It is the largest of hypot(o, t) - friction * normal, -normal, and abs(torsion) / torsional_friction - normal over contacts that touch,
-    and of |components| of the others. Torsion that a contact cannot transmit is divided by the length.
-    """
-    measure = Measure.of(problem)
-    f = _in_newtons(measure, force)
-    normal = f[:, 0]
-    outside = np.maximum(np.hypot(f[:, 1], f[:, 2]) - measure.friction * normal, -normal)
-    if f.shape[1] == 4:
-        spins, torsion = measure.spin > 0.0, np.abs(f[:, 3])
-        lever = np.where(spins, measure.spin, 1.0) / measure.length
-        outside = np.maximum(outside, np.where(spins, torsion / lever - normal, torsion))
-    outside = np.where(measure.touching, outside, np.abs(f).max(axis=1))
-    return _part(max(float(outside.max()), 0.0), float(np.abs(normal).max()))
-
-
-def excess(problem: Problem, force: Array) -> float:
-    """The largest excess of a limit by a force (N k,), as a part of that limit; 0 within all."""
-    measure = Measure.of(problem)
-    return float((measure.over(np.asarray(force, dtype=float)) / measure.size).max(initial=0.0))
-
-
-def primal_bound(problem: Problem, name: str, force: Array, multipliers: Array) -> float:
-    """Return an upper bound of the optimum from a force that may violate balance, cones and limits a little.
-
-    Normal forces are raised into the cones first. Then the residuals of balance and limits are added at the prices of the multipliers, each
-    component with its absolute value. By convexity this is a bound if the multipliers are optimal.
-    """
-    return float(Measure.of(problem).upper(name, np.asarray(force, dtype=float), np.asarray(multipliers, dtype=float)))
-
-
-def dual_bound(problem: Problem, name: str, multipliers: Array) -> float:
-    """Return a lower bound of the optimum from any multipliers (6 + L,).
-
-    It is the least of the Lagrangian over the cones. With a = price - G^T nu + B^T p, the Lagrangian is a . f - nu . w - p . b and the
-    barrier of `phi`. It has a least value where a_n >= friction hypot(a_o, a_t) + torsional_friction abs(a_tau) at every contact: the
-    multipliers are multiplied by the largest theta <= 1 for which that holds. The price of a newton of normal force is 1, or
-    3 friction for `phi`, whose barrier adds its own least value (`least`).
-    """
-    return float(Measure.of(problem).lower(name, np.asarray(multipliers, dtype=float)))
-
-
-def witness(problem: Problem, multipliers: Array) -> float:
-    """Return the margin by which multipliers (v, p) prove that no force exists; <= 0 without proof, at most 1.
-
-    Where G^T v + B^T p is in the dual cone of every contact, a force would give 0 <= f . (G^T v + B^T p) <= p . b - v . w. The result is
-    v . w - p . b over |v| |w| + p . |b|, with moments in the units of this module, so it does not depend on the scale of
-    (v, p). If a contact is outside its dual cone, `ROUNDING` included, its normal force could gain that distance. It is subtracted,
-    times the largest normal force: that contact's limit, or `REACH` times the wrench (or the largest least normal force, if that is
-    larger) for all contacts without a limit together. So the proof is complete where every contact has a limit or lies inside its dual
-    cone, and else holds up to that total of normal forces.
-    """
-    measure, given = Measure.of(problem), np.asarray(multipliers, dtype=float)
-    if not np.isfinite(given).all():
-        return -np.inf
-    twist, prices, n = measure.twist(given[:6]), np.maximum(given[6:], 0.0), problem.n_contacts
-    length = float(np.linalg.norm(twist))
-    sizes = (1.0 + measure.friction + measure.spin / measure.length) * (
-        length + np.einsum("lnk,l->n", np.abs(measure.rows), prices)
-    )
-    gained = np.maximum(measure.pull(-twist, prices)[2] + ROUNDING * sizes, 0.0) * measure.touching
-    most = np.full(n, np.inf) if problem.max_normal is None else problem.max_normal
-    limited = np.isfinite(most)
-    load = float(np.linalg.norm(measure.load))
-    largest = max(load, 0.0 if problem.min_normal is None else float(problem.min_normal.max()))
-    repair = gained[limited] @ most[limited] + REACH * largest * gained[~limited].max(initial=0.0)
-    size = length * load + prices @ np.abs(measure.bound)
-    return float((twist @ measure.load - prices @ measure.bound - repair) / size) - ROUNDING if size > 0.0 else 0.0
-
-
-def _in_newtons(measure: Measure, force: Array) -> Array:
-    """The force (N, k) with torsion divided by the length."""
-    f = np.array(force, dtype=float).reshape(len(measure.friction), -1)
-    f[:, 3:] /= measure.length
-    return f
+    def _in_newtons(self, force: Array) -> Array:
+        """The force (N, k) with torsion divided by the length."""
+        f = np.array(force, dtype=float).reshape(len(self.friction), -1)
+        f[:, 3:] /= self.length
+        return f
 
 
 def _part(value: float, size: float) -> float:
     """`value` as a part of `size`; 0 of nothing is 0."""
-    return value / size if size > 0.0 else (0.0 if value == 0.0 else np.inf)
+    return float(value / size) if size > 0.0 else (0.0 if value == 0.0 else np.inf)

@@ -142,11 +142,8 @@ class Library:
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         """One call from Python."""
-        force, multipliers, steps = (
-            np.zeros(problem.matrix.shape[1]),
-            np.zeros(6 + len(problem.limit_bound)),
-            ctypes.c_int(),
-        )
+        force, steps = np.zeros(problem.matrix.shape[1]), ctypes.c_int()
+        multipliers = np.zeros(6 + len(problem.limit_bound))
         call = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 6)(self._solve)
         given, view = None if start is None else start.ctypes.data, CProblem.of(problem)
         written = force.ctypes.data, multipliers.ctypes.data, ctypes.addressof(steps)

@@ -20,14 +20,13 @@ dual one from nu = 0. Their results are bounds by `bounds.Measure`, for any accu
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from decimal import Context, Decimal, localcontext
 from typing import Any
 
 import numpy as np
 
 from benchmarks.force.bounds import Measure, Numbers, least
-from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
+from benchmarks.force.problems import Array, Problem
 
 CONTEXT = Context(prec=60, Emin=-(10**6), Emax=10**6)
 GAP = Decimal("1e-18")
@@ -45,20 +44,8 @@ Barrier = Callable[[Numbers, Any], "Parts | None"]
 """A barrier as a function of x (N, 3) and t; None outside."""
 
 
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """The optimum that an algorithm found; the numbers are Decimals.
-
-    Attributes:
-        lower, upper: bounds of the optimum [N].
-        force: (3 N,) N, in the frames of the problem.
-        multipliers: (6,) about the origin.
-    """
-
-    lower: Any
-    upper: Any
-    force: Numbers
-    multipliers: Numbers
+Optimum = tuple[Any, Any, Numbers, Numbers]
+"""Lower and upper bound of the optimum [N], force (3 N,) [N] in the frames of the problem, and multipliers (6,) about the origin, in Decimals."""
 
 
 class _Scaled:
@@ -91,7 +78,7 @@ class _Scaled:
         force[self.kept] = x * self.unit
         force[self.kept, 0] = force[self.kept, 0] / self.mu
         force = force.reshape(-1)
-        return Optimum(self.measure.lower(self.name, nu), self.measure.upper(self.name, force, nu), force, nu)
+        return self.measure.lower(self.name, nu), self.measure.upper(self.name, force, nu), force, nu
 
     def share(self, value: Any) -> Any:
         """The t at which the gap 2 N t is `GAP` of an optimum."""
@@ -99,34 +86,19 @@ class _Scaled:
 
 
 def measure(problem: Problem) -> Measure:
-    """The problem in Decimals.
-
-    Raises:
-        ValueError: it has soft contacts or limits.
-    """
+    """The problem in Decimals; soft contacts and limits are a `ValueError`."""
     if problem.width != 3 or len(problem.limit_bound):
         raise ValueError("exact optima are those of hard contacts without limits")
-    n = problem.n_contacts
     with localcontext(CONTEXT):
         normal, along = (_decimals(problem.frames[:, :, k]) for k in (0, 1))
         normal = normal / _norm(normal)
         along = along - normal * (normal * along).sum(axis=1)[:, None]
         along = along / _norm(along)
-        frames = np.stack([normal, along, np.cross(normal, along)], axis=2)
-        none = _decimals(np.zeros(0))
-        return Measure.around(
-            _decimals(problem.positions), frames, _decimals(problem.wrench), _decimals(problem.friction), _decimals(np.zeros(n)),
-            (none.reshape(0, n, 3), none, none), np.ones(n, dtype=bool) if problem.touching is None else problem.touching, 3,
-            Decimal(BARRIER_WEIGHT),
-        )  # fmt: skip
+        return Measure.of(problem, _decimals, np.stack([normal, along, np.cross(normal, along)], axis=2))
 
 
 def primal(problem: Problem, name: str) -> Optimum:
-    """The optimum by forces in the null space of A.
-
-    Raises:
-        ArithmeticError: no force strictly inside the cones was found, or an algorithm stopped early.
-    """
+    """The optimum by forces in the null space of A, or an `ArithmeticError` if no force strictly inside the cones was found."""
     with localcontext(CONTEXT):
         p = _Scaled(problem, name)
         basis = _null_space(p.matrix)
@@ -136,11 +108,7 @@ def primal(problem: Problem, name: str) -> Optimum:
 
 
 def dual(problem: Problem, name: str) -> Optimum:
-    """The optimum by the six multipliers of balance.
-
-    Raises:
-        ArithmeticError: an algorithm stopped early.
-    """
+    """The optimum by the six multipliers of balance."""
     with localcontext(CONTEXT):
         p = _Scaled(problem, name)
         largest = max(Decimal(1), np.abs(p.start).max())
@@ -158,17 +126,11 @@ def dual(problem: Problem, name: str) -> Optimum:
         return p.optimum(-gradient, p.costs - z)
 
 
-def bounds_exact(problem: Problem, name: str, force: Numbers, multipliers: Numbers) -> tuple[Any, Any]:
-    """(lower, upper) by `bounds.Measure`, in Decimals, of a force (3 N,) and multipliers (6,) in Decimals or floats."""
+def measured(problem: Problem, name: str, force: Numbers, multipliers: Numbers) -> tuple[Any, Any, Any]:
+    """Lower bound, upper bound and objective by `bounds.Measure`, in Decimals, of a force (3 N,) and multipliers (6,) in Decimals or floats."""
     with localcontext(CONTEXT):
         m, f, nu = measure(problem), _decimals(force), _decimals(multipliers)
-        return m.lower(name, nu), m.upper(name, f, nu)
-
-
-def objective_exact(problem: Problem, name: str, force: Numbers) -> float:
-    """The objective at a force (3 N,) in Decimals, rounded."""
-    with localcontext(CONTEXT):
-        return float(measure(problem).objective(name, _decimals(force)))
+        return m.lower(name, nu), m.upper(name, f, nu), m.objective(name, f)
 
 
 def split(values: Numbers) -> tuple[Array, Array]:

@@ -113,11 +113,8 @@ def roll(rng: np.random.Generator) -> Made:
         rate, phase = rng.uniform(0.5, 3.0, (n, 2)), rng.uniform(0.0, 2.0 * np.pi, (n, 2))
         moved = 0.0035 * np.sin(2.0 * np.pi * rate * time + phase)  # (count, N, 2) along o and t
         steps = np.einsum("nak,mnk->mna", grasp.frames[:, :, 1:], moved)
-        yield (
-            f"{n}",
-            contacts(grasp.positions + steps, grasp.normals - steps / 0.03, grasp.friction)
-            | {"wrench": wave(rng, count)},
-        )
+        moving_contacts = contacts(grasp.positions + steps, grasp.normals - steps / 0.03, grasp.friction)
+        yield f"{n}", moving_contacts | {"wrench": wave(rng, count)}
 
 
 def lost(rng: np.random.Generator) -> Made:
@@ -163,9 +160,9 @@ def soft(rng: np.random.Generator) -> Made:
         angles = np.arange(n) * 2.0 * np.pi / n + rng.uniform(-0.15, 0.15, n)
         outward = np.stack([np.cos(angles), np.sin(angles), rng.uniform(-0.15, 0.15, n)], axis=1)
         half, gamma = rng.uniform(0.02, 0.04), short(rng.uniform(0.002, 0.008, n))
-        arrays = contacts(half * outward, -outward, rng.uniform(0.4, 0.9)) | {"torsional_friction": gamma}
+        arrays = fixed(contacts(half * outward, -outward, rng.uniform(0.4, 0.9)) | {"torsional_friction": gamma})
         loads = [w for w in ball(rng, 200, 0.5) if _depth(arrays, w) > CLEAR]
-        yield f"{n}, {1000 * half:.0f} mm, {len(loads)}", fixed(arrays) | {"wrench": np.array(loads[:30])}
+        yield f"{n}, {1000 * half:.0f} mm, {len(loads)}", arrays | {"wrench": np.array(loads[:30])}
 
 
 def infeasible(rng: np.random.Generator) -> Made:
@@ -183,22 +180,19 @@ def infeasible(rng: np.random.Generator) -> Made:
         beyond = short(arrays["wrench"] * (_most(arrays)[:, None] * rng.uniform(1.2, 3.0, (12, 1))))
         yield f"weak motors, {name}", arrays | {"wrench": beyond}
     for half in (0.02, 0.03):
-        pinch = contacts(
-            np.array([[half, 0.0, 0.0], [-half, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.5
-        )
-        arrays = pinch | {"torsional_friction": np.full(2, 0.005), "max_normal": np.full(2, 1.0)}
+        inward = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+        limits = {"torsional_friction": np.full(2, 0.005), "max_normal": np.full(2, 1.0)}
+        arrays = fixed(contacts(half * inward[::-1], inward, 0.5) | limits)
         loads = [w for w in ball(rng, 200) if _depth(arrays, w) < -CLEAR]
-        yield f"pinch, {1000 * half:.0f} mm", fixed(arrays) | {"wrench": np.array(loads[:20])}
+        yield f"pinch, {1000 * half:.0f} mm", arrays | {"wrench": np.array(loads[:20])}
 
 
 def hard(rng: np.random.Generator) -> Made:
     """Clustered contacts, grasps next to losing closure, objects and loads of all sizes, little friction."""
     for n in (3, 4, 5, 6):
-        each, loads = [], ball(rng, 24)
-        for power in (2, 2, 3, 3, 4, 4):
-            each.append(_clustered(rng, n, 10.0 ** (-power - 2)))
-        for power in (2, 2, 3, 3, 4, 4):
-            each.append(_next_to_losing_closure(rng, n, 10.0**-power))
+        powers, loads = (2, 2, 3, 3, 4, 4), ball(rng, 24)
+        each = [_clustered(rng, n, 10.0 ** (-power - 2)) for power in powers]
+        each += [_next_to_losing_closure(rng, n, 10.0**-power) for power in powers]
         for k in range(12, 18):
             length, size, grasp = 10.0 ** rng.uniform(-2.0, 2.0), 10.0 ** rng.uniform(-5.0, 5.0), GRASPS.closed(rng, n)
             each.append(fixed(contacts(length * grasp.positions, grasp.normals, grasp.friction)))
@@ -236,17 +230,13 @@ TRACKS = {
     "random": Recipes(random, "other contacts in every problem, 3 to 16 of them"),
     "hands": Recipes(hands, "contacts of seven real hands that hold an object"),
     "own": Recipes(own, "real hands within their torque limits; each joint moves one finger", objectives=("sum",)),
-    "shared": Recipes(
-        shared, "real hands within their torque limits; some joints move two fingers", objectives=("sum",)
-    ),
+    "shared": Recipes(shared, "real hands within their torque limits; some joints move two fingers", objectives=("sum",)),
     "soft": Recipes(soft, "pinches by two or three soft fingertips", objectives=("sum",)),
     "infeasible": Recipes(infeasible, "no force exists, and the answer is a proof", objectives=("sum",)),
     "hard": Recipes(
-        hard,
-        "contacts 1e-4 to 1e-6 m apart, closure lost by 1e-2 to 1e-4 less friction, friction from 0.05, all sizes",
-        digits="exact",
+        hard, "contacts 1e-4 to 1e-6 m apart, closure lost by 1e-2 to 1e-4 less friction, friction from 0.05, all sizes", digits="exact"
     ),
-}
+}  # fmt: skip
 """Tracks in the order of the reports; a track's place is part of its seed, so new ones go to the end."""
 
 
@@ -274,21 +264,22 @@ def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arra
 def _most(arrays: Arrays) -> Array:
     """(M,) the largest factor of each wrench that is feasible, to 2 %."""
     out = []
-    one = {name: array[0] for name, array in arrays.items() if name != "wrench"}
     for wrench in arrays["wrench"]:
         low, high = 0.0, 1.0
-        while _depth(one, high * wrench) > 0.0 and high < 1e6:
+        while _depth(arrays, high * wrench) > 0.0 and high < 1e6:
             low, high = high, 4.0 * high
         while high - low > 0.02 * high:
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if _depth(one, middle * wrench) > 0.0 else (low, middle)
+            low, high = (middle, high) if _depth(arrays, middle * wrench) > 0.0 else (low, middle)
         out.append(low)
     return np.array(out)
 
 
 def _depth(arrays: Arrays, wrench: Array) -> float:
-    """The margin of one problem, by `feasibility`."""
-    grasp, limits = grasp_of(Problem(**arrays, wrench=wrench))
+    """The margin of the first of some contacts with another wrench, by `feasibility`."""
+    first: Arrays = {name: array[0] for name, array in arrays.items()}
+    first["wrench"] = wrench
+    grasp, limits = grasp_of(Problem(**first))
     return feasibility(grasp, wrench, limits).margin
 
 
@@ -308,7 +299,7 @@ def _clustered(rng: np.random.Generator, count: int, apart: float) -> Arrays:
         if count > 3:
             places[-1], normals[-1] = places[0] + apart * grasp.frames[0, :, 1], normals[0]
         arrays = fixed(contacts(places, normals, grasp.friction))
-        if _depth({name: array[0] for name, array in arrays.items()}, np.zeros(6)) > CLEAR:
+        if _depth(arrays, np.zeros(6)) > CLEAR:
             return arrays
 
 
@@ -320,7 +311,7 @@ def _slippery(rng: np.random.Generator, count: int, friction: float) -> Arrays:
                 arrays = arrays_of(GRASPS.draw(rng, count).with_friction(float(f"{friction:.6g}")))
             except GraspError:
                 continue
-            if _depth({name: array[0] for name, array in arrays.items()}, np.zeros(6)) > 1e-4:
+            if _depth(arrays, np.zeros(6)) > 1e-4:
                 return arrays
         friction *= 1.5
 
@@ -329,13 +320,13 @@ def _next_to_losing_closure(rng: np.random.Generator, count: int, above: float) 
     """A grasp whose friction is by so much, relatively, above the least with which it closes."""
     while True:
         grasp, (low, high) = GRASPS.closed(rng, count), (1e-3, 1.0)
-        if feasibility(grasp.with_friction(low), np.zeros(6)).margin > 0.0:
-            continue
-        if feasibility(grasp.with_friction(high), np.zeros(6)).margin <= 0.0:
+
+        def closes(friction: float, grasp: Grasp = grasp) -> bool:
+            return feasibility(grasp.with_friction(friction), np.zeros(6)).margin > 0.0
+
+        if closes(low) or not closes(high):
             continue
         while high - low > 1e-9:
             middle = 0.5 * (low + high)
-            low, high = (
-                (low, middle) if feasibility(grasp.with_friction(middle), np.zeros(6)).margin > 0.0 else (middle, high)
-            )
+            low, high = (low, middle) if closes(middle) else (middle, high)
         return arrays_of(grasp.with_friction(float(f"{high * (1.0 + above):.7g}")))

@@ -16,11 +16,7 @@ LIMITS = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
 
 
 def grasp_of(problem: Problem) -> tuple[Grasp, ForceLimits | None]:
-    """The contacts of a problem, all of which touch, and its limits. Their frames are those of the files, up to rounding.
-
-    Raises:
-        GraspError: the package refuses them.
-    """
+    """The contacts of a problem, all of which touch, and its limits. Their frames are those of the files, up to rounding."""
     soft: dict[str, Any] = {}
     if (gamma := problem.torsional_friction) is not None:
         models = ["soft" if each > 0.0 else "hard" for each in gamma]

@@ -84,16 +84,18 @@ class Problem:
     limit_size: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, array in vars(self).items():
+        self._keep(vars(self))
+        rows, bound, size = self._limits()
+        self._keep({"normals": self.frames[:, :, 0], "matrix": self._matrix(), "limit_matrix": rows})
+        self._keep({"limit_bound": bound, "limit_size": size})
+
+    def _keep(self, arrays: dict[str, Any]) -> None:
+        """Set fields to arrays, contiguous and read-only."""
+        for name, array in arrays.items():
             if isinstance(array, np.ndarray):
-                object.__setattr__(self, name, np.ascontiguousarray(array))
-        names = ("normals", "matrix", "limit_matrix", "limit_bound", "limit_size")
-        arrays = (np.ascontiguousarray(self.frames[:, :, 0]), self._matrix(), *self._limits())
-        for name, array in zip(names, arrays, strict=True):
-            object.__setattr__(self, name, array)
-        for array in vars(self).values():
-            if isinstance(array, np.ndarray):
-                array.setflags(write=False)
+                kept = np.ascontiguousarray(array)
+                kept.setflags(write=False)
+                object.__setattr__(self, name, kept)
 
     def differs(self, earlier: Problem) -> bool:
         """True if something besides the wrench may differ from an earlier problem of the session."""
@@ -117,19 +119,19 @@ class Problem:
             made = np.concatenate([made, turning[:, :, None]], axis=2)
         if self.touching is not None:
             made = made * self.touching[:, None, None]
-        return np.ascontiguousarray(made.transpose(1, 0, 2).reshape(6, -1))
+        return made.transpose(1, 0, 2).reshape(6, -1)
 
     def _limits(self) -> tuple[Array, Array, Array]:
         n, k = self.n_contacts, self.width
+        touching = np.ones(n, dtype=bool) if self.touching is None else self.touching
         rows, bound, size = [], [], []
         for sign, limits in ((-1.0, self.min_normal), (1.0, self.max_normal)):
             for i, limit in enumerate(() if limits is None else limits):
                 if 0.0 < limit < np.inf:
                     row = np.zeros((n, k))
-                    touches = self.touching is None or bool(self.touching[i])
-                    row[i, 0] = sign * touches
+                    row[i, 0] = sign * touching[i]
                     rows.append(row)
-                    bound.append(sign * limit if touches or sign > 0.0 else 0.0)
+                    bound.append(sign * limit if touching[i] or sign > 0.0 else 0.0)
                     size.append(limit)
         if self.jacobian is not None and self.torque_limit is not None:
             bias = np.zeros(len(self.torque_limit)) if self.torque_bias is None else self.torque_bias
@@ -137,8 +139,7 @@ class Problem:
             if k == 4:
                 about = np.einsum("na,naj->nj", self.frames[:, :, 0], self.jacobian[:, 3:])
                 levers = np.concatenate([levers, about[:, None]], axis=1)
-            if self.touching is not None:
-                levers = levers * self.touching[:, None, None]
+            levers = levers * touching[:, None, None]
             for j, limit in enumerate(self.torque_limit):
                 for sign in (1.0, -1.0) if limit < np.inf else ():
                     rows.append(sign * levers[:, :, j])
@@ -235,12 +236,7 @@ def names(folder: Path = SETS) -> list[str]:
 
 
 def load(name: str, folder: Path = SETS) -> Track:
-    """A track from its files.
-
-    Raises:
-        ValueError: there is no such track, its files are not of this version, or the hash of the problems differs from that in
-            the JSON file.
-    """
+    """A track from its files, or a `ValueError` if there is none, or they are of another version or do not fit their SHA-256."""
     path = folder / f"{name}.npz"
     if not path.is_file():
         raise ValueError(f"no track {name!r} in {folder}: it holds {', '.join(names(folder))}")
@@ -269,9 +265,8 @@ def load(name: str, folder: Path = SETS) -> Track:
             for label, (arrays, references) in sessions.items()
         ], about)  # fmt: skip
         if track.digest() != about["sha256"]:
-            raise ValueError(
-                f"it does not hold the problems of {name}.json: their SHA-256 is {track.digest()}, expected {about['sha256']}"
-            )
+            told = f"their SHA-256 is {track.digest()}, expected {about['sha256']}"
+            raise ValueError(f"it does not hold the problems of {name}.json: {told}")
         return track
 
     again = "; make it again with `python -m benchmarks.force generate`"
@@ -285,18 +280,10 @@ def save(track: Track, folder: Path = SETS) -> None:
     for session in track.sessions:
         arrays |= {f"{session.name}/{name}": array for name, array in session.arrays.items()}
         for objective, reference in session.references.items():
-            arrays |= {
-                f"{session.name}/{objective}/{name}": array
-                for name, array in vars(reference).items()
-                if array is not None
-            }
-    about = {
-        "schema": SCHEMA,
-        **track.about,
-        "sha256": track.digest(),
-        "sessions": [session.name for session in track.sessions],
-        "arrays": FIELDS,
-    }
+            given = {name: array for name, array in vars(reference).items() if array is not None}
+            arrays |= {f"{session.name}/{objective}/{name}": array for name, array in given.items()}
+    about = {"schema": SCHEMA, **track.about, "sha256": track.digest()}
+    about |= {"sessions": [session.name for session in track.sessions], "arrays": FIELDS}
     path = folder / f"{track.name}.npz"
     with replacing(path) as temporary:
         np.savez_compressed(temporary, **arrays)

@@ -18,19 +18,15 @@ from grasp_env._files import replacing
 from grasp_env.grasp import Grasp
 
 FILE = Path(__file__).with_name("hands.json")
-OBJECTS: tuple[tuple[str, tuple[float, ...]], ...] = (
-    ("cuboid", (0.05, 0.05, 0.05)),
-    ("sphere", (0.03,)),
-    ("cylinder", (0.025, 0.09)),
-)
+OBJECTS = {"cuboid": (0.05, 0.05, 0.05), "sphere": (0.03,), "cylinder": (0.025, 0.09)}
 MASS, FRICTION = 0.2, 0.6
 """Mass [kg] and friction of each object."""
 DIGITS = 9
 """Number of significant digits in the file."""
 
 
-def record(hands: Sequence[str]) -> list[dict[str, Any]]:
-    """Return contacts, friction, Jacobian, torque limits and gravity torques of each hand around each object, in the object frame."""
+def write(hands: Sequence[str]) -> None:
+    """Write contacts, friction, Jacobian, torque limits and gravity torques of each hand around each object, in the object frame."""
     import gymnasium as gym
 
     from grasp_env.errors import GraspError
@@ -40,47 +36,33 @@ def record(hands: Sequence[str]) -> list[dict[str, Any]]:
     for name in hands:
         builtin = getattr(HandDescription, name, None)
         hand = HandDescription.from_file(name) if builtin is None else builtin()
-        for shape, size in OBJECTS:
-            env = gym.make(
-                "grasp_env:FourFingerGrasp-v0",
-                hand=hand,
-                shape=shape,
-                size=size,
-                mass=MASS,
-                friction=FRICTION,
-                disturbance="none",
-            )
+        for shape, size in OBJECTS.items():
+            thing = {"shape": shape, "size": size, "mass": MASS, "friction": FRICTION}
+            env = gym.make("grasp_env:FourFingerGrasp-v0", hand=hand, disturbance="none", **thing)
             try:
                 env.reset(seed=0)
-                made.append({"hand": Path(name).stem, "shape": shape, "mass": MASS, **_seen(env.unwrapped)})
+                seen = {"hand": Path(name).stem, "shape": shape, "mass": MASS, **_seen(env.unwrapped)}
+                made.append(json.dumps(seen))
             except GraspError as error:
                 print(f"{name}, {shape}: {error}")
             finally:
                 env.close()
-    return made
-
-
-def write(hands: Sequence[str], file: Path = FILE) -> None:
-    """Write the records."""
-    lines = ",\n".join(json.dumps(each) for each in record(hands))
-    with replacing(file) as temporary:
-        temporary.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    with replacing(FILE) as temporary:
+        temporary.write_text("[\n" + ",\n".join(made) + "\n]\n", encoding="utf-8")
 
 
 def recorded() -> list[tuple[str, dict[str, Any]]]:
     """Names and fields of all records."""
-    records = json.loads(FILE.read_text(encoding="utf-8"))
     return [
         (f"{each['hand']}, {each['shape']}", {k: np.array(v) if isinstance(v, list) else v for k, v in each.items()})
-        for each in records
+        for each in json.loads(FILE.read_text(encoding="utf-8"))
     ]
 
 
 def grasp_of_hand(hand: dict[str, Any]) -> Grasp:
     """The contacts of a record."""
-    return Grasp.from_contacts(
-        hand["positions"], hand["normals"] / np.linalg.norm(hand["normals"], axis=1, keepdims=True), hand["friction"]
-    )
+    normals = hand["normals"] / np.linalg.norm(hand["normals"], axis=1, keepdims=True)
+    return Grasp.from_contacts(hand["positions"], normals, hand["friction"])
 
 
 def weight(hand: dict[str, Any]) -> Array:
@@ -102,11 +84,7 @@ def coupled(hand: dict[str, Any]) -> dict[str, Any]:
     for a, b in pairs:
         joined[b, a] = 1.0
     joined = np.delete(joined, [b for _, b in pairs], axis=1)
-    return hand | {
-        "jacobian": jacobian @ joined,
-        "torque_bias": hand["torque_bias"] @ joined,
-        "torque_limit": hand["torque_limit"] @ joined,
-    }
+    return hand | {name: hand[name] @ joined for name in ("jacobian", "torque_bias", "torque_limit")}
 
 
 def _seen(env: Any) -> dict[str, Any]:

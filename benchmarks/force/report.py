@@ -38,7 +38,7 @@ def standings(rows: Rows) -> Rows:
     out = []
     for key, cell in ran.groupby([*CELL, "language"], sort=False):
         times = {str(name): _by_problem(part) for name, part in cell.groupby("method", sort=False)}
-        made = [_standing(name, part) for name, part in cell.groupby("method", sort=False)]
+        made = _standings(cell)
         most = max(row["solved"] for row in made)
         whole = [row for row in made if row["solved"] == most]
         for name, percent in (("p50", 50.0), ("p99", 99.0)):
@@ -53,31 +53,14 @@ def standings(rows: Rows) -> Rows:
             won = {"success": good, "p50": good and row["p50_low"] <= 1.0, "p99": good and row["p99_low"] <= 1.0}
             row["first"] = ", ".join(name for name, yes in won.items() if yes)
             out.append(dict(zip([*CELL, "language"], key, strict=True)) | row)
-    return (
-        pd.DataFrame(out)
-        .sort_values("mean", kind="stable")
-        .sort_values([*CELL, "language"], kind="stable", key=_places(ran))
-    )
+    made = pd.DataFrame(out).sort_values("mean", kind="stable")
+    order = {column: {value: k for k, value in enumerate(ran[column].unique())} for column in [*CELL, "language"]}
+    return made.sort_values(list(order), kind="stable", key=lambda series: series.map(order[str(series.name)]))
 
 
 def lines(rows: Rows, unit: float) -> Iterator[str]:
     """Yield the standings as text, a table for each cell."""
-    shown = [
-        "division",
-        "n",
-        "solved",
-        "solved_coarse",
-        "proved",
-        "wrong",
-        "p50",
-        "p99",
-        "max",
-        "mean",
-        "units",
-        "p50_ratio",
-        "many",
-        "first",
-    ]
+    shown = ["division", "n", *COUNTS, "p50", "p99", "max", "mean", "units", "p50_ratio", "many", "first"]
     made = standings(rows).assign(units=lambda table: table["p50"] / unit)
     for key, cell in made.groupby(CELL, sort=False):
         yield ", ".join(key)
@@ -125,8 +108,7 @@ def by_track(rows: Rows, objective: str, ours: set[str]) -> Rows:
     for (case, mode), cell in ran[ran["objective"] == objective].groupby(["case", "mode"], sort=False):
         line = {"track": case, "mode": mode}
         for language in ("C", "Python"):
-            there = cell[cell["language"] == language].groupby("method", sort=False)
-            made = [_standing(name, part) for name, part in there]
+            made = _standings(cell[cell["language"] == language])
             for label, mine in (("ours", True), ("fastest other", False)):
                 line[f"{label}, {language}"] = _fastest([row for row in made if (row["method"] in ours) == mine])
         out.append(line)
@@ -234,6 +216,10 @@ def pair_of(times: np.ndarray) -> str:
     return " / ".join(number(float(each)) for each in np.percentile(times, [50.0, 99.0]))
 
 
+def _standings(cell: Rows) -> list[dict[str, Any]]:
+    return [_standing(name, part) for name, part in cell.groupby("method", sort=False)]
+
+
 def _standing(name: Any, part: Rows) -> dict[str, Any]:
     good = part["solved"].astype(bool).to_numpy()
     times = numbers(part, "microseconds")
@@ -244,15 +230,8 @@ def _standing(name: Any, part: Rows) -> dict[str, Any]:
     many = numbers(part, "many_microseconds") if "many_microseconds" in part else np.array([np.nan])
     return {
         "many": float(np.nanmedian(many)) if np.isfinite(many).any() else np.nan,
-        "method": str(name),
-        "division": part["division"].iloc[0],
-        "n": len(part),
-        **counts,
-        "p50": p50,
-        "p99": p99,
-        "max": most,
-        "mean": mean,
-    }
+        "method": str(name), "division": part["division"].iloc[0], "n": len(part), **counts, "p50": p50, "p99": p99, "max": most, "mean": mean,
+    }  # fmt: skip
 
 
 def _by_problem(part: Rows) -> dict[Any, float]:
@@ -268,9 +247,3 @@ def _ratio(mine: dict[Any, float], other: dict[Any, float], percent: float) -> t
         return np.nan, np.nan, np.nan
     pair = np.array([[mine[key] for key in both], [other[key] for key in both]])
     return ratio_interval(*pair, of=partial(np.percentile, q=percent))
-
-
-def _places(rows: Rows) -> Any:
-    """Return a sorting key for the order of first appearance."""
-    order = {column: {value: k for k, value in enumerate(rows[column].unique())} for column in [*CELL, "language"]}
-    return lambda series: series.map(order[series.name])

@@ -10,8 +10,9 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +53,15 @@ SAME = 1e-9
 """Largest difference of equal results of two passes, relative to the largest force; they are scored once."""
 
 
-@dataclass(eq=False)
 class Timed:
     """An entrant set up for a session.
 
-    Attributes:
+    Args:
         solver: the entrant.
         task: argument of its `setup`.
         problems: its own copies of the session's problems.
+
+    Attributes:
         answers: different results of all passes for each problem; all of them are scored.
         iterations: iterations of the first pass, nan if unknown.
         seconds: (M,) least time of all passes.
@@ -67,23 +69,17 @@ class Timed:
         many: results and seconds per problem in a call of `solve_many`, if it exists.
     """
 
-    solver: Any
-    task: Task
-    problems: list[Problem]
-    answers: list[list[Parts]] = field(init=False)
-    iterations: Array = field(init=False)
-    seconds: Array = field(init=False)
-    calls: int = 0
-    many: tuple[list[Parts], float] | None = None
-
-    def __post_init__(self) -> None:
-        self.answers = [[] for _ in self.problems]
-        self.iterations, self.seconds = np.full(len(self.problems), np.nan), np.full(len(self.problems), np.inf)
-        compiled = hasattr(self.solver, "compiled")
-        self._pass = self._in_c if compiled else self._in_python
-        if compiled:
+    def __init__(self, solver: Any, task: Task, problems: list[Problem]) -> None:
+        self.solver, self.task, self.problems = solver, task, problems
+        self.answers: list[list[Parts]] = [[] for _ in problems]
+        self.iterations, self.seconds = np.full(len(problems), np.nan), np.full(len(problems), np.inf)
+        self.calls = 0
+        self.many: tuple[list[Parts], float] | None = None
+        self._pass = self._in_python
+        if hasattr(solver, "compiled"):
+            self._pass = self._in_c
             timer()  # it may have to be compiled, or there is no compiler
-        self.solver.setup(self.task)
+        solver.setup(task)
 
     def passes(self, count: int) -> float:
         """Make passes over the problems in their order; returns the seconds that they took."""
@@ -180,11 +176,7 @@ class Empty:
 
 
 def entrants(chosen: Sequence[str]) -> dict[str, Callable[[], Entrant]]:
-    """Entrants by name: those of `ENTRANTS`, FILE.py:CLASS, or FILE.so:FUNCTION.
-
-    Raises:
-        ValueError: there is no such entrant, or two have one name.
-    """
+    """Entrants by name: those of `ENTRANTS`, FILE.py:CLASS, or FILE.so:FUNCTION; others are a `ValueError`."""
     made: dict[str, Callable[[], Any]] = {}
     for spec in chosen:
         where, _, what = ENTRANTS.get(spec, spec).rpartition(":")
@@ -228,7 +220,8 @@ def measured(
     """
     rows: Rows = []
     told: dict[str, dict[str, Any]] = {}
-    for track, objective, mode in cells(tracks):
+    cells = ((track, *each) for track in tracks for each in product(track.about["objectives"], track.about["modes"]))
+    for track, objective, mode in cells:
         key = {"case": track.name, "objective": objective, "mode": mode}
         sessions = track.sessions[: effort.sessions]
         ready: dict[str, list[Timed]] = {}
@@ -236,39 +229,29 @@ def measured(
             if objective not in getattr(make, "objectives", OBJECTIVES):
                 continue
             tell(f"{track.name}, {objective}, {mode}: setting up {name}")
-            task = Task(track.name, objective, mode, sessions[0].problems[0])
             try:
-                ready[name] = [_prepared(make, session, task, effort) for session in sessions]
-            except (ImportError, NotImplementedError) as error:
-                rows.append(key | {"method": name, "reason": f"{error}"[:300]})
+                ready[name] = []
+                for session in sessions:
+                    problems = session.made()[: effort.problems]
+                    ready[name].append(Timed(make(), Task(track.name, objective, mode, problems[0]), problems))
             except Exception as error:  # other entrants continue
-                rows.append(
-                    key | {"method": name, "reason": f"its setup failed: {type(error).__name__}: {error}"[:300]}
-                )
+                del ready[name]
+                known = isinstance(error, ImportError | NotImplementedError)
+                reason = f"{'' if known else f'its setup failed: {type(error).__name__}: '}{error}"
+                rows.append(key | {"method": name, "reason": reason[:300]})
         _take_turns(ready, effort, lambda text, track=track: tell(f"{track.name}: {text}"))
         for name, each in ready.items():
             solver = each[0].solver
             told[name] = {
                 which: getattr(solver, which) for which in ("note", "training_seconds") if hasattr(solver, which)
             }
-            about = {
+            key |= {
                 "method": name, "division": getattr(solver, "division", "closed"),
                 "language": "C" if hasattr(solver, "compiled") else "Python",
             }  # fmt: skip
-            rows += [
-                key | about | row
-                for session, timed in zip(sessions, each, strict=True)
-                for row in _scored(session, timed)
-            ]
+            for session, timed in zip(sessions, each, strict=True):
+                rows += [key | row for row in _scored(session, timed)]
     return rows, told
-
-
-def cells(tracks: Sequence[Track]) -> Iterator[tuple[Track, str, str]]:
-    """All triples of track, objective and mode, in which entrants are compared."""
-    for track in tracks:
-        for objective in track.about["objectives"]:
-            for mode in track.about["modes"]:
-                yield track, objective, mode
 
 
 def unit() -> float:
@@ -286,17 +269,8 @@ def unit() -> float:
 
 @cache
 def timer() -> Any:
-    """The clock in C, compiled once.
-
-    Raises:
-        RuntimeError: there is no C compiler.
-    """
+    """The clock in C, compiled once, or a `RuntimeError` without a compiler."""
     return ctypes.CDLL(str(library("timer", [HERE / "timer.c"], ["-O2"], (HERE / "force.h",))))
-
-
-def _prepared(make: Callable[[], Any], session: Session, task: Task, effort: Effort) -> Timed:
-    problems = session.made()[: effort.problems]
-    return Timed(make(), replace(task, first=problems[0]), problems)
 
 
 def _take_turns(ready: dict[str, list[Timed]], effort: Effort, tell: Callable[[str], None]) -> None:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.force import bounds
+from benchmarks.force.bounds import Measure
 from benchmarks.force.entrant import STATUSES, Answer
 from benchmarks.force.problems import Array, Problem
 
@@ -56,26 +56,19 @@ def score(problem: Problem, objective: str, best: float, answer: Parts) -> dict[
     """
     force, multipliers, status, message = answer
     row: dict[str, Any] = {"status": status, "wrong": status == ("solved" if best == np.inf else "infeasible")}
-    proved = False
-    missed = np.inf
+    proved, missed, measure = False, np.inf, Measure.of(problem)
     if status == "infeasible" and best == np.inf:
-        proved = multipliers is not None and bounds.witness(problem, multipliers) > 0.0
+        proved = multipliers is not None and measure.witness(multipliers) > 0.0
         missed = 0.0 if proved else np.inf
     elif status == "solved" and force is not None and best < np.inf:
-        value = bounds.objective(problem, objective, force)
-        found = {
-            "gap": abs(value - best) / best, "balance": bounds.balance(problem, force), "violation": bounds.violation(problem, force),
-            "limit_excess": bounds.excess(problem, force),
+        value, level = float(measure.objective(objective, force)), LEVELS["solved"]
+        misses = {
+            "balance": measure.balance(force), "violation": measure.violation(force), "limit_excess": measure.excess(force),
         }  # fmt: skip
-        missed = max(found.values())
-        row |= found
-        if (
-            multipliers is not None
-            and max(row[name] for name in ("balance", "violation", "limit_excess")) <= LEVELS["solved"]
-        ):
-            proved = bool(
-                value - bounds.dual_bound(problem, objective, multipliers) <= LEVELS["solved"] * value < np.inf
-            )
+        row |= {"gap": abs(value - best) / best} | misses
+        missed = max(row["gap"], *misses.values())
+        if multipliers is not None and max(misses.values()) <= level:
+            proved = bool(value - measure.lower(objective, multipliers) <= level * value < np.inf)
     if message:
         row["detail"] = message
     return row | {"proved": proved} | {name: bool(missed <= level) for name, level in LEVELS.items()}

@@ -44,7 +44,6 @@ def test_a_run_is_saved_told_and_compared(tmp_path, capsys):
     assert main([*words, "b", "--compare", str(tmp_path / "a"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     before, now = (summary(read(tmp_path / name / "rows.parquet"))["microseconds_median"] for name in "ab")
-    assert len(now) == 4
     assert [row["microseconds_median"] for row in found["rows"]] == now.tolist()
     ratios = [row["ratio"] for row in found["compared"] if row["measure"] == "microseconds_median"]
     assert ratios == pytest.approx((now / before).tolist())
@@ -56,10 +55,8 @@ def test_batches(monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     rows = batch.run(batch.Settings(wrenches=200, rounds=2))
     assert rows["method"].value_counts().to_dict() == dict.fromkeys(batch.KINDS, 4) | {"peak of the process": 1}
-    one, all_cores = (
-        numbers(rows[rows["workers"] == count], "per_second") for count in sorted({*rows["workers"].dropna()})
-    )
-    np.testing.assert_allclose(numbers(rows.dropna(subset="ratio"), "ratio"), one / all_cores)
+    one, both = (numbers(rows[rows["workers"] == count], "per_second") for count in (1, 2))
+    np.testing.assert_allclose(numbers(rows.dropna(subset="ratio"), "ratio"), one / both)
     assert {*rows["solves"].dropna()} == {200}
     assert {*rows["failures"].dropna()} == {0}
     assert 20.0 < rows["mebibytes"].max() < 10_000.0

@@ -37,9 +37,7 @@ def test_against_itself(tmp_path):
     assert (old / "runs").read_text() == "\n\n"  # a process a round
     found = summary(rows[rows["reason"].isna()])
     calls, ratios, first = (found[found["case"] == case] for case in (CALL, RATIO, FIRST))
-    assert calls[["method", "side"]].to_numpy().tolist() == [
-        [name, side] for name in ROWS for side in ("now", "baseline")
-    ]
+    assert calls["method"].tolist() == [name for name in ROWS for _ in ("now", "baseline")]
     assert calls["n"].eq(8).all()
     assert calls["failed_sum"].eq(0).all()
     assert calls["apart_max"].eq(0.0).all()  # the same code
@@ -58,26 +56,18 @@ def test_lines_are_joined():
         ("now", 1, 0, 3.0, 1.1), ("now", 1, 1, 1.0, None), ("baseline", 1, 0, 2.0, 1.0), ("baseline", 1, 1, 2.0, 5.0),
     ]  # fmt: skip
     given = pd.DataFrame(lines, columns=keys).assign(method="a", contacts=4)
-    lost = (
-        given[:1].assign(method="b"),
-        pd.DataFrame([{"method": "b", "contacts": 4, "side": "baseline", "reason": "no b"}]),
-    )
-    rows = join(joined(pd.concat([given.astype(object), *lost])))
+    lost = pd.DataFrame([{"method": "b", "contacts": 4, "side": "baseline", "reason": "no b"}])
+    rows = join(joined(pd.concat([given.astype(object), given[:1].assign(method="b"), lost])))
     calls = rows[rows["case"] == CALL]
     assert calls[["side", "problem", "microseconds", "failed"]].to_numpy().tolist() == [
         ["now", 0, 2.0, False], ["now", 1, 1.0, True], ["baseline", 0, 1.0, False], ["baseline", 1, 2.0, False],
     ]  # fmt: skip
     assert calls["apart"].tolist() == pytest.approx([0.1, np.nan, 0.0, 0.0], nan_ok=True)
-    ratios = rows.loc[rows["case"] == RATIO, "ratio"]
-    assert ratios.tolist() == [1.5, 1.0]  # medians of a round: 3 over 2, then 2 over 2
+    assert rows.loc[rows["case"] == RATIO, "ratio"].tolist() == [
+        1.5,
+        1.0,
+    ]  # medians of a round: 3 over 2, then 2 over 2
     assert rows.loc[rows["method"] == "b", ["side", "reason"]].to_numpy().tolist() == [["baseline", "no b"]]
-
-
-def test_the_worst_number_of_contacts_decides_a_claim():
-    found = [("newton", 3, 0.3), ("newton", 4, 1.06), ("newton", 8, 0.4), ("conic", 4, 1.04)]
-    rows = [{"case": RATIO, "method": name, "contacts": n, "ratio_median": ratio} for name, n, ratio in found]
-    judged = [(row.measured, row.met) for row in judge(BENCHMARK.claims, pd.DataFrame(rows)) if row.measured]
-    assert judged == [(1.06, False), (1.04, True)]
 
 
 def test_what_cannot_be_compared_says_why(tmp_path):

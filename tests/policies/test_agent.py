@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -32,12 +30,16 @@ def parts(algorithm: str) -> dict[str, np.ndarray]:
     return made | ({} if algorithm == "sac" else {"log_std": rng.standard_normal(ACTIONS).astype(np.float32)})
 
 
+def saved(folder, steps=1, algorithm="ppo", weights=None, **changes):
+    meta = {**META_DATA, "algorithm": algorithm, **changes}
+    policy = parts(algorithm) if weights is None else weights
+    return write_checkpoint(folder, steps, meta, {"policy": policy}, {"normaliser": NORMALISER})
+
+
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_actions_are_those_of_numpy(algorithm, tmp_path):
     weights, (hidden, last, _) = parts(algorithm), NAMES[algorithm]
-    write_checkpoint(
-        tmp_path, 96, {**META_DATA, "algorithm": algorithm}, {"policy": weights}, {"normaliser": NORMALISER}
-    )
+    saved(tmp_path, algorithm=algorithm)
     agent, seen = TrainedAgent.load(tmp_path), np.random.default_rng(1).normal(size=(500, SEEN))
     x = np.clip((seen - 0.5) / np.sqrt(4.01), -0.6, 0.6)
     for name in (f"{hidden}.0", f"{hidden}.2"):
@@ -62,10 +64,7 @@ def test_actions_are_those_of_numpy(algorithm, tmp_path):
 
 def test_the_newest_whole_checkpoint_is_kept_and_read(tmp_path):
     for steps in (64, 128, 128):
-        weights = {name: value + steps for name, value in parts("ppo").items()}
-        write_checkpoint(
-            tmp_path, steps, {**META_DATA, "algorithm": "ppo"}, {"policy": weights}, {"normaliser": NORMALISER}
-        )
+        saved(tmp_path, steps, weights={name: value + steps for name, value in parts("ppo").items()})
     assert [path.name for path in checkpoints(tmp_path)] == ["step-000000128"]
     assert TrainedAgent.load(tmp_path).meta["steps"] == 128
     assert not list(tmp_path.glob(".*"))
@@ -76,30 +75,32 @@ def test_the_newest_whole_checkpoint_is_kept_and_read(tmp_path):
     [
         (META, lambda text: text.replace(b'"ppo"', b'"sac"'), "does not match its own sha256"),
         (META, lambda text: text.replace(b"rl-agent/3", b"rl-agent/1"), "has schema"),
-        (META, lambda text: text.replace(b'"joints": 12', b'"joints": 16'), "shows"),
         (META, lambda text: b"{", "JSON"),
         ("policy.safetensors", lambda blob: blob[:-1], "truncated or changed"),
         ("normaliser.npz", lambda blob: blob[:100], "truncated or changed"),
     ],
 )
 def test_damaged_files_are_refused(file, change, message, tmp_path):
-    folder = write_checkpoint(
-        tmp_path, 1, {**META_DATA, "algorithm": "ppo"}, {"policy": parts("ppo")}, {"normaliser": NORMALISER}
-    )
+    folder = saved(tmp_path)
     (folder / file).write_bytes(change((folder / file).read_bytes()))
     with pytest.raises(ModelFileError, match=message):
         TrainedAgent.load(folder)
 
 
-def test_layers_that_do_not_fit_are_refused(tmp_path):
-    weights = parts("ppo")
-    weights["action_net.bias"] = weights["action_net.bias"][:-1]
-    folder = write_checkpoint(
-        tmp_path, 1, {**META_DATA, "algorithm": "ppo"}, {"policy": weights}, {"normaliser": NORMALISER}
-    )
-    with pytest.raises(ModelFileError, match="incomplete or malformed"):
-        TrainedAgent.load(folder)
-    assert json.loads((folder / META).read_text())["steps"] == 1
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"joints": 16}, "shows"),
+        ({"joints": -1}, "is for a hand of 4 fingers and -1 joints"),
+        ({"action": "none"}, "acts as 'none'"),
+        ({"env_id": "FourFingerGrasp-v9"}, "was trained on 'FourFingerGrasp-v9'"),
+        ({"weights": {**parts("ppo"), "action_net.bias": np.zeros(ACTIONS - 1)}}, "incomplete or malformed"),
+        ({"weights": {**parts("ppo"), "action_net.bias": np.full(ACTIONS, np.nan)}}, "not finite"),
+    ],
+)
+def test_agents_for_something_else_are_refused(changes, message, tmp_path):
+    with pytest.raises(ModelFileError, match=message):
+        TrainedAgent.load(saved(tmp_path, **changes))
     with pytest.raises(ModelFileError, match="holds no agent"):
         TrainedAgent.load(tmp_path / "nothing")
 

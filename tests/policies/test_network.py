@@ -48,13 +48,8 @@ def test_weights_may_be_polynomials_of_the_friction():
     rule, rng = LearnedInitialForce.pretrained(), np.random.default_rng(5)
     reads = rule.sizes[0]
     numbers = {**rule.checkpoint.numbers, "sizes": [reads, 5, 6], "friction_degree": 2}
-    shapes = {
-        "layers.0.weight": (3, 5, reads),
-        "layers.0.bias": (3, 5),
-        "layers.1.weight": (3, 6, 5),
-        "layers.1.bias": (3, 6),
-    }
-    tensors = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+    shapes = {"0.weight": (3, 5, reads), "0.bias": (3, 5), "1.weight": (3, 6, 5), "1.bias": (3, 6)}
+    tensors = {f"layers.{name}": rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     tensors |= {name: rule.checkpoint.tensors[name] for name in ("reference", "pairs")}
     made = LearnedInitialForce(replace(rule.checkpoint, tensors=tensors, numbers=numbers))
     grasp, w = presets.paper_cuboid(), np.array(wrench.PAPER_CONSTANT)

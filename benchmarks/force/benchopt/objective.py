@@ -2,7 +2,7 @@
 
 from benchopt import BaseObjective
 
-from benchmarks.force.score import parted, score
+from benchmarks.force.score import parts_of, score
 
 
 class Objective(BaseObjective):
@@ -19,21 +19,14 @@ class Objective(BaseObjective):
         return {"sessions": self.sessions, "objective": self.objective}
 
     def evaluate_result(self, answers):  # noqa: D102
-        rows = [
-            score(problem, self.objective, float(best), parted(problem, answer))
-            for session, each in zip(self.sessions, answers, strict=True)
-            for problem, best, answer in zip(
-                session.problems, session.references[self.objective].value, each, strict=True
-            )
-        ]
+        rows = []
+        for session, each in zip(self.sessions, answers, strict=True):
+            values = session.references[self.objective].value.tolist()
+            for problem, best, answer in zip(session.problems, values, each, strict=True):
+                rows.append(score(problem, self.objective, best, parts_of(problem, answer)))
         unsolved = 1.0 - sum(row["solved"] for row in rows) / len(rows)
-        return {
-            "value": unsolved,
-            **{
-                name: max(row.get(name, float("inf")) for row in rows)
-                for name in ("gap", "balance", "violation", "limit_excess")
-            },
-        }
+        names = ("gap", "balance", "violation", "limit_excess")
+        return {"value": unsolved} | {name: max(row.get(name, float("inf")) for row in rows) for name in names}
 
     def get_one_result(self):  # noqa: D102
         return {"answers": [[None] * len(session.problems) for session in self.sessions]}

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
-from benchmarks.force.entrants.forms import Conic, Numbers
+from benchmarks.force.entrants.forms import Conic, Form, Numbers
 from benchmarks.force.problems import Array
 
 
@@ -27,14 +28,11 @@ class Clarabel(Conic):
         settings.chordal_decomposition_enable = False
         # forces are dual variables in the dual form: it needs more for the same accuracy
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-8 if form.in_cost else 1e-7
-        cones = [clarabel.ZeroConeT(form.equations)] if form.equations else []
-        cones += [clarabel.NonnegativeConeT(form.nonneg)] if form.nonneg else []
-        cones += [clarabel.SecondOrderConeT(size) for size in form.cones]
         self._numbers, nothing = Numbers(form.rows, form.pattern), sparse.csc_matrix((len(form.c), len(form.c)))
-        self._solver = clarabel.DefaultSolver(nothing, form.c, self._numbers.matrix, form.sides, cones, settings)
-        status = clarabel.SolverStatus
-        self._infeasible = status.DualInfeasible if form.in_cost else status.PrimalInfeasible
-        self._statuses = {status.Solved: "solved", self._infeasible: "infeasible"}
+        self._solver = clarabel.DefaultSolver(
+            nothing, form.c, self._numbers.matrix, form.sides, cones_of(clarabel, form), settings
+        )
+        self._statuses = {clarabel.SolverStatus.Solved: "solved", infeasible_of(clarabel, form): "infeasible"}
 
     def run(self, moved: bool) -> tuple[Array, Array, str]:
         """See `Conic`."""
@@ -48,3 +46,15 @@ class Clarabel(Conic):
         found = self._solver.solve()
         self.iterations = found.iterations
         return np.array(found.x), np.array(found.z), self._statuses.get(found.status, "failed")
+
+
+def cones_of(clarabel: Any, form: Form) -> list[Any]:
+    """The cones of a form, as the package `clarabel` takes them."""
+    linear = ((clarabel.ZeroConeT, form.equations), (clarabel.NonnegativeConeT, form.nonneg))
+    cones = [cone(size) for cone, size in linear if size]
+    return cones + [clarabel.SecondOrderConeT(size) for size in form.cones]
+
+
+def infeasible_of(clarabel: Any, form: Form) -> Any:
+    """The status with which Clarabel says that no force exists."""
+    return clarabel.SolverStatus.DualInfeasible if form.in_cost else clarabel.SolverStatus.PrimalInfeasible

@@ -36,9 +36,8 @@ class _FromPython:
         self._warm = task.mode == "warm" and task.objective == "phi"
         self._optimizer = self._make(grasp, "previous" if self._warm else None)
         self._solve = self._optimizer.solve
-        self._moves = ["positions", "normals", "friction"] + [
-            name for name in ("jacobian", "torque_bias") if getattr(first, name) is not None
-        ]
+        names = ("positions", "normals", "friction", "jacobian", "torque_bias")
+        self._moves = [name for name in names if getattr(first, name) is not None]
         self._loses = first.touching is not None
 
     def _make(self, grasp: Grasp, initial: Any) -> ForceOptimizer:
@@ -52,27 +51,23 @@ class _FromPython:
             self._optimizer.forget()
         try:
             solution = self._solve(problem.wrench, **now)
+            self.iterations = solution.iterations
         except InfeasibleWrenchError as error:
-            return self._answer(error.solution)
-        self.iterations = solution.iterations
+            solution = error.solution
         return self._answer(solution)
 
     def solve_many(self, problems: Sequence[Problem]) -> list[Answer]:
         """Solve a batch in vector registers, on one thread."""
         if self._loses or any(problem.moved for problem in problems):
             raise NotImplementedError
-        return [
-            self._answer(each)
-            for each in self._optimizer.solve_many(np.array([problem.wrench for problem in problems]), workers=1)
-        ]
+        wrenches = np.array([problem.wrench for problem in problems])
+        return [self._answer(each) for each in self._optimizer.solve_many(wrenches, workers=1)]
 
     def _answer(self, solution: ForceSolution) -> Answer:
         force = np.column_stack([solution.force, solution.torsion]) if self._soft else solution.force
-        multipliers = (
-            solution.multipliers
-            if self._limits is None
-            else np.concatenate([solution.multipliers, solution.limit_multipliers])
-        )
+        multipliers = solution.multipliers
+        if self._limits is not None:
+            multipliers = np.concatenate([multipliers, solution.limit_multipliers])
         if solution.status is Status.INFEASIBLE:
             return None, multipliers, "infeasible"
         return force, multipliers, "solved" if solution.status is Status.OPTIMAL else "failed"
@@ -116,15 +111,7 @@ class _Compiled(Library):
 
     def __init__(self) -> None:
         include = CORE / "include"
-        flags = [
-            "-std=c++20",
-            "-O3",
-            "-march=native",
-            "-ffp-contract=fast",
-            "-fno-math-errno",
-            "-fno-trapping-math",
-            "-Wno-psabi",
-        ]
+        flags = ["-std=c++20", "-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"]  # fmt: skip
         sources = [HERE.parents[1] / "force.h", *sorted(include.rglob("*.hpp"))]
         super().__init__(str(library("ours", [HERE], [*flags, f"-I{include}"], sources, cpp=True)), self.name)
 

@@ -29,21 +29,9 @@ class Qoco(Conic):
         self._upper, self._lower = form.halves()
         self._solver = import_module("qoco").QOCO()
         self._solver.setup(
-            n=len(form.c),
-            m=len(form.sides) - p,
-            p=p,
-            P=None,
-            c=form.c,
-            A=self._upper.matrix if self._upper else None,
-            b=form.sides[:p],
-            G=self._lower.matrix,
-            h=form.sides[p:],
-            l=form.nonneg,
-            nsoc=len(form.cones),
-            q=np.array(form.cones),
-            abstol=1e-7,
-            reltol=1e-7,
-        )
+            n=len(form.c), m=len(form.sides) - p, p=p, P=None, c=form.c, A=self._upper.matrix if self._upper else None, b=form.sides[:p],
+            G=self._lower.matrix, h=form.sides[p:], l=form.nonneg, nsoc=len(form.cones), q=np.array(form.cones), abstol=1e-7, reltol=1e-7,
+        )  # fmt: skip
         self._regularisation = self._solver.settings.kkt_dynamic_reg
 
     def run(self, moved: bool) -> tuple[Array, Array, str]:

@@ -14,15 +14,12 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from benchmarks.force.build import compiler, execute
+from benchmarks.force.build import compiler, execute, made
 from benchmarks.force.entrant import Library, Task
 from benchmarks.force.entrants import forms
-from grasp_env._files import digest, replacing
 
 OURS = Path(__file__).with_name("qocogen.c")
 HEADERS = Path(__file__).parents[1]
-LIBRARIES = Path(__file__).parents[3] / "build/qocogen"
-"""Folder of the libraries, which are for this machine (-march=native)."""
 SIZE = 10.0
 """Length of the wrench that the solver is given, as `forms.SIZE`: 30 takes 0.6 iterations more, 3 gives less accurate forces."""
 
@@ -78,35 +75,26 @@ class QocogenFast(Qocogen):
 
 
 def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
-    """The shared library for a form's pattern in `LIBRARIES`, generated and compiled if it is not there.
-
-    Raises:
-        RuntimeError: there is no compiler, or it fails.
-    """
+    """The shared library for a form's pattern, generated and compiled if it is not there, or a `RuntimeError`."""
     command = compiler("CC", "gcc", "clang", "cc")
     sizes = f"{form.pattern.shape} {form.equations} {form.nonneg} {form.cones}"
     key = "\0".join([*_versions(), command, *flags, sizes]).encode() + np.packbits(form.pattern.astype(bool)).tobytes()
-    path = LIBRARIES / f"qocogen_{digest(key)[:16]}.so"
-    if path.exists():
-        return path
-    LIBRARIES.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=LIBRARIES) as scratch, replacing(path) as built:
-        _generate(form, scratch)
-        sources = [Path(scratch, "code", f"{name}.c") for name in ("qoco_custom", "cone", "utils", "ldl", "kkt")] + [
-            OURS
-        ]
-        # GCC links -Ofast with code that makes the whole process flush small numbers to zero: compiled with it, linked without
-        objects = [Path(scratch, f"{source.stem}.o") for source in sources]
-        include = [f"-I{scratch}/code", f"-I{HEADERS}"]
-        steps = [
-            [*flags, *include, "-fPIC", "-c", str(source), "-o", str(target)]
-            for source, target in zip(sources, objects, strict=True)
-        ]
-        links = [flag for flag in flags if flag != "-Ofast"]
-        steps.append([*links, "-shared", "-o", str(built), *map(str, objects), "-lm"])
-        for options in steps:
-            execute([command, *options])
-    return path
+
+    def make(built: Path) -> None:
+        with tempfile.TemporaryDirectory() as scratch:
+            _generate(form, scratch)
+            names = ("qoco_custom", "cone", "utils", "ldl", "kkt")
+            sources = [*(Path(scratch, "code", f"{name}.c") for name in names), OURS]
+            # GCC links -Ofast with code that makes the whole process flush small numbers to zero: compiled with it, linked without
+            objects = [str(Path(scratch, f"{source.stem}.o")) for source in sources]
+            for source, target in zip(sources, objects, strict=True):
+                execute(
+                    [command, *flags, f"-I{scratch}/code", f"-I{HEADERS}", "-fPIC", "-c", str(source), "-o", target]
+                )
+            links = [flag for flag in flags if flag != "-Ofast"]
+            execute([command, *links, "-shared", "-o", str(built), *objects, "-lm"])
+
+    return made("qocogen", key, make)
 
 
 @cache
@@ -115,10 +103,7 @@ def _versions() -> tuple[str, ...]:
 
 
 def _generate(form: forms.Form, folder: str) -> None:
-    """Write the code into folder/code; random numbers on the pattern, lest a cancellation look like a zero.
-
-    Numbers that never change, those of the barrier, are the form's.
-    """
+    """Write the code into folder/code: the barrier's constants, else random numbers on the pattern, lest a cancellation look like a zero."""
     rows = form.rows if isinstance(form, forms.Barrier) else np.zeros(form.pattern.shape)
     random = np.random.default_rng(0).uniform(0.5, 1.5, form.pattern.shape)
     matrix, p = np.where(form.pattern & (rows == 0.0), random, rows), form.equations

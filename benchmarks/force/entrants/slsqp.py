@@ -34,19 +34,13 @@ class Slsqp:
         limits = limits[:, columns]
         begin = start[columns] if start is not None else -np.linalg.pinv(matrix) @ problem.wrench
         begin[::k] = np.maximum(begin[::k], 1.1 * np.hypot(begin[1::k], begin[2::k]) / mu)
-        found = minimize(
-            self._objective,
-            begin,
-            (mu, k),
-            "SLSQP",
-            jac=True,
-            constraints=[
-                {"type": "eq", "fun": lambda x: matrix @ x + problem.wrench, "jac": lambda x: matrix},
-                {"type": "ineq", "fun": _room, "jac": _room_jacobian, "args": (mu, k)},
-                {"type": "ineq", "fun": lambda x: bound - limits @ x, "jac": lambda x: -limits},
-            ],
-            options={"ftol": 1e-8, "maxiter": 300},
-        )
+        constraints = [
+            {"type": "eq", "fun": lambda x: matrix @ x + problem.wrench, "jac": lambda x: matrix},
+            {"type": "ineq", "fun": _room, "jac": _room_jacobian, "args": (mu, k)},
+            {"type": "ineq", "fun": lambda x: bound - limits @ x, "jac": lambda x: -limits},
+        ]
+        options = {"ftol": 1e-8, "maxiter": 300}
+        found = minimize(self._objective, begin, (mu, k), "SLSQP", jac=True, constraints=constraints, options=options)
         self.iterations = found.nit
         force = np.zeros(problem.matrix.shape[1])
         force[columns] = found.x
@@ -67,10 +61,8 @@ def _room_jacobian(x: Array, mu: Array, k: int) -> Array:
 
 def _torsion(gamma: Array) -> Array:
     """Rows for abs(torsion) - gamma n <= 0."""
-    each = np.eye(len(gamma))
-    return np.concatenate(
-        [np.kron(each, [[0.0, 0, 0, sign]]) - np.kron(np.diag(gamma), [[1.0, 0, 0, 0]]) for sign in (1, -1)]
-    )
+    levers = np.kron(np.diag(gamma), [[1.0, 0, 0, 0]])
+    return np.concatenate([np.kron(np.eye(len(gamma)), [[0.0, 0, 0, sign]]) - levers for sign in (1, -1)])
 
 
 def _sum(x: Array, mu: Array, k: int) -> tuple[float, Array]:
