@@ -119,6 +119,7 @@ slow: core
 
 docs: core
 	$(BIN)/sphinx-build -W --keep-going -n -j auto -q docs build/docs/html $(ARGS)
+	$(BIN)/python -m pytest -q -m site tests/test_docs.py
 
 sanitize: # test_package.py and the programs in C++ use no module of Python
 	@$(MAKE) --no-print-directory test GRASP_SANITIZE=ON ARGS="tests/core --ignore=tests/core/test_package.py $(ARGS)"

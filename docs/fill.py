@@ -5,7 +5,7 @@ python -m docs.fill --check         lists the blocks that differ from the saved 
 python -m docs.fill --save RUN...   saves the summaries of run folders, of `grasp` or of the benchmarks
 
 docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json its settings and machine, KIND.svg its picture, if it
-has one. Of the force benchmark force.parquet holds all rows. This module contains one short function for each table, a query on these files; `TABLES` lists
+has one. Of the force benchmark force.parquet holds all rows. This module is long because it contains one short function for each table, a query on these files; `TABLES` lists
 them by the names of the blocks.
 """
 
