@@ -6,7 +6,7 @@
 .PHONY: help install core stubs evaluate bench force test slow docs sanitize check format wheel clean
 BIN := .venv/bin
 STAMP := .venv/.installed
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 EDITABLE := $(PIP) --no-build-isolation -C build-dir=build/core -e
 
 ZIG := echo "taking a C++ compiler from PyPI" && $(PIP) ziglang
@@ -29,7 +29,7 @@ help:
 install: core
 
 # torch goes first and alone: resolved together with other packages a newer build with gigabytes of CUDA may come. The core is
-# compiled meanwhile; what Python compiles of a package, it compiles when it first imports it.
+# compiled meanwhile.
 $(STAMP): pyproject.toml constraints.txt
 	@fits() { "$$1" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' >/dev/null 2>&1; }; \
 	python="$(PYTHON)"; \
