@@ -8,7 +8,7 @@ from functools import cache, cached_property
 import _core_test as insides
 import numpy as np
 from oracles import limits as oracle
-from samples import LAYOUTS, Sample, sample
+from samples import Sample, sample
 
 from grasp_env.core import _core
 from grasp_env.force.solution import STARTS
@@ -185,11 +185,10 @@ class Case:
         cones = np.pad(np.kron(np.eye(self.count), facets), [(0, 0), (0, int(self.soft.sum()))])
         return np.vstack([cones, self.terms.rows]), np.append(np.zeros(len(cones)), self.terms.bound)
 
-    def solver(self, layout: tuple[int, int], method: str = "newton", **options: object) -> insides.AnyOptimizer:
-        """Solver in a layout, or in the last one that this build has; options of `AnyOptimizer.make`."""
-        layout = layout if layout in LAYOUTS else LAYOUTS[-1]
+    def solver(self, method: str = "newton", **options: object) -> insides.AnyOptimizer:
+        """Solver with options of `AnyOptimizer.make`."""
         options = {"tolerance": 1e-9, "method": METHODS[method], "criterion": int(method == "largest")} | options
-        return insides.AnyOptimizer.make(*layout, self.placement, **options, **self.limits)
+        return insides.AnyOptimizer.make(self.placement, **options, **self.limits)
 
 
 def softened(s: Sample, kind: str) -> np.ndarray:

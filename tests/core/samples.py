@@ -12,14 +12,6 @@ from oracles import geometry, newton
 COUNTS = (3, 4, 5, 8, 9, 17, 50)
 """Numbers of contacts: full and partly filled registers of 2, 4 and 8 lanes."""
 
-LAYOUTS = tuple(insides.LAYOUTS)
-"""(lanes, registers; 0: as many as needed) of a solver."""
-
-
-def layouts(count: int) -> list[tuple[int, int]]:
-    """Layouts that hold so many contacts."""
-    return [(lanes, blocks) for lanes, blocks in LAYOUTS if blocks == 0 or count <= lanes * blocks]
-
 
 @dataclass(frozen=True)
 class Sample:

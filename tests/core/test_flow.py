@@ -1,4 +1,4 @@
-"""The flows in every layout and form: iterates of the plain flow, every step rule, certificates, and where they stop."""
+"""The flows in every form: iterates of the plain flow, every step rule, certificates, and where they stop."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from oracles import reduced_flow
 from oracles.descent import followed
 from oracles.phi import lower_bound, phi
 from problems import STEP_RULES
-from samples import Sample, layouts, sample, wrenches
+from samples import Sample, sample, wrenches
 from test_optimizer import check
 
 from grasp_env.core import _core
@@ -21,12 +21,12 @@ RULES = STEP_RULES | {"fixed": FixedStep(0.003)}
 
 
 def flow(
-    s: Sample, layout: tuple[int, int], rule: StepRule | np.ndarray | None = None, form: str = "reduced",
+    s: Sample, rule: StepRule | np.ndarray | None = None, form: str = "reduced",
     tolerance: float = 1e-4, limit: int = 20_000,
 ):  # fmt: skip
     """Return solve(wrench, force, optimum, traced) -> (row, trace)."""
     numbers = rule if isinstance(rule, np.ndarray) else np.array((rule or AdaptiveStep()).parameters())
-    if form == "paper":  # for studies alone: in the layout that the core takes
+    if form == "paper":  # for studies alone
         contacts = _core.Contacts.make(s.positions, s.normals, s.scale, s.weights, np.zeros((0, 3)))
 
         def alone(wrench: np.ndarray, force: np.ndarray, optimum: float = np.nan, traced: int = 0):
@@ -38,7 +38,7 @@ def flow(
             return row, trace
 
         return alone
-    made = Case(s, np.zeros(s.count)).solver(layout, f"{form} flow", tolerance=tolerance, limit=limit, rule=numbers)
+    made = Case(s, np.zeros(s.count)).solver(f"{form} flow", tolerance=tolerance, limit=limit, rule=numbers)
 
     def solve(wrench: np.ndarray, force: np.ndarray, optimum: float = np.nan, traced: int = 0):
         return made.solve(wrench, START["given"], force=force, optimum=optimum, traced=traced)
@@ -63,25 +63,22 @@ CASES = [
 
 
 @pytest.mark.parametrize(("count", "kind", "form", "rule"), CASES)
-def test_every_layout_form_and_rule_gives_the_iterates_of_the_plain_flow(
-    count: int, kind: str, form: str, rule: str
-) -> None:
+def test_every_form_and_rule_gives_the_iterates_of_the_plain_flow(count: int, kind: str, form: str, rule: str) -> None:
     """Growing and rejected steps; few enough that no decision depends on rounding."""
     s, many = sample(count, kind), 20 if rule == "adaptive" else 12
     wrench, force, x = starts(s)
     descent, iterates = followed(x, reduced_flow.landscape(s.rows, s.weights), RULES[rule], many)
     # a line search amplifies what rounding leaves of the direction
     near = 1e-9 if rule == "adaptive" else 1e-7
-    for layout in layouts(count)[: 1 if form == "paper" else None]:
-        for k in (0, 1, 5, many):
-            row, trace = flow(s, layout, RULES[rule], form, 1e-300, k)(wrench, force, traced=many + 1)
-            assert (at(row, "code"), at(row, "iterations")) == (LIMIT, k)
-            found = row[FIELDS["force"] :][: 3 * count] * s.scale.reshape(-1)
-            np.testing.assert_allclose(found, iterates[k], rtol=0, atol=near * np.abs(iterates[k]).max())
-            np.testing.assert_allclose(trace[: k + 1], descent.values[: k + 1], rtol=near)
-            assert (trace[k + 1 :] == -1.0).all()
-            assert at(row, "objective") == trace[k]
-        assert at(row, "trials") == descent.trials >= many
+    for k in (0, 1, 5, many):
+        row, trace = flow(s, RULES[rule], form, 1e-300, k)(wrench, force, traced=many + 1)
+        assert (at(row, "code"), at(row, "iterations")) == (LIMIT, k)
+        found = row[FIELDS["force"] :][: 3 * count] * s.scale.reshape(-1)
+        np.testing.assert_allclose(found, iterates[k], rtol=0, atol=near * np.abs(iterates[k]).max())
+        np.testing.assert_allclose(trace[: k + 1], descent.values[: k + 1], rtol=near)
+        assert (trace[k + 1 :] == -1.0).all()
+        assert at(row, "objective") == trace[k]
+    assert at(row, "trials") == descent.trials >= many
 
 
 @pytest.mark.parametrize(
@@ -91,16 +88,15 @@ def test_every_layout_form_and_rule_gives_the_iterates_of_the_plain_flow(
         *((4, "hard", rule, 1e-6) for rule in RULES),
     ],
 )
-def test_every_layout_finds_the_optimum_of_the_oracle(count: int, kind: str, rule: str, tolerance: float) -> None:
+def test_the_flow_finds_the_optimum_of_the_oracle(count: int, kind: str, rule: str, tolerance: float) -> None:
     s = sample(count, kind)
     wrench, force, _ = starts(s)
     least = phi(s.minimum(wrench)[0], s.weights)
-    for layout in layouts(count):
-        row, trace = flow(s, layout, RULES[rule], "reduced", tolerance, 200_000)(wrench, force, traced=30_000)
-        check(Case(s, np.zeros(count)), wrench, row, tolerance, least)
-        known = lower_bound(nu_of(row), s.cone_matrix, wrench, s.weights)
-        assert known == pytest.approx(at(row, "lower_bound"), rel=1e-9)
-        assert (np.diff(trace[: int(at(row, "iterations")) + 1]) < 0.0).all()
+    row, trace = flow(s, RULES[rule], "reduced", tolerance, 200_000)(wrench, force, traced=30_000)
+    check(Case(s, np.zeros(count)), wrench, row, tolerance, least)
+    known = lower_bound(nu_of(row), s.cone_matrix, wrench, s.weights)
+    assert known == pytest.approx(at(row, "lower_bound"), rel=1e-9)
+    assert (np.diff(trace[: int(at(row, "iterations")) + 1]) < 0.0).all()
 
 
 @pytest.mark.parametrize("form", ["full", "paper", "reduced"])
@@ -108,7 +104,7 @@ def test_a_known_optimum_ends_it_at_the_first_iterate_near_enough(form: str) -> 
     s = sample(5)
     wrench, force, _ = starts(s)
     least = phi(s.minimum(wrench)[0], s.weights)
-    row, trace = flow(s, (8, 0), None, form, 1e-3)(wrench, force, least, 20_000)
+    row, trace = flow(s, None, form, 1e-3)(wrench, force, least, 20_000)
     assert (at(row, "code"), at(row, "lower_bound")) == (CONVERGED, least)
     last = int(at(row, "iterations"))
     assert trace[last] <= least * (1.0 + 1e-3) < trace[last - 1]
@@ -125,7 +121,7 @@ def test_no_rule_hangs() -> None:
         *([4.0, 1.0, 1.0, 0.5, precision] for precision in (1e-300, 0.999, np.nan)),
     ]  # fmt: skip
     for each in numbers:
-        row, _ = flow(s, (4, 1), np.array(each, float), "reduced", 1e-9, 30)(wrench, force)
+        row, _ = flow(s, np.array(each, float), "reduced", 1e-9, 30)(wrench, force)
         assert at(row, "code") in (CONVERGED, LIMIT, STALLED)
         assert at(row, "code") != CONVERGED or at(row, "objective") <= at(row, "lower_bound") * (1.0 + 1e-9)
 
@@ -135,12 +131,12 @@ def test_it_stalls_where_floating_point_ends_and_gets_away_from_the_apex(rule: S
     s = sample(4)
     wrench, force, _ = starts(s)
     least = phi(s.minimum(wrench)[0], s.weights)
-    row, _ = flow(s, (4, 1), rule, "reduced", 1e-300, 100_000)(wrench, force)
+    row, _ = flow(s, rule, "reduced", 1e-300, 100_000)(wrench, force)
     assert at(row, "code") in (STALLED, LIMIT) or at(row, "objective") <= at(row, "lower_bound")
     assert at(row, "objective") == pytest.approx(least, rel=1e-7)
     if rule is not RULES["fixed"]:  # which does not grow
         tiny = 1e-7 * s.rest
-        row, _ = flow(s, (4, 1), rule, "reduced", 1e-3)(np.zeros(6), tiny / s.scale.reshape(-1))
+        row, _ = flow(s, rule, "reduced", 1e-3)(np.zeros(6), tiny / s.scale.reshape(-1))
         assert at(row, "code") == CONVERGED
         assert at(row, "objective") < 1e-3 * phi(tiny, s.weights)
 
@@ -150,7 +146,6 @@ def test_contacts_that_hardly_span_the_wrenches(count: int) -> None:
     """A second Cholesky pass makes the rows orthonormal, so that iterates stay balanced: else Phi would fall below its least."""
     s = sample(count, "thin")
     wrench, force, _ = starts(s)
-    for layout in layouts(count):
-        _, trace = flow(s, layout, None, "reduced", 1e-12, 300)(wrench, force, traced=301)
-        assert (trace >= phi(s.minimum(wrench)[0], s.weights) * (1.0 - 1e-9)).all()
-        assert (np.diff(trace) < 0.0).all()
+    _, trace = flow(s, None, "reduced", 1e-12, 300)(wrench, force, traced=301)
+    assert (trace >= phi(s.minimum(wrench)[0], s.weights) * (1.0 - 1e-9)).all()
+    assert (np.diff(trace) < 0.0).all()

@@ -47,7 +47,7 @@ def depth(s: Sample) -> float:
     """Depth of the shallowest contact of an internal force in its cone, as a part of the largest force; 0 without closure."""
     if s.placement.verdict != 0:
         return 0.0
-    row = insides.AnyOptimizer.make(8, 0, s.placement).start(np.zeros(6), START["internal_force"])
+    row = insides.AnyOptimizer.make(s.placement).start(np.zeros(6), START["internal_force"])
     if row[CODE] != LIMIT:
         return 0.0
     first = FORCE + 3 * s.count
@@ -78,7 +78,7 @@ def solved(
 
 def alone(method: str, s: Sample, load: np.ndarray) -> np.ndarray:
     """(record_size,) of the solver of one problem."""
-    made = insides.AnyOptimizer.make(8, 0, s.placement, method=3 * (method == "conic"), tolerance=TOLERANCES[method])
+    made = insides.AnyOptimizer.make(s.placement, method=3 * (method == "conic"), tolerance=TOLERANCES[method])
     return made.solve(load)[0][: _core.record_size(s.count)]
 
 

@@ -1,9 +1,11 @@
-"""`ForceOptimizer` in every register layout against plain oracles: optima of Phi, Newton steps, bounds, the 12-basis and starts.
+"""`ForceOptimizer` against plain oracles: optima of Phi, Newton steps, bounds, the 12-basis and starts.
 
 One table of kinds of problems serves all tests. Everything that a record claims is computed again by code that shares nothing with the core.
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from oracles import limits as oracle
 from oracles import newton
 from oracles.phi import gradient, lower_bound, phi
 from oracles.starts import turned as turned_forces
-from samples import COUNTS, LAYOUTS, Sample, layouts, moved, sample, wrenches
+from samples import COUNTS, Sample, moved, sample, wrenches
 
 SOME = (3, 9)
 HARD = ("hard", "frictionless")
@@ -66,46 +68,41 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
             continue
         least, tolerance, found = c.value(best), 1e-10 if kind in HARD else 1e-9, found + 1
         hard = c.contacts.minimum(load)[0] / c.contacts.divisor.reshape(-1)
-        for layout in layouts(count):
-            made = c.solver(layout, tolerance=tolerance, limit=500)
-            row, _ = made.solve(load)
-            near, _ = made.solve(1.02 * load)
-            others = [made.solve(load, START["previous"], previous=each)[0] for each in (row, near)]
-            given, _ = made.solve(load, START["given"], force=hard)
-            guess, _ = made.solve(load, START["guess"], force=1.1 * hard + 0.01)
-            for each in (row, *others, given, guess):
-                check(c, load, each, tolerance, least)
-            if kind in HARD:  # Phi is flat: a gap of 1e-10 is a distance of its root over the least curvature
-                np.testing.assert_allclose(c.z(row), best, rtol=0, atol=3e-4 * np.abs(best).max())
-                known = lower_bound(nu_of(row), c.contacts.cone_matrix, load, c.contacts.weights)
-                assert known == pytest.approx(least, rel=1e-6)
-            else:  # the conditions of the optimum, with the prices of the limits as they are given
-                s, price, z = c.contacts, c.torques_and_prices(row)[1] * c.sizes, c.z(row)
-                torsion = oracle.Terms(s.weights, *(a[len(price) :] for a in c.terms[1:]))
-                pull = c.matrix.T @ np.linalg.solve(s.unit.T, nu_of(row))
-                slope = oracle.derivatives(z, torsion)[0] + c.own[0].T @ price - pull
-                np.testing.assert_allclose(slope, 0.0, atol=2e-3 * np.abs(gradient(z[: 3 * count], s.weights)).max())
+        made = c.solver(tolerance=tolerance, limit=500)
+        row, _ = made.solve(load)
+        near, _ = made.solve(1.02 * load)
+        others = [made.solve(load, START["previous"], previous=each)[0] for each in (row, near)]
+        given, _ = made.solve(load, START["given"], force=hard)
+        guess, _ = made.solve(load, START["guess"], force=1.1 * hard + 0.01)
+        for each in (row, *others, given, guess):
+            check(c, load, each, tolerance, least)
+        if kind in HARD:  # Phi is flat: a gap of 1e-10 is a distance of its root over the least curvature
+            np.testing.assert_allclose(c.z(row), best, rtol=0, atol=3e-4 * np.abs(best).max())
+            known = lower_bound(nu_of(row), c.contacts.cone_matrix, load, c.contacts.weights)
+            assert known == pytest.approx(least, rel=1e-6)
+        else:  # the conditions of the optimum, with the prices of the limits as they are given
+            s, price, z = c.contacts, c.torques_and_prices(row)[1] * c.sizes, c.z(row)
+            torsion = oracle.Terms(s.weights, *(a[len(price) :] for a in c.terms[1:]))
+            pull = c.matrix.T @ np.linalg.solve(s.unit.T, nu_of(row))
+            slope = oracle.derivatives(z, torsion)[0] + c.own[0].T @ price - pull
+            np.testing.assert_allclose(slope, 0.0, atol=2e-3 * np.abs(gradient(z[: 3 * count], s.weights)).max())
     assert found
 
 
 @pytest.mark.parametrize("kind", [*HARD, "some soft"])
 @pytest.mark.parametrize("count", SOME)
-def test_steps_are_the_oracles_in_every_layout(count: int, kind: str) -> None:
-    """Each step has the direction of the dense KKT system; layouts differ in the order of sums only."""
+def test_steps_are_the_oracles(count: int, kind: str) -> None:
+    """Each step has the direction of the dense KKT system."""
     c = case(count, kind)
     load = wrenches(np.random.default_rng(count), 1, 5.0)[0]
-    every = [[c.solver(layout, tolerance=1e-15, limit=k).solve(load)[0] for k in range(5)] for layout in layouts(count)]
-    for rows in every:
-        assert [at(row, "iterations") for row in rows] == [0, 1, 2, 3, 4]
-        for before, after, same in zip(rows, rows[1:], every[0][1:], strict=False):
-            here = c.z(before)
-            step, _ = oracle.newton_step(here, c.matrix, c.contacts.unit @ load, c.terms)
-            made = c.z(after) - here
-            alpha = float(made @ step) / float(step @ step)
-            assert 0.0 < alpha <= 1.0 + 1e-8
-            np.testing.assert_allclose(made, alpha * step, rtol=0, atol=1e-8 * np.abs(step).max())
-            np.testing.assert_array_equal(after[:3], same[:3])
-            np.testing.assert_allclose(c.z(after), c.z(same), rtol=0, atol=1e-9 * np.abs(here).max())
+    rows = [c.solver(tolerance=1e-15, limit=k).solve(load)[0] for k in range(5)]
+    assert [at(row, "iterations") for row in rows] == [0, 1, 2, 3, 4]
+    for before, after in pairwise(rows):
+        step, _ = oracle.newton_step(c.z(before), c.matrix, c.contacts.unit @ load, c.terms)
+        made = c.z(after) - c.z(before)
+        alpha = float(made @ step) / float(step @ step)
+        assert 0.0 < alpha <= 1.0 + 1e-8
+        np.testing.assert_allclose(made, alpha * step, rtol=0, atol=1e-8 * np.abs(step).max())
 
 
 @pytest.mark.parametrize("kind", [*HARD, "some soft", "all soft"])
@@ -114,18 +111,17 @@ def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(count:
     """The correction is the least change in the Hessian of Phi, torsions included."""
     c = case(count, kind)
     load, soft = wrenches(np.random.default_rng(count), 1, 5.0)[0], int(c.soft.any())
-    for layout in layouts(count):
-        before, _ = c.solver(layout, tolerance=1e-10).solve(load)
-        for now in (1.01 * load, load + 0.02 * np.abs(load).max() * np.array([1, 0, 0, 0.05, 0, 0.05])):
-            z, row = c.z(before), c.solver(layout, limit=soft).solve(now, START["previous"], previous=before)[0]
-            # from an optimum that is the Newton step, which soft contacts take: it has the last digits of the optimum besides
-            step, _ = oracle.newton_step(z, c.matrix, c.contacts.unit @ now, c.terms)
-            if not soft:
-                step = newton.tangent_correction(z, c.matrix, c.contacts.unit @ now, c.contacts.weights) - z
-            assert at(row, "code") in (LIMIT, CONVERGED)  # the optimum itself, of a large force that grows
-            assert (at(row, "start"), at(row, "replaced")) == (START["previous"], 0.0)
-            assert at(row, "iterations") == soft
-            np.testing.assert_allclose(c.z(row), z + step, rtol=0, atol=1e-5 * np.abs(step).max())
+    before, _ = c.solver(tolerance=1e-10).solve(load)
+    for now in (1.01 * load, load + 0.02 * np.abs(load).max() * np.array([1, 0, 0, 0.05, 0, 0.05])):
+        z, row = c.z(before), c.solver(limit=soft).solve(now, START["previous"], previous=before)[0]
+        # from an optimum that is the Newton step, which soft contacts take: it has the last digits of the optimum besides
+        step, _ = oracle.newton_step(z, c.matrix, c.contacts.unit @ now, c.terms)
+        if not soft:
+            step = newton.tangent_correction(z, c.matrix, c.contacts.unit @ now, c.contacts.weights) - z
+        assert at(row, "code") in (LIMIT, CONVERGED)  # the optimum itself, of a large force that grows
+        assert (at(row, "start"), at(row, "replaced")) == (START["previous"], 0.0)
+        assert at(row, "iterations") == soft
+        np.testing.assert_allclose(c.z(row), z + step, rtol=0, atol=1e-5 * np.abs(step).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -134,7 +130,7 @@ def test_a_bound_is_one_far_from_the_optimum(kind: str) -> None:
     c, load = case(5, kind), wrenches(np.random.default_rng(2), 1, 0.1 * of(kind))[0]
     best = c.minimum(load)
     assert best is not None
-    rows = [c.solver((8, 0), tolerance=1e-15, limit=k).solve(load)[0] for k in range(12)]
+    rows = [c.solver(tolerance=1e-15, limit=k).solve(load)[0] for k in range(12)]
     assert max(at(row, "lower_bound") for row in rows) <= c.value(best) * (1.0 + 1e-12)
     assert sum(at(row, "lower_bound") > 0.0 for row in rows) >= 3
     for row in rows:  # a force that is returned is inside
@@ -148,16 +144,15 @@ def test_small_and_large_forces_and_barriers(barrier: float) -> None:
     count = 5
     base = sample(count)
     c = Case(Sample(base.positions, base.normals, base.scale, base.weights * [1.0, 100.0 * barrier]), np.zeros(count))
-    made = c.solver((8, 0), tolerance=1e-6, limit=2000)
+    made = c.solver(tolerance=1e-6, limit=2000)
     for size in 10.0 ** np.arange(-9.0, 7.0, 3.0):
         load = wrenches(np.random.default_rng(count), 1, size)[0]
         check(c, load, made.solve(load)[0], 1e-6)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_the_basis_is_that_of_the_oracle(layout: tuple[int, int]) -> None:
+def test_the_basis_is_that_of_the_oracle() -> None:
     c = case(4, "frictionless")
-    s, made = c.contacts, c.solver(layout)
+    s, made = c.contacts, c.solver()
     gap, basis = made.make_basis()
     assert 0.0 <= gap <= 1e-9
     for k, wanted in enumerate(s.basis):
@@ -173,42 +168,39 @@ STARTS = ("internal_force", "linear_combination", "linear_combination_printed", 
 
 @pytest.mark.parametrize("name", STARTS)
 @pytest.mark.parametrize("count", SOME)
-def test_starts_are_balanced_inside_and_the_same_in_every_layout(count: int, name: str) -> None:
+def test_starts_are_balanced_and_inside(count: int, name: str) -> None:
     c = case(count, "hard")
     s = c.contacts
-    made = [c.solver(layout, start=START[name]) for layout in layouts(count)]
+    made = c.solver(start=START[name])
     for load in wrenches(np.random.default_rng(count), 2, 2.0):
-        w, rows = s.unit @ load, [each.start(load, START[name]) for each in made]
-        for row, each in zip(rows, made, strict=True):
-            x = c.z(row, "initial")
-            size = np.abs(x).max() + np.abs(w).max()
-            assert at(row, "code") == LIMIT
-            assert name == "lagrange" or (at(row, "replaced"), at(row, "start")) == (0.0, START[name])
-            assert at(row, "objective") == pytest.approx(phi(x, s.weights), rel=1e-9)
-            assert np.abs(s.rows @ x + w).max() <= 1e-9 * size
-            assert at(row, "residual") <= 1e-9 * size
-            assert at(row, "margin") > 0.0
-            np.testing.assert_allclose(x, c.z(rows[0], "initial"), rtol=0, atol=1e-5 * size)
-            if name.startswith("linear"):
-                wanted = newton.combine(s.basis, load, name.endswith("printed"))
-                np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-3 * size)
-            if name == "single_value":  # the least force, and a multiple of an internal force
-                wanted = -s.inverse @ w
-                share = float((x - wanted) @ s.rest / (s.rest @ s.rest))
-                np.testing.assert_allclose(x, wanted + share * s.rest, rtol=0, atol=1e-3 * size)
-                assert share >= 1.0 - 1e-3
-            solved, _ = each.solve(load, START[name])
-            np.testing.assert_allclose(c.z(solved, "initial"), x, rtol=0, atol=1e-12 * size)
-            check(c, load, solved, 1e-9)
+        w, row = s.unit @ load, made.start(load, START[name])
+        x = c.z(row, "initial")
+        size = np.abs(x).max() + np.abs(w).max()
+        assert at(row, "code") == LIMIT
+        assert name == "lagrange" or (at(row, "replaced"), at(row, "start")) == (0.0, START[name])
+        assert at(row, "objective") == pytest.approx(phi(x, s.weights), rel=1e-9)
+        assert np.abs(s.rows @ x + w).max() <= 1e-9 * size
+        assert at(row, "residual") <= 1e-9 * size
+        assert at(row, "margin") > 0.0
+        if name.startswith("linear"):
+            wanted = newton.combine(s.basis, load, name.endswith("printed"))
+            np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-3 * size)
+        if name == "single_value":  # the least force, and a multiple of an internal force
+            wanted = -s.inverse @ w
+            share = float((x - wanted) @ s.rest / (s.rest @ s.rest))
+            np.testing.assert_allclose(x, wanted + share * s.rest, rtol=0, atol=1e-3 * size)
+            assert share >= 1.0 - 1e-3
+        solved, _ = made.solve(load, START[name])
+        np.testing.assert_allclose(c.z(solved, "initial"), x, rtol=0, atol=1e-12 * size)
+        check(c, load, solved, 1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_a_given_start_is_one_or_refused(layout: tuple[int, int], kind: str) -> None:
+def test_a_given_start_is_one_or_refused(kind: str) -> None:
     """A given force must be balanced and strictly inside; a useless guess or previous solution is replaced."""
     c = case(4, kind)
     load = next(load for load in wrenches(np.random.default_rng(4), 9, of(kind)) if c.minimum(load) is not None)
-    made = c.solver(layout, tolerance=1e-8)
+    made = c.solver(tolerance=1e-8)
     row, _ = made.solve(load)
     check(c, load, row, 1e-8)
     force, torsion = c.forces(row)
@@ -237,20 +229,19 @@ def test_a_given_start_is_one_or_refused(layout: tuple[int, int], kind: str) -> 
 def test_a_guess_is_balanced_and_the_best_on_the_way(count: int) -> None:
     c, rng, used = case(count, "hard"), np.random.default_rng(count), set()
     s = c.contacts
-    for layout in layouts(count):
-        made = c.solver(layout)
-        for size in (1e-3, 0.3, 10.0):
-            load = wrenches(rng, 1, 2.0)[0]
-            w, best = s.unit @ load, s.minimum(load)[0]
-            guess = best * (1.0 + size * rng.standard_normal(3 * count))
-            row, plain = made.start(load, START["guess"], force=guess / s.divisor.reshape(-1)), made.start(load)
-            x, safe = c.z(row, "initial"), c.z(plain, "initial")
-            moved = guess - s.inverse @ (s.rows @ guess + w)
-            used.add(at(row, "replaced"))
-            assert phi(x, s.weights) <= min(phi(safe, s.weights), phi(moved, s.weights)) * (1.0 + 1e-12)
-            assert np.abs(s.rows @ x + w).max() <= 1e-12 * count * (np.abs(x).max() + np.abs(w).max())
-            share = float((x - safe) @ (moved - safe) / ((moved - safe) @ (moved - safe)))
-            np.testing.assert_allclose(x, safe + share * (moved - safe), rtol=0, atol=1e-9 * np.abs(moved).max())
+    made = c.solver()
+    for size in (1e-3, 0.3, 10.0):
+        load = wrenches(rng, 1, 2.0)[0]
+        w, best = s.unit @ load, s.minimum(load)[0]
+        guess = best * (1.0 + size * rng.standard_normal(3 * count))
+        row, plain = made.start(load, START["guess"], force=guess / s.divisor.reshape(-1)), made.start(load)
+        x, safe = c.z(row, "initial"), c.z(plain, "initial")
+        moved = guess - s.inverse @ (s.rows @ guess + w)
+        used.add(at(row, "replaced"))
+        assert phi(x, s.weights) <= min(phi(safe, s.weights), phi(moved, s.weights)) * (1.0 + 1e-12)
+        assert np.abs(s.rows @ x + w).max() <= 1e-12 * count * (np.abs(x).max() + np.abs(w).max())
+        share = float((x - safe) @ (moved - safe) / ((moved - safe) @ (moved - safe)))
+        np.testing.assert_allclose(x, safe + share * (moved - safe), rtol=0, atol=1e-9 * np.abs(moved).max())
     assert 0.0 in used
 
 
@@ -258,7 +249,7 @@ def test_a_guess_is_balanced_and_the_best_on_the_way(count: int) -> None:
 def test_the_combination_follows_moved_contacts(count: int) -> None:
     """The tangent correction carries it; it is replaced where that leaves the cones or more than doubles Phi."""
     c, replaced = case(count, "hard"), set()
-    s, made = c.contacts, c.solver((8, 0), start=START["linear_combination"], limit=0)
+    s, made = c.contacts, c.solver(start=START["linear_combination"], limit=0)
     for seed, w in enumerate(wrenches(np.random.default_rng(count), 5)):
         for size in (1e-3, 0.03, 0.1, 0.3, 2.0):
             there, combined = moved(s, size, seed), newton.combine(s.basis, w)

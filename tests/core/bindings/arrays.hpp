@@ -37,27 +37,6 @@ template <class F> auto with_lanes(int lanes, F&& f) {
     throw nb::value_error("lanes: 1, 2, 4 or 8");
 }
 
-// The layouts that the tests compare: lanes, and registers where their number is fixed (0: as many as needed). Plain numbers, a register
-// that contacts do not fill, and what the core chooses for few contacts; it takes the others itself. A solver takes long to compile: under
-// the sanitizers there is one.
-#ifdef GRASP_SANITIZE
-inline constexpr int LAYOUTS[][2] = {{8, 0}};
-#else
-inline constexpr int LAYOUTS[][2] = {{1, 0}, {8, 0}, {4, 1}};
-#endif
-
-template <template <class, int> class Made, class Base, class... Arguments>
-std::unique_ptr<Base> instance_of(int lanes, int blocks, const Arguments&... arguments) {
-    using grasp::Lanes;
-    const int layout = 10 * lanes + blocks;
-    if (layout == 80) return std::make_unique<Made<Lanes<8>, 0>>(arguments...);
-#ifndef GRASP_SANITIZE
-    if (layout == 10) return std::make_unique<Made<Lanes<1>, 0>>(arguments...);
-    if (layout == 41) return std::make_unique<Made<Lanes<4>, 1>>(arguments...);
-#endif
-    throw nb::value_error("a layout of LAYOUTS is needed");
-}
-
 // grasp::Contacts under a name of this module's own: _core registers the type itself.
 struct Placement {
     grasp::Contacts contacts;

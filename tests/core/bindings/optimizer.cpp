@@ -1,4 +1,4 @@
-// The engine behind `ForceOptimizer`, in every layout.
+// The engine behind `ForceOptimizer`, with its rows and starts as they are.
 #include <grasp/optimizer.hpp>
 
 #include <nanobind/stl/optional.h>
@@ -41,10 +41,10 @@ class AnyOptimizer {
 public:
     explicit AnyOptimizer(std::unique_ptr<detail::Engine> on) : on_(std::move(on)) {}
     // limits: min_normal, max_normal (N,), jacobian (N, 3 or 6, J), torque_limit, torque_bias (J,); rule: (5,) of `StepRule`
-    static std::unique_ptr<AnyOptimizer> make(int lanes, int blocks, const Placement& p, int method, int criterion, int start,
-                                              double tolerance, int limit, bool elastic, const Some& min_normal,
-                                              const Some& max_normal, const Some& jacobian, const Some& torque_limit,
-                                              const Some& torque_bias, const Some& rule, const Predicts* predicts) {
+    static std::unique_ptr<AnyOptimizer> make(const Placement& p, int method, int criterion, int start, double tolerance,
+                                              int limit, bool elastic, const Some& min_normal, const Some& max_normal,
+                                              const Some& jacobian, const Some& torque_limit, const Some& torque_bias,
+                                              const Some& rule, const Predicts* predicts) {
         Options options{.method = Method(method),
                         .criterion = Criterion(criterion),
                         .start = Start(start),
@@ -54,7 +54,7 @@ public:
         if (const Doubles r = all(rule); !r.empty()) options.step_rule = {int(r[0]), r[1], r[2], r[3], r[4]};
         if (predicts) options.model = predicts->model;
         const Problem problem{p.contacts, {all(min_normal), all(max_normal), all(jacobian), all(torque_limit), all(torque_bias)}};
-        return std::make_unique<AnyOptimizer>(instance_of<detail::LaneEngine, detail::Engine>(lanes, blocks, problem, options));
+        return std::make_unique<AnyOptimizer>(detail::make_engine(problem, options));
     }
     std::unique_ptr<AnyOptimizer> clone() const { return std::make_unique<AnyOptimizer>(on_->clone()); }
 
@@ -124,10 +124,9 @@ void bind_optimizer(nb::module_& m) {
             return Predicts{model(sizes, weights, pairs, null_space)};
         });
     nb::class_<A>(m, "AnyOptimizer")
-        .def_static("make", &A::make, "lanes"_a, "blocks"_a, "placement"_a, "method"_a = 0, "criterion"_a = 0, "start"_a = 0,
-                    "tolerance"_a = 0.0, "limit"_a = 20000, "elastic"_a = false, "min_normal"_a = none, "max_normal"_a = none,
-                    "jacobian"_a = none, "torque_limit"_a = none, "torque_bias"_a = none, "rule"_a = none,
-                    "model"_a.none() = none)
+        .def_static("make", &A::make, "placement"_a, "method"_a = 0, "criterion"_a = 0, "start"_a = 0, "tolerance"_a = 0.0,
+                    "limit"_a = 20000, "elastic"_a = false, "min_normal"_a = none, "max_normal"_a = none, "jacobian"_a = none,
+                    "torque_limit"_a = none, "torque_bias"_a = none, "rule"_a = none, "model"_a.none() = none)
         .def("clone", &A::clone)
         .def("solve", &A::solve, "wrench"_a, "start"_a = 0, "force"_a = none, "torsion"_a = none, "previous"_a = none,
              "optimum"_a = std::numeric_limits<double>::quiet_NaN(), "traced"_a = 0, "positions"_a = none, "normals"_a = none)

@@ -77,9 +77,6 @@ nb::object boundary_of(int lanes, In x, In move) {
 }  // namespace
 
 void bind_phi(nb::module_& m) {
-    nb::list layouts;
-    for (const auto& [lanes, blocks] : LAYOUTS) layouts.append(nb::make_tuple(lanes, blocks));
-    m.attr("LAYOUTS") = layouts;
     m.def("phi", &phi_of), m.def("gradient", &gradient_of), m.def("along", &along_of);
     m.def("inverse_hessian", &inverse_hessian_of), m.def("dual", &dual_of), m.def("dual_near", &dual_near_of);
     m.def("boundary", &boundary_of);
