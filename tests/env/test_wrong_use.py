@@ -42,7 +42,7 @@ WRONG: list[tuple[str, dict[str, Any], str]] = [
     ("override", {"task": {"size": 0.01}}, r"task.size'.*\(none\)"),
     ("override", {"task": "six_directions", "disturbance": "random"}, "pushes by itself"),
     ("override", {"initial_force": "best"}, r"'linear_combination'.* or give a rule\(grasp, wrench\)"),
-    ("override", {"object": 3}, "object must be a ObjectDescription, or a dict"),
+    ("override", {"object": 3}, "object must be of class ObjectDescription, or a dict"),
     ("override", {"engine": {"name": "bullet", "rate": 100}}, "engine.rate must be a multiple of controller.rate"),
     ("override", {"controller": {"rate": 333}}, "controller.rate must be a multiple of agent.rate, got 333 and 50"),
     ("override", {"sensors": {"delay": 1e6}}, "sensors.delay must be at most 4000 s"),
