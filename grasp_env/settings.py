@@ -177,7 +177,9 @@ def record(kind: type[Settings]) -> Kind:
         if isinstance(value, dict):
             return kind().replaced(value, name)
         if not isinstance(value, kind):
-            raise InvalidInputError(f"{name} must be of class {kind.__name__}, or a dict of its settings, got {shown(value)}")
+            raise InvalidInputError(
+                f"{name} must be of class {kind.__name__}, or a dict of its settings, got {shown(value)}"
+            )
         return value
 
     return Kind(take, f"{kind.__name__} or dict", (kind,))
