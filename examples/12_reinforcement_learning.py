@@ -4,7 +4,7 @@ Train an agent with stable-baselines3
 
 PPO adjusts the solver's start so that the paper's flow needs fewer iterations. To learn: one thread for a small
 network, ``VecNormalize`` for observations up to 500, a TensorBoard row at every update, and a comparison with the zero
-action, the paper's start. The few steps of this page teach almost nothing; with 65536 as argument, a minute of one
+action, the paper's start. The few steps of this page teach almost nothing; with 65536 as argument, two minutes of one
 core, the agent's starts took 28.9 iterations, the paper's 56.3.
 """
 
