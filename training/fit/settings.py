@@ -43,7 +43,7 @@ class FitConfig:
         force_weight: omega of Phi.
         barrier_weight: lambda of Phi [N^2].
         threads: 1 or 2 threads that share each batch; the result has the same bits.
-        quick: a small training that ends within a minute; the model card marks it.
+        quick: a small training of about a minute; the model card marks it.
     """
 
     preset: str = "paper_cuboid"
