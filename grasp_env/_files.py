@@ -52,12 +52,13 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
         kind = os.fstat(file.fileno())
         if not stat.S_ISREG(kind.st_mode) and not stat.S_ISFIFO(kind.st_mode):
             raise OSError(22, "it is a device, not a file", str(name))
-        blob, end = bytearray(), time.monotonic() + LONGEST
+        blob, end, poll = bytearray(), time.monotonic() + LONGEST, select.poll()
+        poll.register(file, select.POLLIN)
         # files under /proc give a wrong size: no more than `most` is read either way
         while max(len(blob), kind.st_size) <= most:
             part = file.read(min(_BLOCK, most + 1 - len(blob)))
             left = max(0.0, min(PATIENCE, end - time.monotonic()))
-            if part is None and not select.select([file], [], [], left)[0]:
+            if part is None and not poll.poll(1e3 * left):
                 raise OSError(110, "nothing comes out of this pipe", str(name))
             if part == b"":
                 return bytes(blob)

@@ -224,13 +224,14 @@ def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, Any,
     if limits is None:
         return None, None, None, None, None
     arrays: Any = vars(limits)  # arrays after __post_init__
-    least, most, jacobian, torque, bias = (arrays[name] for name in LimitArrays._fields)
+    least, most, jacobian, torque, bias = map(arrays.__getitem__, LimitArrays._fields)
     if least.ndim == 0:
         least = np.full(n_contacts, least) if least else None
     if most.ndim == 0:
         most = np.full(n_contacts, most) if most < np.inf else None
-    if any(each is not None and len(each) != n_contacts for each in (least, most, jacobian)):
-        limits.checked(n_contacts)  # raises, with the reason
+    for each in (least, most, jacobian):
+        if each is not None and len(each) != n_contacts:
+            limits.checked(n_contacts)  # raises, with the reason
     return least, most, jacobian, torque, bias
 
 
@@ -270,7 +271,9 @@ def _check_order(least: Array, most: Array) -> None:
         raise InvalidInputError(
             f"min_normal has {len(least)} entries and max_normal {len(most)}: give one or N of each"
         ) from None
-    for k in np.flatnonzero(least >= most)[:1]:
+    crossing = np.flatnonzero(least >= most)
+    if crossing.size:
+        k = crossing[0]
         raise InvalidInputError(
             f"max_normal must be > min_normal at every contact; at contact {k} they are {most[k]:g} and {least[k]:g}"
         )

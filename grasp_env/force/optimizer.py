@@ -124,7 +124,7 @@ class ForceOptimizer:
         settings = (method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic)
         with AllFaults() as check:
             self.options, self._grasp = check(checked_options, *settings), check(as_grasp, grasp)
-            self.limits = check(as_limits, limits)
+            self.limits = limits if limits is None else check(as_limits, limits)
             self._initial = initial if initial is None else check(checked_initial, initial)
         if elastic and limits is None:
             raise InvalidInputError("elastic=True is for limits that no force satisfies: give limits")
@@ -145,7 +145,7 @@ class ForceOptimizer:
             start, remembers = PREVIOUS, True
         elif isinstance(initial, str):
             start, remembers = STARTS.index(initial), initial == "previous"
-        elif isinstance(initial, LearnedRule):
+        elif initial is not None and isinstance(initial, LearnedRule):  # a protocol is slow to compare with
             start, remembers = LEARNED, bool(initial.remembers)
             try:
                 model = call_rule(initial, initial.model, grasp, options.objective)

@@ -50,7 +50,15 @@ class ContactModels:
         cls, models: str | Sequence[str], friction: ArrayLike, torsional_friction: ArrayLike | None, count: int
     ) -> ContactModels:
         """Check the models of `count` contacts; see `Grasp.from_contacts` for the arguments and errors."""
-        named = as_text(models)
+        named, within = as_text(models), ranges.FRICTION
+        if (
+            named == "hard"
+            and torsional_friction is None
+            and type(friction) is float
+            and within.low <= friction <= within.high
+        ):
+            # new contacts in a control loop: no checks of each
+            return cls._made(("hard",) * count, np.full((count, 2), friction), np.zeros(count))
         if isinstance(models, np.ndarray) and models.ndim == 1 and len(models) == count:
             models = models.tolist()
         each = [named] * count if named is not None else as_list(models)
@@ -60,7 +68,11 @@ class ContactModels:
         names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in each)
         mu = _friction(friction, np.array([name != "frictionless" for name in names], dtype=bool))
         gamma = _torsional(torsional_friction, np.array([name == "soft" for name in names], dtype=bool))
-        cone_scale = np.empty((count, 3))
+        return cls._made(names, mu, gamma)
+
+    @classmethod
+    def _made(cls, names: tuple[str, ...], mu: Array, gamma: Array) -> ContactModels:
+        cone_scale = np.empty((len(names), 3))
         core.cone_scale(mu, cone_scale)
         # dividing by the factor that multiplied returns a force to the last bit; x / inf = 0
         arrays = mu, gamma, cone_scale, np.where(cone_scale > 0.0, cone_scale, np.inf)
@@ -89,15 +101,15 @@ def _friction(value: ArrayLike, rough: np.ndarray) -> Array:
 
 def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
     """Return gamma (N,), checked for the contacts that are `soft` (N,), 0 for the others."""
-    if value is None and soft.any():
+    if value is None and not soft.any():
+        return np.zeros(len(soft))
+    if value is None:
         raise InvalidInputError(
             "soft contacts need torsional_friction: |torsion| <= torsional_friction * normal [m], a scalar or (N,); "
             "about 0.005 for a fingertip with a contact patch of 1 cm radius"
         )
-    given: ArrayLike = 0.0 if value is None else value
-    return _each(
-        given, "torsional_friction", ((), soft.shape), soft, ranges.TORSIONAL_FRICTION, "at every soft contact"
-    )
+    shapes = (), soft.shape
+    return _each(value, "torsional_friction", shapes, soft, ranges.TORSIONAL_FRICTION, "at every soft contact")
 
 
 def _each(

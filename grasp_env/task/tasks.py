@@ -48,7 +48,7 @@ class Task(Settings):
     """A short description for pictures, with settings in braces."""
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
-        """Return the force (T, 3) at the centre of an object of a mass [kg] [N], world frame, at times (T,) [s], a `tick` [s] apart."""
+        """Return the force (T, 3) [N] at the centre of an object of `mass` [kg], world frame, at `times` (T,) [s], `tick` [s] apart."""
         return np.zeros((len(times), 3))
 
     def target(self, times: Array, tick: float) -> Array:
