@@ -32,7 +32,8 @@ def shown(value: object) -> str:
     if isinstance(shape, tuple) and dtype is not None:  # an array: its numbers if they are few
         if not math.prod(shape) <= 36:
             return f"{type(value).__name__} of shape {tuple(shape)} and type {dtype}"
-        value = value.tolist() if hasattr(value, "tolist") else value
+        numbers = getattr(value, "tolist", None)
+        value = value if numbers is None else numbers()
     try:
         text = _SHORT.repr(value)
     except ValueError:  # more digits than Python writes
