@@ -554,9 +554,8 @@ def _call(operator: Any, function: Any, *args: Any) -> Any:
 
     The function costs a fifth of the operator's own autograd kernel, and also supports `torch.func.grad`.
     """
-    differentiated = (
-        torch.is_grad_enabled() or forward_ad._current_level >= 0
-    )  # an autograd function refuses forward mode
+    # an autograd function refuses forward mode
+    differentiated = torch.is_grad_enabled() or forward_ad._current_level >= 0
     if differentiated and not torch.compiler.is_compiling():
         return function.apply(*args)
     return operator(*args)

@@ -150,10 +150,8 @@ def _ray(on: str) -> Iterator[tuple[Runner, int]]:
     import ray  # pyright: ignore[reportMissingImports]
 
     try:
-        address, quiet = (
-            on if on.startswith("ray://") else "auto",
-            {"logging_level": logging.ERROR, "log_to_driver": False},
-        )
+        address = on if on.startswith("ray://") else "auto"
+        quiet: Any = {"logging_level": logging.ERROR, "log_to_driver": False}
         ray.init(address=address, runtime_env={"env_vars": THREADS}, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise InvalidInputError(

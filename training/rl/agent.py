@@ -57,9 +57,7 @@ def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
     torch.set_num_threads(1)  # more threads do not help networks this small
     common: Any = {"learning_rate": config.learning_rate, "gamma": config.gamma, "seed": seed, "device": "cpu"}
     if config.algorithm == "ppo":
-        rollout = (
-            max(config.rollout // config.envs // 8, 1) * 8
-        )  # steps of an environment, divisible into eight batches
+        rollout = 8 * max(config.rollout // config.envs // 8, 1)  # steps of an environment: eight batches
         policy = {"net_arch": _WIDTHS, "log_std_init": math.log(config.deviation)}
         size = rollout * config.envs // 8
         return PPO("MlpPolicy", envs, n_steps=rollout, batch_size=size, n_epochs=10, policy_kwargs=policy, **common)

@@ -33,10 +33,8 @@ _OPPOSED = 0.45  # largest norm of the shortest convex combination of normals
 _PUSHED = 0.3  # weight of normal forces that motors do not make
 _APART = 0.004  # least distance between sites of the same fingers [m]
 _LOOKS = 40  # rotations drawn to find one with the wanted direction of the palm
-_PLAIN, _FEW = (
-    2,
-    20,
-)  # rounds that use whole ranges of joints; number of sites below which later rounds use parts of them
+_PLAIN = 2  # rounds that use whole ranges of joints
+_FEW = 20  # number of sites below which later rounds use parts of these ranges
 _SPAN = 0.8  # largest part of a range in these rounds [rad]
 _PARTS = 3  # parts of a range in turn: lower end, middle, upper end
 _BESIDE = 0.1  # standard deviation of half of the later postures around those of sites found [rad]

@@ -30,10 +30,8 @@ _FINE = 5000  # number of faces above which a mesh is simplified before it is cu
 _GRAINS = 150.0  # number of grid cells along the extent of a simplified mesh
 _SMALLEST, _LARGEST = 1e-5, 5.0  # [m] extent of a mesh
 _CRUMBS = 40  # number of parts above which a mesh is cut as a whole
-_VISUAL_CORNERS, _VISUAL_ERROR = (
-    256,
-    2e-4,
-)  # of the hull of a visual mesh in which a tip is fitted, and its relative error
+_VISUAL_CORNERS = 256  # of the hull of a visual mesh in which a tip is fitted
+_VISUAL_ERROR = 2e-4  # relative error of that hull
 _MADE = "1"  # version of the pieces; change it when they change, so that older cache entries are not used
 
 

@@ -21,10 +21,8 @@ from grasp_env.sim.hand.solids import hull_of, outline
 from grasp_env.sim.hand.tree import Geometry
 
 # forces at a fingertip [N]; makers' files give 4 (Allegro), 6 (LEAP), 9 (Inspire), 20 (Shadow, Dex3) and 59 (a prosthesis)
-TIP_FORCE, JAW_FORCE = (
-    15.0,
-    20.0,
-)  # assumed of an unknown motor, at the tip of a straight finger, and of a sliding joint
+TIP_FORCE = 15.0  # assumed of an unknown motor, at the tip of a straight finger
+JAW_FORCE = 20.0  # assumed of a sliding joint
 LARGEST_TIP_FORCE = 100.0  # largest plausible one; a human index finger has 50
 LARGEST_ROUND_TIP_FORCE = 30.0  # the same if all finger joints have one effort of 10, 100, ... N m; makers' have 2 to 9
 LARGEST_JAW_FORCE = 1000.0  # effort from which on that of a sliding joint is implausible [N]; grippers have 20 to 235
