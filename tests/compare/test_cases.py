@@ -113,8 +113,8 @@ def test_changes_of_contact_carry_the_forces_by_place():
 
 
 def test_recordings_move_and_impacts_are_impacts():
-    (problems,) = record(1, np.random.default_rng(0), "random", ("four_finger",), 5)
-    assert len(problems) == 5
+    problems, *others = record(4, np.random.default_rng(0), "random", ("four_finger", "three_finger"), 5)
+    assert [len(each) for each in (problems, *others)] == [5] * 4  # one for each step, none of closing the fingers
     assert not np.array_equal(problems[0][0].positions, problems[-1][0].positions)
     for case in make_cases("rollout_fixed", 5, 0):
         assert np.linalg.norm((case.wrench - case.before[1]) / RADII) >= IMPACT

@@ -55,8 +55,9 @@ def record(
         with closing(FourFingerGrasp(hand=hand, **own)) as env:
             for k in range(place, episodes, len(hands)):
                 running = episode(env, seeds[k], most=steps)
-                noted = found[k]  # without the problems of closing the fingers
+                noted = found[k]
                 deque(running, maxlen=0)
+                noted = []  # for the problems of closing the fingers, which do not count
     return found
 
 
