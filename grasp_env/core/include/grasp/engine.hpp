@@ -720,9 +720,10 @@ private:
             if (start_replaced_) used_start_ = Start::phase_one, call.start = From::combination;
             StopRule left = stop;
             int spent = 0;
-            if (used_start_ == Start::phase_one && start != Start::phase_one && unlimited_optimum(ask, options_.limit, spent)) {
+            if (used_start_ == Start::phase_one && start != Start::phase_one) {
+                const bool good = unlimited_optimum(ask, options_.limit / 2, spent);
                 left.limit = std::max(0, left.limit - spent);
-                call.start = From::given, call.force = force_.data(), call.torsion = torsion_.data();
+                if (good) call.start = From::given, call.force = force_.data(), call.torsion = torsion_.data();
             }
             general_.phi(call, left, record);
             record.summary().iterations += spent, record.summary().trials += spent;
