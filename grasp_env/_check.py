@@ -94,7 +94,7 @@ def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
         raise InvalidInputError(
             f"{name} must be {'a number' if found is None else 'finite and'} > 0, got {shown(value)}"
         )
-    return number(found, name, within)
+    return found if within.low <= found <= within.high else number(found, name, within)
 
 
 def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:

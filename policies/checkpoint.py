@@ -69,13 +69,14 @@ class Checkpoint:
                 raise ModelFileError(
                     f"model weights {file} do not match the sha256 in their .json: the file is truncated or was changed; {_AGAIN}"
                 )
-            made = cls(load(blob), *(dict(meta[name]) for name in ("numbers", "ranges", "card")))
+            ranges = {name: (low, high) for name, (low, high) in meta["ranges"].items()}
+            made = cls(load(blob), dict(meta["numbers"]), ranges, dict(meta["card"]))
             for name, value in made.tensors.items():
                 if value.dtype not in (np.float32, np.float64) or not (np.abs(value) <= np.finfo(np.float32).max).all():
                     raise ValueError(f"tensor {name[:40]!r} is not finite in float32")
             return made
 
-        return parsed(file, read, ModelFileError, f"model {stem}", "a complete model", f"; {_AGAIN}", MOST_WEIGHTS)
+        return parsed(file, read, ModelFileError, f"model weights {file}", "those of a complete model", f"; {_AGAIN}", MOST_WEIGHTS)
 
     def expect(self, shapes: dict[str, tuple[int, ...]]) -> None:
         """Raise `ModelFileError` unless the tensors have exactly these names and shapes."""

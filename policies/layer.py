@@ -226,8 +226,7 @@ class GraspForceLayer(nn.Module):
 
 
 def _settings(infeasible: str, tolerance: float, max_iterations: int, chunk: int | None) -> tuple[Any, ...]:
-    if not (type(max_iterations) is int and 0 <= max_iterations <= ITERATIONS):  # a check takes 0.7 us
-        max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
+    max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
     chunk = chunk if chunk is None else whole(chunk, "chunk", 1)
     return choice(infeasible, "infeasible", MODES), positive(tolerance, "tolerance", TOLERANCE), max_iterations, chunk
 
