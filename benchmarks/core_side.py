@@ -1,4 +1,4 @@
-"""One side of the benchmark `core`: `python -c <this source> OUT PROBLEMS PASSES BEGIN ROW...` in any checkout.
+"""One side of the benchmark `core`: `python -c <this source> OUT PROBLEMS PASSES BEGIN ROW...` in a checkout.
 
 It imports only numpy and parts of `grasp_env` that both checkouts have, and writes its rows as lines of JSON.
 """

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import util
@@ -99,7 +99,7 @@ def measure(name: str, rate: int, seconds: float, language: str, program: Path |
     """One run of the loop; program: the compiled example, else it is built. A controller that fails is a `SimulationError`."""
     hand = SimulatedHand(name, rate)
     mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ended: Callable[[float], Any] | None = None
+    process: Any = None
     try:
         with tempfile.TemporaryDirectory() as scratch, other:
             folder = Path(scratch)
@@ -107,19 +107,22 @@ def measure(name: str, rate: int, seconds: float, language: str, program: Path |
                 given = other, hand.hand, float(rate), hand.friction
                 process = multiprocessing.get_context("spawn").Process(target=serve, args=given, daemon=True)
                 process.start()
-                ended = process.join
             else:
                 file = hand.scene.kinematics.export(folder / "hand")
                 words = [program or build(folder), str(other.fileno()), file, str(rate), f"{hand.friction:.17g}"]
-                ended = subprocess.Popen(words, pass_fds=[other.fileno()]).wait
+                process = subprocess.Popen(words, pass_fds=[other.fileno()])
             other.close()
             loop = Loop(hand, mine, rate)
             loop.run(seconds)
             return loop
     finally:
         mine.close()  # which ends the controller
-        if ended is not None:
-            ended(10.0)
+        if process is not None:
+            wait = process.join if language == "python" else process.wait
+            with suppress(subprocess.TimeoutExpired):
+                wait(10.0)
+            process.kill()  # if it hangs
+            wait()
         hand.env.close()
 
 

@@ -14,7 +14,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 from xml.etree.ElementTree import Element, TreeBuilder, XMLParser
 
 import numpy as np
@@ -32,6 +32,7 @@ PATIENCE = 10.0
 LONGEST = 60.0
 """Longest time for reading a pipe [s]."""
 _BLOCK = 1 << 16
+T = TypeVar("T")
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
@@ -129,11 +130,11 @@ def parsed(
 
 
 def understood(
-    blob: bytes, read: Callable[[bytes], Any], error: type[GraspError], name: str, form: str, hint: str = ""
+    content: T, read: Callable[[T], Any], error: type[GraspError], name: str, form: str, hint: str = ""
 ) -> Any:
-    """Return `read(blob)` with the errors of `parsed`."""
+    """Return `read(content)` with the errors of `parsed`."""
     try:
-        return read(blob)
+        return read(content)
     except GraspError:
         raise
     except Exception as problem:  # each format's reader has its own

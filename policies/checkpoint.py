@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import load, save
 
-from grasp_env._files import TEXT, as_path, digest, parsed, replacing
+from grasp_env._files import TEXT, as_path, digest, parsed, replacing, understood
 from grasp_env.errors import ModelFileError, shown
 
 SCHEMA = "grasp-force/initial-force/5"
@@ -61,22 +61,27 @@ class Checkpoint:
             ModelFileError: missing, no file, too large, not JSON, another schema, changed, numbers that are not finite in float32.
         """
         stem = _stem(path)
-        file = _file(stem, ".safetensors")
-        meta = described(_file(stem, ".json"), SCHEMA, "model description", "grasp fit", MOST_TEXT)
+        file, about = _file(stem, ".safetensors"), _file(stem, ".json")
+        meta = described(about, SCHEMA, "model description", "grasp fit", MOST_TEXT)
 
-        def read(blob: bytes) -> Checkpoint:
+        def tensors(blob: bytes) -> dict[str, np.ndarray]:
             if digest(blob) != meta["weights"]:
                 raise ModelFileError(
                     f"model weights {file} do not match the sha256 in their .json: the file is truncated or was changed; {_AGAIN}"
                 )
-            ranges = {name: (low, high) for name, (low, high) in meta["ranges"].items()}
-            made = cls(load(blob), dict(meta["numbers"]), ranges, dict(meta["card"]))
-            for name, value in made.tensors.items():
+            made = load(blob)
+            for name, value in made.items():
                 if value.dtype not in (np.float32, np.float64) or not (np.abs(value) <= np.finfo(np.float32).max).all():
                     raise ValueError(f"tensor {name[:40]!r} is not finite in float32")
             return made
 
-        return parsed(file, read, ModelFileError, f"model weights {file}", "those of a complete model", f"; {_AGAIN}", MOST_WEIGHTS)
+        def rest(meta: dict[str, Any]) -> tuple[Any, ...]:
+            ranges = {name: (low, high) for name, (low, high) in meta["ranges"].items()}
+            return dict(meta["numbers"]), ranges, dict(meta["card"])
+
+        hint = f"; {_AGAIN}"
+        found = parsed(file, tensors, ModelFileError, f"model weights {file}", "a file of weights", hint, MOST_WEIGHTS)
+        return cls(found, *understood(meta, rest, ModelFileError, f"model description {about}", "complete", hint))
 
     def expect(self, shapes: dict[str, tuple[int, ...]]) -> None:
         """Raise `ModelFileError` unless the tensors have exactly these names and shapes."""
@@ -114,11 +119,11 @@ def described(file: Path, schema: str, what: str, command: str, most: int = TEXT
             told = f"has schema {shown(found)}, this version reads {schema!r}: train anew with `{command}`"
             raise ModelFileError(f"{what} {file} {told}")
         if meta.pop("sha256", None) != signature(meta):  # which refuses nan
-            told = f"it was changed; copy all files again or train anew with `{command}`"
-            raise ModelFileError(f"{what} {file} does not match its own sha256: {told}")
+            raise ModelFileError(f"{what} {file} does not match its own sha256: it was changed{again}")
         return meta
 
-    return parsed(file, read, ModelFileError, f"{what} {file}", "JSON", most=most)
+    again = f"; copy all files again or train anew with `{command}`"
+    return parsed(file, read, ModelFileError, f"{what} {file}", "JSON", again, most)
 
 
 def _stem(path: str | Path) -> Path:

@@ -1,7 +1,8 @@
 """Bounds and proofs from a force, multipliers or a witness, computed from the problem alone.
 
-`Measure` holds every formula, for NumPy's floats and for object arrays of `decimal.Decimal`, which `exact.py` gives it. Forces and moments are compared in N: moments are taken about the centre of the contacts that touch and
-divided by their root mean square distance from it.
+`Measure` holds every formula, for NumPy's floats and for object arrays of `decimal.Decimal`, which `exact.py` gives it. Forces and
+moments are compared in N: moments are taken about the centre of the contacts that touch and divided by their root mean square distance
+from it.
 
 The multipliers are (nu, p), those of balance (6,) and the prices of the limits (L,) >= 0. The gradient of an objective is
 G^T nu - B^T p plus a part that the cones carry, and d objective / d wrench = -nu. This module needs numpy only.
