@@ -47,10 +47,10 @@ def pose_error(scene: core.Scene, target: np.ndarray) -> np.ndarray:
     return error
 
 
-def balanced(scene: core.Scene, target: np.ndarray = REST, external: np.ndarray = NO_WRENCH) -> np.ndarray:
+def balanced(scene: core.Scene, target: np.ndarray = REST) -> np.ndarray:
     """The wrench to balance with the default gains, (6,)."""
     made = controller(scene)
-    made.see(None, external, GRAVITY, target, None)
+    made.see(None, NO_WRENCH, GRAVITY, target, None)
     return made.arrays()["wrench"]
 
 

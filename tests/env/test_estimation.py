@@ -8,10 +8,12 @@ from hands import controller_alone, scene_alone
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
+from grasp_env.config import EnvConfig
 from grasp_env.control.sensing import NoiseRows, keep_factor
 from grasp_env.sim import Scene
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.snapshot import Snapshot
+from grasp_env.task import RandomWrench
 from grasp_env.task.motion import resting_target
 
 TICK = 0.004
@@ -91,6 +93,21 @@ def test_a_spinning_body_needs_no_wrench_and_a_payload_is_a_weight() -> None:
     assert np.abs(quiet[1:, 3:]).max() < 0.1 * np.abs(gyroscopic).max()
     heavy = estimates(hold(np.zeros((250, 6)), 0, mass=1.5 * MASS))
     np.testing.assert_allclose(heavy[150:, :3].mean(axis=0), 0.5 * MASS * GRAVITY, atol=0.03)
+
+
+def test_a_random_wrench_is_found_and_a_filter_trades_noise_for_lag() -> None:
+    """5 % of the thumb's 6 N and the fingers' 2 N is 0.34 N per axis; the best filter is between none and a slow one."""
+    wrench = RandomWrench()(TICK * np.arange(500), np.random.default_rng(1), EnvConfig())
+    trial, error = hold(wrench, 1), {}
+    exact = estimates(trial)[1:] - wrench
+    assert np.sqrt((exact[:, :3] ** 2).mean()) < 0.02
+    assert np.sqrt((exact[:, 3:] ** 2).mean()) < 5e-4
+    for time in (0.0, 0.02, 0.3):
+        late = estimates(trial, time=time, noise=0.05)[1:] - wrench
+        error[time] = np.sqrt((late[:, :3] ** 2).mean())
+    assert error[0.0] == pytest.approx(0.05 * np.sqrt((SQUEEZE**2).sum()), rel=0.15)
+    assert error[0.02] < 0.7 * error[0.0]
+    assert error[0.02] < 0.7 * error[0.3]
 
 
 def look(made: core.Controller, wrench: np.ndarray, noise: np.ndarray) -> Snapshot:

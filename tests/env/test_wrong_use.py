@@ -46,6 +46,7 @@ WRONG: list[tuple[str, dict[str, Any], str]] = [
     ("override", {"engine": {"name": "bullet", "rate": 100}}, "engine.rate must be a multiple of controller.rate"),
     ("override", {"controller": {"rate": 333}}, "controller.rate must be a multiple of agent.rate, got 333 and 50"),
     ("override", {"sensors": {"delay": 1e6}}, "sensors.delay must be at most 4000 s"),
+    ("override", {"duration": 1e6}, "limits.duration must be at most 4000 s"),
     ("override", {"sensors": {"delay": -1.0}, "reward": {"held": "a"}}, r"sensors.delay .*; reward.held must"),
     ("override", {"approach": "down", "contact_points": POINTS}, "leave one of them out"),
     ("override", {"randomize": ("colour",)}, "'shape', 'size', 'mass', 'friction'"),

@@ -101,6 +101,16 @@ def test_grasps_of_every_kind_side_by_side(method: str) -> None:
     np.testing.assert_array_equal(without.records, batch.records[ordinary])
 
 
+def test_grasps_near_rank_loss_are_solved_alone() -> None:
+    """Contacts nearly on a line, where the order of sums matters more than rounding: the bits of single calls."""
+    base = ring(8)
+    points = [base.positions * [1.0, 1e-3, 1e-3] * (1.0 + 0.03 * k) for k in range(9)]
+    grasps = [Grasp.from_contacts(each, base.normals, 0.5) for each in points]
+    loads = np.random.default_rng(4).standard_normal((9, 6)) * np.repeat([1.0, 0.01], 3)
+    for found, grasp, load in zip(optimize_forces(grasps, loads), grasps, loads, strict=True):
+        np.testing.assert_array_equal(found.force, attempt(lambda g=grasp, w=load: optimize_force(g, w)).force)
+
+
 # threads, processes, interrupts
 
 LOADS = sample_ball(np.random.default_rng(0), 100)

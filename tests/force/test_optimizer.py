@@ -277,6 +277,10 @@ def test_words_name_what_the_proof_needs() -> None:
         InfeasibleWrenchError, match=rf"excess is {100.0 * exceeded.limit_excess:.3g} % .* elastic=False names"
     ):
         exceeded.raise_for_status()
+    proven = optimize_forces(RING, [heavy], limits=many)[0]
+    with pytest.raises(InfeasibleWrenchError, match=r"The error of optimize_force names") as caught:
+        proven.raise_for_status()
+    assert f"The twist is {[round(v, 6) for v in proven.certificate.tolist()]}." in str(caught.value)
     positions = RING.positions.copy()
     with pytest.raises(InfeasibleWrenchError, match="and 6 more") as caught:
         ForceOptimizer(RING, limits=many).solve(heavy)

@@ -50,9 +50,9 @@ class Holder:
         self.forces = inner + (np.linalg.pinv(matrix) @ rest).reshape(-1, 3)
         return grasp_torques(scene, self.forces)
 
-    def settle(self, scene: Scene, duration: float = 0.5) -> None:
-        """Hold for a while [s] and save the state as "settled"."""
-        for _ in range(round(duration / scene.timestep)):
+    def settle(self, scene: Scene) -> None:
+        """Hold for half a second and save the state as "settled"."""
+        for _ in range(round(0.5 / scene.timestep)):
             scene.step(self(scene))
         scene.keep("settled")
 

@@ -78,13 +78,12 @@ def together(*meshes: trimesh.Trimesh) -> Any:
     return trimesh.util.concatenate(meshes)
 
 
-def load(folder: Path, mesh: trimesh.Trimesh, name: str = "a.obj", **settings: Any) -> tuple[ObjectDescription, str]:
+def load(folder: Path, mesh: trimesh.Trimesh, **settings: Any) -> tuple[ObjectDescription, str]:
     """The object, and its warnings."""
-    options: dict[str, Any] = {"digits": 17} if name.endswith(".obj") else {}
-    mesh.export(folder / name, **options)
+    mesh.export(folder / "a.obj", digits=17)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        item = ObjectDescription.from_mesh(folder / name, **settings)
+        item = ObjectDescription.from_mesh(folder / "a.obj", **settings)
     assert all(issubclass(each.category, GraspWarning) for each in told)
     return item, "; ".join(str(each.message) for each in told)
 
