@@ -136,6 +136,7 @@ REFUSED = [
     (starts_of("a=no_module:rule"), "is not there: neither in the working directory nor installed"),
     (starts_of("ball is round={own}:outside"), "needs a name of letters"),
     (starts_of("newton={own}:outside"), "the name newton is taken"),
+    (starts_of("a={own}:outside", solvers=("a={own}:Solver",)), "the name a is taken"),
     (starts_of(*(f"s{k}={{own}}:outside" for k in range(9))), "at most 8 starts and solvers of yours, got 9"),
     (starts_of(solvers=("b={own}:NoSolver",)), "has no method solve: give it solve"),
     (starts_of(solvers=("b={own}",)), "names nothing: give --solver NAME=module:Class"),

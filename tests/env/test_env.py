@@ -108,6 +108,11 @@ def test_actions_move_the_start_of_every_optimisation_and_not_the_optimum() -> N
         assert episode(5, method=method)[1][-1]["objective"] == pytest.approx(base, rel=3e-4)
 
 
+def test_without_an_action_mode_actions_are_ignored() -> None:
+    ignored, zero = (episode(3, action_mode="none", action=np.full(1, a, np.float32))[0] for a in (1.0, 0.0))
+    np.testing.assert_array_equal(ignored, zero)
+
+
 def test_contact_forces_as_actions_hold_the_object() -> None:
     """The optimum of the solver, given as an action, is commanded without a solver, and the object stays."""
     force, scale = episode(5, disturbance="none")[1][-1]["commanded_force"], 8.0
@@ -199,7 +204,8 @@ def test_a_picture_is_in_the_world_frame_and_names_the_end() -> None:
     assert note.lines[0] == ("lost after", f"{env._tick * env._loop.dt:.2f} s")
     assert note.lines[1] == ("drift", f"{1e3 * env._outcome.drift:.2f} mm")
     env.reset(seed=0, options={"wrench": np.zeros(6)})
-    assert (later := env._annotation(env.scene)).scale == note.scale  # lighter loads are drawn at the same scale
+    later = env._annotation(env.scene)
+    assert (later.scale, later.turn) == (note.scale, note.turn)  # lighter loads are drawn at the same scale
     env.close()
     fixed = FourFingerGrasp(render_mode="rgb_array", pictures={"force": 8.0, "moment": 1e-3})
     fixed.reset(seed=0)

@@ -127,6 +127,7 @@ def test_the_summary_is_recomputed_by_numpy():
         (Claim("a difference", "start == 'net'", "iterations_median", "within", 50, "start == 'paper'", True), -63.0, False),
         (Claim("least", "start == 'net'", "iterations_median", ">=", 6), 5.0, False),
         (Claim("no such start", "start == 'other'", "iterations_median", "<=", 60), None, None),
+        (Claim("no such column", "case == 'ball'", "drift_max", "<=", 60), None, None),
         (Claim("no such key", "hand == 'ball'", "iterations_median", "<=", 60), None, None),
     ],
 )  # fmt: skip

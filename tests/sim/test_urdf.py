@@ -188,6 +188,7 @@ END, DRIVE, RATIO = "</robot>", '<mimic joint="drive"', 'multiplier="1.5"'
         ('link name="finger"', "link", "<link> has no name"),
         (DRIVE, '<mimic joint="tip"', "the joints 'mid', 'tip' mimic each other in a loop"),
         (DRIVE, '<mimic joint="none"', "'mid' mimics 'none', which is not a joint of the file; joints are"),
+        (RATIO, 'multiplier="0"', "ratio=0.0 does not move the joint"),
         ('name="drive" type="revolute"', 'name="drive" type="fixed"', "mimics 'drive', which does not move"),
     ],
 )
