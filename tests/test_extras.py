@@ -115,6 +115,14 @@ COMMANDS = {
 }
 
 
+def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from training.demo import record
+
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(MissingExtraError, match=r'this needs imageio_ffmpeg: pip install "grasp-force\[video\]"'):
+        record(tmp_path / "hand.mp4")
+
+
 def test_commands_name_their_extras_in_one_line(tmp_path: Path) -> None:
     script = f"""
 import contextlib, io, os

@@ -43,6 +43,7 @@ def test_same_bits_whatever_came_before(settings: dict[str, Any]) -> None:
     assert len(set(objects)) == (4 if settings is OBJECTS else 2 if settings.get("task") else 1)
     assert info["object_shape"] == objects[-1].shape
     env.reset(seed=0, options={"wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 4.0]})
+    assert settings is OBJECTS or env.scene.config.object == objects[0]  # without the payload
     while not env.step(ZERO)[2]:  # lost
         pass
     assert rollout(env, 3) == first

@@ -319,8 +319,9 @@ def test_operators_pass_the_check_of_torch() -> None:
 
 def test_modules_are_copied_and_used_by_workers() -> None:
     module, given = GraspForceLayer("elastic", tolerance=1e-8, chunk=100), problems("hard", 2)
+    assert "infeasible='elastic', tolerance=1e-08, max_iterations=200, chunk=100" in repr(module)
     for copied in (copy.deepcopy(module), pickle.loads(pickle.dumps(module))):
-        assert repr(copied) == repr(module)  # which names the settings
+        assert repr(copied) == repr(module)
         assert torch.equal(copied(**given).force, module(**given).force)
     loader = torch.utils.data.DataLoader(Forces(), batch_size=2, num_workers=1, multiprocessing_context="fork")
     torch.testing.assert_close(next(iter(loader)), grasp_force(**given).force, rtol=1e-9, atol=1e-12)
@@ -346,6 +347,7 @@ def test_a_start_saves_iterations_which_are_limited(backend: str) -> None:
 WRONG: dict[str, tuple[dict[str, Any], type[GraspError], str]] = {
     "mode": ({"infeasible": "elastc"}, UnknownNameError, "did you mean 'elastic'"),
     "iterations": ({"max_iterations": 2.5}, InvalidInputError, "max_iterations"),
+    "tolerance": ({"tolerance": 0.0}, InvalidInputError, "tolerance"),
     "chunk": ({"chunk": 0}, InvalidInputError, "chunk"),
     "no tensor": ({"positions": [[1.0, 0.0, 0.0]]}, InvalidInputError, r"positions must be a tensor \(..., N, 3\)"),
     "integers": ({"wrench": torch.ones(1, 6, dtype=torch.int64)}, InvalidInputError, "wrench must be of a floating-point type"),

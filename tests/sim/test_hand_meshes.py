@@ -19,6 +19,7 @@ from grasp_env.sim.hand.files.pieces import convex_pieces
 from grasp_env.sim.hand.solids import MAX_CORNERS, cut_below, few_corners, outline, shrunk
 from grasp_env.sim.hand.tree import Geometry
 from grasp_env.sim.hand.urdf import hand_files
+from grasp_env.sim.objects.cache import entries
 
 BOX = trimesh.creation.box((0.02, 0.03, 0.04))
 BALL = solid('<sphere radius="0.01"/>')
@@ -203,6 +204,7 @@ def test_the_second_reading_makes_and_reads_nothing_again(tmp_path: Path, monkey
     assert len(first.palm.collision) == 2
     corners, faces = np.array(bent().vertices), np.array(bent().faces)
     kept = pieces.kept_pieces(corners, faces, "of a model")
+    assert ("of a model", "hand") in {(entry.name, entry.use) for entry in entries()}
     for module, name in ((pieces, "convex_pieces"), (mesh_files, "read_mesh_bytes"), (meshes, "_corners_exist")):
         monkeypatch.setattr(module, name, fail)
     assert read(tmp_path, text, ["finger"])[0] == first
@@ -255,9 +257,10 @@ def write_dae(folder: Path, asset: str) -> None:
         ("/dev/zero", None, "neither beside the URDF nor"),
         ("http://example.org/a.obj", None, "only file://, package:// and plain paths"),
         ("a" * 5000 + ".obj", None, "neither beside the URDF nor"),
+        ("", None, "lacks filename="),
         ("a.dae", "inch", '<unit meter="inch">, which must be a number of metres above 0'),
     ],
-    ids=["millimetres", "a point", "kind", "device", "address", "long", "inches"],
+    ids=["millimetres", "a point", "kind", "device", "address", "long", "no name", "inches"],
 )  # fmt: skip
 def test_files_that_are_no_mesh_of_a_hand_are_refused(tmp_path: Path, name: str, content: Any, message: str) -> None:
     if isinstance(content, str):

@@ -148,6 +148,7 @@ def test_list_and_clear(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixtu
         ("show {ball} --out a.obj", "--out belongs to `grasp object mend`"),
         ("show {ball} --draw a.jpg", "must end in .png"),
         ("show {ball} --scale 100", "give --scale 0.001"),
+        ("show {ball} --size 1", "size must be an integer >= 16"),
         ("mend nowhere.txt", ".obj, .stl"),
         ("show {ball} --draw /nowhere/a.png", "/nowhere"),
     ],

@@ -151,6 +151,8 @@ def test_inertia_by_slices_and_copies(shape: str) -> None:
 def test_invalid_numbers(fields: dict[str, Any], message: str) -> None:
     with pytest.raises((InvalidInputError, UnknownNameError), match=message):
         ObjectDescription(**fields)
+    with pytest.raises(InvalidInputError, match="a sphere has no faces; only shape 'mesh' has"):
+        _ = ObjectDescription("sphere").faces
     with pytest.raises(InvalidInputError, match="not both"):
         ObjectDescription.from_mesh("a.stl", density=1000.0, mass=0.1)
 

@@ -158,8 +158,10 @@ def test_closed_scenes_and_copies(make_scene: Callable[..., Scene], engine: Any)
     pytest.importorskip(f"{'py' if engine.name == 'bullet' else ''}{engine.name}", reason="the engine is not installed")
     scene = make_scene(engine=engine)
     scene.look()
+    server = scene.simulator.client.number if engine.name == "bullet" else None
     scene.close()
     scene.close()
+    assert server is None or not bullet.isConnected(server)
     calls: list[Callable[[], object]] = [
         scene.look, scene.reset, scene.keep, lambda: scene.step(np.zeros(12)), lambda: scene.change_object(mass=0.1),
         lambda: scene.set_gravity(np.zeros(3)), lambda: scene.load(SceneConfig(engine=engine)),

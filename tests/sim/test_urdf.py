@@ -94,6 +94,12 @@ def test_visual_meshes_are_left_out_and_tip_radius_makes_a_tip(tmp_path: Path) -
     assert [shape.kind for shape in made.links[0].collision + made.links[0].visual] == ["sphere", "sphere"]
 
 
+@pytest.mark.parametrize(("given", "limit"), [([3.0], 3.0), ({"bend": 3.0}, 3.0), ({}, 2.0)])
+def test_torques_are_those_given_else_those_of_the_file(tmp_path: Path, given: Any, limit: float) -> None:
+    made, told = read(tmp_path, SMALL, torque_limit=given)
+    assert (made.torque_limits.tolist(), told) == ([limit], "")
+
+
 def test_coupled_and_sliding_joints_are_read(tmp_path: Path) -> None:
     made, _ = read(tmp_path, CHAINED, ["end"])
     links = {each.joint: each for each in made.links}
