@@ -103,7 +103,7 @@ class Told:
         return [np.zeros(12)] * len(problems)
 
 
-@pytest.mark.parametrize("mode", ["persistent", "warm"])
+@pytest.mark.parametrize("mode", ["persistent", "warm", "cold"])
 def test_python_is_timed_by_the_least_of_its_passes(mode, monkeypatch):
     now = [0]
     monkeypatch.setattr("time.perf_counter_ns", lambda: now[0])
@@ -111,12 +111,12 @@ def test_python_is_timed_by_the_least_of_its_passes(mode, monkeypatch):
     timed = run.Timed(Told(now), Task("", "sum", mode, each[0]), each)
     timed.passes(2)
     np.testing.assert_allclose(1e6 * timed.seconds, [5.0, 3.0, 8.0])
-    assert timed.iterations.tolist() == [2.0, 3.0, 4.0]
+    assert timed.iterations.tolist() == ([1.0] * 3 if mode == "cold" else [2.0, 3.0, 4.0])  # counted since `setup`
     assert [answer.status for (answer,) in timed.answers] == ["solved", "solved", "failed"]
     assert timed.answers[2][0].message == "ZeroDivisionError: none"
     assert timed.answers[1][0].force[0] == (mode == "warm")
     assert timed.calls == 2
-    assert (timed.many is None) == (mode == "warm")
+    assert (timed.many is None) == (mode != "persistent")
 
 
 def test_the_answers_of_all_passes_are_scored():

@@ -147,6 +147,7 @@ def test_given_points_are_moved_to_the_surface() -> None:
     ("point", "normal", "message"),
     [
         ([0.0, 0.0, 0.02], None, "30.00 mm inside"),
+        ([0.0, 0.0, 0.06], None, "10.00 mm outside"),
         ([0.0, 0.0, 0.05], [0.0, 0.0, 1.0], "inward normal"),
         ([0.0, 0.0, 0.05], [0.0, 0.1, -1.0], "inward normal"),
         ([0.0, 0.0, 0.05], [0.0, 0.0, 0.0], "must not be zero"),

@@ -102,6 +102,8 @@ THUMB = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
         (partial(make_link, lower=1.0, upper=-1.0), "lower=1.0 must be below upper=-1.0"),
         (partial(make_link, inertia=(1e-5, 2e-5, 0, 1e-5, 0, 1e-5)), "all must be above 0"),
         (partial(make_link, inertia=(1e-5, 0, 0, 1e-5, 0, 3e-5)), "the largest is below the sum of the other two"),
+        (partial(hand, 3), "must be a list of Links"),
+        (partial(hand, [3]), "got 3 in it"),
         (partial(hand, [GOOD], ()), "fingertips=.. is empty"),
         (partial(hand, [NEXT, GOOD]), "parent 'a' of link 'b' stands after it"),
         (partial(hand, [GOOD, make_link("b", "c")]), "parent 'c' of link 'b' is not a link; known are palm, a"),

@@ -125,6 +125,8 @@ def test_the_palm_looks_where_it_is_wanted(
 def test_hands_that_cannot_be_placed() -> None:
     with pytest.raises(InvalidInputError, match=r"surround it at 0 places.*none is left.* No two of its fingers"):
         place_hand(jaws(), ObjectDescription("sphere", (0.4,), torsional_friction=0.01))
+    with pytest.raises(InvalidInputError, match=r"surround it at 0 places.*none is left"):
+        place_hand(gripper(3, 2), ObjectDescription("sphere", (0.4,)))
     with pytest.raises(InvalidInputError, match=r"soft contacts only.* torsional_friction \[m\], 0.0056 "):
         place_hand(jaws(), BALL)
     # two sides of a cube lie in the jaws, and the palm is at least 35 degrees off its diagonal

@@ -191,6 +191,7 @@ END, DRIVE, RATIO = "</robot>", '<mimic joint="drive"', 'multiplier="1.5"'
         ('mass value="0.1"', 'mass value="-1"', "mass=-1.0 kg must be above 0"),
         (SPHERE, "", "fingertip 'finger' has no shape to lie in; pass tip_radius="),
         ("<sphere", "<cone", "the shape <cone> is not one of"),
+        ('radius="0.01"', 'radius="0"', "size=.* must be above 0"),
         ('link name="finger"', "link", "<link> has no name"),
         (DRIVE, '<mimic joint="tip"', "the joints 'mid', 'tip' mimic each other in a loop"),
         (DRIVE, '<mimic joint="none"', "'mid' mimics 'none', which is not a joint of the file; joints are"),

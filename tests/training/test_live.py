@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -261,6 +262,13 @@ def test_the_command_shows_a_urdf_and_saves_its_recording_at_ctrl_c(tmp_path):
     assert re.fullmatch(r"(grasp: repaired: .*\n)*grasp: interrupted\n", err)
     film = recorded(record)
     assert any(each["type"] == "SetPositionMessage" for _, each in film["messages"])
+
+
+def test_it_ends_after_the_given_time(bare, capsys):
+    began = time.monotonic()
+    bare.run(seconds=0.2)
+    assert 0.2 <= time.monotonic() - began < 20.0
+    assert capsys.readouterr().out.startswith("http://127.0.0.1:")
 
 
 def test_a_long_recording_ends_and_is_saved(bare, tmp_path, monkeypatch, capsys):
