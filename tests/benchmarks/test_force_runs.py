@@ -119,8 +119,9 @@ def test_python_is_timed_by_the_least_of_its_passes(mode, monkeypatch):
     assert (timed.many is None) == (mode != "persistent")
 
 
-def test_the_answers_of_all_passes_are_scored():
-    """An entrant that answers in its first pass only has not solved the problem."""
+@pytest.mark.parametrize("factor", [1.01, None])
+def test_the_answers_of_all_passes_are_scored(factor):
+    """An entrant whose later passes give another force, or none, has not solved the problem."""
     best = ForceOptimizer(presets.paper_cuboid(), method="conic", tolerance=1e-10).solve(WRENCH)
 
     class Once:
@@ -131,7 +132,8 @@ def test_the_answers_of_all_passes_are_scored():
             pass
 
         def solve(self, problem, start=None):
-            return self.answers.pop() if self.answers else 1.01 * best.force
+            later = factor and factor * best.force
+            return self.answers.pop() if self.answers else later
 
     optimum = problems.Reference(
         *np.full((4, 1), best.objective), best.force.reshape(1, -1), np.array([best.multipliers])
