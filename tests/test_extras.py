@@ -105,6 +105,14 @@ for statement, extra in {IMPORTS}.items():
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
+def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from training.demo import record
+
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(MissingExtraError, match=r'this needs imageio_ffmpeg: pip install "grasp-force\[video\]"'):
+        record(tmp_path / "hand.mp4")
+
+
 COMMANDS = {
     "fit": "train",
     "rl": "sim,train,report",
@@ -113,14 +121,6 @@ COMMANDS = {
     "reproduce": "report",
     "demo --video hand.gif": "sim",
 }
-
-
-def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from training.demo import record
-
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(MissingExtraError, match=r'this needs imageio_ffmpeg: pip install "grasp-force\[video\]"'):
-        record(tmp_path / "hand.mp4")
 
 
 def test_commands_name_their_extras_in_one_line(tmp_path: Path) -> None:

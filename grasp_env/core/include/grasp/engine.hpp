@@ -721,6 +721,7 @@ private:
             StopRule left = stop;
             int spent = 0;
             if (used_start_ == Start::phase_one && start != Start::phase_one) {
+                // half of the steps at most, so that some are left if it fails
                 const bool good = unlimited_optimum(ask, options_.limit / 2, spent);
                 left.limit = std::max(0, left.limit - spent);
                 if (good) call.start = From::given, call.force = force_.data(), call.torsion = torsion_.data();
