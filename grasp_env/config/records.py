@@ -70,9 +70,11 @@ class Solver(Settings):
         "linear_combination", one_of((*RULES, "previous"), "a rule(grasp, wrench) -> (N, 3) forces [N]", callable),
         "Start rule: its name, or any function.",
     )  # fmt: skip
-    force_weight: float = setting(1.0, real(ranges.FORCE_WEIGHT), "Weight of the forces in Phi.")
+    force_weight: float = setting(
+        1.0, real(ranges.FORCE_WEIGHT), "Weight of the forces in Phi, and of the normal forces under `conic`."
+    )
     barrier_weight: float = setting(
-        0.01, real(ranges.BARRIER_WEIGHT), "Weight of the barrier in Phi: a larger one keeps the forces further from slipping.", unit="N^2"
+        0.01, real(ranges.BARRIER_WEIGHT), "Weight of the barrier in Phi: a larger one keeps the forces further from slipping. `conic` has no barrier.", unit="N^2"
     )  # fmt: skip
     tolerance: float = setting(
         1e-4, real(ranges.TOLERANCE), "Relative gap to the certified bound at which the optimisation ends."
@@ -80,6 +82,14 @@ class Solver(Settings):
     max_iterations: int = setting(
         5000, integer(0), "Largest number of iterations of one optimisation, such as real time allows."
     )
+
+    def agree(self) -> None:
+        """Raise an error if a barrier is set for the method without one."""
+        if self.method == "conic" and self.barrier_weight != 0.01:
+            raise InvalidInputError(
+                f"solver.method 'conic' has no barrier, got solver.barrier_weight={self.barrier_weight:g}: take solver.method='newton', "
+                "or leave solver.barrier_weight out"
+            )
 
 
 @dataclass(frozen=True)

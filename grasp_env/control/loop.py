@@ -257,8 +257,9 @@ def make_optimizer(grasp: Grasp, config: EnvConfig, initial_force: str | Initial
     elif isinstance(initial, str) and initial in RULES and initial != "linear_combination":
         # made for the contacts of each call, not for the planned ones
         initial = initial_rule(initial, Objective(config.solver.force_weight, config.solver.barrier_weight))
+    barrier = None if method == "conic" else config.solver.barrier_weight
     return ForceOptimizer(
-        grasp, method=method, initial=initial, force_weight=config.solver.force_weight, barrier_weight=config.solver.barrier_weight,
+        grasp, method=method, initial=initial, force_weight=config.solver.force_weight, barrier_weight=barrier,
         tolerance=config.solver.tolerance, max_iterations=config.solver.max_iterations,
     )  # fmt: skip
 

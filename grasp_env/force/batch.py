@@ -12,7 +12,6 @@ from grasp_env import core
 from grasp_env._check import Array, as_list, as_text, choice
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.many import ForceSolutions, checked_batch, over_parts, solve_many, solve_one
-from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer
 from grasp_env.force.record import CODE, CONVERGED
 from grasp_env.force.solution import ForceSolution
@@ -113,11 +112,12 @@ def _compiled_grasps(
     if optimizer.limits is not None or not (initial is None or as_text(initial) == "internal_force"):
         return None
     if options.method == "newton":
-        weights, call = options.objective.weights(count), core.newton_grasps
+        call = core.newton_grasps
     elif options.method == "conic" and options.criterion == "sum":
-        weights, call = Objective().weights(count), core.conic_grasps
+        call = core.conic_grasps
     else:
         return None
+    weights = options.objective.weights(count)
     return lambda contacts, begins, loads, records: call(
         contacts, weights, begins, options.tolerance, options.max_iterations, loads, records
     )

@@ -63,18 +63,18 @@ class ForceOptimizer:
         grasp: the contacts. `solve` accepts others; `update` replaces them.
         method: "newton" minimises Phi in about six steps. "full_flow" is the gradient flow exactly as the paper prints it, on dense
             matrices, for N <= 8. "reduced_flow" is the same flow on the 3N force components only, which is much cheaper. "conic"
-            minimises the normal forces, without Phi.
+            minimises the weighted normal forces, without Phi.
         initial: the start of every call: a name, any callable rule(grasp, wrench) -> (N, 3), a force (N, 3) [N], or a
             `ForceSolution`, for example one that you saved. The first call then starts from it, and later calls from the last
             solution. The names are "linear_combination" (the paper's start, the default of the flows), "linear_combination_printed",
             "single_value", "lagrange", "phase_one", "internal_force" (the default of newton) and "previous" (the last solution).
             "conic" takes no start. If the contacts of a call have no force closure, the named start may not exist. The call then
             searches for a force inside the cones instead ("phase_one").
-        criterion: what "conic" minimises, the "sum" or the "max" of the normal forces.
+        criterion: what "conic" minimises, the "sum" or the "max" of the normal forces, each times its `force_weight`.
         limits: a `ForceLimits` on normal forces and joint torques, for "newton" and "conic".
         force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per contact.
         barrier_weight: lambda, the weight of the barrier at the cones, in N^2 when force_weight is 1, 1e-16 to 1e6; a scalar, or one
-            value per contact.
+            value per contact. None: 0.01. "conic" has no barrier and takes none.
         tolerance: relative certified gap at which to stop, at most 1. None: 1e-4, or 1e-6 for "conic".
         max_iterations: largest number of accepted steps, 0 to 10,000,000.
         step_rule: the step rule of the flows: `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`. None:
@@ -115,7 +115,7 @@ class ForceOptimizer:
         criterion: str = "sum",
         limits: ForceLimits | None = None,
         force_weight: Weight = 1.0,
-        barrier_weight: Weight = 0.01,
+        barrier_weight: Weight | None = None,
         tolerance: float | None = None,
         max_iterations: int = MAX_ITERATIONS,
         step_rule: StepRule | None = None,

@@ -8,7 +8,7 @@ from typing import Any
 
 from grasp_env import ranges
 from grasp_env._check import AllFaults, as_text, choice, flag, positive, whole
-from grasp_env.errors import UnsupportedProblemError
+from grasp_env.errors import UnsupportedProblemError, shown
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.step_size import StepRule, checked_rule
 
@@ -19,7 +19,7 @@ DESCENTS = (*FLOWS, "newton")
 METHODS = (*DESCENTS, "conic")
 """Names of all methods. `conic` takes no start."""
 CRITERIA = ("sum", "max")
-"""Objectives of `conic`: the sum or the maximum of the normal forces."""
+"""Objectives of `conic`: the sum or the maximum of the normal forces, each times its force_weight."""
 MAX_ITERATIONS = 20_000
 """Default largest number of accepted steps."""
 TOLERANCE = 1e-4
@@ -58,7 +58,7 @@ def _checked(
     method: str,
     criterion: str,
     force_weight: Weight,
-    barrier_weight: Weight,
+    barrier_weight: Weight | None,
     tolerance: float | None,
     max_iterations: int,
     step_rule: StepRule | None,
@@ -68,7 +68,7 @@ def _checked(
         made = Options(
             check(choice, method, "method", METHODS),
             check(choice, criterion, "criterion", CRITERIA),
-            check(Objective, force_weight, barrier_weight),
+            check(_objective, force_weight, barrier_weight),
             check(_tolerance, tolerance, method),
             check(whole, max_iterations, "max_iterations", 0, ranges.ITERATIONS),
             check(checked_rule, step_rule),
@@ -80,10 +80,18 @@ def _checked(
         raise UnsupportedProblemError(
             f"step_rule belongs to the flows, got method {made.method!r}: take method='reduced_flow' or 'full_flow', or leave it out"
         )
+    if barrier_weight is not None and made.method == "conic":
+        raise UnsupportedProblemError(
+            f"method 'conic' has no barrier, got barrier_weight={shown(barrier_weight)}: take method='newton', or leave it out"
+        )
     return made
 
 
 _cached = lru_cache(256, typed=True)(_checked)
+
+
+def _objective(force_weight: Weight, barrier_weight: Weight | None) -> Objective:
+    return Objective(force_weight) if barrier_weight is None else Objective(force_weight, barrier_weight)
 
 
 def _tolerance(given: float | None, method: object) -> float:

@@ -88,7 +88,7 @@ class ForceSolution(Solution):
         start_replaced: True if nothing is left of the requested start.
         iterations: accepted steps.
         trials: all steps tried.
-        objective: Phi of `force`; for `conic` the sum or maximum of the normal forces [N]; `limit_excess` if that is > 0.
+        objective: Phi of `force`; for `conic` the sum or maximum of force_weight times normal force [N]; `limit_excess` if that is > 0.
         lower_bound: a dual bound: no balanced force has a smaller objective; -inf: unknown; the `optimum` if that was given.
         optimality_gap: (objective - lower_bound) / lower_bound, certified; +inf without a positive bound.
         equilibrium_residual: largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length.

@@ -133,7 +133,7 @@ def test_iterations_of_the_least_sum_are_the_oracles(count: int, kind: str) -> N
     for load in wrenches(np.random.default_rng(count), 2, 3.0):
         unit = s.unit @ load
         size = float(np.abs(unit).max())
-        program = conic.of_grasp(s.rows, unit / size, s.divisor)
+        program = conic.of_grasp(s.rows, unit / size, s.divisor, s.weights[:, 0])
         rows = [c.solver("sum", tolerance=1e-15, limit=k).solve(load)[0] for k in range(1, 5)]
         # the start is the core's own
         x = c.z(rows[0], "initial") / size
@@ -159,9 +159,10 @@ def test_iterations_of_the_least_sum_are_the_oracles(count: int, kind: str) -> N
 def certified(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, largest: bool) -> None:
     """Check a record: balanced, within cones and limits, with a bound that weak duality proves from multipliers and prices."""
     s, z = c.contacts, c.z(row)
-    w, normals = s.unit @ load, c.forces(row)[0][0::3]
+    w, omega = s.unit @ load, s.weights[:, 0]
+    weighed = omega * c.forces(row)[0][0::3]
     assert at(row, "code") == CONVERGED
-    assert at(row, "objective") == pytest.approx(normals.max() if largest else normals.sum(), rel=1e-9)
+    assert at(row, "objective") == pytest.approx(weighed.max() if largest else weighed.sum(), rel=1e-9)
     size = np.abs(z).max() + np.abs(w).max()
     near = 1e-13 if c.terms.rows.size == 0 and not largest else 1e-9
     assert np.abs(c.matrix @ z + w).max() <= near * c.count * size
@@ -173,7 +174,7 @@ def certified(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, larg
     turn = np.zeros(c.count)
     turn[c.soft] = np.abs(pull[3 * c.count :])
     each = pull[: 3 * c.count].reshape(-1, 3)
-    need = (each[:, 0] + np.hypot(each[:, 1], each[:, 2]) + turn) * s.divisor[:, 0]
+    need = (each[:, 0] + np.hypot(each[:, 1], each[:, 2]) + turn) * s.divisor[:, 0] / omega
     most = np.maximum(need, 0.0).sum() if largest else need.max()
     value, low = -nu_of(row) @ load - price @ c.own[1], at(row, "lower_bound")
     assert most <= 1.0 + 1e-6

@@ -144,16 +144,19 @@ class Reference:
         tangential = force[:, 1:] / np.where(self.mu > 0.0, sizes[:, 1:], 1.0)
         return float((mu * force[:, 0] - np.hypot(*tangential.T)).min())
 
-    def dual_bound(self, nu: Array, prices: Array, wrench: Array, criterion: str = "sum") -> tuple[float, float]:
+    def dual_bound(
+        self, nu: Array, prices: Array, wrench: Array, criterion: str = "sum", omega: Weight = 1.0
+    ) -> tuple[float, float]:
         """(certified lower bound, theta): multipliers nu (6,) about the origin and prices (M,) of the limits, scaled by theta <= 1.
 
-        With a = c - G^T nu + A^T prices in the dual cone a_n >= hypot(mu_o a_o, mu_t a_t) + gamma abs(a_tau) of every contact,
+        The objective is the sum or the largest of omega times normal force. With a = c - G^T nu + A^T prices in the dual cone a_n >= hypot(mu_o a_o, mu_t a_t) + gamma abs(a_tau) of every contact,
         -nu . w - prices . b bounds the objective. theta < 1: the multipliers given are not dual feasible.
         """
         at_centre = self._at_centre(nu)
         prices = np.maximum(prices, 0.0)
         g = np.einsum("rna,r->na", self.matrix, at_centre) - np.einsum("kna,k->na", self.rows, prices)
         need = g[:, 0] + np.hypot(self.mu[:, 0] * g[:, 1], self.mu[:, 1] * g[:, 2]) + self.gamma * np.abs(g[:, 3])
+        need = need / np.broadcast_to(omega, self.count)
         most = float(need.max()) if criterion == "sum" else float(np.maximum(need, 0.0).sum())
         theta = 1.0 if most <= 1.0 else 1.0 / most
         # nu . w with the moments where they are smallest
@@ -203,8 +206,8 @@ class Reference:
         kept = [k for k in range(len(blocks)) if len(blocks[k])]
         return [blocks[k] for k in kept], [right[k] for k in kept], [cones[k] for k in kept]
 
-    def solve(self, wrench: Array, criterion: str = "sum", tolerance: float = 1e-11) -> Optimum:
-        """The least sum, or largest, of the normal forces."""
+    def solve(self, wrench: Array, criterion: str = "sum", tolerance: float = 1e-11, omega: Weight = 1.0) -> Optimum:
+        """The least sum, or largest, of omega times normal force."""
         clarabel = import_module("clarabel")
         load = self.load(np.asarray(wrench, dtype=float))
         size, width = float(np.abs(load).max()) or 1.0, 4 * self.count + (criterion == "max")
@@ -215,11 +218,11 @@ class Reference:
         blocks, right, cones = [balance, *blocks], [-load / size, *right], [clarabel.ZeroConeT(6), *cones]
         if criterion == "max":
             cost[-1] = 1.0
-            blocks.append(np.eye(width)[: 4 * self.count : 4] - cost)
+            blocks.append(np.broadcast_to(omega, self.count)[:, None] * np.eye(width)[: 4 * self.count : 4] - cost)
             right.append(np.zeros(self.count))
             cones.append(clarabel.NonnegativeConeT(self.count))
         else:
-            cost[: 4 * self.count : 4] = 1.0
+            cost[: 4 * self.count : 4] = omega
         matrix, sides = np.vstack(blocks), np.concatenate(right)
         found = _run(cost, matrix, sides, cones, tolerance)
         return Optimum(size * found.obj_val, own_error(found, cost, matrix, sides), str(found.status) in SOLVED)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,8 @@ AGREES = 1e-9
 """Relative difference from single calls: sums over contacts are taken in another order."""
 KINDS: dict[str, dict] = {
     "newton": {}, "newton to 1e-8": {"tolerance": 1e-8}, "other weights": {"force_weight": 3.0, "barrier_weight": 1e-4},
-    "conic": {"method": "conic"}, "conic to 1e-9": {"method": "conic", "tolerance": 1e-9}, "flow": {"method": "reduced_flow"},
+    "conic": {"method": "conic"}, "conic to 1e-9": {"method": "conic", "tolerance": 1e-9},
+    "weighted conic": {"method": "conic", "force_weight": [1.0, 0.2, 30.0, 5.0]}, "flow": {"method": "reduced_flow"},
     "limits": {"limits": ForceLimits(max_normal=100.0)}, "network": {"initial": LearnedInitialForce.pretrained()},
 }  # fmt: skip
 
@@ -76,8 +78,9 @@ def ring(count: int) -> Grasp:
     return Grasp.from_contacts(-0.04 * normals + np.outer(heights, [0, 0, 1]), normals, 0.5)
 
 
+@pytest.mark.parametrize("weights", [None, [1.0, 0.3, 5.0, 1.0, 2.0, 0.1, 1.0, 20.0]], ids=["equal", "weighted"])
 @pytest.mark.parametrize("method", ["newton", "conic"])
-def test_grasps_of_every_kind_side_by_side(method: str) -> None:
+def test_grasps_of_every_kind_side_by_side(method: str, weights: list[float] | None) -> None:
     """Nearly coplanar, without force closure, soft, elliptic and frictionless among ordinary ones: the results of single calls."""
     base = ring(8)
     positions, normals = base.positions, base.normals
@@ -88,16 +91,17 @@ def test_grasps_of_every_kind_side_by_side(method: str) -> None:
     grasps[12] = Grasp.from_contacts(positions, normals, np.linspace(0.3, 0.9, 16).reshape(8, 2))
     grasps[13] = Grasp.from_contacts(positions, normals, 0.6, contact_model=["hard"] * 5 + ["frictionless"] * 3)
     loads = sample_ball(np.random.default_rng(4), len(grasps))
-    batch = optimize_forces(grasps, loads, method=method)
+    options: dict[str, Any] = {"method": method} | ({} if weights is None else {"force_weight": weights})
+    batch = optimize_forces(grasps, loads, **options)
     for k, grasp in enumerate(grasps):
-        one = attempt(lambda g=grasp, w=loads[k]: optimize_force(g, w, method=method))
+        one = attempt(lambda g=grasp, w=loads[k]: optimize_force(g, w, **options))
         assert batch[k].status is one.status
         assert batch[k].objective == pytest.approx(one.objective, rel=1e-4)
         np.testing.assert_allclose(batch.torsion[k], one.torsion, atol=1e-6)
         if one.status is Status.OPTIMAL:
             assert grasp.residual(batch.force[k], batch.wrench[k], batch.torsion[k]) < 1e-9
     ordinary = [k for k in range(len(grasps)) if k not in (3, 7, 11, 12, 13)]
-    without = optimize_forces([grasps[k] for k in ordinary], loads[ordinary], method=method)
+    without = optimize_forces([grasps[k] for k in ordinary], loads[ordinary], **options)
     np.testing.assert_array_equal(without.records, batch.records[ordinary])
 
 

@@ -16,6 +16,7 @@ from force.named import NAMED
 from problems import GRASPS, PAPER_WRENCH
 
 from grasp_env import errors
+from grasp_env.config.records import Solver
 from grasp_env.errors import (
     GraspError,
     InfeasibleStartError,
@@ -74,6 +75,8 @@ def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
         (solve(limits=ForceLimits(max_normal=[3.0, 3.0])), "max_normal has 2 entries, the grasp 4 contacts: give one or 4"),
         (solve(limits=ForceLimits(jacobian=JAC, torque_limit=1.0)), r"jacobian must have shape \(4, 3, J\)"),
         *((solve(method="conic", **{name: odd}), name) for name, odd in (("initial", np.ones((4, 3))), ("optimum", 3.0), ("trace", True), ("step_rule", 0.1))),
+        (solve(method="conic", barrier_weight=0.1), "method 'conic' has no barrier, got barrier_weight=0.1: take method='newton', or leave it out"),
+        (partial(Solver, method="conic", barrier_weight=0.1), "has no barrier, got solver.barrier_weight=0.1"),
         (solve(criterion="max"), "belongs to method 'conic'"), (solve(step_rule=FixedStep(0.1)), "step_rule belongs to the flows, got method 'newton'"),
         *((solve(method="reduced_flow", **given), "newton or conic") for given in ({"limits": ForceLimits(max_normal=9.0)}, {"grasp": SOFT})),
         (solve(method="full_flow", grasp=Grasp.from_contacts(0.05 * RING, -RING, 0.5)), "the full flow is dense: at most 8 contacts"),
@@ -113,7 +116,10 @@ def test_wrong_input(call: Callable[[], object], message: str) -> None:
     with pytest.raises(GraspError, match=message) as caught:
         call()
     kinds = {"unknown": UnknownNameError, "previous solution has": InfeasibleStartError}
-    kinds |= dict.fromkeys(("belongs to", "newton or conic", "dense", "no initial force"), UnsupportedProblemError)
+    kinds |= dict.fromkeys(
+        ("belongs to", "newton or conic", "has no barrier, got barrier_weight", "dense", "no initial force"),
+        UnsupportedProblemError,
+    )
     kind = next((kind for words, kind in kinds.items() if words in str(caught.value)), InvalidInputError)
     assert type(caught.value) is kind
     assert isinstance(caught.value, ValueError)

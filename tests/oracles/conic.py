@@ -1,4 +1,4 @@
-"""One dense iteration of the interior-point method for the least sum of normal forces: the plain twin of `interior_point.hpp`.
+"""One dense iteration of the interior-point method for the least weighted sum of normal forces: the plain twin of `interior_point.hpp`.
 
     min  c . x   s.t.  A x = b,  x in K          max -b . y   s.t.  s = c + A^T y in K
 
@@ -36,10 +36,10 @@ class Iterate(NamedTuple):
     y: np.ndarray
 
 
-def of_grasp(matrix: np.ndarray, wrench: np.ndarray, divisor: np.ndarray) -> Program:
-    """The program of a grasp, unit frame."""
+def of_grasp(matrix: np.ndarray, wrench: np.ndarray, divisor: np.ndarray, omega: np.ndarray) -> Program:
+    """The program of a grasp whose normal forces have the weights omega (N,), unit frame."""
     cost = np.zeros(matrix.shape[1])
-    cost[0::3] = 1.0 / divisor[:, 0]
+    cost[0::3] = omega / divisor[:, 0]
     return Program(matrix, -wrench, cost)
 
 

@@ -49,7 +49,7 @@ class Solve:
             "learned" for the shipped network, or the path of a fitted one.
         method: newton, reduced_flow and full_flow (the paper's) minimise Phi, conic the normal forces.
         criterion: objective of conic: the sum or the maximum of the normal forces.
-        barrier_weight: lambda of Phi [N^2]: a larger one keeps further from slipping, and squeezes more.
+        barrier_weight: lambda of Phi [N^2]: a larger one keeps further from slipping, and squeezes more; not for conic.
         tolerance: relative gap to the certified bound.
         min_normal: least normal force of every contact [N].
         max_normal: largest normal force of every contact [N].
@@ -64,7 +64,7 @@ class Solve:
     initial: Annotated[str | None, left_out("internal_force, of the flows linear_combination", "RULE|FILE")] = None
     method: Annotated[str, one_of(METHODS)] = "newton"
     criterion: Annotated[str, one_of(CRITERIA)] = "sum"
-    barrier_weight: float = 0.01
+    barrier_weight: Annotated[float | None, left_out("0.01", "FLOAT")] = None
     tolerance: Annotated[float, left_out("1e-4, of conic 1e-6", "GAP")] = 0.0
     min_normal: float = 0.0
     max_normal: Annotated[float, left_out("no limit", "FLOAT")] = math.inf

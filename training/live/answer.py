@@ -6,7 +6,7 @@ import math
 import timeit
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def answer(
         wrench: (6,) external force [N] and moment [N m] on the object, object frame.
         method: name of the method.
         start: start rule, which `conic` ignores.
-        barrier_weight: lambda [N^2].
+        barrier_weight: lambda [N^2], which `conic` ignores.
         max_normal: largest normal force of a contact [N]; inf: no limit.
         previous: solution from which the start "previous" starts.
 
@@ -74,8 +74,9 @@ def answer(
         >>> found.status, found.solution.iterations
         ('held', 5)
     """
-    settings = {"method": method, "barrier_weight": barrier_weight, "max_iterations": 5000}
-    settings["initial"] = None if method == "conic" else start
+    settings: dict[str, Any] = {"method": method, "max_iterations": 5000}
+    if method != "conic":
+        settings |= {"barrier_weight": barrier_weight, "initial": start}
     if math.isfinite(max_normal):
         settings |= {"limits": ForceLimits(max_normal=max_normal), "elastic": True}
     optimizer = ForceOptimizer(grasp, **settings)

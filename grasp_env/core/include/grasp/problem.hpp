@@ -16,7 +16,7 @@ enum class Method {
     newton,  // minimise Phi by Newton: about six steps
     reduced_flow,  // minimise Phi by the paper's gradient flow, in its cheapest form
     full_flow,  // the same flow as printed, dense: up to FULL_CONTACTS contacts
-    conic,  // minimise the sum or the maximum of the normal forces; the optimum may lie on the cones
+    conic,  // minimise the sum or the maximum of omega times normal force; the optimum may lie on the cones; lambda has no effect
 };
 
 // Contacts with the weights of Phi, and limits besides friction. Positions, normals, wrenches and the Jacobian share ONE frame of
@@ -28,7 +28,7 @@ struct Problem {
 
 struct Options {
     Method method = Method::newton;
-    Criterion criterion = Criterion::sum;  // of the normal forces, for Method::conic
+    Criterion criterion = Criterion::sum;  // of omega times normal force, for Method::conic
     Start start = Start::standard;
     double tolerance = 0.0;  // relative certified gap, at most 1; 0: 1e-4, or 1e-6 for Method::conic
     int limit = 20000;  // largest number of accepted steps

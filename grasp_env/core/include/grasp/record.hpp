@@ -39,7 +39,7 @@ struct Summary {
     double code = REFUSED;  // a `Code`
     double iterations = 0;  // accepted steps
     double trials = 0;  // all steps tried
-    double objective = 0;  // Phi, or the sum or maximum of the normal forces [N]; if limits are exceeded, the excess
+    double objective = 0;  // Phi, or the sum or maximum of weighted normal forces [N]; if limits are exceeded, the excess
     double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none
     double residual = 0;  // largest |component| of G f + w in the unit frame [N]
     double margin = 0;  // smallest margin u - |(o, t)| of a contact in cone coordinates [N]

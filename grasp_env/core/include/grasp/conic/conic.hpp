@@ -1,4 +1,4 @@
-// The exact problem: the least sum of normal forces subject to balance and friction cones. Primal-dual interior point with
+// The exact problem: the least weighted sum of normal forces subject to balance and friction cones. Primal-dual interior point with
 // Nesterov-Todd scaling and Mehrotra's corrector (Nesterov, Todd 1997; Mehrotra 1992; as in Vandenberghe 2010, "The CVXOPT linear
 // and quadratic cone program solvers"). Every iterate is a valid grasp, and y scaled onto the boundary is a certified bound.
 //

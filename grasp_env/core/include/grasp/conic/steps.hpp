@@ -142,7 +142,7 @@ public:
         for (int b = 0; b < blocks(); ++b) force[b] = all<V>(scale) * (at[b].x + k * rest[b]);
         return {theta, price_of(force), scale * max(theta * dot(minus, y), S(0.0))};
     }
-    S price_of(const Field& force) const {  // sum of the normal forces [N]
+    S price_of(const Field& force) const {  // weighted sum of the normal forces [N]
         V price{};
         for (int b = 0; b < blocks(); ++b) price += cones.blocks[b].mask * cones.blocks[b].cost * force[b].u;
         return sum(price);

@@ -14,7 +14,7 @@ template <class V> struct Block {
     V gjg[21];  // G J G^T, J = diag(1, -1, -1)
     Vec3<V> scale, divisor;
     Weights<V> weights;
-    V cost, mask;  // price of u in the sum of normal forces, 1 / mu; 1 for a contact, 0 for an unused lane
+    V cost, mask;  // price of u in the weighted sum of normal forces, omega / mu; 1 for a contact, 0 for an unused lane
 
     Vec3<V> transposed(const Six<S>& n) const { return combined(g, n); }  // G^T n
     Vec3<V> least(const Six<S>& n) const { return combined(inverse, n); }  // G^+ n
@@ -83,7 +83,7 @@ public:
             const int n = i % W;
             const bool used = i < count;
             set(block.mask, n, used);
-            set(block.cost, n, used ? 1.0 / c.divisor[3 * i] : 1.0);
+            set(block.cost, n, used ? c.omega[i] / c.divisor[3 * i] : 1.0);
             set(block.weights.omega, n, used ? c.omega[i] : 1.0), set(block.weights.lambda, n, used ? c.lambda[i] : 1.0);
             for (int a = 0; a < 3; ++a) {
                 set(block.scale[a], n, used ? c.scale[3 * i + a] : 1.0);

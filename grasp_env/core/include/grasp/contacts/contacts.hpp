@@ -14,7 +14,8 @@ inline constexpr double NOTHING = 1e-306;  // [N] a smaller wrench counts as zer
 // `inverse` is then undefined.
 enum class Placing { good, refused, rank_lost, needs_torsion };
 
-// The weights of Phi, equal for all contacts: the price of squeezing, and of approaching a cone [N^2].
+// The weights of Phi, equal for all contacts: the price of squeezing, which is also that of the exact problem, and of approaching a
+// cone [N^2].
 struct Objective { double force_weight = 1.0, barrier_weight = 0.01; };
 
 // Accepted scale of cone coordinates, 0: nothing is transmitted; and the divisor of such coordinates.

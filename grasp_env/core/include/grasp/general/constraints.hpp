@@ -15,6 +15,7 @@ struct ProgramData {
     const double* balance;  // (6, N, 4) of (u, o, t, w), unit frame
     const double* rows;  // (M, N, 4) of length one: rows . z <= bound; rows of torsion come first
     const double* bound;  // (M,) [N]
+    const double* weights;  // (N, 2) omega, lambda
     const double* divisor;  // (N, 4) force and torsion from z; inf: nothing is transmitted
     const double* shares;  // (M,) [N] growth of a bound if its limit grows by all of itself; 0: never
     bool elastic;  // true if the least excess may be requested
@@ -48,7 +49,7 @@ template <int D> struct Constraints {
     };
     int count, limits, torsions = 0;  // N, M; the first rows belong to torsion
     ArenaVector<char> soft;
-    ArenaVector<double> price, divisor, bound, shares;  // price: normal force = price u
+    ArenaVector<double> price, cost, divisor, bound, shares;  // price: normal force = price u; cost: the same, weighted
     ArenaVector<int> torsion_row;  // (N,) -1: not soft
     ArenaVector<int> owner;  // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
     ArenaVector<int> own;  // rows that act on at most one contact, by contact
@@ -56,12 +57,14 @@ template <int D> struct Constraints {
     double frame[6][6], lower[6][6] = {};  // L
 
     explicit Constraints(const ProgramData& given)
-        : count(given.count), limits(given.limits), soft(count), price(count), divisor(given.divisor, given.divisor + 4 * count),
-          bound(given.bound, given.bound + limits), shares(given.shares, given.shares + limits), torsion_row(count, -1),
-          owner(limits), own(limits), balance(6, count), limit(limits, count), turn(6, count) {
+        : count(given.count), limits(given.limits), soft(count), price(count), cost(count),
+          divisor(given.divisor, given.divisor + 4 * count), bound(given.bound, given.bound + limits),
+          shares(given.shares, given.shares + limits), torsion_row(count, -1), owner(limits), own(limits), balance(6, count),
+          limit(limits, count), turn(6, count) {
         std::copy(given.frame, given.frame + 36, &frame[0][0]);
         for (int i = 0; i < count; ++i) {
             soft[i] = divisor[4 * i + 3] < infinity, price[i] = 1.0 / divisor[4 * i];
+            cost[i] = given.weights[2 * i] * price[i];
             if (soft[i]) torsion_row[i] = torsions++;
         }
         const auto take = [&](const double* from, int many, Matrix& to) {
@@ -73,20 +76,21 @@ template <int D> struct Constraints {
         orthonormalise();
     }
     static std::size_t bytes_needed(int count, int limits) {
-        return Arena::bytes_needed<char>(count) + Arena::bytes_needed<double>(count) + Arena::bytes_needed<double>(4 * count) +
-               2 * Arena::bytes_needed<double>(limits) + Arena::bytes_needed<int>(count) + 2 * Arena::bytes_needed<int>(limits) +
+        return Arena::bytes_needed<char>(count) + 2 * Arena::bytes_needed<double>(count) +
+               Arena::bytes_needed<double>(4 * count) + 2 * Arena::bytes_needed<double>(limits) +
+               Arena::bytes_needed<int>(count) + 2 * Arena::bytes_needed<int>(limits) +
                2 * Arena::bytes_needed<Tuple<double, D>>(6 * count) +
                Arena::bytes_needed<Tuple<double, D>>(std::size_t(limits) * count);
     }
 
-    // Interior point for the first `many` limits. T = 0: least sum of normal forces. T = 1: least t above each normal force, or
-    // above each excess. T = 2: largest depth m, with the share r of the wrench.
+    // Interior point for the first `many` limits. T = 0: least weighted sum of normal forces. T = 1: least t above each weighted
+    // normal force, or above each excess. T = 2: largest depth m, with the share r of the wrench.
     template <class R, int T> InteriorPoint<R, D, T> engine(int many, Criterion criterion = Criterion::sum) const {
         InteriorPoint<R, D, T> made(rows<R, T>(many, criterion), soft);
         if constexpr (T == 1) made.shared_cost = {R(1.0)};
         if constexpr (T == 2) made.shared_cost = {R(-1.0), R(0.0)};
         if constexpr (T == 0)
-            for (int i = 0; i < count; ++i) made.cost[i][0] = price[i];
+            for (int i = 0; i < count; ++i) made.cost[i][0] = cost[i];
         return made;
     }
     // (1, 0, 0, 1): the direction into a cone.
@@ -199,7 +203,7 @@ template <int D> struct Constraints {
             if constexpr (T == 1)
                 if (i < count) {  // normal <= t, or for an excess t, normal <= a bound set later
                     Tuple<R, D> row{};
-                    row[0] = price[i];
+                    row[0] = criterion == Criterion::excess ? price[i] : cost[i];
                     out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);
                 }
         }

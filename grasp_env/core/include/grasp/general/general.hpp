@@ -45,7 +45,8 @@ public:
             double frame[36];
             contacts.unit.write(frame);
             program_.emplace(ProgramData{count, inputs.limits, frame, inputs.balance.data(), inputs.rows.data(),
-                                         inputs.bound.data(), inputs.divisor.data(), inputs.shares.data(), true});
+                                         inputs.bound.data(), inputs.weights.data(), inputs.divisor.data(), inputs.shares.data(),
+                                         true});
             if (internal) inputs.load(internal, nullptr), program_->set_internal_force(inputs.z.data());
             if (program_->full()) return Placing::good;
         }
@@ -57,7 +58,7 @@ public:
 
     // The following functions need placed contacts, and records for as many contacts.
 
-    // Minimise the sum or the largest of the normal forces. INFEASIBLE: the record holds the twist that proves it. UNDECIDED:
+    // Minimise the sum or the largest of the weighted normal forces. INFEASIBLE: the record holds the twist that proves it. UNDECIDED:
     // neither found.
     Code conic(const double* wrench, Criterion criterion, const StopRule& options, const Record& record) {
         const Arena::Use use(arena_);

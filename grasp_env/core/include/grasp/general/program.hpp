@@ -193,6 +193,8 @@ private:
     bool elastic() const { return criterion_ == Criterion::excess; }
     int kept() const { return elastic() ? in_.torsions : limits; }  // limits that no force may exceed
 
+    // The normal force of a unit of u; weighted, unless excesses are minimised.
+    double price(int i) const { return elastic() ? in_.price[i] : in_.cost[i]; }
     template <int T> Code solve(const double* wrench, const StopRule& options, Summary& out) {
         int spent = 0;
         // start from a strictly feasible z if one is known; first in double, then in higher precision
@@ -253,7 +255,7 @@ private:
     // those of z.
     template <class R> void raise(Engine<R, 1>& engine, const Field& z) {
         excess_unit_ = BEGIN * excess(z) + EXCESS_FLOOR, most_ = 1.0, best_bound_ = 0.0;
-        for (int i = 0; i < count; ++i) most_ = std::max(most_, in_.price[i] * z[i][0]);
+        for (int i = 0; i < count; ++i) most_ = std::max(most_, price(i) * z[i][0]);
         most_ *= MOST;
         const auto raise = [&](Tuple<R, 1>& shared, int name) {
             if (name >= 0) shared[0] = -excess_unit_ * in_.shares[name] / size_;
@@ -307,9 +309,9 @@ private:
         const auto& rows = engine.rows;
         R largest = 0.0, product = 0.0, normal = 0.0;
         for (int i = 0; i < count; ++i) {
-            largest = max(largest, at.z[i][0]), normal = max(normal, in_.price[i] * at.z[i][0]);
+            largest = max(largest, at.z[i][0]), normal = max(normal, price(i) * at.z[i][0]);
             at.s[i] = engine.cost[i];
-            if constexpr (T == 1) at.s[i][0] = in_.price[i] / count;
+            if constexpr (T == 1) at.s[i][0] = price(i) / count;
             product += at.z[i][0] * at.s[i][0] / count;
             if (D == 4) at.s[i][D - 1] = in_.soft[i] ? 0.25 * at.s[i][0] : R(1.0);
         }
@@ -363,7 +365,7 @@ private:
         }
         return kept;
     }
-    template <int T> double engine_price(int i) const { return T == 1 ? in_.price[i] / count : in_.price[i]; }
+    template <int T> double engine_price(int i) const { return T == 1 ? price(i) / count : price(i); }
 
     // Balance the iterate, bring it within the limits and bound its objective; keep the best force and the best bound. Return the
     // gap.
@@ -389,7 +391,7 @@ private:
         certify(engine);
         double force = 0.0;
         for (int i = 0; i < count; ++i) {
-            const double normal = in_.price[i] * z_[i][0];
+            const double normal = price(i) * z_[i][0];
             force = T == 1 ? std::max(force, normal) : force + normal;
         }
         const double value = elastic() ? excess(z_) : force;
@@ -425,7 +427,7 @@ private:
         }
         for (int i = 0; i < count; ++i) {
             Tuple<double, D> safe{}, end{};
-            safe[0] = engine_price<T>(i), end[0] = elastic() ? 0.0 : in_.price[i];
+            safe[0] = engine_price<T>(i), end[0] = elastic() ? 0.0 : price(i);
             if (T == 1 && !elastic()) end[0] *= std::max(double(at.own[rows.first[i + 1] - 1]), 0.0) / shares;
             for (int r = 0; r < 6; ++r) add(end, double(at.joint[r]), in_.turn[r][i]);
             for (int r = rows.equal; r < rows.joint; ++r) add(end, prices_[rows.label[r]], in_.limit[rows.label[r]][i]);
@@ -440,7 +442,7 @@ private:
             const Vec3<double> last = cone(end);
             if (slack(last) >= 0.0) continue;
             if (elastic()) {
-                paid -= slack(last) * most_ / in_.price[i];
+                paid -= slack(last) * most_ / price(i);
                 continue;
             }
             const double per = Boundary<double>(cone(safe)).per(last - cone(safe));

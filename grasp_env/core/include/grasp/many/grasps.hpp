@@ -89,7 +89,7 @@ public:
                 const V per = 1.0 / divisor;
                 for (int r = 0; r < 6; ++r) block.g[r][a] = per * row[r], block.inverse[r][a] = row[r];
             }
-            block.cost = 1.0 / block.divisor.u, block.mask = V(1.0);
+            block.cost = block.weights.omega / block.divisor.u, block.mask = V(1.0);
             block.bind_gjg();
         }
         Ldl<V> factor;
@@ -301,7 +301,7 @@ inline void newton_grasps(const Grasps& grasps, const StopRule& options, const S
     });
 }
 
-// Minimise the sum of normal forces.
+// Minimise the weighted sum of normal forces.
 inline void conic_grasps(const Grasps& grasps, const StopRule& options, const SolveBatch& many) {
     ConicGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {

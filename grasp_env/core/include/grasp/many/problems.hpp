@@ -239,7 +239,7 @@ void newton_many(NewtonSolver<V, B>& one, const typename Cones<V, B>::Field& res
     run(lanes, many.count, enter, leave);
 }
 
-// Minimise the sum of normal forces for many wrenches of one grasp.
+// Minimise the weighted sum of normal forces for many wrenches of one grasp.
 template <class V, int B> void conic_many(ConicSolver<V, B>& one, const SolveBatch& many) {
     const int count = one.cones.count;
     if (many.count < FEW_PROBLEMS) {
