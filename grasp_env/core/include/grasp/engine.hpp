@@ -38,7 +38,7 @@ public:
           work_(internal_force_), prediction_(internal_force_),
           general_(current_.home.count, current_.limits.rows, current_.home.soft()),
           current_row_(record_size(current_.home.count)), force_(3 * current_.home.count), torsion_(current_.home.count),
-          proof_prices_(current_.limits.rows) {
+          prices_(current_.limits.rows), kept_row_(current_row_.size()), kept_prices_(prices_.size()) {
         if (current_.home.placing == Placing::refused || current_.home.placing == Placing::rank_lost)
             throw std::invalid_argument("the contacts must be placed: Contacts::from");
         if (current_.limits.rows) limited_.emplace(current_.home.count, newton_.options), limited_->elastic = options.elastic;
@@ -93,7 +93,7 @@ public:
     Code solve(const Request& ask, double* row) override {
         const Record out = open_row(ask, row);
         Code code = place(ask.now);
-        if (code == CONVERGED) code = is_valid_wrench(ask.wrench) ? run(ask, current_record()) : REFUSED;
+        if (code == CONVERGED) code = is_valid_wrench(ask.wrench) ? run_checked(ask, current_record()) : REFUSED;
         return write_answer(code, out);
     }
 
@@ -155,6 +155,7 @@ private:
     static constexpr double WELL_INSIDE = 1e-3;  // of the mean normal force: smallest slack of a start within limits
     // If Phi grows by this factor over the previous solution, another start is compared with it.
     static constexpr double CLOSE = 2.0;
+    static constexpr double ROUNDED = 1e-13;  // fraction of the largest force: effect of its rounding on balance
     Options options_;
     CurrentContacts current_;
     NewtonSolver<V, B> newton_;
@@ -169,7 +170,8 @@ private:
     General general_;
     std::vector<double> current_row_;  // record of the current contacts
     std::vector<double> force_, torsion_;  // force and torsion of a start
-    std::vector<double> proof_prices_;  // (M,) prices of the limits in the proof that no force keeps them
+    std::vector<double> prices_;  // (M,) prices of the limits: of the answer, or of the proof that no force keeps them
+    std::vector<double> kept_row_, kept_prices_;  // an answer to which another may be preferred
 
     // State of the current contacts.
     Kind kind_ = Kind::hard;
@@ -584,6 +586,56 @@ private:
 
     // --- algorithms
 
+    // Run the planned algorithm. If a start that depends on more than contacts and wrench leads to no answer, solve again from the method's
+    // own start, within the same number of steps.
+    Code run_checked(const Request& ask, const Record& record) {
+        const Code code = run(ask, record);
+        const bool refused = code == REFUSED && start_of(ask) == Start::given;
+        const bool sound = is_sound(code, record);
+        if (has_own_start(ask) || refused || (sound && code != STALLED)) return code;
+        const Summary before = record.summary();
+        const Start used = used_start_;
+        const bool replaced = start_replaced_;
+        if (sound) kept_row_ = current_row_, kept_prices_ = prices_;
+        const int limit = options_.limit, spent = std::min(int(before.iterations), limit);
+        set_limit(limit - spent);
+        const Code found = run({.wrench = ask.wrench,
+                                .start = flow_ ? Start::linear_combination : Start::internal_force,
+                                .optimum = ask.optimum,
+                                .trace = ask.trace.subspan(std::min(std::size_t(spent), ask.trace.size()))},
+                               record);
+        set_limit(limit);
+        if (sound && !is_sound(found, record)) {
+            current_row_ = kept_row_, prices_ = kept_prices_;
+            used_start_ = used, start_replaced_ = replaced;
+            return code;
+        }
+        record.summary().iterations += before.iterations, record.summary().trials += before.trials;
+        start_replaced_ = true;
+        return found;
+    }
+    // True if the start of a call depends on its contacts and wrench alone.
+    bool has_own_start(const Request& ask) const {
+        const Start start = start_of(ask);
+        return ask.adjustment.empty() && (start == Start::internal_force || start == Start::phase_one || start == Start::central);
+    }
+    static bool has_force(Code code) { return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED; }
+    // True if the outcome can be used: a proof, or a force that is balanced and inside the cones.
+    bool is_sound(Code code, const Record& record) const {
+        if (!has_force(code)) return code == INFEASIBLE;
+        const Summary& s = record.summary();
+        double most = 0.0;
+        for (int i = 0; i < current_.now.count; ++i) most = std::max(most, record.force()[3 * i]);
+        const double allowed =
+            balance_tolerance(grasp::size(newton_.cones.unit.of(s.wrench.data())), most) + ROUNDED * most + NOTHING;
+        return s.residual <= allowed && s.margin >= 0.0 && s.objective < infinity;
+    }
+    void set_limit(int limit) {
+        options_.limit = newton_.options.limit = limit;
+        if (limited_) limited_->newton.options.limit = limit;
+        if (soft_) soft_->newton.options.limit = limit;
+    }
+
     Code run(const Request& ask, const Record& record) {
         Summary& s = record.summary();
         s = Summary{};
@@ -592,7 +644,16 @@ private:
         if (!algorithm) return REFUSED;
         const Vec6 w = newton_.cones.unit.of(ask.wrench);
         answered_by_general_ = false;
-        switch (*algorithm) {
+        const Code code = run(*algorithm, ask, w, record);
+        if (answered_by_general_) {
+            std::ranges::copy(general_.prices(), prices_.begin());
+        } else if (current_.limits.rows && has_force(code)) {
+            for (int k = 0; k < int(current_.table.owners.size()); ++k) prices_[k] = row_price(k, record);
+        }
+        return code;
+    }
+    Code run(Algorithm algorithm, const Request& ask, const Vec6& w, const Record& record) {
+        switch (algorithm) {
             case Algorithm::newton: return newton(ask, w, record);
             case Algorithm::limited: return is_study(ask) ? general(ask, record) : within_limits(ask, w, record);
             case Algorithm::soft: return soft(ask, w, record);
@@ -611,7 +672,7 @@ private:
     }
     // Record a proof that uses only the cones.
     Code write_proof(const Vec6& w, const Record& record) {
-        std::fill(proof_prices_.begin(), proof_prices_.end(), 0.0);
+        std::fill(prices_.begin(), prices_.end(), 0.0);
         return record.refute((1.0 / grasp::size(twist_)) * twist_, grasp::size(w));
     }
 
@@ -624,7 +685,9 @@ private:
             descent_start_ = newton_.x;
             code = newton_.descend_from(descent_start_, call_of(ask), w, record);
         }
-        if (code == REFUSED) return used_start_ == Start::given ? REFUSED : general(ask, record);
+        if (code == REFUSED && used_start_ == Start::given) return REFUSED;
+        if (!has_own_start(ask)) return code == REFUSED ? UNDECIDED : code;
+        if (code == REFUSED) return general(ask, record);
         if (code == STALLED && !is_study(ask) && prepare_general()) code = general_.phi_from(newton_.options, record);
         return code;
     }
@@ -657,11 +720,11 @@ private:
         Code code = limited_->solve(call, record, make);
         if (code == INFEASIBLE)
             limited_->newton.rows.prices(
-                [&](int m, double price) { proof_prices_[m] = limited_->proof_scale * price / current_.table.sizes[m]; });
+                [&](int m, double price) { prices_[m] = limited_->proof_scale * price / current_.table.sizes[m]; });
         if (code != REFUSED) return code;
         if (begun == INFEASIBLE) return write_proof(w, record);
         if (begun == REFUSED && used_start_ == Start::given) return REFUSED;
-        return general(ask, record);
+        return has_own_start(ask) ? general(ask, record) : UNDECIDED;
     }
 
     Code soft(const Request& ask, const Vec6& w, const Record& record) {
@@ -679,7 +742,8 @@ private:
         };
         if (call.start != From::tangent) call.torsion = nullptr;
         const Code code = soft_->solve(call, record, make);
-        return code == REFUSED ? general(ask, record) : code;
+        if (code != REFUSED) return code;
+        return has_own_start(ask) ? general(ask, record) : UNDECIDED;
     }
 
     Code conic(const Request& ask, const Vec6& w, const Record& record) {
@@ -769,8 +833,7 @@ private:
     Code write_answer(Code code, const Record& out, bool optimum = true) {
         Summary& s = out.summary();
         const int all = current_.home.count;
-        // without a finite objective, rounding left no usable force
-        if ((code == STALLED || code == LIMIT) && !(current_record().summary().objective < infinity)) code = UNDECIDED;
+        if (has_force(code) && !is_sound(code, current_record())) code = UNDECIDED;  // rounding left no usable force
         s.code = code;
         if (!out.has_force()) {
             std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);
@@ -779,8 +842,7 @@ private:
                 s.iterations = from.iterations, s.trials = from.trials, s.residual = from.residual,
                 s.multipliers = from.multipliers;
                 s.objective = s.lower_bound = infinity, s.start = double(used_start_), s.replaced = start_replaced_;
-                current_.fill_prices(out.prices(),
-                                     [&](int row) { return answered_by_general_ ? general_.prices()[row] : proof_prices_[row]; });
+                current_.fill_prices(out.prices(), [&](int row) { return prices_[row]; });
             }
             return code;
         }
@@ -807,14 +869,13 @@ private:
         if (current_.limits.rows) {
             s.limit_excess = current_.excess(out);
             const bool priced = optimum && code != LIMITS_EXCEEDED;
-            current_.fill_prices(out.prices(), [&](int row) { return priced ? row_price(row, from) : 0.0; });
+            current_.fill_prices(out.prices(), [&](int row) { return priced ? prices_[row] : 0.0; });
         }
         if (code == LIMITS_EXCEEDED) s.objective = s.limit_excess;
         return code;
     }
-    // Price of the k-th row of the current contacts at an optimum.
+    // Price of the k-th row of the current contacts at an optimum of Phi.
     double row_price(int k, const Record& from) const {
-        if (answered_by_general_) return general_.prices()[k];
         const int i = current_.table.owners[k];
         double slack = current_.table.bounds[k];
         for (int a = 0; a < 3; ++a)

@@ -225,7 +225,7 @@ public:
 
     // True if x, with this balance residual, counts as balanced.
     auto balanced(const Field& x, const Six<S>& w, const S& residual) const {
-        return residual <= BALANCED * max(size(w), min(largest_normal(x), S(1.0)));
+        return residual <= balance_tolerance(size(w), largest_normal(x));
     }
     // Balance residual of x.
     S residual(const Field& x, const Six<S>& w) const { return size(wrench(x) + w); }
@@ -237,7 +237,6 @@ public:
     }
 
 private:
-    static constexpr double BALANCED = 1e-9;  // fraction of the wrench, or of forces up to 1 N
     static constexpr double INSIDE = 1.0 - 1e-13;  // fraction of the way to the surface of the dual cones, kept clear of rounding
     int needed() const { return (count + W - 1) / W; }
 

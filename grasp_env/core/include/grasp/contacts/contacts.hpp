@@ -10,6 +10,16 @@ namespace grasp {
 inline constexpr double LARGEST = 1e12;  // [N], [N m] largest number accepted
 inline constexpr double NOTHING = 1e-306;  // [N] a smaller wrench counts as zero, since its inverse is infinite
 
+// Largest balance residual [N] at which a force counts as balanced: a fraction of the wrench, or of normal forces up to 1 N.
+inline constexpr double BALANCED = 1e-9;
+template <class S> inline S balance_tolerance(const S& wrench, const S& normal) {
+    return BALANCED * max(wrench, min(normal, S(1.0)));
+}
+
+// Distance from the boundary of the wrenches that contacts can balance, as a fraction of the wrench in the unit frame, within which
+// a force may balance a wrench just inside instead: both count as equal.
+inline constexpr double BOUNDARY = BALANCED;
+
 // refused: not finite, or a normal not of unit length. needs_torsion: the rank is 6 only with the torsion of soft contacts;
 // `inverse` is then undefined.
 enum class Placing { good, refused, rank_lost, needs_torsion };
