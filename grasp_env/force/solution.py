@@ -106,9 +106,9 @@ class ForceSolution(Solution):
     def certificate(self) -> Array | None:
         """(6,) the proof of infeasibility with status INFEASIBLE, else None.
 
-        It is a twist v with G_i^T v in the dual cone of every contact and v . w > 0. If v . w = 0, only forces on the boundary of the
-        cones balance w. With limits A f <= b and their prices y, `limit_multipliers`, G^T v + A^T y lies in the dual cones and
-        v . w > y . b.
+        It is a twist v with G_i^T v in the dual cone of every contact and v . w > 0. With limits A f <= b and their prices y,
+        `limit_multipliers`, G^T v + A^T y lies in the dual cones and v . w > y . b. For a zero wrench v . w = 0: no force strictly
+        inside the cones balances itself, and the force zero has no finite Phi.
         """
         return self.multipliers if self.code == INFEASIBLE else None
 

@@ -20,11 +20,12 @@ class Feasibility:
     """Result of `feasibility`.
 
     Attributes:
-        force: (N, 3) a balanced force strictly inside the cones and limits [N]; None if infeasible.
+        force: (N, 3) a balanced force strictly inside the cones and limits [N]; None if infeasible. A wrench within 1e-9 of itself of
+            the boundary of what contacts and limits can balance is balanced to that accuracy.
         torsion: (N,) torsions of soft contacts [N m]; None if infeasible.
-        certificate: (6,) a twist v with G_i^T v in every dual cone and v . w >= 0. If v . w > 0, balance G f + w = 0 is impossible. If
-            v . w = 0, balance needs every contact force on the boundary of its cone. With limits, v . w > -v . G f for every force
-            within them. None if feasible.
+        certificate: (6,) a twist v with G_i^T v in every dual cone and v . w > 0, so that balance G f + w = 0 is impossible. With limits,
+            v . w > -v . G f for every force within them. For a zero wrench v . w = 0: without force closure an internal force needs
+            every contact force on the boundary of its cone. None if feasible.
         margin: depth inside cones and limits, see `feasibility`; <= 0 if infeasible.
     """
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from force.clarabel_reference import Reference
+from force.generators import own_joints
 from force.named import NAMED
 from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp
 
-from grasp_env.force import ForceLimits
+from grasp_env.errors import InfeasibleWrenchError
+from grasp_env.force import ForceLimits, optimize_force
 from grasp_env.grasp import Grasp, presets
 from grasp_env.quality import feasibility, force_closure
 
@@ -50,6 +52,22 @@ def test_verdicts_against_linear_programs() -> None:
         assert {feasibility(grasp, size * wrench).feasible for size in (1e-9, 1e6)} == {answer.feasible}
     assert min(verdicts.values()) > 8
     assert undecided < 8
+
+
+@pytest.mark.parametrize("model", ["hard", "soft"])
+@pytest.mark.parametrize("what", ["normals", "own joints", "shared joints", "bias"])
+def test_without_closure_nothing_needs_no_limit(what: str, model: str) -> None:
+    """At zero wrench the cones alone exclude a force inside them: the proof has no prices, and the message names no limits."""
+    rng = np.random.default_rng(3)
+    jacobian = 0.05 * rng.standard_normal((4, 3, 5)) if what == "shared joints" else own_joints(rng, 4)
+    bias = 0.01 * (what == "bias") * rng.standard_normal(jacobian.shape[2])
+    limits = ForceLimits(max_normal=5.0) if what == "normals" else ForceLimits(0.0, 7.0, jacobian, 0.3, bias)
+    palm = Grasp.from_contacts(CUBOID.positions, PALM.normals, 0.4, contact_model=model, torsional_friction=0.01)
+    with pytest.raises(InfeasibleWrenchError, match="strictly inside the friction cones balances") as caught:
+        optimize_force(palm, NOTHING, limits=limits)
+    solution = caught.value.solution
+    assert not solution.limit_multipliers.any()
+    assert Reference(palm).proof(solution.certificate, NOTHING) >= -1e-7
 
 
 def test_closure_against_linear_programs() -> None:

@@ -386,7 +386,7 @@ private:
         if (kind_ != Kind::hard || !prepare_general()) return UNDECIDED;
         const Deepest deep = general_.deepest(ask.wrench, 1e-7, force_.data(), nullptr);
         twist_ = deep.twist;
-        if (deep.code != CONVERGED) return deep.code == INFEASIBLE ? INFEASIBLE : UNDECIDED;
+        if (deep.code != CONVERGED || deep.moved) return deep.code == INFEASIBLE ? INFEASIBLE : UNDECIDED;
         newton_.cones.load_force(force_.data(), newton_.x);
         return newton_.is_start(w) ? CONVERGED : UNDECIDED;
     }

@@ -113,6 +113,15 @@ template <int D> struct Constraints {
             for (int q = 0; q < 6; ++q) out[r] += frame[r][q] * wrench[q];
         return out;
     }
+    // The wrench of one in the unit frame, whose moments are about another point and divided by a length.
+    Vec6 given(const Vec6& unit) const {
+        Vec6 out = unit;
+        for (int r = 3; r < 6; ++r) {
+            for (int q = 0; q < 3; ++q) out[r] -= frame[r][q] * unit[q];
+            out[r] /= frame[r][r];
+        }
+        return out;
+    }
     Vec6 solve_lower(Vec6 a) const {
         for (int r = 0; r < 6; ++r) {
             for (int q = 0; q < r; ++q) a[r] -= lower[r][q] * a[q];

@@ -7,11 +7,15 @@ namespace grasp {
 // A margin up to this, relative to forces that sum to one, counts as the boundary: no force is strictly inside.
 inline constexpr double CLEAR = 1e-9;
 
+// CONVERGED: the force is strictly inside and balances `wrench`, which differs from the given one by at most BOUNDARY of it.
+// INFEASIBLE: no force is strictly inside, and `twist` proves it.
 struct Deepest {
-    Code code = REFUSED;  // INFEASIBLE: no force is strictly inside, and `twist` proves it
+    Code code = REFUSED;
     int iterations = 0;
     double margin = 0.0;
     Vec6 twist{};  // [linear; angular], largest component one
+    Vec6 wrench{};  // [N, N m]
+    bool moved = false;  // true if `wrench` is not the given one
 };
 
 namespace detail {
@@ -23,10 +27,14 @@ public:
 
     Depth(const Constraints<D>& in, int many) : in_(&in), many_(many), slacks_(in.slacks()), prices_(in.limits) {}
 
-    // Write the force into z [N]. If CONVERGED, it is strictly inside and balances the wrench.
-    Deepest find(const double* wrench, double tolerance, Field& z) {
-        const Deepest found = find<double>(wrench, tolerance, z);
-        return found.code == CONVERGED || found.code == INFEASIBLE ? found : find<DoubleDouble>(wrench, tolerance, z);
+    // Write the force into z [N]. If CONVERGED, it is strictly inside and balances `wrench` of the result, which differs from the given
+    // one by at most BOUNDARY of it. inside: true if a force nearer than NEAR to the boundary shall also move away from it.
+    Deepest find(const double* wrench, double tolerance, Field& z, bool inside = false) {
+        Deepest found = find<double>(wrench, tolerance, z);
+        if (found.code != CONVERGED && found.code != INFEASIBLE) found = find<DoubleDouble>(wrench, tolerance, z);
+        if (inside && found.code == CONVERGED && !found.moved && found.margin < NEAR)
+            move_inside(in_->in_frame(wrench), z, found);
+        return found;
     }
     // Prices of the limits if no force is inside. With the twist v they prove it: G^T v + sum price row lies in every dual cone, v
     // . w > sum price bound.
@@ -34,6 +42,11 @@ public:
 
 private:
     static constexpr double ROUNDING = 1e-14;  // of the terms of a proof, per term: far above rounding
+    static constexpr double NEEDLESS = 1e-9;  // of the twist: a smaller price of a limit is rounding
+    static constexpr double NEAR = 1e-6;  // margin, relative to forces that sum to one
+    static constexpr double ENOUGH =
+        0.5;  // of the depth that a force gains by moving inside: it shall not be used up by rounding
+    static constexpr double SHORT = 0.9;  // of BOUNDARY: how far a wrench is moved; the rest is for rounding
     const Constraints<D>* in_;
     int many_;
     ArenaVector<double> slacks_, prices_;
@@ -54,7 +67,8 @@ private:
         set_up(engine, turned, size);
         const auto& at = engine.at;
         Deepest found;
-        found.code = engine.run(tolerance, 0.1 * CLEAR, 0.0, 200, [] { return 0.0; });
+        std::copy_n(wrench, 6, found.wrench.begin());
+        found.code = engine.run(tolerance, (std::is_same_v<R, double> ? 0.1 : 1e-5) * CLEAR, 0.0, 200, [] { return 0.0; });
         found.iterations = engine.iterations, found.margin = double(at.t[0]);
         const double part = double(at.t[1]), scale = free ? 1.0 : 1.0 / part;
         for (int i = 0; i < in_->count; ++i) {
@@ -73,13 +87,66 @@ private:
         const double per = 1.0 / std::max(grasp::size(twist), 1e-300);
         found.twist = per * twist;
         price(engine, size);
-        in_->write_slacks(z, many_, slacks_, [&](int k) { return in_->bound[k]; });
-        if (found.margin > CLEAR && least_of(slacks_) > 0.0) found.code = CONVERGED;
-        else if (found.margin <= CLEAR && found.code == CONVERGED) found.code = INFEASIBLE;
-        else if (proves_infeasible(y, unit, size)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
-        else if (found.code == CONVERGED) found.code = STALLED;  // slow does not mean infeasible
+        drop_needless_prices(y, size);
+        const double value = separation(y, unit, size);
+        const bool at_rest = !(grasp::size(load) > 0.0), shut = found.code == CONVERGED && found.margin <= CLEAR;
+        if (found.margin > CLEAR && least_slack(z) > 0.0) {
+            found.code = CONVERGED;
+        } else if ((shut && (at_rest || value > BOUNDARY)) || (value > BOUNDARY && proves_infeasible(y, unit, size))) {
+            found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
+        } else if (!at_rest && part > 0.0 && move_inside(load, z, found)) {
+            found.code = CONVERGED, found.margin = std::max(found.margin, 0.0);
+        } else if (!std::is_same_v<R, double> && proves_infeasible(y, unit, size)) {
+            found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
+        } else if (found.code == CONVERGED) {
+            found.code = STALLED;  // slow does not mean infeasible
+        }
         for (double& price : prices_) price *= per;
         return found;
+    }
+    double least_slack(const Field& z) {
+        in_->write_slacks(z, many_, slacks_, [&](int k) { return in_->bound[k]; });
+        return least_of(slacks_);
+    }
+    // Drop prices of limits that are mere rounding beside the twist: the proof holds without them.
+    void drop_needless_prices(const Vec6& y, double size) {
+        for (int k = in_->torsions; k < many_; ++k)
+            if (prices_[k] * std::max(1.0, std::abs(in_->bound[k]) / size) < NEEDLESS * grasp::size(y)) prices_[k] = 0.0;
+    }
+    // Distance of the wrench from those that the constraints can balance, as the multipliers show it: a fraction of the wrench.
+    double separation(const Vec6& y, const Vec6& unit, double size) const {
+        double value = dot(y, unit), sum = 0.0;
+        for (int k = 0; k < many_; ++k) value -= prices_[k] * in_->bound[k] / size;
+        for (double part : y) sum += std::abs(part);
+        return value / (sum * grasp::size(unit));
+    }
+    // Move z, at the boundary of the constraints, towards a force well inside them. This changes the wrench by less than BOUNDARY of
+    // it. Return true if z is then strictly inside, with the wrench that it balances in `found`.
+    bool move_inside(const Vec6& load, Field& z, Deepest& found) {
+        const double size = grasp::size(load);
+        const auto axes = [&](double length, Field& to) {
+            for (auto& each : to) {
+                each = in_->inwards();
+                for (double& value : each) value *= length;
+            }
+            if (D == 4)
+                for (int i = 0; i < in_->count; ++i)
+                    if (!in_->soft[i]) to[i][D - 1] = 1.0;
+        };
+        const Arena::Scope scope;
+        Field inside(in_->count);
+        for (double length : {1.0, 0.1, 0.01, 1e-3, 10.0, 100.0}) {
+            axes(length * size, inside);
+            const double room = least_slack(inside);
+            if (!(room > 0.0)) continue;
+            const double part = std::min(1.0, SHORT * BOUNDARY * size / grasp::size(in_->wrench_of(inside) + load));
+            for (int i = 0; i < in_->count; ++i)
+                for (int a = 0; a < D; ++a) z[i][a] = (1.0 - part) * z[i][a] + part * inside[i][a];
+            found.moved = least_slack(z) > ENOUGH * part * room && grasp::size(in_->wrench_of(z) + load) <= BOUNDARY * size;
+            if (found.moved) found.wrench = in_->given(-1.0 * in_->wrench_of(z));
+            return found.moved;
+        }
+        return false;
     }
     // Scaling of a row: a bound far above the wrench gives a row of the bound's size.
     double row_scale(int k, double size) const { return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size); }

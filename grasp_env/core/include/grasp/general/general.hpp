@@ -105,14 +105,19 @@ public:
         record.clear();
         record.summary().code = REFUSED;
         if (!is_valid_wrench(call.wrench)) return REFUSED;
+        Call ask = call;
+        Deepest found;
         if (!has_start(call)) {
-            const Deepest found = begin(call.wrench);
+            found = begin(call.wrench);
             if (found.code != CONVERGED) return refute(found, call.wrench, record);
+            if (found.moved) ask.wrench = found.wrench.data();
         }
-        const Code code = least_phi(call, options, record);
-        if (code == REFUSED) return refute({}, call.wrench, record);
+        const Code code = least_phi(ask, options, record);
         inputs_->store(inputs_->z.data(), record.initial_force(), nullptr);
-        return code;
+        if (code == REFUSED && !phi_inside(call, options, record)) return refute({}, call.wrench, record);
+        if (found.moved) restore_wrench(call.wrench, record);
+        else if (code == STALLED) phi_inside(call, options, record);
+        return record.code();
     }
     // Continue a record that stalled with more than rounding left, with at most MORE_STEPS further steps. The better result stays.
     Code phi_from(const StopRule& options, const Record& record) {
@@ -123,9 +128,15 @@ public:
         const Record made(inputs_->record.data(), inputs_->count);
         inputs_->load(record.force(), record.torsion());
         const Code code = least_phi({.wrench = before.wrench.data()}, {options.tolerance, std::min(left, MORE_STEPS)}, made);
-        if (code != CONVERGED && (code == REFUSED || !(made.summary().objective < before.objective))) return record.code();
-        made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
-        return replace_record(made, record);
+        if (code == CONVERGED || (code != REFUSED && made.summary().objective < before.objective)) {
+            made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
+            replace_record(made, record);
+        }
+        if (record.code() == STALLED) {
+            const Vec6 wrench = before.wrench;
+            phi_inside({.wrench = wrench.data()}, {options.tolerance, options.limit - int(before.iterations)}, record);
+        }
+        return record.code();
     }
 
     // If a record is INFEASIBLE, replace it by the balanced force inside the cones that exceeds the limits least, LIMITS_EXCEEDED,
@@ -181,15 +192,15 @@ private:
         int count, limits, torsions;
         ArenaVector<double> balance, rows, bound, shares, divisor;
         ArenaVector<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
-        ArenaVector<double> z, row, record, prices;
+        ArenaVector<double> z, row, record, prices, kept_prices;
 
         Inputs(int count, int limits, int torsions)
             : count(count), limits(limits), torsions(torsions), balance(24 * count), rows(4 * count * limits), bound(limits),
               shares(limits), divisor(4 * count), sizes(limits), weights(2 * count), row_weights(limits), z(4 * count),
-              row(4 * count), record(record_size(count)), prices(limits) {}
+              row(4 * count), record(record_size(count)), prices(limits), kept_prices(limits) {}
         static std::size_t bytes_needed(int count, int limits) {
             return Arena::bytes_needed<double>(24 * count) + Arena::bytes_needed<double>(4 * std::size_t(count) * limits) +
-                   5 * Arena::bytes_needed<double>(limits) + 3 * Arena::bytes_needed<double>(4 * count) +
+                   6 * Arena::bytes_needed<double>(limits) + 3 * Arena::bytes_needed<double>(4 * count) +
                    Arena::bytes_needed<double>(2 * count) + Arena::bytes_needed<double>(record_size(count));
         }
         // Return false if numbers are not finite.
@@ -275,7 +286,8 @@ private:
 
     static double gap(const Summary& of) { return of.objective - of.lower_bound; }
     static bool gap_exceeds_rounding(const Summary& of, double tolerance) {
-        return !(of.lower_bound > 0.0 && gap(of) <= std::max(tolerance, LAST_DIGITS) * of.lower_bound);
+        const double bound = of.lower_bound;
+        return !(bound > 0.0 && gap(of) <= std::max(tolerance, LAST_DIGITS) * bound && gap(of) >= -LAST_DIGITS * bound);
     }
     Code least(const double* wrench, Criterion criterion, const StopRule& options, int budget, const Record& record) {
         return unscale_prices(program_->least(wrench, criterion, options, record, inputs_->prices.data(), budget));
@@ -289,8 +301,8 @@ private:
         for (int k = 0; k < inputs_->limits; ++k) inputs_->prices[k] /= inputs_->sizes[k];
         return code;
     }
-    Deepest deepest(const double* wrench, double tolerance = 1e-7) {
-        const Deepest found = program_->deepest(wrench, tolerance, inputs_->z.data(), inputs_->prices.data());
+    Deepest deepest(const double* wrench, double tolerance = 1e-7, bool inside = false) {
+        const Deepest found = program_->deepest(wrench, tolerance, inputs_->z.data(), inputs_->prices.data(), inside);
         unscale_prices(found.code);
         return found;
     }
@@ -321,6 +333,24 @@ private:
             program_->balance(call.wrench, z);
         }
         return program_->slack(z) > 0.0;
+    }
+    // If the wrench is next to the boundary of the constraints, replace a record without an optimum by the optimum for a wrench just
+    // inside, see `Deepest`. Return true if that converged; otherwise the record stays.
+    bool phi_inside(const Call& call, const StopRule& options, const Record& record) {
+        if (call.optimum == call.optimum || call.traced || options.limit <= 0) return false;
+        inputs_->kept_prices = inputs_->prices;
+        const Deepest found = deepest(call.wrench, 1e-7, true);
+        const Record made(inputs_->record.data(), inputs_->count);
+        const bool good = found.code == CONVERGED && found.moved &&
+                          least_phi({.wrench = found.wrench.data()}, {options.tolerance, options.limit}, made) == CONVERGED;
+        if (good) replace_record(made, record), restore_wrench(call.wrench, record);
+        else inputs_->prices = inputs_->kept_prices;
+        return good;
+    }
+    // Let a record that was made for a wrench close by stand for this one.
+    void restore_wrench(const double* wrench, const Record& record) {
+        std::copy_n(wrench, 6, record.summary().wrench.begin());
+        record.summary().residual = missed(wrench, record.force(), record.torsion());
     }
     // Record the proof that no force exists, or UNDECIDED.
     Code refute(const Deepest& found, const double* wrench, const Record& record) {

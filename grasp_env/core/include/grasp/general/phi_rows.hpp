@@ -40,8 +40,9 @@ public:
         iterations = trials = 0;
         evaluate();
         if (!(value < infinity)) return REFUSED;
+        // next to the boundary of the constraints, rounding of the balance may take Phi below its bound
         const auto certified = [&] {
-            return bound > 0.0 && value - bound <= tolerance * bound && (known || value - bound >= BELOW * bound);
+            return bound > 0.0 && value - bound <= tolerance * bound && (known || value - bound >= -tolerance * bound);
         };
         Direction step{};
         const auto find = [&](Code& code) {
@@ -59,6 +60,15 @@ public:
         return run_descent(*this, call, limit, INT_MAX, find, certified, advance);
     }
 
+    // Balance z to the last digit of R by the least-norm change: the rows of balance are orthonormal.
+    void balance() {
+        for (int pass = 0; pass < 2; ++pass)
+            for (int r = 0; r < rows.equal; ++r) {
+                R left = rows.right[r];
+                for (int i = 0; i < rows.count; ++i) left -= inner(rows.columns[rows.joint * i + r], z[i]);
+                for (int i = 0; i < rows.count; ++i) add(z[i], left, rows.columns[rows.joint * i + r]);
+            }
+    }
     // Phi at z; infinite unless strictly inside.
     void evaluate() {
         slacks(z, own_slack_, joint_slack_);
@@ -70,7 +80,6 @@ private:
     static constexpr int REFINEMENTS = 3, HALVINGS = 60;
     static constexpr double BALANCED = 1e-13;  // fraction of Phi; a step with a smaller balance residual needs no refinement
     static constexpr double SHORTEST = 1e-10;  // a step moves z by at least this fraction of its length
-    static constexpr double BELOW = -1e-9;  // rounding by which Phi may lie below its bound
     RowSystem<R, D, 0> system_;
     Space<R, D, 0> f_, left_, more_;
     ArenaVector<R> own_slack_, own_trial_, joint_slack_, joint_trial_;

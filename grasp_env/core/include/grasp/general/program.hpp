@@ -33,7 +33,7 @@ public:
             const std::size_t least = InteriorPoint<double, D, 1>::bytes_needed(count, rows, owns);
             return depth + std::max(least, PhiRows<double, D>::bytes_needed(count, rows, owns, limits));
         };
-        return Constraints<D>::bytes_needed(count, limits) + 6 * Arena::bytes_needed<Tuple<double, D>>(count) +
+        return Constraints<D>::bytes_needed(count, limits) + 7 * Arena::bytes_needed<Tuple<double, D>>(count) +
                3 * Arena::bytes_needed<double>(2 * count + limits) + 3 * Arena::bytes_needed<double>(limits) +
                std::max(most(0), most(joints));
     }
@@ -48,7 +48,7 @@ public:
         out.code = REFUSED;
         if (!is_valid_wrench(wrench) || (criterion == Criterion::excess && !may_exceed_)) return REFUSED;
         std::copy(wrench, wrench + 6, out.wrench.begin());
-        criterion_ = criterion, budget_ = budget;
+        criterion_ = criterion, budget_ = budget, tolerance_ = options.tolerance;
         const Vec6 load = in_.in_frame(wrench);
         const Vec6 turned = in_.solve_lower(load);
         size_ = in_.largest_of(turned);
@@ -62,7 +62,7 @@ public:
         unit_ = (1.0 / size_) * load, turned_ = (1.0 / size_) * turned;
         best_value_ = infinity, best_bound_ = 0.0, best_nu_ = Vec6{}, residual_ = 0.0;
         std::fill(best_prices_.begin(), best_prices_.end(), 0.0);
-        has_inside_ = false;
+        has_inside_ = moved_ = false;
         const Code code = criterion == Criterion::sum ? solve<0>(wrench, options, out) : solve<1>(wrench, options, out);
         if (code == INFEASIBLE) {
             std::copy(prices_.begin(), prices_.end(), prices);
@@ -70,16 +70,17 @@ public:
         }
         if (code == REFUSED) return code;
         write(code, record, prices);
+        if (moved_) out.residual = grasp::size(size_ * in_.wrench_of(best_) + load);
         return Code(int(out.code));
     }
 
-    Deepest deepest(const double* wrench, double tolerance, double* z, double* prices) {
+    Deepest deepest(const double* wrench, double tolerance, double* z, double* prices, bool inside = false) {
         const Arena::Scope scope;
         std::fill(prices, prices + limits, 0.0);
         Deepest found;
         if (!is_valid_wrench(wrench)) return found;
         Depth depth(in_, limits);
-        found = depth.find(wrench, tolerance, inside_);
+        found = depth.find(wrench, tolerance, inside_, inside);
         if (found.code == INFEASIBLE) std::copy(depth.prices().begin(), depth.prices().end(), prices);
         store_z(inside_, z);
         return found;
@@ -147,7 +148,7 @@ public:
         double raised = 1.0;
         for (int i = 0; i < count; ++i) raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
         PhiRows<DoubleDouble, D> careful(in_.template rows<DoubleDouble, 0>(limits), in_.soft, limits);
-        take_start(careful);
+        take_start(careful), careful.balance();
         const Call path{.wrench = call.wrench};
         while ((raised /= FALL) > 1.0 && spent < options.limit)
             if (descend(careful, path, raised, 0.1, std::min(options.limit - spent, 2 * PATIENCE)) == REFUSED) break;
@@ -161,7 +162,6 @@ private:
     static constexpr double BALANCED = 1e-9;  // of the wrench: largest balance residual of an optimal force
     // Smallest margin of an internal force; less would be useful only with millions of newtons.
     static constexpr double DEEP = 1e-6;
-    static constexpr double BELOW = -1e-9;  // rounding by which an objective may lie below its bound
     // Bound of the normal forces when minimising an excess, relative to the largest normal force of the start.
     static constexpr double MOST = 1e4;
     static constexpr double BEGIN = 1.5;  // of a start's excess: initial increase of the limits
@@ -175,10 +175,12 @@ private:
     Field internal_force_, inside_, z_, best_;
     std::optional<bool> has_internal_force_;  // empty: not searched yet
     bool has_inside_ = false;
+    bool moved_ = false;  // true if `unit_` is not quite the wrench of this call: see `Deepest`
     ArenaVector<double> slacks_, slacks_inside_, prices_, best_prices_;
     Vec6 unit_{}, turned_{}, best_nu_{};  // wrench of this call, scaled to size one; L^-1 of it
     Criterion criterion_ = Criterion::sum;
     int budget_ = INT_MAX;  // iterations of all attempts together
+    double tolerance_ = 0.0;  // required gap
     double excess_unit_ = 1.0, most_ = 1.0;  // the excess of one unit of t; the largest normal force considered
     double size_ = 1.0, best_value_ = infinity, best_bound_ = 0.0, residual_ = 0.0, best_residual_ = 0.0;
 
@@ -191,10 +193,10 @@ private:
     }
     // True if the excess is minimised.
     bool elastic() const { return criterion_ == Criterion::excess; }
-    int kept() const { return elastic() ? in_.torsions : limits; }  // limits that no force may exceed
-
     // The normal force of a unit of u; weighted, unless excesses are minimised.
     double price(int i) const { return elastic() ? in_.price[i] : in_.cost[i]; }
+    int kept() const { return elastic() ? in_.torsions : limits; }  // limits that no force may exceed
+
     template <int T> Code solve(const double* wrench, const StopRule& options, Summary& out) {
         int spent = 0;
         // start from a strictly feasible z if one is known; first in double, then in higher precision
@@ -222,18 +224,35 @@ private:
                 out.multipliers = found.twist, out.iterations = spent;
                 return found.code == INFEASIBLE ? INFEASIBLE : REFUSED;
             }
-            for (int i = 0; i < count; ++i)
-                for (int a = 0; a < D; ++a) inside_[i][a] = z_[i][a] / size_;
-            has_inside_ = true;
+            take_inside(found);
             if (consider(quick) <= options.tolerance) code = CONVERGED;
             else if (options.limit > 0) code = attempt(quick, true);
         }
         if (code == STALLED) {
             auto careful = in_.template engine<DoubleDouble, T>(limits, criterion_);
             code = attempt(careful, has_inside_);
+            if (code == STALLED && !elastic() && !moved_ && move_off_boundary(wrench)) code = attempt(careful, true);
         }
         out.iterations = out.trials = spent;
         return code;
+    }
+    // Take over the force in z_, which is strictly inside, and the wrench that it balances.
+    void take_inside(const Deepest& found) {
+        for (int i = 0; i < count; ++i)
+            for (int a = 0; a < D; ++a) inside_[i][a] = z_[i][a] / size_;
+        has_inside_ = true;
+        if (!found.moved) return;
+        unit_ = (1.0 / size_) * in_.in_frame(found.wrench.data()), turned_ = in_.solve_lower(unit_), moved_ = true;
+        best_value_ = infinity, best_bound_ = 0.0, best_nu_ = Vec6{};
+        std::fill(best_prices_.begin(), best_prices_.end(), 0.0);
+    }
+    // If the wrench is next to the boundary of the constraints, replace it by one just inside, see `Deepest`.
+    bool move_off_boundary(const double* wrench) {
+        const Arena::Scope scope;
+        const Deepest found = Depth(in_, kept()).find(wrench, 1e-7, z_, true);
+        if (found.code != CONVERGED || !found.moved) return false;
+        take_inside(found);
+        return true;
     }
     // True if the last iterate strictly inside in doubles is kept, to be mixed with the next ones.
     template <class R, int T> static constexpr bool keeps_interior(const Engine<R, T>&) {
@@ -405,7 +424,7 @@ private:
                              : best_bound_ > 0.0  ? (best_value_ - best_bound_) / best_bound_
                              : best_value_ == 0.0 ? 0.0
                                                   : infinity;
-        return found >= BELOW ? found : infinity;
+        return found >= -tolerance_ ? found : infinity;  // rounding of the balance may take it below its bound
     }
 
     // Dual value at the multipliers, moved towards interior ones until feasible: s = c + C^T y in the dual cones, y >= 0 for the
@@ -544,8 +563,8 @@ public:
     }
     // Find z (N, 4) [N], the force of largest depth m in all cones and rows, where forces and the wrench's share r sum to one, m <=
     // r. INFEASIBLE: prices (M,) are those of the limits in the proof.
-    Deepest deepest(const double* wrench, double tolerance, double* z, double* prices) {
-        return std::visit([&](auto& on) { return on.deepest(wrench, tolerance, z, prices); }, on_);
+    Deepest deepest(const double* wrench, double tolerance, double* z, double* prices, bool inside = false) {
+        return std::visit([&](auto& on) { return on.deepest(wrench, tolerance, z, prices, inside); }, on_);
     }
     // Minimise Phi from z (N, 4), balanced and strictly inside, into a record; weights (N, 2) omega and lambda, row_weights (M,).
     // Uses wrench, optimum and trace of the call. REFUSED: no such start.

@@ -220,7 +220,8 @@ public:
             total += lacking, size += lacking;
         }
         double value = sum(total), of = sum(size);
-        for (int r = 0; r < 6; ++r) value += nu[r] * w[r], of += std::abs(nu[r] * w[r]);
+        const double load = grasp::size(w);
+        for (int r = 0; r < 6; ++r) value += nu[r] * w[r], of += std::abs(nu[r]) * load;
         return {value, sum(share), of, nu};
     }
     bool proves_infeasible(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) {
@@ -263,7 +264,7 @@ private:
     static constexpr double BROKEN = 10.0;
     static constexpr double EDGE_FACTOR = 1.0 / 16.0;
     static constexpr double LEAST_EDGE = 1e-6;  // below it the problem is nearly infeasible and left to the general program
-    static constexpr double PROOF_MARGIN = 1e-9;  // fraction of the terms of a proof: far above their rounding
+    static constexpr double PROOF_MARGIN = BOUNDARY;  // fraction of the terms of a proof: far above their rounding
     // Fraction of the trace: regularises contacts that the least squares leave undetermined.
     static constexpr double REGULARISATION = 1e-12;
     static constexpr double INSIDE = 0.1;  // of e_u: required depth of the answer in the dual cones
