@@ -1,4 +1,4 @@
-"""Grasp forces for many wrenches and many grasps, on all processor cores; the results equal those of single calls."""
+"""Grasp forces for many wrenches and many grasps, on all processor cores."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ def optimize_forces(
     """Optimise the grasp forces for many wrenches, on one grasp or on one grasp each.
 
     Newton and `conic` on hard contacts solve several problems at once in the vector registers. Everything else runs problem by
-    problem in the core, unless the start rule is a Python function. Converged forces equal those of single calls to a relative 1e-9
-    and do not depend on `workers`.
+    problem in the core, unless the start rule is a Python function. Each problem has the status of a single call, and an objective
+    that agrees within the tolerance. In the registers sums are taken in another order, so a solve may end a step earlier or later;
+    its force then differs by as much as the tolerance leaves open. No result depends on `workers`.
 
     Args:
         grasps: one grasp for all wrenches, or M grasps with equal numbers of contacts.

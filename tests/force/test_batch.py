@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from force.named import attempt
+from problems import random_grasp
 
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
 from grasp_env.force.many import CHUNK
@@ -68,6 +69,26 @@ def test_no_answer_depends_on_threads_or_neighbours(kind: str) -> None:
         np.testing.assert_array_equal(found.records[700:], optimize_forces(many[700:], loads[700 : len(many)]).records)
     order = np.random.default_rng(1).permutation(len(loads))
     np.testing.assert_array_equal(optimize_forces(GRASP, loads[order], **options).records, batch.records[order])
+
+
+@pytest.mark.parametrize(("method", "tolerance"), [("newton", 1e-8), ("conic", 1e-9)])
+def test_what_agrees_where_sums_round_differently(method: str, tolerance: float) -> None:
+    """The status, and the objective within the tolerance; most forces agree to nine digits, all to the root of the tolerance."""
+    rng, apart = np.random.default_rng(0), []
+    for _ in range(20):
+        grasp = random_grasp(rng, int(rng.integers(3, 8)))
+        loads = sample_ball(rng, 100) * 10.0 ** rng.uniform(-3, 1, (100, 1))
+        optimizer = ForceOptimizer(grasp, method=method, tolerance=tolerance)
+        batch = optimizer.solve_many(loads)
+        for k, load in enumerate(loads):
+            one = attempt(lambda o=optimizer, w=load: o.solve(w))
+            assert batch[k].status is one.status
+            if one.status is Status.OPTIMAL:
+                assert batch.objective[k] == pytest.approx(one.objective, rel=tolerance)
+                apart.append(np.abs(batch.force[k] - one.force).max() / np.abs(one.force).max())
+    assert len(apart) > 1000
+    assert np.quantile(apart, 0.95) <= AGREES
+    assert max(apart) <= np.sqrt(tolerance)
 
 
 def ring(count: int) -> Grasp:

@@ -13,6 +13,8 @@ from oracles.descent import followed
 from oracles.reduced_flow import flow_vector, landscape, picked_projector, reduced_projector
 from problems import GRASPS, LIGHT
 
+from grasp_env.core import LARGEST
+from grasp_env.errors import GraspError, InfeasibleStartError, NotConvergedError
 from grasp_env.force import (
     AdaptiveStep,
     BarzilaiBorweinStep,
@@ -23,10 +25,52 @@ from grasp_env.force import (
 )
 from grasp_env.force.initial import LinearCombination
 from grasp_env.grasp import Grasp
+from grasp_env.quality import force_closure
 
 OBJECTIVE = Objective(1.0, 0.1)
 CUBOID = GRASPS["cuboid, 4"]
 ALL = {**GRASPS, **{name: NAMED[name].grasp for name in ("elliptic", "rough and frictionless")}}
+
+
+def nearly_open(margin: float) -> Grasp:
+    """Three contacts on a circle whose normals tilt until force closure has this margin."""
+    angle = 2.0 * np.pi * np.arange(3) / 3.0
+    out = np.array([np.cos(angle), np.sin(angle), 0.0 * angle]).T
+
+    def made(tilt: float) -> Grasp:
+        return Grasp.from_contacts(0.03 * out, -np.cos(tilt) * out + [0.0, 0.0, np.sin(tilt)], 0.5)
+
+    low, high = 0.0, float(np.arctan(0.5)) + 0.1
+    while (middle := 0.5 * (low + high)) not in (low, high):
+        try:
+            closed = force_closure(made(middle)).margin > margin
+        except NotConvergedError:
+            closed = False
+        low, high = (middle, high) if closed else (low, middle)
+    return made(low)
+
+
+@pytest.mark.parametrize("method", ["reduced_flow", "full_flow"])
+@pytest.mark.parametrize("margin", [1e-7, 1e-8, 2e-9, 1.1e-9])
+def test_next_to_losing_closure_a_flow_answers_or_refuses(margin: float, method: str) -> None:
+    """Forces are finite, balanced to rounding, and at most 1e12 N, nine decades above the wrench; nothing is called infeasible."""
+    grasp, rng = nearly_open(margin), np.random.default_rng(0)
+    for initial in (None, "phase_one", "internal_force", "previous"):
+        optimizer = ForceOptimizer(grasp, method=method, initial=initial, max_iterations=2000)
+        for wrench in rng.standard_normal((4, 6)) * np.repeat([1.0, 0.03], 3):
+            try:
+                found = optimizer.solve(wrench)
+            except GraspError as error:
+                assert isinstance(error, (NotConvergedError, InfeasibleStartError))  # noqa: PT017
+                continue
+            most = float(np.abs(found.force).max())
+            assert most <= LARGEST
+            assert np.isfinite(found.multipliers).all()
+            assert found.cone_margin >= 0.0
+            assert (
+                grasp.residual(found.force, wrench)
+                <= 1e-9 * max(1.0, np.abs(wrench).max() / grasp.length) + 1e-13 * most
+            )
 
 
 def weights(grasp: Grasp) -> np.ndarray:

@@ -628,7 +628,8 @@ private:
         for (int i = 0; i < current_.now.count; ++i) most = std::max(most, record.force()[3 * i]);
         const double allowed =
             balance_tolerance(grasp::size(newton_.cones.unit.of(s.wrench.data())), most) + ROUNDED * most + NOTHING;
-        return s.residual <= allowed && s.margin >= 0.0 && s.objective < infinity;
+        return s.residual <= allowed && s.margin >= 0.0 && s.objective < infinity && most <= LARGEST &&
+               grasp::size(s.multipliers) < infinity;
     }
     void set_limit(int limit) {
         options_.limit = newton_.options.limit = limit;

@@ -42,6 +42,8 @@ public:
 
 private:
     static constexpr double ROUNDING = 1e-14;  // of the terms of a proof, per term: far above rounding
+    static constexpr double SUM_ROUNDING = 4e-16;  // of the terms of a sum of a dozen
+    static constexpr double COVERED = 1e10, SEEN = 1e6;  // forces of which a proof speaks, in units of the wrench
     static constexpr double NEEDLESS = 1e-9;  // of the twist: a smaller price of a limit is rounding
     static constexpr double NEAR = 1e-6;  // margin, relative to forces that sum to one
     static constexpr double ENOUGH =
@@ -88,15 +90,15 @@ private:
         found.twist = per * twist;
         price(engine, size);
         drop_needless_prices(y, size);
-        const double value = separation(y, unit, size);
-        const bool at_rest = !(grasp::size(load) > 0.0), shut = found.code == CONVERGED && found.margin <= CLEAR;
+        const bool at_rest = !(grasp::size(load) > 0.0), proven = proves_infeasible(y, unit, size);
+        const bool shut = at_rest && found.code == CONVERGED && found.margin <= CLEAR;
         if (found.margin > CLEAR && least_slack(z) > 0.0) {
             found.code = CONVERGED;
-        } else if ((shut && (at_rest || value > BOUNDARY)) || (value > BOUNDARY && proves_infeasible(y, unit, size))) {
+        } else if (shut || (proven && separation(y, unit, size) > BOUNDARY)) {
             found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
         } else if (!at_rest && part > 0.0 && move_inside(load, z, found)) {
             found.code = CONVERGED, found.margin = std::max(found.margin, 0.0);
-        } else if (!std::is_same_v<R, double> && proves_infeasible(y, unit, size)) {
+        } else if (proven && !std::is_same_v<R, double>) {
             found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
         } else if (found.code == CONVERGED) {
             found.code = STALLED;  // slow does not mean infeasible
@@ -165,11 +167,13 @@ private:
         for (int r = rows.equal; r < rows.joint; ++r)
             prices_[rows.label[r]] = row_scale(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
     }
-    // True if the twist y (unit frame) and the limits' multipliers prove that no force is within the limits: G^T y + sum price row
-    // lies in every dual cone and y . w > sum price bound, both by more than rounding. The origin of y and of the multipliers does
+    // True if the twist y (unit frame) and the limits' multipliers prove that no force is within the limits: G^T y + sum price row lies
+    // in every dual cone, and y . w > sum price bound. What it lacks of a dual cone must be too little to matter for any force of up
+    // to COVERED times the wrench, or if rounding hides it, of up to SEEN times the wrench. The origin of y and of the multipliers does
     // not matter.
     bool proves_infeasible(const Vec6& y, const Vec6& unit, double size) {
         const double rounding = ROUNDING * (8 + many_);
+        double lacking = 0.0, hidden = 0.0;
         for (int i = 0; i < in_->count; ++i) {
             Tuple<double, D> dual{};
             double terms = 0.0;
@@ -184,13 +188,14 @@ private:
                 const double raised = (2.0 * rounding * terms - dual[D - 1]) / row[D - 1];
                 prices_[in_->torsion_row[i]] += raised, take(raised, row);
             }
-            if (!(slack(cone(dual)) > rounding * terms)) return false;
+            const double room = slack(cone(dual)), lost = SUM_ROUNDING * terms;
+            lacking = std::max(lacking, -room - lost), hidden = std::max(hidden, lost - room);
         }
         double value = 0.0, terms = 0.0;
         const auto take = [&](double part) { value += part, terms += std::abs(part); };
         for (int r = 0; r < 6; ++r) take(y[r] * unit[r]);
         for (int k = 0; k < many_; ++k) take(-prices_[k] * in_->bound[k] / size);
-        return value > rounding * terms && terms < infinity;
+        return value > rounding * terms + COVERED * lacking + SEEN * hidden && terms < infinity;
     }
     // Set up the program for a wrench, scaled to its size: the orthonormalised balance and every limit.
     template <class R> void set_up(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
