@@ -334,6 +334,7 @@ private:
     }
 
     void assemble();
+    void bind();
     void bind(int i);
     Mask stiff() const;
     bool solve_stiff(int lane, const Six<V>& h, Six<V>& q);

@@ -31,45 +31,51 @@ template <int W> auto SmoothLanes<W>::stiff() const -> Mask {
 // the square of it. g: pull_ and pull_v_; p: step_ and step_v_.
 template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six<V>& q) {
     const bool normal = batch_.min_normal || batch_.max_normal;
-    const int n = count(), limits = joints_ + (normal ? n : 0), columns = 6 + limits;
     const double soft = get(softness_, lane);
-    stiff_.resize(4 * n + columns, columns);
-    axes_.resize(16 * n), nearest_.assign(4 * n + columns, 0.0), prices_.assign(columns, 0.0);
-    for (int r = 0; r < 6; ++r) stiff_(4 * n + r, r) = std::sqrt(soft), prices_[r] = get(h[r], lane);
-    for (int j = 6; j < columns; ++j) stiff_(4 * n + j, j) = 1.0;
+    const int n = count(), columns = 6 + joints_ + (normal ? n : 0);
+    const int width = batch_.torsion ? 4 : 3;  // variables of a contact
+    const int first = soft > 0.0 ? 0 : 6,
+              tail = width * n - first;  // the first column with a softness, and its row less its number
+    stiff_.resize(tail + columns, columns);
+    axes_.resize(16 * n), nearest_.assign(tail + columns, 0.0), prices_.assign(columns, 0.0);
+    for (int r = 0; r < 6; ++r) prices_[r] = get(h[r], lane);
+    for (int j = first; j < columns; ++j) stiff_(tail + j, j) = j < 6 ? std::sqrt(soft) : 1.0;
     for (int i = 0; i < n; ++i) {
         const Contact& c = at_[i];
         const auto& block = cones_.blocks[i];
         double* axes = &axes_[16 * i];
         axes_of(lane, i, axes);
-        double pull[4];
-        for (int a = 0; a < 4; ++a) pull[a] = a < 3 ? get(pull_[i][a], lane) : get(pull_v_[i], lane);
-        for (int k = 0; k < 4; ++k)
-            for (int a = 0; a < 4; ++a) nearest_[4 * i + k] += axes[4 * a + k] * pull[a];
-        const auto along = [&](int column, double root, const double (&row)[4]) {
-            for (int k = 0; k < 4; ++k) {
-                double total = 0.0;
-                for (int a = 0; a < 4; ++a) total += row[a] * axes[4 * a + k];
-                stiff_(4 * i + k, column) = root * total;
-            }
+        const auto along = [&](const double (&row)[4], int k) {
+            double total = 0.0;
+            for (int a = 0; a < width; ++a) total += row[a] * axes[4 * a + k];
+            return total;
         };
-        for (int r = 0; r < 6; ++r)
-            along(r, 1.0, {get(block.g[r].u, lane), get(block.g[r].o, lane), get(block.g[r].t, lane), get(c.gv[r], lane)});
+        const auto fill = [&](int column, double root, const double (&row)[4]) {
+            for (int k = 0; k < width; ++k) stiff_(width * i + k, column) = root * along(row, k);
+        };
+        const auto entries = [&](const Vec& of, const V& turn, double (&row)[4]) {
+            for (int a = 0; a < 4; ++a) row[a] = a < 3 ? get(of[a], lane) : get(turn, lane);
+        };
+        double row[4];
+        entries(pull_[i], pull_v_[i], row);
+        for (int k = 0; k < width; ++k) nearest_[width * i + k] = along(row, k);
+        for (int r = 0; r < 6; ++r) entries(block.g[r], c.gv[r], row), fill(r, 1.0, row);
         for (int j = 0; j < joints_; ++j) {
-            const Column& col = column(i, j);
-            const double bend = get(rows_[j].high.bend + rows_[j].low.bend, lane);
-            along(6 + j, std::sqrt(bend), {get(col.c.u, lane), get(col.c.o, lane), get(col.c.t, lane), get(col.cv, lane)});
+            entries(column(i, j).c, column(i, j).cv, row);
+            fill(6 + j, std::sqrt(get(rows_[j].high.bend, lane) + get(rows_[j].low.bend, lane)), row);
         }
-        if (normal) along(6 + joints_ + i, std::sqrt(get(c.high.bend + c.low.bend, lane)), {1.0, 0.0, 0.0, 0.0});
+        if (normal) fill(6 + joints_ + i, std::sqrt(get(c.high.bend, lane) + get(c.low.bend, lane)), {1.0, 0.0, 0.0, 0.0});
     }
     if (!stiff_.factor()) return false;
     stiff_.nearest(nearest_.data(), prices_.data());
     for (int i = 0; i < n; ++i)
-        for (int a = 0; a < 4; ++a) {
+        for (int a = 0; a < width; ++a) {
             double total = 0.0;
-            for (int k = 0; k < 4; ++k) total += axes_[16 * i + 4 * a + k] * nearest_[4 * i + k];
+            for (int k = 0; k < width; ++k) total += axes_[16 * i + 4 * a + k] * nearest_[width * i + k];
             set(a < 3 ? step_[i][a] : step_v_[i], lane, total);
         }
+    if (width == 3)
+        for (int i = 0; i < n; ++i) set(step_v_[i], lane, 0.0);
     for (int r = 0; r < 6; ++r) set(q[r], lane, prices_[r]);
     return true;
 }
@@ -128,7 +134,7 @@ template <int W> auto SmoothLanes<W>::finish(Mask open) -> Mask {
     Mask converged{};
     V before = infinity, value = energy();
     for (int round = 0; round < STIFF_STEPS && any(open); ++round) {
-        assemble();
+        bind();
         const Six<V> missing = missed(), h = softness_ * y_ - missing;
         for (int i = 0; i < count(); ++i) {
             pull_[i] = -at_[i].gradient - Block<V>::combined(cones_.blocks[i].g, y_), pull_v_[i] = -at_[i].gradient_v;
