@@ -67,6 +67,18 @@ def test_elastic_forces_have_their_last_digits_and_the_slopes_of_these(limits: s
             assert moved(other.force, found.force)[~declared].max() < 1e-6
 
 
+def test_a_force_that_has_not_converged_has_no_gradient() -> None:
+    """With barriers a millionth of the usual, the penalties are too steep for the digits of most forces. The others have right slopes."""
+    given = human("normals", 4, 40, seed=3)
+    given["barrier_weight"] = torch.full((40, 4), 1e-8, dtype=torch.float64)
+    found, error, declared = slopes(given, "max_normal")
+    assert declared.any()
+    assert not declared.all()
+    assert (found.status[declared] != 0).all()
+    assert found.force.isfinite().all()
+    assert error[~declared].max() < 0.01
+
+
 @pytest.mark.parametrize("limits", LIMITS)
 def test_the_core_agrees_with_batched_newton_on_them(limits: str, monkeypatch: pytest.MonkeyPatch) -> None:
     given, found = human(limits, 4, 6, seed=1), []
