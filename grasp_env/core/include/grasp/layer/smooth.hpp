@@ -1,6 +1,6 @@
 // The optimum of Phi as a smooth function of all inputs, W problems side by side: Newton's system with torsion and limits, the last
 // step of a solve, the elastic force if no force exists, and gradients by the adjoint system. The file is the class alone;
-// system.hpp, optima.hpp and gradients.hpp hold its longer functions.
+// system.hpp, stiff.hpp, optima.hpp and gradients.hpp hold its longer functions.
 //
 // Variables of a contact are z = (u, o, t, v) in cone coordinates, with v the torsion of a soft contact in units of its limit. The
 // optimum satisfies
@@ -152,10 +152,11 @@ public:
 
     // --- optima
 
-    // Damped Newton for the live lanes, from any force inside the cones, in at most `most` steps. Return the lanes that are then
-    // close to their optimum, or elastic force.
+    // Damped Newton for the live ordinary lanes, from any force inside the cones, in at most `most` steps. Return the lanes that are
+    // then close to their optimum.
     Mask descend(Mask live, int most);
-    // Take full Newton steps close to an optimum to reach its last digits, as long as they do not raise E.
+    // Take full Newton steps close to an optimum to reach its last digits, as long as they do not raise E. Solve elastic lanes, and
+    // finish those that are stiff.
     void polish(const Mask& which);
     // (E - bound) / bound, where bound is the dual value at the multipliers and the limits' prices: no balanced force has less.
     // inf: no bound.
@@ -336,6 +337,7 @@ private:
     void assemble();
     void bind();
     void bind(int i);
+    // stiff.hpp: lanes whose prices are so high that `solve` loses digits; its twin for one lane; Newton's method with it
     Mask stiff() const;
     bool solve_stiff(int lane, const Six<V>& h, Six<V>& q);
     void axes_of(int lane, int i, double* axes) const;
