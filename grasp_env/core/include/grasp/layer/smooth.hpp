@@ -235,7 +235,7 @@ private:
     static constexpr double TIGHT = 0.1, DEAR = 100.0;  // slack over sqrt(lambda / omega), |y| over omega: further are stiff
     // relative steps of forces and of their distances from the cones: that of a force with all digits; the largest of a converged
     // one; below which whole steps are taken, and one that is not a quarter of the one before is rounding; that which ends a stage
-    static constexpr double LEAST = 1e-13, ROUGH = 1e-6, SHORT = 1e-4, STAGE = 0.1;
+    static constexpr double LEAST = 1e-13, ROUGH = 1e-6, SHORT = 1e-4, STAGE = 0.25;
     static constexpr double NOISE = 1e-14;  // rounding of E, relative
     static constexpr int STIFF_STEPS = 300;
 

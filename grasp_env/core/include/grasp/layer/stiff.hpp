@@ -84,7 +84,7 @@ template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six
 template <int W> void SmoothLanes<W>::axes_of(int lane, int i, double* axes) const {
     const double u = get(x_[i].u, lane), o = get(x_[i].o, lane), t = get(x_[i].t, lane), v = get(v_[i], lane);
     const double lambda = get(cones_.blocks[i].weights.lambda, lane), turning = get(at_[i].lambda_v, lane);
-    const double s = std::hypot(o, t), p = u - s, q = u + s;
+    const double s = std::sqrt(o * o + t * t), p = u - s, q = u + s;
     const double eo = s > 1e-140 ? o / s : 1.0, et = s > 1e-140 ? t / s : 0.0;
     double lever = 0.0, rest = 0.0, gain = 0.0;  // torsion v = lever u + rest: the rest is a separate axis
     if (turning > 0.0) {

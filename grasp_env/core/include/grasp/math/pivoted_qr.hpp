@@ -24,8 +24,7 @@ public:
             int best = k;
             double square = 0.0;
             for (int c = k; c < columns_; ++c) {
-                double total = 0.0;
-                for (int r = k; r < rows_; ++r) total += at(r, c) * at(r, c);
+                const double total = product(rows_ - k, &at(k, c), &at(k, c));
                 if (!(total <= square)) square = total, best = c;
             }
             if (!(square > 0.0 && square < 1e300)) return false;
@@ -70,12 +69,19 @@ private:
     std::vector<double> a_, beta_, diagonal_, along_;  // a_: R above the diagonal, the reflections from it down
     std::vector<int> row_, column_;  // what each step exchanged with its own
 
+    // a . b in four sums, which run side by side.
+    static double product(int size, const double* a, const double* b) {
+        double sums[4] = {};
+        int r = 0;
+        for (; r + 4 <= size; r += 4)
+            for (int k = 0; k < 4; ++k) sums[k] += a[r + k] * b[r + k];
+        for (; r < size; ++r) sums[0] += a[r] * b[r];
+        return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+    }
     double& at(int r, int c) { return a_[std::size_t(rows_ * c + r)]; }
     void reflect(int k, double* v) {
         const double* w = &at(0, k);
-        double along = 0.0;
-        for (int r = k; r < rows_; ++r) along += w[r] * v[r];
-        along *= beta_[k];
+        const double along = beta_[k] * product(rows_ - k, w + k, v + k);
         for (int r = k; r < rows_; ++r) v[r] -= along * w[r];
     }
 };
