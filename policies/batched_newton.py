@@ -42,10 +42,8 @@ _POLISH_STEPS = 2  # whole steps after convergence; each squares the error
 _TIGHT, _DEAR = 0.1, 100.0  # slack over sqrt(lambda / omega), |nu| over omega: beyond them a problem is stiff
 _HARDER, _STIFF_STEPS = 0.5, 300  # factor of the edge of elastic forces; most steps of a stiff problem
 _LEAST, _ROUGH = 1e-13, 1e-6  # relative step of a force with all digits, and largest of a converged one
-_SHORT, _STAGE = (
-    1e-4,
-    0.1,
-)  # relative step that is taken whole, and rounding unless it is a quarter of the one before; that ends a stage
+_SHORT = 1e-4  # relative step that is taken whole, and is rounding unless it is a quarter of the one before
+_STAGE = 0.25  # relative step that ends a stage
 _NOISE = 1e-14  # rounding of the objective, relative
 _RANK = 1e-8  # smallest ratio of singular values of G that counts as rank 6
 
