@@ -39,6 +39,12 @@ _SETTLED, _LOWER = 0.03, 0.25  # squared decrement, part of Phi, at which edge a
 _REACH = 0.95  # largest part of the way to the boundary that a step goes
 _HALVINGS = 60
 _POLISH_STEPS = 2  # whole steps after convergence; each squares the error
+_TIGHT, _DEAR = 0.1, 100.0  # slack over sqrt(lambda / omega), |nu| over omega: beyond them a problem is stiff
+_HARDER, _STIFF_STEPS = 0.5, 300  # factor of the edge of elastic forces; most steps of a stiff problem
+_LEAST, _ROUGH = 1e-13, 1e-6  # relative step of a force with all digits, and largest of a converged one
+_SHORT = 1e-4  # relative step that is taken whole, and is rounding unless it is a quarter of the one before
+_STAGE = 0.25  # relative step that ends a stage
+_NOISE = 1e-14  # rounding of the objective, relative
 _RANK = 1e-8  # smallest ratio of singular values of G that counts as rank 6
 
 
@@ -355,10 +361,13 @@ class _NewtonSystem:
         both = torch.cat([problem.balance, stiff.view(*stiff.shape, 1, 1) * problem.rows], 1)
         self.rows = torch.einsum("brna,bnak->brnk", both, self.axes).flatten(2)
         self.diagonal = torch.cat([problem.softness.unsqueeze(-1).expand(-1, 6), torch.ones_like(stiff)], -1)
+        self._factor()
+
+    def _factor(self) -> None:
         system = self.rows @ self.rows.mT + torch.diag_embed(self.diagonal)
         lower, failed = torch.linalg.cholesky_ex(system)
         self.sound = (failed == 0) & _finite(system)
-        self.lower = _pick(self.sound, lower, torch.eye(system.shape[-1], dtype=z.dtype, device=z.device))
+        self.lower = _pick(self.sound, lower, torch.eye(system.shape[-1], dtype=system.dtype, device=system.device))
 
     def solve(self, pull: Tensor, push: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Solve [H -A^T; A softness] (x; nu) = (pull (B, N, 4); push (B, 6)) for (x, nu), and return (B,) True if they are finite."""
@@ -374,6 +383,42 @@ class _NewtonSystem:
         return x, -mu[:, :6], self.sound & _finite(x, mu)
 
 
+class _StiffSystem(_NewtonSystem):
+    """The same system by orthogonal factors, for prices so high that it loses its digits.
+
+    (s, -sqrt(D) mu) is the point nearest to (-L^T gradient, 0) among those with [M, sqrt(D)] (s, .) = -(missed, 0). Its error grows with the
+    condition of M, that of the system above with its square. The largest rows come first, so that small ones keep their digits.
+    """
+
+    def _factor(self) -> None:
+        tall = torch.cat([self.rows, torch.diag_embed(self.diagonal.sqrt())], -1).mT
+        sizes = _dot(tall, tall)
+        self.sound = _finite(tall)
+        self.order = sizes.argsort(-1, descending=True)
+        tall = _pick(self.sound, tall.gather(1, self.order.unsqueeze(-1).expand_as(tall)), 1.0)
+        self.q, self.r = torch.linalg.qr(tall)
+        heads = self.r.diagonal(dim1=-2, dim2=-1)
+        self.sound &= (heads != 0.0).all(-1)
+        self.r = torch.where(
+            self.sound.view(-1, 1, 1), self.r, torch.eye(heads.shape[-1], dtype=heads.dtype, device=heads.device)
+        )
+
+    def solve(self, pull: Tensor, push: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Solve as the base class does."""
+        right = torch.cat([push, torch.zeros_like(self.diagonal[:, 6:])], -1).unsqueeze(-1)
+        s = torch.einsum("bnak,bna->bnk", self.axes, pull).flatten(1)
+        near = torch.cat([s, torch.zeros_like(self.diagonal)], -1).gather(1, self.order).unsqueeze(-1)
+        along = torch.linalg.solve_triangular(self.r.mT, right, upper=False)
+        mu = torch.zeros_like(right)
+        for _ in range(2):  # the second removes what rounding has left in the plane
+            more = self.q.mT @ near - along
+            near = near - self.q @ more
+            mu = mu + torch.linalg.solve_triangular(self.r, more, upper=True)
+        s = torch.zeros_like(near[..., 0]).scatter(1, self.order, near[..., 0])[:, : s.shape[1]]
+        x = torch.einsum("bnak,bnk->bna", self.axes, s.view(pull.shape))
+        return x, -mu[:, :6, 0], self.sound & _finite(x, mu)
+
+
 def _inverse_reach(problem: _Problem, z: Tensor, step: Tensor) -> Tensor:
     """(B,) 1 / (largest multiple of the step inside the cones)."""
     u, o, t, v = z.unbind(-1)
@@ -384,6 +429,19 @@ def _inverse_reach(problem: _Problem, z: Tensor, step: Tensor) -> Tensor:
     most = inverse * ((do - k * o) ** 2 + (dt - k * t) ** 2).sqrt() - along
     turn = torch.maximum((dv - du) / (u - v), -(dv + du) / (u + v))
     return torch.maximum(most, torch.where(problem.soft, turn, -math.inf)).amax(1)
+
+
+def _relative_step(problem: _Problem, z: Tensor, step: Tensor) -> Tensor:
+    """(B,) the step as a fraction of the largest force and, towards them or away, of the distances from the cones' surfaces."""
+    u, o, t, v = z.unbind(-1)
+    du, do, dt, dv = step.unbind(-1)
+    inverse = 1.0 / (u * u - o * o - t * t).sqrt()
+    along = (u * du - o * do - t * dt) * inverse * inverse
+    k = (du * inverse + along) / (1.0 + u * inverse)
+    most = inverse * ((do - k * o) ** 2 + (dt - k * t) ** 2).sqrt() + along.abs()
+    turn = torch.maximum((dv - du).abs() / (u - v), (dv + du).abs() / (u + v))
+    most = torch.maximum(most, torch.where(problem.soft, turn, 0.0)).amax(1)
+    return torch.maximum(most, step[..., :3].abs().amax((1, 2)) / u.amax(1))
 
 
 def _lower_bound(problem: _Problem, at: _NewtonSystem, z: Tensor, step: Tensor, nu: Tensor) -> Tensor:
@@ -504,6 +562,84 @@ def _descend(problem: _Problem, z: Tensor, edge: float, softness: float, toleran
         good = good & (_inverse_reach(now, z, step) < 0.5) & (done.status == OPTIMAL)
         z, nu = _pick(good, z + step, z), _pick(good, more, nu)
     return done._replace(z=z, nu=nu)
+
+
+class _Finished(NamedTuple):
+    """Result of `_finish`, each (B, ...)."""
+
+    z: Tensor
+    nu: Tensor
+    iterations: Tensor
+    converged: Tensor
+
+
+def _finish(problem: _Problem, z: Tensor, nu: Tensor, edge: float, softness: float) -> _Finished:
+    """Minimise with the stiff system, to the last digits.
+
+    For elastic forces, `edge` > 0, the penalties grow by stages. Each starts close to its optimum, because a cone's surface is curved and a
+    step along it is as short as the distance from it. For others take whole steps. Where the value no longer tells two points apart, the
+    steps tell: each is much shorter than the one before.
+    """
+    none = torch.zeros_like(z[:, 0, 0])
+    done = _Finished(z.clone(), nu.clone(), none.clone(), none > 0.0)
+    active = torch.arange(len(z), device=z.device)
+    now = problem._replace(edge=none + (_FIRST_EDGE if edge else 0.0), softness=none)
+
+    def harden(now: _Problem, where: Tensor) -> _Problem:
+        if not edge:
+            return now
+        edges = torch.where(where, (_HARDER * now.edge).clamp(min=edge), now.edge)
+        return now._replace(edge=edges, softness=softness * (edges / edge) ** 3)
+
+    now = harden(now, none > 0.0)
+    value, before = now.value(z), none + math.inf
+    for _ in range(_STIFF_STEPS if len(z) else 0):
+        at = _StiffSystem(now, z)
+        pull = torch.einsum("brna,br->bna", now.balance, nu) - at.gradient
+        missed = now.missed(z)
+        step, change, good = at.solve(pull, -(missed + now.softness.unsqueeze(-1) * nu))
+        exact = (now.softness == 0.0).unsqueeze(-1)
+        push = torch.where(exact, 0.0, missed / torch.where(exact, 1.0, now.softness.unsqueeze(-1)))
+        decrement = -((at.gradient + torch.einsum("brna,br->bna", now.balance, push)) * step).sum((1, 2))
+        moved, reach = _relative_step(now, z, step), _inverse_reach(now, z, step)
+        good = good & moved.isfinite() & ((reach < 0.5) | (now.edge > 0.0))
+        last = now.edge == edge
+        close = last & (moved < _SHORT)
+        rounding = good & close & ~(moved < 0.25 * before)
+        trying = good & ~rounding
+        alpha = torch.where(trying, (_REACH / reach.clamp(min=1e-300)).clamp(max=1.0), 0.0)
+        found, high = value, trying
+        for _ in range(_HALVINGS):
+            found = now.value(z + _pick(trying, alpha.view(-1, 1, 1) * step, 0.0))
+            high = trying & ~close & ~(found <= value + _NOISE * value - 1e-4 * alpha * decrement)
+            if not bool(high.any()):
+                break
+            alpha = torch.where(high, 0.5 * alpha, alpha)
+        else:
+            alpha = torch.where(high, 0.0, alpha)
+        going = trying & (~last | (alpha > 0.0))
+        z = z + _pick(going, alpha.view(-1, 1, 1) * step, 0.0)
+        nu, value = nu + _pick(going, change, 0.0), torch.where(alpha > 0.0, found, value)
+        whole = alpha == 1.0
+        converged = good & close & (rounding & (moved < _ROUGH) | (moved < _LEAST))
+        before = torch.where(close, moved, math.inf)
+        harder = going & ~last & ((whole & (moved < _STAGE)) | (alpha == 0.0))
+        now = harden(now, harder)
+        value, before = torch.where(harder, now.value(z), value), torch.where(harder, math.inf, before)
+        done.z[active], done.nu[active] = z, nu
+        done.iterations[active] += going
+        done.converged[active] = converged
+        left = going & ~converged
+        if not bool(left.any()):
+            break
+        active, z, nu, value, before, now = active[left], z[left], nu[left], value[left], before[left], now.take(left)
+    return done
+
+
+def _stiff(problem: _Problem, z: Tensor, nu: Tensor) -> Tensor:
+    """Return (B,) True for problems beside a limit, or with multipliers of a size that only a small slack has."""
+    tight = (problem.slack(z) < _TIGHT * problem.scales.unsqueeze(-1)).flatten(1).any(1)
+    return tight | (nu.abs().amax(1) > _DEAR * problem.omega.amin(1))
 
 
 # --- starts
@@ -630,22 +766,30 @@ def _solve_sane(given: Inputs, tolerance: float, max_iterations: int, start: Ten
     whole = _Descent(z.clone(), torch.zeros_like(problem.load), none.clone(), none.clone(), none.clone(), status)
     mode = none.clone()
 
-    def descend(kind: int, where: Tensor) -> None:
+    def descend(where: Tensor) -> None:
         if not bool(where.any()):
             return
-        edge, softness = 0.0 if kind == BALANCED else EDGE, SOFTNESS if kind == UNBALANCED else 0.0
-        found = _descend(problem.take(where), z[where], edge, softness, tolerance, max_iterations)
-        steps = whole.iterations[where] + found.iterations
-        found = found._replace(iterations=steps, status=found.status if kind == BALANCED else whole.status[where])
-        mode[where] = kind
+        found = _descend(problem.take(where), z[where], 0.0, 0.0, tolerance, max_iterations)
         for to, a in zip(whole, found, strict=True):
             to[where] = a
 
-    descend(BALANCED, begun)
-    descend(EXCEEDING, whole.status == LIMITS_EXCEEDED)
-    descend(UNBALANCED, ~begun)
+    def finish(kind: int, where: Tensor) -> None:
+        if not bool(where.any()):
+            return
+        edge, softness = 0.0 if kind == BALANCED else EDGE, SOFTNESS if kind == UNBALANCED else 0.0
+        begin = whole.z if kind == BALANCED else z
+        found = _finish(problem.take(where), begin[where], whole.nu[where], edge, softness)
+        whole.z[where], whole.nu[where] = found.z, found.nu
+        if kind != BALANCED:
+            whole.iterations[where] += found.iterations
+            mode[where] = torch.where(found.converged, float(kind), float(NOTHING)).to(mode.dtype)
+
+    descend(begun)
+    finish(BALANCED, begun & (whole.status == OPTIMAL) & _stiff(problem, whole.z, whole.nu))
+    finish(EXCEEDING, whole.status == LIMITS_EXCEEDED)
+    finish(UNBALANCED, ~begun)
     gap = torch.where(whole.bound > 0.0, (whole.value - whole.bound).clamp(min=0.0) / whole.bound, math.inf)
-    gap = torch.where(mode == BALANCED, gap, math.inf)
+    gap = torch.where(whole.status <= STALLED, gap, math.inf)
     residual = problem.missed(whole.z).abs().amax(1)
     facts = torch.stack([whole.status, gap, residual, whole.iterations], -1)
     state = torch.cat([whole.z.flatten(1), whole.nu, mode.unsqueeze(-1)], -1)
@@ -681,8 +825,13 @@ def gradients(
         direct = sum(((d * a).sum() for d, a in zip(losses, problem.answers(z, nu), strict=True)), z.new_zeros(()))
         pull, push = torch.autograd.grad(direct, (z, nu), retain_graph=True)
         with torch.no_grad():
-            at = _NewtonSystem(problem._replace(softness=SOFTNESS * (mode == UNBALANCED).to(z.dtype)), z)
-            p, q, good = at.solve(pull, -push)
+            soft = problem._replace(softness=SOFTNESS * (mode == UNBALANCED).to(z.dtype))
+            p, q, good = _NewtonSystem(soft, z).solve(pull, -push)
+            stiff = ((mode != BALANCED) | _stiff(problem, z, nu)).nonzero().flatten()
+            if len(stiff):
+                p[stiff], q[stiff], good[stiff] = _StiffSystem(soft.take(stiff), z[stiff]).solve(
+                    pull[stiff], -push[stiff]
+                )
             p, q = _pick(good, p, 0.0), _pick(good, q, 0.0)
         missed = problem.missed(z)
         (left,) = torch.autograd.grad(problem.value(z).sum() - (nu.detach() * missed).sum(), z, create_graph=True)

@@ -74,6 +74,9 @@ class GraspForces(NamedTuple):
       divided by the contacts' spread, which is the root mean square of their distances from their centre.
     - Status 4, invalid inputs: the force is zero.
 
+    Elastic forces are solved until their steps are rounding. One that does not get there, with steps above 1e-6 of the force, has the
+    gradient zero.
+
     Attributes:
         force: (..., N, 3) in the frame of the positions [N].
         torsion: (..., N) moment about each normal [N m]; 0 where a contact is not soft.
@@ -128,7 +131,8 @@ def grasp_force(
         force_weight, barrier_weight: (..., N) omega [-] and lambda [N^2] of Phi.
         start: (..., N, 3) force of an earlier result, used as a warm start if it is near; its gradient is zero.
         infeasible: what to do with elements without an optimum. "mask": return the elastic force (see `GraspForces`) with zero gradient.
-            "elastic": return it with its gradient. "raise": raise an InfeasibleWrenchError that names the elements.
+            "elastic": return it with its gradient, which is zero if the force has not converged. "raise": raise an InfeasibleWrenchError
+            that names the elements.
         tolerance: relative certified gap at which the solver stops.
         max_iterations: largest number of Newton steps.
         chunk: number of elements that are solved at a time; the results do not depend on it. None: all on a GPU, else 512 per thread.

@@ -57,6 +57,58 @@ def problems(kind: str, batch: int, seed: int = 0) -> dict[str, Tensor]:
     return made
 
 
+def human(limits: str, contacts: int, batch: int, seed: int = 0) -> dict[str, Tensor]:
+    """Return grasps of human size, most of which exceed their limits of "normals" or of "torques": 5 to 40 N, points within 0.04 m.
+
+    Half of them hold two parallel plates, the others have contacts anywhere.
+    """
+    draw = torch.Generator().manual_seed(100 * seed + contacts)
+
+    def uniform(low: float, high: float, *shape: int) -> Tensor:
+        return low + (high - low) * torch.rand(batch, *shape, generator=draw, dtype=torch.float64)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(batch, *shape, generator=draw, dtype=torch.float64)
+
+    points, side = uniform(-0.04, 0.04, contacts, 3), uniform(-1.0, 1.0, contacts).sign()
+    side[:, :2] = torch.tensor([1.0, -1.0], dtype=torch.float64)
+    inward = 0.3 * normal(contacts, 3) - points / points.norm(dim=-1, keepdim=True)
+    plates = torch.arange(batch) % 2 == 0
+    points[plates, :, 2], inward[plates, :, :2] = 0.04 * side[plates], 0.0
+    inward[plates, :, 2] = -side[plates]
+    push, place = normal(3), uniform(-0.02, 0.02, 3)
+    push = uniform(5.0, 40.0, 1) * push / push.norm(dim=-1, keepdim=True)
+    made = {
+        "positions": points,
+        "normals": inward,
+        "friction": uniform(0.3, 1.0, 1, 1).expand(-1, contacts, 2).clone(),
+        "wrench": torch.cat([push, torch.linalg.cross(place, push)], -1),
+    }
+    if limits == "normals":
+        return made | {"max_normal": uniform(1.0, 20.0, contacts)}
+    return made | {"jacobian": 0.05 * normal(contacts, 3, 5), "torque_limit": uniform(0.05, 0.6, 5)}
+
+
+def almost_infeasible(limits: str, contacts: int, batch: int, seed: int = 0) -> dict[str, Tensor]:
+    """Return grasps of `human` whose limits are 1e-5 to 1e-1 of themselves above the least for which a force exists.
+
+    Their contacts are anywhere: between parallel plates the force bends so sharply there that rounding hides its slope from differences.
+    """
+    made, draw = human(limits, contacts, 2 * batch, seed), torch.Generator().manual_seed(seed)
+    made = {key: a[1::2] for key, a in made.items()}
+    name, layer = {"normals": "max_normal", "torques": "torque_limit"}[limits], GraspForceLayer()
+    free = {key: a for key, a in made.items() if key not in ("max_normal", "jacobian", "torque_limit")}
+    held = layer(**free).feasible
+    made = {key: a[held] for key, a in made.items()}
+    low, high = (torch.full_like(made["wrench"][:, :1], size) for size in (1e-3, 1e3))
+    for _ in range(40):
+        middle = (low * high).sqrt()
+        enough = layer(**made | {name: middle * made[name]}).feasible.unsqueeze(-1)
+        low, high = torch.where(enough, low, middle), torch.where(enough, middle, high)
+    above = 10.0 ** (-5.0 + 4.0 * torch.rand(high.shape, generator=draw, dtype=torch.float64))
+    return made | {name: (1.0 + above) * high * made[name]}
+
+
 class Forces(torch.utils.data.Dataset[Tensor]):
     """Optimal forces of two problems, computed on access."""
 

@@ -1,6 +1,6 @@
 // Gradients of a loss with respect to all inputs of the problems, by the adjoint system of `SmoothLanes`.
 #pragma once
-#include <grasp/layer/system.hpp>
+#include <grasp/layer/stiff.hpp>
 
 namespace grasp {
 
@@ -35,8 +35,19 @@ template <int W> void SmoothLanes<W>::gradients(Mask wanted, const double* by_fo
     Six<V> by_nu;
     for (int r = 0; r < 6; ++r) by_nu[r] = -gather(by_multipliers, 6, r);
     const Six<V> hu = cones_.unit.of(by_nu);
+    const Mask hard = wanted & stiff();
+    Mask solved{};
+    Six<V> hard_q{};
+    for (int lane = 0; lane < W; ++lane)
+        if (hard[lane]) solved[lane] = solve_stiff(lane, hu, hard_q) ? -1 : 0;
+    if (any(hard)) rest_ = step_, rest_v_ = step_v_;
     const auto allowed = [&](const Six<V>&) { return MISSES * (cones_.largest_normal(step_) + size(hu)); };
-    const Six<V> qu = solve(pull_, pull_v_, hu, step_, step_v_, allowed);  // p in step_
+    Six<V> qu = solve(pull_, pull_v_, hu, step_, step_v_, allowed);  // p in step_
+    if (any(hard)) {
+        for (int i = 0; i < n; ++i)
+            step_[i] = select(hard, rest_[i], step_[i]), step_v_[i] = select(hard, rest_v_[i], step_v_[i]);
+        qu = select(hard, hard_q, qu), wanted &= ~hard | solved;
+    }
     V total = size(qu);
     for (int i = 0; i < n; ++i) total += abs(step_[i].u) + abs(step_[i].o) + abs(step_[i].t) + abs(step_v_[i]);
     wanted &= total < LARGEST * LARGEST;  // no gradient if digits are lost

@@ -30,7 +30,7 @@ public:
 
 private:
     static constexpr int W = REGISTER;
-    static constexpr int USUAL = 60, MOST = 300;  // steps of an ordinary descent; of one to an elastic force
+    static constexpr int USUAL = 60;  // steps of an ordinary descent
     using Mask = typename SmoothLanes<W>::Mask;
     struct CachedSolver {
         std::optional<ForceOptimizer> solver;
@@ -82,12 +82,13 @@ private:
             answer = solve_with_optimizer(from + lane, lane);
             (answer.regime == Regime::optimum ? late : elastic)[lane] = -1;
         }
-        if (any(elastic)) {
-            smooth_.descend(elastic, MOST);
-            for (int lane = 0; lane < many; ++lane)
-                if (elastic[lane]) answers[lane].iterations += get(smooth_.iterations, lane);
-        }
+        smooth_.iterations = {};
         if (any(elastic | late)) smooth_.polish(elastic | late);
+        for (int lane = 0; lane < many; ++lane) {
+            if (!elastic[lane]) continue;
+            answers[lane].iterations += get(smooth_.iterations, lane);
+            if (!smooth_.converged[lane]) answers[lane].regime = Regime::none;  // no gradient
+        }
         for (int lane = 0; lane < many; ++lane)
             if (sound[lane]) write(lane, from + lane, answers[lane], to);
     }

@@ -1,11 +1,10 @@
 // The solution part of `SmoothLanes`: descent, polishing, certificate.
 #pragma once
-#include <grasp/layer/system.hpp>
+#include <grasp/layer/stiff.hpp>
 
 namespace grasp {
 
-// Start with a large edge, below which the barriers of limits are parabolas. Lower it until all slacks are above it, or to the edge
-// of elastic forces.
+// Start with a large edge, below which the barriers of limits are parabolas. Lower it until all slacks are above it.
 template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
     edge_ = select(live, V(LARGEST_EDGE), edge_), place_edges();
     V value = energy();
@@ -42,10 +41,8 @@ template <int W> void SmoothLanes<W>::polish(const Mask& which) {
     V value = energy();
     const auto left = [&](const Six<V>& y) { return size(missed() - softness_ * y); };
     residual = select(which, left(y_), residual);
-    Mask open = which;
-    for (int round = 0; round < WHOLE_STEPS; ++round) {
-        if (round == 2) open &= last_ > 0.0;  // an elastic E is so large that it converges before its force does
-        if (!any(open)) break;
+    Mask open = which & ~(last_ > 0.0);
+    for (int round = 0; round < WHOLE_STEPS && any(open); ++round) {
         Six<V> found = newton_step(value);
         for (int i = 0; i < count(); ++i) pull_[i] = Vec{}, pull_v_[i] = V{};
         // remove the rounding left in the balance, in the same metric
@@ -64,6 +61,11 @@ template <int W> void SmoothLanes<W>::polish(const Mask& which) {
         for (int i = 0; i < count(); ++i) x_[i] = select(open, x_[i], back_[i]), v_[i] = select(open, v_[i], back_v_[i]);
         y_ = select(open, found, y_);
         value = select(open, after, value), residual = select(open, missing, residual);
+    }
+    const Mask hard = which & stiff();
+    if (any(hard)) {
+        converged = finish(hard);
+        residual = select(hard, left(y_), residual);
     }
     // if missed balance is a penalty, report all of it
     residual = select(which & (softness_ > 0.0), size(missed()), residual);

@@ -1,6 +1,6 @@
 // The optimum of Phi as a smooth function of all inputs, W problems side by side: Newton's system with torsion and limits, the last
 // step of a solve, the elastic force if no force exists, and gradients by the adjoint system. The file is the class alone;
-// system.hpp, optima.hpp and gradients.hpp hold its longer functions.
+// system.hpp, stiff.hpp, optima.hpp and gradients.hpp hold its longer functions.
 //
 // Variables of a contact are z = (u, o, t, v) in cone coordinates, with v the torsion of a soft contact in units of its limit. The
 // optimum satisfies
@@ -13,6 +13,7 @@
 #include <grasp/layer/batch.hpp>
 #include <grasp/many/grasps.hpp>
 #include <grasp/math/any_ldl.hpp>
+#include <grasp/math/pivoted_qr.hpp>
 
 namespace grasp {
 
@@ -41,12 +42,14 @@ public:
     using Mask = typename V::Mask;
     using Vec = Vec3<V>;
     V residual{}, iterations{};  // balance residual of the last `polish` [N]; iterations of the last descent
+    Mask converged{};  // of the stiff lanes of the last `polish`
 
     explicit SmoothLanes(const ForceBatch& batch)
         : x_(batch.contacts), v_(batch.contacts), batch_(batch), joints_(batch.torque_limit ? batch.joints : 0),
           cones_(batch.contacts), placed_(batch.contacts), rest_(batch.contacts), at_(batch.contacts), rows_(joints_),
           columns_(std::size_t(joints_ * batch.contacts)), scaled_(columns_.size()), step_(batch.contacts), back_(batch.contacts),
-          pull_(batch.contacts), step_v_(batch.contacts), back_v_(batch.contacts), pull_v_(batch.contacts), along_(joints_) {}
+          pull_(batch.contacts), step_v_(batch.contacts), back_v_(batch.contacts), pull_v_(batch.contacts),
+          rest_v_(batch.contacts), along_(joints_) {}
 
     // Load problem k into a lane, before `place`, which still reads `posed`.
     void load(int lane, std::ptrdiff_t k, const PosedProblem& posed, Regime regime) {
@@ -129,6 +132,7 @@ public:
         for (int i = 0; i < count(); ++i) {
             set(x_[i].u, lane, get(at_[i].unit, lane)), set(x_[i].o, lane, 0.0), set(x_[i].t, lane, 0.0), set(v_[i], lane, 0.0);
         }
+        for (V& each : y_) set(each, lane, 0.0);
     }
     // The state of a problem: z (N, 4) and the multipliers in the unit frame.
     void save(int lane, double* state) const {
@@ -148,10 +152,11 @@ public:
 
     // --- optima
 
-    // Damped Newton for the live lanes, from any force inside the cones, in at most `most` steps. Return the lanes that are then
-    // close to their optimum, or elastic force.
+    // Damped Newton for the live ordinary lanes, from any force inside the cones, in at most `most` steps. Return the lanes that are
+    // then close to their optimum.
     Mask descend(Mask live, int most);
-    // Take full Newton steps close to an optimum to reach its last digits, as long as they do not raise E.
+    // Take full Newton steps close to an optimum to reach its last digits, as long as they do not raise E. Solve elastic lanes, and
+    // finish those that are stiff.
     void polish(const Mask& which);
     // (E - bound) / bound, where bound is the dual value at the multipliers and the limits' prices: no balanced force has less.
     // inf: no bound.
@@ -220,12 +225,19 @@ private:
     static constexpr double ROUNDED = 1e-13;  // fraction of E: largest value of a step's balance residual
     static constexpr double RAISED = 1e-11;  // fraction of E: largest rise by a full step that restores balance
     static constexpr double LARGEST_EDGE = 8.0, EDGE_FACTOR = 1.0 / 16.0;  // first edge of a descent, and its factor
+    static constexpr double ELASTIC_FACTOR = 0.5;  // that of an elastic one
     static constexpr double LEAST_EDGE = 1e-6;  // below it the problem is nearly infeasible and left to another solver
     static constexpr double CLOSE = 0.03;  // squared decrement, as a fraction of E, below which the edge is lowered
     static constexpr double SETTLED = 1e-9;  // the same, below which `polish` takes over
     static constexpr double MISSES = 1e-13;  // fraction of an adjoint force and of its right-hand side: allowed residual
     static constexpr double LONG = 0.95;  // fraction of the way to the boundary
-    static constexpr int HALVINGS = 40, REFINEMENTS = 2, WHOLE_STEPS = 3;
+    static constexpr int HALVINGS = 40, REFINEMENTS = 2, WHOLE_STEPS = 2;
+    static constexpr double TIGHT = 0.1, DEAR = 100.0;  // slack over sqrt(lambda / omega), |y| over omega: further are stiff
+    // relative steps of forces and of their distances from the cones: that of a force with all digits; the largest of a converged
+    // one; below which whole steps are taken, and one that is not a quarter of the one before is rounding; that which ends a stage
+    static constexpr double LEAST = 1e-13, ROUGH = 1e-6, SHORT = 1e-4, STAGE = 0.25;
+    static constexpr double NOISE = 1e-14;  // rounding of E, relative
+    static constexpr int STIFF_STEPS = 300;
 
     typename Cones<V, 0>::Field x_;  // (u, o, t)
     std::vector<V> v_;
@@ -240,9 +252,11 @@ private:
     std::vector<Column> columns_, scaled_;  // rows divided by their length; shared rows times their roots
     bool shared_ = false;  // true if any row is shared
     typename Cones<V, 0>::Field step_, back_, pull_;
-    std::vector<V> step_v_, back_v_, pull_v_, both_;
+    std::vector<V> step_v_, back_v_, pull_v_, rest_v_, both_;
     mutable std::vector<V> along_;
     AnyLdl<V> schur_;
+    PivotedQr stiff_;
+    std::vector<double> axes_, nearest_, prices_;
     Six<V> wrench_{}, w_{};
     V softness_{}, last_{}, edge_{}, tightest_{};  // edges: in units of the limits; tightest_: smallest slack at the last system
     LaneProblem problems_[W] = {};
@@ -321,7 +335,14 @@ private:
     }
 
     void assemble();
+    void bind();
     void bind(int i);
+    // stiff.hpp: lanes whose prices are so high that `solve` loses digits; its twin for one lane; Newton's method with it
+    Mask stiff() const;
+    bool solve_stiff(int lane, const Six<V>& h, Six<V>& q);
+    void axes_of(int lane, int i, double* axes) const;
+    V relative_step() const;
+    Mask finish(Mask open);
     const Column& scaled(int i, int r) const { return scaled_[joints_ * i + r - 6]; }
 
     // (inverse^-1 + bend a a^T)^-1 with h = inverse a, square = a . h

@@ -44,8 +44,8 @@ template <int W> void SmoothLanes<W>::place_row(int j) {
     }
 }
 
-// Blocks of the inverse Hessian, gradients, prices of the limits and the factored system at z.
-template <int W> void SmoothLanes<W>::assemble() {
+// Blocks of the inverse Hessian, gradients and prices of the limits at z.
+template <int W> void SmoothLanes<W>::bind() {
     tightest_ = V(infinity);
     for (Row& row : rows_) row.along = V{};
     for (int i = 0; i < count(); ++i)
@@ -56,12 +56,17 @@ template <int W> void SmoothLanes<W>::assemble() {
         const V bend = row.high.bend + row.low.bend;
         row.bend = row.own * bend, row.root = sqrt((1.0 - row.own) * bend), row.price = row.high.price - row.low.price;
     }
+    for (int i = 0; i < count(); ++i) bind(i);
+}
+
+// All this, and the factored system at z.
+template <int W> void SmoothLanes<W>::assemble() {
+    bind();
     const int size = 6 + shared_rows();
     schur_.resize(size), both_.resize(size);
     for (int r = 0; r < 6; ++r) schur_(r, r) = softness_;
     for (int j = 0; j < shared_rows(); ++j) schur_(6 + j, 6 + j) = V(1.0);
     for (int i = 0; i < count(); ++i) {
-        bind(i);
         for (int j = 0; j < shared_rows(); ++j) {
             const Column& from = column(i, j);
             scaled_[joints_ * i + j] = {rows_[j].root * from.c, rows_[j].root * from.cv, V{}, from.any};
