@@ -7,14 +7,14 @@ namespace grasp {
 
 // Elastic problems, and those beside a limit or with multipliers of a size that only a small slack has.
 template <int W> auto SmoothLanes<W>::stiff() const -> Mask {
-    V omega{}, tightest = infinity;
-    for (const V& each : y_) omega = max(omega, abs(each));
+    V price{}, tightest = infinity;
+    for (const V& each : y_) price = max(price, abs(each));
     Mask made = last_ > 0.0;
     std::fill(along_.begin(), along_.end(), V{});
     for (int i = 0; i < count(); ++i) {
         const Contact& c = at_[i];
         const V &u = x_[i].u, per = c.unit;
-        made |= omega > DEAR * cones_.blocks[i].weights.omega;
+        made |= price > DEAR * cones_.blocks[i].weights.omega;
         if (batch_.min_normal || batch_.max_normal) tightest = min(tightest, min(c.high.bound - u, c.low.bound + u) / per);
         for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, x_[i], v_[i]);
     }
