@@ -406,7 +406,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             given = self._forces(np.array(numbers))
         elif (
             agent.action_mode == "initial_force" and any(numbers) and loop.count > 2
-        ):  # two contacts have no internal directions
+        ):  # the one squeeze of two soft contacts is not adjusted
             adjustment = agent.action_scale * np.array(numbers)
         assumed_gravity, acts = scene.gravity if self._measured_wrench else self._nominal_gravity, self._plan_acts
         for k in range(self._ticks_per_step):

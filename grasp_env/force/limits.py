@@ -198,7 +198,7 @@ class ForceLimits:
         made = core.limit_rows(least, most, _in_contact_frames(grasp, jac), limit, bias, matrix, bound, of_rows)
         assert made == len(labels)
         transmitted = np.ones((count, 4))
-        transmitted[:, :3] = grasp.models.cone_scale > 0.0
+        transmitted[:, :3] = grasp.models.transmitted
         transmitted[:, 3] = grasp.models.torsional_friction > 0.0
         rows = (matrix[:made] * transmitted).reshape(made, 4 * count)
         return LimitRows(rows, bound[:made].copy(), labels)

@@ -103,7 +103,7 @@ def _condition(grasp: Grasp) -> list[str]:
 
 def _condition_number(grasp: Grasp, about: Array) -> float:
     """Return the condition number of G, with moments taken about `about` (3,) [m] and divided by the grasp's length."""
-    matrix = grasp.matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
+    matrix = grasp.matrix * grasp.models.transmitted.reshape(-1)
     whole = np.concatenate([matrix, grasp.torsion_matrix * grasp.length], axis=1)
     whole[3:] -= np.cross(about, whole[:3].T).T
     whole[3:] /= grasp.length

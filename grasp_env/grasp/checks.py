@@ -79,15 +79,19 @@ def checked_tangents(tangents: ArrayLike | None, normals: Array) -> Array:
     return along
 
 
+def rank_of(singular: np.ndarray) -> int:
+    """Return the rank of a G in unit moments from its `singular` values (K,)."""
+    return int((singular > RANK_TOLERANCE * singular.max(initial=1e-300)).sum())
+
+
 def checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
     """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of unit moments."""
     if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
         raise InvalidInputError("positions, normals and tangents must be finite")  # only from `unchecked`
     u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
     if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
-        rank = int((s > RANK_TOLERANCE * s.max(initial=1e-300)).sum())
         raise RankDeficientGraspError(
-            f"rank(G) = {rank} < 6 with {count} contacts: some wrenches cannot be balanced. Use at least three "
+            f"rank(G) = {rank_of(s)} < 6 with {count} contacts: some wrenches cannot be balanced. Use at least three "
             "contacts with friction that do not lie on one line, or two soft ones"
         )
     # least norm in force: with full row rank (T G)^+ T = G^+

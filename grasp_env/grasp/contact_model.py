@@ -85,6 +85,13 @@ class ContactModels:
         return _friction(friction, self.friction[:, 0] > 0.0)
 
     @cached_property
+    def transmitted(self) -> np.ndarray:
+        """(N, 3) bool: the force components (normal, o, t) that the contacts transmit; torsion is that of soft contacts."""
+        sent = self.cone_scale > 0.0
+        sent.setflags(write=False)
+        return sent
+
+    @cached_property
     def mean_friction(self) -> Array:
         """(N,) sqrt(mu_o mu_t); 0 for frictionless contacts. Read-only and shared by all grasps with these models."""
         mean = self.cone_scale[:, 0] * (self.friction[:, 0] > 0.0)

@@ -25,6 +25,7 @@ from grasp_env.grasp.checks import (
     checked_pseudoinverse,
     checked_tangents,
     normalise_normals,
+    rank_of,
 )
 from grasp_env.grasp.contact_model import ContactModels
 
@@ -212,7 +213,7 @@ class Grasp:
         """G^+, (3N, 6): the least-norm forces for unit wrenches; soft contacts contribute `torsion_matrix`."""
         models = self.models
         rough = "frictionless" not in models.names
-        transmitted = self.matrix if rough else self.matrix * (models.cone_scale > 0.0).reshape(-1)
+        transmitted = self.matrix if rough else self.matrix * models.transmitted.reshape(-1)
         if models.torsional_friction.any():
             transmitted = np.concatenate([transmitted, self.torsion_matrix], axis=1)
         inverse = checked_pseudoinverse(transmitted, self.unit_frame, self.n_contacts)[: 3 * self.n_contacts]
@@ -257,10 +258,31 @@ class Grasp:
         """Number of contacts N."""
         return self.contacts.count
 
-    @property
+    @cached_property
     def null_dimension(self) -> int:
-        """Number of independent internal forces, 3N - 6."""
-        return 3 * self.n_contacts - 6
+        """Number of independent internal forces, those (N, 3) that the contacts transmit and that make no wrench without torsions.
+
+        It is the number of transmitted force components minus the rank of G on them: 3N - 6 for hard contacts, and 2 less for each
+        frictionless one. The rank is below 6 where soft contacts need their torsions to balance some wrench. Contacts on one line
+        have rank 5 and so one internal force more: two soft ones have one, the squeeze.
+
+        Torsions are not counted. The forces and torsions that together make no wrench have "transmitted components - 6" dimensions,
+        where a soft contact transmits 4 components: 2 for two soft contacts.
+
+        Example:
+            >>> from grasp_env.grasp import presets
+            >>> presets.tripod().null_dimension
+            3
+            >>> Grasp.from_contacts(
+            ...     [[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], 0.5, contact_model="soft", torsional_friction=0.005
+            ... ).null_dimension
+            1
+        """
+        sent = self.models.transmitted
+        count = int(sent.sum())
+        if self.hard:  # the rank was found to be 6
+            return count - 6
+        return count - rank_of(np.linalg.svd(self.unit_frame @ (self.matrix * sent.reshape(-1)), compute_uv=False))
 
     def with_friction(self, friction: ArrayLike) -> Grasp:
         """Return the same contacts with other friction coefficients, as in `from_contacts`."""

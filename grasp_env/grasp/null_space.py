@@ -14,16 +14,18 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
     """Return orthonormal internal forces of `grasp`, as close as possible to `reference`.
 
     The reference directions are projected on the null space of G and orthonormalised by their polar factor B (B^T B)^-1/2. It is a
-    smooth function of the contacts as long as the projection has full rank. The computation uses object-frame vectors, so it stays
-    smooth when the tangents of `contact_frames` switch axes.
+    smooth function of the contacts as long as the projection has full rank and `null_dimension` does not change. The computation
+    uses object-frame vectors, so it stays smooth when the tangents of `contact_frames` switch axes. The forces balance without the
+    torsions of soft contacts.
 
     Args:
         grasp: the grasp.
-        reference: (3N, 3N - 6) object-frame vectors stacked contact by contact, the `reference_basis` of a nominal grasp;
+        reference: (3N, null_dimension) object-frame vectors stacked contact by contact, the `reference_basis` of a nominal grasp;
             None: that of `grasp` itself.
 
     Returns:
-        (3N, 3N - 6) contact-frame forces (normal, o, t), stacked; G @ basis = 0, columns orthonormal.
+        (3N, null_dimension) contact-frame forces (normal, o, t), stacked; G @ basis = 0, columns orthonormal. The tangential rows
+        of frictionless contacts are zero.
 
     Raises:
         InvalidInputError: a reference of another shape, or one whose projection loses rank.
@@ -33,20 +35,18 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
     else:
         shape = (3 * as_grasp(grasp).n_contacts, grasp.null_dimension)
         reference = as_array(reference, shape, "reference", ranges.SIZE)
-    candidate = _rotate(grasp, reference)
-    candidate = candidate - grasp.pseudoinverse @ (grasp.matrix @ candidate)
-    basis = _polar(candidate)
-    # a second projection removes the rounding error of G @ basis
-    return basis - grasp.pseudoinverse @ (grasp.matrix @ basis)
+    return _internal(grasp, _rotate(grasp, reference))
 
 
 def reference_basis(grasp: Grasp) -> Array:
-    """Return orthonormal object-frame internal forces (3N, 3N - 6), the `reference` of `null_space_basis` for nearby grasps.
+    """Return orthonormal object-frame internal forces (3N, null_dimension), the `reference` of `null_space_basis` for nearby grasps.
 
     The columns come from squeezes along the lines between pairs of contacts (the virtual linkage of Williams and Khatib, 1993). If
-    these are not a basis of the null space (coplanar contacts, N > 4), an orthonormal basis by the SVD of G replaces them.
+    these are not a basis of the null space (coplanar or frictionless contacts, N > 4), an orthonormal basis by the SVD of G
+    replaces them.
     """
     count, dimension = as_grasp(grasp).n_contacts, grasp.null_dimension
+    sent = grasp.models.transmitted.reshape(-1)
     pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
     squeezes = np.zeros((3 * count, len(pairs)))
     for column, (i, j) in enumerate(pairs):
@@ -54,11 +54,26 @@ def reference_basis(grasp: Grasp) -> Array:
         line = line / max(float(np.linalg.norm(line)), 1e-12)
         squeezes[3 * i : 3 * i + 3, column] = line
         squeezes[3 * j : 3 * j + 3, column] = -line
-    if len(pairs) == dimension and np.linalg.svd(squeezes, compute_uv=False)[-1] > 1e-2:
+    if sent.all() and len(pairs) == dimension and np.linalg.svd(squeezes, compute_uv=False)[-1] > 1e-2:
         return _polar(squeezes)
-    in_object = _rotate(grasp, np.linalg.svd(grasp.matrix)[2][6:].T, back=True)
+    found = np.zeros((3 * count, dimension))
+    found[sent] = np.linalg.svd(grasp.matrix[:, sent])[2][sent.sum() - dimension :].T
+    in_object = _rotate(grasp, _internal(grasp, found), back=True)
     in_object *= np.sign(in_object[np.abs(in_object).argmax(axis=0), np.arange(dimension)])
     return in_object
+
+
+def _internal(grasp: Grasp, forces: Array) -> Array:
+    """Return the polar factor of contact-frame `forces` (3N, K), projected on the internal forces."""
+    sent = grasp.models.transmitted.reshape(-1)
+    # the right singular vectors of what G transmits, without those of zero singular values, span what is not internal: the
+    # pseudoinverse would not do, since it may need torsions
+    rows = np.linalg.svd(grasp.unit_frame @ (grasp.matrix * sent), full_matrices=False)[2]
+    rows = rows[: sent.sum() - grasp.null_dimension] * sent
+    candidate = forces * sent[:, None]
+    basis = _polar(candidate - rows.T @ (rows @ candidate))
+    # a second projection removes the rounding error of G @ basis
+    return basis - rows.T @ (rows @ basis)
 
 
 def _rotate(grasp: Grasp, stacked: Array, back: bool = False) -> Array:
@@ -73,6 +88,6 @@ def _polar(columns: Array) -> Array:
     values, vectors = np.linalg.eigh(columns.T @ columns)
     if not values.min(initial=1.0) > 1e-14 * values.max(initial=1.0):
         raise InvalidInputError(
-            "reference must have 3N - 6 independent directions that the contacts leave internal: give others"
+            f"reference must have {columns.shape[1]} independent directions that the contacts leave internal: give others"
         )
     return columns @ ((vectors / np.sqrt(values)) @ vectors.T)

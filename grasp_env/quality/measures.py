@@ -101,7 +101,7 @@ def singular_values(grasp: Grasp, length: float | None = None) -> Array:
         array([1.732, 1.732, 1.732, 1.732, 1.225, 1.225])
     """
     scale = as_grasp(grasp).length if length is None else positive(length, "length", ranges.LENGTH)
-    transmitted = as_grasp(grasp).matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
+    transmitted = as_grasp(grasp).matrix * grasp.models.transmitted.reshape(-1)
     whole = np.concatenate([transmitted, grasp.torsion_matrix * scale], axis=1)
     whole[3:] /= scale
     return np.asarray(np.linalg.svd(whole, compute_uv=False), dtype=np.float64)

@@ -46,6 +46,25 @@ def rank_ratio(matrix: np.ndarray) -> float:
     return float(s[5] / s[0]) if len(s) == 6 and s[0] > 0.0 else 0.0
 
 
+def internal_dimensions(positions: np.ndarray, normals: np.ndarray, models: list[str]) -> tuple[int, int]:
+    """Dimensions of the forces that make no wrench, and of the forces and torsions that make none.
+
+    A rough contact sends forces along the object's axes, since any three will do, a frictionless one along its normal alone.
+    """
+    centre, length, _ = unit_frame(positions)
+    forces, torsions = list[np.ndarray](), list[np.ndarray]()
+    for arm, n, model in zip((positions - centre) / (length or 1.0), normals, models, strict=True):
+        axes = [n] if model == "frictionless" else np.eye(3)
+        forces += [np.concatenate([axis, np.cross(arm, axis)]) for axis in axes]
+        torsions += [np.concatenate([np.zeros(3), n])] if model == "soft" else []
+
+    def nullity(rows: list[np.ndarray]) -> int:
+        s = np.linalg.svd(np.array(rows), compute_uv=False)
+        return len(rows) - int((s > 1e-8 * s[0]).sum())
+
+    return nullity(forces), nullity(forces + torsions)
+
+
 def polar_basis(directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """Orthonormal internal forces closest to `directions` (3N, 3N - 6): the polar factor of their projection."""
     internal = np.linalg.svd(matrix)[2][6:].T

@@ -586,13 +586,16 @@ private:
 
     // --- algorithms
 
-    // Run the planned algorithm. If a start that depends on more than contacts and wrench leads to no answer, solve again from the method's
-    // own start, within the same number of steps.
+    // Run the planned algorithm. If a start that depends on more than contacts and wrench leads to no answer, solve again from the
+    // method's own start.
     Code run_checked(const Request& ask, const Record& record) {
         const Code code = run(ask, record);
-        const bool refused = code == REFUSED && start_of(ask) == Start::given;
-        const bool sound = is_sound(code, record);
-        if (has_own_start(ask) || refused || (sound && code != STALLED)) return code;
+        if (code == CONVERGED || code == INFEASIBLE || has_own_start(ask)) return code;
+        const bool sound = is_sound(code, record), refused = code == REFUSED && start_of(ask) == Start::given;
+        return refused || (sound && code != STALLED) ? code : run_again(ask, code, sound, record);
+    }
+    // Solve again from the method's own start, within the steps that are left. The first force stays if it is the only sound one.
+    [[gnu::cold, gnu::noinline]] Code run_again(const Request& ask, Code first, bool sound, const Record& record) {
         const Summary before = record.summary();
         const Start used = used_start_;
         const bool replaced = start_replaced_;
@@ -608,7 +611,7 @@ private:
         if (sound && !is_sound(found, record)) {
             current_row_ = kept_row_, prices_ = kept_prices_;
             used_start_ = used, start_replaced_ = replaced;
-            return code;
+            return first;
         }
         record.summary().iterations += before.iterations, record.summary().trials += before.trials;
         start_replaced_ = true;
@@ -620,9 +623,9 @@ private:
         return ask.adjustment.empty() && (start == Start::internal_force || start == Start::phase_one || start == Start::central);
     }
     static bool has_force(Code code) { return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED; }
-    // True if the outcome can be used: a proof, or a force that is balanced and inside the cones.
+    // True if the outcome can be used: an optimum, a proof, or a force that is balanced and inside the cones.
     bool is_sound(Code code, const Record& record) const {
-        if (!has_force(code)) return code == INFEASIBLE;
+        if (code == CONVERGED || !has_force(code)) return code == CONVERGED || code == INFEASIBLE;
         const Summary& s = record.summary();
         double most = 0.0;
         for (int i = 0; i < current_.now.count; ++i) most = std::max(most, record.force()[3 * i]);
