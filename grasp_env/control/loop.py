@@ -84,7 +84,8 @@ class ForceLoop:
         self.optimizer = make_optimizer(grasp, config, self.initial_force)
         settings = control_settings(config, item, scene.kinematics)
         settings.remembers = self.optimizer.remembers
-        settings.directions = reference_basis(grasp).reshape(-1).tolist()
+        actions = max(3 * self.count - 6, 1)  # soft tips on one line have an internal force more
+        settings.directions = reference_basis(grasp)[:, :actions].reshape(-1).tolist()
         self._core = core.Controller.make(scene.core, self.optimizer.core, settings, sensor_settings(config))
         self._settling = True  # until the hand holds the object
         arrays = self._core.arrays()

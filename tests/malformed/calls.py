@@ -61,7 +61,7 @@ class Call:
 def _solve(method: str, grasp: Grasp = CUBOID, **more: Any) -> Call:
     good = {
         "grasp": grasp, "wrench": PAPER, "initial": None, "method": method, "criterion": "sum", "limits": None, "force_weight": 1.0,
-        "barrier_weight": 0.01, "tolerance": 1e-4, "max_iterations": 500, "step_rule": None, "optimum": None, "trace": False,
+        "barrier_weight": None if method == "conic" else 0.01, "tolerance": 1e-4, "max_iterations": 500, "step_rule": None, "optimum": None, "trace": False,
         "elastic": False,
     }  # fmt: skip
     return Call(f.optimize_force, good | more)
