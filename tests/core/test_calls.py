@@ -202,3 +202,22 @@ def test_nothing_is_allocated(count: int, method: str, kind: str, calls: int) ->
     if (method, kind) == ("newton", "hard"):
         made = c.solver(tolerance=1e-4, start=START["learned"], model=model(c.contacts, 1, 0.1)[2])
         assert made.allocations(loads, calls=calls) == 0
+
+
+@pytest.mark.skipif(not insides.counts_allocations, reason="the sanitizers have an operator new of their own")
+@pytest.mark.parametrize("limited", [False, True])
+@pytest.mark.parametrize("gamma", [0.0, 0.01])
+@pytest.mark.parametrize("method", ["newton", "sum", "largest"])
+def test_nothing_is_allocated_over_the_edge_of_supports(method: str, gamma: float, limited: bool) -> None:
+    """Weights above the line between two of three supports and next to it, where the boundary is found and left."""
+    supports = np.array([[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0]])
+    flat = Sample(
+        supports, np.tile([0.0, 0.0, 1.0], (3, 1)), np.tile([0.5, 1.0, 1.0], (3, 1)), np.tile([1.0, 0.01], (3, 1))
+    )
+    limits = {"max_normal": np.full(3, 1e3)} if limited else {}
+    made = Case(flat, np.full(3, gamma), limits).solver(method, tolerance=1e-4)
+    beyond = np.array([-1e-3, -1e-9, -1e-12, 0.0, 1e-12, 1e-6])
+    loads = np.outer(np.ones(6), [0.0, 0.0, -5.0, 0.0, 0.0, 0.0])
+    loads[:, 4] = -5.0 * (0.05 + beyond)
+    assert [at(made.solve(load)[0], "code") for load in loads] == [CONVERGED] * 5 + [INFEASIBLE]
+    assert made.allocations(loads, calls=60) == 0
