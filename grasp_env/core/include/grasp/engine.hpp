@@ -302,7 +302,7 @@ private:
     Start start_of(const Request& ask) const {
         const Start start = ask.start == Start::standard ? options_.start : ask.start;
         if (start != Start::standard) return start;
-        return flow_ ? Start::linear_combination : Start::internal_force;
+        return own_start();
     }
 
     // Write the start of a call, balanced and strictly inside the cones, into newton_.x. Otherwise return the reason.
@@ -603,7 +603,7 @@ private:
         const int limit = options_.limit, spent = std::min(int(before.iterations), limit);
         set_limit(limit - spent);
         const Code found = run({.wrench = ask.wrench,
-                                .start = flow_ ? Start::linear_combination : Start::internal_force,
+                                .start = own_start(),
                                 .optimum = ask.optimum,
                                 .trace = ask.trace.subspan(std::min(std::size_t(spent), ask.trace.size()))},
                                record);
@@ -617,10 +617,11 @@ private:
         start_replaced_ = true;
         return found;
     }
-    // True if the start of a call depends on its contacts and wrench alone.
+    Start own_start() const { return flow_ ? Start::linear_combination : Start::internal_force; }
+    // True if the start of a call is the method's own, or found for this call alone.
     bool has_own_start(const Request& ask) const {
         const Start start = start_of(ask);
-        return ask.adjustment.empty() && (start == Start::internal_force || start == Start::phase_one || start == Start::central);
+        return ask.adjustment.empty() && (start == own_start() || start == Start::phase_one || start == Start::central);
     }
     static bool has_force(Code code) { return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED; }
     // True if the outcome can be used: an optimum, a proof, or a force that is balanced and inside the cones.
