@@ -21,6 +21,8 @@ pytest.importorskip("clarabel")
 
 SEED = int(os.environ.get("GRASP_TRIAL_SEED", "20261122"))
 METHODS = {"newton": {}, "sum": {"method": "conic"}, "max": {"method": "conic", "criterion": "max"}}
+LOOSE = 1e10
+"""Limits from this on [N] bound nothing: those of the family "nearly lost"."""
 WANTED = ("optimal", "infeasible", "exceeded")
 GOOD = (*WANTED, "undecided at the edge")
 EDGE = 1e-6
@@ -112,16 +114,18 @@ def compared(p: Drawn, reference: Reference, found: ForceSolution, method: str) 
     else:
         weights = of_contacts(p)
         omega = np.ones(p.grasp.n_contacts) if weights is None else weights
-        best, tolerance = reference.solve(p.wrench, method, omega=omega), 1e-6
+        # beside bounds of 1e11 N Clarabel loses the digits of forces, and says that it has them
+        judge = Reference(p.grasp) if (reference.bound >= LOOSE).all() else reference
+        best, tolerance = judge.solve(p.wrench, method, omega=omega), 1e-6
         least, error = best.objective, best.error if best.solved else np.inf
         weighed = omega * found.force[:, 0]
         value = float(weighed.sum() if method == "sum" else weighed.max())
         bound, _ = reference.dual_bound(found.multipliers, found.limit_multipliers, p.wrench, method, omega)
-        if found.status is Status.OPTIMAL and not value - bound <= 1.01 * tolerance * value:
-            return "wrong: optimal without its proof"
         # near the loss of closure nu . w and G^T nu are small differences of large terms
         terms = float(np.abs(found.multipliers * p.wrench).sum())
         slack = 1e-9 + 1e-15 * float(np.abs(found.multipliers[:3]).max() / omega.min())
+        if found.status is Status.OPTIMAL and not value - bound <= (1.01 * tolerance + slack) * value:
+            return "wrong: optimal without its proof"
         if found.lower_bound > bound * (1.0 + slack) + 1e-12 * terms:
             return "wrong: bound above its proof"
     far = error < SURE and not abs(value - least) <= max(1.01 * tolerance, 10.0 * error) * abs(least)

@@ -115,7 +115,7 @@ public:
         const Code code = least_phi(ask, options, record);
         inputs_->store(inputs_->z.data(), record.initial_force(), nullptr);
         if (code == REFUSED && !phi_inside(call, options, record)) return refute({}, call.wrench, record);
-        if (found.moved) restore_wrench(call.wrench, record);
+        if (found.moved) stand_for(found.wrench, call.wrench, options, record);
         else if (code == STALLED) phi_inside(call, options, record);
         return record.code();
     }
@@ -341,16 +341,18 @@ private:
         inputs_->kept_prices = inputs_->prices;
         const Deepest found = deepest(call.wrench, 1e-7, true);
         const Record made(inputs_->record.data(), inputs_->count);
-        const bool good = found.code == CONVERGED && found.moved &&
-                          least_phi({.wrench = found.wrench.data()}, {options.tolerance, options.limit}, made) == CONVERGED;
-        if (good) replace_record(made, record), restore_wrench(call.wrench, record);
+        bool good = found.code == CONVERGED && found.moved;
+        if (good) {
+            least_phi({.wrench = found.wrench.data()}, options, made);
+            stand_for(found.wrench, call.wrench, options, made);
+            good = made.code() == CONVERGED;
+        }
+        if (good) replace_record(made, record);
         else inputs_->prices = inputs_->kept_prices;
         return good;
     }
-    // Let a record that was made for a wrench close by stand for this one.
-    void restore_wrench(const double* wrench, const Record& record) {
-        std::copy_n(wrench, 6, record.summary().wrench.begin());
-        record.summary().residual = missed(wrench, record.force(), record.torsion());
+    void stand_for(const Vec6& made, const double* wrench, const StopRule& options, const Record& record) {
+        record.stand_for(made, wrench, missed(wrench, record.force(), record.torsion()), options.tolerance);
     }
     // Record the proof that no force exists, or UNDECIDED.
     Code refute(const Deepest& found, const double* wrench, const Record& record) {

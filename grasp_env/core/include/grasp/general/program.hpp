@@ -70,7 +70,10 @@ public:
         }
         if (code == REFUSED) return code;
         write(code, record, prices);
-        if (moved_) out.residual = grasp::size(size_ * in_.wrench_of(best_) + load);
+        if (moved_) {
+            const double residual = grasp::size(size_ * in_.wrench_of(best_) + load);
+            record.stand_for(in_.given(size_ * unit_), wrench, residual, options.tolerance);
+        }
         return Code(int(out.code));
     }
 
