@@ -96,7 +96,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def objective(self) -> Array:
-        """(M,) Phi, or the sum or maximum of force_weight times normal force [N]; inf if infeasible."""
+        """(M,) Phi, or the sum or maximum of force_weight times normal force [N]; inf without a force."""
         return self.records[:, at.OBJECTIVE]
 
     @property

@@ -14,8 +14,8 @@ from grasp_env.core import _core
 from grasp_env.force.solution import STARTS
 
 CODES = _core.codes()
-CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, EXCEEDED = (
-    CODES[name] for name in ("converged", "limit", "stalled", "infeasible", "refused", "limits_exceeded")
+CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, EXCEEDED, UNDECIDED = (
+    CODES[name] for name in ("converged", "limit", "stalled", "infeasible", "refused", "limits_exceeded", "undecided")
 )
 FIELDS = _core.record_fields()
 START = {name: number for number, name in enumerate(STARTS)}

@@ -7,7 +7,7 @@ from itertools import pairwise
 import _core_test as insides
 import numpy as np
 import pytest
-from cases import CONVERGED, EXCEEDED, FIELDS, INFEASIBLE, LIMIT, REFUSED, START, Case, at, case
+from cases import CONVERGED, EXCEEDED, FIELDS, INFEASIBLE, LIMIT, REFUSED, START, UNDECIDED, Case, at, case
 from oracles import network as network_oracle
 from oracles.phi import phi
 from samples import Sample, sample, wrenches
@@ -144,6 +144,23 @@ def test_bad_wrenches_are_refused_and_tiny_ones_are_solved(method: str, kind: st
         assert at(row, "code") == CONVERGED
         assert np.isfinite(np.delete(row, FIELDS["lower_bound"])).all()
     np.testing.assert_array_equal(made.solve(np.ones(6) * 0.1)[0], good)
+
+
+@pytest.mark.parametrize("method", ["newton", "reduced flow", "full flow", "sum", "largest"])
+def test_a_row_without_a_force_does_not_look_like_an_optimum_of_zero(method: str) -> None:
+    """Refused wrenches, proofs, and weights of 1e300, with which every objective overflows; alone and side by side."""
+    s, load = sample(4), wrenches(np.random.default_rng(0), 1)[0]
+    palm = Sample(s.positions, np.tile([0.0, 0.0, 1.0], (4, 1)), s.scale, s.weights)
+    heavy = Sample(s.positions, s.normals, s.scale, 1e300 * s.weights)
+    for contacts, wrench, codes in (
+        (s, np.full(6, np.nan), {REFUSED}), (palm, np.eye(6)[2], {INFEASIBLE}), (heavy, 1e11 * load, {REFUSED, UNDECIDED}),
+    ):  # fmt: skip
+        made = Case(contacts, np.zeros(4)).solver(method, tolerance=1e-4)
+        rows = [made.solve(wrench)[0], *made.solve_many(np.array([wrench] * 12))]
+        for row in rows:
+            assert at(row, "code") in codes
+            assert at(row, "objective") == np.inf
+            assert at(row, "lower_bound") == (np.inf if codes == {INFEASIBLE} else -np.inf)
 
 
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "sum"])

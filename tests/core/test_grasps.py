@@ -132,6 +132,9 @@ def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
     contacts = [placed(each, 0.01 * (k == 3)) for k, each in enumerate(given)]
     records = solved(method, contacts, loads)
     assert (records[[3, 5, 6, 7, 8, 10], CODE] == REFUSED).all()
+    left = records[:, CODE] == REFUSED
+    assert not records[left, FORCE : FORCE + 6 * count].any()
+    np.testing.assert_array_equal(records[left][:, [OBJECTIVE, BOUND]], np.tile([np.inf, -np.inf], (left.sum(), 1)))
     assert records[9, CODE] in (0.0, REFUSED)
     np.testing.assert_array_equal(records[[0, 2, 4]], before[[0, 2, 4]])
     for wrong in (None, 3, placed(grasps(5, "hard")[0])):

@@ -46,6 +46,26 @@ def test_impulses_deliver_their_momentum_however_short(length: float) -> None:
     np.testing.assert_allclose(direction.mean(axis=0), 0.0, atol=4.0 / np.sqrt(3 * len(first)))
 
 
+def test_impulses_with_waits_below_a_tick_start_a_tick_apart() -> None:
+    """So no row holds more than the momentum of one impulse, and most rows hold that of exactly one."""
+    wrench = Impulses(2.0, 0.05, 0.1 * TICK, 0.3 * TICK)(np.arange(5000) * TICK, rng(2), EnvConfig())
+    for part, peak in ((wrench[:, :3], 2.0), (wrench[:, 3:], 0.05)):
+        rows, whole = np.linalg.norm(part, axis=1), 2.0 / np.pi * peak * 0.1
+        assert rows.max() <= whole * (1.0 + 1e-9)  # sums of 5000 impulses are rounded
+        assert np.median(rows) == pytest.approx(whole, rel=1e-9)
+
+
+def test_waits_below_a_tick_are_not_lengthened_after_a_long_impulse() -> None:
+    """An impulse of 5 ticks and a mean wait of 0.3 ticks: one in 5.3 ticks. Rows within one impulse share its direction."""
+    wrench = Impulses(2.0, 0.05, 5.0 * TICK, 0.3 * TICK)(np.arange(5000) * TICK, rng(2), EnvConfig())
+    direction = wrench[:, :3] / np.maximum(np.linalg.norm(wrench[:, :3], axis=1), 1e-300)[:, None]
+    # at least two rows lie within an impulse, and one that two impulses share follows
+    same = (direction[1:] * direction[:-1]).sum(axis=1) > 1.0 - 1e-12
+    count = np.count_nonzero(same[1:] & ~same[:-1]) + same[0]
+    # waits of a standard deviation of 0.3 ticks: 4 sigma of their number, and one impulse at the end
+    assert count == pytest.approx(5000 / 5.3, abs=4.0 * np.sqrt(5000 / 5.3) * 0.3 / 5.3 + 1.0)
+
+
 def test_gravity_tilts_about_a_horizontal_axis_from_rest() -> None:
     def tilted(seed: int, gravity: tuple[float, ...]) -> np.ndarray:
         settings = EnvConfig().override(gravity=gravity)

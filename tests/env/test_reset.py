@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from itertools import repeat
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from hands import gripper, numbers
+from hands import gripper, numbers, scene_alone
 
+from grasp_env.config import EnvConfig
+from grasp_env.control.closing import close_hand, take_over
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim import ObjectDescription, Scene
@@ -70,6 +74,54 @@ def test_contact_forces_carry_the_weight_at_every_reset(tmp_path: Path, settings
         shake(env.scene, seed, steps)
         np.testing.assert_array_equal(start(env, mass), first)
     env.close()
+
+
+class Scripted:
+    """A scene without physics and the loop that acts in it: after tick k everything is at rest, or what `disturbs` names is not."""
+
+    def __init__(self, quiet: list[bool], disturbs: str) -> None:
+        self.gravity, self.core, self.config = (
+            np.zeros(3),
+            scene_alone()[0],
+            SimpleNamespace(object=ObjectDescription()),
+        )
+        self.kinematics = SimpleNamespace(mass_matrix=lambda angles: np.eye(1), hand=None)
+        self.ticks, self._quiet, self._disturbs = 0, [*quiet, *repeat(False, 2000)], disturbs
+        settings = EnvConfig()
+        self.loop: Any = SimpleNamespace(
+            dt=0.004, config=settings, begin=lambda scene: None, reset=lambda: None, begin_step=lambda: None,
+            reach=lambda gravity, target: [0.0], tick=lambda *given, due: [0.0], friction=0.4,
+        )  # fmt: skip
+
+    def advance(self, torques: list[float], wrench: Any) -> None:
+        self.ticks += 1
+
+    def look(self) -> Any:
+        state = {
+            "touching": np.ones(4), "rates": np.zeros(1), "linear": np.zeros(3), "position": np.zeros(3), "forces": np.zeros((4, 3)),
+            "rotation": np.eye(3), "angles": np.zeros(1),
+        }  # fmt: skip
+        if self.ticks and not self._quiet[self.ticks - 1]:
+            state[self._disturbs] = 0.5 - state[self._disturbs]  # of the contacts, the first is lost
+            if self._disturbs == "touching":
+                state["touching"] = np.array([0.0, 1.0, 1.0, 1.0])
+        return SimpleNamespace(**state)
+
+
+@pytest.mark.parametrize("disturbs", ["touching", "rates"])
+def test_the_fingers_are_closed_after_eight_quiet_ticks_in_a_row(disturbs: str) -> None:
+    seven = [True] * 7
+    scene: Any = Scripted([*seven, False, *seven, False, True, False, *seven, True, True, True], disturbs)
+    close_hand(scene, scene.loop)
+    assert scene.ticks == 7 + 1 + 7 + 1 + 1 + 1 + 8
+
+
+@pytest.mark.parametrize("disturbs", ["touching", "linear"])
+def test_the_hand_has_taken_over_after_four_quiet_ticks_in_a_row(disturbs: str) -> None:
+    three = [True] * 3
+    scene: Any = Scripted([*three, False, *three, False, True, False, *three, True, True, True], disturbs)
+    take_over(scene, scene.loop)
+    assert scene.ticks == 3 + 1 + 3 + 1 + 1 + 1 + 4
 
 
 def test_other_objects_may_need_another_place() -> None:

@@ -14,10 +14,13 @@ from problems import PAPER_WRENCH
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
+from grasp_env.config import EnvConfig
+from grasp_env.control.loop import control_settings
 from grasp_env.force import ForceLimits, ForceOptimizer, Objective, Status
 from grasp_env.force.record import CODE, CONVERGED, INFEASIBLE, RANK_LOST
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.null_space import reference_basis
+from grasp_env.sim import HandDescription, HandKinematics, ObjectDescription
 from grasp_env.task.motion import resting_target
 
 GRASP = presets.paper_cuboid()
@@ -34,12 +37,19 @@ MOTOR = 12.0  # [N m] of each joint of the hand
 class Loop:
     """A control loop on contacts that are written by hand, without gravity: the wrench to balance is the external one."""
 
-    def __init__(self, tolerance: float = 1e-10, squeeze: float = 0.0, grasp: Grasp = GRASP, **options: Any) -> None:
+    def __init__(
+        self,
+        tolerance: float = 1e-10,
+        squeeze: float = 0.0,
+        grasp: Grasp = GRASP,
+        most_change: float = np.inf,
+        **options: Any,
+    ) -> None:
         self.scene, self.views = scene_alone()
         settings = core.ControlSettings()
         settings.set_follow(tolerance, options.get("max_iterations", 200))
         settings.directions = reference_basis(GRASP).reshape(-1).tolist()
-        settings.most_change, settings.squeeze = np.inf, squeeze
+        settings.most_change, settings.squeeze = most_change, squeeze
         self.optimizer = ForceOptimizer(grasp, tolerance=tolerance, **options)
         self.core = controller_alone(self.scene, 4, settings, grasp=grasp, tolerance=tolerance, **options)
         self.arrays = self.core.arrays()
@@ -121,6 +131,54 @@ def test_between_two_steps_the_command_is_the_optimum() -> None:
     assert loop.core.changes == 4
     assert loop.core.effort.followed > 30
     assert loop.arrays["solution"][CODE] == CONVERGED
+
+
+@pytest.mark.parametrize("due", [True, False])
+def test_forces_change_by_no_more_than_the_settings_allow(due: bool) -> None:
+    """From 5 N at each finger to the optimum, on contacts that stay: balance requires no change, so the bound is that of the force."""
+    most = 0.05
+    loop = Loop(most_change=most)
+    loop.core.hold = core.Hold.direct
+    best = ForceOptimizer(GRASP, tolerance=1e-10).solve(PAPER_WRENCH).force
+    internal = ForceOptimizer(GRASP, tolerance=1e-10).solve(np.zeros(6)).force
+    before = best + 2.0 * internal
+    loop.core.tick(None, PAPER_WRENCH, STILL, TARGET, None, True, None, before)
+    loop.core.hold = core.Hold.optimized
+    way, ticks = np.abs(before - best).max(), 0
+    assert way > 10.0 * most
+    while (left := np.abs(before - best).max()) > 1e-3 * way:
+        force = loop.tick(PAPER_WRENCH, due)
+        # a whole step, or what is left; the last command is balanced to 1e-9 of it, and its optimum is known to 1e-6
+        assert np.abs(force - before).max() == pytest.approx(min(most, left), abs=1e-5 * way)
+        assert loop.grasp.residual(force, PAPER_WRENCH) < 1e-9
+        before, ticks = force, ticks + 1
+    assert ticks == np.ceil(way / most)
+
+
+def test_the_rate_of_the_internal_force_is_a_change_in_every_tick() -> None:
+    """A second of ticks of the largest change is the rate [N/s]."""
+    config = EnvConfig().override(agent={"rate": 25}, controller={"rate": 125, "force_rate": 30.0})
+    settings = control_settings(config, ObjectDescription(), HandKinematics(HandDescription.four_finger()))
+    assert sum([settings.most_change] * 125) == pytest.approx(30.0)
+
+
+def test_the_overlap_of_fingertips_and_object_is_the_deepest_of_the_episode() -> None:
+    """A gap is negative where a tip is inside the object; distance from it does not count."""
+    loop, told = Loop(), []
+    gaps = [
+        (0.02, 0.01, 0.03, 0.004),
+        (0.01, -1e-4, 0.0, 0.02),
+        (-3e-4, -2e-4, 0.05, 0.0),
+        (1e-5, -2e-4, 0.01, 0.0),
+        (0.01,) * 4,
+    ]
+    for now in gaps:
+        loop.views.gaps[:] = now
+        loop.tick(PAPER_WRENCH, True)
+        told.append(loop.core.outcome(TARGET, np.empty(12), np.empty((4, 3))).overlap)
+    assert told == [0.0, 1e-4, 3e-4, 3e-4, 3e-4]
+    loop.core.reset()
+    assert loop.core.outcome(TARGET, np.empty(12), np.empty((4, 3))).overlap == 0.0
 
 
 def test_an_adjustment_is_added_to_the_start_and_repaired() -> None:

@@ -15,8 +15,10 @@ import pytest
 from force.named import attempt
 from problems import random_grasp
 
+from grasp_env.errors import GraspError, InfeasibleWrenchError, NotConvergedError, RankDeficientGraspError
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
 from grasp_env.force.many import CHUNK
+from grasp_env.force.record import BOUND, CODE, INFEASIBLE, OBJECTIVE, RANK_LOST, UNDECIDED
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.wrench import sample_ball
 from policies import LearnedInitialForce
@@ -134,6 +136,56 @@ def test_grasps_near_rank_loss_are_solved_alone() -> None:
     loads = np.random.default_rng(4).standard_normal((9, 6)) * np.repeat([1.0, 0.01], 3)
     for found, grasp, load in zip(optimize_forces(grasps, loads), grasps, loads, strict=True):
         np.testing.assert_array_equal(found.force, attempt(lambda g=grasp, w=load: optimize_force(g, w)).force)
+
+
+PALM = Grasp.from_contacts(GRASP.positions, [[0.0, 0.0, 1.0]] * 4, 0.4)
+"""Without force closure: it carries what presses on it, and nothing that pulls."""
+
+
+@pytest.mark.parametrize("error", [NotConvergedError, InfeasibleWrenchError])
+def test_what_a_rule_leaves_undecided_is_no_optimum(error: type[GraspError]) -> None:
+    """No force, an infinite objective and no bound, on one grasp and on many; the others have the answers of single calls."""
+
+    def rule(grasp: Grasp, load: np.ndarray) -> np.ndarray:
+        if load[0] > 0.0:
+            raise error("no start")
+        return ForceOptimizer(grasp).start(load)
+
+    loads = wide_loads(12)
+    lost = loads[:, 0] > 0.0
+    assert 0 < lost.sum() < 12
+    for grasps in (GRASP, [GRASP] * 12):
+        batch = optimize_forces(grasps, loads, initial=rule)
+        assert batch.codes.tolist() == np.where(lost, UNDECIDED, 0).tolist()
+        assert (batch.objective[lost] == np.inf).all()
+        assert (batch.lower_bound[lost] == -np.inf).all()
+        assert not batch.force[lost].any()
+        np.testing.assert_array_equal(batch.wrench, loads)
+        best = optimize_forces(GRASP, loads[~lost]).objective
+        np.testing.assert_allclose(batch.objective[~lost], best, rtol=2e-4)  # twice the tolerance
+    assert batch[int(np.flatnonzero(lost)[0])].optimality_gap == np.inf
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "conic"}, {"limits": ForceLimits(max_normal=1e3)}], ids=str)
+def test_what_is_infeasible_has_an_infinite_objective_and_bound(options: dict[str, Any]) -> None:
+    pulls, presses = np.eye(6)[[2, 2]] * [[1.0], [-1.0]]
+    loads = np.array([pulls, presses] * 6)
+    for grasps in (PALM, [PALM] * 12):
+        batch = optimize_forces(grasps, loads, **options)
+        assert batch.codes.tolist() == [INFEASIBLE, 0] * 6
+        assert (batch.objective[::2] == np.inf).all()
+        assert (batch.lower_bound[::2] == np.inf).all()
+        assert np.isfinite(batch.objective[1::2]).all()
+
+
+@pytest.mark.parametrize("method", ["newton", "conic", "reduced_flow"])
+def test_contacts_without_rank_have_an_infinite_objective(method: str) -> None:
+    optimizer = ForceOptimizer(GRASP, method=method)
+    with pytest.raises(RankDeficientGraspError):
+        optimizer.solve(LOADS[0], contacts=np.array([True, False, False, False]))
+    row = optimizer.core.ended
+    assert row is not None
+    assert (row[CODE], row[OBJECTIVE], row[BOUND]) == (RANK_LOST, np.inf, -np.inf)
 
 
 # threads, processes, interrupts

@@ -16,6 +16,7 @@ from grasp_env.errors import GraspError
 from grasp_env.force import ForceLimits, ForceOptimizer
 from grasp_env.grasp import Grasp, presets, wrench
 from grasp_env.quality import WrenchBall, epsilon, force_closure, quality, singular_values, worst_case
+from grasp_env.quality.worst_wrench import _solved
 
 UNEVEN = closure_grasps(3)[1]
 CUBOID = presets.paper_cuboid()
@@ -117,6 +118,35 @@ def test_limits() -> None:
     assert tight.least_force == tight.lower == np.inf
 
 
+def worst_sampled(optimizer: ForceOptimizer, ball: WrenchBall) -> float:
+    """The largest cost on the surface of an ellipsoid, by samples all over it and then ever closer around the worst one."""
+    rng, worst, cost = np.random.default_rng(6), np.zeros(6), 0.0
+    for spread in (1.0, 0.3, 0.1, 0.03, 0.01):
+        drawn = worst + spread * rng.standard_normal((2000, 6))
+        drawn /= np.linalg.norm(drawn, axis=1)[:, None]
+        costs = optimizer.solve_many(drawn * ball.radii).objective
+        if costs.max() > cost:
+            worst, cost = drawn[costs.argmax()], costs.max()
+    return cost
+
+
+@pytest.mark.parametrize("grasp", [CUBOID, presets.tripod(), UNEVEN], ids=["cuboid", "tripod", "uneven"])
+@pytest.mark.parametrize("moment", [0.03, 0.02])
+def test_the_bound_within_limits_holds_where_the_ascent_fails(
+    grasp: Grasp, moment: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without an ascent the lower bound is that of an axis; the upper bound comes from the polytope, and has to hold all the same."""
+    monkeypatch.setattr(
+        "grasp_env.quality.worst_wrench._ascended", lambda optimizer, ball, load: _solved(optimizer, load)
+    )
+    ball, limits = WrenchBall(1.0, moment), ForceLimits(max_normal=1e4)
+    worst = worst_sampled(ForceOptimizer(grasp, method="conic", limits=limits), ball)
+    found = worst_case(grasp, ball, limits=limits, starts=0)
+    # 1e-4: the tolerance of the solves. Vertices on the ellipsoid itself would miss 0.4 to 3 %
+    assert found.lower < 0.995 * worst
+    assert worst * (1.0 - 1e-4) <= found.upper <= 1.13 * worst
+
+
 @pytest.mark.parametrize("shape", ["ellipsoid", "product"])
 def test_ball_reaches_and_its_polytope_encloses_it(shape: str) -> None:
     ball = WrenchBall(2.0, 0.05, shape)
@@ -125,8 +155,22 @@ def test_ball_reaches_and_its_polytope_encloses_it(shape: str) -> None:
     force, moment = np.linalg.norm((directions * ball.radii).reshape(-1, 2, 3), axis=2).T
     np.testing.assert_allclose(reach, force + moment if shape == "product" else np.hypot(force, moment))
     np.testing.assert_allclose([n @ ball.farthest(n) for n in directions], reach)
-    assert ((directions @ ball.enclosing().T).max(axis=1) >= reach).all()
     assert (ball.reach(1.0 / ball.radii * np.eye(6)) <= 1.0 + 1e-12).all()
+    vertices, unit = ball.enclosing() / ball.radii, WrenchBall(1.0, 1.0, shape)
+    force, moment = np.linalg.norm(vertices.reshape(-1, 2, 3), axis=2).T
+    beyond = np.maximum(force, moment) if shape == "product" else np.hypot(force, moment)
+    assert beyond.max() <= (1.10 if shape == "product" else 1.12)  # the documented reach
+    # descend from random directions to those in which the polytope reaches the least beyond the ball, its tightest facets
+    directions, rows, ratio = np.random.default_rng(8).standard_normal((100, 6)), np.arange(100), np.ones(100)
+    for k in range(60):
+        directions /= np.linalg.norm(directions, axis=1)[:, None]
+        products, reach = directions @ vertices.T, unit.reach(directions)
+        top = products.argmax(axis=1)
+        ratio = products[rows, top] / reach
+        assert ratio.min() >= 1.0 - 1e-12  # rounding
+        farthest = np.array([unit.farthest(n) for n in directions])
+        directions -= 0.3 * 0.93**k * (vertices[top] - ratio[:, None] * farthest) / reach[:, None]
+    assert ratio.min() < 1.001  # the descent found a facet that touches the ball
 
 
 @pytest.mark.parametrize(

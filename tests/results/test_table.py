@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import trim_mean
 
 from grasp_env.errors import InvalidInputError
 from training.results.claims import Claim, judge, lines
 from training.results.columns import COLUMNS
 from training.results.run import Run, check_counts
-from training.results.statistics import iqm
+from training.results.statistics import iqm, ratio_interval
 from training.results.table import STATISTICS, described, join, pd, read, summary, table, write, write_csv
 
 
@@ -116,6 +117,32 @@ def test_the_summary_is_recomputed_by_numpy():
         assert row["iterations_low"] <= row["iterations_median"] <= row["iterations_high"]
     values = np.random.default_rng(1).normal(size=(4, 5)) ** 3
     assert iqm(values) == pytest.approx(np.sort(values.ravel())[5:15].mean())  # the middle half
+
+
+@pytest.mark.parametrize("count", range(1, 18))
+def test_the_interquartile_mean_cuts_a_quarter_at_each_end_rounded_down(count):
+    """Also where a quarter is no whole number of values."""
+    values = np.random.default_rng(count).normal(size=count) ** 3
+    assert iqm(values) == pytest.approx(trim_mean(values, 0.25), rel=1e-12)  # the order of sums
+
+
+def test_ends_of_a_ratio_leave_out_a_fortieth_of_the_resamples_each():
+    rng, seen = np.random.default_rng(2), list[np.ndarray]()
+    numerator, denominator = rng.uniform(1.0, 3.0, 50), rng.uniform(1.0, 2.0, 50)
+
+    def recorded(values, axis):
+        seen.append(values.mean(axis=axis))
+        return seen[-1]
+
+    middle, low, high = ratio_interval(numerator, denominator, of=recorded)
+    ratios = seen[0] / seen[1]
+    assert len(np.unique(ratios)) == len(ratios)  # no ties blur the shares
+    # an end is one of the resamples, so that the share beyond it is known to one of them
+    beyond = [(ratios < low).sum(), (ratios > high).sum()]
+    assert beyond == pytest.approx([0.025 * len(ratios)] * 2, abs=1.0)
+    assert middle == pytest.approx(numerator.mean() / denominator.mean())
+    # resamples of pairs: the ratio of proportional samples is known exactly
+    assert ratio_interval(3.0 * denominator, denominator) == pytest.approx((3.0, 3.0, 3.0))
 
 
 @pytest.mark.parametrize(

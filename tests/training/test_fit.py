@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 from grasp_env.errors import GraspError, InvalidInputError, ModelFileError
 from grasp_env.force import ForceOptimizer, Objective, optimize_force
@@ -25,6 +26,7 @@ from policies import LearnedInitialForce
 from policies.network import Network
 from training.cli import main
 from training.data.one_grasp import Source, label
+from training.fit.loop import WARM, optimise
 from training.fit.one_grasp import NetworkTask, fit
 from training.fit.settings import FitConfig
 from training.fit.soap import Soap
@@ -104,6 +106,38 @@ def test_a_short_fit_learns_and_its_file_holds_the_network_of_every_friction():
             expected = (part - grasp.pseudoinverse @ wrench).reshape(-1, 3)
             # float32 weights and sums
             np.testing.assert_allclose(model.raw(grasp, wrench), expected, atol=1e-5 * np.abs(expected).max())
+
+
+class Slope(NetworkTask):
+    """One weight, and a loss that is this weight: its gradient is 1, so SOAP moves it by the learning rate."""
+
+    def __init__(self, config: FitConfig) -> None:
+        self.config, self.module, self.weights = config, nn.Module(), list[float]()  # type: ignore[assignment]
+        self.module.weight = nn.Parameter(torch.ones(1, 1, dtype=torch.float64))
+
+    def batch(self, rng: np.random.Generator) -> Any:
+        self.weights.append(self.module.weight.item())  # type: ignore[operator]
+        return [None, None]
+
+    def loss(self, part: Any) -> torch.Tensor:
+        return self.module.weight.sum()  # type: ignore[operator]
+
+    def score(self) -> list[float]:
+        self.last = self.module.weight.item()  # type: ignore[operator]
+        return [0.0] * 6
+
+
+@pytest.mark.parametrize("rate", [2e-2, 3e-3])
+def test_weights_move_by_the_learning_rate_which_rises_and_falls_to_zero(rate):
+    """Straight up to `learning_rate` over the first 3 % of the steps, then down like a squared cosine."""
+    task = Slope(FitConfig(**{**FIXED, "steps": 400}, learning_rate=rate))
+    optimise(task)
+    moves = -np.diff([*task.weights, task.last])
+    done = np.arange(400) / 400
+    falls = np.cos(0.5 * np.pi * (done - WARM) / (1.0 - WARM)) ** 2
+    # the schedule adds 1e-3 and 1e-4 of the rate, so that no step is without effect
+    np.testing.assert_allclose(moves / rate, np.where(done < 0.03, done / 0.03, falls), atol=1.1e-3)
+    assert (moves > 0.0).all()
 
 
 def test_the_same_bits_with_one_thread_or_two_also_after_an_interrupt(tmp_path, monkeypatch, capsys):

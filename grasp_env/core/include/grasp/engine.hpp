@@ -842,11 +842,12 @@ private:
         s.code = code;
         if (!out.has_force()) {
             std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);
+            s.objective = infinity, s.lower_bound = -infinity;  // of no force; every bound holds where none exists
             if (code == INFEASIBLE) {
                 const Summary& from = current_record().summary();
                 s.iterations = from.iterations, s.trials = from.trials, s.residual = from.residual,
                 s.multipliers = from.multipliers;
-                s.objective = s.lower_bound = infinity, s.start = double(used_start_), s.replaced = start_replaced_;
+                s.lower_bound = infinity, s.start = double(used_start_), s.replaced = start_replaced_;
                 current_.fill_prices(out.prices(), [&](int row) { return prices_[row]; });
             }
             return code;

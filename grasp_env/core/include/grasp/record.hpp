@@ -39,8 +39,9 @@ struct Summary {
     double code = REFUSED;  // a `Code`
     double iterations = 0;  // accepted steps
     double trials = 0;  // all steps tried
-    double objective = 0;  // Phi, or the sum or maximum of weighted normal forces [N]; if limits are exceeded, the excess
-    double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none
+    // Phi, or the sum or maximum of weighted normal forces [N]; if limits are exceeded, the excess; inf without a force
+    double objective = 0;
+    double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none; inf: INFEASIBLE
     double residual = 0;  // largest |component| of G f + w in the unit frame [N]
     double margin = 0;  // smallest margin u - |(o, t)| of a contact in cone coordinates [N]
     double limit_excess = 0;  // largest excess over a limit, as a fraction of that limit; 0 within all limits

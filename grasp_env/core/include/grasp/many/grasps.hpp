@@ -284,6 +284,10 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const So
         }
     }
     if (waiting > 0) solve();
+    for (std::ptrdiff_t k = 0; k < many.count; ++k) {
+        const Record record = many.record(k, grasps.contacts);
+        if (record.code() == REFUSED) record.summary().objective = infinity, record.summary().lower_bound = -infinity;
+    }
 }
 
 // Newton, each grasp from its own internal force. REFUSED: no force closure in floating point.
