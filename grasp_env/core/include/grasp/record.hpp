@@ -96,17 +96,6 @@ public:
         std::fill(force(), row_ + record_size(count_), 0.0);
         return INFEASIBLE;
     }
-    // Let an optimum for the wrench `made` stand for one close by, with this balance residual. The bound is linear in the wrench: the
-    // smaller one holds for both. STALLED if it does not prove the tolerance any more.
-    void stand_for(const Vec6& made, const double* wrench, double residual, double tolerance) const {
-        Summary& s = summary();
-        std::copy_n(wrench, 6, s.wrench.begin());
-        s.residual = residual;
-        double there = s.lower_bound;
-        for (int r = 0; r < 6; ++r) there -= s.multipliers[r] * (wrench[r] - made[r]);
-        s.lower_bound = std::min(s.lower_bound, there);
-        if (code() == CONVERGED && !(gap() <= tolerance)) s.code = STALLED;
-    }
     // Force on the object along the axes of the positions, (3,) [N].
     void object_force(int contact, double* out) const {
         const double *f = force() + 3 * contact, *frame = frames() + 9 * contact;

@@ -20,6 +20,18 @@ struct Deepest {
 
 namespace detail {
 
+// Let a record of an optimum for the wrench `made` stand for one close by, with this balance residual. The bound is linear in the
+// wrench: the smaller one holds for both. STALLED if it does not prove the tolerance any more.
+inline void stand_for(const Record& record, const Vec6& made, const double* wrench, double residual, double tolerance) {
+    Summary& s = record.summary();
+    std::copy_n(wrench, 6, s.wrench.begin());
+    s.residual = residual;
+    double there = s.lower_bound;
+    for (int r = 0; r < 6; ++r) there -= s.multipliers[r] * (wrench[r] - made[r]);
+    s.lower_bound = std::min(s.lower_bound, there);
+    if (record.code() == CONVERGED && !(record.gap() <= tolerance)) s.code = STALLED;
+}
+
 // max m with depth m in all cones and the first limits; forces and the wrench's share r sum to one, m <= r.
 template <int D> class Depth {
 public:
@@ -94,7 +106,9 @@ private:
         const bool shut = at_rest && found.code == CONVERGED && found.margin <= CLEAR;
         if (found.margin > CLEAR && least_slack(z) > 0.0) {
             found.code = CONVERGED;
-        } else if (shut || (proven && separation(y, unit, size) > BOUNDARY)) {
+        } else if (shut) {
+            found.code = INFEASIBLE;
+        } else if (proven && separation(y, unit, size) > BOUNDARY) {
             found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
         } else if (!at_rest && part > 0.0 && move_inside(load, z, found)) {
             found.code = CONVERGED, found.margin = std::max(found.margin, 0.0);

@@ -352,7 +352,7 @@ private:
         return good;
     }
     void stand_for(const Vec6& made, const double* wrench, const StopRule& options, const Record& record) {
-        record.stand_for(made, wrench, missed(wrench, record.force(), record.torsion()), options.tolerance);
+        detail::stand_for(record, made, wrench, missed(wrench, record.force(), record.torsion()), options.tolerance);
     }
     // Record the proof that no force exists, or UNDECIDED.
     Code refute(const Deepest& found, const double* wrench, const Record& record) {

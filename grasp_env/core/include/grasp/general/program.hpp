@@ -72,7 +72,7 @@ public:
         write(code, record, prices);
         if (moved_) {
             const double residual = grasp::size(size_ * in_.wrench_of(best_) + load);
-            record.stand_for(in_.given(size_ * unit_), wrench, residual, options.tolerance);
+            stand_for(record, in_.given(size_ * unit_), wrench, residual, options.tolerance);
         }
         return Code(int(out.code));
     }
