@@ -17,7 +17,7 @@ import pytest
 from force.clarabel_reference import Reference
 
 from grasp_env.errors import GraspError, InfeasibleWrenchError
-from grasp_env.force import ForceLimits, ForceSolution, Status, optimize_force, optimize_forces
+from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, optimize_force, optimize_forces
 from grasp_env.force.record import INFEASIBLE
 from grasp_env.grasp import Grasp
 from grasp_env.quality import feasibility, force_closure
@@ -178,3 +178,19 @@ def test_a_load_over_the_edge_of_its_supports() -> None:
         with pytest.raises(InfeasibleWrenchError) as caught:
             optimize_force(tray, [0.0, 0.0, -5.0, 0.0, -5.0 * (0.05 + 1e-6), 0.0], **options)
         assert caught.value.solution.certificate @ caught.value.solution.wrench > 0.0
+
+
+@pytest.mark.parametrize("most", [0, 1, 3, 10, 30, 100])
+@pytest.mark.parametrize("name", METHODS)
+def test_the_largest_number_of_steps_holds_at_the_boundary(name: str, most: int) -> None:
+    """For the search from a carried start, its replacement, and the optimum just inside together."""
+    supports = np.array([[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0], [-0.06, 0.01, 0.01]])
+    tray = Grasp.from_contacts(supports, [[0.0, 0.0, 1.0]] * 4, 0.5)
+    for start in (None, "previous") if name == "newton" else (None,):
+        optimizer = ForceOptimizer(tray, max_iterations=most, initial=start, **METHODS[name])
+        for beyond in (-1e-3, -1e-9, -1e-12, 0.0, 1e-12):
+            status, found = verdict(
+                partial(optimizer.solve, np.array([0.0, 0.0, -5.0, 0.0, -5.0 * (0.05 + beyond), 0.0]))
+            )
+            assert status in ("force", "NotConvergedError")
+            assert found is None or found.iterations <= most

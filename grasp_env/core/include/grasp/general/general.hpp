@@ -114,9 +114,10 @@ public:
         }
         const Code code = least_phi(ask, options, record);
         inputs_->store(inputs_->z.data(), record.initial_force(), nullptr);
-        if (code == REFUSED && !phi_inside(call, options, record)) return refute({}, call.wrench, record);
+        const StopRule left{options.tolerance, options.limit - int(record.summary().iterations)};
+        if ((code == REFUSED || (code == STALLED && !found.moved)) && phi_inside(call, left, record)) return record.code();
+        if (code == REFUSED) return refute({}, call.wrench, record);
         if (found.moved) stand_for(found.wrench, call.wrench, options, record);
-        else if (code == STALLED) phi_inside(call, options, record);
         return record.code();
     }
     // Continue a record that stalled with more than rounding left, with at most MORE_STEPS further steps. The better result stays.
