@@ -10,7 +10,7 @@ from force.named import NAMED
 from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp
 
 from grasp_env.errors import InfeasibleWrenchError
-from grasp_env.force import ForceLimits, optimize_force
+from grasp_env.force import ForceLimits, ForceOptimizer, optimize_force
 from grasp_env.grasp import Grasp, presets
 from grasp_env.quality import feasibility, force_closure
 
@@ -142,3 +142,16 @@ def test_grasps_next_to_a_symmetric_one(size: float) -> None:
     force = feasibility(grasp, NOTHING).force
     assert grasp.cone_margin(force) > 0.0
     assert grasp.residual(force, NOTHING) < 1e-12 * np.abs(force).max()
+
+
+def test_a_start_that_does_not_exist_has_the_prices_of_its_proof() -> None:
+    """Of the limits that exclude it, not those of the call before."""
+    shared = 0.05 * np.random.default_rng(3).standard_normal((4, 3, 5))
+    limits = ForceLimits(jacobian=shared, torque_limit=0.1)
+    optimizer, wrench = ForceOptimizer(CUBOID, limits=limits), np.array([1.0, 0.5, -20.0, -0.1, 0.2, 0.0])
+    optimizer.solve(0.01 * wrench)
+    with pytest.raises(InfeasibleWrenchError) as caught:
+        optimizer.start(wrench)
+    solution = caught.value.solution
+    assert solution.limit_multipliers.any()
+    assert Reference(CUBOID, limits).proof(solution.certificate, wrench, solution.limit_multipliers) >= -1e-6

@@ -581,6 +581,7 @@ private:
         if (code == REFUSED) return REFUSED;
         if (flow_) return code;
         const Code made = general(ask, record, {options_.gap(), 0});
+        keep_prices(made, record);
         return made == CONVERGED || made == STALLED ? LIMIT : made;
     }
 
@@ -650,12 +651,16 @@ private:
         const Vec6 w = newton_.cones.unit.of(ask.wrench);
         answered_by_general_ = false;
         const Code code = run(*algorithm, ask, w, record);
+        keep_prices(code, record);
+        return code;
+    }
+    // Keep the prices of the limits at an answer, or of the general program's proof; another proof has written its own.
+    void keep_prices(Code code, const Record& record) {
         if (answered_by_general_) {
             std::ranges::copy(general_.prices(), prices_.begin());
         } else if (current_.limits.rows && has_force(code)) {
             for (int k = 0; k < int(current_.table.owners.size()); ++k) prices_[k] = row_price(k, record);
         }
-        return code;
     }
     Code run(Algorithm algorithm, const Request& ask, const Vec6& w, const Record& record) {
         switch (algorithm) {
