@@ -197,7 +197,7 @@ class ForceLoop:
             gravity: (3,) gravity that the controller assumes [m/s^2], world frame.
             target: (19,) wanted motion, see `env.plan.Plan`.
             due: True at the first tick of an agent's step.
-            adjustment: (null_dimension,) [N] along internal forces of the planned contacts, added to the start, which is then repaired.
+            adjustment: (max(3N - 6, 1),) [N] along internal forces of the planned contacts, added to the start, which is then repaired.
             given: (N, 3) forces to command instead of optimised ones [N], contact frames.
         """
         core, noise, reading = self._core, self._noise, self.scene.new_reading()

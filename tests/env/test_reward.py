@@ -45,7 +45,14 @@ def test_holding_one_step_longer_pays_more_than_letting_go_now(
 
 
 @pytest.mark.parametrize(
-    "settings", [{"shape": "sphere"}, {"action_mode": "contact_force"}, {"controller": {"kind": "pd"}}], ids=str
+    "settings",
+    [
+        {"shape": "sphere"},
+        {"solver": {"force_weight": 4.0}},
+        {"action_mode": "contact_force"},
+        {"controller": {"kind": "pd"}},
+    ],
+    ids=str,
 )
 def test_terms_are_recomputed_from_observation_and_info(settings: dict[str, Any]) -> None:
     """At one control tick per step."""

@@ -276,3 +276,22 @@ def test_a_rule_gets_the_contacts_of_the_call() -> None:
     assert optimizer.solve(LIGHT, initial=rule, **contacts).initial == "rule"
     tight = ForceLimits(max_normal=0.9 * float(found.force[:, 0].max()))
     assert optimize_force(seen[0], LIGHT, limits=tight, initial=rule).status is Status.OPTIMAL
+
+
+def test_a_given_start_is_judged_by_its_own_wrench() -> None:
+    """A kilonewton, missed by a part of 2e-10: `start` takes what `solve` takes."""
+    tripod, wrench = GRASPS["tripod"], np.array([0.0, 0.0, -1000.0, 0.0, 0.0, 0.0])
+    force = optimize_force(tripod, wrench).force.copy()
+    force[0, 0] += 2e-7
+    optimizer = ForceOptimizer(tripod)
+    assert optimizer.solve(wrench, initial=force).initial == "given"
+    np.testing.assert_allclose(optimizer.start(wrench, initial=force), force, rtol=1e-12, atol=0.0)
+
+
+def test_a_carried_start_that_stalls_is_never_replaced_by_a_worse_force() -> None:
+    """With few steps and a gap below rounding: the objective is not above that of the optimum that was given."""
+    tripod, rng = GRASPS["tripod"], np.random.default_rng(0)
+    optimizer = ForceOptimizer(tripod, tolerance=1e-16, max_iterations=5)
+    for wrench in rng.standard_normal((40, 6)) * np.repeat([1.0, 0.03], 3):
+        known = optimize_force(tripod, wrench, tolerance=1e-9)
+        assert optimizer.solve(wrench, initial=known.force).objective <= known.objective * (1.0 + 1e-12)

@@ -1,4 +1,4 @@
-"""Wrenches at the boundary of what contacts can balance: one rule for all methods, single calls, batches and `feasibility`.
+"""Wrenches at the boundary of what contacts can balance: one rule for Newton, conic, batches and `feasibility`.
 
 Within 1e-9 of the wrench, in the unit frame, the answer is a force that balances it to that accuracy; beyond, a proof with v . w > 0.
 A sample always, 10,000 problems under `slow`; GRASP_TRIAL_SEED gives those another seed.

@@ -566,6 +566,7 @@ private:
     // Write the start that a solve would use as a record.
     Code write_start(const Request& ask, const Record& record) {
         record.clear();
+        std::copy_n(ask.wrench, 6, record.summary().wrench.begin());
         const Vec6 w = newton_.cones.unit.of(ask.wrench);
         answered_by_general_ = false;
         const bool general_serves =
@@ -592,26 +593,27 @@ private:
     Code run_checked(const Request& ask, const Record& record) {
         const Code code = run(ask, record);
         if (code == CONVERGED || code == INFEASIBLE || has_own_start(ask)) return code;
-        const bool sound = is_sound(code, record), refused = code == REFUSED && start_of(ask) == Start::given;
-        return refused || (sound && code != STALLED) ? code : run_again(ask, code, sound, record);
+        const bool sound = is_sound(code, record);
+        return code == REFUSED || (sound && code != STALLED) ? code : run_again(ask, code, sound, record);
     }
-    // Solve again from the method's own start, within the steps that are left. The first force stays if it is the only sound one.
+    // Solve again from the method's own start, within the steps that are left. The first force stays if it is sound, unless the second
+    // answer is proven or better.
     [[gnu::cold, gnu::noinline]] Code run_again(const Request& ask, Code first, bool sound, const Record& record) {
         const Summary before = record.summary();
         const Start used = used_start_;
-        const bool replaced = start_replaced_;
+        const bool replaced = start_replaced_, outside = outside_training_;
         if (sound) kept_row_ = current_row_, kept_prices_ = prices_;
         const int limit = options_.limit, spent = std::min(int(before.iterations), limit);
+        const auto trace = ask.trace.subspan(std::min(std::size_t(spent), ask.trace.size()));
+        const double traced = trace.empty() ? 0.0 : trace[0];
         set_limit(limit - spent);
-        const Code found = run({.wrench = ask.wrench,
-                                .start = own_start(),
-                                .optimum = ask.optimum,
-                                .trace = ask.trace.subspan(std::min(std::size_t(spent), ask.trace.size()))},
-                               record);
+        const Code found = run({.wrench = ask.wrench, .start = own_start(), .optimum = ask.optimum, .trace = trace}, record);
         set_limit(limit);
-        if (sound && !is_sound(found, record)) {
+        const bool proven = found == CONVERGED || found == INFEASIBLE || found == LIMITS_EXCEEDED;
+        if (sound && !proven && !(is_sound(found, record) && record.summary().objective < before.objective)) {
             current_row_ = kept_row_, prices_ = kept_prices_;
-            used_start_ = used, start_replaced_ = replaced;
+            used_start_ = used, start_replaced_ = replaced, outside_training_ = outside;
+            if (!trace.empty()) trace[0] = traced;
             return first;
         }
         record.summary().iterations += before.iterations, record.summary().trials += before.trials;
@@ -622,6 +624,7 @@ private:
     // True if the start of a call is the method's own, or found for this call alone.
     bool has_own_start(const Request& ask) const {
         const Start start = start_of(ask);
+        if (options_.method == Method::conic) return true;
         return ask.adjustment.empty() && (start == own_start() || start == Start::phase_one || start == Start::central);
     }
     static bool has_force(Code code) { return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED; }
@@ -733,7 +736,7 @@ private:
                 [&](int m, double price) { prices_[m] = limited_->proof_scale * price / current_.table.sizes[m]; });
         if (code != REFUSED) return code;
         if (begun == INFEASIBLE) return write_proof(w, record);
-        if (begun == REFUSED && used_start_ == Start::given) return REFUSED;
+        if (begun == REFUSED) return REFUSED;
         return has_own_start(ask) ? general(ask, record) : UNDECIDED;
     }
 

@@ -4,7 +4,7 @@
 
 namespace grasp {
 
-// A margin up to this, relative to forces that sum to one, counts as the boundary: no force is strictly inside.
+// A margin up to this, relative to forces that sum to one, counts as the boundary: at rest, no force is strictly inside.
 inline constexpr double CLEAR = 1e-9;
 
 // CONVERGED: the force is strictly inside and balances `wrench`, which differs from the given one by at most BOUNDARY of it.
@@ -157,10 +157,12 @@ private:
             if (!(room > 0.0)) continue;
             const double part = std::min(1.0, SHORT * BOUNDARY * size / grasp::size(in_->wrench_of(inside) + load));
             for (int i = 0; i < in_->count; ++i)
-                for (int a = 0; a < D; ++a) z[i][a] = (1.0 - part) * z[i][a] + part * inside[i][a];
-            found.moved = least_slack(z) > ENOUGH * part * room && grasp::size(in_->wrench_of(z) + load) <= BOUNDARY * size;
-            if (found.moved) found.wrench = in_->given(-1.0 * in_->wrench_of(z));
-            return found.moved;
+                for (int a = 0; a < D; ++a) inside[i][a] = (1.0 - part) * z[i][a] + part * inside[i][a];
+            const Vec6 made = in_->wrench_of(inside);
+            if (!(least_slack(inside) > ENOUGH * part * room && grasp::size(made + load) <= BOUNDARY * size)) continue;
+            z = inside;
+            found.moved = true, found.wrench = in_->given(-1.0 * made);
+            return true;
         }
         return false;
     }

@@ -31,10 +31,11 @@ public:
             const int owns = limits - joint + count + 1, rows = joint + 7;
             const std::size_t depth = InteriorPoint<DoubleDouble, D, 2>::bytes_needed(count, rows, owns);
             const std::size_t least = InteriorPoint<double, D, 1>::bytes_needed(count, rows, owns);
-            return depth + std::max(least, PhiRows<double, D>::bytes_needed(count, rows, owns, limits));
+            const std::size_t careful = InteriorPoint<DoubleDouble, D, 1>::bytes_needed(count, rows, owns);
+            return depth + careful + std::max(least, PhiRows<double, D>::bytes_needed(count, rows, owns, limits));
         };
-        return Constraints<D>::bytes_needed(count, limits) + 7 * Arena::bytes_needed<Tuple<double, D>>(count) +
-               3 * Arena::bytes_needed<double>(2 * count + limits) + 3 * Arena::bytes_needed<double>(limits) +
+        return Constraints<D>::bytes_needed(count, limits) + 8 * Arena::bytes_needed<Tuple<double, D>>(count) +
+               3 * Arena::bytes_needed<double>(2 * count + limits) + 4 * Arena::bytes_needed<double>(limits) +
                std::max(most(0), most(joints));
     }
 
@@ -234,10 +235,25 @@ private:
         if (code == STALLED) {
             auto careful = in_.template engine<DoubleDouble, T>(limits, criterion_);
             code = attempt(careful, has_inside_);
-            if (code == STALLED && !elastic() && !moved_ && move_off_boundary(wrench)) code = attempt(careful, true);
+            if (code == STALLED && !elastic() && !moved_) {
+                const Best before{best_, best_prices_, unit_, turned_, best_nu_, best_value_, best_bound_, best_residual_};
+                if (move_off_boundary(wrench)) code = attempt(careful, true);
+                if (moved_ && code != CONVERGED && before.value < infinity) restore(before), code = STALLED;
+            }
         }
         out.iterations = out.trials = spent;
         return code;
+    }
+    // The best force so far, and the wrench that it balances.
+    struct Best {
+        Field force;
+        ArenaVector<double> prices;
+        Vec6 unit, turned, nu;
+        double value, bound, residual;
+    };
+    void restore(const Best& from) {
+        best_ = from.force, best_prices_ = from.prices, unit_ = from.unit, turned_ = from.turned, best_nu_ = from.nu;
+        best_value_ = from.value, best_bound_ = from.bound, best_residual_ = from.residual, moved_ = false;
     }
     // Take over the force in z_, which is strictly inside, and the wrench that it balances.
     void take_inside(const Deepest& found) {

@@ -36,7 +36,8 @@ public:
         : scene(std::move(given)), tree(scene->tree), settings(settings), sensors(scene, sensing), torques(tree->joints()),
           force(3 * tree->fingers()), frames(9 * tree->fingers()), depths(tree->fingers()), home(torques), goals(tree->fingers()),
           inwards(goals), solution(method.size()), method_(method), motors_(*tree), follow_({method.contacts()}, settings.follow),
-          within_(within(method.contacts())), least_sum_({method.contacts()}, {.method = Method::conic, .tolerance = 1e-4}),
+          within_(within(method.contacts())),
+          least_sum_({with_weight_one(method.contacts())}, {.method = Method::conic, .tolerance = 1e-4}),
           elastic_(tree->fingers()), follow_row_(follow_.size()), within_row_(within_.size()), least_sum_row_(least_sum_.size()),
           last_row_(within_row_), slid_(goals), ticks_apart_(tree->fingers()), last_force_(force), step_force_(force),
           given_(force), squeezed_(force), adjustment_(force), torsion_(tree->fingers()), pull_(torques), extra_torques_(torques),
@@ -227,6 +228,11 @@ private:
     Cholesky gram_;
     bool is_redundant_;
 
+    // The least sum counts newtons, whatever the weights of the method.
+    static Contacts with_weight_one(Contacts contacts) {
+        contacts.set_weights(Objective{});
+        return contacts;
+    }
     ForceOptimizer within(const Contacts& contacts) {
         jacobian_.resize((contacts.soft() ? 6 : 3) * contacts.count * motors_.limit.size());
         const auto limited = [](double limit) { return limit < infinity; };
