@@ -419,28 +419,28 @@ class _StiffSystem(_NewtonSystem):
         return x, -mu[:, :6, 0], self.sound & _finite(x, mu)
 
 
-def _inverse_reach(problem: _Problem, z: Tensor, step: Tensor) -> Tensor:
-    """(B,) 1 / (largest multiple of the step inside the cones)."""
-    u, o, t, v = z.unbind(-1)
-    du, do, dt, dv = step.unbind(-1)
+def _way(z: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
+    """Return (B, N) the step across the way to the apex of each cone, and along it, relative to the distance from the surface."""
+    u, o, t, _ = z.unbind(-1)
+    du, do, dt, _ = step.unbind(-1)
     inverse = 1.0 / (u * u - o * o - t * t).sqrt()
     along = (u * du - o * do - t * dt) * inverse * inverse
     k = (du * inverse + along) / (1.0 + u * inverse)
-    most = inverse * ((do - k * o) ** 2 + (dt - k * t) ** 2).sqrt() - along
+    return inverse * ((do - k * o) ** 2 + (dt - k * t) ** 2).sqrt(), along
+
+
+def _inverse_reach(problem: _Problem, z: Tensor, step: Tensor) -> Tensor:
+    """(B,) 1 / (largest multiple of the step inside the cones)."""
+    (u, v), (du, dv), (away, along) = z[..., ::3].unbind(-1), step[..., ::3].unbind(-1), _way(z, step)
     turn = torch.maximum((dv - du) / (u - v), -(dv + du) / (u + v))
-    return torch.maximum(most, torch.where(problem.soft, turn, -math.inf)).amax(1)
+    return torch.maximum(away - along, torch.where(problem.soft, turn, -math.inf)).amax(1)
 
 
 def _relative_step(problem: _Problem, z: Tensor, step: Tensor) -> Tensor:
     """(B,) the step as a fraction of the largest force and, towards them or away, of the distances from the cones' surfaces."""
-    u, o, t, v = z.unbind(-1)
-    du, do, dt, dv = step.unbind(-1)
-    inverse = 1.0 / (u * u - o * o - t * t).sqrt()
-    along = (u * du - o * do - t * dt) * inverse * inverse
-    k = (du * inverse + along) / (1.0 + u * inverse)
-    most = inverse * ((do - k * o) ** 2 + (dt - k * t) ** 2).sqrt() + along.abs()
+    (u, v), (du, dv), (away, along) = z[..., ::3].unbind(-1), step[..., ::3].unbind(-1), _way(z, step)
     turn = torch.maximum((dv - du).abs() / (u - v), (dv + du).abs() / (u + v))
-    most = torch.maximum(most, torch.where(problem.soft, turn, 0.0)).amax(1)
+    most = torch.maximum(away + along.abs(), torch.where(problem.soft, turn, 0.0)).amax(1)
     return torch.maximum(most, step[..., :3].abs().amax((1, 2)) / u.amax(1))
 
 

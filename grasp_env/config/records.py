@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from grasp_env import ranges
 from grasp_env.errors import InvalidInputError
 from grasp_env.force.initial import InitialForceRule
+from grasp_env.force.objective import Objective
 from grasp_env.force.options import METHODS
 from grasp_env.force.rules import RULES
 from grasp_env.ranges import Range
@@ -74,7 +75,7 @@ class Solver(Settings):
         1.0, real(ranges.FORCE_WEIGHT), "Weight of the forces in Phi, and of the normal forces under `conic`."
     )
     barrier_weight: float = setting(
-        0.01, real(ranges.BARRIER_WEIGHT), "Weight of the barrier in Phi: a larger one keeps the forces further from slipping. `conic` has no barrier.", unit="N^2"
+        Objective.barrier_weight, real(ranges.BARRIER_WEIGHT), "Weight of the barrier in Phi: a larger one keeps the forces further from slipping. `conic` has no barrier.", unit="N^2"
     )  # fmt: skip
     tolerance: float = setting(
         1e-4, real(ranges.TOLERANCE), "Relative gap to the certified bound at which the optimisation ends."
@@ -85,7 +86,7 @@ class Solver(Settings):
 
     def agree(self) -> None:
         """Raise an error if a barrier is set for the method without one."""
-        if self.method == "conic" and self.barrier_weight != 0.01:
+        if self.method == "conic" and self.barrier_weight != Objective.barrier_weight:
             raise InvalidInputError(
                 f"solver.method 'conic' has no barrier, got solver.barrier_weight={self.barrier_weight:g}: take solver.method='newton', "
                 "or leave solver.barrier_weight out"

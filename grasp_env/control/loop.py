@@ -84,8 +84,8 @@ class ForceLoop:
         self.optimizer = make_optimizer(grasp, config, self.initial_force)
         settings = control_settings(config, item, scene.kinematics)
         settings.remembers = self.optimizer.remembers
-        actions = max(3 * self.count - 6, 1)  # soft tips on one line have an internal force more
-        settings.directions = reference_basis(grasp)[:, :actions].reshape(-1).tolist()
+        # soft tips on one line have an internal force more
+        settings.directions = reference_basis(grasp)[:, : adjustment_size(self.count)].reshape(-1).tolist()
         self._core = core.Controller.make(scene.core, self.optimizer.core, settings, sensor_settings(config))
         self._settling = True  # until the hand holds the object
         arrays = self._core.arrays()
@@ -242,6 +242,11 @@ class ForceLoop:
         """Return the joint torques (M,) [N m] of the next control tick, with which all fingers reach for their places."""
         self._hold(Hold.reach)
         return self.tick(np.zeros(6), gravity, target, False)
+
+
+def adjustment_size(tips: int) -> int:
+    """Return the number of internal forces along which an agent adjusts the start, for a hand with a given number of tips."""
+    return max(3 * tips - 6, 1)
 
 
 HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Hold.place}

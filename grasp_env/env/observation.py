@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env._check import Array
+from grasp_env.control.loop import ForceLoop, adjustment_size
 from grasp_env.core import Gather, Outcome
 from grasp_env.sim.snapshot import Snapshot
-
-if TYPE_CHECKING:
-    from grasp_env.control.loop import ForceLoop
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,7 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
 
 def action_size(mode: str, tips: int) -> int:
     """Return the size of an action in mode "initial_force", "contact_force" or "none" for a hand with a given number of tips."""
-    return {"initial_force": max(3 * tips - 6, 1), "contact_force": 3 * tips, "none": 1}[mode]
+    return {"initial_force": adjustment_size(tips), "contact_force": 3 * tips, "none": 1}[mode]
 
 
 def bounds(tips: int, joints: int) -> NDArray[np.float32]:

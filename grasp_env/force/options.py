@@ -68,7 +68,7 @@ def _checked(
         made = Options(
             check(choice, method, "method", METHODS),
             check(choice, criterion, "criterion", CRITERIA),
-            check(_objective, force_weight, barrier_weight),
+            check(Objective, force_weight, Objective.barrier_weight if barrier_weight is None else barrier_weight),
             check(_tolerance, tolerance, method),
             check(whole, max_iterations, "max_iterations", 0, ranges.ITERATIONS),
             check(checked_rule, step_rule),
@@ -88,10 +88,6 @@ def _checked(
 
 
 _cached = lru_cache(256, typed=True)(_checked)
-
-
-def _objective(force_weight: Weight, barrier_weight: Weight | None) -> Objective:
-    return Objective(force_weight) if barrier_weight is None else Objective(force_weight, barrier_weight)
 
 
 def _tolerance(given: float | None, method: object) -> float:

@@ -108,20 +108,15 @@ class Scripted:
         return SimpleNamespace(**state)
 
 
-@pytest.mark.parametrize("disturbs", ["touching", "rates"])
-def test_the_fingers_are_closed_after_eight_quiet_ticks_in_a_row(disturbs: str) -> None:
-    seven = [True] * 7
-    scene: Any = Scripted([*seven, False, *seven, False, True, False, *seven, True, True, True], disturbs)
-    close_hand(scene, scene.loop)
-    assert scene.ticks == 7 + 1 + 7 + 1 + 1 + 1 + 8
-
-
-@pytest.mark.parametrize("disturbs", ["touching", "linear"])
-def test_the_hand_has_taken_over_after_four_quiet_ticks_in_a_row(disturbs: str) -> None:
-    three = [True] * 3
-    scene: Any = Scripted([*three, False, *three, False, True, False, *three, True, True, True], disturbs)
-    take_over(scene, scene.loop)
-    assert scene.ticks == 3 + 1 + 3 + 1 + 1 + 1 + 4
+@pytest.mark.parametrize(
+    ("settle", "ticks", "disturbs"),
+    [(close_hand, 8, "touching"), (close_hand, 8, "rates"), (take_over, 4, "touching"), (take_over, 4, "linear")],
+)
+def test_closing_and_taking_over_end_after_quiet_ticks_in_a_row(settle: Any, ticks: int, disturbs: str) -> None:
+    few = [True] * (ticks - 1)
+    scene: Any = Scripted([*few, False, *few, False, True, False, *few, True, True, True], disturbs)
+    settle(scene, scene.loop)
+    assert scene.ticks == (ticks - 1) + 1 + (ticks - 1) + 1 + 1 + 1 + ticks
 
 
 def test_other_objects_may_need_another_place() -> None:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from force.clarabel_reference import Reference
 from force.generators import own_joints
-from oracles import geometry
 
 from grasp_env.errors import GraspError
 from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status
@@ -100,18 +100,14 @@ def ending(optimizer: ForceOptimizer, wrench: Array, now: dict[str, Array]) -> t
 
 
 def fault(made: dict[str, Any], wrench: Array, cold: ForceSolution | None, warm: ForceSolution | None) -> str:
-    """What is wrong with two solutions of one problem, or ""."""
-    grasp = Grasp.from_contacts(**made)
-    centre, length, _ = geometry.unit_frame(grasp.positions)
+    """Return the first fault of two solutions of one problem, and "" if there is none."""
+    reference = Reference(Grasp.from_contacts(**made))
+    load = float(np.abs(reference.load(wrench)).max())
     for name, found in (("cold", cold), ("previous", warm)):
         if found is None:
             continue
-        left, load = (
-            np.append(w[:3], (w[3:] - np.cross(centre, w[:3])) / length)
-            for w in (grasp.wrench(found.force, found.torsion) + wrench, wrench)
-        )
-        most = float(np.abs(found.force).max())
-        if np.abs(left).max() > BALANCED * max(np.abs(load).max(), min(most, 1.0)) + 1e-13 * most:
+        left, most = reference.residual(found.force, found.torsion, wrench), float(np.abs(found.force).max())
+        if left > BALANCED * max(load, min(most, 1.0)) + 1e-13 * most:
             return f"{name} misses balance"
         if not (np.isfinite(found.objective) and found.cone_margin >= 0.0):
             return f"{name} is outside"

@@ -99,7 +99,7 @@ def verdict(call: Callable[[], Any]) -> tuple[str, ForceSolution | None]:
 
 
 def fault(reference: Reference, wrench: Array, found: ForceSolution) -> str:
-    """What is wrong with a force or a proof, or ""."""
+    """Return the first fault of a force or a proof, and "" if there is none."""
     load, most = float(np.abs(reference.load(wrench)).max()), float(np.abs(found.force).max())
     if found.status is Status.INFEASIBLE:
         twist, prices = found.certificate, found.limit_multipliers

@@ -627,10 +627,9 @@ private:
         if (options_.method == Method::conic) return true;
         return ask.adjustment.empty() && (start == own_start() || start == Start::phase_one || start == Start::central);
     }
-    static bool has_force(Code code) { return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED; }
     // True if the outcome can be used: an optimum, a proof, or a force that is balanced and inside the cones.
     bool is_sound(Code code, const Record& record) const {
-        if (code == CONVERGED || !has_force(code)) return code == CONVERGED || code == INFEASIBLE;
+        if (code == CONVERGED || !Record::has_force(code)) return code == CONVERGED || code == INFEASIBLE;
         const Summary& s = record.summary();
         double most = 0.0;
         for (int i = 0; i < current_.now.count; ++i) most = std::max(most, record.force()[3 * i]);
@@ -661,7 +660,7 @@ private:
     void keep_prices(Code code, const Record& record) {
         if (answered_by_general_) {
             std::ranges::copy(general_.prices(), prices_.begin());
-        } else if (current_.limits.rows && has_force(code)) {
+        } else if (current_.limits.rows && Record::has_force(code)) {
             for (int k = 0; k < int(current_.table.owners.size()); ++k) prices_[k] = row_price(k, record);
         }
     }
@@ -846,7 +845,7 @@ private:
     Code write_answer(Code code, const Record& out, bool optimum = true) {
         Summary& s = out.summary();
         const int all = current_.home.count;
-        if (has_force(code) && !is_sound(code, current_record())) code = UNDECIDED;  // rounding left no usable force
+        if (Record::has_force(code) && !is_sound(code, current_record())) code = UNDECIDED;  // rounding left no usable force
         s.code = code;
         if (!out.has_force()) {
             std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);

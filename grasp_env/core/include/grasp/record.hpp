@@ -66,10 +66,8 @@ public:
     explicit Record(double* row) : row_(row), count_(int(summary().contacts)) {}
     Code code() const { return Code(int(summary().code)); }
     // True if the record holds a force; otherwise the force is zero.
-    bool has_force() const {
-        const Code code = this->code();
-        return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED;
-    }
+    bool has_force() const { return has_force(code()); }
+    static bool has_force(Code code) { return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED; }
     Summary& summary() const { return *reinterpret_cast<Summary*>(row_); }
     // (objective - lower_bound) / lower_bound, certified; inf without a positive bound.
     double gap() const {

@@ -98,9 +98,7 @@ public:
             const auto correct = [&](const Vec6& pull) { return this->schur.solve(pull - left); };
             if (!this->template step<false>(this->schur.solve(minus), correct, 1.0)) return Inside::unknown;
             for (int b = 0; b < blocks(); ++b) x[b] = -cones.blocks[b].transposed(y);
-            double sum = 0.0;
-            for (double part : y) sum += std::abs(part);
-            if (dot(minus, y) > BOUNDARY * sum && cones.margin(x) > ROUNDING * size(y)) {
+            if (dot(minus, y) > BOUNDARY * sum_of_sizes(y) && cones.margin(x) > ROUNDING * size(y)) {
                 twist = -1.0 * y;
                 return Inside::none;
             }

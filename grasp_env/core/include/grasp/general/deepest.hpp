@@ -131,28 +131,22 @@ private:
     }
     // Distance of the wrench from those that the constraints can balance, as the multipliers show it: a fraction of the wrench.
     double separation(const Vec6& y, const Vec6& unit, double size) const {
-        double value = dot(y, unit), sum = 0.0;
+        double value = dot(y, unit);
         for (int k = 0; k < many_; ++k) value -= prices_[k] * in_->bound[k] / size;
-        for (double part : y) sum += std::abs(part);
-        return value / (sum * grasp::size(unit));
+        return value / (sum_of_sizes(y) * grasp::size(unit));
     }
     // Move z, at the boundary of the constraints, towards a force well inside them. This changes the wrench by less than BOUNDARY of
     // it. Return true if z is then strictly inside, with the wrench that it balances in `found`.
     bool move_inside(const Vec6& load, Field& z, Deepest& found) {
         const double size = grasp::size(load);
-        const auto axes = [&](double length, Field& to) {
-            for (auto& each : to) {
-                each = in_->inwards();
-                for (double& value : each) value *= length;
-            }
-            if (D == 4)
-                for (int i = 0; i < in_->count; ++i)
-                    if (!in_->soft[i]) to[i][D - 1] = 1.0;
-        };
         const Arena::Scope scope;
         Field inside(in_->count);
         for (double length : {1.0, 0.1, 0.01, 1e-3, 10.0, 100.0}) {
-            axes(length * size, inside);
+            for (int i = 0; i < in_->count; ++i) {
+                inside[i] = {};
+                add(inside[i], length * size, in_->inwards());
+                if (D == 4 && !in_->soft[i]) inside[i][D - 1] = 1.0;
+            }
             const double room = least_slack(inside);
             if (!(room > 0.0)) continue;
             const double part = std::min(1.0, SHORT * BOUNDARY * size / grasp::size(in_->wrench_of(inside) + load));

@@ -163,7 +163,6 @@ public:
     }
 
 private:
-    static constexpr double BALANCED = 1e-9;  // of the wrench: largest balance residual of an optimal force
     // Smallest margin of an internal force; less would be useful only with millions of newtons.
     static constexpr double DEEP = 1e-6;
     // Bound of the normal forces when minimising an excess, relative to the largest normal force of the start.

@@ -95,7 +95,7 @@ private:
     // Solve by `ForceOptimizer`; the lane continues from its answer.
     Answer solve_with_optimizer(std::ptrdiff_t k, int lane) {
         Answer answer{.code = solve_alone(k, posed_[lane])};
-        const bool force = has_force(answer.code);
+        const bool force = Record::has_force(answer.code);
         if (!row_.empty()) answer.iterations = Record(row_.data()).summary().iterations;
         if (force && answer.code != LIMITS_EXCEEDED) answer.gap = Record(row_.data()).gap();
         answer.regime = answer.code == LIMITS_EXCEEDED ? Regime::exceeding : force ? Regime::optimum : Regime::unbalanced;
@@ -130,7 +130,6 @@ private:
         double* facts = to.facts + LAYER_FACTS * k;
         facts[0] = REFUSED, facts[1] = infinity, facts[2] = facts[3] = 0.0;
     }
-    static bool has_force(Code code) { return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED; }
 
     // Solve by `ForceOptimizer` into row_: the optimum or, if no force keeps the limits, the optimum without them and
     // LIMITS_EXCEEDED.
@@ -140,7 +139,7 @@ private:
         if (!batch_.limited() || (code != INFEASIBLE && code != UNDECIDED)) return code;
         Code free = prepare(free_, k, posed, false);
         if (free == CONVERGED) free = solve_with(*free_.solver, k, posed, false);
-        return has_force(free) ? LIMITS_EXCEEDED : free;
+        return Record::has_force(free) ? LIMITS_EXCEEDED : free;
     }
     // Make the optimiser of a problem, unless the data that a call cannot change is the same as before. Return CONVERGED if there
     // is one.

@@ -33,6 +33,13 @@ template <class S> inline S size(const Six<S>& a) {
     return most;
 }
 
+// Sum of magnitudes: an inner product is at most this times the other vector's `size`.
+inline double sum_of_sizes(const Vec6& a) {
+    double total = 0.0;
+    for (double v : a) total += std::abs(v);
+    return total;
+}
+
 // Componentwise.
 template <class S, class Which> inline Six<S> select(const Which& which, Six<S> a, const Six<S>& b) {
     for (int r = 0; r < 6; ++r) a[r] = select(which, a[r], b[r]);

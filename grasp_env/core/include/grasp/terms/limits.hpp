@@ -219,9 +219,9 @@ public:
             const V lacking = cones.blocks[b].mask * max(V{}, -slack(q)) * room;
             total += lacking, size += lacking;
         }
-        double value = sum(total), of = sum(size);
-        const double load = grasp::size(w);
-        for (int r = 0; r < 6; ++r) value += nu[r] * w[r], of += std::abs(nu[r]) * load;
+        double value = sum(total);
+        for (int r = 0; r < 6; ++r) value += nu[r] * w[r];
+        const double of = sum(size) + sum_of_sizes(nu) * grasp::size(w);
         return {value, sum(share), of, nu};
     }
     bool proves_infeasible(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) {
