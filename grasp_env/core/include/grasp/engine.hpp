@@ -841,11 +841,14 @@ private:
 
     // --- the answer
 
-    // Write `current_record` as a row of all contacts. optimum: true if the limits have prices there.
+    // Write `current_record` as a row of all contacts. optimum: true if it is an answer, with prices of the limits; false: a start.
     Code write_answer(Code code, const Record& out, bool optimum = true) {
         Summary& s = out.summary();
         const int all = current_.home.count;
-        if (Record::has_force(code) && !is_sound(code, current_record())) code = UNDECIDED;  // rounding left no usable force
+        // rounding may leave no usable force; a start may miss balance by what is allowed for given forces
+        const Record made = current_record();
+        const bool usable = optimum ? is_sound(code, made) : made.summary().objective < infinity;
+        if (Record::has_force(code) && !usable) code = UNDECIDED;
         s.code = code;
         if (!out.has_force()) {
             std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);
