@@ -90,7 +90,7 @@ def all_finite(array: object) -> bool:
 
 def normalise(normals: object) -> int:
     """
-    Normalise (N, 3) directions in place. Return the first index off unit length by more than 1e-6; -1: none.
+    Normalise (N, 3) directions in place. Return the first index off unit length by more than 1 %; -1: none.
     """
 
 def along_normal(tangents: object, normals: object) -> int:
@@ -127,7 +127,7 @@ class Contacts:
     def make(positions: object, normals: object, scale: object, weights: object, tangents: object) -> Contacts:
         """
         Make hard contacts: (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2)
-        omega and lambda, (N, 3) tangents or (0, 3). Raises ValueError unless the rank of G is 6.
+        omega and lambda, (N, 3) tangents or (0, 3). Raises ValueError for numbers that cannot be used.
         """
 
     @staticmethod
@@ -157,6 +157,15 @@ class Contacts:
     @property
     def clear(self) -> bool:
         """True if the rank is 6 beyond doubt, torsion included."""
+
+    def within_reach(self, wrench: object, to: object) -> None:
+        """
+        Write a wrench (6,) without its part that no forces of these contacts make into `to` (6,).
+        """
+
+    @property
+    def rank(self) -> int:
+        """Rank of G, torsion included."""
 
     @property
     def soft(self) -> bool:

@@ -19,7 +19,6 @@ from grasp_env.errors import (
     InfeasibleWrenchError,
     InvalidInputError,
     NotConvergedError,
-    RankDeficientGraspError,
     UnsupportedProblemError,
     shown,
 )
@@ -45,6 +44,7 @@ from grasp_env.force.record import CODE, FORCE, INFEASIBLE, LIMIT, REFUSED, REPL
 from grasp_env.force.solution import COMBINATION, LEARNED, PREVIOUS, STARTS, ForceSolution, start_name
 from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.advice import warn_of
+from grasp_env.grasp.checks import rank_error
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 FROM_BASIS = ("linear_combination", "linear_combination_printed", "single_value", "lagrange")
@@ -88,6 +88,7 @@ class ForceOptimizer:
         InvalidInputError: input of another type or shape, not finite, or out of range (`grasp_env/ranges.py`).
         UnknownNameError: unknown method, criterion or rule.
         UnsupportedProblemError: a method that does not support these contacts, limits or options.
+        RankDeficientGraspError: a flow, and contacts that cannot balance wrenches of every direction.
         InfeasibleStartError: the start needs the 12-basis, which these contacts do not have, or a learned rule fails.
 
     Example:
@@ -157,6 +158,8 @@ class ForceOptimizer:
                 # `solution.initial` names the start that was used and the one that it replaced
         # False for a user's rule or force, which `_start` evaluates in Python
         self.core_finds_start, self.remembers = initial is None or start > 0, remembers
+        if options.flows and grasp.rank < 6:
+            raise self._rank_error(grasp)
         weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
         limits = given_limits(self.limits, grasp.n_contacts)
@@ -266,8 +269,10 @@ class ForceOptimizer:
 
         Raises:
             InvalidInputError: wrong shapes, values that are not finite or out of range.
-            RankDeficientGraspError: the touching contacts cannot balance wrenches of all directions.
-            InfeasibleWrenchError: no force strictly inside the cones and limits balances the wrench; the error contains the proof.
+            InfeasibleWrenchError: no force strictly inside the cones and limits balances the wrench; the error contains the proof. Two
+                hard contacts, for example, do not balance a moment about the line through them.
+            RankDeficientGraspError: no contact touches, or the contacts are within rounding of lying on one line. A flow also needs
+                contacts that balance wrenches of every direction.
             InfeasibleStartError: the start is not balanced or not strictly inside the cones, or its rule fails.
             NotConvergedError: neither a force nor a proof was found.
         """
@@ -415,8 +420,6 @@ class ForceOptimizer:
         if any(each is not None for each in given):
             try:
                 now = self._arrays(*given)
-                if now.contacts is not None and not now.contacts.all():
-                    return explain(solution, None, limits)
                 moved = touching_grasp(self.grasp, now)
             except GraspError:  # the caller has overwritten its arrays since
                 return explain(solution, None, limits)
@@ -439,10 +442,11 @@ class ForceOptimizer:
             return error
         if code == REFUSED and start.force is not None:
             return refused_start(moved, wrench, start, now.contacts)
-        return RankDeficientGraspError(
-            f"rank(G) < 6 with {moved.n_contacts} contacts: some wrenches cannot be balanced. Use at least three contacts with friction "
-            "that do not lie on one line, or two soft ones"
-        )
+        return self._rank_error(moved)
+
+    def _rank_error(self, moved: Grasp) -> GraspError:
+        flows = f"; method {self.method!r} needs that, 'newton' and 'conic' solve the wrenches that are within reach"
+        return rank_error(moved.rank, moved.n_contacts, flows if self.options.flows else "")
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in vars(self).items() if name not in ("core", "_solve")}

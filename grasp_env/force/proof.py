@@ -15,6 +15,8 @@ SLIPPING = 1e-3
 """Relative distance of q_i to the surface of its dual cone up to which contact i counts as slipping."""
 ROUNDING = 1e-6
 """Largest violation of a valid proof, relative to the size of its terms."""
+UNMOVED = 1e-9
+"""Largest motion of a contact along a twist, relative to its terms, that counts as none."""
 MOST_NAMED = 6
 """Largest number of limits named in a message."""
 
@@ -32,11 +34,23 @@ def least_normal_motions(grasp: Grasp, q: Array) -> Array:
 
 
 def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | None) -> str:
-    """Explain why no force balances the wrench of an infeasible solution; without a grasp the message names no contacts."""
+    """Explain why no force balances the wrench of an infeasible solution.
+
+    Args:
+        solution: the solution, with the twist that proves it.
+        grasp: the contacts that touch; if they are not all of the solution's, or None, the message names no contacts.
+        limits: the limits of the solve.
+    """
     twist = solution.certificate
     assert twist is not None
     wrench = f"wrench {solution.wrench.tolist()}"
     shown = f"the twist {[round(v, 6) for v in twist.tolist()]}"
+    if grasp is not None and not _moves_contacts(grasp, twist):
+        return (
+            f"{wrench} is out of reach: rank(G) = {grasp.rank} < 6 with {grasp.n_contacts} contact{'s' * (grasp.n_contacts != 1)}, "
+            f"and no force of theirs acts along {shown} (velocity, angular velocity; error.solution.certificate): leave that part out of "
+            "the wrench, or add a contact, friction or soft fingertips"
+        )
     needed = _needed(solution, limits)
     slipping = [] if grasp is None else _slipping(solution, grasp, limits)
     where = f" of contact{'s' * (len(slipping) > 1)} {', '.join(map(str, slipping))}" if slipping else ""
@@ -51,6 +65,12 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
         f"no force strictly inside the friction cones balances {wrench}; {shown} separates it from what the cones{where} can make "
         "(error.solution.certificate): add contacts that resist it, raise the friction, or change the wrench"
     )
+
+
+def _moves_contacts(grasp: Grasp, twist: Array) -> bool:
+    """Return False if no transmitted force or torsion does work along a twist (6,)."""
+    sent = np.concatenate([grasp.matrix * grasp.models.transmitted.reshape(-1), grasp.torsion_matrix], axis=1)
+    return bool(np.abs(twist @ sent).max() > UNMOVED * (np.abs(twist) @ np.abs(sent)).max())
 
 
 def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:

@@ -76,6 +76,8 @@ def _torque_limits(grasp: Grasp, limits: Any) -> tuple[Array | None, Array | Non
 
 
 def _coincident(grasp: Grasp) -> list[str]:
+    if grasp.n_contacts == 1:
+        return []
     apart = np.linalg.norm(grasp.positions[:, None] - grasp.positions, axis=2)
     first, second = np.nonzero(np.triu(apart < SMALLEST_DISTANCE * grasp.length, 1))
     return [
@@ -86,6 +88,11 @@ def _coincident(grasp: Grasp) -> list[str]:
 
 
 def _condition(grasp: Grasp) -> list[str]:
+    if grasp.rank < 6:
+        return [
+            f"rank(G) = {grasp.rank} < 6: {grasp.n_contacts} contacts balance only some wrenches, two hard ones none with a moment about "
+            "the line through them; add a contact, friction, or soft fingertips if the object can turn"
+        ]
     centre = grasp.positions.mean(axis=0)
     here, centred = (_condition_number(grasp, about) for about in (np.zeros(3), centre))
     if centred > LARGEST_CONDITION:

@@ -27,22 +27,21 @@ def checked_points(positions: ArrayLike) -> Array:
 
 
 def normalise_normals(normals: Array) -> None:
-    """Scale normals (N, 3) to unit length in place; raise if one is not of unit length to rounding."""
+    """Scale normals (N, 3) to unit length in place; raise if the length of one is not within 1 % of one."""
     given = normals.copy()
     worst = normalise(normals)
     if worst >= 0:
         raise InvalidInputError(
-            f"normals must be unit vectors into the object; normal {worst} is {given[worst].tolist()} with "
-            f"length {math.hypot(*given[worst]):.6g}: divide it by its length"
+            f"normals must be unit vectors into the object, with a length of one to 1 %; normal {worst} is {given[worst].tolist()} "
+            f"with length {math.hypot(*given[worst]):.6g}: divide it by its length"
         )
 
 
 def check_place(count: int, size: float, centre: Array) -> None:
-    """Raise if the contacts are too close together, too far apart, or too far from the origin.
-
-    Coincident contacts and empty grasps are left to the rank check.
-    """
-    if count < 2 or size == 0.0:
+    """Raise if the contacts are too close together, too far apart, or too far from the origin; one contact may be anywhere."""
+    if count == 0:
+        raise InvalidInputError("positions must be those of at least one contact, got none")
+    if count == 1:
         return
     if not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
         raise InvalidInputError(
@@ -56,9 +55,9 @@ def check_place(count: int, size: float, centre: Array) -> None:
 
 
 def check_torsion(gamma: Array, length: float) -> None:
-    """Raise if torsional friction is implausibly large for the size of the grasp."""
+    """Raise if torsional friction is implausibly large for the size of the grasp; one contact has no size."""
     most = ranges.TORSIONAL_LEVER * length
-    if (gamma > most).any():
+    if length > 0.0 and (gamma > most).any():
         raise InvalidInputError(
             f"torsional_friction must be at most {ranges.TORSIONAL_LEVER:g} times the grasp's length, {most:g} m, got {shown(gamma)}: "
             "a fingertip has about 0.005 m"
@@ -84,15 +83,20 @@ def rank_of(singular: np.ndarray) -> int:
     return int((singular > RANK_TOLERANCE * singular.max(initial=1e-300)).sum())
 
 
+def rank_error(rank: int, count: int, hint: str = "") -> RankDeficientGraspError:
+    """Return the error for what needs contacts that can balance wrenches of every direction; it ends with `hint`."""
+    return RankDeficientGraspError(
+        f"rank(G) = {rank} < 6 with {count} contact{'s' * (count != 1)}: some wrenches cannot be balanced. Use at least three contacts "
+        f"with friction that do not lie on one line, or two soft ones{hint}"
+    )
+
+
 def checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
     """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of unit moments."""
     if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
         raise InvalidInputError("positions, normals and tangents must be finite")  # only from `unchecked`
     u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
     if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
-        raise RankDeficientGraspError(
-            f"rank(G) = {rank_of(s)} < 6 with {count} contacts: some wrenches cannot be balanced. Use at least three "
-            "contacts with friction that do not lie on one line, or two soft ones"
-        )
+        raise rank_error(rank_of(s), count)
     # least norm in force: with full row rank (T G)^+ T = G^+
     return (vt.T / s) @ u.T @ frame

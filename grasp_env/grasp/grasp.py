@@ -116,7 +116,7 @@ class Grasp:
 
         Args:
             positions: (N, 3) contact points [m], object frame.
-            normals: (N, 3) unit normals pointing INTO the object, object frame.
+            normals: (N, 3) unit normals pointing INTO the object, object frame; lengths within 1 % of one are made exact.
             friction: coefficient(s), 1e-4 to 1e4: a scalar, (N,), or (N, 2) for elliptic cones (mu_o, mu_t). Ignored for
                 frictionless contacts.
             contact_model: "hard", "soft" or "frictionless", one for all or N names; see `contact_model.py`.
@@ -125,12 +125,11 @@ class Grasp:
             tangents: (N, 3) directions; o is their normalised projection on the tangent plane. None: the rule of `contact_frames`.
 
         Raises:
-            InvalidInputError: wrong shapes, values that are not finite or out of range (`grasp_env/ranges.py`), normals that are
-                not of unit length, a tangent along its normal, soft contacts without torsional friction, more than 1000
-                contacts, a grasp smaller than 1e-9 m or larger than 1e6 m, or one farther from the origin than 1e5 times its
-                length.
+            InvalidInputError: wrong shapes, values that are not finite or out of range (`grasp_env/ranges.py`), normals whose length
+                is not within 1 % of one, a tangent along its normal, soft contacts without torsional friction, no contact or
+                more than 1000, a grasp smaller than 1e-9 m or larger than 1e6 m, or one farther from the origin than 1e5 times
+                its length.
             UnknownNameError: unknown contact model.
-            RankDeficientGraspError: rank(G) < 6: fewer than three hard or two soft contacts, or all contacts on one line.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -169,7 +168,7 @@ class Grasp:
         the grasp's length.
 
         Raises:
-            InvalidInputError, RankDeficientGraspError: see `from_contacts`; arrays of another type than float64.
+            InvalidInputError: see `from_contacts`; arrays of another type than float64.
         """
         try:
             along = DEFAULT_TANGENTS if tangents is None else np.ascontiguousarray(tangents)
@@ -187,8 +186,8 @@ class Grasp:
         check_place(contacts.count, contacts.length, contacts.centre)
         if contacts.refused:  # the core has not placed them
             raise InvalidInputError("positions must be finite and normals finite and of unit length")
-        if not contacts.clear:  # the core cannot tell that the rank is 6: the singular values decide
-            grasp.pseudoinverse  # noqa: B018  raises if the rank is not 6
+        if contacts.rank == 0:
+            raise InvalidInputError("tangents must be finite and not along normals")
         return grasp
 
     @classmethod
@@ -210,7 +209,11 @@ class Grasp:
 
     @cached_property
     def pseudoinverse(self) -> Array:
-        """G^+, (3N, 6): the least-norm forces for unit wrenches; soft contacts contribute `torsion_matrix`."""
+        """G^+, (3N, 6): the least-norm forces for unit wrenches; soft contacts contribute `torsion_matrix`.
+
+        Raises:
+            RankDeficientGraspError: the rank is below 6.
+        """
         models = self.models
         rough = "frictionless" not in models.names
         transmitted = self.matrix if rough else self.matrix * models.transmitted.reshape(-1)
@@ -224,6 +227,28 @@ class Grasp:
     def contacts(self) -> Contacts:
         """The compiled contacts, the input of every solver."""
         return vars(self)["_contacts"]
+
+    @property
+    def rank(self) -> int:
+        """Rank of G, with the torsions of soft contacts: below 6, the contacts cannot balance wrenches of every direction.
+
+        Two hard contacts, or any on one line, have rank 5: no force of theirs turns the object about that line.
+        """
+        return self.contacts.rank
+
+    def within_reach(self, wrench: Wrench) -> Wrench:
+        """Return a wrench (6,) [N, N m] without its part that no forces of these contacts make, whatever their signs.
+
+        With `rank` 6 nothing is left out. What is left out is orthogonal to the rest, with moments about `centre` and divided by `length`.
+
+        Example:
+            >>> pinch = Grasp.from_contacts([[0, 0.03, 0], [0, -0.03, 0]], [[0, -1, 0], [0, 1, 0]], 0.8)
+            >>> pinch.rank, pinch.within_reach([0, 0, -1, 0, 0.01, 0.02])      # hard contacts do not resist the moment about y
+            (5, array([ 0.  ,  0.  , -1.  ,  0.  ,  0.  ,  0.02]))
+        """
+        made = np.empty(6)
+        self.contacts.within_reach(as_array(wrench, (6,), "wrench", ranges.SIZE), made)
+        return made
 
     @property
     def hard(self) -> bool:
@@ -280,7 +305,7 @@ class Grasp:
         """
         sent = self.models.transmitted
         count = int(sent.sum())
-        if self.hard:  # the rank was found to be 6
+        if self.hard and self.contacts.clear:  # the rank is 6
             return count - 6
         return count - rank_of(np.linalg.svd(self.unit_frame @ (self.matrix * sent.reshape(-1)), compute_uv=False))
 

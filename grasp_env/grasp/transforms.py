@@ -63,8 +63,8 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
         The grasp in frame A, with the same contact models and friction.
 
     Raises:
-        InvalidInputError: wrong shapes, values that are not finite, or a matrix that is not a rotation.
-        RankDeficientGraspError: a translation so long that moments about A's origin are lost in rounding.
+        InvalidInputError: wrong shapes, values that are not finite, a matrix that is not a rotation, or a translation so long that
+            moments about A's origin are lost in rounding.
 
     Example:
         >>> from grasp_env.grasp import presets

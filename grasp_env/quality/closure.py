@@ -1,7 +1,7 @@
 """Force closure: existence of an internal force strictly inside all friction cones, with a proof either way.
 
-Every `Grasp` has rank(G) = 6. Then such an internal force exists exactly if every wrench can be balanced (Murray, Li, Sastry
-1994, Prop. 5.2; Nguyen 1988). The cones are exact, not pyramids. Reversing ALL normals does not change the result.
+If rank(G) = 6, such an internal force exists exactly if every wrench can be balanced (Murray, Li, Sastry 1994, Prop. 5.2; Nguyen
+1988). With a lower rank there is no closure. The cones are exact, not pyramids. Reversing ALL normals does not change the result.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class ForceClosure:
     """Result of `force_closure`. It is true if closed, and prints as one or two sentences.
 
     Attributes:
-        closed: True if an internal force lies strictly inside all cones and the given limits.
+        closed: True if the rank of G is 6 and an internal force lies strictly inside all cones and the given limits.
         margin: the largest m such that some internal force with sum u_i = 1 - m has depth m in every cone:
             u_i - |(o, t)_i| >= m and, for soft contacts, u_i - |torsion_i| mu_i / gamma_i >= m, with u = mu * normal. It has no
             unit and lies between 0 (no closure) and 1 / (N + 1) (no tangential force needed, all u_i equal). With limits A f <= b,
@@ -39,9 +39,9 @@ class ForceClosure:
         torsion: (N,) torsions of this force [N m]; None if not closed.
         twist: (6,) the witness against closure: a twist v, [linear; angular], whose largest component is one. Along v no contact force
             inside its cone does negative work (G_i^T v is in every dual cone), and some do positive work. So v . G f > 0 for every f
-            strictly inside, and G f = 0 is impossible. None if closed.
+            strictly inside, and G f = 0 is impossible. If rank(G) < 6, no contact force does any work along v. None if closed.
         error: residual of the witness. Closed: largest |component| of G f relative to sum |f|. Not closed: largest violation of the
-            dual cones, relative to the largest G_i^T v. It is nan if the limits, not the cones, exclude internal forces. Then the
+            dual cones, relative to the largest G_i^T v, or if rank(G) < 6, to the terms of G_i^T v. It is nan if the limits, not the cones, exclude internal forces. Then the
             iterations converged to margin < 0, and there was no further check.
         help: the result in words.
     """
@@ -91,6 +91,8 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
     limits = as_limits(limits)
     if limits is not None and not (cones := force_closure(grasp)):
         return cones
+    if grasp.rank < 6:
+        return _rank_lost(grasp)
     found = deepest(grasp, np.zeros(6), limits)
     margin, twist = found.margin, found.twist
     if found.code == CONVERGED:
@@ -118,6 +120,21 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
         f"force closure is undecided: margin {margin:.3g} after {found.iterations} iterations; this close to losing it a "
         "grasp should not be relied on: move a contact or raise the friction"
     )
+
+
+def _rank_lost(grasp: Grasp) -> ForceClosure:
+    """Return the result for contacts that cannot balance wrenches of every direction."""
+    sent = np.concatenate([grasp.matrix * grasp.models.transmitted.reshape(-1), grasp.torsion_matrix], axis=1)
+    twist = grasp.unit_frame.T @ np.linalg.svd(grasp.unit_frame @ sent)[0][:, -1]
+    twist /= np.abs(twist).max()
+    twist *= np.sign(twist[np.abs(twist).argmax()])
+    terms = float((np.abs(twist) @ np.abs(sent)).max())
+    error = float(np.abs(twist @ sent).max()) / terms if terms > 0.0 else 0.0
+    text = (
+        f"no force closure: rank(G) = {grasp.rank} < 6; no contact force does any work along the twist "
+        f"{np.array2string(twist, precision=3, suppress_small=True)} (velocity, angular velocity); add a contact that does, or soft fingertips"
+    )
+    return ForceClosure(False, 0.0, None, None, twist, error, "; ".join([text, *advise(grasp)]))
 
 
 def _dual_violation(grasp: Grasp, twist: Array) -> float:

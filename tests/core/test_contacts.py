@@ -92,7 +92,10 @@ def test_rank_lost() -> None:
     assert {s.placement.verdict for s in lost} == {RANK_LOST}
 
 
-@pytest.mark.parametrize(("off", "verdict"), [(1e-7, GOOD), (2e-6, REFUSED), (-2e-6, REFUSED), (np.nan, REFUSED)])
+@pytest.mark.parametrize(
+    ("off", "verdict"),
+    [(1e-7, GOOD), (9e-3, GOOD), (-9e-3, GOOD), (0.011, REFUSED), (-0.011, REFUSED), (np.nan, REFUSED)],
+)
 def test_normals_have_unit_length(off: float, verdict: int) -> None:
     s = sample(4)
     made = insides.place(s.positions, s.normals * (1.0 + off), s.scale, s.weights)

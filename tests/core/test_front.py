@@ -87,6 +87,7 @@ def test_where_calls_begin(said: dict[str, str], name: str, start: str, replaced
     [
         ("moved", "made there"), ("updated there", "made there"), ("as before", "limited"), ("copied", "limited"),
         ("not updated", "limited"), ("after", "limited"), ("of many", "newton"),
+        ("three touch, one broken", "three touch"),
     ],
 )  # fmt: skip
 def test_what_a_call_is_given_holds_for_it_alone(said: dict[str, str], one: str, other: str) -> None:
@@ -116,10 +117,11 @@ def test_records_without_a_force_have_a_code_and_hold_zeros(said: dict[str, str]
 @pytest.mark.parametrize(
     ("setup", "words"),
     [
-        ("two contacts", "rank(G) < 6"),
+        ("one point", "positions must be finite and different"),
+        ("two contacts, flow", "the flows need contacts that balance wrenches of every direction"),
         ("normals", "normals must be as many as positions"),
-        ("length", "positions must be finite and normals of unit length"),
-        ("nan", "positions must be finite and normals of unit length"),
+        ("length", "normals of unit length, to 1 %"),
+        ("nan", "positions must be finite"),
         ("friction", "friction must be 0 to 1e12"),
         ("weights", "weights must be finite and > 0"),
         ("nothing", "positions must be three numbers of each contact"),

@@ -11,7 +11,6 @@ from oracles import geometry
 from problems import GRASPS, random_grasp
 
 from grasp_env.core import TANGENT_SWITCH
-from grasp_env.errors import RankDeficientGraspError
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
 
@@ -93,20 +92,16 @@ def test_random_grasps_of_mixed_contacts() -> None:
     rng, met = np.random.default_rng(0), Counter[tuple[bool, bool]]()
     for trial in range(320):
         count = int(rng.integers(2, 9))
-        # frictionless ones seldom: with many of them the rank is lost
         models = [str(name) for name in rng.choice(["hard", "soft", "frictionless"], count, p=[0.4, 0.4, 0.2])]
         normals = rng.standard_normal((count, 3))
         normals /= np.linalg.norm(normals, axis=1)[:, None]
         size = 10.0 ** rng.uniform(-5, 3)
         at = rng.standard_normal((count, 3)) * [1.0, *([trial % 4 > 0] * 2)]  # every fourth on a line
         positions = size * (at + 3.0 * rng.standard_normal(3))
-        try:
-            grasp = made(positions, normals, models, rng.uniform(0.2, 1.0, (count, 2)))
-        except RankDeficientGraspError:
-            continue
+        grasp = made(positions, normals, models, rng.uniform(0.2, 1.0, (count, 2)))
         forces, whole = geometry.internal_dimensions(positions, normals, models)
         four = sum({"hard": 3, "soft": 4, "frictionless": 1}[name] for name in models)
-        assert (grasp.null_dimension, four - 6) == (forces, whole), models
+        assert (grasp.null_dimension, four - grasp.rank) == (forces, whole), models
         reference = reference_basis(grasp)
         assert_basis(grasp, basis := null_space_basis(grasp, reference))
         # about the contacts' centre and in their size, with plain sums

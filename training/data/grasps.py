@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env.errors import GraspError, RankDeficientGraspError
+from grasp_env.errors import GraspError
 from grasp_env.force import OfflineBasis
 from grasp_env.grasp import Grasp, presets
 from grasp_env.quality import feasibility
@@ -45,17 +44,13 @@ class Recipe:
         return SOLIDS[self.shapes[place]](rng, count)
 
     def draw(self, rng: np.random.Generator, count: int) -> Grasp:
-        """Draw one grasp, with or without force closure.
-
-        Raises:
-            RankDeficientGraspError: all contacts lie on one line.
-        """
+        """Draw one grasp, with or without force closure."""
         places, inward = self.points(rng, count)
         return Grasp.from_contacts(places, inward, rng.uniform(*self.friction, count if self.own_friction else None))
 
     def closes(self, grasp: Grasp) -> bool:
         """Return True if a grasp has force closure with the recipe's margin."""
-        if feasibility(grasp, np.zeros(6)).margin <= self.margin / grasp.n_contacts:
+        if grasp.rank < 6 or feasibility(grasp, np.zeros(6)).margin <= self.margin / grasp.n_contacts:
             return False
         if self.basis:
             try:
@@ -67,10 +62,9 @@ class Recipe:
     def closed(self, rng: np.random.Generator, count: int) -> Grasp:
         """Draw one grasp of `count` contacts with force closure."""
         while True:
-            with suppress(RankDeficientGraspError):
-                grasp = self.draw(rng, count)
-                if self.closes(grasp):
-                    return grasp
+            grasp = self.draw(rng, count)
+            if self.closes(grasp):
+                return grasp
 
 
 def _unit(vectors: Array) -> Array:
@@ -118,9 +112,6 @@ def slide_contacts(rng: np.random.Generator, grasp: Grasp, low: float, high: flo
         low: least distance.
         high: largest distance.
         only: index of the one contact to move; None: all.
-
-    Raises:
-        RankDeficientGraspError: the result has rank(G) < 6.
     """
     count = grasp.n_contacts
     distance, angle = np.sqrt(rng.uniform(low**2, high**2, count)), rng.uniform(0.0, 2.0 * np.pi, count)

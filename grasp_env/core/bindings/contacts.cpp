@@ -152,7 +152,7 @@ void bind_contacts(nb::module_& m) {
     m.attr("LARGEST") = LARGEST, m.attr("NOTHING") = NOTHING;
     m.def("all_finite", &all_finite, "array"_a, "True if all numbers of a C-contiguous float64 array are finite.");
     m.def("normalise", &normalise, "normals"_a,
-          "Normalise (N, 3) directions in place. Return the first index off unit length by more than 1e-6; -1: none.");
+          "Normalise (N, 3) directions in place. Return the first index off unit length by more than 1 %; -1: none.");
     m.def("along_normal", &along_normal, "tangents"_a, "normals"_a,
           "Return the index of the first of (N, 3) tangents parallel to its unit normal; -1: none.");
     m.def("cone_scale", &scales, "friction"_a, "scale"_a,
@@ -175,7 +175,7 @@ void bind_contacts(nb::module_& m) {
     nb::class_<Contacts>(m, "Contacts", "Contacts: friction, weights and places. The arrays are those of a `Grasp`.")
         .def_static("make", &make, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a,
                     "Make hard contacts: (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2)\n"
-                    "omega and lambda, (N, 3) tangents or (0, 3). Raises ValueError unless the rank of G is 6.")
+                    "omega and lambda, (N, 3) tangents or (0, 3). Raises ValueError for numbers that cannot be used.")
         .def_static("put", &put, "positions"_a, "normals"_a, "scale"_a, "torsion"_a, "tangents"_a,
                     "The same with (N,) torsional friction [m], for any places: check `refused` and `clear`.")
         .def("weighed", &weighed_alike, "force_weight"_a, "barrier_weight"_a,
@@ -184,8 +184,17 @@ void bind_contacts(nb::module_& m) {
         .def_ro("count", &Contacts::count, "Number of contacts.")
         .def_prop_ro(
             "refused", [](const Contacts& c) { return c.placing == Placing::refused; },
-            "True if numbers are not finite or normals not of unit length.")
+            "True if numbers are not finite, positions all at one point or normals not of unit length.")
         .def_ro("clear", &Contacts::clear, "True if the rank is 6 beyond doubt, torsion included.")
+        .def(
+            "within_reach",
+            [](const Contacts& c, nb::handle wrench, nb::handle to) {
+                const Vec6 made = c.within_reach(in(wrench, 6).data());
+                std::copy(made.begin(), made.end(), out(to, 6).data());
+            },
+            "wrench"_a, "to"_a, "Write a wrench (6,) without its part that no forces of these contacts make into `to` (6,).")
+        .def_prop_ro(
+            "rank", [](const Contacts& c) { return c.reach.rank; }, "Rank of G, torsion included.")
         .def_prop_ro("soft", &Contacts::soft, "True if any contact transmits torsion.")
         .def_prop_ro("length", [](const Contacts& c) { return c.unit.length; })
         .def_prop_ro("centre", [](nb::handle s) { return view(s, &of(s).unit.centre.u, {3}); })

@@ -160,6 +160,15 @@ int main(int given, char** arguments) {
     limits_there.jacobian = levers, limits_there.torque_bias = weight;
     ForceOptimizer limited({contacts, limits}, newton);
     print("moved", limited.solve(wrench, there));
+    {  // numbers of a contact that does not touch
+        std::vector<double> broken_points(points.begin(), points.end()), broken_directions(directions.begin(), directions.end()),
+            broken_friction(std::begin(two), std::end(two)), broken_levers(levers.begin(), levers.end());
+        for (auto* numbers : {&broken_points, &broken_directions, &broken_friction, &broken_levers})
+            std::fill(numbers->end() - numbers->size() / 4, numbers->end(), none);
+        print("three touch", limited.solve(wrench, {points, directions, two, levers, weight, 0b0111}));
+        print("three touch, one broken",
+              limited.solve(wrench, {broken_points, broken_directions, broken_friction, broken_levers, weight, 0b0111}));
+    }
     print("made there", ForceOptimizer({Contacts::from(points, directions, two), limits_there}, newton).solve(wrench));
     print("as before", limited.solve(wrench));
     ForceOptimizer copy = [&] {  // which outlives what it is a copy of
@@ -204,6 +213,7 @@ int main(int given, char** arguments) {
         ends(solver.solve(wrench, {.friction = up.first(3)})), ends(solver.solve(wrench, {.jacobian = own}));
         ends(limited.solve(wrench, {.jacobian = shared})), ends(limited.solve(wrench, {.torque_bias = four}));
         ends(solver.solve({.wrench = wrench, .start = Start::given, .force = all.first(9)}));
+        ends(solver.solve(wrench, {.positions = std::vector<double>(12, 0.1)}));
     }
     {
         const Ends ends("starts");
@@ -214,11 +224,11 @@ int main(int given, char** arguments) {
     }
     {
         const Ends ends("rank");
-        ends(solver.solve(wrench, {.contacts = 0b0011})), ends(solver.solve(wrench, {.contacts = 0}));
-        ends(solver.solve(wrench, {.positions = std::vector<double>(12, 0.0)}));
+        ends(solver.solve(wrench, {.contacts = 0})), ends(ForceOptimizer({contacts}, flow).solve(wrench, {.contacts = 0b0011}));
     }
     {
         const Ends ends("infeasible");
+        ends(solver.solve(wrench, {.contacts = 0b0011}));  // two contacts, and a moment about the line through them
         for (const Options& options : {newton, flow, least_sum, least_largest}) ends(ForceOptimizer({open}, options).solve(lift));
         ends(ForceOptimizer({contacts, tight}, newton).solve(wrench));
         ends(ForceOptimizer({soft, tight}, newton).solve(std::array{50.0, 0.0, 0.0, 0.0, 0.0, 0.0}));
@@ -228,7 +238,8 @@ int main(int given, char** arguments) {
                 limited.update({.contacts = 0b0111}));
     print("after", limited.solve(wrench));
 
-    refused("two contacts", [&] { Contacts::from(all.first(6), up.first(6), 0.4); });
+    refused("one point", [&] { Contacts::from(std::vector<double>(12, 0.1), up, 0.4); });
+    refused("two contacts, flow", [&] { ForceOptimizer({Contacts::from(all.first(6), up.first(6), 0.4)}, flow); });
     refused("normals", [&] { Contacts::from(all, up.first(9), 0.4); });
     refused("length", [&] { Contacts::from(all, std::vector<double>(12, 1.0), 0.4); });
     refused("nan", [&] { Contacts::from(all, flat, 0.4); });

@@ -56,7 +56,7 @@ public:
     std::uint64_t touching(std::uint64_t mask) const {
         return home.count < 64 ? mask & ((std::uint64_t(1) << home.count) - 1) : mask;
     }
-    // Take over the contacts and limits of a call. Return CONVERGED, REFUSED or RANK_LOST.
+    // Take over the contacts and limits of a call. Return CONVERGED, REFUSED, or RANK_LOST if no contact touches.
     Code load_call(const Changes& given) {
         const int all = home.count;
         const std::size_t triples = std::size_t(3 * all);
@@ -68,7 +68,8 @@ public:
         const double* positions = given.positions.empty() ? home.positions.data() : given.positions.data();
         const double* normals = given.normals.empty() ? home.normals.data() : given.normals.data();
         const std::uint64_t mask = touching(given.contacts);
-        if (mask == touching(~std::uint64_t(0))) {
+        const bool all_touch = mask == touching(~std::uint64_t(0));
+        if (all_touch) {
             for (int i = 0; i < all; ++i) chosen[i] = i;
             now.select(home, {chosen.data(), std::size_t(all)});
         } else {
@@ -86,13 +87,15 @@ public:
         }
         if (const std::size_t many = given.friction.size(); many > 0) {
             if (many != 1 && many != std::size_t(all) && many != 2 * std::size_t(all)) return REFUSED;
-            for (double mu : given.friction)
-                if (!(mu >= 0.0 && mu <= LARGEST)) return REFUSED;
+            for (std::size_t j = 0; j < many; ++j) {
+                const bool touches = all_touch || many == 1 || mask >> (many == std::size_t(all) ? j : j / 2) & 1;
+                if (touches && !(given.friction[j] >= 0.0 && given.friction[j] <= LARGEST)) return REFUSED;
+            }
             now.set_friction(given.friction, {chosen.data(), std::size_t(now.count)}, all);
         }
         const Placing placed = now.place(positions, normals);
         if (placed == Placing::refused) return REFUSED;
-        if (placed == Placing::rank_lost) return RANK_LOST;
+        if (now.reach.rank == 0) return RANK_LOST;
         for (int i = 0; i < now.count; ++i) divisor[i] = now.torsion[i] > 0.0 ? now.scale[3 * i] / now.torsion[i] : infinity;
         return load_limits(given) ? CONVERGED : REFUSED;
     }
@@ -159,9 +162,13 @@ private:
         separate = true;
         if (joints) turn_jacobian();
         if (!limits.rows) return true;
-        for (const Doubles& each : {jacobian_, bias_})
-            for (double value : each)
-                if (!(std::abs(value) <= LARGEST)) return false;
+        const auto usable = [](Doubles numbers) {
+            return std::ranges::all_of(numbers, [](double value) { return std::abs(value) <= LARGEST; });
+        };
+        const std::size_t per_contact = jacobian_.size() / home.count;
+        for (int i : std::span(chosen).first(now.count))
+            if (!usable(jacobian_.subspan(per_contact * i, per_contact))) return false;
+        if (!usable(bias_)) return false;
         separate = table.fill(now, limits_in_place(), 4);
         return true;
     }

@@ -20,6 +20,7 @@ public:
     virtual void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) = 0;
     virtual bool update(const Changes& now) = 0;
     virtual Deepest deepest(const double* wrench, double* force, double* torsion) = 0;
+    virtual std::optional<Vec6> within_reach(const double* wrench, const Changes& now) = 0;
     // Set the offline optima of the problem's contacts, (13, 3N) in cone coordinates.
     virtual void set_basis(const double* basis) = 0;
     virtual double make_basis(double* basis, bool warm) = 0;
@@ -39,7 +40,7 @@ public:
           general_(current_.home.count, current_.limits.rows, current_.home.soft()),
           current_row_(record_size(current_.home.count)), force_(3 * current_.home.count), torsion_(current_.home.count),
           prices_(current_.limits.rows), kept_row_(current_row_.size()), kept_prices_(prices_.size()) {
-        if (current_.home.placing == Placing::refused || current_.home.placing == Placing::rank_lost)
+        if (current_.home.placing == Placing::refused || current_.home.reach.rank == 0)
             throw std::invalid_argument("the contacts must be placed: Contacts::from");
         if (current_.limits.rows) limited_.emplace(current_.home.count, newton_.options), limited_->elastic = options.elastic;
         if (current_.home.soft()) soft_.emplace(current_.home, newton_.options, current_.divisor.data());
@@ -47,6 +48,9 @@ public:
         if (flows) {
             if (current_.limits.rows || current_.home.soft())
                 throw std::invalid_argument("the flows know hard contacts without limits: use newton or conic");
+            if (!is_full_rank(current_.home))
+                throw std::invalid_argument(
+                    "the flows need contacts that balance wrenches of every direction: use newton or conic");
             if (options.method == Method::full_flow && current_.home.count > FULL_CONTACTS)
                 throw std::invalid_argument("the full flow is dense: at most 8 contacts");
         }
@@ -88,6 +92,11 @@ public:
     Deepest deepest(const double* wrench, double* force, double* torsion) override {
         const bool ready = place({}) == CONVERGED && is_valid_wrench(wrench) && prepare_general();
         return ready ? general_.deepest(wrench, 1e-7, force, torsion) : Deepest{};
+    }
+
+    std::optional<Vec6> within_reach(const double* wrench, const Changes& now) override {
+        if (place(now) != CONVERGED || !is_valid_wrench(wrench) || current_.now.reach.full()) return {};
+        return current_.now.within_reach(wrench);
     }
 
     Code solve(const Request& ask, double* row) override {
@@ -185,6 +194,8 @@ private:
     bool answered_by_general_ = false;  // true if the general program made the answer
     Vec6 twist_{};
 
+    // True if forces alone balance wrenches of every direction.
+    static bool is_full_rank(const Contacts& contacts) { return contacts.placing == Placing::good; }
     Record current_record() { return Record(current_row_.data(), current_.now.count); }
     bool torsional() const { return kind_ == Kind::soft || (kind_ == Kind::other && current_.now.soft()); }
 
@@ -207,7 +218,8 @@ private:
     double fill_basis(bool warm = false) {
         auto& starter = newton_.starter;
         starter.has_basis = false;
-        if (placed_code_ != CONVERGED || (!warm && !find_any_internal_force())) return std::numeric_limits<double>::quiet_NaN();
+        const bool usable = placed_code_ == CONVERGED && is_full_rank(current_.now);
+        if (!usable || (!warm && !find_any_internal_force())) return std::numeric_limits<double>::quiet_NaN();
         const double gap = grasp::make_basis(newton_, warm);
         starter.has_basis = gap < ACCEPTED_GAP, starter.basis_tangents = starter.tangents;
         return gap;
@@ -246,11 +258,11 @@ private:
         newton_.cones.pack(current_.now);
         newton_.starter.tangents.load(current_.now.frames.data(), current_.now.count);
         newton_.starter.moved = !is_home_;
-        const bool soft = current_.now.soft(), closes = current_.now.placing != Placing::needs_torsion;
-        kind_ = !current_.separate || (soft && (current_.limits.rows || !closes)) ? Kind::other
-                : soft                                                            ? Kind::soft
-                : current_.limits.rows                                            ? Kind::limited
-                                                                                  : Kind::hard;
+        const bool soft = current_.now.soft(), limited = current_.limits.rows > 0;
+        kind_ = !is_full_rank(current_.now) || !current_.separate || (soft && limited) ? Kind::other
+                : soft                                                                 ? Kind::soft
+                : limited                                                              ? Kind::limited
+                                                                                       : Kind::hard;
         if (kind_ == Kind::soft) {
             soft_->newton.cones = newton_.cones;
             soft_->newton.rows.pack(newton_.cones, current_.now, current_.divisor.data());
@@ -284,7 +296,7 @@ private:
     }
     // An internal force in the form the general program takes; null if there is none.
     const double* internal_force_array() {
-        if (torsional() || !find_internal_force(options_.method == Method::conic)) return nullptr;
+        if (torsional() || !is_full_rank(current_.now) || !find_internal_force(options_.method == Method::conic)) return nullptr;
         newton_.cones.store_force(internal_force_, force_.data());
         return force_.data();
     }
@@ -649,7 +661,7 @@ private:
         s = Summary{};
         std::copy_n(ask.wrench, 6, s.wrench.begin());
         const auto algorithm = algorithm_for(options_, kind_);
-        if (!algorithm) return REFUSED;
+        if (!algorithm) return current_.now.placing == Placing::rank_lost ? RANK_LOST : REFUSED;
         const Vec6 w = newton_.cones.unit.of(ask.wrench);
         answered_by_general_ = false;
         const Code code = run(*algorithm, ask, w, record);
@@ -812,7 +824,7 @@ private:
     // Solve without limits into force_ and torsion_. Return true if that optimum is well within the limits: such a start costs a tenth
     // of the deepest force. spent: number of steps.
     bool unlimited_optimum(const Request& ask, int limit, int& spent) {
-        if (kind_ != Kind::other || current_.now.placing != Placing::good || !find_internal_force()) return false;
+        if (kind_ != Kind::other || !is_full_rank(current_.now) || !find_internal_force()) return false;
         const Record record(newton_.row.data(), current_.now.count);
         const Vec6 w = newton_.cones.unit.of(ask.wrench);
         grasp::begin(newton_.cones, internal_force_, w, newton_.x);
@@ -849,6 +861,7 @@ private:
         const Record made = current_record();
         const bool usable = optimum ? is_sound(code, made) : made.summary().objective < infinity;
         if (Record::has_force(code) && !usable) code = UNDECIDED;
+        if (code == UNDECIDED && current_.now.placing == Placing::rank_lost) code = RANK_LOST;
         s.code = code;
         if (!out.has_force()) {
             std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);

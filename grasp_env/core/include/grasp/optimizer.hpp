@@ -66,6 +66,9 @@ public:
     Deepest deepest(Wrench wrench, std::span<double> force, std::span<double> torsion) {
         return engine_->deepest(wrench.data(), force.data(), torsion.data());
     }
+    // The wrench without its part that no forces of a call's touching contacts make, whatever their signs; nothing if it has no such part
+    // or if no contact touches. Two hard contacts, for example, do not make a moment about the line through them.
+    std::optional<Vec6> within_reach(Wrench wrench, const Changes& now = {}) { return engine_->within_reach(wrench.data(), now); }
     // Replace contacts and limits for all later calls. Return false, with nothing changed, if the values are invalid: of wrong size,
     // not finite, or normals not of unit length. Rank-deficient contacts are accepted; the calls then return RANK_LOST.
     bool update(const Changes& now) { return engine_->update(now); }

@@ -9,7 +9,9 @@ enum class Kind {
     hard,  // hard, elliptic and frictionless contacts
     limited,  // the same, with limits on one contact each: normal forces, joints of one finger
     soft,  // some contacts are soft, and the normal and tangential forces alone give force closure
-    other,  // everything else: joints that several fingers share, soft contacts within limits, force closure by torsion only
+    // everything else: joints that several fingers share, soft contacts within limits, contacts that need torsion to balance wrenches of
+    // every direction, or cannot
+    other,
 };
 enum class Algorithm { newton, limited, soft, flow, conic, general };
 

@@ -20,9 +20,24 @@ template <class S> inline S balance_tolerance(const S& wrench, const S& normal) 
 // a force may balance a wrench just inside instead: both count as equal.
 inline constexpr double BOUNDARY = BALANCED;
 
-// refused: not finite, or a normal not of unit length. needs_torsion: the rank is 6 only with the torsion of soft contacts;
-// `inverse` is then undefined.
+// refused: not finite, all at one point, or a normal not of unit length. needs_torsion: the rank is 6 only with the torsion of soft contacts. rank_lost:
+// the contacts balance the wrenches of their `reach` only. `inverse` is undefined in both.
 enum class Placing { good, refused, rank_lost, needs_torsion };
+
+// The wrenches that contacts can make if forces may have any sign: those along the first `rank` of six orthonormal axes, unit frame.
+// No axes are stored for rank 6, nor without contacts.
+struct WrenchSpace {
+    int rank = 6;
+    std::array<Vec6, 6> axes{};
+
+    bool full() const { return rank == 6; }
+    // The part of a wrench that is out of reach, unit frame. beyond(w) is orthogonal to the rest of w.
+    Vec6 beyond(const Vec6& wrench) const {
+        Vec6 out{};
+        for (int k = rank; k < 6; ++k) out = out + dot(axes[k], wrench) * axes[k];
+        return out;
+    }
+};
 
 // The weights of Phi, equal for all contacts: the price of squeezing, which is also that of the exact problem, and of approaching a
 // cone [N^2].
@@ -51,6 +66,7 @@ public:
     std::vector<double> force_rows;  // (6, 3N) G for forces, unit frame; zero where nothing is transmitted
     std::vector<double> inverse;  // (3N, 6) G^+ in cone coordinates, unit frame: the least-norm change of force
     Placing placing = Placing::refused;  // of the last `place`; the arrays above belong to the last one that was not refused
+    WrenchSpace reach;
     bool clear = false;  // true if the rank is 6 beyond doubt, without singular values
 
     Contacts() = default;
@@ -157,12 +173,14 @@ public:
         for (int j = 0; j < 3 * count; ++j) total += std::abs(at[j]);
         bool good = total < infinity;
         for (int i = 0; i < count; ++i) good = good && std::abs(length(point(inward + 3 * i)) - 1.0) <= UNIT_TOLERANCE;
+        const UnitFrame around(at, count);
+        good = good && (count < 2 || (around.length > 0.0 && around.length < infinity));
         if (!good) return placing = Placing::refused;
+        unit = around;
         for (int i = 0; i < count; ++i) {
             const Point made = normalised(point(inward + 3 * i));
             for (int a = 0; a < 3; ++a) positions[3 * i + a] = at[3 * i + a], normals[3 * i + a] = made[a];
         }
-        unit = UnitFrame(positions.data(), count);
         const int size = 3 * count;
         const double per_length = unit.scale();
         Packed6 s{};
@@ -181,6 +199,12 @@ public:
         return placing = find_rank(s);
     }
 
+    // The wrench (6,) without its part that no forces of these contacts make, whatever their signs.
+    Vec6 within_reach(const double* wrench) const {
+        if (reach.full()) return {wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5]};
+        const Vec6 load = unit.of(wrench);
+        return unit.given(load - reach.beyond(load));
+    }
     // Write an orthonormal basis of the rows of G (forces) into `out` (6, 3N).
     void orthonormal(std::vector<double>& out) const {
         out = force_rows;
@@ -220,8 +244,8 @@ private:
     void place_or_throw(const double* at, const double* inward) {
         require(weights_good(), "weights must be finite and > 0");
         place(at, inward);
-        require(placing != Placing::refused, "positions must be finite and normals of unit length");
-        require(placing != Placing::rank_lost, "rank(G) < 6");
+        require(placing != Placing::refused, "positions must be finite and different, and normals of unit length, to 1 %");
+        require(reach.rank > 0, "tangents must not be along normals");
     }
 
     void update_divisors() {
@@ -233,12 +257,21 @@ private:
 
     // Find the rank of placed contacts; s: Gram matrix of the rows.
     Placing find_rank(const Packed6& s) {
-        clear = false;
-        return invert(s) ? Placing::good : span_with_torsion(s) ? Placing::needs_torsion : Placing::rank_lost;
+        clear = false, reach.rank = 6;
+        if (invert(s)) return Placing::good;
+        Packed6 all = s;
+        const int columns = gather_columns(all);
+        if (soft()) {
+            Ldl6 factor;
+            factor.factor(all);
+            clear = rank_bound(all, factor) > CLEAR_RANK;
+            if (clear) return Placing::needs_torsion;
+        }
+        find_reach(columns);
+        return reach.full() ? Placing::needs_torsion : Placing::rank_lost;
     }
-
-    bool span_with_torsion(Packed6 s) {
-        if (!soft()) return false;
+    // Write the columns of forces and torsions, unit frame, into work_ (6, columns), and add those of torsions to their Gram matrix.
+    int gather_columns(Packed6& s) {
         const int size = 3 * count,
                   columns = size + int(std::ranges::count_if(torsion, [](double gamma) { return gamma > 0.0; }));
         for (int r = 0; r < 6; ++r) std::copy_n(force_rows.data() + size * r, size, work_.data() + columns * r);
@@ -250,12 +283,18 @@ private:
             set_column(work_.data(), columns, next++, column);
             add_gram(s, column);
         }
-        Ldl6 factor;
-        factor.factor(s);
-        clear = rank_bound(s, factor) > CLEAR_RANK;
-        if (clear) return true;
+        return columns;
+    }
+    // Find the reach from the columns in work_.
+    void find_reach(int columns) {
         const JacobiRotations found(work_, columns);
-        return found.spans();
+        int first = 0, last = 6;
+        for (int r = 0; r < 6; ++r) {
+            const bool spanned = found.value[r] > 0.0 && found.value[r] >= JacobiRotations::RANK * found.most;
+            Vec6& axis = reach.axes[spanned ? first++ : --last];
+            std::copy_n(found.turn[r], 6, axis.begin());
+        }
+        reach.rank = first;
     }
 
     bool invert(const Packed6& s) {

@@ -9,8 +9,8 @@ namespace grasp {
 using Point = Vec3<double>;  // x, y, z in the object frame
 
 inline constexpr double TANGENT_SWITCH = 0.9;
-// Allowed deviation of a normal from unit length; normals are then normalised exactly.
-inline constexpr double UNIT_TOLERANCE = 1e-6;
+// Allowed deviation of a normal from unit length, as rounded sensor data have it; normals are then normalised exactly.
+inline constexpr double UNIT_TOLERANCE = 0.01;
 // Directions closer to unit length and orthogonality than this stay unchanged, so that a rebuilt grasp keeps its bits.
 inline constexpr double ROUNDING = 1e-15;
 
@@ -88,6 +88,12 @@ template <class T> struct UnitFrameOf {
         requires std::is_same_v<T, double>
     {
         return of(Vec6{w[0], w[1], w[2], w[3], w[4], w[5]});
+    }
+    // The wrench that has these components in this frame.
+    Six<T> given(const Six<T>& w) const {
+        const Vec3<T> force{w[0], w[1], w[2]};
+        const Vec3<T> moment = (1.0 / scale()) * Vec3<T>{w[3], w[4], w[5]} + cross(centre, force);
+        return {force.u, force.o, force.t, moment.u, moment.o, moment.t};
     }
     // Multipliers of the given wrench from those in this frame: the transposed map.
     Six<T> pull_back(const Six<T>& n) const {

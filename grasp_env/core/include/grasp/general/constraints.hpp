@@ -1,9 +1,11 @@
 // The constraints of a program: balance, cones, torsion, further rows; and the interior points for them.
 //
 // Contact i has z_i = (u, o, t, w): cone coordinates and, if it is soft, w = u - |torsion| in units of its limit, with a row w <=
-// 2u. Balance uses orthonormal rows, G = L Q, so contacts close to each other cost no digits.
+// 2u. Balance uses orthonormal rows, G = L Q, so contacts close to each other cost no digits. If contacts cannot make all wrenches, the
+// rows are those along the axes of their reach, and the other rows of Q are zero: no force changes the wrench along them.
 #pragma once
 #include <memory>
+#include <grasp/contacts/contacts.hpp>
 #include <grasp/general/interior_point.hpp>
 
 namespace grasp {
@@ -19,6 +21,7 @@ struct ProgramData {
     const double* divisor;  // (N, 4) force and torsion from z; inf: nothing is transmitted
     const double* shares;  // (M,) [N] growth of a bound if its limit grows by all of itself; 0: never
     bool elastic;  // true if the least excess may be requested
+    WrenchSpace reach{};  // the wrenches that the contacts can make
 };
 
 // `excess`: the largest relative excess of a limit, t with rows . z <= bound + t share.
@@ -55,12 +58,13 @@ template <int D> struct Constraints {
     ArenaVector<int> own;  // rows that act on at most one contact, by contact
     Matrix balance, limit, turn;  // (6,) G, (M,), (6,) Q
     double frame[6][6], lower[6][6] = {};  // L
+    WrenchSpace reach;
 
     explicit Constraints(const ProgramData& given)
         : count(given.count), limits(given.limits), soft(count), price(count), cost(count),
           divisor(given.divisor, given.divisor + 4 * count), bound(given.bound, given.bound + limits),
           shares(given.shares, given.shares + limits), torsion_row(count, -1), owner(limits), own(limits), balance(6, count),
-          limit(limits, count), turn(6, count) {
+          limit(limits, count), turn(6, count), reach(given.reach) {
         std::copy(given.frame, given.frame + 36, &frame[0][0]);
         for (int i = 0; i < count; ++i) {
             soft[i] = divisor[4 * i + 3] < infinity, price[i] = 1.0 / divisor[4 * i];
@@ -122,8 +126,16 @@ template <int D> struct Constraints {
         }
         return out;
     }
-    Vec6 solve_lower(Vec6 a) const {
-        for (int r = 0; r < 6; ++r) {
+    // True if a wrench, unit frame, has a part out of reach that is not rounding.
+    bool is_out_of_reach(const Vec6& unit) const {
+        return !reach.full() && grasp::size(reach.beyond(unit)) > BOUNDARY * grasp::size(unit);
+    }
+    // Coordinates along the rows of Q of a wrench in the unit frame; what is out of reach has none.
+    Vec6 solve_lower(const Vec6& unit) const {
+        Vec6 a = unit;
+        if (!reach.full())
+            for (int r = 0; r < 6; ++r) a[r] = r < reach.rank ? dot(reach.axes[r], unit) : 0.0;
+        for (int r = 0; r < reach.rank; ++r) {
             for (int q = 0; q < r; ++q) a[r] -= lower[r][q] * a[q];
             a[r] /= lower[r][r];
         }
@@ -131,12 +143,16 @@ template <int D> struct Constraints {
     }
     // Multipliers of the given wrench from those of the orthonormalised balance.
     Vec6 pull_back(const Vec6& a) const { return out_of_frame(solve_upper(a)); }
+    // Multipliers of a wrench in the unit frame.
     Vec6 solve_upper(Vec6 a) const {
-        for (int r = 5; r >= 0; --r) {
-            for (int q = r + 1; q < 6; ++q) a[r] -= lower[q][r] * a[q];
+        for (int r = reach.rank - 1; r >= 0; --r) {
+            for (int q = r + 1; q < reach.rank; ++q) a[r] -= lower[q][r] * a[q];
             a[r] /= lower[r][r];
         }
-        return a;
+        if (reach.full()) return a;
+        Vec6 out{};
+        for (int r = 0; r < reach.rank; ++r) out = out + a[r] * reach.axes[r];
+        return out;
     }
     Vec6 out_of_frame(const Vec6& a) const {
         Vec6 out{};
@@ -165,8 +181,8 @@ template <int D> struct Constraints {
         for (int r = 0; r < 6; ++r) out[r] = product(balance[r], z);
         return out;
     }
-    // True if G has rank 6 within rounding.
-    bool full() const {
+    // True if the rows of balance within reach are independent within rounding.
+    bool independent() const {
         double square = 0.0, inverse = 0.0;
         for (int r = 0; r < 6; ++r) {
             Vec6 unit{};
@@ -266,8 +282,12 @@ private:
     }
     // G = L Q by Gram-Schmidt, twice.
     void orthonormalise() {
-        turn = balance;
-        for (int r = 0; r < 6; ++r) {
+        if (reach.full()) turn = balance;
+        else
+            for (int r = 0; r < reach.rank; ++r)
+                for (int q = 0; q < 6; ++q)
+                    for (int i = 0; i < count; ++i) add(turn[r][i], reach.axes[r][q], balance[q][i]);
+        for (int r = 0; r < reach.rank; ++r) {
             for (int pass = 0; pass < 2; ++pass)
                 for (int q = 0; q < r; ++q) {
                     const double along = product(turn[r], turn[q]);

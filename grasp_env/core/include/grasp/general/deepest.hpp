@@ -42,6 +42,7 @@ public:
     // Write the force into z [N]. If CONVERGED, it is strictly inside and balances `wrench` of the result, which differs from the given
     // one by at most BOUNDARY of it. inside: true if a force nearer than NEAR to the boundary shall also move away from it.
     Deepest find(const double* wrench, double tolerance, Field& z, bool inside = false) {
+        if (in_->is_out_of_reach(in_->in_frame(wrench))) return beyond_reach(wrench);
         Deepest found = find<double>(wrench, tolerance, z);
         if (found.code != CONVERGED && found.code != INFEASIBLE) found = find<DoubleDouble>(wrench, tolerance, z);
         if (inside && found.code == CONVERGED && !found.moved && found.margin < NEAR)
@@ -55,6 +56,7 @@ public:
 private:
     static constexpr double ROUNDING = 1e-14;  // of the terms of a proof, per term: far above rounding
     static constexpr double SUM_ROUNDING = 4e-16;  // of the terms of a sum of a dozen
+    static constexpr double UNMOVED = 1e-15;  // of the terms of a contact's motion: rounding
     static constexpr double COVERED = 1e10, SEEN = 1e6;  // forces of which a proof speaks, in units of the wrench
     static constexpr double NEEDLESS = 1e-9;  // of the twist: a smaller price of a limit is rounding
     static constexpr double NEAR = 1e-6;  // margin, relative to forces that sum to one
@@ -118,6 +120,30 @@ private:
             found.code = STALLED;  // slow does not mean infeasible
         }
         for (double& price : prices_) price *= per;
+        return found;
+    }
+    // The proof that a wrench is out of reach: contacts move so little along this twist that forces of up to SEEN times the wrench do not
+    // make up for it.
+    Deepest beyond_reach(const double* wrench) {
+        Deepest found;
+        const Vec6 load = in_->in_frame(wrench), beyond = in_->reach.beyond(load);
+        const double distance = grasp::size(beyond);
+        const Vec6 y = (1.0 / distance) * beyond;
+        double moved = 0.0;
+        for (int i = 0; i < in_->count; ++i)
+            for (int a = 0; a < D; ++a) {
+                double motion = 0.0, terms = 0.0;
+                for (int r = 0; r < 6; ++r) {
+                    const double part = y[r] * in_->balance[r][i][a];
+                    motion += part, terms += std::abs(part);
+                }
+                moved = std::max(moved, std::abs(motion) + UNMOVED * terms);
+            }
+        std::fill(prices_.begin(), prices_.end(), 0.0);
+        std::copy_n(wrench, 6, found.wrench.begin());
+        const Vec6 twist = in_->out_of_frame(y);
+        found.twist = (1.0 / grasp::size(twist)) * twist;
+        if (distance > SEEN * moved * grasp::size(load)) found.code = INFEASIBLE;
         return found;
     }
     double least_slack(const Field& z) {

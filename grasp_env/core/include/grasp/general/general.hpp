@@ -27,8 +27,7 @@ public:
     // Take over the current, placed contacts and their weights. torsion_divisor: (N,) v = divisor * torsion [1 / m], abs(v) <=
     // normal force in cone coordinates; inf or 0: not soft; null: no soft contacts. limits: their Jacobian is (N, each, J), each =
     // 3, or 4 with the torsion's row. internal: (N, 3) a force strictly inside the cones that balances itself, if known; otherwise
-    // `conic` finds one. rank_lost: the contacts cannot make all wrenches, not even with torsion. Keeps no reference to the
-    // arguments.
+    // `conic` finds one. rank_lost: rounding hides which wrenches the contacts can make. Keeps no reference to the arguments.
     Placing place(const Contacts& contacts, const double* torsion_divisor = nullptr, const ForceLimits& limits = {}, int each = 3,
                   const double* internal = nullptr) {
         forget();
@@ -46,9 +45,9 @@ public:
             contacts.unit.write(frame);
             program_.emplace(ProgramData{count, inputs.limits, frame, inputs.balance.data(), inputs.rows.data(),
                                          inputs.bound.data(), inputs.weights.data(), inputs.divisor.data(), inputs.shares.data(),
-                                         true});
+                                         true, contacts.reach});
             if (internal) inputs.load(internal, nullptr), program_->set_internal_force(inputs.z.data());
-            if (program_->full()) return Placing::good;
+            if (program_->independent()) return Placing::good;
         }
         forget();
         return is_in_range ? Placing::rank_lost : Placing::refused;
@@ -325,6 +324,7 @@ private:
         if (call.start == From::combination || !call.force) return false;
         inputs_->load(call.force, call.torsion);
         double* z = inputs_->z.data();
+        if (program_->is_out_of_reach(call.wrench)) return false;
         if (call.start == From::given) {
             double most = 0.0;
             for (int j = 0; j < 3 * inputs_->count; ++j) most = std::max(most, std::abs(call.force[j]));

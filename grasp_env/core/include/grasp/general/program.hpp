@@ -51,6 +51,13 @@ public:
         std::copy(wrench, wrench + 6, out.wrench.begin());
         criterion_ = criterion, budget_ = budget, tolerance_ = options.tolerance;
         const Vec6 load = in_.in_frame(wrench);
+        if (in_.is_out_of_reach(load)) {
+            Depth depth(in_, limits);
+            const Deepest found = depth.find(wrench, options.tolerance, z_);
+            if (found.code != INFEASIBLE) return REFUSED;
+            std::copy(depth.prices().begin(), depth.prices().end(), prices);
+            return record.refute(found.twist, size(load));
+        }
         const Vec6 turned = in_.solve_lower(load);
         size_ = in_.largest_of(turned);
         double most = 0.0;
@@ -114,7 +121,8 @@ public:
         return has_internal_force_.has_value();
     }
     double unit_size(const double* wrench) const { return grasp::size(in_.in_frame(wrench)); }
-    bool full() const { return in_.full(); }
+    bool independent() const { return in_.independent(); }
+    bool is_out_of_reach(const double* wrench) const { return in_.is_out_of_reach(in_.in_frame(wrench)); }
 
     Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const StopRule& options,
                    const Record& record, double* prices) {
@@ -611,9 +619,13 @@ public:
     double unit_size(const double* wrench) const {
         return std::visit([&](const auto& on) { return on.unit_size(wrench); }, on_);
     }
-    // True if the contacts make wrenches of all directions.
-    bool full() const {
-        return std::visit([&](const auto& on) { return on.full(); }, on_);
+    // True if the rows of balance are independent within rounding, except those that no contact can change.
+    bool independent() const {
+        return std::visit([&](const auto& on) { return on.independent(); }, on_);
+    }
+    // True if no forces, of any sign, make the wrench.
+    bool is_out_of_reach(const double* wrench) const {
+        return std::visit([&](const auto& on) { return on.is_out_of_reach(wrench); }, on_);
     }
 
 private:

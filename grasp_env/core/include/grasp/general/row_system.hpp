@@ -268,6 +268,7 @@ private:
         for (int j = 0; j < size; ++j) {
             R* row = schur_.data() + at(j, 0);
             R d = row[j];
+            if (double(d) == 0.0) d = 1.0;  // an equation without coefficients, which holds as it is
             const R least = LOST * d;
             for (int k = 0; k < j; ++k) {
                 const R* other = schur_.data() + at(k, 0);

@@ -6,11 +6,13 @@
 
 namespace grasp {
 
-// Empty members mean no limit, as does inf. The caller owns the numbers.
+// Empty members mean no limit, as does inf. The caller owns the numbers. The Jacobian is in the frame of the positions; `rows` and
+// `LimitTable` take one in contact frames.
 struct ForceLimits {
     std::span<const double> min_normal{};  // (N,) >= 0 [N]
     std::span<const double> max_normal{};  // (N,) [N]
-    std::span<const double> jacobian{};  // (N, 3, J) joint speeds -> velocities of the contact points, contact frames [m]
+    std::span<const double>
+        jacobian{};  // (N, 3, J) joint speeds -> velocities of the contact points [m]; (N, 6, J): and of turning [1]
     std::span<const double> torque_limit{};  // (J,) > 0 [N m]
     std::span<const double> torque_bias{};  // (J,) tau_0: torques in addition to the grasp's, such as the hand's weight [N m]
 
