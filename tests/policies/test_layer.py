@@ -116,8 +116,9 @@ def test_the_core_agrees_with_batched_newton(kind: str, monkeypatch: pytest.Monk
         monkeypatch.setattr(layer, "_CORE", in_core)
         found.append(gradients(given, infeasible="elastic"))
     (a, by_a), (b, by_b) = found
-    assert a.status.tolist() == b.status.tolist()
-    assert {"exceeded": 5, "far exceeded": 5, "unbalanced": 6}.get(kind, 0) in a.status
+    # the copy on tensors does not tell what two contacts can balance
+    assert b.status.tolist() == torch.where(a.status == 3, 6, a.status).tolist()
+    assert {"exceeded": 5, "far exceeded": 5, "unbalanced": 3}.get(kind, 0) in a.status
     rounding = 10.0 if kind == "far exceeded" else 1.0  # such forces lie on their cones, where both lose digits
     assert error(a.force, b.force) < 1e-9 * rounding
     assert (a.torsion - b.torsion).abs().max() < 1e-10 * rounding
@@ -175,7 +176,7 @@ def test_elements_without_an_optimum(kind: str, backend: str) -> None:
     """Forces are strictly inside the cones; the gradient is zero, that of the elastic force, or an error names the elements."""
     bad, count = problems(kind, 2), 2 if kind == "unbalanced" else 4
     masked, by = gradients(bad)
-    assert masked.status.tolist() == [6 if kind == "unbalanced" else 5] * 2
+    assert masked.status.tolist() == [5 if kind == "exceeded" else 3 if backend == "core" else 6] * 2
     assert not masked.feasible.any()
     assert not any(a.any() for a in by.values())
     normals = bad["normals"] / bad["normals"].norm(dim=-1, keepdim=True)

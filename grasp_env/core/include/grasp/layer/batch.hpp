@@ -95,6 +95,12 @@ struct PosedProblem {
         }
         return true;
     }
+    // The contacts of the loaded problem.
+    Contacts placed(const ForceBatch& batch, std::ptrdiff_t k) const {
+        Contacts made(batch.contacts, scale.data(), weights.data(), tangents.data(), batch.torsion[k]);
+        made.place(batch.positions[k], normals.data());
+        return made;
+    }
     // Load the start, in contact frames. Return false if there is none or its numbers are not finite.
     bool take_start(const ForceBatch& batch, std::ptrdiff_t k) {
         if (!batch.start) return false;

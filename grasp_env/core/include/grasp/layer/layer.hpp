@@ -80,13 +80,14 @@ private:
             answer = {CONVERGED, Regime::optimum, get(gaps, lane), get(smooth_.iterations, lane)};
             if (close[lane] && answer.gap <= options_.tolerance && balanced[lane]) continue;
             answer = solve_with_optimizer(from + lane, lane);
-            (answer.regime == Regime::optimum ? late : elastic)[lane] = -1;
+            (is_optimum(answer.regime) ? late : elastic)[lane] = -1;
         }
         smooth_.iterations = {};
         if (any(elastic | late)) smooth_.polish(elastic | late);
         for (int lane = 0; lane < many; ++lane) {
-            if (!elastic[lane]) continue;
-            answers[lane].iterations += get(smooth_.iterations, lane);
+            const bool within_reach = answers[lane].regime == Regime::within_reach;
+            if (!elastic[lane] && !within_reach) continue;
+            if (!within_reach) answers[lane].iterations += get(smooth_.iterations, lane);
             if (!smooth_.converged[lane]) answers[lane].regime = Regime::none;  // no gradient
         }
         for (int lane = 0; lane < many; ++lane)
@@ -94,12 +95,15 @@ private:
     }
     // Solve by `ForceOptimizer`; the lane continues from its answer.
     Answer solve_with_optimizer(std::ptrdiff_t k, int lane) {
+        const PosedProblem& posed = posed_[lane];
         Answer answer{.code = solve_alone(k, posed_[lane])};
         const bool force = Record::has_force(answer.code);
         if (!row_.empty()) answer.iterations = Record(row_.data()).summary().iterations;
         if (force && answer.code != LIMITS_EXCEEDED) answer.gap = Record(row_.data()).gap();
         answer.regime = answer.code == LIMITS_EXCEEDED ? Regime::exceeding : force ? Regime::optimum : Regime::unbalanced;
-        smooth_.choose(lane, answer.regime);
+        const bool lost = answer.regime == Regime::optimum && posed.placed(batch_, k).placing == Placing::rank_lost;
+        if (lost) answer.regime = Regime::within_reach;
+        smooth_.choose(lane, answer.regime, posed);
         if (force) {
             const Record record(row_.data());
             smooth_.begin(lane, record.force(), record.torsion(), record.summary().multipliers);
@@ -148,10 +152,9 @@ private:
         std::vector<double> constants = this->constants(k, posed);
         if (cached.solver && constants == cached.constants) return CONVERGED;
         cached.solver.reset();
-        Contacts contacts(count(), posed.scale.data(), posed.weights.data(), posed.tangents.data(), batch_.torsion[k]);
-        const Placing placed = contacts.place(batch_.positions[k], posed.normals.data());
-        if (placed == Placing::refused) return REFUSED;
-        if (placed == Placing::rank_lost) return RANK_LOST;
+        const Contacts contacts = posed.placed(batch_, k);
+        if (contacts.placing == Placing::refused) return REFUSED;
+        if (contacts.reach.rank == 0) return RANK_LOST;
         ForceLimits limits;
         if (limited) {
             limits = {slice(batch_.min_normal, k, count()), slice(batch_.max_normal, k, count()), jacobian(k),
@@ -218,7 +221,7 @@ inline void optimal_forces_gradients(const ForceBatch& batch, const double* stat
     };
     for (std::ptrdiff_t k = 0; k < batch.size; ++k) {
         const Regime regime = Regime(int(state[size * k + size - 1]));
-        if (regime == Regime::none || (!elastic && regime != Regime::optimum)) continue;
+        if (regime == Regime::none || (!elastic && !is_optimum(regime))) continue;
         waiting[filled++] = k;
         if (filled == W) finish();
     }

@@ -41,7 +41,7 @@ template <int W> void SmoothLanes<W>::polish(const Mask& which) {
     V value = energy();
     const auto left = [&](const Six<V>& y) { return size(missed() - softness_ * y); };
     residual = select(which, left(y_), residual);
-    Mask open = which & ~(last_ > 0.0);
+    Mask open = which & ~(last_ > 0.0) & ~rank_lost();
     for (int round = 0; round < WHOLE_STEPS && any(open); ++round) {
         Six<V> found = newton_step(value);
         for (int i = 0; i < count(); ++i) pull_[i] = Vec{}, pull_v_[i] = V{};

@@ -18,8 +18,9 @@
 namespace grasp {
 
 // The problem whose optimum a force is: the problem itself; with limits that may be exceeded; with balance that may be missed as
-// well.
-enum class Regime { none, optimum, exceeding, unbalanced };
+// well; the problem itself, with contacts that cannot balance wrenches of every direction.
+enum class Regime { none, optimum, exceeding, unbalanced, within_reach };
+inline bool is_optimum(Regime regime) { return regime == Regime::optimum || regime == Regime::within_reach; }
 
 inline constexpr double ELASTIC_EDGE = 0.1;  // fraction of sqrt(lambda / omega): smaller slacks have a quadratic barrier
 inline constexpr double ELASTIC_SOFTNESS = 1e-2;  // [N^2] per unit of Phi: missed balance costs |missed|^2 / (2 softness)
@@ -70,12 +71,13 @@ public:
             load_side(c.low, lane, low > 0.0, -mu * low, lambda), load_side(c.high, lane, high < infinity, mu * high, lambda);
             set(c.unit, lane, std::sqrt(lambda / omega));
         }
-        choose(lane, regime);
+        choose(lane, regime, posed);
     }
-    // Choose the optimum that a lane stands for.
-    void choose(int lane, Regime regime) {
+    // Choose the optimum that a lane stands for. posed: its contacts, as loaded.
+    void choose(int lane, Regime regime, const PosedProblem& posed) {
         set(softness_, lane, regime == Regime::unbalanced ? ELASTIC_SOFTNESS : 0.0);
-        set(last_, lane, regime == Regime::optimum ? 0.0 : ELASTIC_EDGE);
+        set(last_, lane, is_optimum(regime) ? 0.0 : ELASTIC_EDGE);
+        reach_[lane] = regime == Regime::within_reach ? posed.placed(batch_, number(lane)).reach : WrenchSpace{};
     }
     // Compute frames, columns and rows of the loaded problems. Return the ordinary ones.
     Mask place() {
@@ -260,6 +262,7 @@ private:
     Six<V> wrench_{}, w_{};
     V softness_{}, last_{}, edge_{}, tightest_{};  // edges: in units of the limits; tightest_: smallest slack at the last system
     LaneProblem problems_[W] = {};
+    WrenchSpace reach_[W];  // the wrenches that contacts can make; all of them, except for `Regime::within_reach`
 
     int count() const { return batch_.contacts; }
     std::ptrdiff_t number(int lane) const { return problems_[lane].number; }
@@ -337,6 +340,11 @@ private:
     void assemble();
     void bind();
     void bind(int i);
+    Mask rank_lost() const {
+        Mask made{};
+        for (int lane = 0; lane < W; ++lane) made[lane] = reach_[lane].full() ? 0 : -1;
+        return made;
+    }
     // stiff.hpp: lanes whose prices are so high that `solve` loses digits; its twin for one lane; Newton's method with it
     Mask stiff() const;
     bool solve_stiff(int lane, const Six<V>& h, Six<V>& q);

@@ -5,7 +5,8 @@
 
 namespace grasp {
 
-// Elastic problems, and those beside a limit or with multipliers of a size that only a small slack has.
+// Elastic problems, those beside a limit or with multipliers of a size that only a small slack has, and those whose contacts cannot
+// balance wrenches of every direction.
 template <int W> auto SmoothLanes<W>::stiff() const -> Mask {
     V price{}, tightest = infinity;
     for (const V& each : y_) price = max(price, abs(each));
@@ -20,7 +21,7 @@ template <int W> auto SmoothLanes<W>::stiff() const -> Mask {
     }
     for (int j = 0; j < joints_; ++j)
         tightest = min(tightest, min(rows_[j].high.bound - along_[j], rows_[j].low.bound + along_[j]) / rows_[j].unit);
-    return made | (tightest < TIGHT);
+    return made | rank_lost() | (tightest < TIGHT);
 }
 
 // With the Hessian's inverse L L^T of each contact's cone, and M = [A; sqrt(bend) R] L of balance and limits, the system of
@@ -28,18 +29,22 @@ template <int W> auto SmoothLanes<W>::stiff() const -> Mask {
 //     s + M^T m = L^T g,    M s - D m = (h, 0),    p = L s,    q = the first six of m,
 // with D the softness for balance and 1 for limits. (s, -sqrt(D) m) is the point nearest to (L^T g, 0) in the plane
 // [M, sqrt(D)] (s, .) = (h, 0). Orthogonal factors find it with errors of the condition of M alone; the matrix M M^T + D has
-// the square of it. g: pull_ and pull_v_; p: step_ and step_v_.
+// the square of it. If contacts cannot balance wrenches of every direction, the rows of A are those along the axes of their reach.
+// g: pull_ and pull_v_; p: step_ and step_v_.
 template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six<V>& q) {
     const bool normal = batch_.min_normal || batch_.max_normal;
     const double soft = get(softness_, lane);
-    const int n = count(), columns = 6 + joints_ + (normal ? n : 0);
+    const WrenchSpace& reach = reach_[lane];
+    const int n = count(), balance = reach.rank, columns = balance + joints_ + (normal ? n : 0);
     const int width = batch_.torsion ? 4 : 3;  // variables of a contact
-    const int first = soft > 0.0 ? 0 : 6,
+    const int first = soft > 0.0 ? 0 : balance,
               tail = width * n - first;  // the first column with a softness, and its row less its number
     stiff_.resize(tail + columns, columns);
     axes_.resize(16 * n), nearest_.assign(tail + columns, 0.0), prices_.assign(columns, 0.0);
-    for (int r = 0; r < 6; ++r) prices_[r] = get(h[r], lane);
-    for (int j = first; j < columns; ++j) stiff_(tail + j, j) = j < 6 ? std::sqrt(soft) : 1.0;
+    Vec6 missing;
+    for (int r = 0; r < 6; ++r) missing[r] = get(h[r], lane);
+    for (int r = 0; r < balance; ++r) prices_[r] = reach.full() ? missing[r] : dot(reach.axes[r], missing);
+    for (int j = first; j < columns; ++j) stiff_(tail + j, j) = j < balance ? std::sqrt(soft) : 1.0;
     for (int i = 0; i < n; ++i) {
         const Contact& c = at_[i];
         const auto& block = cones_.blocks[i];
@@ -59,12 +64,20 @@ template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six
         double row[4];
         entries(pull_[i], pull_v_[i], row);
         for (int k = 0; k < width; ++k) nearest_[width * i + k] = along(row, k);
-        for (int r = 0; r < 6; ++r) entries(block.g[r], c.gv[r], row), fill(r, 1.0, row);
+        for (int r = 0; r < balance; ++r) {
+            Vec pull = block.g[r];
+            V turn = c.gv[r];
+            if (!reach.full()) {
+                pull = Vec{}, turn = V{};
+                for (int k = 0; k < 6; ++k) pull += V(reach.axes[r][k]) * block.g[k], turn += reach.axes[r][k] * c.gv[k];
+            }
+            entries(pull, turn, row), fill(r, 1.0, row);
+        }
         for (int j = 0; j < joints_; ++j) {
             entries(column(i, j).c, column(i, j).cv, row);
-            fill(6 + j, std::sqrt(get(rows_[j].high.bend, lane) + get(rows_[j].low.bend, lane)), row);
+            fill(balance + j, std::sqrt(get(rows_[j].high.bend, lane) + get(rows_[j].low.bend, lane)), row);
         }
-        if (normal) fill(6 + joints_ + i, std::sqrt(get(c.high.bend, lane) + get(c.low.bend, lane)), {1.0, 0.0, 0.0, 0.0});
+        if (normal) fill(balance + joints_ + i, std::sqrt(get(c.high.bend, lane) + get(c.low.bend, lane)), {1.0, 0.0, 0.0, 0.0});
     }
     if (!stiff_.factor()) return false;
     stiff_.nearest(nearest_.data(), prices_.data());
@@ -76,7 +89,12 @@ template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six
         }
     if (width == 3)
         for (int i = 0; i < n; ++i) set(step_v_[i], lane, 0.0);
-    for (int r = 0; r < 6; ++r) set(q[r], lane, prices_[r]);
+    Vec6 found{};
+    for (int r = 0; r < balance; ++r) {
+        if (reach.full()) found[r] = prices_[r];
+        else found = found + prices_[r] * reach.axes[r];
+    }
+    for (int r = 0; r < 6; ++r) set(q[r], lane, found[r]);
     return true;
 }
 
