@@ -9,7 +9,7 @@ others have zero force, and the solver warm-starts from its last solution. In C+
 import matplotlib.pyplot as plt
 import numpy as np
 
-from grasp_env.errors import RankDeficientGraspError
+from grasp_env.errors import InfeasibleWrenchError
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import presets
 
@@ -27,10 +27,14 @@ for tick in range(1000):
         print(f"{tick} ms, {events[tick]:11} {solution.iterations} iterations, normal forces {normal} N")
 assert forces[500, 3] == 0 and iterations[401] <= iterations[400]
 
-try:  # two point contacts cannot balance a wrench of every direction
-    optimizer.solve([0, 0, 2, 0, 0, 0], contacts=[True, True, False, False])
-except RankDeficientGraspError as error:
-    print("two remain:", error)
+two = [True, True, False, False]
+normal = optimizer.solve([0, 0, 2, 0, 0, 0], contacts=two).force[:2, 0].round(3)
+print(f"two hold, normal forces {normal} N")
+try:  # but not against a moment about the line through them
+    optimizer.solve([0, 0, 2, 0, 0, 0.02], contacts=two)
+except InfeasibleWrenchError as error:
+    print(f"two cannot hold {error.solution.wrench[5]} N m")
+    print(error)
 
 fig, ax = plt.subplots(figsize=(8, 4.5), layout="constrained")
 ax.plot(forces, label=["thumb", "finger 1", "finger 2", "finger 3"])

@@ -16,7 +16,7 @@ from grasp_env.force import ForceLimits, ForceOptimizer, Status
 from grasp_env.grasp import Grasp
 from grasp_env.sim import HandDescription, HandKinematics
 
-STATUSES = ("inactive", "holding", "overloaded", "coasting", "released")
+STATUSES = ("inactive", "holding", "overloaded", "coasting", "released", "pivoting")
 
 
 @dataclass
@@ -26,8 +26,8 @@ class HandState:
     angles: np.ndarray  # (M,) [rad]
     rates: np.ndarray  # (M,) [rad/s]
     touching: np.ndarray  # (N,) bool, True for a fingertip that touches
-    positions: np.ndarray  # (N, 3) contact points [m]
-    normals: np.ndarray  # (N, 3) unit vectors into the object
+    positions: np.ndarray  # (N, 3) contact points [m]; anything for a fingertip that does not touch
+    normals: np.ndarray  # (N, 3) unit vectors into the object, likewise
     wrench: np.ndarray  # (6,) external wrench: the object's weight and feedback on its pose [N, N m]
     gravity: np.ndarray  # (3,) [m/s^2]: the hand may be on an arm
     age: float = 0.0  # time since the contacts were measured [s]
@@ -70,8 +70,9 @@ class Calibration:
 class HandController:
     """`configure` and `activate` may raise, `update` never does; it commands `torques` [N m], explained by `status`.
 
-    "holding": forces that balance the wrench; "overloaded": those that exceed the motors' limits least; "coasting": the
-    last forces, as contacts are stale, numbers broken or no force balances; "released": the hand carries itself.
+    "holding": forces that balance the wrench; "overloaded": those that exceed the motors' limits least; "pivoting": those
+    that balance all but a moment which no contact resists, as that about the line through two; "coasting": the last
+    forces, as contacts are stale, numbers broken or no force balances; "released": the hand carries itself.
     """
 
     def configure(self, hand: HandDescription, settings: Settings, calibration: Calibration):
@@ -93,7 +94,8 @@ class HandController:
         if not self._good(state):
             raise ValueError(f"a state of {self.size} finite numbers is needed to begin with, got {state}")
         self.state, self.age, self.home = state, state.age, state.angles.copy()
-        self.positions, self.normals = state.positions.copy(), state.normals.copy()
+        places = (np.where(np.isfinite(places), places, 0.0) for places in (state.positions, state.normals))
+        self.positions, self.normals = places
         self.forces = np.zeros_like(state.positions)  # (N, 3) of the last solution [N]
         self.blind, self.late, self.over_budget, self.status = np.inf, 0, 0, "released"
         self.optimizer.forget()
@@ -115,7 +117,12 @@ class HandController:
 
     def _good(self, state):
         numbers = np.concatenate([np.ravel(part) for part in vars(state).values()])
-        return numbers.size == self.size and np.isfinite(numbers).all()
+        if numbers.size != self.size or np.shape(state.normals) != np.shape(state.positions):
+            return False
+        fingers, joints = len(self.optimizer.grasp.positions), len(self.limits)
+        places = numbers[2 * joints + fingers :][: 6 * fingers].reshape(2, fingers, 3)
+        places[:, numbers[2 * joints :][:fingers] == 0.0] = 0.0  # of fingertips that do not touch
+        return np.isfinite(numbers).all()
 
     def _watch(self, state, period):
         s, good = self.settings, self._good(state)  # otherwise the last good message is used
@@ -128,10 +135,15 @@ class HandController:
         carry = weight - s.damping * now.rates
         spring = s.stiffness * (self.home - now.angles)
         pushes = ~touching * s.push * self.normals
-        solution = self._solve(jacobian, carry + spring + pushes.ravel() @ levers) if self.age <= s.stale else None
+        solution, status = None, "holding"
+        if self.age <= s.stale:
+            limits = {"jacobian": jacobian, "torque_bias": carry + spring + pushes.ravel() @ levers}
+            solution = self._solve(now.wrench, **limits)
+            if solution is None and (rest := self._within_reach(now)) is not None:
+                solution, status = self._solve(rest, **limits), "pivoting"
         if solution is not None:
             self.blind, self.forces, wanted = 0.0, solution.object_force + pushes, solution.torques
-            self.status = "overloaded" if solution.status is Status.LIMITS_EXCEEDED else "holding"
+            self.status = "overloaded" if solution.status is Status.LIMITS_EXCEEDED else status
         else:
             # The same forces hold the object until contacts have moved or the load has changed. Later the forces fade,
             # because a hand must not squeeze an object that it no longer senses.
@@ -142,9 +154,18 @@ class HandController:
         most = s.slew * min(period, 2.0 / s.rate) * self.limits  # torques do not jump after a missed deadline
         self.torques = np.clip(np.clip(wanted, self.torques - most, self.torques + most), -self.limits, self.limits)
 
-    def _solve(self, jacobian, bias):
+    def _solve(self, wrench, **limits):
         now = {"positions": self.positions, "normals": self.normals, "contacts": self.state.touching}
         try:
-            return self.optimizer.solve(self.state.wrench, **now, jacobian=jacobian, torque_bias=bias)
+            return self.optimizer.solve(wrench, **now, **limits)
         except ValueError:  # base of the solver's errors: no force balances the wrench, or wrong numbers
             return None
+
+    def _within_reach(self, now):
+        """Return the part of the wrench that the touching contacts can make, or None if that is all of it or nothing."""
+        touching = now.touching
+        try:
+            held = Grasp.from_contacts(self.positions[touching], self.normals[touching], self.settings.friction)
+        except ValueError:
+            return None
+        return held.within_reach(now.wrench) if held.rank < 6 else None

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from building import run, spoiled
+from hands import gripper
 
 from grasp_env import core
 from grasp_env.errors import InvalidInputError
@@ -21,6 +22,8 @@ from benchmarks import hand_loop
 shown = hand_loop.example()
 PERIOD = 1e-3
 HOLDING = shown.STATUSES.index("holding")
+TWO = [1.0, 0.0, 1.0, 0.0]
+"""The fingertips that touch, if two opposite ones do."""
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +159,7 @@ def test_lost_closure_and_weak_motors_have_different_statuses(hand, state) -> No
     made = controller(hand)
     made.activate(state)
     repeated(made, state, 40)
-    made.update(replace(state, touching=np.array([True, False, False, True])), PERIOD)
+    made.update(replace(state, touching=np.array([True, False, False, False])), PERIOD)
     assert made.status == "coasting"
     weak = shown.Calibration(np.outer(hand.limits, [-0.15, 0.15]), np.tile([-240.0, 240.0], (16, 1)))
     made = controller(hand, weak, budget=0.0)
@@ -166,6 +169,41 @@ def test_lost_closure_and_weak_motors_have_different_statuses(hand, state) -> No
     assert abs(commands).max() == 240
     assert (abs(made.torques) <= made.limits).all()
     assert made.over_budget == 40
+
+
+def test_two_contacts_balance_what_is_within_their_reach(hand, state) -> None:
+    """The rest is a moment about the line through them; nothing else is missing."""
+    made = controller(hand)
+    lost = replace(state, touching=np.array(TWO, dtype=bool))
+    for places in (lost.positions, lost.normals):
+        places[~lost.touching] = np.nan
+    made.activate(lost)
+    repeated(made, lost, 40)
+    assert made.status == "pivoting"
+    where, forces = lost.positions[lost.touching], made.forces[lost.touching]
+    missed = lost.wrench + np.concatenate([forces.sum(axis=0), np.cross(where, forces).sum(axis=0)])
+    line = (where[1] - where[0]) / np.linalg.norm(where[1] - where[0])
+    missed[3:] -= np.cross(where.mean(axis=0), missed[:3])
+    np.testing.assert_allclose(missed[:3], 0.0, atol=1e-9)
+    np.testing.assert_allclose(missed[3:], (missed[3:] @ line) * line, atol=1e-9)
+    assert abs(missed[3:] @ line) > 1e-6
+    exact = replace(lost, wrench=lost.wrench - missed)
+    repeated(made, exact, 2)
+    assert made.status == "holding"
+
+
+def test_a_gripper_of_two_fingers_holds() -> None:
+    two = gripper(2, 2)
+    made = hand_loop.controller_of(shown, two, None, friction=0.8)
+    where = np.array([[0.0, 0.03, 0.0], [0.0, -0.03, 0.0]])
+    joints = np.zeros(two.joint_count)
+    state = shown.HandState(
+        joints, joints, np.ones(2, dtype=bool), where, -where / 0.03, np.array([0, 0, -1.0, 0, 0, 0]), np.zeros(3)
+    )
+    made.activate(state)
+    repeated(made, state, 40)
+    assert made.status in ("holding", "overloaded")
+    np.testing.assert_allclose(made.forces.sum(axis=0), [0.0, 0.0, 1.0], atol=1e-9)
 
 
 def sealed(blob: bytes, numbers: np.ndarray) -> bytes:
@@ -229,6 +267,10 @@ def scenario(hand) -> tuple[list[tuple[float, np.ndarray]], list[np.ndarray], An
             numbers[20] = np.nan
         if tick == 520:
             numbers[32:36] = 0.0  # nothing touches
+        if 550 <= tick < 556:
+            numbers[32:36] = TWO
+        if tick >= 100:  # sensors have no place of a finger that does not touch
+            numbers[36:60].reshape(2, 4, 3)[:, numbers[32:36] == 0.0] = np.nan
         state = hand_loop.state_of(shown, numbers, 16, 4)
         if tick == 20:
             made.activate(state)
@@ -255,7 +297,7 @@ def test_the_twin_answers_the_same_and_allocates_nothing(hand, programs: Path, t
     np.testing.assert_array_equal(other[:, :2], mine[:, :2])
     np.testing.assert_allclose(other[:, 18:], mine[:, 18:], atol=1e-6)
     assert abs(other[:, 2:18] - mine[:, 2:18]).max() <= 1.0  # half a unit may be rounded either way
-    assert {*mine[:, 0].astype(int)} == {0, 1, 3, 4}
+    assert {*mine[:, 0].astype(int)} == {0, 1, 3, 4, 5}
     assert (status, allocated, finite) == (0.0, 0.0, 1.0)
 
 

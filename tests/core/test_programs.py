@@ -19,7 +19,7 @@ SANITIZED = [
     "-O1", "-g1", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all", "-D_GLIBCXX_ASSERTIONS",
 ]  # fmt: skip
 NUMBER = re.compile(r"-?\b\d+\.?\d*")
-LINES, MOST_LINES = 60, 150
+LINES, MOST_LINES = 60, 165
 
 
 def model(folder: Path) -> Path:

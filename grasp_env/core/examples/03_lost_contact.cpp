@@ -28,7 +28,9 @@ int main() {
         for (int i = 0; i < 4; ++i) std::printf("%s%.3f", i ? " " : "", solution.force()[3 * i]);
         std::printf("] N\n");
     }
-    const double wrench[] = {0, 0, 2, 0, 0, 0};  // without a balancing force the result is a code, not an exception, and zeros
-    if (solver.solve(wrench, {.contacts = 0b0011}).code() == grasp::RANK_LOST)
-        std::printf("two remain: they cannot balance a wrench of every direction\n");
+    const double push[] = {0, 0, 2, 0, 0, 0}, turn[] = {0, 0, 2, 0, 0, 0.02};
+    const grasp::Record& two = solver.solve(push, {.contacts = 0b0011});
+    std::printf("two hold, normal forces [%.3f %.3f] N\n", two.force()[0], two.force()[3]);
+    // but not against a moment about the line through them: without a force the result is a code and zeros, not an exception
+    if (solver.solve(turn, {.contacts = 0b0011}).code() == grasp::INFEASIBLE) std::printf("two cannot hold %g N m\n", turn[5]);
 }

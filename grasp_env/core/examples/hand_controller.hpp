@@ -11,7 +11,7 @@ using Numbers = std::vector<double>;
 // State message of a hand with M joints and N fingertips, in the frame of the hand's base.
 struct HandState {
     Numbers angles, rates;  // (M,) [rad], [rad/s]
-    Numbers touching, positions, normals;  // (N,) 1 or 0; (N, 3) contact points [m], unit normals into the object
+    Numbers touching, positions, normals;  // (N,) 1 or 0; (N, 3) contact points [m], unit normals into the object: anything for 0
     Numbers wrench;  // (6,) wrench to balance: the object's weight plus feedback on its pose [N, N m]
     Numbers gravity, age;  // (3,) [m/s^2], since the hand may be on an arm; (1,) age of the contacts [s]
 
@@ -48,10 +48,11 @@ struct Calibration {
 };
 
 // `configure` allocates and may throw, the other functions never do. overloaded: the forces exceed the motors' limits, but least;
-// coasting: the last forces, since contacts are stale, numbers invalid or no force balances; released: the hand carries itself.
+// pivoting: they balance all but a moment that no contact resists, as that about the line through two; coasting: the last forces,
+// since contacts are stale, numbers invalid or no force balances; released: the hand carries itself.
 class HandController {
 public:
-    enum Status { inactive, holding, overloaded, coasting, released } status = inactive;
+    enum Status { inactive, holding, overloaded, coasting, released, pivoting } status = inactive;
     Numbers torques, commands;  // (M,) [N m], device units
     double duration = 0.0;  // [s] of the last update
     int late = 0, over_budget = 0;  // number of updates after a missed deadline; number longer than the budget
@@ -71,7 +72,11 @@ public:
                         grasp::Options{.start = grasp::Start::previous, .limit = s_.iterations, .elastic = true});
     }
     void activate(const HandState& state) {  // torques rise from zero; invalid numbers leave it inactive
-        if (good(state)) now_ = state, home_ = state.angles, blind_ = grasp::infinity, late = over_budget = 0, status = released;
+        if (good(state)) {
+            now_ = state, home_ = state.angles, blind_ = grasp::infinity, late = over_budget = 0, status = released;
+            for (auto* places : {&now_.positions, &now_.normals})
+                for (double& value : *places) value = std::isfinite(value) ? value : 0.0;
+        }
         solver_->forget();
     }
     void deactivate() { status = inactive, std::fill(torques.begin(), torques.end(), 0.0); }
@@ -97,9 +102,13 @@ private:
     Numbers home_, limits_, carry_, spring_, wanted_, forces_, pushes_, jacobian_;
 
     bool good(const HandState& state) const {
-        const auto finite = [](double value) { return std::isfinite(value); };
         for (auto part : PARTS)
-            if ((state.*part).size() != (now_.*part).size() || !std::ranges::all_of(state.*part, finite)) return false;
+            if ((state.*part).size() != (now_.*part).size()) return false;
+        for (auto part : PARTS) {
+            const bool place = part == &HandState::positions || part == &HandState::normals;
+            for (std::size_t k = 0; k < (state.*part).size(); ++k)
+                if (!std::isfinite((state.*part)[k]) && !(place && state.touching[k / 3] == 0.0)) return false;
+        }
         return true;
     }
     void take(const HandState& state, double period) {
@@ -128,8 +137,12 @@ private:
         push(pushes_, wanted_);
         const grasp::Changes contacts{now_.positions, now_.normals, {}, jacobian_, wanted_, touching};
         const grasp::Record* found = now_.age[0] <= s_.stale ? &solver_->solve(grasp::Wrench(now_.wrench), contacts) : nullptr;
+        Status balance = holding;
+        if (found && !found->has_force())
+            if (const auto rest = solver_->within_reach(grasp::Wrench(now_.wrench), contacts))
+                found = &solver_->solve(*rest, contacts), balance = pivoting;
         if (found && found->has_force()) {
-            blind_ = 0.0, status = found->code() == grasp::LIMITS_EXCEEDED ? overloaded : holding;
+            blind_ = 0.0, status = found->code() == grasp::LIMITS_EXCEEDED ? overloaded : balance;
             for (int i = 0; i < n_; ++i) found->object_force(i, &forces_[3 * i]);
             for (int k = 0; k < 3 * n_; ++k) forces_[k] += pushes_[k];
             std::copy_n(found->torques(), m_, wanted_.begin());
