@@ -47,20 +47,23 @@ def as_array(
     *,
     finite: bool = True,
     copy: bool = True,
+    used: np.ndarray | None = None,
 ) -> Array:
-    """Return `value` as a new finite float64 array of `shape` (None: any) with numbers in a range, contiguous.
+    """Return `value` as a new finite float64 array of `shape` (None: any) with numbers in a range, contiguous and aligned.
 
-    `finite=False` accepts infinities and nan; `copy=False` returns an array that needs no conversion as it is.
+    `finite=False` accepts infinities and nan; `copy=False` returns an array that needs no conversion as it is. Rows that a mask `used`
+    (N,) leaves out may hold any numbers.
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
         _check_shape(value.shape, shape, name)
-        array = np.array(value, order="C", copy=True if copy else None)
+        array = np.array(value, order="C", copy=True if copy or not value.flags.aligned else None)
     else:
         array = _converted(value, shape, name)
-    if finite and not all_finite(array):
+    checked = array if used is None or array.shape[:1] != used.shape else array[used]
+    if finite and not all_finite(checked):
         raise InvalidInputError(f"{name} must be finite, got {shown(array)}")
-    if within is not None and array.size and not (array.min() >= within.low and array.max() <= within.high):
-        worst = array[~((array >= within.low) & (array <= within.high))].flat[0]
+    if within is not None and checked.size and not (checked.min() >= within.low and checked.max() <= within.high):
+        worst = checked[~((checked >= within.low) & (checked <= within.high))].flat[0]
         raise InvalidInputError(f"{name} must lie within {within}, got {worst:g}{'' if array.ndim == 0 else ' in it'}")
     return array
 

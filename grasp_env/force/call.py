@@ -10,6 +10,7 @@ from grasp_env import ranges
 from grasp_env._check import AllFaults, as_array
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.torques import checked_jacobian
+from grasp_env.grasp.checks import rank_error
 from grasp_env.grasp.grasp import Grasp
 
 
@@ -37,41 +38,49 @@ def checked_call(
     """Check the arguments of a call of `ForceOptimizer.solve` on its contacts and its limits of so many joints."""
     n = grasp.n_contacts
 
-    def array(value: Any, shape: tuple[int | None, ...], name: str, within: Any = None) -> Any:
-        return None if value is None else as_array(value, shape, name, within, copy=False)
+    def array(value: Any, shape: tuple[int | None, ...], name: str, **options: Any) -> Any:
+        return None if value is None else as_array(value, shape, name, copy=False, **options)
 
     def rows() -> Any:
         if jacobian is None:
             return None
-        checked = checked_jacobian(jacobian, n)
+        checked = checked_jacobian(jacobian, n, touch)
         if checked.shape[2] != joints:
             raise InvalidInputError(f"jacobian must be that of {joints} joints, got shape {checked.shape}")
         return checked
 
-    def touching() -> Any:
-        if contacts is None:
-            return None
-        mask = np.asarray(contacts)
-        if mask.shape != (n,) or mask.dtype != np.bool_ or n > 64:
-            raise InvalidInputError(
-                f"contacts must be ({n},) of true and false, of at most 64 contacts, got {shown(contacts)}"
-            )
-        return np.ascontiguousarray(mask)
-
     with AllFaults() as check:
+        touch = check(_mask, contacts, n)
         return Call(
-            check(array, positions, (n, 3), "positions"),
-            check(array, normals, (n, 3), "normals"),
-            None if friction is None else check(grasp.models.other_friction, friction),
+            check(array, positions, (n, 3), "positions", used=touch),
+            check(array, normals, (n, 3), "normals", used=touch),
+            None if friction is None else check(grasp.models.other_friction, friction, touch),
             check(rows),
-            check(array, torque_bias, (joints,), "torque_bias", ranges.BIAS),
-            check(touching),
+            check(array, torque_bias, (joints,), "torque_bias", within=ranges.BIAS),
+            touch,
         )
 
 
+def _mask(contacts: Any, count: int) -> Any:
+    """Return (N,) bool of the contacts that touch, from true and false or from 1 and 0; None for None."""
+    if contacts is None:
+        return None
+    told = f"contacts must be ({count},) of true and false, of at most 64 contacts, got {shown(contacts)}"
+    try:
+        given = np.asarray(contacts)
+    except Exception as error:  # numpy's own: rows of different lengths, arrays that refuse
+        raise InvalidInputError(told) from error
+    mask = given.astype(bool) if given.dtype.kind in "biuf" else np.zeros(0, dtype=bool)
+    if mask.shape != (count,) or count > 64 or (mask != given).any():
+        raise InvalidInputError(told)
+    return np.ascontiguousarray(mask)
+
+
 def touching_grasp(grasp: Grasp, call: Call) -> Grasp:
-    """Return the touching contacts of a call as a grasp; a `GraspError` if they are none."""
+    """Return the touching contacts of a call as a grasp; a `RankDeficientGraspError` if no contact touches."""
     positions, normals, friction, _, _, mask = call
+    if mask is not None and not mask.any():
+        raise rank_error(0, 0)
     chosen = slice(None) if mask is None else mask
     models, tangents = grasp.models, grasp.contacts.tangents
     gamma = models.torsional_friction[chosen]

@@ -50,9 +50,12 @@ def joint_torques(
     return torques if bias is None else torques + as_array(bias, torques.shape, "bias", ranges.BIAS)
 
 
-def checked_jacobian(jacobian: ArrayLike, count: int | None = None) -> Array:
-    """Return a Jacobian as (N, 3, J) or (N, 6, J), from that shape or from (3N, J), of `count` contacts (None: any)."""
-    jac = as_array(jacobian, None, "jacobian", ranges.LEVER)
+def checked_jacobian(jacobian: ArrayLike, count: int | None = None, used: np.ndarray | None = None) -> Array:
+    """Return a Jacobian as (N, 3, J) or (N, 6, J), from that shape or from (3N, J), of `count` contacts (None: any).
+
+    Rows of contacts that a mask `used` (N,) leaves out may hold any numbers.
+    """
+    jac = as_array(jacobian, None, "jacobian", finite=False)
     shape = jac.shape
     if jac.ndim == 2 and jac.size and len(jac) % 3 == 0:
         jac = jac.reshape(-1, 3, jac.shape[1])
@@ -62,6 +65,7 @@ def checked_jacobian(jacobian: ArrayLike, count: int | None = None) -> Array:
         raise InvalidInputError(
             f"jacobian must have shape ({n}, 3, J), ({flat}, J) or ({n}, 6, J) for {n} contacts and J >= 1 joints, got {shape}"
         )
+    as_array(jac, None, "jacobian", ranges.LEVER, copy=False, used=used)
     if len(jac) > ranges.CONTACTS or jac.shape[2] > ranges.JOINTS:
         raise InvalidInputError(
             f"jacobian must be that of at most {ranges.CONTACTS} contacts and {ranges.JOINTS} joints, got shape {shape}"

@@ -80,9 +80,13 @@ class ContactModels:
             array.setflags(write=False)
         return cls(names, *arrays)
 
-    def other_friction(self, friction: ArrayLike) -> Array:
-        """Return (N, 2) other coefficients for the same contacts, from a scalar, (N,) or (N, 2); 0 for frictionless ones."""
-        return _friction(friction, self.friction[:, 0] > 0.0)
+    def other_friction(self, friction: ArrayLike, used: np.ndarray | None = None) -> Array:
+        """Return (N, 2) other coefficients for the same contacts, from a scalar, (N,) or (N, 2).
+
+        They are 0 for frictionless contacts. Those of contacts that a mask `used` (N,) leaves out may be any numbers; they become 0.
+        """
+        rough = self.friction[:, 0] > 0.0
+        return _friction(friction, rough) if used is None else _friction(friction, rough & used, finite=False)
 
     @cached_property
     def transmitted(self) -> np.ndarray:
@@ -99,11 +103,11 @@ class ContactModels:
         return mean
 
 
-def _friction(value: ArrayLike, rough: np.ndarray) -> Array:
+def _friction(value: ArrayLike, rough: np.ndarray, finite: bool = True) -> Array:
     """Return coefficients (N, 2), checked for the contacts that are `rough` (N,), 0 for the others."""
     count = len(rough)
     shapes = (), (count,), (count, 2)
-    return _each(value, "friction", shapes, rough, ranges.FRICTION, "at every contact that is not frictionless")
+    return _each(value, "friction", shapes, rough, ranges.FRICTION, "at every contact that is not frictionless", finite)
 
 
 def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
@@ -120,10 +124,19 @@ def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
 
 
 def _each(
-    value: ArrayLike, name: str, shapes: tuple[tuple[int, ...], ...], felt: np.ndarray, within: ranges.Range, where: str
+    value: ArrayLike,
+    name: str,
+    shapes: tuple[tuple[int, ...], ...],
+    felt: np.ndarray,
+    within: ranges.Range,
+    where: str,
+    finite: bool = True,
 ) -> Array:
-    """Return numbers of one of some shapes in the last of them, in a range where they are `felt` (N,), else 0."""
-    given = as_array(value, None, name)
+    """Return numbers of one of some shapes in the last of them, in a range where they are `felt` (N,), else 0.
+
+    With `finite=False` the others may be infinite or nan.
+    """
+    given = as_array(value, None, name, finite=finite)
     if given.shape not in shapes:
         raise InvalidInputError(f"{name} must have shape {' or '.join(map(str, shapes))}, got {given.shape}")
     rows = given[:, None] if given.ndim == 1 and len(shapes[-1]) == 2 else given

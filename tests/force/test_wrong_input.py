@@ -93,7 +93,7 @@ def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
         *((call(name, **given), message) for name in ("solve", "update") for given, message in (
             ({"positions": np.zeros((3, 3))}, r"positions must have shape \(4, 3\), got \(3, 3\)"), ({"normals": 2.0 * GRASP.normals}, "normal"),
             ({"friction": -0.1}, "friction"), ({"jacobian": np.zeros((4, 3, 4))}, "jacobian must be that of 5 joints"))),
-        (call(contacts=[1, 1, 1, 1]), r"contacts must be \(4,\) of true and false"), (partial(ForceOptimizer(GRASP).solve, PAPER_WRENCH, torque_bias=np.zeros(5)), "torque"),
+        (call(contacts=[1, 1, 1, 2]), r"contacts must be \(4,\) of true and false"), (partial(ForceOptimizer(GRASP).solve, PAPER_WRENCH, torque_bias=np.zeros(5)), "torque"),
         (partial(ForceOptimizer(GRASP, method="conic").start, PAPER_WRENCH), "takes no initial force"),
         # limits and torques
         (partial(ForceLimits, min_normal=np.inf), "min_normal must lie within 0 to .*one for all or one per contact, got inf"), (partial(ForceLimits, [[1.0]]), "min_normal must lie"),
