@@ -13,14 +13,26 @@ from reprlib import Repr
 from typing import Any
 
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
-_SHORT = Repr()
+_LONG = 1000  # entries of a container that are not sorted, and bytes that are not written, for a message
+
+
+class _ShortRepr(Repr):
+    """A `Repr` whose time does not grow with what it shows."""
+
+    def repr1(self, x: Any, level: int) -> str:
+        if isinstance(x, dict | set | frozenset | bytes | bytearray | memoryview) and len(x) > _LONG:
+            return f"a {type(x).__name__} of length {len(x)}"
+        return super().repr1(x, level)
+
+
+_SHORT = _ShortRepr()
 _SHORT.maxlevel = 4
 _SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = _SHORT.maxarray = 12
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 200
 
 
 def shown(value: object) -> str:
-    """Return a short repr without addresses, for messages.
+    """Return a short repr without addresses, for messages. It never fails, and takes no time however large the value is.
 
     Example:
         >>> shown([1.0, "a"]), shown(10**10_000), shown([0.0] * 1000)[-10:]
@@ -28,17 +40,20 @@ def shown(value: object) -> str:
         >>> shown(object())
         '<object object>'
     """
-    shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
-    if isinstance(shape, tuple) and dtype is not None:  # an array: its numbers if they are few
-        if not math.prod(shape) <= 36:
-            return f"{type(value).__name__} of shape {tuple(shape)} and type {dtype}"
-        numbers = getattr(value, "tolist", None)
-        value = value if numbers is None else numbers()
     try:
-        text = _SHORT.repr(value)
-    except ValueError:  # more digits than Python writes
-        return "an int too long to show"
-    return text if type(value) is str else _ADDRESS.sub("", text)
+        shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
+        if isinstance(shape, tuple) and dtype is not None:  # an array: its numbers if they are few
+            if math.prod(max(length, 1) for length in shape) > 36:
+                return f"{type(value).__name__} of shape {tuple(shape)} and type {dtype!s:.100}"
+            numbers = getattr(value, "tolist", None)
+            value = value if numbers is None else numbers()
+        try:
+            text = _SHORT.repr(value)
+        except ValueError:  # more digits than Python writes
+            return "an int too long to show"
+        return text if type(value) is str else _ADDRESS.sub("", text)
+    except Exception:  # what the user's own class raises
+        return f"an object of class {type(value).__name__:.100}"
 
 
 def alike(given: object, allowed: Iterable[str]) -> str:

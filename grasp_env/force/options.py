@@ -50,7 +50,10 @@ def checked_options(*given: Any) -> Options:
     """Return the checked keywords of an optimizer, in the order of its signature; cached, since the checks take longer than a solve."""
     try:
         return _cached(*given)
-    except TypeError:  # unhashable arguments, such as a list of weights
+    except (
+        TypeError,
+        ValueError,
+    ):  # unhashable arguments, such as a list of weights or a memoryview; or wrong ones, again
         return _checked(*given)
 
 
