@@ -28,8 +28,12 @@ REFUSED = ("load_grasp", "TrainedAgent.load", "LearnedInitialForce.load", "make"
 
 
 @pytest.fixture(scope="module")
-def table(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Call]:
-    return calls(tmp_path_factory.mktemp("files"))
+def table(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Call]]:
+    """The calls; a name that stands where a path belongs becomes a file in a folder of the tests."""
+    folder = tmp_path_factory.mktemp("files")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        yield calls(folder)
 
 
 def numbers(value: Any) -> Iterator[float]:

@@ -69,7 +69,22 @@ def misplaced(command: Any, own: Mapping[str, Iterable[str]], what: str) -> str 
     return next((name for name in given if name in others), None)
 
 
-Wrench = Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="FX FY FZ MX MY MZ")]
+def _six(words: list[str]) -> tuple[float, ...]:
+    numbers = tuple(map(float, words))
+    if len(numbers) != 6:
+        raise ValueError(f"Expected 6 values, got {len(numbers)}")
+    return numbers
+
+
+SIX = tyro.constructors.PrimitiveConstructorSpec[Any](
+    nargs="*",
+    metavar="FX FY FZ MX MY MZ",
+    instance_from_str=_six,
+    is_instance=lambda value: value is None or (isinstance(value, tuple) and len(value) == 6),
+    str_from_instance=lambda value: [] if value is None else list(map(str, value)),
+)
+"""Reader of an option with six numbers, or None if it is left out; a union with None would hide how many are missing."""
+Wrench = Annotated[tuple[float, float, float, float, float, float], SIX]
 """Force [N] and moment [N m]."""
 
 

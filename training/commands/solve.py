@@ -19,12 +19,9 @@ from grasp_env.grasp import Grasp, advise, load_grasp, save_grasp
 from grasp_env.grasp.presets import PRESETS, preset
 from grasp_env.grasp.wrench import PAPER_CONSTANT
 from training.commands.answers import write_json
-from training.commands.options import Wrench, left_out, one_of
+from training.commands.options import SIX, left_out, one_of
 from training.commands.rules import rule
 from training.commands.solution import numbers, print_solution
-
-_NOT_GIVEN = (math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
-"""Value of --wrench if none is given."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,9 @@ class Solve:
         json: print one JSON object, errors too.
     """
 
-    wrench: Annotated[Wrench, left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}")] = _NOT_GIVEN
+    wrench: Annotated[
+        tuple[float, ...] | None, SIX, left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}")
+    ] = None
     preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
     grasp: Annotated[Path | None, left_out("the preset", "FILE")] = None
     save_grasp: Annotated[Path | None, left_out("nothing is written", "FILE")] = None
@@ -65,7 +64,7 @@ class Solve:
     method: Annotated[str, one_of(METHODS)] = "newton"
     criterion: Annotated[str, one_of(CRITERIA)] = "sum"
     barrier_weight: Annotated[float | None, left_out("0.01", "FLOAT")] = None
-    tolerance: Annotated[float, left_out("1e-4, of conic 1e-6", "GAP")] = 0.0
+    tolerance: Annotated[float | None, left_out("1e-4, of conic 1e-6", "GAP")] = None
     min_normal: float = 0.0
     max_normal: Annotated[float, left_out("no limit", "FLOAT")] = math.inf
     json: bool = False
@@ -105,13 +104,12 @@ class Solve:
 
     def _wrench(self) -> tuple[float, ...]:
         """Return the external wrench; only presets have the paper's as default."""
-        missing = all(map(math.isnan, self.wrench))
-        if missing and self.grasp is not None:
+        if self.wrench is None and self.grasp is not None:
             raise InvalidInputError(
                 "--grasp needs --wrench FX FY FZ MX MY MZ, the external wrench on the object [N, N m]: for example its weight in the "
                 "object frame, --wrench 0 0 -5 0 0 0"
             )
-        return PAPER_CONSTANT if missing else self.wrench
+        return PAPER_CONSTANT if self.wrench is None else self.wrench
 
     def _solution(self, grasp: Grasp, wrench: tuple[float, ...]) -> ForceSolution:
         limited = (self.min_normal, self.max_normal) != (0.0, math.inf)
@@ -125,5 +123,5 @@ class Solve:
                 criterion=self.criterion,
                 limits=ForceLimits(min_normal=self.min_normal, max_normal=self.max_normal) if limited else None,
                 barrier_weight=self.barrier_weight,
-                tolerance=self.tolerance or None,
+                tolerance=self.tolerance,
             )
