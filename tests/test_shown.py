@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+import time
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,31 @@ def test_no_object_is_shown_by_its_address() -> None:
         assert not ADDRESS.search(shown(thing))
     assert [thing for thing in things if ADDRESS.search(repr(thing) + str(thing))] == []
     assert shown("at 0x123456789") == "'at 0x123456789'"
+
+
+class Unwilling:
+    @property
+    def shape(self) -> tuple[int, ...]:
+        raise RuntimeError("no shape")
+
+    def __repr__(self) -> str:
+        raise KeyError("no repr")
+
+
+def test_texts_of_anything_are_short_and_made_at_once() -> None:
+    """Each of these would take seconds, or fail, if it were written whole."""
+    begin, big = time.perf_counter(), dict.fromkeys(range(1_000_000))
+    made = [np.zeros((10_000_000, 0)), np.zeros(10_000_000), big, set(big), bytes(100_000_000), [big], memoryview(bytearray(8)),
+            10**100_000, [Unwilling()], Unwilling(), "x" * 100_000_000, np.zeros(3, dtype=[(f"f{k}", float) for k in range(3000)])]  # fmt: skip
+    made_in = time.perf_counter() - begin
+    begin = time.perf_counter()
+    texts = [shown(each) for each in made]
+    assert time.perf_counter() - begin < 1.0 + made_in
+    assert max(map(len, texts)) < 400
+    assert texts[0] == "ndarray of shape (10000000, 0) and type float64"
+    assert texts[2] == "a dict of length 1000000"
+    assert "Unwilling" in texts[-3]
+    assert shown(np.zeros(0)) == "[]"
 
 
 @needs_bullet

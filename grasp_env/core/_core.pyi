@@ -152,7 +152,9 @@ class Contacts:
 
     @property
     def refused(self) -> bool:
-        """True if numbers are not finite or normals not of unit length."""
+        """
+        True if numbers are not finite, positions all at one point or normals not of unit length.
+        """
 
     @property
     def clear(self) -> bool:
