@@ -38,6 +38,8 @@ from grasp_env.sim.picture.overlay import room
 from grasp_env.sim.picture.painter import Painter
 from grasp_env.task.disturbance import name_of
 
+ID = "FourFingerGrasp-v0"
+"""The environment's name in Gymnasium's registry."""
 NO_COSTS = (0.0, 0.0, 0.0)
 """Costs of force, torque and change of force at reset and after a failure."""
 
@@ -320,6 +322,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._report_structure(scene, plan)
         terms = self.config.reward.terms(True, 0, NO_COSTS)
         self._observed = self._observe(scene)
+        if self.render_mode == "human":
+            self.render()
         return self._observation(), self._info(scene, terms)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -354,7 +358,19 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return self._observation(), float(sum(terms.values())), bool(self._failure), truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return an (H, W, 3) picture in "rgb_array" mode; update the window in "human" mode."""
+        """Return an (H, W, 3) picture in "rgb_array" mode; update the window in "human" mode.
+
+        Without a `render_mode` it returns None with Gymnasium's warning, in every state of the environment.
+
+        Raises:
+            SimulationError: the environment is closed.
+        """
+        if self.render_mode is None:
+            gym.logger.warn(
+                "You are calling render method without specifying any render mode. You can specify the render_mode at initialization, "
+                f'e.g. gym.make("{self._spec.id if self._spec else ID}", render_mode="rgb_array")'
+            )
+            return None
         scene = self._stage_or_raise().scene
         annotation = self._annotation(scene)
         if self.render_mode == "human" and annotation is not None:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env as gym_check
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import GraspWarning
+from grasp_env.env.stage import Stage
+from grasp_env.errors import GraspWarning, SimulationError
 
 ID = "grasp_env:FourFingerGrasp-v0"
 ZERO = np.zeros(6, dtype=np.float32)
@@ -40,6 +43,89 @@ def test_checkers(check: Any, settings: dict[str, Any]) -> None:
     check(env, skip_render_check="render_mode" not in settings)
     env.close()
     del gym.registry["Headless-v0"]
+
+
+SMALL: dict[str, Any] = {"pictures": {"size": (64, 48)}, "duration": 0.1}
+
+
+def test_a_picture_without_a_render_mode_is_a_warning_in_every_state() -> None:
+    env = gym.make(ID, **SMALL)
+    bare: Any = env.unwrapped
+
+    def warned(render: Any) -> str:
+        with pytest.warns(UserWarning, match="without specifying any render mode") as caught:
+            assert render() is None
+        return str(caught[0].message)
+
+    expected = warned(lambda: gym.make("CartPole-v1").unwrapped.render())
+    assert warned(bare.render) == expected.replace("CartPole-v1", "FourFingerGrasp-v0")  # before the first reset
+    with pytest.raises(ResetNeeded):
+        env.render()
+    env.reset(seed=0)
+    warned(env.render)
+    env.step(ZERO)
+    warned(env.render)
+    env.close()
+    warned(env.render)
+    env.reset(seed=0)
+    warned(env.render)
+    env.close()
+    direct = FourFingerGrasp()
+    assert warned(direct.render) == warned(bare.render)  # without a specification
+    direct.close()
+
+
+def test_pictures_before_a_reset_and_after_close() -> None:
+    env = gym.make(ID, render_mode="rgb_array", **SMALL)
+    bare: Any = env.unwrapped
+    assert bare.render().shape == (48, 64, 3)
+    env.reset(seed=0)
+    assert env.render().shape == (48, 64, 3)  # type: ignore[union-attr]
+    env.close()
+    with pytest.raises(SimulationError, match=r"closed: call reset\(\)"):
+        env.render()
+    env.reset(seed=0)
+    assert env.render().shape == (48, 64, 3)  # type: ignore[union-attr]
+    env.close()
+
+
+def test_a_window_is_drawn_at_every_reset_and_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A window needs a display, so a list takes its pictures."""
+    shown: list[Any] = []
+    window = SimpleNamespace(of_scene=lambda scene: SimpleNamespace(show=shown.append))
+    monkeypatch.setattr("grasp_env.env.env.class_of", lambda engine, role: window)
+    monkeypatch.setattr(FourFingerGrasp, "_new_stage", lambda env: Stage(env.config, env._loop, False, True))
+    env = FourFingerGrasp(render_mode="human", **SMALL)
+    assert env.render() is None
+    assert not shown  # nothing is known of an episode yet
+    counts = []
+    for _ in range(2):
+        env.reset(seed=0)
+        counts.append(len(shown))
+        env.step(ZERO)
+        counts.append(len(shown))
+    assert counts == [1, 2, 3, 4]
+    env.close()
+
+
+def test_lists_of_pictures_and_pictures_of_many_environments() -> None:
+    env = gym.make(ID, render_mode="rgb_array_list", **SMALL)
+    env.reset(seed=0)
+    env.step(ZERO)
+    pictures: Any = env.render()
+    assert [picture.shape for picture in pictures] == [(48, 64, 3)] * 2
+    env.close()
+    for mode in ("sync", "async"):
+        many = gym.make_vec(ID, 2, mode, render_mode="rgb_array", **SMALL)
+        many.reset(seed=0)
+        pictures = many.render()
+        assert [picture.shape for picture in pictures] == [(48, 64, 3)] * 2
+        many.close()
+    many = gym.make_vec(ID, 2, "sync", **SMALL)
+    many.reset(seed=0)
+    with pytest.warns(UserWarning, match="without specifying any render mode"):
+        assert many.render() == (None, None)
+    many.close()
 
 
 @pytest.mark.parametrize(

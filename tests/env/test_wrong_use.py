@@ -151,7 +151,7 @@ def test_wrong_calls_change_nothing_and_a_closed_environment_opens_again() -> No
         env.close()
         env.close()
         assert connections() == before
-        for call in (lambda: env.step(ZERO), env.render, lambda: env.scene):
+        for call in (lambda: env.step(ZERO), lambda: env.scene):
             with pytest.raises(SimulationError, match=r"closed: call reset\(\)"):
                 call()
     np.testing.assert_array_equal(*rows)
