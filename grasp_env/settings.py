@@ -18,10 +18,13 @@ Example:
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import Field, dataclass, field, fields, replace
 from typing import Any, ClassVar, NamedTuple, TypeVar
+
+import numpy as np
 
 from grasp_env import ranges
 from grasp_env._check import AllFaults, as_array, as_number, as_text, choice, whole
@@ -43,11 +46,13 @@ class Kind(NamedTuple):
         take: function (value, name) that returns the value to store, or raises a `GraspError` with the name.
         text: the accepted values in words, for the page of settings.
         records: the accepted classes, if the setting is a record.
+        write: function (value, name) that returns an accepted value as JSON values, which `take` reads; None: `to_json`.
     """
 
     take: Callable[[Any, str], Any]
     text: str
     records: tuple[type[Settings], ...] = ()
+    write: Callable[[Any, str], Any] | None = None
 
 
 class About(NamedTuple):
@@ -182,7 +187,7 @@ def record(kind: type[Settings]) -> Kind:
             )
         return value
 
-    return Kind(take, f"{kind.__name__} or dict", (kind,))
+    return Kind(take, f"{kind.__name__} or dict", (kind,), lambda value, name: _written_record(value, name, kind))
 
 
 def any_of(table: Mapping[str, type[Settings]], base: type[Settings], hint: str, calls: bool = False) -> Kind:
@@ -203,8 +208,12 @@ def any_of(table: Mapping[str, type[Settings]], base: type[Settings], hint: str,
             named, settings = value["name"], {key: each for key, each in value.items() if key != "name"}
         return table[choice(named, name, table, hint)]().replaced(settings, name)
 
+    def write(value: Any, name: str) -> Any:
+        return _written_record(value, name, table.get(value.name) if isinstance(value, Settings) else None)
+
     text = ", ".join(f"`{each}`" for each in table)
-    return Kind(take, f"{text}, {base.__name__} or dict{', or a function' if calls else ''}", tuple(table.values()))
+    more = ", or a function" if calls else ""
+    return Kind(take, f"{text}, {base.__name__} or dict{more}", tuple(table.values()), write)
 
 
 def placed(name: str) -> str:
@@ -213,19 +222,48 @@ def placed(name: str) -> str:
 
 
 def to_json(value: Any, path: str = "") -> Any:
-    """Return settings as JSON values; a record that is one of several has its name, too.
+    """Return settings as JSON values, as `Kind.write` gives them; a record that is one of several has its name, too.
+
+    Values that are not checked yet are written, too: arrays and numbers of numpy, paths, and dicts with any of these.
 
     Raises:
         InvalidInputError: a value without JSON, such as a function, at a `path`.
     """
+    start = path and f"{path}."
     if isinstance(value, Settings):
-        named, start = {"name": value.name} if value.name else {}, path and f"{path}."
-        return named | {item.name: to_json(getattr(value, item.name), start + item.name) for item in fields(value)}
-    if isinstance(value, tuple):
+        named = {"name": value.name} if value.name else {}
+        return named | {
+            item.name: written(item.metadata[_ABOUT].kind, getattr(value, item.name), start + item.name)
+            for item in fields(value)
+        }
+    if isinstance(value, dict):
+        return {str(key): to_json(each, f"{start}{key}") for key, each in value.items()}
+    if isinstance(value, tuple | list):
         return [to_json(each, path) for each in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return to_json(value.tolist(), path)
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
     if value is None or isinstance(value, str | int | float | bool):
         return value
-    raise InvalidInputError(
+    raise without_json(value, path)
+
+
+def written(kind: Kind, value: Any, path: str) -> Any:
+    """Return the value of a setting at a `path` as JSON values; see `to_json`."""
+    return (kind.write or to_json)(value, path)
+
+
+def _written_record(value: Any, path: str, kind: type[Settings] | None) -> Any:
+    """Return `to_json`; raise for a record of another class than the one that reads it."""
+    if isinstance(value, Settings) and type(value) is not kind:
+        raise without_json(value, path)
+    return to_json(value, path)
+
+
+def without_json(value: Any, path: str) -> InvalidInputError:
+    """Return the error that a value at a `path` has no JSON."""
+    return InvalidInputError(
         f"{path} is {shown(value)}, which has no JSON: files hold built-in names only; give your own when the environment is made"
     )
 

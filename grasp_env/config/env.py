@@ -15,11 +15,25 @@ from grasp_env._check import AllFaults, as_array, as_text, warn
 from grasp_env.config.randomize import RANDOMIZE, draw
 from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
-from grasp_env.settings import ANY, About, Kind, Settings, described, numbers, one_of, record, setting, to_json
+from grasp_env.settings import (
+    ANY,
+    About,
+    Kind,
+    Settings,
+    described,
+    numbers,
+    one_of,
+    record,
+    setting,
+    to_json,
+    without_json,
+    written,
+)
 from grasp_env.sim.engine import ENGINE, Engine, engine_of
 from grasp_env.sim.grasping.approach import DIRECTIONS, as_approach
 from grasp_env.sim.grasping.pads import PATCH_RADIUS, with_soft_contacts
 from grasp_env.sim.hand.description import HANDS, HandDescription
+from grasp_env.sim.hand.plain import hand_of, hand_to_plain
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.task.disturbance import DISTURBANCE, Disturbance, NoDisturbance
 from grasp_env.task.tasks import TASK, Hold, Task
@@ -47,6 +61,27 @@ def _contact_points(value: Any, name: str) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, as_array(points, (None, 3), name).tolist())) if points.size else ()
 
 
+def _written_hand(value: Any, name: str) -> Any:
+    if isinstance(value, HandDescription):
+        if type(value) is not HandDescription:  # it would be read as another class
+            raise without_json(value, name)
+        return hand_to_plain(value)
+    return to_json(value, name)
+
+
+_HANDS = one_of(
+    HANDS,
+    "a HandDescription, such as HandDescription.from_file('my_hand.urdf')",
+    lambda value: isinstance(value, HandDescription),
+)
+HAND = Kind(
+    lambda value, name: hand_of(value, name) if isinstance(value, dict) else _HANDS.take(value, name),
+    f"{_HANDS.text}, or the dict of its fields",
+    write=_written_hand,
+)
+"""Kind of a setting that holds a hand."""
+
+
 @dataclass(frozen=True)
 class EnvConfig(Settings):
     """Settings of `FourFingerGrasp-v0`. Every field is a keyword of `gym.make`, as a record or as a dict of its settings.
@@ -64,9 +99,8 @@ class EnvConfig(Settings):
     """
 
     hand: str | HandDescription = setting(
-        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_file('my_hand.urdf')", lambda value: isinstance(value, HandDescription)),
-        "The hand. If it is not `placed`, `place_hand` puts it around the object.",
-    )  # fmt: skip
+        "four_finger", HAND, "The hand. If it is not `placed`, `place_hand` puts it around the object."
+    )
     object: ObjectDescription = setting(
         ObjectDescription(), record(ObjectDescription),
         "The object to hold. Two fingers need soft contacts: if `torsional_friction` is missing, that of pads of 12 mm radius is assumed, "
@@ -220,11 +254,9 @@ class EnvConfig(Settings):
         """Return all settings as JSON values, with the version of the schema; `as_config` reads them.
 
         Raises:
-            InvalidInputError: a function, or a hand that is not built in; these have no JSON.
+            InvalidInputError: a function, a start rule, or a record of your own class; these have no JSON.
         """
-        hand = next((name for name, make in HANDS.items() if self.hand in (name, make())), self.hand)
-        drawn = {path: to_json(rule, f"randomize[{path!r}]") for path, rule in self.randomize}
-        return {"schema": SCHEMA, **to_json(replace(self, hand=hand, randomize=())), "randomize": drawn}
+        return {"schema": SCHEMA, **to_json(self)}
 
     def to_json(self) -> str:
         """Return `to_dict()` as text."""

@@ -10,7 +10,7 @@ import numpy as np
 from grasp_env._check import as_array, as_list, call_user, choice
 from grasp_env.config.records import Controller, Sensors
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.settings import Kind, described
+from grasp_env.settings import Kind, described, to_json
 from grasp_env.sim.objects.description import SHAPES, SHAPES_WITHOUT_MESH, SIZES, ObjectDescription
 
 OBJECT: dict[str, Any] = {
@@ -37,7 +37,7 @@ def _checked_rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
         )
     found: dict[str, Any] = {}
     for each in given:
-        path, rule = each if isinstance(each, tuple) and len(each) == 2 else (each, True)
+        path, rule = each if isinstance(each, tuple | list) and len(each) == 2 else (each, True)
         path = choice(path, name, ALLOWED)
         path = SHORT.get(path, path)
         found[path] = _checked_rule(path, rule)
@@ -62,7 +62,16 @@ def _checked_rule(path: str, rule: Any) -> Any:
     return low, high
 
 
-RANDOMIZE = Kind(_checked_rules, "names, or dict from paths")
+def _written_rules(value: Any, name: str) -> Any:
+    """Return checked rules as a dict from paths, and any other value as it is given."""
+    pairs = isinstance(value, tuple) and all(isinstance(each, tuple) and len(each) == 2 for each in value)
+    given = dict(value) if pairs else value
+    if not isinstance(given, dict):
+        return to_json(given, name)
+    return {str(path): to_json(rule, f"{name}[{path!r}]") for path, rule in given.items()}
+
+
+RANDOMIZE = Kind(_checked_rules, "names, or dict from paths", write=_written_rules)
 """Kind of `EnvConfig.randomize`, which is stored as pairs of path and rule."""
 
 

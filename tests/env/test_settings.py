@@ -80,8 +80,10 @@ def test_json_keeps_everything(monkeypatch: pytest.MonkeyPatch) -> None:
         disturbance={"name": "wind", "force": 1.0},
     )  # fmt: skip
     told = json.loads(config.to_json())
-    assert (told["schema"], told["hand"], told["disturbance"]["name"]) == (1, "allegro", "wind")
-    assert as_config(told) == config.override(hand="allegro")
+    assert (told["schema"], told["hand"], told["disturbance"]["name"]) == (1, {"name": "allegro"}, "wind")
+    assert as_config(told) == config
+    named = config.override(hand="allegro")
+    assert as_config(named.to_json()) == named
     assert as_config(told).disturbance == Wind(force=1.0)
 
 

@@ -64,7 +64,7 @@ WRONG: list[tuple[str, dict[str, Any], str]] = [
     ("to_json", {"disturbance": lambda times, rng, settings: None}, "disturbance is <function .*no JSON"),
     ("to_json", {"randomize": {"gravity": lambda rng: (0, 0, 0)}}, r"randomize\['gravity'\] is <function"),
     ("as_config", {"config": {"schema": 0}}, "too old"),
-    ("to_json", {"hand": FOUR.moved((0.0, 0.1, 0.0))}, "hand is HandDescription.* no JSON"),
+    ("override", {"hand": {"name": "four_fingr"}}, r"unknown hand 'four_fingr': did you mean 'four_finger'"),
     ("as_config", {"config": {"schema": 2}}, "schema 2, this version reads 1: it is written by a newer version"),
     ("as_config", {"config": "{"}, "config must be JSON"),
 ]

@@ -54,10 +54,16 @@ def _by_agent(rows: pd.DataFrame, case: str, environment: str) -> dict[str, Any]
 
 
 def place(environment: str) -> str:
-    """Return an environment's settings in a few words, such as "sphere, allegro"; the default is a cuboid."""
+    """Return an environment's settings in a few words; the default is a cuboid.
+
+    Example:
+        >>> place('{"shape": "sphere", "hand": {"name": "allegro"}}'), place('{"hand": "leap"}'), place("{}")
+        ('sphere, allegro', 'cuboid, leap', 'cuboid')
+    """
     given = json.loads(environment)
     shape = given.get("shape") or given.get("object", {}).get("shape", "cuboid")
-    return ", ".join([str(shape), *([str(given["hand"])] if "hand" in given else [])])
+    hand = given.get("hand", "")
+    return ", ".join(filter(None, (str(shape), hand["name"] if isinstance(hand, dict) else hand)))
 
 
 def _interval(value: float, low: float, high: float) -> str:

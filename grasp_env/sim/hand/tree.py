@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from grasp_env._check import as_text, choice, instance
-from grasp_env.errors import InvalidInputError
+from grasp_env._check import as_list, as_text, choice, instance
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Vector3, hull_corners, limits, numbers, parts, positive, unit, word
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import Inertia, inertia_of
@@ -60,9 +60,9 @@ class Geometry:
         size = numbers(self.size, len(SIZES[self.kind]), f"{name}: size ({', '.join(SIZES[self.kind])})")
         if min(size, default=1.0) <= 0.0:
             raise InvalidInputError(f"{name}: size={size} m must be above 0")
-        if bool(self.corners) != (self.kind == "hull") or bool(self.file) != (self.kind == "mesh"):
+        if (as_list(self.corners) != []) != (self.kind == "hull") or bool(self.file) != (self.kind == "mesh"):
             raise InvalidInputError(
-                f"{name}: corners belong to a hull, a file to a mesh; got {len(self.corners)} corners, file={self.file!r}"
+                f"{name}: corners belong to a hull, a file to a mesh; got corners={shown(self.corners)}, file={self.file!r}"
             )
         _fix(
             self,
