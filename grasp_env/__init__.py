@@ -12,14 +12,11 @@ __version__ = "0.1.0"
 
 def _register() -> bool:
     """Register the environment; return False if Gymnasium is not imported yet."""
-    registration = sys.modules.get("gymnasium.envs.registration")
-    if not hasattr(registration, "register"):
+    if not hasattr(sys.modules.get("gymnasium.envs.registration"), "register"):
         return False
-    if "FourFingerGrasp-v0" not in registration.registry:  # type: ignore[union-attr]
-        last = registration.WrapperSpec("finish", "grasp_env.env.env:finish", {})  # type: ignore[union-attr]
-        registration.register(  # type: ignore[union-attr]
-            id="FourFingerGrasp-v0", entry_point="grasp_env.env:FourFingerGrasp", additional_wrappers=(last,)
-        )
+    from grasp_env._spec import register
+
+    register()
     return True
 
 
@@ -29,8 +26,15 @@ class _Watch:
     Gymnasium has had no plugins since 1.0. Importing it here would take 30 to 100 ms, also for users of the solver alone.
     """
 
+    def __init__(self) -> None:
+        self._registers = False
+
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> None:
-        if _register():  # a new list: the current search still iterates over the old one
+        if self._registers:  # for an import of `_register` itself
+            return
+        self._registers = True
+        self._registers = _register()
+        if self._registers:  # a new list: the current search still iterates over the old one
             sys.meta_path = [finder for finder in sys.meta_path if finder is not self]
 
 

@@ -81,8 +81,9 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "sim": {"errors", "ranges", "core", "_extras", "_check", "_files", "settings", "grasp"},
         "task": {"errors", "ranges", "_check", "settings", "grasp"},
         "config": {"errors", "ranges", "_check", "settings", "force", "sim", "task"},
+        "_spec": {"config"},
         "control": {"errors", "core", "_check", "grasp", "force", "sim", "task", "config"},
-        "env": {"errors", "core", "_extras", "_check", "grasp", "force", "sim", "task", "config", "control"},
+        "env": {"_spec", "errors", "core", "_extras", "_check", "grasp", "force", "sim", "task", "config", "control"},
     },
     "training": {
         "results": set(),

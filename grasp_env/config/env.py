@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache
@@ -291,6 +292,35 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
         newer = "written by a newer version: install that one" if schema > SCHEMA else "too old"
         raise InvalidInputError(f"config has schema {schema}, this version reads {SCHEMA}: it is {newer}")
     return EnvConfig().override(**{str(name): value for name, value in given.items() if name != "schema"})
+
+
+def keywords_to_json(given: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return keywords of `gym.make` as JSON values that it accepts as well, and the reasons why some stay as they are.
+
+    Records come first: as a dict, a record would otherwise undo a keyword of one of its settings that stands before it. A keyword that
+    is no setting stays as it is.
+    """
+    kinds = {item.name: all_settings()[item.name].kind for item in fields(EnvConfig)}
+    made, faults = dict[str, Any](), list[str]()
+    for name, value in sorted(given.items(), key=lambda item: not isinstance(item[1], Settings)):
+        made[name] = value
+        try:
+            if name == "config":
+                made[name], more = _config_to_json(value)
+                faults += more
+            elif name in kinds:
+                made[name] = written(kinds[name], value, name)
+            elif name in KEYWORDS or name.partition(".")[0] in kinds:
+                made[name] = to_json(value, name)
+        except InvalidInputError as fault:
+            faults.append(str(fault))
+    return made, faults
+
+
+def _config_to_json(value: Any) -> tuple[Any, list[str]]:
+    if isinstance(value, dict):
+        return keywords_to_json(value)
+    return (value.to_dict() if isinstance(value, EnvConfig) else to_json(value, "config")), []
 
 
 @cache

@@ -6,7 +6,7 @@ It contains the environment, whose class docstring is its manual, and what `gym.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,11 @@ with need("sim"):
     from gymnasium.envs.registration import EnvSpec
     from gymnasium.utils import EzPickle
 
+    from grasp_env._spec import ENV_ID, FINISH, GraspSpec
+
 from grasp_env._check import Array, as_array, as_wrench, choice, instance, warn, whole
 from grasp_env.config import EnvConfig
-from grasp_env.config.env import as_config
+from grasp_env.config.env import as_config, keywords_to_json
 from grasp_env.control.loop import ForceLoop
 from grasp_env.control.sensing import NoiseRows
 from grasp_env.control.structure import finger_structure
@@ -38,8 +40,6 @@ from grasp_env.sim.picture.overlay import room
 from grasp_env.sim.picture.painter import Painter
 from grasp_env.task.disturbance import name_of
 
-ID = "FourFingerGrasp-v0"
-"""The environment's name in Gymnasium's registry."""
 NO_COSTS = (0.0, 0.0, 0.0)
 """Costs of force, torque and change of force at reset and after a failure."""
 
@@ -368,7 +368,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         if self.render_mode is None:
             gym.logger.warn(
                 "You are calling render method without specifying any render mode. You can specify the render_mode at initialization, "
-                f'e.g. gym.make("{self._spec.id if self._spec else ID}", render_mode="rgb_array")'
+                f'e.g. gym.make("{self._spec.id if self._spec else ENV_ID}", render_mode="rgb_array")'
             )
             return None
         scene = self._stage_or_raise().scene
@@ -392,21 +392,32 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The specification that `gym.make` used; its `max_episode_steps` follows from `limits.duration`."""
+        """The specification that `gym.make` used; its `max_episode_steps` follows from `limits.duration`.
+
+        Its keywords are JSON values, except those without JSON, such as functions. `gym.make(EnvSpec.from_json(spec.to_json()))` makes the
+        same environment again.
+        """
         return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        self._spec = None if spec is None else self._kept(spec)
+
+    def _kept(self, spec: EnvSpec) -> GraspSpec:
+        fitting = {item.name: getattr(spec, item.name) for item in fields(spec) if item.init}
+        fitting["kwargs"], _ = keywords_to_json(spec.kwargs)
+        return GraspSpec(**{**fitting, "max_episode_steps": self._step_limit})
 
     def truncate_after(self, steps: int) -> None:
         """Truncate episodes after a given number of agent steps from the next reset on, as `max_episode_steps` of `gym.make` does."""
+        if steps == self._step_limit:
+            return
         self.config = self.config.override(duration=whole(steps, "max_episode_steps", 1) / self.config.agent.rate)
         self._stage_or_raise().config = self._stage_or_raise().episode = self.config
         self._step_limit = steps
         if self._spec is not None:
             kwargs = {**self._spec.kwargs, "duration": self.config.limits.duration}
-            self._spec = replace(self._spec, max_episode_steps=steps, kwargs=kwargs)
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        self._spec = None if spec is None else replace(spec, max_episode_steps=self._step_limit)
+            self._spec = self._kept(replace(self._spec, kwargs=kwargs))
 
     def close(self) -> None:
         """Free the simulator; a second call does nothing, and `reset` opens it again."""
@@ -590,4 +601,6 @@ def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         if isinstance(layer, gym.wrappers.TimeLimit):
             made.truncate_after(layer._max_episode_steps)  # `layer.spec` has it, too, but keeps the old settings
         layer = layer.env
+    if made.spec is not None:  # `gym.make` of this specification completes the environment, too
+        made.spec = replace(made.spec, additional_wrappers=(FINISH,))
     return env

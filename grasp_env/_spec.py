@@ -1,0 +1,37 @@
+"""What Gymnasium's registry knows of the environment, and the specification of one that is made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from gymnasium.envs.registration import EnvSpec, WrapperSpec, registry
+
+ENV_ID = "FourFingerGrasp-v0"
+FINISH = WrapperSpec("finish", "grasp_env.env.env:finish", {})
+"""What `gym.make` calls last."""
+
+
+class GraspSpec(EnvSpec):
+    """A specification whose JSON keeps records, hands and arrays among the keywords, for `gym.make(EnvSpec.from_json(text))`.
+
+    `EnvSpec.to_json` alone would write a record as a dict without its name.
+    """
+
+    def to_json(self) -> str:
+        """Return the specification as JSON.
+
+        Raises:
+            TypeError: a keyword has no JSON, such as a function; Gymnasium's own specifications raise the same.
+        """
+        from grasp_env.config.env import keywords_to_json
+
+        kwargs, faults = keywords_to_json(self.kwargs)
+        if faults:
+            raise TypeError("; ".join(faults))
+        return EnvSpec.to_json(replace(self, kwargs=kwargs))
+
+
+def register() -> None:
+    """Enter the environment in Gymnasium's registry, unless it is there already."""
+    if ENV_ID not in registry:
+        registry[ENV_ID] = GraspSpec(ENV_ID, "grasp_env.env:FourFingerGrasp", additional_wrappers=(FINISH,))
