@@ -36,6 +36,12 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Call]]
         yield calls(folder)
 
 
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wrong path may be a valid one, and is then written to."""
+    monkeypatch.chdir(tmp_path)
+
+
 def numbers(value: Any) -> Iterator[float]:
     """The numbers of an answer; of solutions those that are never nan."""
     if isinstance(value, ForceSolution):
