@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from grasp_env._files import replacing
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim.picture.camera import Camera, CameraConfig
 from training.compare.scenarios import PUSHES, mesh_settings, short_name
@@ -64,7 +65,8 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/static/held.webp"))
     given = parser.parse_args(words)
     picture = sheet(given.hands, given.objects)
-    picture.save(given.out, quality=82)
+    with replacing(given.out) as hidden:
+        picture.save(hidden, quality=82)
     print(
         f"{given.out}: {np.array(picture).shape[1]} x {np.array(picture).shape[0]} pixels, {given.out.stat().st_size // 1000} kB"
     )

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import codecs
+import errno
 import hashlib
 import io
 import json
 import os
+import re
 import select
+import shutil
 import stat
 import time
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 from xml.etree.ElementTree import Element, TreeBuilder, XMLParser
@@ -32,6 +36,15 @@ PATIENCE = 10.0
 LONGEST = 60.0
 """Longest time for reading a pipe [s]."""
 _BLOCK = 1 << 16
+_IDLE = 86_400.0
+"""Time without a write after which a hidden file of an unknown process is a leftover [s]."""
+_NAME_BYTES = 200
+"""Length up to which the end of a name is repeated in its hidden name; file systems allow 255 in all [bytes]."""
+_UNKNOWN = "0" * 8
+_HIDDEN = re.compile(r"\.(?P<place>[0-9a-f]{8})-(?P<process>[0-9]{1,10})-[0-9a-f]{8}\.(?P<end>.+)", re.DOTALL)
+"""Hidden names of `replacing`: where its process numbers count, the process, a random part, and the end of the name."""
+_WITHOUT_SYNC = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)
+"""Errors of file systems that cannot wait for the disk."""
 T = TypeVar("T")
 
 
@@ -152,14 +165,137 @@ def unpacked(blob: bytes, most: int = WEIGHTS) -> dict[str, np.ndarray]:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Give a hidden name beside `path` to write to, which becomes `path` at the end of the block and is removed if the block raises."""
-    temporary = path.with_name(f".{os.getpid()}.{path.name}")
+def replacing(path: Path, siblings: str = "") -> Iterator[Path]:
+    """Give a hidden name beside `path` to write a file or a folder to, which becomes `path` at the end of the block.
+
+    Readers find the old content or the new one, never a part: not after an interrupt, and not after a power cut, because the content is
+    on the disk before it gets its name. Any number of processes and threads may write a file at the same time; the last one stays. A
+    folder has one writer. The hidden name ends like `path`. If the block raises, it is removed and `path` is left as it was.
+
+    A killed process leaves its hidden file. The next writer of `path` removes it if the process ran under the same boot and in the same
+    namespace of process numbers, and no longer exists. Others, from another machine or container, from before a restart, or with a
+    number that another process has now, are removed when nobody has written to them for a day.
+
+    A device or a pipe, such as /dev/stdout, is written to directly. A symbolic link stays, and its target is replaced.
+
+    Args:
+        path: of the file or folder.
+        siblings: pattern of other names in the same folder whose hidden files are removed in the same way, such as "step-*".
+
+    Raises:
+        OSError: the file cannot be written; its `filename` is `path`, not the hidden name.
+    """
+    direct = os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
+    target = Path(os.path.realpath(path)) if os.path.islink(path) and not direct else path
+    hidden = target if direct else _hidden(target)
     try:
-        yield temporary
-        os.replace(temporary, path)
+        if not direct:
+            _remove_leftovers(target, siblings)
+        yield hidden
+        if not direct:
+            _sync(hidden)
+            _rename(hidden, target)
+    except OSError as error:
+        if error.errno is not None and (error.filename is None or str(error.filename).startswith(str(hidden))):
+            error.filename, error.filename2 = str(path), None
+        raise
     finally:
-        temporary.unlink(missing_ok=True)
+        if not direct:
+            _remove(hidden)
+
+
+def file_fault(error: OSError, place: str = "path") -> str:
+    """Return why a file cannot be read or written, and how to mend it; `place` says what else may be chosen.
+
+    Example:
+        >>> file_fault(OSError(28, "No space left on device"), "--out"), file_fault(OSError("the encoder failed"))
+        ('No space left on device; free some space or choose another --out', 'the encoder failed; choose another path')
+    """
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"{os.strerror(error.errno)}; free some space or choose another {place}"
+    return f"{error.strerror or error}; choose another {place}"
+
+
+def _hidden(target: Path) -> Path:
+    return target.with_name(f".{_place() or _UNKNOWN}-{os.getpid()}-{os.urandom(4).hex()}.{_end_of_name(target)}")
+
+
+def _end_of_name(target: Path) -> str:
+    return os.fsdecode(os.fsencode(target.name)[-_NAME_BYTES:])
+
+
+def _place() -> str | None:
+    """Return a digest of where numbers of processes mean those of this process; None if that is unknown."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_bytes()
+        return digest(boot, os.readlink("/proc/self/ns/pid").encode())[:8]
+    except OSError:  # not on Linux
+        return None
+
+
+def _remove_leftovers(target: Path, siblings: str) -> None:
+    end, here = _end_of_name(target), _place()
+    with suppress(OSError), os.scandir(target.parent) as entries:
+        for entry in entries:
+            match = _HIDDEN.fullmatch(entry.name)
+            if match is None or (match["end"] != end and not fnmatchcase(match["end"], siblings)):
+                continue
+            with suppress(OSError):  # another writer removes it, too
+                dead = match["place"] == here and not _process_exists(int(match["process"]))
+                if dead or time.time() - entry.stat(follow_symlinks=False).st_mtime > _IDLE:
+                    _remove(Path(entry.path))
+
+
+def _process_exists(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or a folder with all that is in it, is on the disk."""
+    inner = path.rglob("*") if path.is_dir() else ()
+    for each in (*inner, path):
+        _sync_entry(each)
+
+
+def _sync_entry(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in _WITHOUT_SYNC:
+            raise
+    finally:
+        os.close(handle)
+
+
+def _rename(hidden: Path, target: Path) -> None:
+    if hidden.is_dir() and target.is_dir():
+        aside = _hidden(target)
+        os.replace(target, aside)
+        try:
+            os.replace(hidden, target)
+        except OSError:
+            os.replace(aside, target)
+            raise
+        _remove(aside)
+    else:
+        os.replace(hidden, target)
+    with suppress(OSError):
+        _sync_entry(target.parent)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+        return
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
 
 
 def digest(*parts: bytes) -> str:

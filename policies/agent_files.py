@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import load, save
 
-from grasp_env._files import WEIGHTS, as_path, digest, parsed, unpacked
+from grasp_env._files import WEIGHTS, as_path, digest, file_fault, parsed, replacing, unpacked
 from grasp_env.env.observation import action_size, bounds
 from grasp_env.errors import ModelFileError
 from policies.checkpoint import described, signature
@@ -32,7 +32,7 @@ _AGAIN = "copy the whole folder again, or train anew with `grasp rl`"
 
 
 def write_checkpoint(parent: Path, steps: int, meta: dict[str, Any], tensors: Parts, arrays: Parts) -> Path:
-    """Write `<parent>/step-<steps>` atomically, by renaming a hidden folder; then remove the older checkpoints.
+    """Write `<parent>/step-<steps>` whole or not at all; then remove the older checkpoints.
 
     Args:
         parent: folder of the checkpoints.
@@ -45,31 +45,22 @@ def write_checkpoint(parent: Path, steps: int, meta: dict[str, Any], tensors: Pa
         ModelFileError: the disk is full or the folder cannot be written; the older checkpoints are kept.
     """
     folder = parent / f"{STEM}{steps:09d}"
-    hidden = parent / f".{folder.name}.{os.getpid()}.tmp"
+    blobs = {f"{stem}.safetensors": lambda values=values: save(values) for stem, values in tensors.items()}
+    blobs |= {f"{stem}.npz": lambda values=values: _npz(values) for stem, values in arrays.items()}
+    hashes = {}
     try:
-        hidden.mkdir(parents=True)
-        hashes = {}
-        blobs = {f"{stem}.safetensors": lambda values=values: save(values) for stem, values in tensors.items()}
-        blobs |= {f"{stem}.npz": lambda values=values: _npz(values) for stem, values in arrays.items()}
-        for name, make in blobs.items():
-            blob = make()
-            hashes[name] = digest(blob)
-            (hidden / name).write_bytes(blob)
-        body = {"schema": SCHEMA, "env_id": ENV_ID, **meta, "steps": steps, "files": hashes}
-        text = json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False)
-        (hidden / META).write_text(text + "\n", encoding="utf-8")
-        if folder.exists():  # the same steps again: the newer files are kept
-            os.replace(folder, hidden.with_suffix(".old"))
-        os.replace(hidden, folder)
+        parent.mkdir(parents=True, exist_ok=True)
+        with replacing(folder, f"{STEM}*") as hidden:  # the same steps again: the newer files are kept
+            hidden.mkdir()
+            for name, make in blobs.items():
+                blob = make()
+                hashes[name] = digest(blob)
+                (hidden / name).write_bytes(blob)
+            body = {"schema": SCHEMA, "env_id": ENV_ID, **meta, "steps": steps, "files": hashes}
+            text = json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False)
+            (hidden / META).write_text(text + "\n", encoding="utf-8")
     except OSError as error:
-        if hidden.with_suffix(".old").exists() and not folder.exists():
-            os.replace(hidden.with_suffix(".old"), folder)
-        raise ModelFileError(
-            f"cannot write {folder}: {error.strerror}; free some space or choose another --out"
-        ) from None
-    finally:
-        for rest in parent.glob(f".*.{os.getpid()}.*"):
-            shutil.rmtree(rest, ignore_errors=True)
+        raise ModelFileError(f"cannot write {folder}: {file_fault(error, '--out')}") from None
     for older in checkpoints(parent)[:-1]:
         shutil.rmtree(older, ignore_errors=True)
     return folder

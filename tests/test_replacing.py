@@ -1,0 +1,228 @@
+"""Files are written whole or not at all: interrupts, full disks, other writers, leftovers."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import start
+
+from grasp_env import _files
+from grasp_env._files import replacing
+
+WRITER = """
+import sys
+from pathlib import Path
+from grasp_env._files import replacing
+path, letter, times = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+for _ in range(times):
+    with replacing(path) as hidden, hidden.open("w") as file:
+        for _ in range(100):
+            file.write(letter * 1000)
+            file.flush()
+"""
+SLEEPER = """
+import os, sys, time
+from pathlib import Path
+from grasp_env._files import replacing
+with replacing(Path(sys.argv[1])) as hidden:
+    hidden.write_text("half")
+    print(hidden, flush=True)
+    time.sleep(600)
+"""
+
+
+def write(path: Path, text: str) -> None:
+    with replacing(path) as hidden:
+        assert hidden.name.endswith(path.suffix)
+        hidden.write_text(text)
+
+
+def hidden_names(folder: Path) -> list[str]:
+    return sorted(name for name in os.listdir(folder) if name.startswith("."))
+
+
+def test_readers_find_whole_files_while_threads_and_processes_write(tmp_path: Path) -> None:
+    path, found, failed = tmp_path / "shared.txt", set[str](), list[BaseException]()
+    write(path, "z" * 100_000)
+
+    def repeat(letter: str) -> None:
+        try:
+            for _ in range(200):
+                write(path, letter * 100_000)
+        except BaseException as error:
+            failed.append(error)
+
+    threads = [threading.Thread(target=repeat, args=(letter,)) for letter in "ab"]
+    with (
+        start([sys.executable, "-c", WRITER, str(path), "c", "200"]) as first,
+        start([sys.executable, "-c", WRITER, str(path), "d", "200"]) as second,
+    ):
+        for thread in threads:
+            thread.start()
+        while any(thread.is_alive() for thread in threads) or first.poll() is None or second.poll() is None:
+            text = path.read_text()
+            assert len(text) == 100_000
+            assert len(set(text)) == 1
+            found.add(text[0])
+        assert (first.returncode, second.returncode) == (0, 0)
+    assert failed == []
+    assert len(found) >= 3
+    assert os.listdir(tmp_path) == ["shared.txt"]
+
+
+@pytest.mark.parametrize("suffix", [".json", ".npz", ".mp4"])
+def test_what_a_killed_process_left_is_removed_by_the_next_writer(tmp_path: Path, suffix: str) -> None:
+    path, other = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+    write(path, "old")
+    with start([sys.executable, "-c", SLEEPER, str(path)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        left = Path(process.stdout.readline().strip())
+        write(path, "meanwhile")
+        assert left.read_text() == "half"  # its process still writes
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert path.read_text() == "meanwhile"
+        write(other, "other")
+        assert left.exists()
+        write(path, "new")
+    assert not left.exists()
+    assert path.read_text() == "new"
+    assert hidden_names(tmp_path) == []
+
+
+def test_only_leftovers_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Day-old ones of any process; younger ones of a process that is gone, which only counts under the same boot and namespace."""
+    path = tmp_path / "run.json"
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    here, day = _files._place(), 90_000.0
+    assert here is not None
+    table = [
+        (f".{here}-{gone.pid}-0123abcd.run.json", 0.0, False),
+        (f".{here}-{os.getpid()}-0123abcd.run.json", 0.0, True),
+        (f".{here}-1-0123abcd.run.json", 0.0, True),
+        (f".{here}-{os.getpid()}-0123abce.run.json", day, False),
+        (f".89abcdef-{gone.pid}-0123abcd.run.json", 0.0, True),
+        (f".89abcdef-{gone.pid}-0123abce.run.json", day, False),
+        (f".00000000-{gone.pid}-0123abcd.run.json", 0.0, True),
+        (f".{here}-{gone.pid}-0123abcd.other.json", day, True),
+        (f".{here}-{gone.pid}-0123abcd.more.run.json", day, True),
+        (f".{here}-{gone.pid}-0123abcX.run.json", day, True),
+        (f".{here}-9999999999-0123abcd.run.json", 0.0, True),  # no number of a process
+        (f".{gone.pid}.run.json", day, True),
+        (".run.json", day, True),
+        ("run.json.bak", day, True),
+    ]  # fmt: skip
+    for name, age, _ in table:
+        (tmp_path / name).write_text("half")
+        os.utime(tmp_path / name, (time.time() - age,) * 2)
+    write(path, "new")
+    assert sorted(os.listdir(tmp_path)) == sorted(["run.json", *(name for name, _, kept in table if kept)])
+    (tmp_path / f".{here}-{gone.pid}-0123abcd.other.json").unlink()
+    left = tmp_path / f".00000000-{gone.pid}-0123abcd.run.json"
+    monkeypatch.setattr(_files, "_place", lambda: None)  # where process numbers tell nothing
+    write(path, "newer")
+    assert left.exists()
+
+
+def test_leftover_folders_of_siblings_are_removed(tmp_path: Path) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    for name in ("step-1", "other"):
+        folder = tmp_path / f".{_files._place()}-{gone.pid}-0123abcd.{name}"
+        folder.mkdir()
+        (folder / "part").write_text("half")
+    for text in ("old", "new"):
+        with replacing(tmp_path / "step-2", "step-*") as hidden:
+            hidden.mkdir()
+            (hidden / "deep").mkdir()
+            (hidden / "deep/file").write_text(text)
+    assert (tmp_path / "step-2/deep/file").read_text() == "new"
+    assert [name.rpartition(".")[2] for name in hidden_names(tmp_path)] == ["other"]
+
+
+def test_a_block_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
+    path, folder = tmp_path / "a.json", tmp_path / "folder"
+    write(path, "old")
+    folder.mkdir()
+    (folder / "file").write_text("old")
+    for target in (path, folder):
+        for error in (ValueError("no"), KeyboardInterrupt()):
+            with pytest.raises(type(error)), replacing(target) as hidden:  # noqa: PT012
+                hidden.write_text("half")
+                raise error
+    with pytest.raises(OSError, match=f"directory: '{re.escape(str(folder))}'"):
+        write(folder, "a file in place of a folder")
+    assert (path.read_text(), (folder / "file").read_text()) == ("old", "old")
+    assert hidden_names(tmp_path) == []
+
+
+def test_content_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, done = tmp_path / "a.json", list[tuple[str, str]]()
+    sync, replace = os.fsync, os.replace
+
+    def synced(handle: int) -> None:
+        done.append(("sync", os.readlink(f"/proc/self/fd/{handle}")))
+        sync(handle)
+
+    def replaced(source: Any, target: Any) -> None:
+        done.append(("rename", str(target)))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", replaced)
+    with replacing(path) as hidden:
+        hidden.write_text("new")
+    assert done == [("sync", str(hidden)), ("rename", str(path)), ("sync", str(tmp_path))]
+
+    def refuses(handle: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", refuses)
+    number = errno.EINVAL  # a file system that cannot wait
+    write(path, "newer")
+    number = errno.ENOSPC  # one that reports a full disk late
+    with pytest.raises(OSError, match=f"No space left on device: '{re.escape(str(path))}'"):
+        write(path, "newest")
+    assert path.read_text() == "newer"
+    assert os.listdir(tmp_path) == ["a.json"]
+
+
+def test_long_names_keep_their_suffix(tmp_path: Path) -> None:
+    for name in ("n" * 250 + ".npz", "\u00fc" * 120 + ".npz"):
+        write(tmp_path / name, "whole")
+        assert (tmp_path / name).read_text() == "whole"
+        (tmp_path / name).unlink()
+    assert os.listdir(tmp_path) == []
+    with pytest.raises(OSError, match=r"File name too long: '.*/nnn"):
+        write(tmp_path / ("n" * 256), "whole")
+
+
+def test_links_stay_and_pipes_are_written_to(tmp_path: Path) -> None:
+    """A device, such as /dev/stdout, must not become a file: root could do that."""
+    (tmp_path / "deep").mkdir()
+    link, target = tmp_path / "link.json", tmp_path / "deep/target.json"
+    link.symlink_to("deep/target.json")
+    for text in ("new", "newer"):
+        write(link, text)
+        assert link.is_symlink()
+        assert target.read_text() == text
+    pipe, got = tmp_path / "pipe", list[str]()
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: got.append(pipe.read_text()))
+    reader.start()
+    write(pipe, "through")
+    reader.join(10.0)
+    assert got == ["through"]
+    assert pipe.is_fifo()
+    assert hidden_names(tmp_path) == hidden_names(tmp_path / "deep") == []
