@@ -11,7 +11,7 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_array, flag, number, positive, whole
-from grasp_env._files import as_path
+from grasp_env._files import as_path, file_fault
 from grasp_env.errors import InfeasibleStartError, ModelFileError
 from grasp_env.force import Objective
 from grasp_env.force.basis import start_of, starter
@@ -141,7 +141,7 @@ class LearnedInitialForce:
         try:
             replace(file, self._model(as_grasp(grasp))[0].save())
         except OSError as error:
-            raise ModelFileError(f"model file {file}: {error.strerror or error}") from None
+            raise ModelFileError(f"cannot write model file {file}: {file_fault(error)}") from None
         return file
 
     def __repr__(self) -> str:

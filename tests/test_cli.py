@@ -83,7 +83,8 @@ def test_errors_have_exit_codes_suggestions_and_json(words, tmp_path, monkeypatc
 
 def test_faults_and_interrupts_have_their_own_codes(monkeypatch, capsys):
     for code, error, message in (
-        (1, ZeroDivisionError("by 0"), "Traceback"), (130, KeyboardInterrupt(), "interrupted"), (2, OSError(28, "disk full", "x"), "x: disk full"),
+        (1, ZeroDivisionError("by 0"), "Traceback"), (130, KeyboardInterrupt(), "interrupted"), (2, OSError(28, "disk full", "x"), "grasp: x: No space left on device; free some space or choose another path"),
+        (2, OSError(5, "bad disk"), "grasp: bad disk; choose another path"),
     ):  # fmt: skip
 
         def fail(options, error=error):

@@ -18,6 +18,7 @@ from processes import start
 
 from grasp_env import _files
 from grasp_env._files import replacing
+from training.cli import main
 
 WRITER = """
 import sys
@@ -226,3 +227,77 @@ def test_links_stay_and_pipes_are_written_to(tmp_path: Path) -> None:
     assert got == ["through"]
     assert pipe.is_fifo()
     assert hidden_names(tmp_path) == hidden_names(tmp_path / "deep") == []
+
+
+LIMITED = """
+import resource, signal, sys
+from training.cli import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_write_that_the_system_cuts_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "my.json"
+    path.write_text("old")
+    words = [sys.executable, "-c", LIMITED, "solve", "--save-grasp", str(path)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert done.stderr == f"grasp: cannot write grasp file {path}: File too large; choose another path\n"
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["my.json"]
+
+
+@pytest.fixture
+def full(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that is full when files are written by `Path`; the error of a write has no file name."""
+
+    for name, write in (("write_bytes", Path.write_bytes), ("write_text", Path.write_text)):
+
+        def fails(path: Path, *given: Any, write: Any = write, **options: Any) -> int:
+            if not path.name.startswith("."):  # scratch files are on another disk
+                return write(path, *given, **options)
+            with path.open("wb") as file:
+                file.write(b"half")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        monkeypatch.setattr(Path, name, fails)
+
+
+@pytest.mark.usefixtures("full")
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ("solve --save-grasp my.json", "my.json"),
+        ("hand four_finger --draw hand.png", "hand.png"),
+        ("demo --seconds 0.1 --video hand.png", "hand.png"),
+        ("demo --seconds 0.1 --video hand.gif", "hand.gif"),
+    ],
+)
+def test_commands_say_that_the_disk_is_full_and_how_to_mend_it(
+    words: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words.split()) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("grasp: ")]
+    assert re.fullmatch(
+        rf"grasp: (cannot write grasp file )?{name}: No space left on device; .*choose another path", line
+    )
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("words", ["solve", "solve --json", "--help", "solve --wrench 1 2 --json"])
+def test_a_full_disk_below_the_output_is_no_fault_of_the_program(words: str) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "training", *words.split()],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+        )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+    assert ("No space left on device; free some space" in done.stderr) == ("1 2" not in words)

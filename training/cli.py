@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _parse(words).execute()
         sys.stdout.flush()
     except BrokenPipeError:  # the reader closed the pipe
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
     except (Exception, KeyboardInterrupt) as error:
         return _fail(error, "--json" in words)
     return 0
@@ -161,9 +161,9 @@ def _fail(error: BaseException, as_json: bool) -> int:
     elif isinstance(error, KeyboardInterrupt):
         code, message = 130, "interrupted"
     elif isinstance(error, OSError):  # for any file: a full disk, no permission, a name that is too long
-        from grasp_env._files import shown_path
+        from grasp_env._files import file_fault, shown_path
 
-        message = f"{shown_path(error.filename)}: {error.strerror or error}; choose another path"
+        message = ("" if error.filename is None else f"{shown_path(error.filename)}: ") + file_fault(error)
     else:
         from traceback import format_exc
 
@@ -176,5 +176,14 @@ def _fail(error: BaseException, as_json: bool) -> int:
         if isinstance(error, UnknownNameError):
             described["allowed"] = list(error.allowed)
         # some commands attach numbers to their error
-        write_json({"error": described} | getattr(error, "numbers", {}))
+        try:
+            write_json({"error": described} | getattr(error, "numbers", {}))
+            sys.stdout.flush()
+        except OSError:  # a full disk, or the reader closed the pipe
+            _drop_output()
     return code
+
+
+def _drop_output() -> None:
+    """Drop what is printed, also at the end of the process."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -282,6 +282,14 @@ def test_a_long_recording_ends_and_is_saved(bare, tmp_path, monkeypatch, capsys)
     assert recorded(tmp_path / "long.html")["messages"]
 
 
+def test_a_recording_that_cannot_be_saved_does_not_end_the_page(bare, tmp_path):
+    bare._button, bare._note = SimpleNamespace(label=""), SimpleNamespace(content="")
+    bare._record(tmp_path / "gone" / "live.html")
+    bare._press()
+    assert bare._button.label == "Record"
+    assert bare._note.content.startswith("not saved: live.html: No such file or directory; choose another folder")
+
+
 def pushes(hand: SimulatedHand) -> np.ndarray:
     """Commanded forces (N, 3) on the object [N], world frame."""
     return np.einsum("nij,nj->ni", hand.stage.scene.look().rotation @ hand.loop.frames, hand.loop.force)

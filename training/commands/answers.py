@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import sys
@@ -43,5 +44,7 @@ def save_picture(pixels: Any, path: Path) -> None:
     """Write pixels (height, width, 3) as a .png file."""
     from PIL import Image
 
+    made = io.BytesIO()  # writing to a file, the encoder would not tell why it failed
+    Image.fromarray(pixels).save(made, format="PNG")
     with replacing(path) as temporary:
-        Image.fromarray(pixels).save(temporary, format="PNG")
+        temporary.write_bytes(made.getbuffer())

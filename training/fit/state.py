@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 from torch import nn
 
-from grasp_env._files import digest, replacing
+from grasp_env._files import digest, file_fault, replacing
 from grasp_env.errors import InvalidInputError, ModelFileError
 from training.results import Run
 
@@ -93,7 +93,7 @@ class StateFile:
                 temporary.write_bytes(save(tensors, {"training": json.dumps(meta)}))
         except OSError as error:
             raise InvalidInputError(
-                f"cannot write {self.path} ({error.strerror}): the last state is still whole"
+                f"cannot write {self.path}, the last state is still whole: {file_fault(error, '--out')}"
             ) from None
 
     def restore(self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator) -> Progress:

@@ -18,7 +18,7 @@ import numpy as np
 from viser.infra import StateSerializer
 
 from grasp_env._check import Array
-from grasp_env._files import replacing
+from grasp_env._files import file_fault, replacing
 from training.live.answer import Mood
 from training.live.look import BAD, COLORS, Color
 from training.live.server import LocalServer
@@ -136,8 +136,12 @@ class Window:
             number = next(k for k in range(1, 10_000) if not Path(f"grasp-live-{k}.html").exists())
             self._record(Path(f"grasp-live-{number}.html").absolute())
         else:
-            self._save()
-            self._button.label, self._note.content = "Record", f"saved: {self._path.name}"
+            try:
+                self._save()
+                note = f"saved: {self._path.name}"
+            except OSError as error:  # the page goes on
+                note = f"not saved: {self._path.name}: {file_fault(error, 'folder to start in')}"
+            self._button.label, self._note.content = "Record", note
 
     def _record(self, path: Path) -> None:
         self._recording, self._path = self.server.get_scene_serializer(), path

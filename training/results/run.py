@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from grasp_env._check import AllFaults, whole
-from grasp_env._files import read_json, replacing
+from grasp_env._files import file_fault, read_json, replacing
 from grasp_env.errors import GraspError, InvalidInputError
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Run:
             probe.write_bytes(b"")
             probe.unlink()
         except OSError as error:
-            raise InvalidInputError(f"cannot write to {folder} ({error.strerror}): choose another --out") from None
+            raise InvalidInputError(f"cannot write to {folder}: {file_fault(error, '--out')}") from None
         return cls(folder)
 
     @classmethod

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from grasp_env import core
 from grasp_env._check import Array, Indices, as_array, whole
-from grasp_env._files import as_path, replacing
+from grasp_env._files import as_path, file_fault, replacing
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import rotation_matrix
@@ -180,7 +180,7 @@ class HandKinematics:
             with replacing(file) as temporary:
                 temporary.write_bytes(self.tree.save())
         except OSError as error:
-            raise InvalidInputError(f"hand file {file}: {error.strerror or error}") from None
+            raise InvalidInputError(f"cannot write hand file {file}: {file_fault(error)}") from None
         return file
 
     def mass_matrix(self, angles: ArrayLike) -> Array:
