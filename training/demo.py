@@ -7,6 +7,10 @@ grasp demo --video training/assets/hand.png --task move --motion rotate --distur
 
 from __future__ import annotations
 
+import errno
+import io
+import os
+import shutil
 from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -30,6 +34,8 @@ from policies import Policy
 from training.data.episodes import episode
 from training.results.bars import progress
 
+FULL = 1_000_000
+"""Free space below which a disk counts as full [bytes]."""
 SUFFIXES = (".png", ".mp4", ".gif", ".webp")
 FRAME_RATE = 25
 
@@ -127,17 +133,48 @@ def _frames(
 def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
     first = next(frames)
     if path.suffix == ".mp4":
-        import imageio_ffmpeg  # H.264 stores colours in blocks of two pixels
-
-        size = first.shape[1], first.shape[0]
-        with closing(imageio_ffmpeg.write_frames(path, size, fps=FRAME_RATE, quality=8, macro_block_size=2)) as writer:
-            writer.send(None)
-            for frame in chain([first], frames):
-                writer.send(frame)
+        _write_film(path, first, frames)
         return
     rest: Any = map(Image.fromarray, frames)
     options: dict[str, Any] = {"append_images": rest, "save_all": True, "duration": 1000 // FRAME_RATE, "loop": 0}
     if path.suffix == ".webp":
         options |= {"append_images": list(rest), "quality": 65, "method": 4}
-    with path.open("wb") as file:
-        Image.fromarray(first).save(file, path.suffix[1:], **({} if path.suffix == ".png" else options))
+    made = io.BytesIO()  # writing to a file, an encoder would not tell why it failed
+    Image.fromarray(first).save(made, path.suffix[1:], **({} if path.suffix == ".png" else options))
+    path.write_bytes(made.getbuffer())
+
+
+def _write_film(path: Path, first: np.ndarray, frames: Iterator[np.ndarray]) -> None:
+    """Write an .mp4; raise an OSError if ffmpeg, whose end imageio does not report, has not finished it."""
+    import imageio_ffmpeg  # H.264 stores colours in blocks of two pixels
+
+    size, ended = (first.shape[1], first.shape[0]), False
+    with closing(imageio_ffmpeg.write_frames(path, size, fps=FRAME_RATE, quality=8, macro_block_size=2)) as writer:
+        writer.send(None)
+        for frame in chain([first], frames):
+            try:
+                writer.send(frame)
+            except OSError:
+                ended = True
+                break
+    if ended or not _is_whole(path):
+        if shutil.disk_usage(path.parent).free < FULL:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        raise OSError(errno.EIO, "ffmpeg did not finish the film, for a reason that it printed", str(path))
+
+
+def _is_whole(path: Path) -> bool:
+    """Return True if the boxes of an .mp4 fill the file, the index among them, which ffmpeg writes last."""
+    names, place, size = set[bytes](), 0, os.path.getsize(path) if path.exists() else 0
+    while place < size:
+        with path.open("rb") as file:
+            file.seek(place)
+            head = file.read(16)
+        length, name = int.from_bytes(head[:4], "big"), head[4:8]
+        if length == 1:  # the length of a large box follows its name
+            length = int.from_bytes(head[8:], "big")
+        if length < 8:
+            return False
+        names.add(name)
+        place += length
+    return place == size and b"moov" in names

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import io
 import re
+import shutil
 import subprocess
+from collections.abc import Generator
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
@@ -16,7 +20,7 @@ from rich.console import Console
 
 from grasp_env.errors import InvalidInputError
 from training.cli import main
-from training.demo import record
+from training.demo import _is_whole, record
 from training.results.bars import progress
 
 ENV = "test_demo/Squares-v0"
@@ -75,6 +79,42 @@ def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp
     steps = [10] if suffix == ".png" else [1, 3, 5, 7, 9, 10]
     # H.264 loses a little
     np.testing.assert_allclose([np.mean(frame) for frame in frames], 10.0 * np.array(steps) + 20.0, atol=3.0)
+
+
+def test_a_film_that_ffmpeg_does_not_finish_leaves_an_older_one(tmp_path, monkeypatch):
+    """On a full disk ffmpeg writes no index, and imageio says nothing."""
+    out, whole = tmp_path / "out.mp4", tmp_path / "whole.mp4"
+    record(whole, seconds=0.2, env_id=ENV)
+    blob = whole.read_bytes()
+    cut = tmp_path / "cut.mp4"
+    for size in range(len(blob)):
+        cut.write_bytes(blob[:size])
+        assert not _is_whole(cut)
+    assert _is_whole(whole)
+    assert not _is_whole(tmp_path / "missing.mp4")
+
+    def ends(path: Path, *_: Any, **__: Any) -> Generator[None, np.ndarray, None]:
+        yield
+        path.write_bytes(blob[: len(blob) // 2])
+        while True:
+            yield
+
+    def breaks(path: Path, *_: Any, **__: Any) -> Generator[None, np.ndarray, None]:
+        yield
+        raise OSError("[Errno 32] Broken pipe FFMPEG COMMAND ...")
+
+    for written in (ends, breaks):
+        monkeypatch.setattr(imageio_ffmpeg, "write_frames", written)
+        for free, message in (
+            (0, "No space left on device: "),
+            (10**9, "ffmpeg did not finish the film, for a reason .*: "),
+        ):
+            monkeypatch.setattr(shutil, "disk_usage", lambda path, free=free: SimpleNamespace(free=free))
+            out.write_text("older")
+            with pytest.raises(OSError, match=f"{message}'{re.escape(str(out))}'"):
+                record(out, seconds=0.2, env_id=ENV)
+            assert out.read_text() == "older"
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
 def test_a_film_shows_the_settings_and_the_outcome(tmp_path, capsys):
