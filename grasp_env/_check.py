@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sized
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
 
@@ -228,6 +228,8 @@ def warn(message: str) -> None:
 
 def _converted(value: Any, shape: Shape | None, name: str) -> Array:
     """Return a new float64 array of anything that numpy reads as real numbers."""
+    if isinstance(value, Sized) and not isinstance(value, np.ndarray):
+        _check_shape((len(value),), None, name)  # before numpy reads a range of billions
     try:
         with np.errstate(all="ignore"):
             given: Any = np.asarray(value)

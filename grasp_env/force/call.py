@@ -70,10 +70,12 @@ def _mask(contacts: Any, count: int) -> Any:
         given = np.asarray(contacts)
     except Exception as error:  # numpy's own: rows of different lengths, arrays that refuse
         raise InvalidInputError(told) from error
-    mask = given.astype(bool) if given.dtype.kind in "biuf" else np.zeros(0, dtype=bool)
-    if mask.shape != (count,) or count > 64 or (mask != given).any():
+    if given.shape != (count,) or given.dtype.kind not in "biuf" or count > 64:
         raise InvalidInputError(told)
-    return np.ascontiguousarray(mask)
+    mask = np.ascontiguousarray(given.astype(bool))
+    if (mask != given).any():
+        raise InvalidInputError(told)
+    return mask
 
 
 def touching_grasp(grasp: Grasp, call: Call) -> Grasp:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._files import MEGABYTE, as_path, read_json, replacing
+from grasp_env._files import MEGABYTE, as_path, file_fault, read_json, replacing
 from grasp_env.errors import GraspError, GraspFileError, shown
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
@@ -53,7 +53,7 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
         with replacing(file) as temporary:
             temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
     except OSError as error:
-        raise GraspFileError(f"cannot write grasp file {file}: {error.strerror}; choose another path") from error
+        raise GraspFileError(f"cannot write grasp file {file}: {file_fault(error)}") from error
     return file
 
 
