@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Sized
+from collections.abc import Callable, Iterable
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
 
@@ -228,8 +228,8 @@ def warn(message: str) -> None:
 
 def _converted(value: Any, shape: Shape | None, name: str) -> Array:
     """Return a new float64 array of anything that numpy reads as real numbers."""
-    if isinstance(value, Sized) and not isinstance(value, np.ndarray):
-        _check_shape((len(value),), None, name)  # before numpy reads a range of billions
+    if type(value) is range:  # may be of any length
+        _check_shape((len(value),), None, name)
     try:
         with np.errstate(all="ignore"):
             given: Any = np.asarray(value)

@@ -50,7 +50,7 @@ def checked_call(
         return checked
 
     with AllFaults() as check:
-        touch = check(_mask, contacts, n)
+        touch = None if contacts is None else check(_mask, contacts, n)
         return Call(
             check(array, positions, (n, 3), "positions", used=touch),
             check(array, normals, (n, 3), "normals", used=touch),
@@ -62,20 +62,18 @@ def checked_call(
 
 
 def _mask(contacts: Any, count: int) -> Any:
-    """Return (N,) bool of the contacts that touch, from true and false or from 1 and 0; None for None."""
-    if contacts is None:
-        return None
-    told = f"contacts must be ({count},) of true and false, of at most 64 contacts, got {shown(contacts)}"
+    """Return (N,) bool of the contacts that touch, from true and false or from 1 and 0."""
     try:
         given = np.asarray(contacts)
-    except Exception as error:  # numpy's own: rows of different lengths, arrays that refuse
-        raise InvalidInputError(told) from error
-    if given.shape != (count,) or given.dtype.kind not in "biuf" or count > 64:
-        raise InvalidInputError(told)
-    mask = np.ascontiguousarray(given.astype(bool))
-    if (mask != given).any():
-        raise InvalidInputError(told)
-    return mask
+    except Exception:  # numpy's own: rows of different lengths, arrays that refuse
+        given = np.asarray(None)
+    if given.shape == (count,) and given.dtype.kind in "biuf" and count <= 64:
+        mask = np.ascontiguousarray(given, dtype=bool)
+        if given.dtype.kind == "b" or (mask == given).all():
+            return mask
+    raise InvalidInputError(
+        f"contacts must be ({count},) of true and false, of at most 64 contacts, got {shown(contacts)}"
+    )
 
 
 def touching_grasp(grasp: Grasp, call: Call) -> Grasp:
