@@ -82,7 +82,8 @@ class GraspForces(NamedTuple):
         torsion: (..., N) moment about each normal [N m]; 0 where a contact is not soft.
         multipliers: (..., 6) Lagrange multipliers nu of the balance G f + w = 0: grad Phi = G^T nu, and d (min Phi) / d wrench = -nu.
         status: (...) int64: 0 optimal, 1 iteration limit, 2 stalled (balanced, but the gap is above the tolerance), 3 infeasible,
-            4 invalid inputs, 5 limits exceeded, 6 rank of the grasp matrix below 6, 7 undecided.
+            4 invalid inputs, 5 limits exceeded, 6 rank of the grasp matrix below 6 and neither a force nor a proof found (on a GPU:
+            every rank below 6), 7 undecided.
         gap: (...) certified relative distance of Phi to its minimum; inf without an optimum.
         residual: (...) largest component of G f + w, with moments divided by the contacts' spread [N].
         iterations: (...) int64, accepted Newton steps.
