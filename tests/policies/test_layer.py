@@ -20,7 +20,7 @@ from grasp_env.errors import (
     UnknownNameError,
     UnsupportedProblemError,
 )
-from grasp_env.force import ForceLimits, optimize_force, optimize_forces
+from grasp_env.force import ForceLimits, ForceOptimizer, optimize_force, optimize_forces
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.wrench import sample_ball
 from policies import GraspForceLayer, GraspForces, grasp_force, layer
@@ -384,3 +384,41 @@ def test_a_small_barrier_weight_approaches_the_exact_problem() -> None:
         off = np.abs(wrench.grad.numpy() - slopes).max(1) / np.abs(slopes).max(1)
         np.testing.assert_allclose((np.median(off), np.percentile(off, 99)), errors, rtol=0.03)
     np.testing.assert_allclose(excess, (0.15, 0.0145, 0.00145), rtol=0.02)
+
+
+def test_two_contacts_have_forces_and_gradients_within_their_reach() -> None:
+    """The forces are those of `ForceOptimizer`; slopes along every change that keeps the wrench within reach."""
+    pinch = Grasp.from_contacts(
+        [[0, 0.03, 0.01], [0.002, -0.03, 0]], [[0, -1, 0.1], [0, 1, 0]] / np.array([[1.005], [1]]), 0.8
+    )
+    rng = np.random.default_rng(0)
+    pushes = np.abs(rng.standard_normal((4, 2, 1))) + 0.5 + rng.uniform(-0.3, 0.3, (4, 2, 3)) * [0, 1, 1]
+    loads = np.array([-pinch.wrench(np.column_stack([each[:, :1] * [[1.0]], each[:, 1:] * 0.3])) for each in pushes])
+    given = {
+        "positions": torch.tensor(pinch.positions), "normals": torch.tensor(pinch.normals), "friction": torch.tensor([0.8, 0.7]),
+        "wrench": torch.tensor(loads), "force_weight": torch.tensor([1.0, 1.3]), "barrier_weight": torch.tensor([0.01, 0.02]),
+    }  # fmt: skip
+    given = {name: a.double().requires_grad_(name not in ("positions", "normals")) for name, a in given.items()}
+    found = grasp_force(**given)
+    assert found.status.tolist() == [0] * 4
+    assert found.feasible.all()
+    other = Grasp.from_contacts(pinch.positions, pinch.normals, [0.8, 0.7])
+    weights = {"force_weight": [1.0, 1.3], "barrier_weight": [0.01, 0.02]}
+    for load, force in zip(loads, found.force.detach().numpy(), strict=True):
+        expected = ForceOptimizer(other, tolerance=1e-9, **weights).solve(load)
+        np.testing.assert_allclose(force, expected.object_force, rtol=1e-5, atol=1e-6)
+    along = torch.tensor(rng.standard_normal((4, 2, 3)))
+    (found.force * along).sum().backward()
+    for name, a in given.items():
+        if a.grad is None:
+            continue
+        move = rng.standard_normal(a.shape)
+        if name == "wrench":
+            move = np.array([pinch.within_reach(each) for each in move])
+        step = 1e-6 * torch.tensor(move)
+        with torch.no_grad():
+            up, down = (grasp_force(**{**given, name: a + sign * step}).force for sign in (1.0, -1.0))
+        slope = ((up - down) * along).sum().item() / 2e-6
+        assert slope == pytest.approx((a.grad * torch.tensor(move)).sum().item(), rel=1e-5, abs=1e-6), name
+    out = grasp_force(**{**given, "wrench": given["wrench"].detach() + torch.tensor([0, 0, 0, 0, 0.01, 0])})
+    assert out.status.tolist() == [3] * 4
