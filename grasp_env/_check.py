@@ -10,6 +10,7 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
 
@@ -228,6 +229,12 @@ def warn(message: str) -> None:
 
 def _converted(value: Any, shape: Shape | None, name: str) -> Array:
     """Return a new float64 array of anything that numpy reads as real numbers."""
+    if type(value) is list:  # most are of floats
+        with suppress(Exception):
+            listed = np.asarray(value)
+            if listed.dtype is _FLOAT:
+                _check_shape(listed.shape, shape, name)
+                return listed
     if type(value) is range:  # may be of any length
         _check_shape((len(value),), None, name)
     try:
