@@ -282,6 +282,13 @@ def fail(x):
 
 def sleep(x):
     time.sleep(60.0)
+
+def fill(x):
+    bytearray(200_000_000)
+    return {}
+
+def names():
+    return {"names": np.array([*os.environ])}
 """
 
 
@@ -300,6 +307,18 @@ def test_work_apart_returns_crashes_raises_and_ends(
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert apart("tasks:fine", "cutting", 60.0, x=np.arange(3.0))["twice"].tolist() == [0, 2, 4]
     assert "\rcutting, " in capsys.readouterr().err
+
+
+def test_work_apart_has_its_own_memory_and_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tasks.py").write_text(TASKS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("GRASP_SECRET", "secret")
+    assert apart("tasks:fill", "work", 60.0, memory=300_000_000, x=np.arange(3.0)) == {}
+    with pytest.raises(ChildProcessError, match="MemoryError"):
+        apart("tasks:fill", "work", 60.0, memory=100_000_000, x=np.arange(3.0))
+    needed = {"PYTHONPATH", "LC_CTYPE", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONHOME"}  # Python sets LC_CTYPE
+    assert set(apart("tasks:names", "work", 60.0, variables={"OWN": "1"})["names"]) - needed == {"OWN"}
+    assert "GRASP_SECRET" in apart("tasks:names", "work", 60.0)["names"]
 
 
 def test_vhacd_cuts_what_coacd_crashes_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,21 +19,48 @@ import numpy as np
 from grasp_env._check import Array
 from grasp_env.sim.progress import ProgressLine
 
+_NEEDED = ("LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONHOME")  # variables without which some Pythons do not start
 
-def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Array]:
+
+def apart(
+    task: str,
+    text: str,
+    seconds: float,
+    *,
+    memory: int = 0,
+    variables: Mapping[str, str] | None = None,
+    **given: Array,
+) -> dict[str, Array]:
     """Run a function (module:function), which takes and returns arrays by name, in a process of its own; Ctrl-C ends both processes.
 
-    The text describes the task on the progress line.
+    Args:
+        task: The function.
+        text: Description of the task on the progress line.
+        seconds: Longest time [s].
+        memory: Largest memory that the function may take [bytes]; 0: any.
+        variables: The environment of the process, besides what Python needs to start; None: that of this process.
+        given: Arguments of the function.
 
     Raises:
         TimeoutError: It exceeded the time limit.
         ChildProcessError: It crashed or raised; the message is the end of its output.
     """
     paths = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
-    environment = {**os.environ, "PYTHONPATH": paths}
+    if variables is None:
+        variables = os.environ
+    started = {name: os.environ[name] for name in _NEEDED if name in os.environ}
+    environment = {**started, **variables, "PYTHONPATH": paths}
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder, "given.npz"), allow_pickle=False, **given)
-        command = [sys.executable, "-c", f"from {__name__} import work; work()", task, folder, str(seconds)]
+        command = [
+            sys.executable,
+            "-c",
+            f"from {__name__} import work; work()",
+            task,
+            folder,
+            str(seconds),
+            str(memory),
+        ]
         with open(Path(folder, "output"), "w+b") as output:
             # not in the user's folder, from which modules would be imported
             child = subprocess.Popen(
@@ -65,11 +94,26 @@ def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
 
 
 def work() -> None:
-    """Run the task in the child process; Ctrl-C and the time limit end it even within third-party code."""
+    """Run the task in the child process; Ctrl-C and the limits of time and memory end it even within third-party code."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     (module, _, function), folder = sys.argv[1].partition(":"), Path(sys.argv[2])
     if hasattr(signal, "alarm"):  # not on Windows
         signal.alarm(int(float(sys.argv[3])) + 1)
-    with np.load(folder / "given.npz", allow_pickle=False) as given:
-        arrays: dict[str, Any] = getattr(import_module(module), function)(**{name: given[name] for name in given.files})
+    run = getattr(import_module(module), function)
+    with np.load(folder / "given.npz", allow_pickle=False) as file:
+        given = {name: file[name] for name in file.files}
+    _limit_memory(int(sys.argv[4]))
+    arrays: dict[str, Any] = run(**given)
     np.savez(folder / "made.npz", allow_pickle=False, **arrays)
+
+
+def _limit_memory(more: int) -> None:
+    """Limit the memory of this process to what it has now and `more` [bytes]; 0: no limit."""
+    if more == 0:
+        return
+    with suppress(ImportError, ValueError, OSError):  # not on Windows and macOS
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        most = pages * resource.getpagesize() + more
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))

@@ -26,7 +26,7 @@ def load_model(path: Path) -> tuple[Any, bool]:
     where = f"cannot read the MuJoCo model {shown_path(path)}"
     task, text = f"{__name__}:compile_mjcf", f"compiling {path.name}"
     try:
-        made = apart(task, text, _SECONDS, path=np.array(str(path.absolute())))
+        made = apart(task, text, _SECONDS, memory=_MAX_MEMORY, path=np.array(str(path.absolute())))
     except (TimeoutError, ChildProcessError) as error:
         raise InvalidInputError(f"{where}: MuJoCo's compiler failed: {str(error).splitlines()[-1]}") from None
     if "error" in made:
@@ -37,12 +37,6 @@ def load_model(path: Path) -> tuple[Any, bool]:
 
 def compile_mjcf(path: Any) -> dict[str, Any]:
     """Return the binary "model", uint8, of a file and "degrees", True if its angles are; or the "error". `apart` runs this function."""
-    try:
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY, _MAX_MEMORY))
-    except (ImportError, ValueError, OSError):  # not on Windows
-        pass
     file = Path(str(path))
     first = ""
     for folder in list(file.parents)[: PARENTS + 1]:
