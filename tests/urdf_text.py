@@ -24,6 +24,16 @@ def small(finger: str, palm: str = "", more: str = "") -> str:
     )
 
 
+SPACE = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+SMALL_HAND = small(solid('<sphere radius="0.01"/>'))
+
+
+def xacro_hand(before: str = "", name: str = "own") -> str:
+    """Return a xacro file of a hand that is called `name`, with xacro elements before its links."""
+    text = SMALL_HAND.replace('<robot name="small">', f'<robot name="robot" {SPACE}>{before}')
+    return text.replace("</robot>", f'<xacro:attribute name="name" value="{name}"/></robot>')
+
+
 def link(name: str, size: float = 0.04, mass: float = 0.03, moment: float | None = None, place: str = "0 0 0") -> str:
     """Return a box of 2 cm by 2 cm, `size` [m] long along x, of `mass` [kg]; its inertia is the box's or `moment` [kg m^2] about each axis."""
     along, across = mass * 8e-4 / 12.0, mass * (size**2 + 4e-4) / 12.0

@@ -259,7 +259,7 @@ def test_xacro_files_find_packages_and_files(tmp_path: Path, monkeypatch: pytest
     # the address of the namespace may be another one
     (tmp_path / "finger.xacro").write_text(MACRO.replace(SPACE, "https://example.org/xacro"))
     text = CALLS.replace("$(find parts)/", "").replace(SPACE, "https://example.org/xacro")
-    assert read(tmp_path, text)[0].finger_names == ("left", "right")
+    assert read(tmp_path, text, xacro=True)[0].finger_names == ("left", "right")
     with pytest.raises(InvalidInputError, match="only defines macros, it has no <link>; give the file that calls them"):
         HandDescription.from_urdf(tmp_path / "parts" / "finger.xacro")
     (tmp_path / "parts" / "finger.xacro").unlink()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -225,6 +225,8 @@ class HandDescription:
         rotation: Vector3 | None = None,
         tip_friction: float = 1.0,
         rotor_inertia: float | None = None,
+        xacro: bool | None = None,
+        xacro_args: Mapping[str, str | float | bool] | None = None,
     ) -> HandDescription:
         """Read a hand from a URDF, a xacro file or a MuJoCo model (MJCF). `from_urdf` and `from_mjcf` are aliases.
 
@@ -269,6 +271,8 @@ class HandDescription:
             tip_friction: See the class.
             rotor_inertia: Rotor inertia at every motor [kg m^2]. None: the armature of a MuJoCo model, and the default of
                 `with_rotors` for end links with less than 1e-5 kg m^2 about their joint.
+            xacro: True if xacro expands the file; None: if its name ends in .xacro.
+            xacro_args: Dict from the names of arguments of a xacro file to their values. The others have their defaults.
 
         Raises:
             InvalidInputError: The file is not such a hand; the message lists everything that must be changed.
@@ -279,7 +283,9 @@ class HandDescription:
         from grasp_env.sim.hand.files.importing import read_hand
         from grasp_env.sim.hand.files.options import HandOptions  # these need the parts above
 
-        options = HandOptions(fingertips, tip_radius, torque_limit, joint_limits, inertials, palm, rotor_inertia)
+        options = HandOptions(
+            fingertips, tip_radius, torque_limit, joint_limits, inertials, palm, rotor_inertia, xacro, xacro_args
+        )
         read = read_hand(path, options)
         angles = numbers(home, None, "home [rad]")
         hand, repairs = HandDescription(*read[:4], angles, tip_friction, placed=bool(angles)), read.repairs

@@ -27,6 +27,7 @@ from grasp_env.sim.hand.files.part import arrange, read_part
 from grasp_env.sim.hand.files.pieces import hull_of_file
 from grasp_env.sim.hand.files.plausible import Body, Judge
 from grasp_env.sim.hand.files.urdf import UrdfReader
+from grasp_env.sim.hand.files.xacro import robot_of
 from grasp_env.sim.hand.frames import IDENTITY, Frame
 from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, inertia_numbers, with_rotor
 from grasp_env.sim.hand.solids import outline
@@ -57,24 +58,30 @@ def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
     """Read the parts of a hand from a file, see `HandDescription.from_file`; links stand in the order of the joints, after their parents."""
     with AllFaults() as check:
         check(options.checked_palm)
-        tips = check(options.tips)
+        check(options.tips)
         check(options.radius)
+        check(options.expansion)
     try:
-        return _Importer(_opened(path, tuple(tips or ())), options).hand
+        return _Importer(_opened(path, options), options).hand
     except InvalidInputError as error:
         message = str(error)
         raise InvalidInputError(message if message.startswith("cannot read") else f"{path}: {message}") from None
 
 
-def _opened(path: str | os.PathLike[str], tips: tuple[str, ...]) -> HandFile:
+def _opened(path: str | os.PathLike[str], options: HandOptions) -> HandFile:
     """Return the reader of a file, chosen by its first element."""
     first: Element = parsed(path, read_xml, InvalidInputError, f"the file {shown_path(path)}", "XML")
+    expand, arguments = options.expansion()
     if first.tag == "robot":
-        return UrdfReader(path, first)
+        return UrdfReader(path, robot_of(Path(os.fsdecode(path)), first, expand, arguments))
+    if expand or arguments:
+        raise InvalidInputError(
+            f"the first element is <{first.tag[:40]}>, xacro expands <robot>: leave out xacro= and xacro_args="
+        )
     if first.tag == "mujoco":
         with need("mujoco"):
             from grasp_env.sim.hand.files.mjcf import MjcfReader
-        return MjcfReader(path, tips)
+        return MjcfReader(path, tuple(options.tips() or ()))
     raise InvalidInputError(
         f"the first element is <{first.tag[:40]}>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"
     )

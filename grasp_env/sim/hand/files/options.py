@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from grasp_env._check import AllFaults, as_list, as_text
+from grasp_env._check import AllFaults, as_list, as_number, as_text, flag
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Vector3, limits, numbers, positive, word
 from grasp_env.sim.hand.files.elements import names_of
@@ -37,6 +37,8 @@ class HandOptions:
     inertials: Any = None
     palm: str | None = None
     rotor_inertia: float | None = None
+    xacro: Any = None
+    xacro_args: Any = None
 
     def checked_palm(self) -> str | None:
         """Return the name of the palm's link; None: not given."""
@@ -45,6 +47,15 @@ class HandOptions:
     def radius(self) -> float | None:
         """Return the radius of tips without a sphere [m]; None: not given."""
         return None if self.tip_radius is None else positive(self.tip_radius, "tip_radius [m]")
+
+    def expansion(self) -> tuple[bool | None, dict[str, str]]:
+        """Return whether the file is expanded by xacro, None: by its name, and the arguments' texts by name."""
+        given = {} if self.xacro_args is None else self.xacro_args
+        if not isinstance(given, Mapping) or None in map(as_text, given):
+            raise InvalidInputError(f"xacro_args={shown(given)} must be a dict from names of arguments to their values")
+        with AllFaults() as check:
+            texts = {str(name): check(_argument, value, f"xacro_args of {name!r}") for name, value in given.items()}
+            return None if self.xacro is None else check(flag, self.xacro, "xacro"), texts
 
     def tips(self) -> dict[str, Ball | None] | None:
         """Return the fingertips by the names of their links, each with its sphere or None; None: not given."""
@@ -105,6 +116,21 @@ class HandOptions:
             return Inertial(positive(parts[0], f"{of}: mass [kg]"), (x, y, z), inertia_of(parts[2], of))
 
         return _by_name(self.inertials, links, "inertials", "moving link", body)
+
+
+def _argument(value: Any, what: str) -> str:
+    """Return the text of a xacro argument; numbers, True and False are written as Python writes them."""
+    text = as_text(value)
+    if text is not None:
+        return text
+    if isinstance(value, bool | np.bool_):
+        return str(bool(value))
+    if isinstance(value, int):
+        return str(value)
+    found = as_number(value)
+    if found is None:
+        raise InvalidInputError(f"{what}={shown(value)} must be text, a number, True or False")
+    return str(found)
 
 
 def _by_name(given: Any, names: Sequence[str], what: str, kind: str, check: Callable[[Any, str], T]) -> dict[str, T]:

@@ -18,7 +18,6 @@ from grasp_env.sim.hand.check import Vector3, limits, numbers
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink, listed
 from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
 from grasp_env.sim.hand.files.pieces import MeshUse, solids_of
-from grasp_env.sim.hand.files.xacro import expanded, is_xacro
 from grasp_env.sim.hand.frames import IDENTITY, Frame
 from grasp_env.sim.hand.inertia import Inertia
 from grasp_env.sim.hand.tree import Geometry, Mimic
@@ -30,7 +29,7 @@ _TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
 
 
 class UrdfReader:
-    """A reader of one URDF or xacro file with the first element `robot`.
+    """A reader of one URDF file, or expanded xacro file, with the first element `robot`.
 
     Attributes:
         name: Name of the robot.
@@ -45,8 +44,6 @@ class UrdfReader:
     def __init__(self, path: str | os.PathLike[str], robot: Element) -> None:
         self.path = Path(os.fsdecode(path))
         self.notes: list[str] = []
-        if is_xacro(self.path, robot):
-            robot = expanded(self.path)
         self.name: str = robot.get("name") or "hand"
         self._links, self._joints = robot.findall("link"), robot.findall("joint")
         if not self._links:

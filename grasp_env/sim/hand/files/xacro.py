@@ -1,58 +1,58 @@
-"""Expand xacro files to URDF with xacrodoc, without ROS."""
+"""Expand xacro files to URDF, without ROS."""
 
 from __future__ import annotations
 
+import json
+import os
 import re
-from contextlib import redirect_stderr, redirect_stdout, suppress
-from io import StringIO
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element
 
-from grasp_env._extras import need
-from grasp_env._files import parsed, read_xml
-from grasp_env.errors import GraspError, InvalidInputError
-from grasp_env.sim.hand.files.meshes import PARENTS
+import numpy as np
 
+from grasp_env._extras import need
+from grasp_env._files import MEGABYTE, read_xml
+from grasp_env.errors import InvalidInputError
+from grasp_env.sim.objects.apart import apart
+
+_SECONDS, _MAX_MEMORY = 30.0, 1000 * MEGABYTE  # longest time [s] and largest memory [bytes] to expand a file
 _ELEMENT = re.compile(r"\{[^}]*xacro/?\}")  # start of the tag of a xacro element, for any address of the namespace
 
 
-def is_xacro(path: Path, robot: Element) -> bool:
-    """Return True if a file is named like a xacro file or has a xacro element."""
-    return path.suffix == ".xacro" or any(_ELEMENT.match(element.tag) for element in robot.iter())
+def robot_of(path: Path, first: Element, expand: bool | None, arguments: Mapping[str, str]) -> Element:
+    """Return the robot of a file whose first element is `first`; that of a xacro file is expanded with the given arguments.
 
-
-def expanded(path: Path) -> Element:
-    """Return the robot of a xacro file, its arguments at their defaults.
-
-    `$(find package)` searches the folders above the file and their siblings. Xacro evaluates expressions in the file, so read
-    only files that you trust.
+    `expand` says whether it is a xacro file; None: its name ends in .xacro.
     """
-    file = path.absolute()
-    with need("xacro"):
-        import xacro  # xacrodoc lets it find packages without ROS
-        import xacrodoc
-    xacrodoc.packages.reset()
-    xacrodoc.packages.update_package_cache(_packages(file))
+    if path.suffix.lower() == ".xacro" if expand is None else expand:
+        return _expanded(path.absolute(), arguments)
+    if arguments:
+        raise InvalidInputError("xacro_args are given, but it is not expanded: rename it to .xacro, or pass xacro=True")
+    if any(_ELEMENT.match(element.tag) for element in first.iter()):
+        raise InvalidInputError("it has xacro elements, but is not expanded: rename it to .xacro, or pass xacro=True")
+    return first
+
+
+def _expanded(file: Path, arguments: Mapping[str, str]) -> Element:
+    """Return the robot of a xacro file, expanded in a process that sees no environment variables; see `expansion`."""
+    need("xacro")
+    shares = [*_folders("ROS_PACKAGE_PATH"), *(str(Path(each, "share")) for each in _folders("AMENT_PREFIX_PATH"))]
+    request = json.dumps({"file": str(file), "arguments": dict(arguments), "shares": shares})
+    task = "grasp_env.sim.hand.files.expansion:expand"
+    where = f"xacro cannot expand {file}"
     try:
-        with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-            document: Any = xacro.process_file(str(file))
-            robot = read_xml(document.toxml().encode())
-    except Exception as error:  # xacro does not catch errors of expressions
-        raise InvalidInputError(
-            f"xacro cannot expand {file}: {' '.join(str(error).split()) or type(error).__name__}"
-        ) from error
+        made = apart(task, f"expanding {file.name}", _SECONDS, memory=_MAX_MEMORY, variables={}, request=np.array(request))  # fmt: skip
+    except (TimeoutError, ChildProcessError) as error:
+        raise InvalidInputError(f"{where}: {str(error).splitlines()[-1]}") from None
+    if "error" in made:
+        raise InvalidInputError(f"{where}: {made['error']}")
+    robot = read_xml(made["text"].tobytes())
     if robot.find("link") is None:
         raise InvalidInputError(f"{file} only defines macros, it has no <link>; give the file that calls them")
     return robot
 
 
-def _packages(file: Path) -> dict[str, str]:
-    """Return the folders of ROS packages by name: those above the file and their siblings."""
-    found = dict[str, str]()
-    for folder in list(file.parents)[: PARENTS + 1]:
-        for manifest in [folder / "package.xml", *sorted(folder.glob("*/package.xml"))]:
-            with suppress(GraspError):  # missing, or not XML
-                package = parsed(manifest, read_xml, InvalidInputError, str(manifest), "XML")
-                found.setdefault(package.findtext("name", "").strip(), str(manifest.parent))
-    return found
+def _folders(variable: str) -> list[str]:
+    """Return the folders that an environment variable lists."""
+    return [folder for folder in os.environ.get(variable, "").split(os.pathsep) if folder]

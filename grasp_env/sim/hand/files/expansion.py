@@ -1,0 +1,276 @@
+"""Expand a xacro file in a process of its own: xacro, with our evaluator of expressions and a guard of the files that it opens.
+
+Two barriers stand one behind the other. `_guard` replaces the functions of xacro that evaluate, open, list and find. `_Watch` stops any
+other action that leaves the interpreter, such as opening a file, importing a module or starting a program.
+"""
+
+from __future__ import annotations
+
+import glob
+import io
+import json
+import math
+import os
+import re
+import sys
+import unicodedata  # noqa: F401 - Python's parser needs it for names with other letters, and `_Watch` refuses the import
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from xml.dom import minidom
+
+import numpy as np
+
+from grasp_env._files import MEGABYTE, TEXT, parsed, read_bytes, read_xml, understood
+from grasp_env.errors import GraspError, InvalidInputError, alike
+from grasp_env.sim.hand.files.expressions import RefusedError, evaluate
+from grasp_env.sim.hand.files.meshes import PARENTS
+
+_PYTHON = (
+    "list", "dict", "map", "len", "str", "float", "int", "bool", "True", "False", "min", "max", "round", "abs", "all", "any", "complex",
+    "divmod", "enumerate", "filter", "frozenset", "hash", "isinstance", "issubclass", "ord", "range", "repr", "reversed", "slice", "set",
+    "sorted", "sum", "tuple", "zip",
+)  # fmt: skip
+"""What expressions may call of Python. `vars` and `type`, which xacro also offers, lead to everything else."""
+_XACRO = ("load_yaml", "abs_filename", "dotify", "arg", "message", "warning", "error", "print_location", "fatal", "tokenize")  # fmt: skip
+_HARMLESS = ("builtins.id", "compile")  # events of the interpreter that xacro needs; `compile` only parses
+_WILD = re.compile(r"[*\[?]")
+
+
+def expand(request: Any) -> dict[str, Any]:
+    """Return the "text" of an expanded file, its bytes as uint8, or the "error". `apart` runs this function.
+
+    The request is JSON: "file", an absolute path; "arguments", texts by name; "shares", folders in which ROS keeps packages.
+    """
+    os.environ.clear()  # $(optenv) reads it
+    asked = json.loads(str(request))
+    arguments, files = _Arguments(asked["arguments"]), _Files(Path(asked["file"]), asked["shares"])
+    try:
+        text = _expanded(asked["file"], arguments, files)
+        arguments.check()
+    except Exception as error:  # xacro does not catch errors of expressions
+        return {"error": np.array(_told(error))}
+    return {"text": np.frombuffer(text, np.uint8)}
+
+
+def _expanded(file: str, arguments: _Arguments, files: _Files) -> bytes:
+    import xacro
+    from xacro import substitution_args
+
+    _guard(xacro, substitution_args, arguments, files)
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of expressions; they would read the file of the expression
+        with files.watch.set(True):
+            document: Any = xacro.process_file(file, mappings=arguments)
+        text = document.toxml().encode()
+    if len(text) > TEXT:
+        raise RefusedError(f"it becomes more than {TEXT // MEGABYTE} MB")
+    return text
+
+
+def _guard(xacro: Any, substitution_args: Any, arguments: _Arguments, files: _Files) -> None:
+    """Replace the functions of xacro that evaluate, open, list and find, and remove what its expressions should not call."""
+    for module, names in ((xacro, ("safe_eval", "parse", "glob", "load_yaml")), (substitution_args, ("_eval", "_eval_env", "_eval_find"))):  # fmt: skip
+        if lacking := [name for name in names if not hasattr(module, name)]:
+            raise RefusedError(f"{xacro.__file__} is another version, without {lacking[0]}: pip install xacro==2.1.1")
+    symbols = xacro._global_symbols
+    python, namespace = symbols["python"], symbols["xacro"]
+    everything = {*_PYTHON, *_XACRO, *vars(math), "math", "python", "xacro"}
+    for table, allowed in ((symbols, everything), (python, _PYTHON), (namespace, _XACRO)):
+        for name in [name for name in table if name not in allowed]:
+            dict.pop(table, name)
+
+    def evaluated(text: str, names: Any, _: Any = None) -> Any:
+        return evaluate(text, names)
+
+    def extension(text: str, context: Any) -> str:
+        """Return the value of $(eval ...), which has variables and functions of its own."""
+        values = {name: substitution_args.convert_value(value, "auto") for name, value in arguments.items()}
+        own = {
+            "arg": lambda name: substitution_args.convert_value(arguments[name], "auto"), "find": files.find,
+            "env": variable, "optenv": substitution_args._eval_optenv, "true": True, "false": False,
+        }  # fmt: skip
+        return str(evaluate(text, {**python, **symbols["math"], **values, **own}))
+
+    def variable(name: str) -> str:
+        raise RefusedError(f"it reads the environment variable {name!r}, which is not allowed")
+
+    def parse(_: Any, name: str) -> Any:
+        try:
+            document: Any = files.parse(name)
+        except OSError as error:
+            xacro.filestack.pop()
+            raise xacro.XacroException(f"{error.strerror}: {name}", exc=error) from error
+        for element in document.getElementsByTagName("xacro:arg"):
+            if not element.hasAttribute("default"):  # xacro would refuse it even if the argument is given
+                arguments.asked[element.getAttribute("name")] = None
+                element.parentNode.removeChild(element)
+        return document
+
+    xacro.safe_eval, xacro.parse = evaluated, parse
+    xacro.open, xacro.glob = files.open, SimpleNamespace(glob=files.glob)
+    substitution_args._eval, substitution_args._eval_env, substitution_args._eval_find = extension, variable, files.find
+
+
+class _Watch:
+    """A hook of the interpreter that refuses every event while it is active."""
+
+    def __init__(self) -> None:
+        self._active = False
+        sys.addaudithook(self._refuse)
+
+    def _refuse(self, event: str, _: Any) -> None:
+        if self._active and event not in _HARMLESS:
+            raise RefusedError(f"it does {event!r} in the interpreter, which is not allowed")
+
+    @contextmanager
+    def set(self, active: bool) -> Iterator[None]:
+        """Be active, or not, for the time of the block."""
+        before, self._active = self._active, active
+        try:
+            yield
+        finally:
+            self._active = before
+
+
+class _Files:
+    """The files that a xacro file may read: those beside it, and those of the packages that $(find) finds."""
+
+    def __init__(self, file: Path, shares: Sequence[str]) -> None:
+        self.watch = _Watch()
+        self._shares = shares
+        self._packages = dict[str, Path]()
+        self._roots = list[Path]()
+        for path in (file, _real(file)):  # ROS installs links to the files of a workspace
+            self._roots.append(_real(path.parent))
+            for name, manifest in _manifests(path):
+                self._add(name, manifest)
+
+    def _add(self, name: str, manifest: Path) -> None:
+        self._packages.setdefault(name, manifest.parent)
+        self._roots += [_real(manifest.parent), _real(manifest).parent]
+
+    def find(self, name: str) -> str:
+        """Return the folder of a ROS package."""
+        if name not in self._packages and re.fullmatch(r"\w[\w.-]*", name):
+            with self.watch.set(False):
+                for share in map(Path, self._shares):
+                    for manifest in (share / name / "package.xml", *share.glob(f"*/{name}/package.xml")):
+                        if _is_manifest(manifest):
+                            self._add(name, manifest)
+        if name not in self._packages:
+            raise LookupError(
+                f"the package {name!r} is in none of the folders above the file and beside those: put it beside the file's"
+            )
+        return str(self._packages[name])
+
+    def _checked(self, name: str) -> Path:
+        path = _real(Path(name))
+        if any(_is_inside(path, root) for root in self._roots):
+            return path
+        raise RefusedError(
+            f"it reads {name}, which is neither beside it nor in a package that $(find) finds: put a package.xml into the folder that holds both"
+        )
+
+    def _read(self, name: str) -> bytes:
+        return read_bytes(self._checked(name))
+
+    def parse(self, name: str) -> minidom.Document:
+        """Return an XML file, or raise OSError."""
+        with self.watch.set(False):
+            blob = self._read(name)
+            understood(blob, read_xml, InvalidInputError, f"the file {name}", "XML")  # without a DOCTYPE
+            return minidom.parseString(blob)
+
+    def open(self, name: str) -> io.StringIO:
+        """Return a text file, or raise OSError."""
+        with self.watch.set(False):
+            blob = self._read(name)
+            return io.StringIO(understood(blob, _as_utf8, InvalidInputError, f"the file {name}", "text in UTF-8"))
+
+    def glob(self, pattern: str) -> list[str]:
+        """Return the names of the files that fit a pattern."""
+        pattern = os.path.normpath(pattern)
+        fixed = pattern[: _WILD.search(pattern + "*").start()]  # type: ignore[union-attr]
+        self._checked(os.path.dirname(fixed))
+        with self.watch.set(False):
+            return glob.glob(pattern)
+
+
+def _as_utf8(blob: bytes) -> str:
+    return blob.decode("utf-8-sig")
+
+
+def _manifests(file: Path) -> Iterator[tuple[str, Path]]:
+    """Yield names and package.xml of the ROS packages above a file, and of those beside them."""
+    for folder in list(file.parents)[: PARENTS + 1]:
+        for manifest in [folder / "package.xml", *sorted(folder.glob("*/package.xml"))]:
+            with suppress(GraspError):  # not XML
+                if _is_manifest(manifest):
+                    package = parsed(manifest, read_xml, InvalidInputError, str(manifest), "XML")
+                    yield package.findtext("name", "").strip(), manifest
+
+
+def _is_manifest(path: Path) -> bool:
+    """Return True if a file exists and is, or is a link to, a package.xml; a link to another file would open that."""
+    return path.is_file() and _real(path).name == "package.xml"
+
+
+def _is_inside(path: Path, root: Path) -> bool:
+    """Return True if a path is in a folder and not hidden; in the folder of everything, / itself, its own files are."""
+    if not path.is_relative_to(root) or any(part.startswith(".") for part in path.relative_to(root).parts):
+        return False
+    return root != root.parent or path.parent == root
+
+
+def _real(path: Path) -> Path:
+    """Return a path without links; it need not exist."""
+    return Path(os.path.realpath(path))
+
+
+class _Arguments(dict[str, str]):
+    """Values of a file's arguments by name, and the names that the file has asked for."""
+
+    def __init__(self, given: dict[str, str]) -> None:
+        super().__init__(given)
+        self._given = tuple(given)
+        self.asked = dict[str, None]()
+
+    def __contains__(self, name: object) -> bool:
+        self.asked[str(name)] = None
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.asked[name] = None
+        return super().__getitem__(name)
+
+    def __missing__(self, name: str) -> str:
+        given = f"; given are {', '.join(self._given)}" if self._given else ""
+        raise RefusedError(f'its argument {name!r} has no default: pass xacro_args={{"{name}": ...}}{given}')
+
+    def check(self) -> None:
+        """Raise RefusedError if the file does not ask for a given argument."""
+        for name in self._given:
+            if name not in self.asked:
+                others = ", ".join(self.asked) or "none"
+                raise RefusedError(f"it has no argument {name!r}:{alike(name, self.asked)} its arguments are {others}")
+
+
+def _told(error: BaseException) -> str:
+    """Return one sentence about the first cause of an error, with the expression in which it arose."""
+    where = ""
+    while isinstance(cause := getattr(error, "exc", None), BaseException):
+        where = getattr(error, "suffix", None) or where
+        error = cause
+    if isinstance(error, RefusedError | GraspError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "it needs too much memory"
+    if isinstance(error, RecursionError):
+        return "it is nested too deep, or a macro calls itself"
+    if isinstance(error, OSError):
+        return f"it reads {error.filename}: {error.strerror}"
+    return " ".join(f"{str(error) or type(error).__name__} {where}".split())[:500]

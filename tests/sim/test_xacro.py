@@ -1,0 +1,104 @@
+"""Xacro files: which are expanded, the files that they read, and their arguments."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from urdf_text import SMALL_HAND, SPACE, xacro_hand
+
+from grasp_env.errors import InvalidInputError
+from grasp_env.sim import HandDescription
+from grasp_env.sim.hand.files.expansion import _is_inside
+
+
+def package(folder: Path, **files: str) -> Path:
+    """A ROS package with the name of its folder."""
+    folder.mkdir(parents=True)
+    (folder / "package.xml").write_text(f"<package><name>{folder.name}</name></package>")
+    for name, text in files.items():
+        (folder / name.replace("_", ".")).write_text(text)
+    return folder
+
+
+def test_files_beside_it_and_in_packages_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In folders above, in packages beside them, in those of ROS, and through the links that ROS installs."""
+    part = f'<robot {SPACE}><xacro:property name="{{}}" value="{{}}"/></robot>'
+    package(tmp_path / "ws" / "sizes", sizes_yaml="radius: 0.01\nangle: !degrees 180\n")
+    package(tmp_path / "ros1" / "group" / "one", one_xacro=part.format("one", 1))
+    package(tmp_path / "ros2" / "share" / "two", two_xacro=part.format("two", 2))
+    own = package(tmp_path / "ws" / "own", a_xacro=part.format("a", "x"), b1_xacro=part.format("b", "y"))
+    (own / "urdf").mkdir()
+    includes = ("../a.xacro", "../b*.xacro", "$(find one)/one.xacro", "$(find two)/two.xacro")
+    before = "".join(f'<xacro:include filename="{name}"/>' for name in includes)
+    before += '<xacro:include filename="none.xacro" optional="true"/>'
+    before += '<xacro:property name="s" value="${xacro.load_yaml(\'$(find sizes)/sizes.yaml\')}"/>'
+    text = xacro_hand(before, "${a}${b}${one}${two}${round(s.angle, 2)}").replace("0.01", "${s.radius}")
+    (own / "urdf" / "hand.xacro").write_text(text)
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'ros1'}{os.pathsep}{tmp_path / 'none'}")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "ros2"))
+    made = HandDescription.from_file(own / "urdf" / "hand.xacro")
+    assert made.name == "xy123.14"
+    assert made.fingertips[0].radius == 0.01
+    installed = tmp_path / "install" / "share" / "own"
+    (installed / "urdf").mkdir(parents=True)
+    for name in ("package.xml", "a.xacro", "b1.xacro", "urdf/hand.xacro"):
+        (installed / name).symlink_to(own / name)
+    assert HandDescription.from_file(installed / "urdf" / "hand.xacro") == made
+
+
+ARGUMENTS = xacro_hand('<xacro:arg name="side"/><xacro:arg name="size" default="1"/>', "$(arg side)_$(arg size)")
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [({"side": "left"}, "left_1"), ({"side": "left", "size": 2}, "left_2"), ({"side": True, "size": 0.5}, "True_0.5")],
+)
+def test_arguments_are_given(tmp_path: Path, given: dict[str, Any], name: str) -> None:
+    (tmp_path / "hand.xacro").write_text(ARGUMENTS)
+    assert HandDescription.from_file(tmp_path / "hand.xacro", xacro_args=given).name == name
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, r"its argument 'side' has no default: pass xacro_args=\{\"side\": \.\.\.\}$"),
+        ({"sise": 1}, r"its argument 'side' has no default: pass xacro_args=\{\"side\": \.\.\.\}; given are sise$"),
+        ({"side": "a", "sise": 1}, "it has no argument 'sise': did you mean 'si[dz]e'.* its arguments are side, size$"),
+        ({"side": None}, "xacro_args of 'side'=None must be text, a number, True or False"),
+        ({"side": [1]}, "xacro_args of 'side'=.* must be text, a number, True or False"),
+        ({1: "a"}, "xacro_args=.* must be a dict from names of arguments to their values"),
+        ("side", "xacro_args='side' must be a dict"),
+    ],
+)
+def test_wrong_arguments_are_named(tmp_path: Path, given: Any, message: str) -> None:
+    (tmp_path / "hand.xacro").write_text(ARGUMENTS)
+    with pytest.raises(InvalidInputError, match=message):
+        HandDescription.from_file(tmp_path / "hand.xacro", xacro_args=given)
+
+
+def test_arguments_of_a_file_that_is_not_expanded(tmp_path: Path) -> None:
+    (tmp_path / "hand.urdf").write_text(SMALL_HAND)
+    with pytest.raises(
+        InvalidInputError, match=r"xacro_args are given, but .* rename it to \.xacro, or pass xacro=True"
+    ):
+        HandDescription.from_file(tmp_path / "hand.urdf", xacro_args={"side": "left"})
+    with pytest.raises(InvalidInputError, match="xacro must be True or False, got 1"):
+        HandDescription.from_file(tmp_path / "hand.urdf", xacro=1)  # type: ignore[arg-type]
+    (tmp_path / "hand.xml").write_text("<mujoco/>")
+    with pytest.raises(InvalidInputError, match="the first element is <mujoco>, xacro expands <robot>"):
+        HandDescription.from_file(tmp_path / "hand.xml", xacro=True)
+    (tmp_path / "hand.xacro").write_text(xacro_hand())
+    with pytest.raises(InvalidInputError, match="it has xacro elements, but is not expanded"):
+        HandDescription.from_file(tmp_path / "hand.xacro", xacro=False)
+
+
+def test_a_file_in_the_folder_of_everything_reads_only_its_neighbours() -> None:
+    root = Path("/")
+    assert _is_inside(root / "sizes.yaml", root)
+    assert not _is_inside(root / "etc" / "passwd", root)
+    assert _is_inside(root / "a" / "b" / "c.yaml", root / "a")
+    for name in (".ssh/key", "b/.netrc", ".hidden"):
+        assert not _is_inside(root / "a" / name, root / "a")
