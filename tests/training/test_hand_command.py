@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from PIL import Image
+from urdf_text import xacro_hand
 
 from training.cli import main
 
@@ -34,6 +35,19 @@ def test_a_file_is_printed_and_drawn(tmp_path, capsys):
     assert "is no motor's limit" not in out
 
 
+def test_arguments_of_a_xacro_file_are_given(tmp_path, capsys):
+    path = tmp_path / "hand.xacro"
+    path.write_text(xacro_hand('<xacro:arg name="side"/><xacro:arg name="kind"/>', "$(arg side) $(arg kind)"))
+    assert main(["hand", str(path), "--xacro-args", "side=left", "kind=a=b"]) == 0
+    assert "left a=b: 1 joints" in capsys.readouterr().out
+    for words, message in (
+        ("side=left", "its argument 'kind' has no default"),
+        ("side", "NAME=VALUE, such as side=left, got 'side'"),
+    ):
+        assert main(["hand", str(path), "--xacro-args", words]) == 2
+        assert message in capsys.readouterr().err
+
+
 def test_a_preset_is_printed_and_errors_are_one_line(capsys):
     assert main(["hand", "leap"]) == 0
     assert "0.95 N m" in capsys.readouterr().out
@@ -41,6 +55,7 @@ def test_a_preset_is_printed_and_errors_are_one_line(capsys):
         "lepa": "did you mean 'leap'?",
         "nowhere.urdf": "cannot read the file nowhere.urdf",
         "leap --torque-limit 0.3": "leap is no file",
+        "leap --xacro-args side=left": "and no arguments",
         "leap --size 1": "size must be an integer >= 16",
         "leap --draw /nowhere/a.png --size 16": "/nowhere",
     }.items():

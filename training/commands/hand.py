@@ -16,7 +16,7 @@ from rich.console import Console
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
 from training.commands.answers import make_table, save_picture
-from training.commands.options import left_out
+from training.commands.options import left_out, pairs_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -35,6 +35,7 @@ class Hand:
         fingertips: links that touch the object; none: every moving link that ends a branch.
         torque_limit: torque limit of all joints [N m]; 0: the file's own limits.
         palm: palm link, if the file describes an arm or a whole robot.
+        xacro_args: values of a xacro file's arguments, NAME=VALUE.
         draw: .png for a picture of the visual shapes beside the collision shapes, the fingertips red.
         size: height of the picture [pixels].
     """
@@ -43,6 +44,7 @@ class Hand:
     fingertips: tuple[str, ...] = ()
     torque_limit: float = 0.0
     palm: Annotated[str, left_out("the link that carries all others", "LINK")] = ""
+    xacro_args: Annotated[tuple[str, ...], left_out("the file's own", "NAME=VALUE")] = ()
     draw: Annotated[Path | None, left_out("no picture", "FILE")] = None
     size: int = 640
 
@@ -56,17 +58,18 @@ class Hand:
         with warnings.catch_warnings(record=True) as repairs:
             warnings.simplefilter("always")
             if self.hand in HANDS:
-                if self.fingertips or self.torque_limit or self.palm:
+                if self.fingertips or self.torque_limit or self.palm or self.xacro_args:
                     raise InvalidInputError(
-                        f"{self.hand} is no file: it has its own palm, fingertips and torque limits"
+                        f"{self.hand} is no file: it has its own palm, fingertips and torque limits, and no arguments"
                     )
                 hand = HANDS[self.hand]()
             else:
                 if not os.path.lexists(self.hand) and not os.path.splitext(self.hand)[1]:
                     choice(self.hand, "hand", HANDS, ", or give the path of a URDF, xacro or MJCF file")
+                given = pairs_of(self.xacro_args, "an argument is given as NAME=VALUE, such as side=left")
                 limit = self.torque_limit or None
                 hand = HandDescription.from_file(
-                    self.hand, self.fingertips or None, torque_limit=limit, palm=self.palm or None
+                    self.hand, self.fingertips or None, torque_limit=limit, palm=self.palm or None, xacro_args=given
                 )
         console = Console()
         for table in (_joints(hand), _fingers(hand), _links(hand)):

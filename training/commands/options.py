@@ -51,14 +51,22 @@ def settings_of(words: Iterable[str]) -> dict[str, Any]:
         {'controller.kind': 'pd', 'sensors.delay': 0.01}
     """
     made: dict[str, Any] = {}
-    for word in words:
-        path, equals, text = word.partition("=")
-        if not equals:
-            raise InvalidInputError(f"a setting is given as PATH=VALUE, such as sensors.delay=0.01, got {word!r}")
+    for path, text in pairs_of(words, "a setting is given as PATH=VALUE, such as sensors.delay=0.01").items():
         try:
             made[path] = json.loads(text)
         except (ValueError, RecursionError):
             made[path] = text
+    return made
+
+
+def pairs_of(words: Iterable[str], form: str) -> dict[str, str]:
+    """Split words NAME=VALUE. An InvalidInputError for a word without "=" begins with `form`."""
+    made: dict[str, str] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals:
+            raise InvalidInputError(f"{form}, got {word!r}")
+        made[name] = text
     return made
 
 
