@@ -118,6 +118,35 @@ def read_xml(blob: bytes) -> Element:
     return parser.close()
 
 
+_STAND_INS = {
+    "Git LFS pointer": (
+        re.compile(rb"version https://git-lfs\.github\.com/spec/"),
+        "run `git lfs pull` in its repository, or download the file itself",
+    ),
+    "web page": (
+        re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:<\?xml[^>]*>\s*|<!--(?:(?!-->).)*-->\s*)*<(?:!doctype\s+html|html)\b", re.I | re.S),
+        "it was saved in place of the file, so download the file itself (on GitHub: the button Raw)",
+    ),
+    "gzip archive": (re.compile(rb"\x1f\x8b\x08"), "unpack it"),
+}  # fmt: skip
+"""First bytes of what people have in place of a file, and the remedy."""
+HEAD = 4096
+"""Number of bytes in which they are looked for."""
+
+
+def stand_in(blob: bytes) -> tuple[str, str]:
+    """Return what a user has in place of a file, such as "web page", and the remedy; "" and "" if it may be the file itself.
+
+    Example:
+        >>> stand_in(b"<!DOCTYPE html>")[0], stand_in(b"<robot/>")[0]
+        ('web page', '')
+    """
+    for name, (pattern, remedy) in _STAND_INS.items():
+        if pattern.match(blob[:HEAD]):
+            return name, remedy
+    return "", ""
+
+
 def parsed(
     path: str | os.PathLike[str],
     read: Callable[[bytes], Any],
@@ -146,6 +175,9 @@ def understood(
     content: T, read: Callable[[T], Any], error: type[GraspError], name: str, form: str, hint: str = ""
 ) -> Any:
     """Return `read(content)` with the errors of `parsed`."""
+    other, remedy = stand_in(content) if isinstance(content, bytes) else ("", "")
+    if other:
+        raise error(f"{name} is a {other}: {remedy}")
     try:
         return read(content)
     except GraspError:

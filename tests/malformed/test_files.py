@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import subprocess
 import sys
@@ -13,9 +14,10 @@ from typing import Any
 
 import pytest
 from malformed.meshes import ENTITIES
+from urdf_text import small, solid
 
 from grasp_env import _files
-from grasp_env._files import read_bytes
+from grasp_env._files import read_bytes, stand_in
 from grasp_env.errors import GraspError
 from grasp_env.grasp import load_grasp, presets, save_grasp
 from grasp_env.sim import HandDescription
@@ -89,6 +91,81 @@ def test_every_reader_refuses_in_words_and_soon(reader: str, kind: str, tmp_path
         READERS[reader](path)
     assert len(str(caught.value)) < 2000
     assert time.process_time() - begin < 10.0
+
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
+PAGE = "is a web page: it was saved in place of the file"
+STAND_INS = {
+    "pointer": (POINTER, "is a Git LFS pointer: run `git lfs pull`"),
+    "page": (b"\n\n<!DOCTYPE html>\n<html lang='en'>", PAGE),
+    "page without a type": (b"<html><body>404</body></html>", PAGE),
+    "page with a mark": (b"\xef\xbb\xbf<!-- saved --> <HTML>", PAGE),
+    "page in XML": (b'<?xml version="1.0"?>\n<!DOCTYPE html PUBLIC "-//W3C//DTD XHTML 1.0 Strict//EN">', PAGE),
+    "page with comments": (b"<!--a-->" * 200 + b"<html>", PAGE),
+    "gzip": (gzip.compress(b"robot"), "is a gzip archive: unpack it"),
+}
+
+
+@pytest.mark.parametrize("kind", STAND_INS)
+@pytest.mark.parametrize("reader", READERS)
+def test_what_people_have_in_place_of_a_file_is_named(reader: str, kind: str, tmp_path: Path) -> None:
+    content, message = STAND_INS[kind]
+    (tmp_path / "given").write_bytes(content)
+    with pytest.raises(GraspError, match=message):
+        READERS[reader](tmp_path / "given")
+
+
+@pytest.mark.parametrize(
+    "text", [b"<robot/>", b"<htmlx/>", b"<!--" + b"<!--a-->" * 600, b"version https://example.org/", b"v 1 2 3\n"]
+)
+def test_other_files_are_not(text: bytes) -> None:
+    """Comments are matched in one pass: text that might be a page takes no time."""
+    begin = time.process_time()
+    assert stand_in(text) == ("", "")
+    assert time.process_time() - begin < 0.1
+
+
+MJCF = (
+    '<mujoco><compiler meshdir="meshes" texturedir="meshes"/><asset>{}</asset><worldbody><body><geom size="0.1"/><body><joint/><geom '
+    'type="mesh" mesh="a"/></body></body></worldbody></mujoco>'
+)
+
+
+@pytest.mark.parametrize("kind", ["stl", "obj", "dae"])
+def test_meshes_of_a_hand_that_are_pointers_are_named(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    mesh = tmp_path / "meshes" / f"a.{kind}"
+    mesh.write_bytes(POINTER)
+    shape = f'<mesh filename="package://hand/meshes/a.{kind}"/>'
+    (tmp_path / "hand.urdf").write_text(small(solid(shape)))
+    told = rf"link 'finger', <collision>.*: the mesh {mesh} is a Git LFS pointer: run `git lfs pull` in its repository"
+    with pytest.raises(GraspError, match=told):
+        HandDescription.from_file(tmp_path / "hand.urdf")
+    (tmp_path / "hand.urdf").write_text(small(solid('<sphere radius="0.01"/>') + solid(shape, role="visual")))
+    with pytest.warns(
+        UserWarning, match=r"visual meshes that are Git LFS pointers \(run `git lfs pull`.* are left out: 'package"
+    ):
+        HandDescription.from_file(tmp_path / "hand.urdf")
+
+
+@pytest.mark.parametrize(
+    "asset",
+    ['<mesh name="a" file="a.stl"/>', '<mesh name="a" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/><texture name="t" type="2d" file="a.stl" content_type="image/png"/>'],
+)  # fmt: skip
+def test_files_of_a_mujoco_model_that_are_pointers_are_named(asset: str, tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "a.stl").write_bytes(POINTER)
+    (tmp_path / "own").mkdir()
+    for folder in (tmp_path, tmp_path / "own"):  # meshes are looked for above the file, too
+        (folder / "hand.xml").write_text(MJCF.format(asset))
+        with pytest.raises(GraspError, match=r"a\.stl is a Git LFS pointer: run `git lfs pull`"):
+            HandDescription.from_file(folder / "hand.xml")
+
+
+def test_sdf_is_named(tmp_path: Path) -> None:
+    (tmp_path / "model.sdf").write_text('<?xml version="1.0"?><sdf version="1.6"><model name="hand"/></sdf>')
+    with pytest.raises(GraspError, match="it is SDF, which is not read: give the hand's URDF, xacro or MJCF"):
+        HandDescription.from_file(tmp_path / "model.sdf")
 
 
 def test_a_pipe_is_read_while_it_is_written(tmp_path: Path) -> None:

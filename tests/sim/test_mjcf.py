@@ -202,7 +202,7 @@ CARRIED = '<body name="r2"><joint name="r" axis="0 1 0"/><geom size="0.005" pos=
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("<sdf/>", "the first element is <sdf>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"),
+        ("<scene/>", "the first element is <scene>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"),
         ("<mujoco><worldbody><body><geom size='0.1'/></body></worldbody></mujoco>", "the file has no joint; a part that other files include"),
         (FINGERS.format(one="", two="", rod="<site name='s'/>", more="<actuator><motor site='s'/></actuator>"),
          "no actuator moves a hinge or slide joint; add <position joint=.../>"),
@@ -210,7 +210,7 @@ CARRIED = '<body name="r2"><joint name="r" axis="0 1 0"/><geom size="0.005" pos=
         (FINGERS.format(one="", two="", rod=ROD.format(CARRIED), more=""),
          "the ball joint 'ball' has no motor and carries joints that motors move: such parallel mechanisms are not supported"),
     ],
-    ids=["sdf", "no joint", "no motor", "no mesh", "ball"],
+    ids=["no robot", "no joint", "no motor", "no mesh", "ball"],
 )  # fmt: skip
 def test_files_that_are_no_hand_are_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):

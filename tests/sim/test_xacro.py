@@ -95,6 +95,14 @@ def test_arguments_of_a_file_that_is_not_expanded(tmp_path: Path) -> None:
         HandDescription.from_file(tmp_path / "hand.xacro", xacro=False)
 
 
+@pytest.mark.parametrize("words", ['<xacro:include filename="a.xacro"/>', "<x y=\"${xacro.load_yaml('a.xacro')}\"/>"])
+def test_pointers_among_its_files_are_named(tmp_path: Path, words: str) -> None:
+    (tmp_path / "a.xacro").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 9\n")
+    (tmp_path / "hand.xacro").write_text(xacro_hand(words))
+    with pytest.raises(InvalidInputError, match=r"the file .*a\.xacro is a Git LFS pointer: run `git lfs pull`"):
+        HandDescription.from_file(tmp_path / "hand.xacro")
+
+
 def test_a_file_in_the_folder_of_everything_reads_only_its_neighbours() -> None:
     root = Path("/")
     assert _is_inside(root / "sizes.yaml", root)

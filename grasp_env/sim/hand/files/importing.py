@@ -71,6 +71,8 @@ def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
 def _opened(path: str | os.PathLike[str], options: HandOptions) -> HandFile:
     """Return the reader of a file, chosen by its first element."""
     first: Element = parsed(path, read_xml, InvalidInputError, f"the file {shown_path(path)}", "XML")
+    if first.tag == "sdf":
+        raise InvalidInputError("it is SDF, which is not read: give the hand's URDF, xacro or MJCF")
     expand, arguments = options.expansion()
     if first.tag == "robot":
         return UrdfReader(path, robot_of(Path(os.fsdecode(path)), first, expand, arguments))

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env._files import MEGABYTE, digest, read_bytes
+from grasp_env._files import MEGABYTE, digest, read_bytes, stand_in
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim import mesh_files
 from grasp_env.sim.mesh_files import key_lines, key_places, one_newline
@@ -95,6 +95,9 @@ def why_not_drawn(path: Path, scale: Sequence[float]) -> str:
         blob = read_bytes(path, _MAX_VISUAL_BYTES)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
+    other, remedy = stand_in(blob)
+    if other:
+        return f"are {other}s ({remedy})"
     if path.suffix.lower() != ".obj":
         why = "" if len(blob) > 84 else "are empty"
     else:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env._files import shown_path
+from grasp_env._files import HEAD, shown_path, stand_in
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.files.meshes import PARENTS
 from grasp_env.sim.hand.frames import Frame
@@ -38,18 +39,34 @@ def load_model(path: Path) -> tuple[Any, bool]:
 def compile_mjcf(path: Any) -> dict[str, Any]:
     """Return the binary "model", uint8, of a file and "degrees", True if its angles are; or the "error". `apart` runs this function."""
     file = Path(str(path))
-    first = ""
+    first, spec = "", None
     for folder in list(file.parents)[: PARENTS + 1]:
         try:
             spec = _spec(file, folder)
             model = spec.compile()
         except (ValueError, RuntimeError, MemoryError) as error:
-            first = first or str(error) or type(error).__name__
+            first = _stand_ins(spec, folder) or first or str(error) or type(error).__name__
             continue
         buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
         mujoco.mj_saveModel(model, None, buffer)
         return {"model": buffer, "degrees": np.array(bool(spec.compiler.degree))}
     return {"error": np.array(first)}
+
+
+def _stand_ins(spec: Any, folder: Path) -> str:
+    """Return a sentence about a mesh or texture of a specification that is something else, see `stand_in`; "" if none is, or without one."""
+    if spec is None:
+        return ""
+    for within, parts in ((spec.meshdir, spec.meshes), (spec.texturedir, spec.textures)):
+        for part in parts:
+            file = folder / within / part.file
+            if not file.is_file():
+                continue
+            with suppress(OSError), file.open("rb") as opened:
+                other, remedy = stand_in(opened.read(HEAD))
+                if other:
+                    return f"{file} is a {other}: {remedy}"
+    return ""
 
 
 def _spec(file: Path, folder: Path) -> Any:
