@@ -103,6 +103,19 @@ def test_pointers_among_its_files_are_named(tmp_path: Path, words: str) -> None:
         HandDescription.from_file(tmp_path / "hand.xacro")
 
 
+def test_a_version_of_xacro_that_is_not_guarded_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """ROS puts its own version in front."""
+    (tmp_path / "hand.xacro").write_text(xacro_hand())
+    (tmp_path / "ros" / "xacro").mkdir(parents=True)
+    (tmp_path / "ros" / "xacro" / "__init__.py").write_text("import glob\nparse = load_yaml = None\n")
+    (tmp_path / "ros" / "xacro" / "substitution_args.py").touch()
+    monkeypatch.syspath_prepend(str(tmp_path / "ros"))
+    with pytest.raises(
+        InvalidInputError, match=r"ros/xacro/__init__\.py is a version without safe_eval, .*: pip install xacro==2"
+    ):
+        HandDescription.from_file(tmp_path / "hand.xacro")
+
+
 def test_a_file_in_the_folder_of_everything_reads_only_its_neighbours() -> None:
     root = Path("/")
     assert _is_inside(root / "sizes.yaml", root)

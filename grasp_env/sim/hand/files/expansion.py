@@ -73,10 +73,15 @@ def _expanded(file: str, arguments: _Arguments, files: _Files) -> bytes:
 
 def _guard(xacro: Any, substitution_args: Any, arguments: _Arguments, files: _Files) -> None:
     """Replace the functions of xacro that evaluate, open, list and find, and remove what its expressions should not call."""
-    for module, names in ((xacro, ("safe_eval", "parse", "glob", "load_yaml")), (substitution_args, ("_eval", "_eval_env", "_eval_find"))):  # fmt: skip
-        if lacking := [name for name in names if not hasattr(module, name)]:
-            raise RefusedError(f"{xacro.__file__} is another version, without {lacking[0]}: pip install xacro==2.1.1")
-    symbols = xacro._global_symbols
+    symbols = getattr(xacro, "_global_symbols", {})
+    needed = (
+        (dir(xacro), ("safe_eval", "parse", "glob", "load_yaml")), (dir(substitution_args), ("_eval", "_eval_env", "_eval_find")),
+        (symbols, ("math", "python", "xacro")),
+    )  # fmt: skip
+    if lacking := [name for there, names in needed for name in names if name not in there]:
+        raise RefusedError(
+            f"{xacro.__file__} is a version without {lacking[0]}, which is not guarded: pip install xacro==2.1.1"
+        )
     python, namespace = symbols["python"], symbols["xacro"]
     everything = {*_PYTHON, *_XACRO, *vars(math), "math", "python", "xacro"}
     for table, allowed in ((symbols, everything), (python, _PYTHON), (namespace, _XACRO)):
