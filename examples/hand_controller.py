@@ -70,9 +70,9 @@ class Calibration:
 class HandController:
     """`configure` and `activate` may raise, `update` never does; it commands `torques` [N m], explained by `status`.
 
-    "holding": forces that balance the wrench; "overloaded": those that exceed the motors' limits least; "pivoting": those
-    that balance all but a moment which no contact resists, as that about the line through two; "coasting": the last
-    forces, as contacts are stale, numbers broken or no force balances; "released": the hand carries itself.
+    "holding": forces that balance the wrench; "overloaded": those that exceed the motors' limits least; "pivoting":
+    those that balance all but a moment which no contact resists, as that about the line through two; "coasting": the
+    last forces, as contacts are stale, numbers broken or no force balances; "released": the hand carries itself.
     """
 
     def configure(self, hand: HandDescription, settings: Settings, calibration: Calibration):
@@ -162,7 +162,7 @@ class HandController:
             return None
 
     def _within_reach(self, now):
-        """Return the part of the wrench that the touching contacts can make, or None if that is all of it or nothing."""
+        """Return the part of the wrench that the touching contacts can make; None: all of it, or no contact touches."""
         touching = now.touching
         try:
             held = Grasp.from_contacts(self.positions[touching], self.normals[touching], self.settings.friction)

@@ -179,10 +179,10 @@ def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finge
 
 @needs_bullet
 def test_without_force_closure_the_episode_ends_with_that_cause() -> None:
-    trial = Trial((2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
+    trial = Trial((1, 2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
     last = trial.infos[-1]
     assert (last["failure"], last["is_success"], last["force_closure"]) == ("closure_lost", False, False)
-    assert (last["contacts"], last["status"] in ("none", "failed")) == (2, True)
+    assert (last["contacts"] <= 1, last["status"] in ("none", "failed")) == (True, True)
     lost = [info["force_closure"] for info in trial.infos].index(False)
     assert 5 <= len(trial.infos) - lost <= 7  # max_contact_gap = 0.1 s, at 50 Hz
     assert all(info["iterations"] == 0 for info in trial.infos[lost + 1 :])  # the first lost it after its optimisation
@@ -192,13 +192,28 @@ def test_without_force_closure_the_episode_ends_with_that_cause() -> None:
 
 
 @needs_bullet
+def test_two_opposite_fingers_hold_until_the_others_are_back() -> None:
+    """The wrench is within their reach: no moment about the line through them. Agent's steps, whose flow does not solve it, are no gaps."""
+    trial = Trial((2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
+    last, alone = trial.infos[-1], [tick for tick in trial.ticks if tick["fingers"] == [0, 1]]
+    assert (last["contacts"], last["failure"], last["force_closure"]) == (4, "", True)
+    assert len(alone) > 150
+    assert np.mean([tick["closure"] for tick in alone]) > 0.99
+    assert np.percentile([tick["missing"] for tick in alone], 99) < 1e-6
+    assert max(info["drift"] for info in trial.infos) < 5e-3
+
+
+@needs_bullet
 def test_gaps_of_force_closure_are_survived_each_on_its_own() -> None:
-    """Without gravity two fingers are pulled off twice and come back; the gaps together are longer than one may be."""
-    limits = {"duration": 4.0, "max_contact_gap": 0.4, "max_drift": 0.05}
-    trial = Trial((2, 3), [*range(51, 54), *range(401, 404)], 200, gravity=(0.0, 0.0, 0.0), limits=limits)
+    """Without gravity two fingers are pulled off twice and come back; the gaps together are longer than one may be.
+
+    The line through the other two leaves their cones.
+    """
+    limits = {"duration": 4.0, "max_contact_gap": 0.3, "max_drift": 0.05}
+    trial = Trial((1, 2), [*range(51, 54), *range(401, 404)], 200, gravity=(0.0, 0.0, 0.0), limits=limits)
     last = trial.infos[-1]
     assert (last["contacts"], last["failure"], last["force_closure"]) == (4, "", True)
-    assert sum(not tick["closure"] for tick in trial.ticks) > 0.4 * 250
+    assert sum(not tick["closure"] for tick in trial.ticks) > 0.3 * 250
 
 
 def test_one_missed_tick_does_not_let_a_finger_go() -> None:

@@ -320,11 +320,13 @@ private:
         if (hold == Hold::optimized) {
             if (has_last_) lift_landed_forces();
             if (step || !has_last_ || !near_limits_ || !keep_limits(last_row_.data())) {
-                const Record row = step ? by_method(*step) : follow();
+                const Record found = step ? by_method(*step) : follow();
+                const bool few = step && found.code() == RANK_LOST;  // a flow does not solve what few contacts can balance
+                const Record row = few ? follow() : found;
                 if (!row.has_force()) return balance_elastically();
                 set_force(row);
                 if (motors_can_make(1.0)) near_limits_ = false;
-                else keep_limits(has_last_ && near_limits_ ? last_row_.data() : (step ? solution : follow_row_).data());
+                else keep_limits(has_last_ && near_limits_ ? last_row_.data() : (step && !few ? solution : follow_row_).data());
             }
             if (has_last_) bound_change();
             return;
