@@ -94,8 +94,8 @@ class HandController:
         if not self._good(state):
             raise ValueError(f"a state of {self.size} finite numbers is needed to begin with, got {state}")
         self.state, self.age, self.home = state, state.age, state.angles.copy()
-        places = (np.where(np.isfinite(places), places, 0.0) for places in (state.positions, state.normals))
-        self.positions, self.normals = places
+        touching = np.asarray(state.touching, dtype=bool)[:, None]
+        self.positions, self.normals = np.where(touching, state.positions, 0.0), np.where(touching, state.normals, 0.0)
         self.forces = np.zeros_like(state.positions)  # (N, 3) of the last solution [N]
         self.blind, self.late, self.over_budget, self.status = np.inf, 0, 0, "released"
         self.optimizer.forget()
@@ -127,7 +127,7 @@ class HandController:
     def _watch(self, state, period):
         s, good = self.settings, self._good(state)  # otherwise the last good message is used
         self.state, self.age = (state, state.age) if good else (self.state, self.age + period)
-        now, touching = self.state, self.state.touching[:, None]
+        now, touching = self.state, np.asarray(self.state.touching, dtype=bool)[:, None]
         np.copyto(self.positions, now.positions, where=touching)  # a finger without contact keeps its last values
         np.copyto(self.normals, now.normals, where=touching)
         jacobian, weight = self.kinematics.statics(now.angles, self.positions, now.gravity)
@@ -162,8 +162,10 @@ class HandController:
             return None
 
     def _within_reach(self, now):
-        """Return the part of the wrench that the touching contacts can make; None: all of it, or no contact touches."""
-        touching = now.touching
+        """Return the part of the wrench that several touching contacts can make; None: all of it, or too few touch."""
+        touching = np.asarray(now.touching, dtype=bool)
+        if touching.sum() < 2:  # a single fingertip does not stop an object from turning
+            return None
         try:
             held = Grasp.from_contacts(self.positions[touching], self.normals[touching], self.settings.friction)
         except ValueError:

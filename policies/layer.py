@@ -39,7 +39,7 @@ STATUS = {
     3: "no force inside the friction cones balances the wrench",
     4: "an input is not finite, out of range, or a zero vector where a direction is needed",
     5: "no force is within the limits",
-    6: "the grasp matrix does not have rank 6",
+    6: "the grasp matrix has a rank below 6, or all contacts are at one point",
     7: "no force inside the friction cones was found",
 }
 """Reasons why an element has no optimum, by status."""
@@ -82,8 +82,7 @@ class GraspForces(NamedTuple):
         torsion: (..., N) moment about each normal [N m]; 0 where a contact is not soft.
         multipliers: (..., 6) Lagrange multipliers nu of the balance G f + w = 0: grad Phi = G^T nu, and d (min Phi) / d wrench = -nu.
         status: (...) int64: 0 optimal, 1 iteration limit, 2 stalled (balanced, but the gap is above the tolerance), 3 infeasible,
-            4 invalid inputs, 5 limits exceeded, 6 rank of the grasp matrix below 6 and neither a force nor a proof found (on a GPU:
-            every rank below 6), 7 undecided.
+            4 invalid inputs, 5 limits exceeded, 6 all contacts at one point (on a GPU: rank of the grasp matrix below 6), 7 undecided.
         gap: (...) certified relative distance of Phi to its minimum; inf without an optimum.
         residual: (...) largest component of G f + w, with moments divided by the contacts' spread [N].
         iterations: (...) int64, accepted Newton steps.

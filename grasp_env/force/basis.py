@@ -10,10 +10,11 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench, flag, instance
-from grasp_env.errors import InfeasibleStartError, RankDeficientGraspError
+from grasp_env.errors import InfeasibleStartError
 from grasp_env.force.objective import Objective, as_objective
 from grasp_env.force.record import CODE, FORCE, LIMIT
 from grasp_env.force.solution import COMBINATION
+from grasp_env.grasp.checks import rank_error
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
@@ -126,8 +127,9 @@ def core_contacts(grasp: Grasp, objective: Objective) -> core.Contacts:
     given = (omega, lam) if uniform else (objective.weights(contacts.count),)
     try:
         return contacts.weighed(*given)
-    except ValueError as error:
-        raise RankDeficientGraspError(str(error)) from None
+    except ValueError:
+        hint = "; torsions of soft contacts do not count here" if grasp.rank == 6 else ""
+        raise rank_error(min(grasp.rank, 5), contacts.count, hint) from None
 
 
 def starter(grasp: Grasp, objective: Objective, model: core.Model | None = None) -> core.ForceOptimizer:

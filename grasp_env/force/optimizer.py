@@ -271,8 +271,7 @@ class ForceOptimizer:
             InvalidInputError: wrong shapes, values that are not finite or out of range.
             InfeasibleWrenchError: no force strictly inside the cones and limits balances the wrench; the error contains the proof. Two
                 hard contacts, for example, do not balance a moment about the line through them.
-            RankDeficientGraspError: no contact touches, or the contacts are within rounding of lying on one line. A flow also needs
-                contacts that balance wrenches of every direction.
+            RankDeficientGraspError: no contact touches; or a flow, and contacts that cannot balance wrenches of every direction.
             InfeasibleStartError: the start is not balanced or not strictly inside the cones, or its rule fails.
             NotConvergedError: neither a force nor a proof was found.
         """
@@ -366,6 +365,8 @@ class ForceOptimizer:
         """
         now = self._arrays(positions, normals, friction, jacobian, torque_bias)
         moved = touching_grasp(self.grasp, now) if any(each is not None for each in now[:3]) else self.grasp
+        if self.options.flows and moved.rank < 6:
+            raise self._rank_error(moved)
         if not self.core.update(*now[:5]):
             raise InvalidInputError("the contacts or limits are invalid: give finite numbers and inward unit normals")
         self._grasp = moved
@@ -373,7 +374,13 @@ class ForceOptimizer:
 
     def _arrays(self, *given: Any, **named: Any) -> Call:
         """Return the checked arrays of a call on these contacts and limits."""
-        return checked_call(self.grasp, 0 if self.limits is None else self.limits.joints, *given, **named)
+        now = checked_call(self.grasp, 0 if self.limits is None else self.limits.joints, *given, **named)
+        own: Any = None if self.limits is None else self.limits.jacobian
+        if now.jacobian is not None and own is not None and now.jacobian.shape != own.shape:
+            raise InvalidInputError(
+                f"jacobian must have the shape {own.shape} of the limits', got {now.jacobian.shape}"
+            )
+        return now
 
     def _limits_of(self, now: Call) -> ForceLimits | None:
         """Return the limits with the Jacobian and the torque bias of a call."""
@@ -442,6 +449,10 @@ class ForceOptimizer:
             return error
         if code == REFUSED and start.force is not None:
             return refused_start(moved, wrench, start, now.contacts)
+        if code == REFUSED:
+            return InvalidInputError(
+                f"the call has numbers that the solver cannot use, for wrench {wrench.tolist()} and {moved}"
+            )
         return self._rank_error(moved)
 
     def _rank_error(self, moved: Grasp) -> GraspError:

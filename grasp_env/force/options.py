@@ -50,9 +50,7 @@ def checked_options(*given: Any) -> Options:
     """Return the checked keywords of an optimizer, in the order of its signature; cached, since the checks take longer than a solve."""
     try:
         return _cached(*given)
-    except (
-        Exception
-    ):  # unhashable arguments, such as a list of weights or a memoryview; or wrong ones, which raise again
+    except Exception:  # arguments without a hash, such as a list or a memoryview; wrong ones raise again
         return _checked(*given)
 
 

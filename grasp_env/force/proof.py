@@ -45,11 +45,11 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
     assert twist is not None
     wrench = f"wrench {solution.wrench.tolist()}"
     shown = f"the twist {[round(v, 6) for v in twist.tolist()]}"
-    if grasp is not None and not _moves_contacts(grasp, twist):
+    if grasp is not None and grasp.rank < 6 and not _moves_contacts(grasp, twist):
         return (
             f"{wrench} is out of reach: rank(G) = {grasp.rank} < 6 with {grasp.n_contacts} contact{'s' * (grasp.n_contacts != 1)}, "
             f"and no force of theirs acts along {shown} (velocity, angular velocity; error.solution.certificate): leave that part out of "
-            "the wrench, or add a contact, friction or soft fingertips"
+            "the wrench (grasp.within_reach), or add a contact, friction or soft fingertips"
         )
     needed = _needed(solution, limits)
     slipping = [] if grasp is None else _slipping(solution, grasp, limits)
@@ -67,9 +67,14 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
     )
 
 
+def transmitted_matrix(grasp: Grasp) -> Array:
+    """Return G (6, 4N) of the forces and torsions that the contacts transmit; the other columns are zero."""
+    return np.concatenate([grasp.matrix * grasp.models.transmitted.reshape(-1), grasp.torsion_matrix], axis=1)
+
+
 def _moves_contacts(grasp: Grasp, twist: Array) -> bool:
     """Return False if no transmitted force or torsion does work along a twist (6,)."""
-    sent = np.concatenate([grasp.matrix * grasp.models.transmitted.reshape(-1), grasp.torsion_matrix], axis=1)
+    sent = transmitted_matrix(grasp)
     return bool(np.abs(twist @ sent).max() > UNMOVED * (np.abs(twist) @ np.abs(sent)).max())
 
 

@@ -90,8 +90,8 @@ def _coincident(grasp: Grasp) -> list[str]:
 def _condition(grasp: Grasp) -> list[str]:
     if grasp.rank < 6:
         return [
-            f"rank(G) = {grasp.rank} < 6: {grasp.n_contacts} contacts balance only some wrenches, two hard ones none with a moment about "
-            "the line through them; add a contact, friction, or soft fingertips if the object can turn"
+            f"rank(G) = {grasp.rank} < 6: the contacts balance only some wrenches, and contacts on a line none with a moment about that "
+            "line; add a contact, friction, or soft fingertips if the object can turn"
         ]
     centre = grasp.positions.mean(axis=0)
     here, centred = (_condition_number(grasp, about) for about in (np.zeros(3), centre))

@@ -30,6 +30,8 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
     Raises:
         InvalidInputError: a reference of another shape, or one whose projection loses rank.
     """
+    if as_grasp(grasp).null_dimension == 0:
+        return np.zeros((3 * grasp.n_contacts, 0))
     if reference is None:
         reference = reference_basis(grasp)
     else:
@@ -46,6 +48,8 @@ def reference_basis(grasp: Grasp) -> Array:
     replaces them.
     """
     count, dimension = as_grasp(grasp).n_contacts, grasp.null_dimension
+    if dimension == 0:
+        return np.zeros((3 * count, 0))
     sent = grasp.models.transmitted.reshape(-1)
     pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
     squeezes = np.zeros((3 * count, len(pairs)))

@@ -14,7 +14,7 @@ from grasp_env._check import Array, ContactForces
 from grasp_env.core import CLEAR
 from grasp_env.errors import NotConvergedError
 from grasp_env.force.limits import ForceLimits, as_limits
-from grasp_env.force.proof import contact_motions, least_normal_motions
+from grasp_env.force.proof import contact_motions, least_normal_motions, transmitted_matrix
 from grasp_env.force.record import CONVERGED, INFEASIBLE
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.grasp import Grasp, as_grasp
@@ -124,7 +124,7 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
 
 def _rank_lost(grasp: Grasp) -> ForceClosure:
     """Return the result for contacts that cannot balance wrenches of every direction."""
-    sent = np.concatenate([grasp.matrix * grasp.models.transmitted.reshape(-1), grasp.torsion_matrix], axis=1)
+    sent = transmitted_matrix(grasp)
     twist = grasp.unit_frame.T @ np.linalg.svd(grasp.unit_frame @ sent)[0][:, -1]
     twist /= np.abs(twist).max()
     twist *= np.sign(twist[np.abs(twist).argmax()])

@@ -47,7 +47,7 @@ def epsilon(
 
     Args:
         grasp: the contacts, of any models.
-        length: length that converts moments to forces [m]; None: `grasp.length`.
+        length: length that converts moments to forces [m]; None: `grasp.length`, or 1 m for one contact.
         criterion: size of a force: "sum" or "max" of its normal forces.
         tolerance, starts, points, seed: see `worst_case`.
 
@@ -60,7 +60,7 @@ def epsilon(
         >>> low, high, float(abs(wrench[5]))
         (0.2500, 0.2500, 0.02)
     """
-    scale = as_grasp(grasp).length if length is None else positive(length, "length", ranges.LENGTH)
+    scale = as_grasp(grasp).length or 1.0 if length is None else positive(length, "length", ranges.LENGTH)
     worst = worst_case(
         grasp, WrenchBall(1.0, scale), criterion, tolerance=tolerance, starts=starts, points=points, seed=seed
     )
@@ -100,7 +100,7 @@ def singular_values(grasp: Grasp, length: float | None = None) -> Array:
         >>> singular_values(presets.tripod()).round(3)
         array([1.732, 1.732, 1.732, 1.732, 1.225, 1.225])
     """
-    scale = as_grasp(grasp).length if length is None else positive(length, "length", ranges.LENGTH)
+    scale = as_grasp(grasp).length or 1.0 if length is None else positive(length, "length", ranges.LENGTH)
     transmitted = as_grasp(grasp).matrix * grasp.models.transmitted.reshape(-1)
     whole = np.concatenate([transmitted, grasp.torsion_matrix * scale], axis=1)
     whole[3:] /= scale

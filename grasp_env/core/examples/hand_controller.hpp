@@ -3,6 +3,7 @@
 #pragma once
 #include <grasp/hand/tree_file.hpp>
 #include <grasp/optimizer.hpp>
+#include <bit>
 #include <chrono>
 #include <numbers>
 
@@ -74,8 +75,8 @@ public:
     void activate(const HandState& state) {  // torques rise from zero; invalid numbers leave it inactive
         if (good(state)) {
             now_ = state, home_ = state.angles, blind_ = grasp::infinity, late = over_budget = 0, status = released;
-            for (auto* places : {&now_.positions, &now_.normals})
-                for (double& value : *places) value = std::isfinite(value) ? value : 0.0;
+            for (int k = 0; k < 3 * n_; ++k)
+                if (now_.touching[k / 3] == 0.0) now_.positions[k] = now_.normals[k] = 0.0;
         }
         solver_->forget();
     }
@@ -138,7 +139,8 @@ private:
         const grasp::Changes contacts{now_.positions, now_.normals, {}, jacobian_, wanted_, touching};
         const grasp::Record* found = now_.age[0] <= s_.stale ? &solver_->solve(grasp::Wrench(now_.wrench), contacts) : nullptr;
         Status balance = holding;
-        if (found && !found->has_force())
+        const bool several = std::popcount(touching) > 1;  // a single fingertip does not stop an object from turning
+        if (found && !found->has_force() && several)
             if (const auto rest = solver_->within_reach(grasp::Wrench(now_.wrench), contacts))
                 found = &solver_->solve(*rest, contacts), balance = pivoting;
         if (found && found->has_force()) {

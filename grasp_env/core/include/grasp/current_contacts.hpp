@@ -56,7 +56,7 @@ public:
     std::uint64_t touching(std::uint64_t mask) const {
         return home.count < 64 ? mask & ((std::uint64_t(1) << home.count) - 1) : mask;
     }
-    // Take over the contacts and limits of a call. Return CONVERGED, REFUSED, or RANK_LOST if no contact touches.
+    // Take over the contacts and limits of a call. Return CONVERGED, REFUSED, or RANK_LOST if no contact makes a wrench.
     Code load_call(const Changes& given) {
         const int all = home.count;
         const std::size_t triples = std::size_t(3 * all);

@@ -645,8 +645,8 @@ private:
         const Summary& s = record.summary();
         double most = 0.0;
         for (int i = 0; i < current_.now.count; ++i) most = std::max(most, record.force()[3 * i]);
-        const double allowed =
-            balance_tolerance(grasp::size(newton_.cones.unit.of(s.wrench.data())), most) + ROUNDED * most + NOTHING;
+        const double allowed = balance_tolerance(grasp::size(newton_.cones.unit.of(s.wrench.data())), most) +
+                               (ROUNDED + current_.now.reach.rounding * current_.now.count) * most + NOTHING;
         return s.residual <= allowed && s.margin >= 0.0 && s.objective < infinity && most <= LARGEST &&
                grasp::size(s.multipliers) < infinity;
     }
@@ -861,7 +861,6 @@ private:
         const Record made = current_record();
         const bool usable = optimum ? is_sound(code, made) : made.summary().objective < infinity;
         if (Record::has_force(code) && !usable) code = UNDECIDED;
-        if (code == UNDECIDED && current_.now.placing == Placing::rank_lost) code = RANK_LOST;
         s.code = code;
         if (!out.has_force()) {
             std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);

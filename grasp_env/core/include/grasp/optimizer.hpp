@@ -70,7 +70,7 @@ public:
     // or if no contact touches. Two hard contacts, for example, do not make a moment about the line through them.
     std::optional<Vec6> within_reach(Wrench wrench, const Changes& now = {}) { return engine_->within_reach(wrench.data(), now); }
     // Replace contacts and limits for all later calls. Return false, with nothing changed, if the values are invalid: of wrong size,
-    // not finite, or normals not of unit length. Rank-deficient contacts are accepted; the calls then return RANK_LOST.
+    // not finite, or normals not of unit length. Contacts that cannot balance wrenches of every direction are accepted.
     bool update(const Changes& now) { return engine_->update(now); }
     // Solve (M, 6) wrenches into M rows of `size()` numbers, each as `solve` without a previous solution. Allocates.
     void solve_many(Doubles wrenches, std::span<double> rows) const {

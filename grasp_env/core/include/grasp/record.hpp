@@ -13,7 +13,7 @@ enum Code {
     INFEASIBLE,  // no force within the cones and limits balances the wrench; the record holds the twist that proves it
     REFUSED,  // invalid values, or a given start that is not balanced or not inside the cones
     LIMITS_EXCEEDED,  // no force satisfies all limits; this one exceeds them least
-    RANK_LOST,  // the contacts cannot balance wrenches of every direction; for this wrench neither a force nor a proof was found
+    RANK_LOST,  // no contact touches; or the contacts cannot balance wrenches of every direction, which a flow needs
     UNDECIDED,  // neither a force nor a proof was found
 };
 

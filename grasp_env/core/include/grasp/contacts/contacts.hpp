@@ -25,9 +25,10 @@ inline constexpr double BOUNDARY = BALANCED;
 enum class Placing { good, refused, rank_lost, needs_torsion };
 
 // The wrenches that contacts can make if forces may have any sign: those along the first `rank` of six orthonormal axes, unit frame.
-// No axes are stored for rank 6, nor without contacts.
+// With rank 6 the axes have no meaning.
 struct WrenchSpace {
     int rank = 6;
+    double rounding = 0.0;  // fraction of the forces: wrench out of reach that they make because places are rounded
     std::array<Vec6, 6> axes{};
 
     bool full() const { return rank == 6; }
@@ -219,6 +220,7 @@ public:
 
 private:
     static constexpr std::size_t MOST_CONTACTS = 1000;
+    static constexpr double ROUNDED_PLACES = 1e-15;  // of the distance from the origin
     std::vector<double> used_, per_;  // 1 where a force is transmitted, else 0; 1 / divisor
     std::vector<double> work_;  // (6, 4N)
 
@@ -257,7 +259,7 @@ private:
 
     // Find the rank of placed contacts; s: Gram matrix of the rows.
     Placing find_rank(const Packed6& s) {
-        clear = false, reach.rank = 6;
+        clear = false, reach.rank = 6, reach.rounding = 0.0;
         if (invert(s)) return Placing::good;
         Packed6 all = s;
         const int columns = gather_columns(all);
@@ -295,6 +297,7 @@ private:
             std::copy_n(found.turn[r], 6, axis.begin());
         }
         reach.rank = first;
+        if (!reach.full()) reach.rounding = ROUNDED_PLACES * (1.0 + unit.scale() * length(unit.centre));
     }
 
     bool invert(const Packed6& s) {

@@ -171,9 +171,7 @@ public:
     }
 
 private:
-    // Fraction of the forces: effect of their rounding on balance, and that of the places of contacts, which no force of contacts on a line
-    // makes up for.
-    static constexpr double ROUNDED = 1e-15, ROUNDED_PLACES = 1e-13;
+    static constexpr double ROUNDED = 1e-15;  // fraction of the forces: effect of their rounding on balance
     // Smallest margin of an internal force; less would be useful only with millions of newtons.
     static constexpr double DEEP = 1e-6;
     // Bound of the normal forces when minimising an excess, relative to the largest normal force of the start.
@@ -443,8 +441,7 @@ private:
             force = T == 1 ? std::max(force, normal) : force + normal;
         }
         const double value = elastic() ? excess(z_) : force;
-        const double rounding = in_.reach.full() ? ROUNDED : ROUNDED_PLACES;
-        const bool good = least >= 0.0 && residual_ <= BALANCED * grasp::size(unit_) + rounding * force;
+        const bool good = least >= 0.0 && residual_ <= BALANCED * grasp::size(unit_) + (ROUNDED + in_.reach.rounding) * force;
         if (good && value < best_value_) best_value_ = value, best_ = z_, best_residual_ = residual_;
         return gap();
     }

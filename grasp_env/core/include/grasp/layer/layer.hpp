@@ -153,8 +153,7 @@ private:
         if (cached.solver && constants == cached.constants) return CONVERGED;
         cached.solver.reset();
         const Contacts contacts = posed.placed(batch_, k);
-        if (contacts.placing == Placing::refused) return REFUSED;
-        if (contacts.reach.rank == 0) return RANK_LOST;
+        if (contacts.placing == Placing::refused || contacts.reach.rank == 0) return RANK_LOST;  // all at one point
         ForceLimits limits;
         if (limited) {
             limits = {slice(batch_.min_normal, k, count()), slice(batch_.max_normal, k, count()), jacobian(k),
