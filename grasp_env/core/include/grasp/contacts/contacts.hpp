@@ -20,8 +20,8 @@ template <class S> inline S balance_tolerance(const S& wrench, const S& normal) 
 // a force may balance a wrench just inside instead: both count as equal.
 inline constexpr double BOUNDARY = BALANCED;
 
-// refused: not finite, all at one point, or a normal not of unit length. needs_torsion: the rank is 6 only with the torsion of soft contacts. rank_lost:
-// the contacts balance the wrenches of their `reach` only. `inverse` is undefined in both.
+// refused: not finite, all at one point, or a normal not of unit length. needs_torsion: the rank is 6 only with the torsion of soft
+// contacts. rank_lost: the contacts balance the wrenches of their `reach` only. `inverse` is undefined in both.
 enum class Placing { good, refused, rank_lost, needs_torsion };
 
 // The wrenches that contacts can make if forces may have any sign: those along the first `rank` of six orthonormal axes, unit frame.

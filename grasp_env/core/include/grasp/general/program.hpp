@@ -51,13 +51,7 @@ public:
         std::copy(wrench, wrench + 6, out.wrench.begin());
         criterion_ = criterion, budget_ = budget, tolerance_ = options.tolerance;
         const Vec6 load = in_.in_frame(wrench);
-        if (in_.is_out_of_reach(load)) {
-            Depth depth(in_, limits);
-            const Deepest found = depth.find(wrench, options.tolerance, z_);
-            if (found.code != INFEASIBLE) return REFUSED;
-            std::copy(depth.prices().begin(), depth.prices().end(), prices);
-            return record.refute(found.twist, size(load));
-        }
+        if (in_.is_out_of_reach(load)) return REFUSED;  // `deepest` has the proof
         const Vec6 turned = in_.solve_lower(load);
         size_ = in_.largest_of(turned);
         double most = 0.0;

@@ -67,7 +67,7 @@ private:
             smooth_.load(lane, from + shown, posed_[shown], Regime::optimum);
             if (sound[lane] && posed_[lane].take_start(batch_, from + lane)) starts[lane] = posed_[lane].start.data();
         }
-        const Mask ordinary = sound & smooth_.place() & smooth_.begin();
+        const Mask full_rank = smooth_.place(), ordinary = sound & full_rank & smooth_.begin();
         smooth_.take_starts(starts);
         const Mask close = smooth_.descend(ordinary, std::min(USUAL, options_.limit));
         smooth_.polish(close);
@@ -79,7 +79,7 @@ private:
             Answer& answer = answers[lane];
             answer = {CONVERGED, Regime::optimum, get(gaps, lane), get(smooth_.iterations, lane)};
             if (close[lane] && answer.gap <= options_.tolerance && balanced[lane]) continue;
-            answer = solve_with_optimizer(from + lane, lane);
+            answer = solve_with_optimizer(from + lane, lane, full_rank[lane]);
             (is_optimum(answer.regime) ? late : elastic)[lane] = -1;
         }
         smooth_.iterations = {};
@@ -93,16 +93,16 @@ private:
         for (int lane = 0; lane < many; ++lane)
             if (sound[lane]) write(lane, from + lane, answers[lane], to);
     }
-    // Solve by `ForceOptimizer`; the lane continues from its answer.
-    Answer solve_with_optimizer(std::ptrdiff_t k, int lane) {
+    // Solve by `ForceOptimizer`; the lane continues from its answer. full_rank: true if the rank of G is 6 beyond doubt.
+    Answer solve_with_optimizer(std::ptrdiff_t k, int lane, bool full_rank) {
         const PosedProblem& posed = posed_[lane];
         Answer answer{.code = solve_alone(k, posed_[lane])};
         const bool force = Record::has_force(answer.code);
         if (!row_.empty()) answer.iterations = Record(row_.data()).summary().iterations;
         if (force && answer.code != LIMITS_EXCEEDED) answer.gap = Record(row_.data()).gap();
         answer.regime = answer.code == LIMITS_EXCEEDED ? Regime::exceeding : force ? Regime::optimum : Regime::unbalanced;
-        const bool lost = answer.regime == Regime::optimum && posed.placed(batch_, k).placing == Placing::rank_lost;
-        if (lost) answer.regime = Regime::within_reach;
+        const bool doubtful = answer.regime == Regime::optimum && !full_rank;
+        if (doubtful && !posed.placed(batch_, k).reach.full()) answer.regime = Regime::within_reach;
         smooth_.choose(lane, answer.regime, posed);
         if (force) {
             const Record record(row_.data());
