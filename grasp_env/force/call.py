@@ -27,7 +27,7 @@ class Call(NamedTuple):
 
 def checked_call(
     grasp: Grasp,
-    joints: int,
+    motions: tuple[int, int],
     positions: Any = None,
     normals: Any = None,
     friction: Any = None,
@@ -35,8 +35,8 @@ def checked_call(
     torque_bias: Any = None,
     contacts: Any = None,
 ) -> Call:
-    """Check the arguments of a call of `ForceOptimizer.solve` on its contacts and its limits of so many joints."""
-    n = grasp.n_contacts
+    """Check the arguments of a call of `ForceOptimizer.solve` on its contacts, and on limits whose Jacobian has the shape (N, *motions)."""
+    n, joints = grasp.n_contacts, motions[1]
 
     def array(value: Any, shape: tuple[int | None, ...], name: str, **options: Any) -> Any:
         return None if value is None else as_array(value, shape, name, copy=False, **options)
@@ -47,6 +47,8 @@ def checked_call(
         checked = checked_jacobian(jacobian, n, touch)
         if checked.shape[2] != joints:
             raise InvalidInputError(f"jacobian must be that of {joints} joints, got shape {checked.shape}")
+        if joints and checked.shape[1:] != motions:
+            raise InvalidInputError(f"jacobian must have the shape {(n, *motions)} of the limits', got {checked.shape}")
         return checked
 
     with AllFaults() as check:

@@ -374,13 +374,8 @@ class ForceOptimizer:
 
     def _arrays(self, *given: Any, **named: Any) -> Call:
         """Return the checked arrays of a call on these contacts and limits."""
-        now = checked_call(self.grasp, 0 if self.limits is None else self.limits.joints, *given, **named)
-        own: Any = None if self.limits is None else self.limits.jacobian
-        if now.jacobian is not None and own is not None and now.jacobian.shape != own.shape:
-            raise InvalidInputError(
-                f"jacobian must have the shape {own.shape} of the limits', got {now.jacobian.shape}"
-            )
-        return now
+        moved: Any = None if self.limits is None else self.limits.jacobian
+        return checked_call(self.grasp, (0, 0) if moved is None else moved.shape[1:], *given, **named)
 
     def _limits_of(self, now: Call) -> ForceLimits | None:
         """Return the limits with the Jacobian and the torque bias of a call."""
