@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -283,13 +283,17 @@ LOADS = [0.3, 5.0, 50.0, 1000.0]
 """Sizes of a load [N]."""
 
 
+def loaded(rng: np.random.Generator, load: float) -> Iterator[tuple[Grasp, np.ndarray]]:
+    """Grasps of 3 to 8 contacts with force closure, each with a wrench of that size."""
+    for count in (3, 4, 5, 6, 8) * 4:
+        yield closed(rng, count), load * rng.standard_normal(6) * np.repeat([1.0, 0.03], 3)
+
+
 @pytest.mark.parametrize("load", LOADS)
 def test_a_given_start_is_judged_by_its_own_wrench(load: float) -> None:
     """`start` takes what `solve` takes: a force that misses balance by a part of 1e-11 to 5e-9 of the wrench."""
     rng = np.random.default_rng(5)
-    for count in (3, 4, 5, 6, 8) * 4:
-        grasp = closed(rng, count)
-        wrench = load * rng.standard_normal(6) * np.repeat([1.0, 0.03], 3)
+    for grasp, wrench in loaded(rng, load):
         force = optimize_force(grasp, wrench).force.copy()
         force[0, 0] += 10.0 ** rng.uniform(-11.0, -8.3) * np.abs(wrench[:3]).max()
         optimizer = ForceOptimizer(grasp)
@@ -300,10 +304,7 @@ def test_a_given_start_is_judged_by_its_own_wrench(load: float) -> None:
 @pytest.mark.parametrize("load", LOADS)
 def test_a_carried_start_that_stalls_is_never_replaced_by_a_worse_force(load: float) -> None:
     """With few steps and a gap below rounding: the objective is not above that of the optimum that was given."""
-    rng = np.random.default_rng(0)
-    for count in (3, 4, 5, 6, 8) * 4:
-        grasp = closed(rng, count)
-        wrench = load * rng.standard_normal(6) * np.repeat([1.0, 0.03], 3)
+    for grasp, wrench in loaded(np.random.default_rng(0), load):
         known = optimize_force(grasp, wrench, tolerance=1e-9)
         found = ForceOptimizer(grasp, tolerance=1e-16, max_iterations=5).solve(wrench, initial=known.force)
         assert found.objective <= known.objective * (1.0 + 1e-12)
