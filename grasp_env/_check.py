@@ -10,7 +10,6 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
 
@@ -229,17 +228,14 @@ def warn(message: str) -> None:
 
 def _converted(value: Any, shape: Shape | None, name: str) -> Array:
     """Return a new float64 array of anything that numpy reads as real numbers."""
-    if type(value) is list:  # most are of floats
-        with suppress(Exception):
-            listed = np.asarray(value)
-            if listed.dtype is _FLOAT:
-                _check_shape(listed.shape, shape, name)
-                return listed
     if type(value) is range:  # may be of any length
         _check_shape((len(value),), None, name)
     try:
         with np.errstate(all="ignore"):
             given: Any = np.asarray(value)
+            if type(value) is list and given.dtype is _FLOAT:  # the usual case: a new array that needs no conversion
+                _check_shape(given.shape, shape, name)
+                return given
             why = "masked entries are no numbers" if np.ma.is_masked(value) else _NO_NUMBERS.get(given.dtype.kind)
             if not why:
                 _check_shape(given.shape, shape, name)

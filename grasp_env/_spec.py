@@ -1,4 +1,4 @@
-"""What Gymnasium's registry knows of the environment, and the specification of one that is made."""
+"""The environment's entry in Gymnasium's registry, and the specification of an environment."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gymnasium.envs.registration import EnvSpec, WrapperSpec, registry
 
 ENV_ID = "FourFingerGrasp-v0"
 FINISH = WrapperSpec("finish", "grasp_env.env.env:finish", {})
-"""What `gym.make` calls last."""
+"""The wrapper that `gym.make` applies last."""
 
 
 class GraspSpec(EnvSpec):

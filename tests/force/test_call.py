@@ -1,4 +1,4 @@
-"""What a call is given, in the forms that sensors and messages have."""
+"""Arguments of a call in the forms in which sensors and messages deliver them."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ _PYTHON = (
     "divmod", "enumerate", "filter", "frozenset", "hash", "isinstance", "issubclass", "ord", "range", "repr", "reversed", "slice", "set",
     "sorted", "sum", "tuple", "zip",
 )  # fmt: skip
-"""What expressions may call of Python. `vars` and `type`, which xacro also offers, lead to everything else."""
+"""Python's names that expressions may use. xacro also offers `vars` and `type`, which give access to everything else."""
 _XACRO = ("load_yaml", "abs_filename", "dotify", "arg", "message", "warning", "error", "print_location", "fatal", "tokenize")  # fmt: skip
 _HARMLESS = ("builtins.id", "compile")  # events of the interpreter that xacro needs; `compile` only parses
 _WILD = re.compile(r"[*\[?]")

@@ -212,4 +212,4 @@ _NODES: dict[type[ast.AST], Callable[[_Evaluation, Any], Any]] = {
     ast.SetComp: lambda run, node: set(run._listed(node)),
     ast.DictComp: _Evaluation._dict_listed,
 }
-"""What each kind of node does."""
+"""The function that evaluates each kind of node."""
