@@ -169,7 +169,6 @@ private:
     int entry(int i, const Place& p) const { return (3 * i + p.column) * 3 * count_ + 3 * i + p.row; }
 
     void multiply(const Field& gradient, Field& step) const {
-#pragma GCC unroll 4
         for (int b = 0; b < int(step.size()); ++b) {
             Vec3<V> part[4];
 #pragma GCC unroll 4

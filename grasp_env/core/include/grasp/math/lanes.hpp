@@ -60,7 +60,7 @@ template <class V> [[gnu::always_inline]] inline V sqrt(V a) {
     if constexpr (width<V> == 1) {
         return __builtin_sqrt(a);
     } else {
-        V root{};
+        V root = a;
         for (int n = 0; n < width<V>; ++n) root[n] = __builtin_sqrt(a[n]);
         return root;
     }
@@ -96,13 +96,23 @@ template <int W> struct Each {
     friend Each sqrt(const Each& a) { return sqrt(a.lanes); }
 };
 
+// The lanes from `first` on, as many as a register of half the size holds.
+template <int first, class V> [[gnu::always_inline]] inline auto half(const V& a) {
+#if __has_builtin(__builtin_shufflevector)
+    if constexpr (width<V> == 4) return __builtin_shufflevector(a, a, first, first + 1);
+    else return __builtin_shufflevector(a, a, first, first + 1, first + 2, first + 3);
+#else  // GCC 11
+    typedef std::remove_cvref_t<decltype(a[0])> type __attribute__((vector_size(sizeof(V) / 2)));
+    type out;
+    __builtin_memcpy(&out, reinterpret_cast<const char*>(&a) + first * sizeof(double), sizeof(out));
+    return out;
+#endif
+}
 // Reductions over the lanes, as a tree.
 template <class V, class F> inline auto reduce(V a, F pair) {
     if constexpr (width<V> == 1) return a;
     else if constexpr (width<V> == 2) return pair(a[0], a[1]);
-    else if constexpr (width<V> == 4)
-        return reduce(pair(__builtin_shufflevector(a, a, 0, 1), __builtin_shufflevector(a, a, 2, 3)), pair);
-    else return reduce(pair(__builtin_shufflevector(a, a, 0, 1, 2, 3), __builtin_shufflevector(a, a, 4, 5, 6, 7)), pair);
+    else return reduce(pair(half<0>(a), half<width<V> / 2>(a)), pair);
 }
 template <class V> inline double sum(V a) {
     return reduce(a, [](auto p, auto q) { return p + q; });
