@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from grasp_env.core import build_info
+
 ROOT = Path(__file__).parents[2]
 CORE, PROGRAMS = ROOT / "grasp_env/core", Path(__file__).parent / "programs"
 HEADERS = sorted(
@@ -24,6 +26,13 @@ FLOATING = ["-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"]
 EXAMPLES = sorted(path for path in (CORE / "examples").glob("*.cpp") if re.match(r"\d\d_", path.name))
 PAGES = (CORE / "README.md", ROOT / "docs/moving_contacts.md")
 SOURCES = [*EXAMPLES, *sorted(PROGRAMS.glob("*.cpp"))]
+
+
+def compiled() -> list[str | Path]:
+    """Flags with which a program takes the solvers of the module under test, which holds them for its own processor."""
+    info, folder = build_info(), ROOT / os.environ.get("GRASP_CORE_BUILD", "build/core")
+    processor = [flag for flag in info["flags"].split() if flag.startswith("-march")]
+    return ["-DGRASP_COMPILED", *processor, folder / "solvers/libgrasp.a"]
 
 
 def tool(name: str) -> str:
@@ -76,13 +85,13 @@ def joined() -> str:
     return "\n".join([*lines, *main, *choices, "return 9;", "}", ""])
 
 
-def build(folder: Path, *flags: str, compiler: str = "g++") -> Path:
+def build(folder: Path, *flags: str | Path, compiler: str = "g++") -> Path:
     """Compile all programs; returns a folder with each by its name."""
     source, made = folder / "programs.cpp", folder / "programs"
     made.mkdir()
     source.write_text(joined())
-    every = [*FLAGS, SHADOW[compiler], *FLOATING, "-DGRASP_SEEDED", *flags, f"-I{CORE / 'include'}", "-pthread"]
-    succeed(tool(compiler), *every, source, "-o", made / "all")
+    every = [*FLAGS, SHADOW[compiler], *FLOATING, "-DGRASP_SEEDED", f"-I{CORE / 'include'}", "-pthread"]
+    succeed(tool(compiler), *every, source, *flags, "-o", made / "all")
     for path in SOURCES:
         (made / path.stem).symlink_to("all")
     return made

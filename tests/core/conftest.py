@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 import pytest
-from building import build
+from building import build, compiled
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read once, when numpy is loaded
 
@@ -19,4 +19,4 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     with (folder / "programs.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        return folder / "programs" if (folder / "programs/front").exists() else build(folder, "-O0")
+        return folder / "programs" if (folder / "programs/front").exists() else build(folder, "-O0", *compiled())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import shutil
 import sys
 from collections.abc import Callable
@@ -43,15 +44,28 @@ def test_fast_math_is_refused(flag: str) -> None:
 
 def installed(folder: Path) -> str:
     """With cmake --install; configured without Python."""
-    for part, source, given in (("core", CORE, []), ("whole", ROOT, ["-DGRASP_PYTHON=OFF"])):
-        build, prefix = folder / f"{part}-build", folder / f"{part}-prefix"
-        hidden = [f"-D{name}_EXECUTABLE=/nowhere" for name in ("Python", "Python3")]
-        succeed(tool("cmake"), "-S", source, "-B", build, f"-DCMAKE_INSTALL_PREFIX={prefix}", *given, *hidden)
-        succeed(tool("cmake"), "--install", build)
+    for part, source, given in (("whole", ROOT, ["-DGRASP_PYTHON=OFF"]), ("core", CORE, [])):
+        prefix = install(source, folder / part, "-DGRASP_LIBRARY=OFF", *given)
         files = {path.relative_to(prefix).as_posix() for path in prefix.rglob("*") if path.is_file()}
         headers = {f"include/grasp/{name}" for name in HEADERS}
         config = {f"share/cmake/grasp/{name}.cmake" for name in ("graspConfig", "graspConfigVersion")}
         assert files == headers | config | {"share/grasp/package.xml"}
+    return f"-DCMAKE_PREFIX_PATH={prefix} -DTAKEN=grasp::core"
+
+
+def install(source: Path, folder: Path, *given: str) -> Path:
+    prefix = folder / "prefix"
+    hidden = [f"-D{name}_EXECUTABLE=/nowhere" for name in ("Python", "Python3")]
+    succeed(tool("cmake"), "-S", source, "-B", folder, f"-DCMAKE_INSTALL_PREFIX={prefix}", *given, *hidden)
+    succeed(tool("cmake"), "--build", folder)
+    succeed(tool("cmake"), "--install", folder)
+    return prefix
+
+
+def with_library(folder: Path) -> str:
+    """The same with the library."""
+    prefix = install(CORE, folder / "core", "-DCMAKE_BUILD_TYPE=Debug")
+    assert (prefix / "lib/libgrasp.a").exists()
     return f"-DCMAKE_PREFIX_PATH={prefix}"
 
 
@@ -71,11 +85,16 @@ def dropped(folder: Path) -> str:
 WAYS = (installed, packaged, dropped)
 
 
+def configure(way: Callable[[Path], str], folder: Path, *given: str | Path) -> Path:
+    build = folder / "build"
+    succeed(tool("cmake"), "-S", CONSUMER, "-B", build, *way(folder).split(" "), *given)
+    return build
+
+
 @pytest.mark.parametrize("way", WAYS)
 def test_a_program_finds_the_headers(way: Callable[[Path], str], tmp_path: Path) -> None:
-    option = way(tmp_path)
-    succeed(tool("cmake"), "-S", CONSUMER, "-B", tmp_path / "build", option, "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON")
-    command = (tmp_path / "build/compile_commands.json").read_text()
+    build = configure(way, tmp_path, "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON")
+    command = (build / "compile_commands.json").read_text()
     assert f"{tmp_path}/" in command.partition("-isystem ")[2]
     assert "-ffp-contract=fast" in command
 
@@ -88,13 +107,20 @@ def solves(program: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", SHADOW)
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", [*WAYS, with_library])
 def test_a_program_builds_and_solves(way: Callable[[Path], str], compiler: str, tmp_path: Path) -> None:
-    build = tmp_path / "build"
-    configure = ["-S", CONSUMER, "-B", build, way(tmp_path), f"-DCMAKE_CXX_COMPILER={tool(compiler)}"]
-    succeed("cmake", *configure, "-DCMAKE_BUILD_TYPE=Debug")
+    build = configure(way, tmp_path, f"-DCMAKE_CXX_COMPILER={tool(compiler)}", "-DCMAKE_BUILD_TYPE=Debug")
     succeed("cmake", "--build", build)
     solves(build / "consumer")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="levels of x86-64")
+def test_a_library_for_other_registers_does_not_link(tmp_path: Path) -> None:
+    build = configure(with_library, tmp_path, "-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS=-march=x86-64-v3")
+    done = run("cmake", "--build", build)
+    assert done.returncode != 0
+    assert "make_engine<4>" in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize(("option", "warned"), [("", True), ("Release", False)])

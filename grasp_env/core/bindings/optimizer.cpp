@@ -2,6 +2,8 @@
 // returns None if it cannot read an argument, or if the outcome needs a message; Python then takes over.
 #include "optimizer.hpp"
 
+#include <grasp/phi/basis.hpp>
+
 #include "buffers.hpp"
 #include "rule.hpp"
 #include "solution.hpp"

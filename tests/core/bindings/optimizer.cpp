@@ -54,7 +54,7 @@ public:
         if (const Doubles r = all(rule); !r.empty()) options.step_rule = {int(r[0]), r[1], r[2], r[3], r[4]};
         if (predicts) options.model = predicts->model;
         const Problem problem{p.contacts, {all(min_normal), all(max_normal), all(jacobian), all(torque_limit), all(torque_bias)}};
-        return std::make_unique<AnyOptimizer>(detail::make_engine(problem, options));
+        return std::make_unique<AnyOptimizer>(detail::make_engine<REGISTER>(problem, options));
     }
     std::unique_ptr<AnyOptimizer> clone() const { return std::make_unique<AnyOptimizer>(on_->clone()); }
 

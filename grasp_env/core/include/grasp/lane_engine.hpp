@@ -2,31 +2,15 @@
 // because contacts, starts and algorithms of a call share one state.
 #pragma once
 #include <grasp/current_contacts.hpp>
+#include <grasp/engine.hpp>
 #include <grasp/phi/basis.hpp>
 #include <grasp/general/general.hpp>
+#include <grasp/math/dispatch.hpp>
 #include <grasp/terms/limited.hpp>
 #include <grasp/plans.hpp>
 #include <grasp/terms/soft.hpp>
 
 namespace grasp::detail {
-
-class alignas(64) Engine {
-public:
-    virtual ~Engine() = default;
-    virtual std::unique_ptr<Engine> clone() const = 0;
-    virtual Code solve(const Request& ask, double* row) = 0;
-    // Write the start alone into a record. Return LIMIT, since a descent would continue from it.
-    virtual Code start(const Request& ask, double* row) = 0;
-    virtual void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) = 0;
-    virtual bool update(const Changes& now) = 0;
-    virtual Deepest deepest(const double* wrench, double* force, double* torsion) = 0;
-    virtual std::optional<Vec6> within_reach(const double* wrench, const Changes& now) = 0;
-    // Set the offline optima of the problem's contacts, (13, 3N) in cone coordinates.
-    virtual void set_basis(const double* basis) = 0;
-    virtual double make_basis(double* basis, bool warm) = 0;
-    virtual const Contacts& home() const = 0;
-    virtual int size() const = 0;  // numbers in a row
-};
 
 template <class V, int B> class LaneEngine final : public Engine {
 public:
@@ -911,5 +895,12 @@ private:
         return slack > 0.0 ? current_.table.weights[k] / (slack * slack * current_.table.sizes[k]) : 0.0;
     }
 };
+
+template <class V, int B> std::unique_ptr<Engine> make_lane_engine(const Problem& problem, const Options& options) {
+    return std::make_unique<LaneEngine<V, B>>(problem, options);
+}
+template <int registers> std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options) {
+    return dispatch(problem.contacts.count, [&]<class V, int B>() { return make_lane_engine<V, B>(problem, options); });
+}
 
 }  // namespace grasp::detail

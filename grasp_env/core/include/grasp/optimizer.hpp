@@ -11,13 +11,8 @@
 #include <grasp/engine.hpp>
 #include <grasp/learned/model_file.hpp>
 
-// A program of many files compiles the solvers once: all of them define GRASP_COMPILED_ENGINE, and one includes grasp/compiled_engine.hpp.
-#ifdef GRASP_COMPILED_ENGINE
-namespace grasp::detail {
-std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options);
-}
-#else
-#include <grasp/compiled_engine.hpp>
+#ifndef GRASP_COMPILED  // the target grasp::compiled defines it and holds the solvers; otherwise each file compiles them
+#include <grasp/lane_engine.hpp>
 #endif
 
 namespace grasp {
@@ -93,7 +88,7 @@ private:
 
     Record last_record() { return Record(rows_[0].data()); }
     static std::unique_ptr<detail::Engine> make(const Problem& problem, const Options& options) {
-        return detail::make_engine(problem, options);
+        return detail::make_engine<REGISTER>(problem, options);
     }
 };
 

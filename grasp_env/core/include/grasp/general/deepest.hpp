@@ -41,14 +41,7 @@ public:
 
     // Write the force into z [N]. If CONVERGED, it is strictly inside and balances `wrench` of the result, which differs from the given
     // one by at most BOUNDARY of it. inside: true if a force nearer than NEAR to the boundary shall also move away from it.
-    Deepest find(const double* wrench, double tolerance, Field& z, bool inside = false) {
-        if (in_->is_out_of_reach(in_->in_frame(wrench))) return beyond_reach(wrench);
-        Deepest found = find<double>(wrench, tolerance, z);
-        if (found.code != CONVERGED && found.code != INFEASIBLE) found = find<DoubleDouble>(wrench, tolerance, z);
-        if (inside && found.code == CONVERGED && !found.moved && found.margin < NEAR)
-            move_inside(in_->in_frame(wrench), z, found);
-        return found;
-    }
+    Deepest find(const double* wrench, double tolerance, Field& z, bool inside = false);
     // Prices of the limits if no force is inside. With the twist v they prove it: G^T v + sum price row lies in every dual cone, v
     // . w > sum price bound.
     const ArenaVector<double>& prices() const { return prices_; }
@@ -262,6 +255,15 @@ private:
         for (int i = 0; i < in_->count; ++i) at.z[i] = at.s[i] = wide<R>(in_->inwards());
     }
 };
+
+// Not inline, see `ProgramOn`.
+template <int D> Deepest Depth<D>::find(const double* wrench, double tolerance, Field& z, bool inside) {
+    if (in_->is_out_of_reach(in_->in_frame(wrench))) return beyond_reach(wrench);
+    Deepest found = find<double>(wrench, tolerance, z);
+    if (found.code != CONVERGED && found.code != INFEASIBLE) found = find<DoubleDouble>(wrench, tolerance, z);
+    if (inside && found.code == CONVERGED && !found.moved && found.margin < NEAR) move_inside(in_->in_frame(wrench), z, found);
+    return found;
+}
 
 }  // namespace detail
 }  // namespace grasp

@@ -119,7 +119,7 @@ private:
 
     // Write the residuals of the equations into `residual_`; return the gap and the sizes.
     Measured measure() {
-        return sized(rows.joint, [&](auto joint) { return measure(joint); });
+        return sized<R>(rows.joint, [&](auto joint) { return measure(joint); });
     }
     template <class J> Measured measure(const J joint) {
         Measured m{0.0, abs(objective()), 0.0, 0.0, false};
@@ -266,7 +266,7 @@ private:
         for (int i = 0; i < rows.count; ++i) {
             dz_[i] = scaled(i, d_.z[i]);
             ds_[i] = residual_.z[i];  // ds from its own equation, so feasibility is kept to the last digit
-            sized(rows.joint, [&](auto joint) {
+            sized<R>(rows.joint, [&](auto joint) {
                 for (int r = 0; r < joint; ++r) add(ds_[i], d_.joint[r], rows.columns[joint * i + r]);
             });
             rows.each_own(i, [&](int k, bool paired) { add(ds_[i], rows.pulled(d_.own, k, paired), rows.own[k].row); });

@@ -41,55 +41,9 @@ public:
 
     // See `Program`.
     Code least(const double* wrench, Criterion criterion, const StopRule& options, const Record& record, double* prices,
-               int budget) {
-        const Arena::Scope scope;
-        record.clear();
-        std::fill(prices, prices + limits, 0.0);
-        Summary& out = record.summary();
-        out.code = REFUSED;
-        if (!is_valid_wrench(wrench) || (criterion == Criterion::excess && !may_exceed_)) return REFUSED;
-        std::copy(wrench, wrench + 6, out.wrench.begin());
-        criterion_ = criterion, budget_ = budget, tolerance_ = options.tolerance;
-        const Vec6 load = in_.in_frame(wrench);
-        if (in_.is_out_of_reach(load)) return REFUSED;  // `deepest` has the proof
-        const Vec6 turned = in_.solve_lower(load);
-        size_ = in_.largest_of(turned);
-        double most = 0.0;
-        for (int k = 0; k < limits; ++k) most = std::max(most, -in_.bound[k]);
-        if (size_ < NOTHING && !(most > 0.0)) {  // zero force is the answer
-            out.code = CONVERGED;
-            return CONVERGED;
-        }
-        size_ = std::max(size_, most);
-        unit_ = (1.0 / size_) * load, turned_ = (1.0 / size_) * turned;
-        best_value_ = infinity, best_bound_ = 0.0, best_nu_ = Vec6{}, residual_ = 0.0;
-        std::fill(best_prices_.begin(), best_prices_.end(), 0.0);
-        has_inside_ = moved_ = false;
-        const Code code = criterion == Criterion::sum ? solve<0>(wrench, options, out) : solve<1>(wrench, options, out);
-        if (code == INFEASIBLE) {
-            std::copy(prices_.begin(), prices_.end(), prices);
-            return record.refute(out.multipliers, size(load));
-        }
-        if (code == REFUSED) return code;
-        write(code, record, prices);
-        if (moved_) {
-            const double residual = grasp::size(size_ * in_.wrench_of(best_) + load);
-            stand_for(record, in_.given(size_ * unit_), wrench, residual, options.tolerance);
-        }
-        return Code(int(out.code));
-    }
+               int budget);
 
-    Deepest deepest(const double* wrench, double tolerance, double* z, double* prices, bool inside = false) {
-        const Arena::Scope scope;
-        std::fill(prices, prices + limits, 0.0);
-        Deepest found;
-        if (!is_valid_wrench(wrench)) return found;
-        Depth depth(in_, limits);
-        found = depth.find(wrench, tolerance, inside_, inside);
-        if (found.code == INFEASIBLE) std::copy(depth.prices().begin(), depth.prices().end(), prices);
-        store_z(inside_, z);
-        return found;
-    }
+    Deepest deepest(const double* wrench, double tolerance, double* z, double* prices, bool inside = false);
 
     double missed(const double* wrench, const double* z) {
         load_z(z, z_);
@@ -119,50 +73,7 @@ public:
     bool is_out_of_reach(const double* wrench) const { return in_.is_out_of_reach(in_.in_frame(wrench)); }
 
     Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const StopRule& options,
-                   const Record& record, double* prices) {
-        const Arena::Scope scope;
-        record.clear();
-        std::fill(prices, prices + limits, 0.0);
-        record.summary().code = REFUSED;
-        if (!is_valid_wrench(call.wrench)) return REFUSED;
-        std::copy(call.wrench, call.wrench + 6, record.summary().wrench.begin());
-        criterion_ = Criterion::sum, size_ = 1.0, unit_ = in_.in_frame(call.wrench), turned_ = in_.solve_lower(unit_);
-        load_z(z, inside_);
-        has_inside_ = true;
-        const auto take_start = [&](auto& engine) {
-            set_right(engine);
-            for (int i = 0; i < count; ++i) engine.z[i] = wide<std::decay_t<decltype(engine.value)>>(inside_[i]);
-        };
-        int spent = 0, trials = 0;
-        // descend on Phi with lambda multiplied by `raised`
-        const auto descend = [&](auto& engine, const Call& stage_call, double raised, double tolerance, int limit) {
-            for (int i = 0; i < count; ++i) engine.weights[i] = {weights[2 * i], raised * weights[2 * i + 1]};
-            for (int k = 0; k < limits; ++k) engine.row_weights[k] = raised * row_weights[k];
-            const Code code = engine.run(stage_call, tolerance, limit, LONG);
-            spent += engine.iterations, trials += engine.trials;
-            return code;
-        };
-        const auto written = [&](auto& engine, Code code) {
-            engine.iterations = spent, engine.trials = trials;
-            return code == REFUSED ? code : write_phi(engine, code, call, options.tolerance, record, prices);
-        };
-        PhiRows<double, D> quick(in_.template rows<double, 0>(limits), in_.soft, limits);
-        take_start(quick);
-        const Code first = descend(quick, call, 1.0, options.tolerance, std::min(options.limit, PATIENCE));
-        if (first != STALLED && (first != LIMIT || options.limit <= PATIENCE)) return written(quick, first);
-        // if steps along curved surfaces are short: follow the central path, which stays away from the surfaces
-        double raised = 1.0;
-        for (int i = 0; i < count; ++i) raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
-        PhiRows<DoubleDouble, D> careful(in_.template rows<DoubleDouble, 0>(limits), in_.soft, limits);
-        take_start(careful), careful.balance();
-        const Call path{.wrench = call.wrench};
-        while ((raised /= FALL) > 1.0 && spent < options.limit)
-            if (descend(careful, path, raised, 0.1, std::min(options.limit - spent, 2 * PATIENCE)) == REFUSED) break;
-        const Code code = descend(careful, call, 1.0, options.tolerance, std::min(options.limit - spent, 2 * PATIENCE));
-        const bool worse = code == REFUSED || (code != CONVERGED && double(careful.value) > double(quick.value));
-        if (worse) return written(quick, STALLED);
-        return written(careful, code == LIMIT && spent < options.limit ? STALLED : code);
-    }
+                   const Record& record, double* prices);
 
 private:
     static constexpr double ROUNDED = 1e-15;  // fraction of the forces: effect of their rounding on balance
@@ -560,6 +471,104 @@ private:
         std::copy(best_prices_.begin(), best_prices_.end(), prices);
     }
 };
+
+// Not inline: a file that declares `extern template class ProgramOn<D>` compiles nothing of it.
+template <int D> Code ProgramOn<D>::least(const double* wrench, Criterion criterion, const StopRule& options,
+                                          const Record& record, double* prices, int budget) {
+    const Arena::Scope scope;
+    record.clear();
+    std::fill(prices, prices + limits, 0.0);
+    Summary& out = record.summary();
+    out.code = REFUSED;
+    if (!is_valid_wrench(wrench) || (criterion == Criterion::excess && !may_exceed_)) return REFUSED;
+    std::copy(wrench, wrench + 6, out.wrench.begin());
+    criterion_ = criterion, budget_ = budget, tolerance_ = options.tolerance;
+    const Vec6 load = in_.in_frame(wrench);
+    if (in_.is_out_of_reach(load)) return REFUSED;  // `deepest` has the proof
+    const Vec6 turned = in_.solve_lower(load);
+    size_ = in_.largest_of(turned);
+    double most = 0.0;
+    for (int k = 0; k < limits; ++k) most = std::max(most, -in_.bound[k]);
+    if (size_ < NOTHING && !(most > 0.0)) {  // zero force is the answer
+        out.code = CONVERGED;
+        return CONVERGED;
+    }
+    size_ = std::max(size_, most);
+    unit_ = (1.0 / size_) * load, turned_ = (1.0 / size_) * turned;
+    best_value_ = infinity, best_bound_ = 0.0, best_nu_ = Vec6{}, residual_ = 0.0;
+    std::fill(best_prices_.begin(), best_prices_.end(), 0.0);
+    has_inside_ = moved_ = false;
+    const Code code = criterion == Criterion::sum ? solve<0>(wrench, options, out) : solve<1>(wrench, options, out);
+    if (code == INFEASIBLE) {
+        std::copy(prices_.begin(), prices_.end(), prices);
+        return record.refute(out.multipliers, size(load));
+    }
+    if (code == REFUSED) return code;
+    write(code, record, prices);
+    if (moved_) {
+        const double residual = grasp::size(size_ * in_.wrench_of(best_) + load);
+        stand_for(record, in_.given(size_ * unit_), wrench, residual, options.tolerance);
+    }
+    return Code(int(out.code));
+}
+
+template <int D> Deepest ProgramOn<D>::deepest(const double* wrench, double tolerance, double* z, double* prices, bool inside) {
+    const Arena::Scope scope;
+    std::fill(prices, prices + limits, 0.0);
+    Deepest found;
+    if (!is_valid_wrench(wrench)) return found;
+    Depth depth(in_, limits);
+    found = depth.find(wrench, tolerance, inside_, inside);
+    if (found.code == INFEASIBLE) std::copy(depth.prices().begin(), depth.prices().end(), prices);
+    store_z(inside_, z);
+    return found;
+}
+
+template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* weights, const double* row_weights, const double* z,
+                                              const StopRule& options, const Record& record, double* prices) {
+    const Arena::Scope scope;
+    record.clear();
+    std::fill(prices, prices + limits, 0.0);
+    record.summary().code = REFUSED;
+    if (!is_valid_wrench(call.wrench)) return REFUSED;
+    std::copy(call.wrench, call.wrench + 6, record.summary().wrench.begin());
+    criterion_ = Criterion::sum, size_ = 1.0, unit_ = in_.in_frame(call.wrench), turned_ = in_.solve_lower(unit_);
+    load_z(z, inside_);
+    has_inside_ = true;
+    const auto take_start = [&](auto& engine) {
+        set_right(engine);
+        for (int i = 0; i < count; ++i) engine.z[i] = wide<std::decay_t<decltype(engine.value)>>(inside_[i]);
+    };
+    int spent = 0, trials = 0;
+    // descend on Phi with lambda multiplied by `raised`
+    const auto descend = [&](auto& engine, const Call& stage_call, double raised, double tolerance, int limit) {
+        for (int i = 0; i < count; ++i) engine.weights[i] = {weights[2 * i], raised * weights[2 * i + 1]};
+        for (int k = 0; k < limits; ++k) engine.row_weights[k] = raised * row_weights[k];
+        const Code code = engine.run(stage_call, tolerance, limit, LONG);
+        spent += engine.iterations, trials += engine.trials;
+        return code;
+    };
+    const auto written = [&](auto& engine, Code code) {
+        engine.iterations = spent, engine.trials = trials;
+        return code == REFUSED ? code : write_phi(engine, code, call, options.tolerance, record, prices);
+    };
+    PhiRows<double, D> quick(in_.template rows<double, 0>(limits), in_.soft, limits);
+    take_start(quick);
+    const Code first = descend(quick, call, 1.0, options.tolerance, std::min(options.limit, PATIENCE));
+    if (first != STALLED && (first != LIMIT || options.limit <= PATIENCE)) return written(quick, first);
+    // if steps along curved surfaces are short: follow the central path, which stays away from the surfaces
+    double raised = 1.0;
+    for (int i = 0; i < count; ++i) raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
+    PhiRows<DoubleDouble, D> careful(in_.template rows<DoubleDouble, 0>(limits), in_.soft, limits);
+    take_start(careful), careful.balance();
+    const Call path{.wrench = call.wrench};
+    while ((raised /= FALL) > 1.0 && spent < options.limit)
+        if (descend(careful, path, raised, 0.1, std::min(options.limit - spent, 2 * PATIENCE)) == REFUSED) break;
+    const Code code = descend(careful, call, 1.0, options.tolerance, std::min(options.limit - spent, 2 * PATIENCE));
+    const bool worse = code == REFUSED || (code != CONVERGED && double(careful.value) > double(quick.value));
+    if (worse) return written(quick, STALLED);
+    return written(careful, code == LIMIT && spent < options.limit ? STALLED : code);
+}
 
 }  // namespace detail
 

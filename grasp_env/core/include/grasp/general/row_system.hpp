@@ -26,14 +26,14 @@ public:
 
     // Factor. Return false if the system is not positive definite in floating point.
     bool factor(const Rows<R, D, T>& rows) {
-        return sized(int(rows.lead.size()), [&](auto leads) { return factor(rows, leads); });
+        return sized<R>(int(rows.lead.size()), [&](auto leads) { return factor(rows, leads); });
     }
     void solve(const Rows<R, D, T>& rows, const Space<R, D, T>& f, Space<R, D, T>& out) {
-        sized(int(rows.lead.size()), [&](auto leads) { solve(rows, leads, f, out); });
+        sized<R>(int(rows.lead.size()), [&](auto leads) { solve(rows, leads, f, out); });
     }
     // left = f - (the system times x); returns the largest component of rows and t.
     R missed(const Rows<R, D, T>& rows, const Space<R, D, T>& f, const Space<R, D, T>& x, Space<R, D, T>& left) const {
-        return sized(rows.joint, [&](auto joint) { return missed(rows, joint, f, x, left); });
+        return sized<R>(rows.joint, [&](auto joint) { return missed(rows, joint, f, x, left); });
     }
 
 private:

@@ -33,9 +33,11 @@ template <class R> inline void keep_largest(R& most, const R& value) {
     if (!(value <= most)) most = value;
 }
 
-// Call f(joint) with the number of joint rows: a constant for the six of balance alone, so that loops over them unroll.
-template <class F> [[gnu::always_inline]] inline auto sized(int joint, F&& f) {
-    return joint == 6 ? f(std::integral_constant<int, 6>()) : f(joint);
+// Call f(joint) with the number of joint rows: in doubles a constant for the six of balance alone, so that loops over them unroll.
+template <class R, class F> [[gnu::always_inline]] inline auto sized(int joint, F&& f) {
+    if constexpr (std::is_same_v<R, double>)
+        if (joint == 6) return f(std::integral_constant<int, 6>());
+    return f(joint);
 }
 
 // A contact's variables (u, o, t) or, for D = 4, (u, o, t, w) with w = u - |torsion| in units of its limit.

@@ -1,0 +1,4 @@
+// The general program of soft contacts.
+#include "instances.hpp"
+
+template class grasp::detail::ProgramOn<4>;
