@@ -5,7 +5,7 @@ python -m docs.fill --check         lists the blocks that differ from the saved 
 python -m docs.fill --save RUN...   saves the summaries of run folders, of `grasp` or of the benchmarks
 
 docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json its settings and machine, KIND.svg its picture, if it
-has one. Of the force benchmark force.parquet holds all rows. This module is long because it contains one short function for each table, a query on these files; `TABLES` lists
+has one. Of the force benchmark force.csv.xz holds all rows. This module is long because it contains one short function for each table, a query on these files; `TABLES` lists
 them by the names of the blocks.
 """
 
@@ -31,11 +31,12 @@ from training.report.rl import AGENTS, SPEEDS, place
 from training.report.starts import pair
 from training.results.claims import Judged, judge
 from training.results.run import Run
-from training.results.table import Rows, chosen, numbers, pd, read, summary, write, write_csv
+from training.results.table import Rows, chosen, numbers, pd, read, summary, write, write_summary
 from training.results.words import number
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"
+FORCE = RESULTS / "force.csv.xz"
 BLOCK = re.compile(r"(<!-- results: (\w+) -->\n)(.*?)(<!-- /results -->)", re.DOTALL)
 PROVENANCE = (
     "kind", "command", "time", "machine", "versions", "commit", "settings", "quick", "given", "claims", "unit", "tracks", "entrants",
@@ -64,7 +65,7 @@ VERDICTS = {True: "yes", False: "**NO**", None: "not measured"}
 @cache
 def force_rows() -> tuple[Rows, dict[str, Any]]:
     """Return all rows of the force benchmark, with its settings and machine."""
-    return read(RESULTS / "force.parquet"), json.loads((RESULTS / "force.json").read_text(encoding="utf-8"))
+    return read(FORCE), json.loads((RESULTS / "force.json").read_text(encoding="utf-8"))
 
 
 @cache
@@ -353,9 +354,9 @@ def save(folder: Path) -> str:
         raise SystemExit(f"{folder} is a quick run, whose numbers are not quoted: run it in full")
     RESULTS.mkdir(exist_ok=True)
     if about["kind"] == "force":
-        write(RESULTS / "force.parquet", rows)
+        write(FORCE, rows)
     else:
-        write_csv(RESULTS / f"{about['kind']}.csv", summary(rows))
+        write_summary(RESULTS / f"{about['kind']}.csv", summary(rows))
     with replacing(RESULTS / f"{about['kind']}.json") as target:
         kept = json.dumps({name: about[name] for name in PROVENANCE if name in about}, indent=1)
         # a path belongs to one machine

@@ -26,7 +26,7 @@ EXTRAS = {
     "live": ("viser",),
     "layer": ("torch",),
     "train": ("stable_baselines3", "tensorboard", "torch"),
-    "report": ("PIL", "imageio", "jinja2", "matplotlib", "pandas", "pyarrow"),
+    "report": ("PIL", "imageio", "jinja2", "matplotlib", "pandas"),
     "ray": ("ray",),
     "video": ("imageio_ffmpeg", "moviepy"),
 }  # fmt: skip

@@ -183,7 +183,7 @@ def understood(
     except GraspError:
         raise
     except Exception as problem:  # each format's reader has its own
-        said = "nested too deep" if isinstance(problem, RecursionError) else str(problem)[:300]
+        said = "nested too deep" if isinstance(problem, RecursionError) else str(problem).strip()[:300]
         raise error(f"{name} is not {form}: {said}{hint}") from problem
 
 

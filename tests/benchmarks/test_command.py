@@ -43,7 +43,7 @@ def test_a_run_is_saved_told_and_compared(tmp_path, capsys):
     assert (about["kind"], about["quick"], about["settings"]["contacts"]) == ("scaling", True, [3, 4])
     assert main([*words, "b", "--compare", str(tmp_path / "a"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    before, now = (summary(read(tmp_path / name / "rows.parquet"))["microseconds_median"] for name in "ab")
+    before, now = (summary(read(tmp_path / name / "rows.csv"))["microseconds_median"] for name in "ab")
     assert [row["microseconds_median"] for row in found["rows"]] == now.tolist()
     ratios = [row["ratio"] for row in found["compared"] if row["measure"] == "microseconds_median"]
     assert ratios == pytest.approx((now / before).tolist())

@@ -86,7 +86,7 @@ def test_an_interrupted_run_continues_and_gives_the_rows_of_a_whole_one(tmp_path
         monkeypatch.setattr(comparison, "work", stopping)
         with pytest.raises(KeyboardInterrupt):
             run(CONFIG, given(), folder, on="inline")
-        assert len(list(folder.path("shards").glob("*.parquet"))) == 2
+        assert len(list(folder.path("shards").glob("*.csv"))) == 2
         again: list[str] = []
         monkeypatch.setattr(comparison, "work", lambda shard: (again.append(shard.name), real(shard))[1])
         rows, _ = run(CONFIG, given(), folder, on="inline")
@@ -104,7 +104,7 @@ def test_the_command_prints_claims_and_refuses_to_overwrite(capsys):
     assert "MISSED  sometimes: cases without a start, all sets" in made.out
     assert f"report: {made.folder.path('report.html')}" in made.err
     files = {path.name for path in made.folder.folder.iterdir()}
-    assert files >= {"rows.parquet", "rows.csv", "summary.csv", "run.json", "report.html", "plan.json"}
+    assert files >= {"rows.csv", "summary.csv", "run.json", "report.html", "plan.json"}
     assert main(made.words) == 2
     assert "holds a finished run" in capsys.readouterr().err
 

@@ -115,7 +115,7 @@ def test_any_table_gets_a_page_and_changed_files_are_refused(tmp_path):
     folder = Run.create(tmp_path, "other")
     folder.save(table([{"case": "a", "per_second": 2.0}, {"case": "a", "per_second": 4.0}]), {"kind": "something"})
     assert "<td>3</td><td>4</td>" in write(folder)[0].read_text()  # median and maximum
-    folder.path("rows.parquet").write_bytes(b"no table")
+    folder.path("rows.csv").write_bytes(b"no table")
     with pytest.raises(InvalidInputError, match="is not a table of results"):
         write(folder)
 

@@ -26,8 +26,8 @@ def main(folder: Path) -> None:
     try:
         shards = names([(k, 40) for k in range(12)])
         rows, about = map_shards(work.squares, shards, on="ray")
-        write(folder / "ray.parquet", rows)
-        write(folder / "inline.parquet", map_shards(work.squares, shards, on="inline")[0])
+        write(folder / "ray.csv", rows)
+        write(folder / "inline.csv", map_shards(work.squares, shards, on="inline")[0])
         where = map_shards(work.process, names([(k, folder) for k in range(8)]), on="ray")[0]["bytes"].nunique()
         dead = map_shards(work.dies_once, names([(k, folder) for k in range(4)]), on="ray")[0]["problem"].tolist()
         print(f"workers {about['workers']}, processes {where}, dead {dead}")

@@ -49,7 +49,7 @@ def test_an_interrupted_map_continues(tmp_path, on):
     shards, keep = names([(place, tmp_path) for place in range(4)]), tmp_path / "shards"
     with pytest.raises(RuntimeError, match="out of luck"):
         map_shards(work.fails, shards, on=on, workers=1, keep=keep)
-    kept = {path.stem for path in keep.glob("*.parquet")}
+    kept = {path.stem for path in keep.glob("*.csv")}
     assert {"00000", "00001"} <= kept
     assert "00002" not in kept
     (tmp_path / "mended").touch()
@@ -96,4 +96,4 @@ def test_two_ray_nodes_give_the_bytes_of_the_loop_and_a_killed_worker_loses_noth
     run = subprocess.run(command, env=env, cwd=HERE.parents[1], capture_output=True, text=True, timeout=240)
     assert run.returncode == 0, run.stderr[-3000:]
     assert "workers 2, processes 2, dead [0, 1, 2, 3]" in run.stdout
-    assert (tmp_path / "ray.parquet").read_bytes() == (tmp_path / "inline.parquet").read_bytes()
+    assert (tmp_path / "ray.csv").read_bytes() == (tmp_path / "inline.csv").read_bytes()

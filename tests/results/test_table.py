@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import lzma
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from training.results.claims import Claim, judge, lines
 from training.results.columns import COLUMNS
 from training.results.run import Run, check_counts
 from training.results.statistics import iqm, ratio_interval
-from training.results.table import STATISTICS, described, join, pd, read, summary, table, write, write_csv
+from training.results.table import STATISTICS, described, join, pd, read, summary, table, write, write_summary
 
 
 def made() -> pd.DataFrame:
@@ -50,11 +51,13 @@ def test_a_finished_run_records_how_it_was_made(tmp_path):
     run = Run.create(tmp_path, "a")
     run.begin({"seed": 1, "hands": ("allegro",)})
     run.begin({"seed": 1, "hands": ("allegro",)})
+    write(run.path("shards/ball.csv"), table([{"case": "ball"}]))
     run.save(table([{"case": "ball", "drift": 0.5}]), {"kind": "env", "settings": {"seed": 3}})
     about = json.loads((tmp_path / "a" / "run.json").read_text())
     assert about["columns"]["drift"].startswith("[mm] largest distance of the object")
     assert {"command", "time", "machine", "versions", "commit", "settings"} <= {*about}
     assert run.load()[0]["drift"].tolist() == [0.5]
+    assert [path.name for path in run.folder.iterdir() if path.is_dir()] == []  # no shards of what is finished
     for call, message in (
         (lambda: run.begin({"seed": 2, "hands": ("allegro",)}), r"was begun with other settings \(seed\)"),
         (lambda: Run.create(tmp_path, "a"), "holds a finished run: choose another name or remove it"),
@@ -65,19 +68,51 @@ def test_a_finished_run_records_how_it_was_made(tmp_path):
     ):
         with pytest.raises(InvalidInputError, match=message):
             call()
+    run.path("rows.csv").write_text("case,drift\n")
+    with pytest.raises(InvalidInputError, match=r"rows\.csv has 0 of 1 rows: copy the run again"):
+        run.load()
 
 
-def test_files_keep_every_value_and_type(tmp_path):
-    rows = made()
+@pytest.mark.parametrize("end", [".csv", ".csv.xz"])
+def test_files_keep_every_value_and_type(tmp_path, end):
+    rng = np.random.default_rng(1)
+    odd = [-0.0, np.inf, -np.inf, 5e-324, *rng.normal(size=300) * 10.0 ** rng.integers(-300, 300, 300)]
+    texts = ["NA", "nan", "true", " a ", "a\rb", 'a\n"b",', "\u2028"]  # what readers of CSV take for something else
+    rows = join([made(), table([{"start_gap": each} for each in odd]), table([{"detail": each} for each in texts])])
     for name in ("rows", "again"):
-        write(tmp_path / f"{name}.parquet", rows)
-    write_csv(tmp_path / "rows.csv", rows)
-    pd.testing.assert_frame_equal(read(tmp_path / "rows.parquet"), rows, check_exact=True)
-    pd.testing.assert_frame_equal(read(tmp_path / "rows.csv"), rows, rtol=1e-6)  # seven digits
-    assert (tmp_path / "again.parquet").read_bytes() == (tmp_path / "rows.parquet").read_bytes()
-    odd = table([{"start_gap": value} for value in (1e-300, -2.5, 0.0, np.inf, 123456789.123, 1e300)])
-    write_csv(tmp_path / "odd.csv", odd)
-    pd.testing.assert_frame_equal(read(tmp_path / "odd.csv"), odd, rtol=1e-6)
+        write(tmp_path / f"{name}{end}", rows)
+    found = read(tmp_path / f"rows{end}")
+    pd.testing.assert_frame_equal(found, rows, check_exact=True)
+    assert found["start_gap"].to_numpy().tobytes() == rows["start_gap"].to_numpy().tobytes()
+    assert (tmp_path / f"again{end}").read_bytes() == (tmp_path / f"rows{end}").read_bytes()
+
+
+def test_summaries_have_seven_digits(tmp_path):
+    means = pd.DataFrame({"case": ["a"], "n": [12345678], "gap_max": [123456789.123], "gap_min": [1 / 3]})
+    write_summary(tmp_path / "summary.csv", means)
+    assert (tmp_path / "summary.csv").read_text() == "case,n,gap_max,gap_min\na,12345678,1.234568e+08,0.3333333\n"
+
+
+def test_damaged_tables_are_refused(tmp_path, monkeypatch):
+    plain, packed = tmp_path / "rows.csv", tmp_path / "rows.csv.xz"
+    for path, message in ((plain, "its last line is cut off"), (packed, "it is cut off, or has")):
+        write(path, made())
+        blob = path.read_bytes()
+        for size in range(len(blob) - 20, len(blob)):
+            path.write_bytes(blob[:size])
+            with pytest.raises(InvalidInputError, match=f"is not a table of results: {message}"):
+                read(path)
+    for text, message in (
+        ("case,speed\na,1\n", "it has the unknown column 'speed'"), ("iterations\nmany\n", "many"), ("held\n2.5\n", "2.5"),
+        ("gap\nsmall\n", "small"), ("case,gap\na,1\na,1,2\n", "fields"),
+    ):  # fmt: skip
+        plain.write_text(text)
+        with pytest.raises(InvalidInputError, match=f"is not a table of results: .*{message}.*; give a run's rows.csv"):
+            read(plain)
+    monkeypatch.setattr("training.results.table.WEIGHTS", 1000)
+    packed.write_bytes(lzma.compress(b"case\n" + b"a\n" * 10_000))
+    with pytest.raises(InvalidInputError, match="or has more than 0 MB when unpacked"):
+        read(packed)
 
 
 def test_columns_have_their_order_their_types_and_a_description():

@@ -24,7 +24,7 @@ from training.compare.methods import FLOW, METHODS, optimizer
 from training.compare.starts import PreparedStart, StartFactory
 from training.compare.trial import TOLERANCE, problem_of, trials
 from training.results.bars import progress
-from training.results.run import Run, check_counts
+from training.results.run import SHARDS, Run, check_counts
 from training.results.shards import map_shards
 from training.results.table import join, pd, table
 
@@ -83,7 +83,7 @@ def run(
     """
     config, objective = config.resolved(), Objective()
     shards = {name: Shard(name, config, given, objective) for name in plan(given)}
-    keep = folder and folder.folder / "shards"
+    keep = folder and folder.folder / SHARDS
     rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="comparing starts")
     timed = join([time_calls(name, config, given, objective) for name in TIMED_SETS])
     rows = join([rows.merge(timed, "left", ["case", "problem", "start", "method"]), _shipped()])

@@ -30,7 +30,7 @@ from grasp_env.sim.hand.description import HANDS, HandDescription
 from training.compare import scenarios
 from training.compare.scenarios import ENGINES, HOLDS_OF_STARTS, RANDOM_STARTS, Scenario, mesh_settings, short_name
 from training.data.episodes import episode
-from training.results.run import Run, check_counts
+from training.results.run import SHARDS, Run, check_counts
 from training.results.shards import map_shards
 from training.results.table import pd, table
 
@@ -122,7 +122,7 @@ def run(
         seeds = range(config.seed, config.seed + scenario.episodes)
         for k in range(0, len(seeds), _CHUNK):
             shards[f"{scenario.name}/{k:05d}"] = scenario, seeds[k : k + _CHUNK]
-    keep = folder and folder.folder / "shards"
+    keep = folder and folder.folder / SHARDS
     rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes")
     about = {
         "kind": config.kind, "settings": asdict(config), "quick": config.quick,

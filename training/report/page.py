@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from training.results.claims import VERDICTS, Claim, Judged, judge
 from training.results.run import Run, understood
-from training.results.table import Rows, described, pd, summary, write_csv
+from training.results.table import Rows, described, pd, summary, write_summary
 from training.results.words import number, small
 
 KINDS = {
@@ -50,7 +50,7 @@ def write(run: Run) -> tuple[Path, list[Judged]]:
     with understood(run.folder, "repeat the command that made it"):
         rows, about = run.load()
         shown, means = module_of(about), summary(rows)
-        write_csv(run.path("summary.csv"), means)
+        write_summary(run.path("summary.csv"), means)
         derived = getattr(shown, "derive", lambda means: means)(means)
         claims = judge(claims_of(about), derived)
         figures = [
@@ -72,7 +72,7 @@ def write(run: Run) -> tuple[Path, list[Judged]]:
             facts=facts_of(about),
             load=(
                 "import pandas",
-                'rows = pandas.read_parquet("rows.parquet")  # or rows.csv; run.json documents the columns',
+                'rows = pandas.read_csv("rows.csv")  # run.json documents the columns',
                 f"rows.groupby({[name for name in ('case', 'start', 'method', 'hand', 'controller') if name in rows.columns]})"
                 f".{next((name for name in ('iterations', 'held') if name in rows.columns), rows.columns[-1])}.describe()",
             ),
@@ -177,7 +177,7 @@ def svg(figure: Figure) -> str:
 
 
 _INTRO = (
-    "This page shows the results of one command; every number comes from the table rows.parquet beside it. Rows with equal keys are "
+    "This page shows the results of one command; every number comes from the table rows.csv beside it. Rows with equal keys are "
     "repetitions of one experiment, and the table below summarises them. The columns are defined at the end of this page."
 )
 _summary_table: tuple[str, str, Make] = (

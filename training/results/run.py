@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import time
@@ -23,6 +24,8 @@ from grasp_env.errors import GraspError, InvalidInputError
 if TYPE_CHECKING:
     from training.results.table import pd
 
+SHARDS = "shards"
+"""Folder of a run that keeps finished shards until all are."""
 MAX_COUNT = 1_000_000_000
 """Largest count in a setting."""
 _PACKAGES = (
@@ -90,21 +93,30 @@ class Run:
         return read_json(self.path(name), InvalidInputError, "the run's file")
 
     def save(self, rows: pd.DataFrame, about: dict[str, Any]) -> None:
-        """Write rows.parquet, rows.csv and, last, run.json, which marks the run as finished.
+        """Write rows.csv and, last, run.json, which marks the run as finished; then remove the finished shards.
 
         To `about`, its kind and settings, machine, versions, commit and the meaning of the columns are added.
         """
         from training.results import table  # importing this module needs no pandas
 
-        table.write(self.path("rows.parquet"), rows)
-        table.write_csv(self.path("rows.csv"), rows)
-        self.write_json("run.json", {**about, **provenance(), "columns": table.described(rows.columns)})
+        table.write(self.path("rows.csv"), rows)
+        about = {**about, **provenance(), "rows": len(rows), "columns": table.described(rows.columns)}
+        self.write_json("run.json", about)
+        shutil.rmtree(self.folder / SHARDS, ignore_errors=True)
 
     def load(self) -> tuple[pd.DataFrame, dict[str, Any]]:
-        """Return the rows and the content of run.json."""
+        """Return the rows and the content of run.json.
+
+        Raises:
+            InvalidInputError: a file is missing or damaged.
+        """
         from training.results import table
 
-        return table.read(self.path("rows.parquet")), self.read_json("run.json")
+        path = self.path("rows.csv")
+        rows, about = table.read(path), self.read_json("run.json")
+        if len(rows) != (saved := about.get("rows", len(rows))):
+            raise InvalidInputError(f"{path} has {len(rows)} of {saved} rows: copy the run again, or repeat it")
+        return rows, about
 
     def begin(self, plan: dict[str, Any]) -> None:
         """Save in plan.json the settings that decide the results, or check that an interrupted run was begun with the same.

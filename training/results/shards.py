@@ -70,7 +70,7 @@ def map_shards(
     """
     if on not in ("inline", "processes", "ray") and not on.startswith("ray://"):
         raise InvalidInputError(f"on must be {ON}, got {on!r}")
-    files = {name: keep and keep / f"{name.replace('/', '-')}.parquet" for name in shards}
+    files = {name: keep and keep / f"{name.replace('/', '-')}.csv" for name in shards}
     if keep:
         keep.mkdir(parents=True, exist_ok=True)
     found = {name: table.read(file) for name, file in files.items() if file and file.is_file()}

@@ -1,8 +1,9 @@
-"""Tables of results: rows with typed columns, written as Parquet and CSV, and their summaries."""
+"""Tables of results: rows with typed columns, written as CSV, and their summaries."""
 
 from __future__ import annotations
 
 import io
+import lzma
 import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -19,13 +20,12 @@ from training.results.statistics import iqm, iqm_interval, mean_interval, median
 
 with need("report"):
     import pandas as pd
-    import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet as pq
 
 Rows: TypeAlias = Any
 """Type of a `pandas.DataFrame` where its stubs are not precise enough."""
 DTYPES = {"text": "string", "whole": "Int64", "real": "float64", "flag": "boolean"}
+KINDS = {name: DTYPES[column.kind] for name, column in COLUMNS.items()}
+"""Type of every column in a table."""
 STATISTICS: dict[str, tuple[str, Callable[[NDArray[np.float64]], float]]] = {
     "median": ("median", lambda x: float(np.median(x))),
     "low": ("lower end of the 95 % interval of the median", lambda x: median_interval(x)[0]),
@@ -69,7 +69,7 @@ def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
         )
     ordered = made[[name for name in COLUMNS if name in made.columns]].dropna(axis=1, how="all")
     try:
-        typed = {name: ordered[name].astype(DTYPES[COLUMNS[name].kind]) for name in ordered.columns}
+        typed = {name: ordered[name].astype(KINDS[name]) for name in ordered.columns}
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"a value does not fit the kind of its column: {error}") from error
     return pd.DataFrame(typed, index=ordered.index).reset_index(drop=True)
@@ -82,52 +82,44 @@ def join(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
     return table(pd.concat(untyped, ignore_index=True) if untyped else [])
 
 
-def write(path: Path, rows: pd.DataFrame) -> None:
-    """Write a Parquet file; equal tables give equal bytes."""
+def write(path: Path, rows: pd.DataFrame, number: str | None = None) -> None:
+    """Write a CSV file with a header, compressed if its name ends in .xz; equal tables give equal bytes.
+
+    Missing values are empty, and so are empty texts. `number` is the format of real numbers; None: their digits restore the same number.
+    """
     with replacing(path) as temporary:
-        pq.write_table(pa.Table.from_pandas(rows, preserve_index=False), temporary, compression="zstd")
+        rows.to_csv(temporary, index=False, float_format=number)
 
 
-def write_csv(path: Path, rows: pd.DataFrame) -> None:
-    """Write a CSV file with a header; missing values are empty, real numbers have seven significant digits."""
-    short = {name: _rounded(rows[name].to_numpy()) for name in rows.select_dtypes("float64").columns}
-    with replacing(path) as temporary:
-        made = pa.Table.from_pandas(rows.assign(**short), preserve_index=False)
-        pyarrow.csv.write_csv(made, temporary, pyarrow.csv.WriteOptions(quoting_style="needed"))
-
-
-def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round values (n,) to seven significant digits."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        scale = 10.0 ** (6.0 - np.floor(np.log10(np.abs(values))))
-        short = np.round(values * scale) / scale
-    return np.where(np.isfinite(short), short, values)
+def write_summary(path: Path, means: pd.DataFrame) -> None:
+    """Write a summary as `write` does, its real numbers with seven significant digits."""
+    write(path, means, "%.7g")
 
 
 def read(path: Path) -> pd.DataFrame:
-    """Read a Parquet or CSV file that `write` or `write_csv` made.
+    """Read a table or a summary that `write` made; the columns have the types of `COLUMNS`.
 
     Raises:
         InvalidInputError: the file is missing or not a table of results.
     """
 
     def columns(blob: bytes) -> pd.DataFrame:
-        if path.suffix == ".csv":
-            return pd.read_csv(io.BytesIO(blob))
-        file = pq.ParquetFile(pa.BufferReader(blob))
-        size = sum(file.metadata.row_group(k).total_byte_size for k in range(file.metadata.num_row_groups))
-        # a compressed column of equal values can be far larger than its file
-        if max(size, 8 * file.metadata.num_rows * file.metadata.num_columns) > WEIGHTS:
-            raise ValueError(f"its columns have more than {WEIGHTS // MEGABYTE} MB")
-        return file.read().to_pandas()
+        if path.suffix == ".xz":
+            unpacker = lzma.LZMADecompressor()
+            blob = unpacker.decompress(blob, WEIGHTS)
+            if not unpacker.eof:
+                raise ValueError(f"it is cut off, or has more than {WEIGHTS // MEGABYTE} MB when unpacked")
+        if not blob.endswith(b"\n"):
+            raise ValueError("its last line is cut off")
+        # as text first: not every version of pandas reads the same real number from it
+        read_as = {name: "str" if kind == "float64" else kind for name, kind in KINDS.items()}
+        made = pd.read_csv(io.BytesIO(blob), dtype=read_as, keep_default_na=False, na_values=[""], lineterminator="\n")
+        if unknown := [name for name, text in described(made.columns).items() if not text]:
+            raise ValueError(f"it has the unknown column {unknown[0][:100]!r}")
+        return made.astype({name: KINDS[name] for name in made.columns if name in KINDS})
 
-    words = {"name": f"the table {path}", "form": "a table of results", "hint": "; give a run's rows.parquet"}
-    rows = parsed(path, read=columns, error=InvalidInputError, most=WEIGHTS, **words)
-    kinds = {name: DTYPES[COLUMNS[name].kind] for name in rows.columns if name in COLUMNS}
-    try:
-        return rows.astype(kinds)
-    except (TypeError, ValueError) as error:
-        raise InvalidInputError(f"the table {path} holds a value of a wrong kind: {str(error)[:200]}") from error
+    words = {"name": f"the table {path}", "form": "a table of results", "hint": "; give a run's rows.csv"}
+    return parsed(path, read=columns, error=InvalidInputError, most=WEIGHTS, **words)
 
 
 def numbers(rows: pd.DataFrame, name: str) -> NDArray[np.float64]:
@@ -167,7 +159,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
                     row[f"{name}_{statistic}"] = STATISTICS[statistic][1](finite) if len(finite) else np.nan
         out.append(row)
     made = pd.DataFrame(out).dropna(axis=1, how="all")
-    return made.astype({name: DTYPES[COLUMNS[name].kind] for name in keys if name in made.columns})
+    return made.astype({name: KINDS[name] for name in keys if name in made.columns})
 
 
 def described(columns: Iterable[str]) -> dict[str, str]:
