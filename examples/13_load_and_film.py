@@ -4,8 +4,8 @@ Load an agent, score it, film it
 
 ``grasp rl`` trains agents whose folders hold weights, normaliser and settings without pickles. To learn:
 ``TrainedAgent.load`` runs an agent with numpy alone, on the observations of the environment, and serves as a model
-for stable-baselines3; ``RecordVideo`` films it with forces and friction cones. The 2048 steps of this page, seconds of
-work, teach nothing yet.
+for stable-baselines3; the pictures of the environment, with forces and friction cones, make a film. The 2048 steps of
+this page, seconds of work, teach nothing yet.
 """
 
 import subprocess
@@ -14,7 +14,7 @@ import sys
 import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
-from gymnasium.wrappers import RecordVideo
+from PIL import Image
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
@@ -35,22 +35,18 @@ for name, policy in {"agent": agent, "the paper's start": ZeroPolicy()}.items():
     print(f"return of an episode, {name}: {mean:.1f} +- {deviation:.1f}")
 
 short = {"render_mode": "rgb_array", "duration": 0.6, "pictures": {"size": (320, 320)}}
-film = RecordVideo(
-    gym.make("grasp_env:FourFingerGrasp-v0", config=settings, **short),
-    "runs/example_rl/films",
-    episode_trigger=lambda episode: True,
-    disable_logger=True,
-)
-(observation, info), over, iterations = film.reset(seed=1_000_000), False, []
+env = gym.make("grasp_env:FourFingerGrasp-v0", config=settings, **short)
+(observation, info), over, iterations, frames = env.reset(seed=1_000_000), False, [], []
 while not over:
-    observation, reward, lost, over, info = film.step(agent.predict(observation)[0])
+    observation, reward, lost, over, info = env.step(agent.predict(observation)[0])
     assert not lost, info["failure"]
     iterations.append(info["iterations"])
-picture = film.unwrapped.render()
-film.close()  # writes runs/example_rl/films/rl-video-episode-0.mp4
+    frames.append(Image.fromarray(env.render()))
+frames[0].save("runs/example_rl/agent.webp", save_all=True, append_images=frames[1:], duration=20)  # [ms]
+env.close()
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.5), layout="constrained")
-left.imshow(picture)
+left.imshow(frames[-1])
 left.axis("off")
 right.plot(np.arange(1, len(iterations) + 1) / 50, iterations, "o-")
 right.set(xlabel="time [s]", ylabel="iterations of the solver", ylim=0)

@@ -26,9 +26,10 @@ EXTRAS = {
     "live": ("viser",),
     "layer": ("torch",),
     "train": ("stable_baselines3", "tensorboard", "torch"),
-    "report": ("PIL", "imageio", "jinja2", "matplotlib", "pandas"),
+    "report": ("jinja2", "matplotlib", "pandas"),
     "ray": ("ray",),
     "video": ("imageio_ffmpeg", "moviepy"),
+    "cvxpy": ("cvxpy",),
 }  # fmt: skip
 """Modules that each extra installs."""
 

@@ -51,20 +51,21 @@ sys.meta_path[sys.meta_path.index(PathFinder)] = Finder
 ENGINE, OTHER_PYTHONS = ("pybullet", ">= '3.12'") if sys.version_info < (3, 12) else ("mujoco", "< '3.12'")
 """Engine of the extra `sim` on this CPython, and the marker of the engine on others."""
 OTHER_MACHINES = f"platform_machine {'==' if EXTRAS['sim'].count('coacd') else '!='} 'aarch64'"
+NOT_IN_ALL = {"cvxpy", "mend", "ray", "video"}
+"""Large ones that few need, and MeshFix, whose licence is the GPL."""
 HEAVY = tuple(name for extra in ("sim", "train", "report", "video") for name in EXTRAS[extra])
 
 
 def test_the_table_is_what_pip_installs() -> None:
     assert _names(PROJECT["dependencies"]) == {"numpy", "scipy", "safetensors"}
-    homes = packages_distributions() | {"ray": ["ray"]}  # which only clusters need
+    homes = packages_distributions()
     for extra, modules in EXTRAS.items():
         asked = _names([one for one in OPTIONAL[extra] if not re.search(f"{OTHER_PYTHONS}|{OTHER_MACHINES}", one)])
-        # one that is a single compiled file is in no list of packages: it bears its distribution's name
+        # in no list of packages are a single compiled file and what is not installed: they bear their distribution's name
         found = [{home.lower().replace("_", "-") for home in homes.get(name, [name])} for name in modules]
         assert all(some & asked for some in found)  # MuJoCo is one module of several distributions
         assert asked <= set().union(*found)
-    # a cluster is set up by hand; the licence of MeshFix is the GPL
-    assert _brought("all") == {"all", *EXTRAS} - {"ray", "mend"}
+    assert _brought("all") == {"all", *EXTRAS} - NOT_IN_ALL
     assert _brought("train") == {"train", "sim", "cli", "report"}
     assert _brought("live") == {"live", "sim", "cli"}
 
@@ -108,8 +109,9 @@ for statement, extra in {IMPORTS}.items():
 def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     from training.demo import record
 
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(MissingExtraError, match=r'this needs imageio_ffmpeg: pip install "grasp-force\[video\]"'):
+    for name in EXTRAS["video"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(MissingExtraError, match=r'needs imageio_ffmpeg, moviepy: pip install "grasp-force\[video\]"'):
         record(tmp_path / "hand.mp4")
 
 
@@ -150,7 +152,7 @@ def test_the_program_itself_names_its_extra() -> None:
 
 
 def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    need(*(extra for extra in EXTRAS if extra != "ray"))
+    need(*({*EXTRAS} - NOT_IN_ALL))
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(MissingExtraError) as told:
         need("sim", "report")

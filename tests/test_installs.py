@@ -14,6 +14,13 @@ TORCH = "torch==2.13.0"
 """Installed first: resolved together with other packages, a newer build with gigabytes of CUDA may come."""
 SOLVE = "grasp solve --wrench 1 0.5 -0.6 -0.1 0.2 0"
 HAND = "import gymnasium as gym; env = gym.make('grasp_env:FourFingerGrasp-v0'{}); env.reset(seed=0); env.step(env.action_space.sample()); env.close()"
+PICTURE = (
+    "import gymnasium as gym, trimesh; from grasp_env.sim import ObjectDescription;"
+    "trimesh.creation.annulus(20, 40, 90).export('ring.stl');"
+    "mesh = ObjectDescription.from_mesh('ring.stl', scale=0.001, mass=0.2);"
+    "env = gym.make('grasp_env:FourFingerGrasp-v0', object=mesh, render_mode='rgb_array');"
+    "env.reset(seed=0); assert env.render().std() > 10; env.close()"
+)
 LAYER = (
     "import torch; from policies import grasp_force; from grasp_env.grasp import presets; g = presets.paper_cuboid();"
     "t = torch.tensor([1, 0.5, -0.6, -0.1, 0.2, 0], dtype=torch.float64, requires_grad=True);"
@@ -22,7 +29,8 @@ LAYER = (
 EXTRAS: dict[str, list[str]] = {
     "": ["python -c 'from grasp_env.force import optimize_force'"],
     "cli": [SOLVE],
-    "sim": [f'python -c "{HAND.format("")}"'],
+    "sim": [f'python -c "{HAND.format("")}"', f'python -c "{PICTURE}"'],
+    "cli,sim": ["grasp demo --seconds 0.2", "grasp hand allegro"],
     "sim,mujoco": [f"""python -c "{HAND.format(", engine='mujoco'")}" """],
     "sim,xacro": ["python -c 'import xacrodoc, grasp_env.sim'"],
     "live": ["grasp live --help", SOLVE],

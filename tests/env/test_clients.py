@@ -180,7 +180,7 @@ def test_an_environment_in_which_actions_change_nothing_warns(
 
 
 def test_videos(tmp_path: Path) -> None:
-    pytest.importorskip("moviepy")
+    pytest.importorskip("moviepy", reason="the extra 'video' is not installed")
     env = gym.make(ID, duration=0.1, render_mode="rgb_array", pictures={"size": (64, 48)})
     env = gym.wrappers.RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
     env.reset(seed=0)

@@ -7,12 +7,12 @@ import re
 import shutil
 import subprocess
 from collections.abc import Generator
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
-import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
@@ -24,6 +24,7 @@ from training.demo import _is_whole, record
 from training.results.bars import progress
 
 ENV = "test_demo/Squares-v0"
+with_video = pytest.mark.skipif(not find_spec("imageio_ffmpeg"), reason="the extra 'video' is not installed")
 
 
 class Squares(gym.Env[np.ndarray, np.ndarray]):
@@ -58,7 +59,7 @@ def _registered() -> Any:
     del gym.registry[ENV]
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".gif", ".webp", ".png"])
+@pytest.mark.parametrize("suffix", [pytest.param(".mp4", marks=with_video), ".gif", ".webp", ".png"])
 def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp_path, suffix):
     out = tmp_path / f"out{suffix}"
     out.write_text("older")
@@ -68,6 +69,8 @@ def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp
     record(out, seconds=0.2, seed=20, env_id=ENV)
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
     if suffix == ".mp4":  # imageio's own reader leaves pipes open, and warnings are errors here
+        import imageio_ffmpeg
+
         ffmpeg = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", out, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
         done = subprocess.run(ffmpeg, capture_output=True, check=True)
         assert all(text in done.stderr for text in (b"64x64", b" 25 fps"))
@@ -81,8 +84,11 @@ def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp
     np.testing.assert_allclose([np.mean(frame) for frame in frames], 10.0 * np.array(steps) + 20.0, atol=3.0)
 
 
+@with_video
 def test_a_film_that_ffmpeg_does_not_finish_leaves_an_older_one(tmp_path, monkeypatch):
     """On a full disk ffmpeg writes no index, and imageio says nothing."""
+    import imageio_ffmpeg
+
     out, whole = tmp_path / "out.mp4", tmp_path / "whole.mp4"
     record(whole, seconds=0.2, env_id=ENV)
     blob = whole.read_bytes()
@@ -131,7 +137,7 @@ def test_a_film_shows_the_settings_and_the_outcome(tmp_path, capsys):
     lost = record(out, 1.0, controller={"kind": "pd"}, disturbance=path, pictures=pictures)
     assert str(lost) == f"lost after {lost.seconds:.1f} s: the object left its place"
     assert lost.seconds < 1.0
-    for name, seconds, message in (("a.avi", 1.0, "must end"), ("a.mp4", 0.0, "seconds"), ("no/a.mp4", 1.0, "folder")):
+    for name, seconds, message in (("a.avi", 1.0, "must end"), ("a.gif", 0.0, "seconds"), ("no/a.gif", 1.0, "folder")):
         with pytest.raises(InvalidInputError, match=message):
             record(tmp_path / name, seconds=seconds, env_id=ENV)
 

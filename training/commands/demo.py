@@ -23,7 +23,7 @@ class Demo:
     The picture shows forces, friction cones and the wrench.
 
     Attributes:
-        video: .mp4, .gif or .webp for a video, .png for its last picture.
+        video: .webp or .gif for a video, .mp4 with the extra "video", .png for its last picture.
         setting: further settings of the environment, each PATH=VALUE: sensors.delay=0.01, controller.kind=pd,
             disturbance='{"name": "random", "force": 2}'.
         seconds: simulated time.
@@ -33,7 +33,7 @@ class Demo:
         seed: seed of the episode.
     """
 
-    video: Path = Path("hand.mp4")
+    video: Path = Path("hand.webp")
     task: Annotated[str, one_of(TASKS), setting_help("task")] = "hold"
     disturbance: Annotated[
         str, one_of(DISTURBANCES), setting_help("disturbance", "the task's own, of hold paper_path")

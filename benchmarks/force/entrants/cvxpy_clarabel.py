@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.force.entrant import Answer, Task
 from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
+from grasp_env._extras import need
 
 
 class CvxpyClarabel:
@@ -45,7 +46,8 @@ class CvxpyClarabel:
         return problem.wrench, problem.matrix, problem.friction, problem.limit_matrix, problem.limit_bound
 
     def _state(self, problem: Problem) -> None:
-        cp = import_module("cvxpy")
+        with need("cvxpy"):
+            cp = import_module("cvxpy")
         data = self._data(problem)
         self._parameters = [cp.Parameter(each.shape) for each in (data if self._moving else data[:1])]
         wrench, matrix, friction, limits, bound = [*self._parameters, *data[len(self._parameters) :]]
