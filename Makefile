@@ -1,13 +1,33 @@
 # Everything runs in .venv, which the first target that needs it makes, with the core (C++20) built into the source tree.
-# PYTHON=/path/to/python3.11 chooses the interpreter; ARGS="..." goes to the command. CXX=clang++, GRASP_BUILD_TYPE=Debug,
-# GRASP_ARCH=x86-64-v3, GRASP_SANITIZE=ON and GRASP_ZIG=native build the core once more, in a folder of its own, and test that one.
+# PYTHON=/path/to/python3.11 chooses the interpreter, EXTRAS=sim,report what is installed; ARGS="..." goes to the command. CXX=clang++,
+# GRASP_BUILD_TYPE=Debug, GRASP_ARCH=x86-64-v3, GRASP_SANITIZE=ON and GRASP_ZIG=native build the core once more, in a folder of its own, and test that one.
 
 .DEFAULT_GOAL := help
-.PHONY: help install core stubs evaluate bench force test slow docs sanitize check format wheel clean
+.PHONY: help install core stubs evaluate bench force test slow docs sanitize check format wheel clean FORCE
 BIN := .venv/bin
 STAMP := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 EDITABLE := $(PIP) --no-build-isolation -C build-dir=build/core -e
+
+# MB on disk and to download: the solver with what builds it, and what each extra adds. tests/test_installs.py measures them.
+SIZES := bare=343/87 cli=17/2 sim=383/119 mujoco=102/26 xacro=15/2 live=443/132 layer=905/201 train=1511/370 report=209/39 \
+  all=1664/408 mend=2/1 ray=286/90 video=204/77 cvxpy=242/67 bench=41/13 docs=128/31 dev=359/98
+comma := ,
+EXTRAS := all,bench,dev,docs,mend$(if $(filter slow,$(MAKECMDGOALS)),$(comma)ray)
+INSTALLED := $(shell cat $(STAMP) 2>/dev/null)
+ifeq ($(MAKECMDGOALS)$(wildcard $(STAMP)),core$(STAMP))
+ASKED := # what is there will do
+else
+ASKED := $(subst $(comma), ,$(EXTRAS))
+endif
+WANTED := $(sort $(ASKED) $(INSTALLED))
+NAMES := $(foreach part,$(SIZES),$(firstword $(subst =, ,$(part))))
+UNKNOWN := $(filter-out $(NAMES),$(ASKED))
+ifdef UNKNOWN
+$(error There is no extra $(UNKNOWN): EXTRAS is a list, with commas, of $(filter-out bare,$(NAMES)))
+endif
+gigabytes = $(shell printf '%s\n' $(filter $(addsuffix =%,bare $(1)),$(SIZES)) | \
+  awk -F '[=/]' '{disk += $$2; load += $$3} END {printf "%.1f GB on disk, %.1f GB of downloads", disk / 1000, load / 1000}')
 
 ZIG := echo "taking a C++ compiler from PyPI" && $(PIP) ziglang
 
@@ -23,14 +43,20 @@ help:
 	@echo "make format     format and mend what can be mended"
 	@echo "make stubs      write grasp_env/core/_core.pyi anew"
 	@echo "make core       only build the core"
-	@echo "make install    only the set-up"
+	@echo "make install    only the set-up: $(call gigabytes,$(subst $(comma), ,$(EXTRAS))), two to five minutes"
+	@echo "                EXTRAS=sim: only the simulated hand, $(call gigabytes,sim); EXTRAS=: only the solver"
 	@echo "make wheel      wheels for other machines: dist/ (five minutes for each interpreter; TARGET=aarch64-linux-gnu.2.28: for ARM)"
 
 install: core
 
-# torch goes first and alone: resolved together with other packages a newer build with gigabytes of CUDA may come. The core is
-# compiled meanwhile.
-$(STAMP): pyproject.toml constraints.txt
+# torch goes first and alone: resolved together with other packages a newer build with gigabytes of CUDA may come. Its own index has
+# a build without CUDA; where that is out of reach, pip takes what it finds elsewhere. The core is compiled meanwhile.
+TORCH := $(if $(filter all layer train,$(WANTED)),\
+  $(PIP) --no-deps --retries 1 --extra-index-url https://download.pytorch.org/whl/cpu torch==2.13.0 &&)
+$(STAMP): pyproject.toml constraints.txt $(if $(filter-out $(INSTALLED),$(ASKED)),FORCE)
+	@echo "Installing into .venv: the solver$(if $(WANTED), and the extras $(WANTED)). In all that takes $(call gigabytes,$(WANTED))"
+	@echo "and two to five minutes; make help tells how to install less."
+	@$(if $(TORCH),echo "Where download.pytorch.org is out of reach$(comma) PyPI's torch brings 4 GB of CUDA more.")
 	@fits() { "$$1" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' >/dev/null 2>&1; }; \
 	python="$(PYTHON)"; \
 	if [ -x $(BIN)/python ]; then \
@@ -51,9 +77,10 @@ $(STAMP): pyproject.toml constraints.txt
 	  rm -rf .venv; echo "$$python cannot make a virtual environment: on Debian or Ubuntu install $$(basename "$$python")-venv" >&2; exit 1; }
 	$(PIP) pip setuptools scikit-build-core nanobind numpy cmake ninja
 	@for compiler in $(CXX) c++ g++ clang++; do command -v "$$compiler" >/dev/null && exit 0; done; $(ZIG)
-	@$(EDITABLE) . --no-deps & core=$$!; $(PIP) torch==2.13.0; torch=$$?; wait $$core && exit $$torch
-	$(EDITABLE) ".[all,bench,dev,docs,mend,ray]"
-	@touch $(STAMP)
+	@$(EDITABLE) . --no-deps & core=$$!; \
+	  $(TORCH) $(PIP) --no-build-isolation --only-deps ".[$$(echo $(WANTED) | tr ' ' ,)]"; rest=$$?; wait $$core && exit $$rest
+	@echo $(WANTED) >$(STAMP)
+FORCE:
 
 # The core in the tree is the one pip built; ninja knows what has changed since. Any other leaves the tree alone.
 BUILD := build/core
