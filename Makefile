@@ -12,6 +12,7 @@ EDITABLE := $(PIP) --no-build-isolation -C build-dir=build/core -e
 # MB on disk and to download: the solver with what builds it, and what each extra adds. tests/test_installs.py measures them.
 SIZES := bare=343/87 cli=17/2 sim=383/119 mujoco=102/26 xacro=15/2 live=443/132 layer=905/201 train=1511/370 report=209/39 \
   all=1664/408 mend=2/1 ray=286/90 video=204/77 cvxpy=242/67 bench=41/13 docs=128/31 dev=359/98
+IN_ALL := cli sim mujoco xacro live layer train report
 comma := ,
 EXTRAS := all,bench,dev,docs,mend$(if $(filter slow,$(MAKECMDGOALS)),$(comma)ray)
 INSTALLED := $(shell cat $(STAMP) 2>/dev/null)
@@ -26,7 +27,7 @@ UNKNOWN := $(filter-out $(NAMES),$(ASKED))
 ifdef UNKNOWN
 $(error There is no extra $(UNKNOWN): EXTRAS is a list, with commas, of $(filter-out bare,$(NAMES)))
 endif
-gigabytes = $(shell printf '%s\n' $(filter $(addsuffix =%,bare $(1)),$(SIZES)) | \
+gigabytes = $(shell printf '%s\n' $(filter $(addsuffix =%,bare $(filter-out $(if $(filter all,$(1)),$(IN_ALL)),$(1))),$(SIZES)) | \
   awk -F '[=/]' '{disk += $$2; load += $$3} END {printf "%.1f GB on disk, %.1f GB of downloads", disk / 1000, load / 1000}')
 
 ZIG := echo "taking a C++ compiler from PyPI" && $(PIP) ziglang

@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from test_extras import NOT_IN_ALL
 
 from grasp_env._extras import EXTRAS
 
@@ -29,7 +30,8 @@ def asked(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 def size(*extras: str) -> str:
     """Return the size of a set-up, as `gigabytes` of the Makefile does."""
-    return f"{sum(SIZES[name] for name in ('bare', *extras)) / 1e3:.1f} GB"
+    counted = {"bare", *extras} - ({*EXTRAS} - NOT_IN_ALL if "all" in extras else set())
+    return f"{sum(SIZES[name] for name in counted) / 1e3:.1f} GB"
 
 
 @pytest.fixture
