@@ -7,19 +7,19 @@ import subprocess
 import sys
 from pathlib import Path
 
-subprocess.run(["ip", "link", "set", "lo", "up"], check=True, timeout=10)
+from results import work
+from results.work import names
 
-import ray  # noqa: E402
-from ray.cluster_utils import Cluster  # noqa: E402
-from results import work  # noqa: E402
-from results.work import names  # noqa: E402
-
-from training.results.shards import map_shards  # noqa: E402
-from training.results.table import write  # noqa: E402
+from training.results.shards import map_shards
+from training.results.table import write
 
 
 def main(folder: Path) -> None:
     """Write the rows of the map on Ray and inline; the shard of a killed worker must run again."""
+    subprocess.run(["ip", "link", "set", "lo", "up"], check=True, timeout=10)
+    import ray
+    from ray.cluster_utils import Cluster
+
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "object_store_memory": 80_000_000})
     cluster.add_node(num_cpus=1, object_store_memory=80_000_000)
     os.environ["RAY_ADDRESS"] = cluster.address
