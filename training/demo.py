@@ -146,8 +146,9 @@ def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
 
 def _write_film(path: Path, first: np.ndarray, frames: Iterator[np.ndarray]) -> None:
     """Write an .mp4; raise an OSError if ffmpeg, whose end imageio does not report, has not finished it."""
-    import imageio_ffmpeg  # H.264 stores colours in blocks of two pixels
+    import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
 
+    # H.264 stores colours in blocks of two pixels
     size, ended = (first.shape[1], first.shape[0]), False
     with closing(imageio_ffmpeg.write_frames(path, size, fps=FRAME_RATE, quality=8, macro_block_size=2)) as writer:
         writer.send(None)
