@@ -143,7 +143,7 @@ def test_torques_count_where_they_exceed_the_force() -> None:
             for force in rays(normal, 0.5):
                 columns.append([*force, *np.cross(point, force) / 0.05])
                 costs.append(max(1.0, np.abs(effort @ force).max()))
-        best = linprog(costs, A_eq=np.array(columns).T, b_eq=load)
+        best = linprog(costs, A_eq=np.array(columns).T, b_eq=load, method="highs")
         if best.success and best.fun < 100.0:  # else barely closed: the rays between those tried decide
             ratios.append(least_force(points, normals, load, efforts) / best.fun)
     assert len(ratios) > 5

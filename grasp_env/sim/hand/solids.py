@@ -121,7 +121,7 @@ def shrunk(points: Array, depth: float) -> Array:
     """Return corners of the hull of points (K, 3) [m] shrunk by `depth`, at most by a third of its largest inner ball's radius."""
     faces = np.unique(hull_of(points).equations.round(12), axis=0)
     rows = np.column_stack([faces[:, :3], np.ones(len(faces))])
-    ball = linprog((0.0, 0.0, 0.0, -1.0), A_ub=rows, b_ub=-faces[:, 3], bounds=[(None, None)] * 4).x
+    ball = linprog((0.0, 0.0, 0.0, -1.0), A_ub=rows, b_ub=-faces[:, 3], bounds=(None, None), method="highs").x
     faces[:, 3] += min(depth, float(ball[3]) / 3.0)
     return np.unique(HalfspaceIntersection(faces, ball[:3]).intersections.round(9), axis=0)
 

@@ -97,5 +97,5 @@ def cut_back(link: Link, ball: Ball, direction: Array) -> Link:
 
 def _best(gain: Sequence[float] | Array, rows: Array, sides: Array) -> Array | None:
     """Maximise gain @ x subject to rows @ x <= sides; None if there is no solution."""
-    found = linprog(-np.asarray(gain), A_ub=rows, b_ub=sides, bounds=[(None, None)] * rows.shape[1])
+    found = linprog(-np.asarray(gain), A_ub=rows, b_ub=sides, bounds=(None, None), method="highs")
     return None if found.x is None or not found.success else np.asarray(found.x)

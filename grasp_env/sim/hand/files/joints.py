@@ -161,7 +161,7 @@ def _near(first: Array, second: Array) -> bool:
         np.column_stack([second - middle, -np.ones(len(second)), np.ones(len(second))]),
     ])  # fmt: skip
     bounds = [(-1.0, 1.0)] * 3 + [(None, None), (0.0, None)]
-    found = linprog((0.0, 0.0, 0.0, 0.0, -1.0), A_ub=rows, b_ub=np.zeros(len(rows)), bounds=bounds)
+    found = linprog((0.0, 0.0, 0.0, 0.0, -1.0), A_ub=rows, b_ub=np.zeros(len(rows)), bounds=bounds, method="highs")
     if found.x is None:
         return True
     return float(2.0 * found.x[4]) < _PINNED * max(float(np.linalg.norm(found.x[:3])), 1e-12)
