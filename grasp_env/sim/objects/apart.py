@@ -51,7 +51,7 @@ def apart(
     started = {name: os.environ[name] for name in _NEEDED if name in os.environ}
     environment = {**started, **variables, "PYTHONPATH": paths}
     with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder, "given.npz"), allow_pickle=False, **given)
+        np.savez(Path(folder, "given.npz"), **given)  # pyright: ignore[reportArgumentType]
         command = [
             sys.executable,
             "-c",
@@ -104,7 +104,7 @@ def work() -> None:
         given = {name: file[name] for name in file.files}
     _limit_memory(int(sys.argv[4]))
     arrays: dict[str, Any] = run(**given)
-    np.savez(folder / "made.npz", allow_pickle=False, **arrays)
+    np.savez(folder / "made.npz", **arrays)
 
 
 def _limit_memory(more: int) -> None:

@@ -55,7 +55,7 @@ def cached(key: str, name: str, make: Callable[[], dict[str, Any]], use: str = "
             return found
         made = make()
         with suppress(OSError), replacing(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, allow_pickle=False, **made, **{_NAME: np.array(name), _USE: np.array(use)})
+            np.savez(file, **{**made, _NAME: np.array(name), _USE: np.array(use)})
     return made
 
 
