@@ -69,6 +69,13 @@ try:
         repeat_step,
     )
 except ImportError as error:
+    if error.__cause__:  # the module is there, but could not get the C interface of numpy
+        import numpy as np
+
+        raise ImportError(
+            f"grasp_env.core._core in {__path__[0]} was built for another numpy than {np.__version__} ({error.__cause__}): build it "
+            "again with `pip install .` in a clone, without --no-build-isolation, and it runs on numpy 1 and 2"
+        ) from error
     raise ImportError(
         f"grasp_env.core._core is not built in {__path__[0]} for this Python ({error}): run `make install` there, or leave the "
         "folder if the package is installed elsewhere"

@@ -134,6 +134,16 @@ def test_a_missing_module_names_the_command_to_run() -> None:
     assert "run `make install` there" in last
 
 
+def test_a_build_for_another_numpy_says_how_to_build_for_all() -> None:
+    """A build with numpy 1 finds no such interface in numpy 2: here it is taken away."""
+    hidden = "next(module for name, module in sys.modules.items() if name.endswith('._multiarray_umath'))._ARRAY_API"
+    done = _python(f"import sys, numpy; del {hidden}; import grasp_env.core")
+    last = done.stderr.strip().splitlines()[-1]
+    assert "was built for another numpy than" in last
+    assert "_ARRAY_API" in last
+    assert "`pip install .` in a clone, without --no-build-isolation" in last
+
+
 def test_wheel_has_headers_and_data_and_no_development_files(tmp_path: Path) -> None:
     """Without the module, which CMake adds."""
     command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-Cwheel.cmake=false"]
