@@ -87,7 +87,7 @@ def test_lagrange_starts_are_stationary() -> None:
     # stationary: W (f - k n) = G^T nu for some (k, nu)
     force, weights = rule(CUBOID, PAPER_WRENCH).reshape(-1), np.tile([1.0, 10.0, 10.0], 4)
     system = np.column_stack([weights * np.tile([1.0, 0.0, 0.0], 4), CUBOID.matrix.T])
-    solution = np.linalg.lstsq(system, weights * force)[0]
+    solution = np.linalg.lstsq(system, weights * force, rcond=None)[0]
     np.testing.assert_allclose(system @ solution, weights * force, atol=1e-11)
     assert solution[0] > 0.0
 

@@ -34,7 +34,7 @@ PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
         (np.array(["2020", "2021"], dtype="M8[Y]"), "dates are no numbers"),
         (np.ma.masked_array([1.0, 2.0], [True, False]), "masked entries are no numbers"),
         ([None, 1.0], "not all of it is numbers"),
-        ([[1.0], [1.0, 2.0]], "inhomogeneous"),
+        ([[1.0], [1.0, 2.0]], "inhomogeneous|ragged"),  # the latter before numpy 1.24
         ([10**400, 1], "must be finite, got"),
         (sparse.eye(2), "not all of it is numbers|must have shape"),
         (np.broadcast_to(0.0, (2**40,)), "must have shape"),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hands import make_link
+from scipy.integrate import trapezoid
 
 from grasp_env import core
 from grasp_env.errors import GraspError
@@ -43,7 +44,7 @@ def test_links_of_fingers_have_the_inertia_of_solid_rods() -> None:
     """Compare with numerical integrals along the rods; the tip is a solid ball."""
     finger, grid = FingerDescription("f", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), np.linspace(0.0, 1.0, 501)
     for link, length, mass in zip(finger.links("palm"), finger.link_lengths, finger.link_masses, strict=True):
-        across = np.trapezoid((length * (grid - 0.5)) ** 2, grid) * mass + 0.25 * mass * finger.link_radius**2
+        across = trapezoid((length * (grid - 0.5)) ** 2, grid) * mass + 0.25 * mass * finger.link_radius**2
         if link.name == "f_distal":
             ball, arm = finger.tip_mass, 0.5 * length
             across += mass * ball / (mass + ball) * arm**2 + 0.4 * ball * finger.tip_radius**2
