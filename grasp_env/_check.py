@@ -56,7 +56,7 @@ def as_array(
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
         _check_shape(value.shape, shape, name)
-        array = np.array(value, order="C", copy=True if copy or not value.flags.aligned else None)
+        array = np.array(value, order="C") if copy or not value.flags.aligned else np.asarray(value, order="C")
     else:
         array = _converted(value, shape, name)
     checked = array if used is None or array.shape[:1] != used.shape else array[used]
