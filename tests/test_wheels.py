@@ -6,7 +6,6 @@ import json
 import os
 import platform
 import re
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import cpython
 
 from grasp_env.core import _builds
 
@@ -44,13 +44,7 @@ def _python_of(wheel: Path) -> str:
     """Return an interpreter for a wheel."""
     later = "-abi3-" in wheel.name
     (minor,) = map(int, re.findall(r"-cp3(\d+)-", wheel.name)[:1])
-    for candidate in (minor, *range(minor + 1, 16)) if later else (minor,):
-        if candidate == sys.version_info.minor:
-            return sys.executable
-        found = shutil.which(f"python3.{candidate}")
-        if found and subprocess.run([found, "-V"], capture_output=True, check=False).returncode == 0:
-            return found
-    pytest.skip(f"no CPython 3.{minor} on the PATH")
+    return cpython(*range(minor, 16 if later else minor + 1))
 
 
 def _levels(folder: Path) -> list[str]:
