@@ -21,7 +21,7 @@ RESULTS = re.compile(r"<!-- results: .*?<!-- /results -->", re.DOTALL)
 """Tables of saved runs: their commands belong to the version that was measured."""
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 OPTIONFLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-OTHERS = ("cd", "git", "python", "ray")
+OTHERS = ("cd", "git", "python", "python3", "ray", "source")
 """Programs of console blocks whose arguments are not checked."""
 
 every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
