@@ -850,7 +850,7 @@ private:
             std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);
             s.objective = infinity, s.lower_bound = -infinity;  // of no force; every bound holds where none exists
             if (code == INFEASIBLE) {
-                const Summary& from = current_record().summary();
+                const Summary& from = made.summary();
                 s.iterations = from.iterations, s.trials = from.trials, s.residual = from.residual,
                 s.multipliers = from.multipliers;
                 s.lower_bound = infinity, s.start = double(used_start_), s.replaced = start_replaced_;
