@@ -117,7 +117,8 @@ PyObject* torques(PyObject* self, void*) {
     return view(self, SUMMARY + 16 * count(self), 1, &many);
 }
 PyObject* prices(PyObject* self, void*) {
-    const grasp::Summary& s = record(self).summary();
+    const grasp::Record row = record(self);
+    const grasp::Summary& s = row.summary();
     const npy_intp many = int(s.code) == grasp::LIMITS_EXCEEDED ? 0 : npy_intp(s.limits);
     return view(self, SUMMARY + 16 * count(self) + npy_intp(s.joints), 1, &many);
 }
@@ -140,7 +141,8 @@ template <double grasp::Summary::* field> PyObject* truth(PyObject* self, void*)
 }
 template <grasp::Vec6 grasp::Summary::* field> PyObject* six(PyObject* self, void*) {
     const npy_intp many = 6;
-    const grasp::Summary& s = record(self).summary();
+    const grasp::Record row = record(self);
+    const grasp::Summary& s = row.summary();
     return view(self, (s.*field).data() - &s.code, 1, &many);
 }
 

@@ -183,7 +183,7 @@ public:
     }
     // torques (M,) that carry the weight of all links [N m]; gravity [m/s^2].
     void support(const Point& gravity, double* torques) const {
-        std::fill(torques, torques + tree_->joints(), 0.0);
+        std::fill_n(torques, tree_->joints(), 0.0);
         for (int j = 0; j < tree_->joints(); ++j) {
             const Link& link = tree_->links[j];
             push(j, at(j, link.center), -link.mass * gravity, torques);
