@@ -39,7 +39,7 @@ struct ContactReader {
         const auto made = [&](std::span<const double> mu) {
             return place(Contacts(count, mu, {}, turned ? along.data() : nullptr), mu, at.data(), inward.data());
         };
-        if (PyFloat_Check(friction.ptr())) return made(std::array{PyFloat_AS_DOUBLE(friction.ptr())});
+        if (PyFloat_Check(friction.ptr())) return made(std::array{PyFloat_AsDouble(friction.ptr())});
         if (!plain(friction)) return nb::none();
         const Buffer mu(friction);
         if (mu.has(count)) return made(std::span(mu.data(), count));
