@@ -2,13 +2,5 @@
 #include "instances.hpp"
 
 namespace grasp {
-
-template class RowSystem<DoubleDouble, 4, 0>;
-template class InteriorPoint<DoubleDouble, 4, 0>;
-template class RowSystem<DoubleDouble, 4, 1>;
-template class InteriorPoint<DoubleDouble, 4, 1>;
-template class RowSystem<DoubleDouble, 4, 2>;
-template class InteriorPoint<DoubleDouble, 4, 2>;
-template class PhiRows<DoubleDouble, 4>;
-
+GRASP_DIGITS(, 4)
 }  // namespace grasp

@@ -1,5 +1,6 @@
 // The solver of any number of contacts.
 #include "instances.hpp"
 
-template std::unique_ptr<grasp::detail::Engine> grasp::detail::make_lane_engine<grasp::Lanes<grasp::REGISTER>, 0>(
-    const grasp::Problem&, const grasp::Options&);
+namespace grasp::detail {
+template std::unique_ptr<Engine> make_lane_engine<Lanes<REGISTER>, 0>(const Problem&, const Options&);
+}  // namespace grasp::detail

@@ -2,9 +2,21 @@
 #pragma once
 #include <grasp/lane_engine.hpp>
 
+// The parts of the general program with twice the digits, for contacts of D variables. how: extern, or nothing in the file that
+// compiles them.
+#define GRASP_DIGITS(how, D)                              \
+    how template class RowSystem<DoubleDouble, D, 0>;     \
+    how template class RowSystem<DoubleDouble, D, 1>;     \
+    how template class RowSystem<DoubleDouble, D, 2>;     \
+    how template class InteriorPoint<DoubleDouble, D, 0>; \
+    how template class InteriorPoint<DoubleDouble, D, 1>; \
+    how template class InteriorPoint<DoubleDouble, D, 2>; \
+    how template class PhiRows<DoubleDouble, D>;
+
 namespace grasp {
 
-inline constexpr int FOUR = REGISTER < 4 ? REGISTER : 4;  // doubles in a register of up to four contacts
+GRASP_DIGITS(extern, 3)
+GRASP_DIGITS(extern, 4)
 
 namespace detail {
 
@@ -17,20 +29,4 @@ extern template class ProgramOn<3>;
 extern template class ProgramOn<4>;
 
 }  // namespace detail
-
-extern template class RowSystem<DoubleDouble, 3, 0>;
-extern template class InteriorPoint<DoubleDouble, 3, 0>;
-extern template class RowSystem<DoubleDouble, 3, 1>;
-extern template class InteriorPoint<DoubleDouble, 3, 1>;
-extern template class RowSystem<DoubleDouble, 3, 2>;
-extern template class InteriorPoint<DoubleDouble, 3, 2>;
-extern template class PhiRows<DoubleDouble, 3>;
-extern template class RowSystem<DoubleDouble, 4, 0>;
-extern template class InteriorPoint<DoubleDouble, 4, 0>;
-extern template class RowSystem<DoubleDouble, 4, 1>;
-extern template class InteriorPoint<DoubleDouble, 4, 1>;
-extern template class RowSystem<DoubleDouble, 4, 2>;
-extern template class InteriorPoint<DoubleDouble, 4, 2>;
-extern template class PhiRows<DoubleDouble, 4>;
-
 }  // namespace grasp
