@@ -42,7 +42,7 @@ def test_fast_math_is_refused(flag: str) -> None:
     assert "-ffast-math drops the checks for NaN" in check("g++", ["math/lanes.hpp"], flag)
 
 
-def installed(folder: Path) -> str:
+def installed(folder: Path) -> list[str]:
     """With cmake --install; configured without Python."""
     for part, source, given in (("whole", ROOT, ["-DGRASP_PYTHON=OFF"]), ("core", CORE, [])):
         prefix = install(source, folder / part, "-DGRASP_LIBRARY=OFF", *given)
@@ -50,7 +50,7 @@ def installed(folder: Path) -> str:
         headers = {f"include/grasp/{name}" for name in HEADERS}
         config = {f"share/cmake/grasp/{name}.cmake" for name in ("graspConfig", "graspConfigVersion")}
         assert files == headers | config | {"share/grasp/package.xml"}
-    return f"-DCMAKE_PREFIX_PATH={prefix} -DTAKEN=grasp::core"
+    return [f"-DCMAKE_PREFIX_PATH={prefix}", "-DTAKEN=grasp::core"]
 
 
 def install(source: Path, folder: Path, *given: str) -> Path:
@@ -62,37 +62,37 @@ def install(source: Path, folder: Path, *given: str) -> Path:
     return prefix
 
 
-def with_library(folder: Path) -> str:
+def with_library(folder: Path) -> list[str]:
     """The same with the library."""
     prefix = install(CORE, folder / "core", "-DCMAKE_BUILD_TYPE=Debug")
     assert (prefix / "lib/libgrasp.a").exists()
-    return f"-DCMAKE_PREFIX_PATH={prefix}"
+    return [f"-DCMAKE_PREFIX_PATH={prefix}"]
 
 
-def packaged(folder: Path) -> str:
+def packaged(folder: Path) -> list[str]:
     """In the Python package, wherever that is."""
     package = folder / "site-packages/grasp_env/core"
     shutil.copytree(CORE, package, ignore=shutil.ignore_patterns("bindings", "_core*.so"))
-    return f"-Dgrasp_DIR={succeed(sys.executable, package / '__main__.py', '--cmake-dir').strip()}"
+    return [f"-Dgrasp_DIR={succeed(sys.executable, package / '__main__.py', '--cmake-dir').strip()}"]
 
 
-def dropped(folder: Path) -> str:
+def dropped(folder: Path) -> list[str]:
     """Copied into the project."""
     shutil.copytree(CORE, folder / "core", ignore=shutil.ignore_patterns("bindings", "_core*.so"))
-    return f"-DGRASP_FOLDER={folder / 'core'}"
+    return [f"-DGRASP_FOLDER={folder / 'core'}"]
 
 
 WAYS = (installed, packaged, dropped)
 
 
-def configure(way: Callable[[Path], str], folder: Path, *given: str | Path) -> Path:
+def configure(way: Callable[[Path], list[str]], folder: Path, *given: str | Path) -> Path:
     build = folder / "build"
-    succeed(tool("cmake"), "-S", CONSUMER, "-B", build, *way(folder).split(" "), *given)
+    succeed(tool("cmake"), "-S", CONSUMER, "-B", build, *way(folder), *given)
     return build
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_program_finds_the_headers(way: Callable[[Path], str], tmp_path: Path) -> None:
+def test_a_program_finds_the_headers(way: Callable[[Path], list[str]], tmp_path: Path) -> None:
     build = configure(way, tmp_path, "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON")
     command = (build / "compile_commands.json").read_text()
     assert f"{tmp_path}/" in command.partition("-isystem ")[2]
@@ -108,7 +108,7 @@ def solves(program: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", SHADOW)
 @pytest.mark.parametrize("way", [*WAYS, with_library])
-def test_a_program_builds_and_solves(way: Callable[[Path], str], compiler: str, tmp_path: Path) -> None:
+def test_a_program_builds_and_solves(way: Callable[[Path], list[str]], compiler: str, tmp_path: Path) -> None:
     build = configure(way, tmp_path, f"-DCMAKE_CXX_COMPILER={tool(compiler)}", "-DCMAKE_BUILD_TYPE=Debug")
     succeed("cmake", "--build", build)
     solves(build / "consumer")
