@@ -31,8 +31,13 @@ set_target_properties(grasp::planner PROPERTIES INTERFACE_LINK_LIBRARIES grasp::
 
 # Add a static library of the solvers.
 function(grasp_add_library name)
-  file(GLOB sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/../src/*.cpp")
+  set(folder "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/../src")
+  file(GLOB sources CONFIGURE_DEPENDS "${folder}/*.cpp")
   add_library(${name} STATIC ${sources})
+  # less memory for the compiler, at one or two per cent more time
+  target_compile_options(${name} PRIVATE $<$<CXX_COMPILER_ID:GNU>:--param=ggc-min-expand=70>)
+  # arithmetic with twice the digits is as fast, and compiles in half the time
+  set_source_files_properties("${folder}/careful.cpp" PROPERTIES COMPILE_OPTIONS "$<$<NOT:$<CONFIG:Debug>>:-O1>")
   target_link_libraries(${name} PUBLIC grasp::core)
   target_compile_definitions(${name} PUBLIC GRASP_COMPILED) # grasp/optimizer.hpp then leaves the solvers to the library
   set_target_properties(${name} PROPERTIES OUTPUT_NAME grasp POSITION_INDEPENDENT_CODE ON)

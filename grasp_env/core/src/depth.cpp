@@ -1,0 +1,5 @@
+// The deepest forces and proofs of the general program.
+#include "instances.hpp"
+
+template class grasp::detail::Depth<3>;
+template class grasp::detail::Depth<4>;

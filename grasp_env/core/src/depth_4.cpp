@@ -1,4 +1,0 @@
-// The deepest forces and proofs of the general program, for contacts with torsion.
-#include "instances.hpp"
-
-template class grasp::detail::Depth<4>;
