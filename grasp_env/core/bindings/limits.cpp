@@ -1,5 +1,5 @@
 // Limits of a hand as rows.
-#include <grasp/terms/force_limits.hpp>
+#include <grasp/limits/force_limits.hpp>
 
 #include "buffers.hpp"
 

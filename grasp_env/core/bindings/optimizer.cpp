@@ -2,7 +2,7 @@
 // returns None if it cannot read an argument, or if the outcome needs a message; Python then takes over.
 #include "optimizer.hpp"
 
-#include <grasp/phi/basis.hpp>
+#include <grasp/many/basis.hpp>
 
 #include "buffers.hpp"
 #include "rule.hpp"

@@ -1,6 +1,6 @@
 // Instances of the solvers, each compiled by one file of this folder: together they are grasp::compiled.
 #pragma once
-#include <grasp/lane_engine.hpp>
+#include <grasp/optimizer/lane_engine.hpp>
 
 // The parts of the general program with twice the digits, for contacts of D variables. how: extern, or nothing in the file that
 // compiles them. T: how many variables the contacts share.

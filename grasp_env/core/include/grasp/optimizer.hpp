@@ -8,11 +8,11 @@
 // allocates: the code of its record tells how it ended. Use one object per thread; several objects may run at once. Python's
 // `ForceOptimizer` wraps this class.
 #pragma once
-#include <grasp/engine.hpp>
+#include <grasp/optimizer/engine.hpp>
 #include <grasp/learned/model_file.hpp>
 
 #ifndef GRASP_COMPILED  // the target grasp::compiled defines it and holds the solvers; otherwise each file compiles them
-#include <grasp/lane_engine.hpp>
+#include <grasp/optimizer/lane_engine.hpp>
 #endif
 
 namespace grasp {

@@ -2,10 +2,10 @@
 #pragma once
 #include <memory>
 #include <optional>
-#include <grasp/general/constraints.hpp>
-#include <grasp/flow/flow.hpp>
-#include <grasp/terms/force_limits.hpp>
+#include <grasp/conic/criterion.hpp>
+#include <grasp/flow/step_rule.hpp>
 #include <grasp/learned/learned.hpp>
+#include <grasp/limits/force_limits.hpp>
 
 namespace grasp {
 

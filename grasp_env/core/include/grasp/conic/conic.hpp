@@ -11,7 +11,7 @@
 // difference of two large ones.
 #pragma once
 #include <grasp/conic/steps.hpp>
-#include <grasp/phi/newton.hpp>
+#include <grasp/phi/descent.hpp>
 #include <grasp/math/qr6.hpp>
 
 namespace grasp {

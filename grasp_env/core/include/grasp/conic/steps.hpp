@@ -1,6 +1,6 @@
 // The steps of the exact conic problem (conic.hpp), for one problem or a register of them.
 #pragma once
-#include <grasp/contacts/cones.hpp>
+#include <grasp/phi/cones.hpp>
 
 namespace grasp {
 

@@ -1,6 +1,6 @@
 // The directions of the flows: the projection of a drive onto balance in the metric of P, |P|^2 = sum 3 u^2 + 2 o^2 + 2 t^2.
 #pragma once
-#include <grasp/contacts/cones.hpp>
+#include <grasp/phi/cones.hpp>
 
 namespace grasp {
 

@@ -5,6 +5,7 @@
 // rows are those along the axes of their reach, and the other rows of Q are zero: no force changes the wrench along them.
 #pragma once
 #include <memory>
+#include <grasp/conic/criterion.hpp>
 #include <grasp/contacts/contacts.hpp>
 #include <grasp/general/interior_point.hpp>
 
@@ -23,9 +24,6 @@ struct ProgramData {
     bool elastic;  // true if the least excess may be requested
     WrenchSpace reach{};  // the wrenches that the contacts can make
 };
-
-// `excess`: the largest relative excess of a limit, t with rows . z <= bound + t share.
-enum class Criterion { sum, largest, excess };
 
 namespace detail {
 

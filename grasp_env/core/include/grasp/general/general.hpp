@@ -1,7 +1,7 @@
 // The general program for real-time code: any contacts, any limits, and continuation of faster algorithms that give up. The
 // constructor allocates for a number of contacts and limits; placing and solving then allocate nothing.
 #pragma once
-#include <grasp/terms/force_limits.hpp>
+#include <grasp/limits/force_limits.hpp>
 #include <grasp/general/program.hpp>
 
 namespace grasp {

@@ -5,7 +5,7 @@
 // contacts take 1.1 us there and 7 here.
 #pragma once
 #include <climits>
-#include <grasp/phi/newton.hpp>
+#include <grasp/newton/newton.hpp>
 #include <grasp/general/row_system.hpp>
 #include <grasp/math/double_double.hpp>
 

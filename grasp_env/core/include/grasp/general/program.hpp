@@ -9,7 +9,7 @@
 #include <optional>
 #include <variant>
 #include <grasp/general/deepest.hpp>
-#include <grasp/terms/excess.hpp>
+#include <grasp/newton/excess.hpp>
 #include <grasp/general/phi_rows.hpp>
 
 namespace grasp {

@@ -6,7 +6,7 @@
 #pragma once
 #include <stdexcept>
 #include <grasp/hand/tree.hpp>
-#include <grasp/number_file.hpp>
+#include <grasp/detail/number_file.hpp>
 
 namespace grasp {
 

@@ -3,7 +3,7 @@
 #include <span>
 #include <vector>
 #include <grasp/contacts/contacts.hpp>
-#include <grasp/terms/force_limits.hpp>
+#include <grasp/limits/force_limits.hpp>
 
 namespace grasp {
 

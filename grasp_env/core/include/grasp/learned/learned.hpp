@@ -2,7 +2,7 @@
 // than at the method's default start.
 #pragma once
 #include <grasp/learned/network.hpp>
-#include <grasp/contacts/cones.hpp>
+#include <grasp/phi/cones.hpp>
 
 namespace grasp {
 

@@ -7,7 +7,7 @@
 #pragma once
 #include <stdexcept>
 #include <grasp/learned/learned.hpp>
-#include <grasp/number_file.hpp>
+#include <grasp/detail/number_file.hpp>
 
 namespace grasp {
 

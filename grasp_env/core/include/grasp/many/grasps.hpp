@@ -2,7 +2,7 @@
 // contacts of its own grasp, from placing the contacts to the record. Problems that need more than an ordinary descent are solved
 // again alone. Lanes are independent.
 #pragma once
-#include <grasp/phi/basis.hpp>
+#include <grasp/many/basis.hpp>
 #include <grasp/math/dispatch.hpp>
 #include <grasp/many/problems.hpp>
 

@@ -3,6 +3,7 @@
 // of one problem (`NewtonSolver`, `ConicSolver`), which also solve anything but an ordinary descent from the start.
 #pragma once
 #include <grasp/conic/conic.hpp>
+#include <grasp/newton/newton.hpp>
 
 namespace grasp {
 

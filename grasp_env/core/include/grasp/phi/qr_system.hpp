@@ -1,7 +1,7 @@
 // Newton's step by QR, for forces that are very large compared with their distance to the cones, and for contacts that hardly span
 // the wrench space.
 #pragma once
-#include <grasp/contacts/cones.hpp>
+#include <grasp/phi/cones.hpp>
 #include <grasp/math/qr6.hpp>
 
 namespace grasp {

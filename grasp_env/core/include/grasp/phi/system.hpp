@@ -1,6 +1,6 @@
 // The linear system of Newton on Phi under balance. H is block diagonal, so a step is one 6 x 6 system G H^-1 G^T for any N.
 #pragma once
-#include <grasp/contacts/cones.hpp>
+#include <grasp/phi/cones.hpp>
 
 namespace grasp {
 

@@ -8,7 +8,7 @@
 // system. x stays balanced, and the multipliers of every iterate bound t (`LimitTerms::farkas`), dual feasible or not.
 #pragma once
 #include <grasp/conic/conic.hpp>
-#include <grasp/terms/limits.hpp>
+#include <grasp/limits/terms.hpp>
 
 namespace grasp {
 

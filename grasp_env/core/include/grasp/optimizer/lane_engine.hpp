@@ -1,14 +1,15 @@
 // The solver behind `ForceOptimizer`: runs the planned algorithm from a start, and falls back on the general program. The file is long
 // because contacts, starts and algorithms of a call share one state.
 #pragma once
-#include <grasp/current_contacts.hpp>
-#include <grasp/engine.hpp>
-#include <grasp/phi/basis.hpp>
+#include <grasp/optimizer/current_contacts.hpp>
+#include <grasp/optimizer/engine.hpp>
+#include <grasp/many/basis.hpp>
+#include <grasp/flow/flow.hpp>
 #include <grasp/general/general.hpp>
 #include <grasp/math/dispatch.hpp>
-#include <grasp/terms/limited.hpp>
-#include <grasp/plans.hpp>
-#include <grasp/terms/soft.hpp>
+#include <grasp/newton/limited.hpp>
+#include <grasp/optimizer/plans.hpp>
+#include <grasp/newton/soft.hpp>
 
 namespace grasp::detail {
 

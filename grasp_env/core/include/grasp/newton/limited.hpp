@@ -1,6 +1,7 @@
 // Newton on Phi within limits, in one call: the optimum, a proof that no force exists, or the force that exceeds the limits least.
 #pragma once
-#include <grasp/terms/excess.hpp>
+#include <grasp/newton/excess.hpp>
+#include <grasp/newton/newton.hpp>
 
 namespace grasp {
 

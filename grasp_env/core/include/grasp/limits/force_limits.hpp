@@ -2,7 +2,7 @@
 // as rows a . f <= b, and as rows of length one on one contact's force for `LimitTerms`.
 #pragma once
 #include <span>
-#include <grasp/terms/limits.hpp>
+#include <grasp/limits/terms.hpp>
 
 namespace grasp {
 

@@ -1,7 +1,6 @@
 // Damped Newton on Phi under balance; linear in the number of contacts.
 #pragma once
 #include <grasp/phi/internal.hpp>
-#include <grasp/terms/limits.hpp>
 #include <grasp/phi/descent.hpp>
 #include <grasp/phi/qr_system.hpp>
 

@@ -3,6 +3,7 @@
 #pragma once
 #include <grasp/contacts/contacts.hpp>
 #include <grasp/phi/phi.hpp>
+#include <grasp/phi/rows.hpp>
 #include <grasp/record.hpp>
 
 namespace grasp {
@@ -42,10 +43,6 @@ template <class V> inline Six<Reduced<V>> sums(const V (&a)[6]) {
     for (int r = 0; r < 6; ++r) out[r] = sum(a[r]);
     return out;
 }
-
-// No terms of Phi besides the cones'. Limits add `LimitTerms` (limits.hpp); torsion adds `SoftTerms` (soft.hpp), which acts on the
-// object by variables of its own.
-struct NoRows { static constexpr bool has_terms = false, has_torsion = false; };
 
 template <class V, int B> class Cones {
 public:

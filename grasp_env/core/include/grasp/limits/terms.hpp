@@ -8,8 +8,8 @@
 //
 // The file is long because the terms, the edge and the proof use the same rows.
 #pragma once
-#include <grasp/contacts/cones.hpp>
-#include <grasp/terms/normal_bound.hpp>
+#include <grasp/phi/cones.hpp>
+#include <grasp/limits/normal_bound.hpp>
 
 namespace grasp {
 
@@ -39,9 +39,6 @@ template <class V> struct Pair {
         inverse.oo -= f.o * h.o, inverse.ot -= f.o * h.t, inverse.tt -= f.t * h.t;
     }
 };
-
-// Decision after a Newton step was computed: continue; the edge was lowered; no force keeps the limits; neither is known.
-enum class Verdict { proceed, sharpened, infeasible, inconclusive };
 
 // All rows. Every contact gets as many pairs as the contact with most rows needs.
 template <class V, int B> class LimitTerms {

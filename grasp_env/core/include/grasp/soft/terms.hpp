@@ -1,10 +1,11 @@
-// Soft contacts: torsions as variables of Phi, eliminated contact by contact, and Newton with them.
+// Soft contacts: torsions as variables of Phi, eliminated contact by contact.
 //
 // v is the torsion in units of its limit, abs(v) <= u; with p = u - v and q = u + v, Phi gains lambda (1/p + 1/q). For any step du
 // the best dv is k du + delta. So a contact keeps its 3 x 3 block: e_u gains curvature and slope, its column of G gains k times
 // that of v, and delta adds a rank-one term to S. In p and q nothing cancels.
 #pragma once
-#include <grasp/phi/newton.hpp>
+#include <grasp/phi/cones.hpp>
+#include <grasp/phi/rows.hpp>
 
 namespace grasp {
 
@@ -164,49 +165,6 @@ private:
     void push(int b, V (&moved)[6]) const {
 #pragma GCC unroll 8
         for (int r = 0; r < 6; ++r) moved[r] += states_[b].step * contacts_[b].g[r];
-    }
-};
-
-// Newton from a previous optimum, or from any balanced force inside the cones.
-template <class V, int B> class SoftNewton {
-public:
-    NewtonSolver<V, B, SoftTerms<V, B>> newton;
-
-    SoftNewton(const Contacts& contacts, const StopRule& options, const double* divisor)
-        : newton(contacts.count, options), begun_(newton.cones.field()) {
-        newton.cones.pack(contacts);
-        newton.rows = SoftTerms<V, B>(contacts.count);
-        newton.rows.pack(newton.cones, contacts, divisor);
-    }
-
-    // REFUSED: numbers that are not finite, no start, or a problem for the general program, out of digits.
-    // begin(w): writes the start into newton.x, and its torsion into newton.rows; returns true if there is one.
-    template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
-        Summary& s = record.summary();
-        s.code = REFUSED;
-        if (!is_valid_wrench(call.wrench)) return REFUSED;
-        const Vec6 w = newton.cones.unit.of(call.wrench);
-        Code code = REFUSED;
-        if (call.start == From::tangent) {
-            newton.cones.load_force(call.force, newton.x);
-            newton.rows.load(newton.cones, call.torsion);
-            code = from(call, w, record, true);
-        }
-        if (code == REFUSED || code == STALLED) {
-            newton.rows.load(newton.cones, call.start == From::given ? call.torsion : nullptr);
-            code = begin(w) ? from(call, w, record, false) : REFUSED;
-        }
-        if (code == STALLED) code = REFUSED;
-        s.code = code;
-        return code;
-    }
-
-private:
-    typename Cones<V, B>::Field begun_;
-
-    Code from(const Call& call, const Vec6& w, const Record& record, bool leaping) {
-        begun_ = newton.x;
-        return newton.descend_from(begun_, call, w, record, SHORT, leaping);
     }
 };
 

@@ -1,0 +1,65 @@
+"""The folders of the C++ core look one way: math, contacts, Phi, its terms, the solvers, the optimizer, and what stands on it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+HEADERS = Path(__file__).parents[2] / "grasp_env" / "core" / "include" / "grasp"
+
+ROOMS: dict[str, set[str]] = {
+    "version.hpp": set(),
+    "detail": set(),
+    "math": set(),
+    "record.hpp": {"math"},
+    "contacts": {"math"},
+    "phi": {"math", "contacts", "record.hpp"},
+    "limits": {"math", "phi"},
+    "soft": {"phi"},
+    "learned": {"detail", "math", "phi"},
+    "conic": {"math", "phi"},
+    "newton": {"phi", "limits", "soft", "conic"},
+    "flow": {"phi", "newton"},
+    "many": {"math", "conic", "newton"},
+    "general": {"math", "contacts", "limits", "conic", "newton"},
+    "problem.hpp": {"limits", "learned", "conic", "flow"},
+    "optimizer": {"math", "record.hpp", "newton", "flow", "many", "general", "problem.hpp"},
+    "optimizer.hpp": {"learned", "optimizer"},
+    "advice.hpp": {"optimizer.hpp"},
+    "layer": {"math", "contacts", "limits", "many", "optimizer.hpp"},
+    "hand": {"detail", "math", "contacts", "phi", "problem.hpp", "optimizer.hpp"},
+    "planner": {"hand"},
+}
+"""Folders and public headers of the core, the lowest first, and those that each includes. Headers outside the folders are public."""
+
+
+def _room(header: str) -> str:
+    return header.split("/")[0]
+
+
+def _arrows() -> dict[str, set[str]]:
+    """Return the headers that each header includes, as paths below `grasp/`."""
+    return {
+        str(path.relative_to(HEADERS)): set(re.findall(r"#include <grasp/([^>]+)>", path.read_text(encoding="utf-8")))
+        for path in HEADERS.rglob("*.hpp")
+    }
+
+
+def test_folders_look_one_way() -> None:
+    order = list(ROOMS)
+    for room, below in ROOMS.items():
+        assert [other for other in below if order.index(other) >= order.index(room)] == [], room
+    found = {room: set[str]() for room in ROOMS}
+    for header, included in _arrows().items():
+        assert _room(header) in ROOMS, f"{header} lies in no folder of the table: a private header belongs to a folder"
+        found[_room(header)] |= {_room(other) for other in included} - {_room(header)}
+    assert {room: others - ROOMS[room] for room, others in found.items() if others - ROOMS[room]} == {}
+    assert found == ROOMS, "an arrow that nothing needs any more"
+
+
+def test_no_headers_include_each_other_in_a_circle() -> None:
+    left = _arrows()
+    while free := [header for header, included in left.items() if not included & set(left)]:
+        for header in free:
+            del left[header]
+    assert left == {}
