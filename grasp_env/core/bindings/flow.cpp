@@ -4,9 +4,18 @@
 #include <grasp/flow/flow.hpp>
 #include <grasp/math/dispatch.hpp>
 
-#include "rule.hpp"
+#include "problem.hpp"
 
 using namespace grasp;
+
+// The descents of grasp::compiled: studies of a flow have the bits of the method.
+#define GRASP_FLOW(...) \
+    extern template Code FlowSolver<__VA_ARGS__>::descend(NewtonSolver<__VA_ARGS__>&, const Call&, const Vec6&, const Record&);
+namespace grasp {
+GRASP_FLOW(Lanes<FOUR>, 4 / FOUR)
+GRASP_FLOW(Lanes<REGISTER>, 8 / REGISTER)
+GRASP_FLOW(Lanes<REGISTER>, 0)
+}  // namespace grasp
 
 namespace {
 
@@ -19,21 +28,25 @@ Form form_of(const std::string& name, const Contacts& contacts) {
 }
 
 // Run a flow in the given form from a force (N, 3).
-int descend(const Contacts& contacts, const char* name, nb::handle rule, double tolerance, int limit, nb::handle wrench,
-            nb::handle force, double optimum, nb::handle trace, nb::handle record) {
+int descend(const Contacts& contacts, const char* name, const Options& options, nb::handle wrench, const OwnRequest& request,
+            nb::handle record) {
     const Form form = form_of(name, contacts);
-    const StepRule steps = rule_of(rule);
     const int count = contacts.count;
-    const Numbers load = in(wrench, 6), start = in(force, count, 3), values = out(trace, -1),
-                  row = out(record, record_size(count));
-    const Call call{.wrench = load.data(), .optimum = optimum, .trace = values.data(), .traced = int(values.length(0))};
+    const Numbers load = in(wrench, 6), row = out(record, record_size(count));
+    const Request& ask = request.request;
+    if (ask.force.size() != std::size_t(3 * count)) throw nb::type_error("expected a force (N, 3)");
+    const Call call{.wrench = load.data(),
+                    .stop = {options.gap(), options.limit},
+                    .optimum = ask.optimum,
+                    .trace = ask.trace.data(),
+                    .traced = int(ask.trace.size())};
     Code code = REFUSED;
     dispatch(count, [&]<class V, int B>() {
-        NewtonSolver<V, B> on(count, {tolerance, limit});
+        NewtonSolver<V, B> on(count);
         on.cones.pack(contacts);
-        on.cones.load_force(start.data(), on.x);
+        on.cones.load_force(ask.force.data(), on.x);
         const Vec6 w = on.cones.unit.of(load.data());
-        FlowSolver<V, B> flow(on.cones, steps, form);
+        FlowSolver<V, B> flow(on.cones, options.step_rule, form);
         if (is_valid_wrench(load.data()) && on.is_start(w) && flow.place(on.cones))
             code = flow.descend(on, call, w, Record(row.data(), count));
     });
@@ -59,12 +72,8 @@ double repeat(const Contacts& contacts, const char* name, nb::handle x, int time
 
 void bind_flow(nb::module_& m) {
     m.attr("FULL_CONTACTS") = FULL_CONTACTS;
-    m.def("descend_flow", &descend, "contacts"_a, "form"_a, "rule"_a, "tolerance"_a, "limit"_a, "wrench"_a, "force"_a,
-          "optimum"_a, "trace"_a, "record"_a,
-          "Run a flow from a balanced force (N, 3) inside the cones; write the record and return the code. rule: (5,) kind, "
-          "first,\n"
-          "grow, shrink, decrease, see `step_size.py`; optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates "
-          "0..T-1.");
+    m.def("descend_flow", &descend, "contacts"_a, "form"_a, "options"_a, "wrench"_a, "request"_a, "record"_a,
+          "Run a flow from the force of a request, balanced and inside the cones; write the record and return the code.");
     m.def("repeat_step", &repeat, "contacts"_a, "form"_a, "x"_a, "times"_a,
           "Compute the step of a flow at x (3N,), cone coordinates, `times` times; return its last number.\n"
           "form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the cheapest form.");

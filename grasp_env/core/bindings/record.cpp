@@ -27,7 +27,7 @@ nb::typed<nb::dict, nb::str, int> codes() {
     named["converged"] = int(grasp::CONVERGED), named["limit"] = int(grasp::LIMIT), named["stalled"] = int(grasp::STALLED);
     named["infeasible"] = int(grasp::INFEASIBLE), named["refused"] = int(grasp::REFUSED);
     named["limits_exceeded"] = int(grasp::LIMITS_EXCEEDED), named["rank_lost"] = int(grasp::RANK_LOST);
-    named["undecided"] = int(grasp::UNDECIDED);
+    named["undecided"] = int(grasp::UNDECIDED), named["started"] = int(grasp::STARTED);
     return named;
 }
 

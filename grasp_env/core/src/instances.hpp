@@ -4,15 +4,14 @@
 
 // The parts of the general program with twice the digits, for contacts of D variables. how: extern, or nothing in the file that
 // compiles them. T: how many variables the contacts share.
-#define GRASP_CAREFUL(how, D)                                                                                              \
-    GRASP_CAREFUL_ENGINE(how, D, 0)                                                                                        \
-    GRASP_CAREFUL_ENGINE(how, D, 1)                                                                                        \
-    GRASP_CAREFUL_ENGINE(how, D, 2)                                                                                        \
-    GRASP_CAREFUL_PROGRAM(how, D, 0)                                                                                       \
-    GRASP_CAREFUL_PROGRAM(how, D, 1)                                                                                       \
-    how template class PhiRows<DoubleDouble, D>;                                                                           \
-    how template Code detail::ProgramOn<D>::write_phi(PhiRows<DoubleDouble, D>&, Code, const Call&, double, const Record&, \
-                                                      double*);                                                            \
+#define GRASP_CAREFUL(how, D)                                                                                                \
+    GRASP_CAREFUL_ENGINE(how, D, 0)                                                                                          \
+    GRASP_CAREFUL_ENGINE(how, D, 1)                                                                                          \
+    GRASP_CAREFUL_ENGINE(how, D, 2)                                                                                          \
+    GRASP_CAREFUL_PROGRAM(how, D, 0)                                                                                         \
+    GRASP_CAREFUL_PROGRAM(how, D, 1)                                                                                         \
+    how template class PhiRows<DoubleDouble, D>;                                                                             \
+    how template Code detail::ProgramOn<D>::write_phi(PhiRows<DoubleDouble, D>&, Code, const Call&, const Record&, double*); \
     how template Deepest detail::Depth<D>::find<DoubleDouble>(const double*, double, detail::Depth<D>::Field&);
 #define GRASP_CAREFUL_ENGINE(how, D, T)                                                                               \
     how template class RowSystem<DoubleDouble, D, T>;                                                                 \

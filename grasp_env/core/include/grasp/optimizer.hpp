@@ -36,7 +36,9 @@ public:
         engine_->solve(ask, rows_[1].data());
         const Record made(rows_[1].data());
         if (made.has_force()) {  // without a force, the previous solution stays
-            std::swap(rows_[0], rows_[1]), has_previous_ = true;
+            std::swap(rows_[0], rows_[1]);
+            rows_[1].resize(rows_[0].size());  // after `remember`; there is room
+            has_previous_ = true;
             record_ = last_record();
         } else {
             record_ = made;
@@ -46,8 +48,8 @@ public:
     // Solve into a caller-owned row of `size()` numbers. This overload neither uses nor updates the stored last solution; to
     // warm-start, set `previous` of the request.
     Code solve(const Request& ask, double* row) { return engine_->solve(ask, row); }
-    // Compute only the start of a call and write it where the force would go. Return LIMIT on success, as after zero iterations;
-    // any other code says why there is no start.
+    // Compute only the start of a call and write it where the force would go. Return STARTED; any other code says why there is no
+    // start.
     Code start(const Request& ask, double* row) { return engine_->start(ask, row); }
     // Replace the offline basis of the problem's contacts, (13, 3N) in cone coordinates: the optimal forces for +1 along each of the
     // six wrench axes, for -1 along each, and for zero wrench. Call this to reuse a stored basis, or if only a request asks for a
@@ -68,12 +70,24 @@ public:
     // not finite, or normals not of unit length. Contacts that cannot balance wrenches of every direction are accepted.
     bool update(const Changes& now) { return engine_->update(now); }
     // Solve (M, 6) wrenches into M rows of `size()` numbers, each as `solve` without a previous solution. Allocates.
-    void solve_many(Doubles wrenches, std::span<double> rows) const {
-        engine_->clone()->solve_many(std::ptrdiff_t(wrenches.size() / 6), wrenches.data(), rows.data());
+    void solve_many(Doubles wrenches, std::span<double> rows) {
+        engine_->solve_many(std::ptrdiff_t(wrenches.size() / 6), wrenches.data(), rows.data());
     }
 
     // Return the last solution that holds a force.
     std::optional<Record> previous() { return has_previous_ ? std::optional<Record>(last_record()) : std::nullopt; }
+    // Take a solution of another optimizer as the last one. Return false, with nothing changed, if it holds no force or has another
+    // number of contacts. Allocates.
+    bool remember(const Record& solution) {
+        if (!solution.has_force() || solution.contacts() != contacts().count) return false;
+        const Summary& s = solution.summary();
+        const double* row = &s.code;
+        if (row == rows_[0].data()) return true;
+        rows_[0].assign(row, row + record_size(int(s.contacts), int(s.joints), int(s.limits)));
+        has_previous_ = true;
+        record_ = last_record();
+        return true;
+    }
     // Forget the last solution, so that the next call does not start from it.
     void forget() { has_previous_ = false; }
 

@@ -35,6 +35,7 @@ struct Options {
     bool elastic = false;  // if no force satisfies the limits, return the one that exceeds them least instead of a proof
     StepRule step_rule{};  // for the flows
     std::shared_ptr<const Model> model{};  // for Start::learned; without a model the default start replaces it
+    bool remembers = true;  // Start::learned: take the previous solution where its Phi is below the prediction's
 
     double gap() const { return tolerance > 0.0 ? tolerance : method == Method::conic ? 1e-6 : 1e-4; }
 };

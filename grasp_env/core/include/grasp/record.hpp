@@ -15,6 +15,7 @@ enum Code {
     LIMITS_EXCEEDED,  // no force satisfies all limits; this one exceeds them least
     RANK_LOST,  // no contact touches; or the contacts cannot balance wrenches of every direction, which a flow needs
     UNDECIDED,  // neither a force nor a proof was found
+    STARTED,  // a start alone, of `ForceOptimizer::start`: no step was taken
 };
 
 // Starting points of a solve.

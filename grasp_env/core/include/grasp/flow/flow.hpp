@@ -63,7 +63,7 @@ public:
         };
         Progress at{.alpha = rule.first, .value = ahead(0.0)};
         if (!(at.value < infinity)) return REFUSED;
-        Proof proof(call, on.options.tolerance);
+        Proof proof(call, call.stop.tolerance);
         const auto look = [&] {
             if (proof.known) return;
             on.x = x;
@@ -73,7 +73,7 @@ public:
         for (;; ++at.k) {
             for (int b = 0; b < blocks; ++b) x[b] = next[b], gradient[b] = there[b];
             if (at.k < call.traced) call.trace[at.k] = at.value;
-            const bool last = at.k >= on.options.limit;
+            const bool last = at.k >= call.stop.limit;
             if (last || proof.due(at)) look();
             if (proof.closes(at.value)) code = CONVERGED;
             if (last || code == CONVERGED) break;
@@ -92,7 +92,7 @@ public:
         s.iterations = at.k, s.trials = at.trials, s.objective = at.value, s.lower_bound = proof.best.value;
         s.multipliers = cones.unit.pull_back(proof.known ? bound_at(on, w).multipliers : proof.best.multipliers);
         std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
-        return finish(on, w, code, proof.known, record);
+        return finish(on, call, w, code, record);
     }
 
 private:
@@ -225,7 +225,7 @@ private:
     }
 
     // Remove rounding from the balance and write the certificates. CONVERGED requires that the final force meets them.
-    Code finish(NewtonSolver<V, B>& on, const Vec6& w, Code code, bool known, const Record& record) {
+    Code finish(NewtonSolver<V, B>& on, const Call& call, const Vec6& w, Code code, const Record& record) {
         const auto& cones = on.cones;
         Summary& s = record.summary();
         if (s.iterations > 0.0) {
@@ -238,8 +238,9 @@ private:
         const bool consistent = std::abs(reached - s.objective) <= OBJECTIVE_ROUNDING * s.objective;
         if (!consistent) s.objective = reached;
         // the force misses balance
+        const bool known = call.optimum == call.optimum;
         const bool below = !known && s.objective - s.lower_bound < -OBJECTIVE_ROUNDING * s.lower_bound;
-        const bool near = s.objective - s.lower_bound <= on.options.tolerance * s.lower_bound;
+        const bool near = s.objective - s.lower_bound <= call.stop.tolerance * s.lower_bound;
         if (code == CONVERGED && !(near && !below && cones.balanced(on.x, w, s.residual) && s.margin > 0.0)) code = STALLED;
         s.code = code, s.limit_excess = 0.0;
         std::fill(record.torsion(), record.torsion() + cones.count, 0.0);

@@ -99,7 +99,7 @@ public:
     // Minimise Phi. From::given: from the call's force and torsion, if they are balanced and strictly inside. From::tangent: from
     // the nearest balanced force, if it is strictly inside. Otherwise from the deepest force. INFEASIBLE, UNDECIDED: as for
     // `conic`.
-    Code phi(const Call& call, const StopRule& options, const Record& record) {
+    Code phi(const Call& call, const Record& record) {
         const Arena::Use use(arena_);
         record.clear();
         record.summary().code = REFUSED;
@@ -111,12 +111,13 @@ public:
             if (found.code != CONVERGED) return refute(found, call.wrench, record);
             if (found.moved) ask.wrench = found.wrench.data();
         }
-        const Code code = least_phi(ask, options, record);
+        const Code code = least_phi(ask, record);
         inputs_->store(inputs_->z.data(), record.initial_force(), nullptr);
-        const StopRule left{options.tolerance, options.limit - int(record.summary().iterations)};
-        if ((code == REFUSED || (code == STALLED && !found.moved)) && phi_inside(call, left, record)) return record.code();
+        ask = call;
+        ask.stop.limit -= int(record.summary().iterations);
+        if ((code == REFUSED || (code == STALLED && !found.moved)) && phi_inside(ask, record)) return record.code();
         if (code == REFUSED) return refute({}, call.wrench, record);
-        if (found.moved) stand_for(found.wrench, call.wrench, options, record);
+        if (found.moved) stand_for(found.wrench, call, record);
         return record.code();
     }
     // Continue a record that stalled with more than rounding left, with at most MORE_STEPS further steps. The better result stays.
@@ -127,14 +128,15 @@ public:
         if (record.code() != STALLED || left <= 0 || !gap_exceeds_rounding(before, options.tolerance)) return record.code();
         const Record made(inputs_->record.data(), inputs_->count);
         inputs_->load(record.force(), record.torsion());
-        const Code code = least_phi({.wrench = before.wrench.data()}, {options.tolerance, std::min(left, MORE_STEPS)}, made);
+        const Code code =
+            least_phi({.wrench = before.wrench.data(), .stop = {options.tolerance, std::min(left, MORE_STEPS)}}, made);
         if (code == CONVERGED || (code != REFUSED && made.summary().objective < before.objective)) {
             made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
             replace_record(made, record);
         }
         if (record.code() == STALLED) {
             const Vec6 wrench = before.wrench;
-            phi_inside({.wrench = wrench.data()}, {options.tolerance, options.limit - int(before.iterations)}, record);
+            phi_inside({.wrench = wrench.data(), .stop = {options.tolerance, options.limit - int(before.iterations)}}, record);
         }
         return record.code();
     }
@@ -292,10 +294,10 @@ private:
     Code least(const double* wrench, Criterion criterion, const StopRule& options, int budget, const Record& record) {
         return unscale_prices(program_->least(wrench, criterion, options, record, inputs_->prices.data(), budget));
     }
-    Code least_phi(const Call& call, const StopRule& options, const Record& record) {
+    Code least_phi(const Call& call, const Record& record) {
         Inputs& inputs = *inputs_;
-        return unscale_prices(program_->least_phi(call, inputs.weights.data(), inputs.row_weights.data(), inputs.z.data(),
-                                                  options, record, inputs.prices.data()));
+        return unscale_prices(program_->least_phi(call, inputs.weights.data(), inputs.row_weights.data(), inputs.z.data(), record,
+                                                  inputs.prices.data()));
     }
     Code unscale_prices(Code code) {
         for (int k = 0; k < inputs_->limits; ++k) inputs_->prices[k] /= inputs_->sizes[k];
@@ -337,23 +339,23 @@ private:
     }
     // If the wrench is next to the boundary of the constraints, replace a record without an optimum by the optimum for a wrench just
     // inside, see `Deepest`. Return true if that converged; otherwise the record stays.
-    bool phi_inside(const Call& call, const StopRule& options, const Record& record) {
-        if (call.optimum == call.optimum || call.traced || options.limit <= 0) return false;
+    bool phi_inside(const Call& call, const Record& record) {
+        if (call.optimum == call.optimum || call.traced || call.stop.limit <= 0) return false;
         inputs_->kept_prices = inputs_->prices;
         const Deepest found = deepest(call.wrench, 1e-7, true);
         const Record made(inputs_->record.data(), inputs_->count);
         bool good = found.code == CONVERGED && found.moved;
         if (good) {
-            least_phi({.wrench = found.wrench.data()}, options, made);
-            stand_for(found.wrench, call.wrench, options, made);
+            least_phi({.wrench = found.wrench.data(), .stop = call.stop}, made);
+            stand_for(found.wrench, call, made);
             good = made.code() == CONVERGED;
         }
         if (good) replace_record(made, record);
         else inputs_->prices = inputs_->kept_prices;
         return good;
     }
-    void stand_for(const Vec6& made, const double* wrench, const StopRule& options, const Record& record) {
-        detail::stand_for(record, made, wrench, missed(wrench, record.force(), record.torsion()), options.tolerance);
+    void stand_for(const Vec6& made, const Call& call, const Record& record) {
+        detail::stand_for(record, made, call.wrench, missed(call.wrench, record.force(), record.torsion()), call.stop.tolerance);
     }
     // Record the proof that no force exists, or UNDECIDED.
     Code refute(const Deepest& found, const double* wrench, const Record& record) {

@@ -34,7 +34,8 @@ public:
     }
 
     // fraction: largest fraction of the way to the boundary that a step goes
-    Code run(const Call& call, double tolerance, int limit, double fraction) {
+    Code run(const Call& call, double fraction) {
+        const double tolerance = call.stop.tolerance;
         const bool known = call.optimum == call.optimum;
         bound = known ? call.optimum : -infinity;
         iterations = trials = 0;
@@ -57,7 +58,7 @@ public:
             code = certified() ? CONVERGED : STALLED;
             return false;
         };
-        return run_descent(*this, call, limit, INT_MAX, find, certified, advance);
+        return run_descent(*this, call, INT_MAX, find, certified, advance);
     }
 
     // Balance z to the last digit of R by the least-norm change: the rows of balance are orthonormal.

@@ -72,8 +72,8 @@ public:
     bool independent() const { return in_.independent(); }
     bool is_out_of_reach(const double* wrench) const { return in_.is_out_of_reach(in_.in_frame(wrench)); }
 
-    Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const StopRule& options,
-                   const Record& record, double* prices);
+    Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const Record& record,
+                   double* prices);
 
 private:
     static constexpr double ROUNDED = 1e-15;  // fraction of the forces: effect of their rounding on balance
@@ -411,8 +411,7 @@ private:
     }
 
     // Write Phi's optimum. CONVERGED requires that the returned force is balanced, inside, and has a gap within the tolerance.
-    template <class R>
-    Code write_phi(PhiRows<R, D>& engine, Code code, const Call& call, double tolerance, const Record& record, double* prices) {
+    template <class R> Code write_phi(PhiRows<R, D>& engine, Code code, const Call& call, const Record& record, double* prices) {
         for (int i = 0; i < count; ++i) best_[i] = narrow(engine.z[i]);
         best_residual_ = in_.rebalance(best_, unit_);
         for (double part = 1e-15;; part = std::min(1.0, 4.0 * part)) {  // moves what rounding took outside back towards the start
@@ -434,7 +433,7 @@ private:
         double force = 0.0;
         for (int i = 0; i < count; ++i) force = std::max(force, best_[i][0]);
         const bool good = least_of(slacks_) >= 0.0 && best_residual_ <= BALANCED * (force + grasp::size(unit_));
-        const bool near = best_bound_ > 0.0 && best_value_ - best_bound_ <= tolerance * best_bound_;
+        const bool near = best_bound_ > 0.0 && best_value_ - best_bound_ <= call.stop.tolerance * best_bound_;
         if (code == CONVERGED && !(good && (near || call.optimum == call.optimum))) code = STALLED;
         write(code, record, prices);
         record.summary().iterations = engine.iterations, record.summary().trials = engine.trials;
@@ -525,7 +524,7 @@ template <int D> Deepest ProgramOn<D>::deepest(const double* wrench, double tole
 }
 
 template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* weights, const double* row_weights, const double* z,
-                                              const StopRule& options, const Record& record, double* prices) {
+                                              const Record& record, double* prices) {
     const Arena::Scope scope;
     record.clear();
     std::fill(prices, prices + limits, 0.0);
@@ -541,33 +540,35 @@ template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* we
     };
     int spent = 0, trials = 0;
     // descend on Phi with lambda multiplied by `raised`
-    const auto descend = [&](auto& engine, const Call& stage_call, double raised, double tolerance, int limit) {
+    const auto descend = [&](auto& engine, Call stage, double raised, const StopRule& stop) {
+        stage.stop = stop;
         for (int i = 0; i < count; ++i) engine.weights[i] = {weights[2 * i], raised * weights[2 * i + 1]};
         for (int k = 0; k < limits; ++k) engine.row_weights[k] = raised * row_weights[k];
-        const Code code = engine.run(stage_call, tolerance, limit, LONG);
+        const Code code = engine.run(stage, LONG);
         spent += engine.iterations, trials += engine.trials;
         return code;
     };
     const auto written = [&](auto& engine, Code code) {
         engine.iterations = spent, engine.trials = trials;
-        return code == REFUSED ? code : write_phi(engine, code, call, options.tolerance, record, prices);
+        return code == REFUSED ? code : write_phi(engine, code, call, record, prices);
     };
+    const auto [tolerance, limit] = call.stop;
     PhiRows<double, D> quick(in_.template rows<double, 0>(limits), in_.soft, limits);
     take_start(quick);
-    const Code first = descend(quick, call, 1.0, options.tolerance, std::min(options.limit, PATIENCE));
-    if (first != STALLED && (first != LIMIT || options.limit <= PATIENCE)) return written(quick, first);
+    const Code first = descend(quick, call, 1.0, {tolerance, std::min(limit, PATIENCE)});
+    if (first != STALLED && (first != LIMIT || limit <= PATIENCE)) return written(quick, first);
     // if steps along curved surfaces are short: follow the central path, which stays away from the surfaces
     double raised = 1.0;
     for (int i = 0; i < count; ++i) raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
     PhiRows<DoubleDouble, D> careful(in_.template rows<DoubleDouble, 0>(limits), in_.soft, limits);
     take_start(careful), careful.balance();
     const Call path{.wrench = call.wrench};
-    while ((raised /= FALL) > 1.0 && spent < options.limit)
-        if (descend(careful, path, raised, 0.1, std::min(options.limit - spent, 2 * PATIENCE)) == REFUSED) break;
-    const Code code = descend(careful, call, 1.0, options.tolerance, std::min(options.limit - spent, 2 * PATIENCE));
+    while ((raised /= FALL) > 1.0 && spent < limit)
+        if (descend(careful, path, raised, {0.1, std::min(limit - spent, 2 * PATIENCE)}) == REFUSED) break;
+    const Code code = descend(careful, call, 1.0, {tolerance, std::min(limit - spent, 2 * PATIENCE)});
     const bool worse = code == REFUSED || (code != CONVERGED && double(careful.value) > double(quick.value));
     if (worse) return written(quick, STALLED);
-    return written(careful, code == LIMIT && spent < options.limit ? STALLED : code);
+    return written(careful, code == LIMIT && spent < limit ? STALLED : code);
 }
 
 }  // namespace detail
@@ -597,10 +598,10 @@ public:
         return std::visit([&](auto& on) { return on.deepest(wrench, tolerance, z, prices, inside); }, on_);
     }
     // Minimise Phi from z (N, 4), balanced and strictly inside, into a record; weights (N, 2) omega and lambda, row_weights (M,).
-    // Uses wrench, optimum and trace of the call. REFUSED: no such start.
-    Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const StopRule& options,
-                   const Record& record, double* prices) {
-        return std::visit([&](auto& on) { return on.least_phi(call, weights, row_weights, z, options, record, prices); }, on_);
+    // Uses wrench, stop, optimum and trace of the call. REFUSED: no such start.
+    Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const Record& record,
+                   double* prices) {
+        return std::visit([&](auto& on) { return on.least_phi(call, weights, row_weights, z, record, prices); }, on_);
     }
     // Largest component of G z + w, z (N, 4), unit frame [N].
     double missed(const double* wrench, const double* z) {

@@ -4,18 +4,14 @@
 
 namespace grasp {
 
-inline constexpr double BASIS_TOLERANCE = 1e-10;
-inline constexpr int BASIS_ITERATIONS = 200;
+inline constexpr StopRule BASIS_STOP{.tolerance = 1e-10, .limit = 200};
 // Basis forces serve as starts: if floating point stops short of 1e-10 (tiny lambda), a gap of a hundredth is good enough.
 inline constexpr double ACCEPTED_GAP = 1e-2;
 
 // Computes the basis for the contacts of a `NewtonSolver`: first the optimum at rest (12), from which the others start.
 template <class V, int B> class BasisMaker {
 public:
-    explicit BasisMaker(NewtonSolver<V, B>& newton) : newton_(newton), kept_(newton.options) {
-        newton.options = {BASIS_TOLERANCE, BASIS_ITERATIONS};
-    }
-    ~BasisMaker() { newton_.options = kept_; }
+    explicit BasisMaker(NewtonSolver<V, B>& newton) : newton_(newton) {}
 
     // Start from the basis of nearby contacts. Return the worst relative gap; inf: failed.
     double warm() {
@@ -33,7 +29,7 @@ public:
         for (auto& v : x) v = all<V>(scale) * v;
         descend(12);
         if (!(worst_ < infinity)) return made();
-        NewtonLanes<REGISTER> lanes(newton_.cones, newton_.options, LONG);
+        NewtonLanes<REGISTER> lanes(newton_.cones, BASIS_STOP, LONG);
         std::vector<double> flat(3 * newton_.cones.count);
         const auto enter = [&](int lane, std::ptrdiff_t k) {
             begin(int(k)), newton_.cones.store(x, flat.data());
@@ -55,7 +51,6 @@ public:
 
 private:
     NewtonSolver<V, B>& newton_;
-    const StopRule kept_;
     double worst_ = 0.0;
     double wrench_[6];
     Vec6 w_;  // wrench of an optimum: in the given frame, in the unit frame
@@ -87,7 +82,9 @@ private:
             worst_ = infinity;
             return;
         }
-        newton_.descend_from(newton_.starter.safe() = newton_.x, {.wrench = wrench_, .start = From::given}, w_, record, LONG);
+        newton_.starter.safe() = newton_.x;
+        const Call call{.wrench = wrench_, .stop = BASIS_STOP, .start = From::given};
+        newton_.descend_from(newton_.starter.safe(), call, w_, record, LONG);
         store_optimum(k, record.summary().objective, record.summary().lower_bound);
     }
     void store_optimum(int k, double value, double bound) {
@@ -97,7 +94,8 @@ private:
         worst_ = bound > 0.0 ? std::max(worst_, (value - bound) / bound) : infinity;
     }
     double made() {
-        newton_.starter.has_basis = worst_ < ACCEPTED_GAP, newton_.starter.moved = false;
+        newton_.starter.has_basis = worst_ < ACCEPTED_GAP;
+        newton_.starter.basis_tangents = newton_.starter.tangents;
         return worst_;
     }
 };

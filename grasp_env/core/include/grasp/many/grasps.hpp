@@ -294,12 +294,12 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const So
 inline void newton_grasps(const Grasps& grasps, const StopRule& options, const SolveBatch& many) {
     NewtonGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {
-        NewtonSolver<V, B> one(grasps.contacts, options);
+        NewtonSolver<V, B> one(grasps.contacts);
         auto rest = one.cones.field();
         solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& part) {
             one.cones.pack(contacts);
             const bool found = one.find_rest(rest, true);
-            if (found) newton_many(one, rest, part);
+            if (found) newton_many(one, rest, options, part);
             return found;
         });
     });
@@ -309,7 +309,7 @@ inline void newton_grasps(const Grasps& grasps, const StopRule& options, const S
 inline void conic_grasps(const Grasps& grasps, const StopRule& options, const SolveBatch& many) {
     ConicGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {
-        NewtonSolver<V, B> newton(grasps.contacts, options);
+        NewtonSolver<V, B> newton(grasps.contacts);
         ConicSolver<V, B> one(grasps.contacts, options);
         solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& part) {
             newton.cones.pack(contacts), one.cones.pack(contacts);

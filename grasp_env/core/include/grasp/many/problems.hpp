@@ -201,15 +201,17 @@ struct SolveBatch {
 
 // Solve many wrenches of one grasp by Newton, from an internal force strictly inside the cones.
 template <class V, int B>
-void newton_many(NewtonSolver<V, B>& one, const typename Cones<V, B>::Field& rest, const SolveBatch& many) {
+void newton_many(NewtonSolver<V, B>& one, const typename Cones<V, B>::Field& rest, const StopRule& stop, const SolveBatch& many) {
     auto& cones = one.cones;
     const int count = cones.count;
-    const auto alone = [&](std::ptrdiff_t k, const Record& record) { one.solve_from(rest, {.wrench = many.wrench(k)}, record); };
+    const auto alone = [&](std::ptrdiff_t k, const Record& record) {
+        one.solve_from(rest, {.wrench = many.wrench(k), .stop = stop}, record);
+    };
     if (many.count < FEW_PROBLEMS) {
         for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
         return;
     }
-    NewtonLanes<REGISTER> lanes(cones, one.options);
+    NewtonLanes<REGISTER> lanes(cones, stop);
     std::vector<double> x(3 * count);
     const auto enter = [&](int lane, std::ptrdiff_t k) {
         const Record record = many.record(k, count);
@@ -232,7 +234,7 @@ void newton_many(NewtonSolver<V, B>& one, const typename Cones<V, B>::Field& res
         const Record record = many.record(k, count);
         if (closed) {
             lanes.cones.store(lanes.x, x.data(), lane), cones.load(x.data(), one.x);
-            const Call call{.wrench = many.wrench(k), .start = From::given};
+            const Call call{.wrench = many.wrench(k), .stop = stop, .start = From::given};
             closed = one.finish(CONVERGED, one.x, call, lanes.wrench_of(lane), lanes.progress(lane), record) == CONVERGED;
         }
         if (!closed) alone(k, record);

@@ -11,8 +11,7 @@ public:
     bool elastic = false;  // if no force keeps the limits, find the one that exceeds them least
     double proof_scale = 0.0;  // factor that scales the prices in `newton.rows` of a proof to its twist
 
-    LimitedNewton(int count, const StopRule& options)
-        : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
+    explicit LimitedNewton(int count) : newton(count), begun_(newton.cones.field()), least_(newton.cones) {}
 
     // Solve from a previous optimum, or from any balanced force inside the cones.
     // REFUSED: numbers that are not finite, no start, or a problem for the general program: nearly infeasible, or out of digits.

@@ -10,7 +10,6 @@ namespace grasp {
 template <class V, int B, class Rows = NoRows> class NewtonSolver {
 public:
     using Field = typename Cones<V, B>::Field;
-    StopRule options;
     Cones<V, B> cones;
     System<V, B> system;
     QrSystem<V, B> qr_system;
@@ -19,9 +18,9 @@ public:
     Field x;  // the start, then the iterate
     std::vector<double> row;  // work space for a record
 
-    NewtonSolver(int count, const StopRule& options)
-        : options(options), cones(count), system(cones), qr_system(cones), starter(cones), x(cones.field()),
-          row(record_size(count)), step_(cones.field()), begun_(cones.field()), best_(cones.field()), centring_(cones.field()) {}
+    explicit NewtonSolver(int count)
+        : cones(count), system(cones), qr_system(cones), starter(cones), x(cones.field()), row(record_size(count)),
+          step_(cones.field()), begun_(cones.field()), best_(cones.field()), centring_(cones.field()) {}
 
     // Solve from the start that the internal force `rest` gives. REFUSED: numbers that are not finite, or no balanced start
     // strictly inside.
@@ -104,7 +103,7 @@ public:
         if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual)) && !Rows::has_torsion) repair(safe, w, record);
         s.objective = By::unless_rounding(cones.phi(x, rows), at.value), s.lower_bound = at.bound,
         s.multipliers = cones.unit.pull_back(at.nu);
-        if (!cones.balanced(x, w, s.residual) || (code == CONVERGED && !certified(s.objective, at))) code = STALLED;
+        if (!cones.balanced(x, w, s.residual) || (code == CONVERGED && !certified(call, s.objective, at))) code = STALLED;
         s.code = code, s.iterations = at.iterations, s.trials = at.trials, s.limit_excess = 0.0;
         std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
         if constexpr (Rows::has_torsion) rows.store(cones, record.torsion());
@@ -126,8 +125,8 @@ private:
         return system.step(cones, x, nu, left, value, step_, rows);
     }
 
-    bool certified(double value, const Progress& at) const {
-        const double tolerance = options.tolerance;
+    bool certified(const Call& call, double value, const Progress& at) const {
+        const double tolerance = call.stop.tolerance;
         const bool closed =
             at.known ? at.bound > 0.0 && value - at.bound <= tolerance * at.bound : By::certified(value, at.bound, tolerance);
         if constexpr (Rows::has_terms) return closed && rows.within(x);
@@ -155,9 +154,9 @@ private:
 
     // Damped Newton from x. Digits are lost if forces exceed their distance to the cones by 1e4.
     [[gnu::noinline]] Code descend(const Call& call, const Vec6& w, Progress& at, double fraction, bool leaping) {
-        const double tolerance = options.tolerance, tight = By::dual_precision(tolerance);
+        const double tolerance = call.stop.tolerance, tight = By::dual_precision(tolerance);
         typename System<V, B>::Step step{};
-        const auto closed = [&] { return certified(at.value, at); };
+        const auto closed = [&] { return certified(call, at.value, at); };
         const auto find = [&](Code& code) {
             if (!assemble()) return Next::stop;
             const Vec6 left = system.made + w;
@@ -175,11 +174,11 @@ private:
             if constexpr (Rows::has_terms) {
                 const Verdict now = rows.judge(cones, at.nu, w, step.decrement / at.value, at.iterations);
                 if (now == Verdict::sharpened) at.value = cones.phi(x, rows), at.bound = -infinity;
-                if (now == Verdict::sharpened && at.iterations < options.limit) return Next::repeat;
+                if (now == Verdict::sharpened && at.iterations < call.stop.limit) return Next::repeat;
                 if (now == Verdict::infeasible) return code = INFEASIBLE, Next::stop;
                 if (now != Verdict::proceed) return Next::stop;
             }
-            if (!at.known && (By::promises_tolerance(at.value, step.decrement, tolerance) || at.iterations >= options.limit))
+            if (!at.known && (By::promises_tolerance(at.value, step.decrement, tolerance) || at.iterations >= call.stop.limit))
                 at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, rows));
             return Next::step;
         };
@@ -199,7 +198,7 @@ private:
             code = CONVERGED;
             return false;
         };
-        return run_descent(at, call, options.limit, PATIENCE, find, closed, advance);
+        return run_descent(at, call, PATIENCE, find, closed, advance);
     }
 
     // Newton along the central path from x. Every step aims at the optimum of the barrier plus the largest part of the squeezing
@@ -231,7 +230,7 @@ private:
             return true;
         };
         at.value = cones.phi(x), at.iterations = 0;
-        return run_descent(at, call, options.limit, LONGEST, find, [&] { return certified(at.value, at); }, advance);
+        return run_descent(at, call, LONGEST, find, [&] { return certified(call, at.value, at); }, advance);
     }
 
     // The largest part of the price that a full step of `follow_central_path` may aim at: at least the part to which x is nearest, and not far

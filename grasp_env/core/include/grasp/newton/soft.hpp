@@ -10,8 +10,7 @@ template <class V, int B> class SoftNewton {
 public:
     NewtonSolver<V, B, SoftTerms<V, B>> newton;
 
-    SoftNewton(const Contacts& contacts, const StopRule& options, const double* divisor)
-        : newton(contacts.count, options), begun_(newton.cones.field()) {
+    SoftNewton(const Contacts& contacts, const double* divisor) : newton(contacts.count), begun_(newton.cones.field()) {
         newton.cones.pack(contacts);
         newton.rows = SoftTerms<V, B>(contacts.count);
         newton.rows.pack(newton.cones, contacts, divisor);

@@ -100,6 +100,13 @@ public:
         return load_limits(given) ? CONVERGED : REFUSED;
     }
 
+    // Make the contacts of the last `load_call`, all of which touch, those of the problem; its Jacobian and torque bias too.
+    void take_over(const Changes& given) {
+        home = now;
+        if (!given.jacobian.empty()) limits.jacobian.assign(given.jacobian.begin(), given.jacobian.end());
+        if (!given.torque_bias.empty()) limits.torque_bias.assign(given.torque_bias.begin(), given.torque_bias.end());
+    }
+
     // Limits of the current contacts, with the Jacobian (n, 4, J) in contact frames.
     ForceLimits limits_in_place() {
         const auto of = [&](const std::vector<double>& from, std::vector<double>& to) {

@@ -49,9 +49,10 @@ struct StopRule {
     int limit = 20000;  // largest number of accepted steps
 };
 
-// One call: the wrench to balance, the start, and what to report.
+// One call: the wrench to balance, when to stop, the start, and what to report.
 struct Call {
     const double* wrench;  // (6,) [N, N m]
+    StopRule stop{};
     From start = From::combination;
     const double* force = nullptr;  // (3N,) [N], unless `start` is the combination
     const double* torsion = nullptr;  // (N,) [N m] of that force, or null
@@ -75,7 +76,7 @@ struct Progress {
 // next problem takes the lane of one that ends.
 enum class Next { step, repeat, stop };
 template <class At, class Find, class Closed, class Advance>
-[[gnu::always_inline]] inline Code run_descent(At& at, const Call& call, int limit, int patience, Find&& find, Closed&& closed,
+[[gnu::always_inline]] inline Code run_descent(At& at, const Call& call, int patience, Find&& find, Closed&& closed,
                                                Advance&& advance) {
     for (Code code = STALLED;; ++at.iterations) {
         if (at.iterations < call.traced) call.trace[at.iterations] = double(at.value);
@@ -83,7 +84,7 @@ template <class At, class Find, class Closed, class Advance>
         if (next == Next::repeat) continue;
         if (next == Next::stop) return code;
         if (closed()) return CONVERGED;
-        if (at.iterations >= limit) return LIMIT;
+        if (at.iterations >= call.stop.limit) return LIMIT;
         if (at.iterations >= patience) return STALLED;
         if (!advance(code)) return code;
     }

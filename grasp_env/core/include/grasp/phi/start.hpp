@@ -50,7 +50,7 @@ public:
     using Field = typename Cones<V, B>::Field;
     std::array<Field, 13> basis;  // argmin Phi for +e_1..+e_6, -e_1..-e_6 and the zero wrench, cone coordinates
     Tangents<V, B> basis_tangents, tangents;  // tangents of the basis, and the current ones
-    bool has_basis = false, moved = false;  // moved: the contacts are no longer those of the basis
+    bool has_basis = false;
 
     explicit Starter(const Cones<V, B>& cones)
         : basis_tangents(cones), tangents(cones), there_(cones.field()), safe_(cones.field()), step_(cones.field()) {
@@ -73,13 +73,9 @@ public:
         }
     }
 
-    // The combination on the current contacts; w is the wrench in their unit frame. Return false if it lies outside the cones or
-    // its Phi is too large.
-    bool combination(const Cones<V, B>& cones, System<V, B>& system, const double* wrench, const Vec6& w, Field& out) {
-        if (!moved) {
-            combine(wrench, out);
-            return true;
-        }
+    // The combination on contacts that have moved since the basis was made; w is the wrench in their unit frame. Return false if it
+    // lies outside the cones or its Phi is too large.
+    bool moved_combination(const Cones<V, B>& cones, System<V, B>& system, const double* wrench, const Vec6& w, Field& out) {
         combine(wrench, there_);
         turn(cones, there_, basis_tangents, out);
         if (!tangent(cones, system, w, out)) return false;
