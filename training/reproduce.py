@@ -138,10 +138,9 @@ class Cases:
     ) -> Array:
         """Descend from the start of wrench k and return the core's record."""
         record = np.empty(core.record_size(self.grasp.n_contacts))
-        core.descend_flow(
-            self.contacts, self.form, rule.parameters(), tolerance, limit, self.wrenches[k], self.starts[k], optimum,
-            np.empty(0) if trace is None else trace, record,
-        )  # fmt: skip
+        options = core.Options(step_rule=rule.parameters(), tolerance=tolerance, limit=limit)
+        request = core.Request(force=self.starts[k], optimum=optimum, trace=trace)
+        core.descend_flow(self.contacts, self.form, options, self.wrenches[k], request, record)
         return record
 
     def descents(self, rule: StepRule, count: int | None = None) -> list[Array]:

@@ -17,9 +17,9 @@ from grasp_env.force import ForceOptimizer, ForceSolution
 from grasp_env.force.initial import InitialForceRule, StartFrom, refused_start, rule_name, rule_start
 from grasp_env.force.objective import Objective
 from grasp_env.force.options import FLOWS
-from grasp_env.force.record import CODE, OUTSIDE, REFUSED, REPLACED, RESULTS, START
+from grasp_env.force.record import CODE, REFUSED, RESULTS
 from grasp_env.force.rules import RULES, initial_rule
-from grasp_env.force.solution import STATUSES, start_name
+from grasp_env.force.solution import STATUSES
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import reference_basis
 from grasp_env.sim.hand.kinematics import HandKinematics
@@ -137,10 +137,9 @@ class ForceLoop:
         if self._core.code not in RESULTS:
             return None
         row, rule = self._row.copy(), self._start
-        names, asked = self.optimizer.names
-        replaced = row[REPLACED] != 0.0 or (rule is not None and rule.replaced)
-        initial = start_name(names[int(row[START])], asked, replaced, row[OUTSIDE] != 0.0)
-        return ForceSolution(row, self.optimizer.method, initial)
+        if rule is not None:
+            rule.mark(row)
+        return ForceSolution(row, self.optimizer.names)
 
     @property
     def status(self) -> str:
@@ -204,16 +203,13 @@ class ForceLoop:
         if given is not None and self._held != Hold.direct:
             self._hold(Hold.direct)
         row = None if noise is None else noise()
-        if due and self._needs_rule:
+        by_rule = due and self._needs_rule
+        if by_rule:
             self._row[CODE] = REFUSED  # no stale solution is left if the rule fails
-            seen = core.see(reading, external, gravity, target, row)
-            torques = self._from_rule(adjustment) if seen else None
-        else:
-            torques = core.tick(reading, external, gravity, target, row, due, adjustment, given)
-        if torques is None:
+        if not core.see(reading, external, gravity, target, row):
             assert reading is not None  # earlier readings are finite
             raise self.scene.divergence_error(reading)
-        return torques
+        return self._from_rule(adjustment) if by_rule else core.act(due, adjustment, None, given)
 
     def _from_rule(self, adjustment: Array | None) -> list[float]:
         """Run the tick of a method with a Python start rule, on the contacts as they are measured."""

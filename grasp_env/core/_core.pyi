@@ -204,6 +204,36 @@ class Contacts:
     @property
     def unit_frame(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
 
+class Problem:
+    """
+    `grasp::Problem`: contacts with the weights of Phi, and limits besides friction.
+    """
+
+    def __init__(self, contacts: Contacts, weights: object, limits: object | None = None) -> None:
+        """
+        weights: omega and lambda of all contacts, or an array (N, 2). limits: (min_normal, max_normal, jacobian, torque_limit,
+        torque_bias), each an array or None; None: no limits.
+        """
+
+class Options:
+    """`grasp::Options`."""
+
+    def __init__(self, *, method: str = 'newton', largest: bool = False, start: int = 0, tolerance: float = 0.0, limit: int = 20000, elastic: bool = False, step_rule: object | None = None, model: Model | None = None, remembers: bool = True) -> None:
+        """
+        largest: True for `Criterion::largest`; start: index into the names of `Start`; step_rule: (5,) kind, first, grow, shrink,
+        decrease.
+        """
+
+class Request:
+    """
+    `grasp::Request` without its wrench and changes: the start of a call, and a study of it.
+    """
+
+    def __init__(self, *, start: int = 0, force: object | None = None, previous: object | None = None, optimum: float = float('nan'), trace: object | None = None) -> None:
+        """
+        force: (N, 3) [N]; previous: a solution; optimum: a known minimum of Phi; trace: (T,) receives Phi of the first iterates.
+        """
+
 ACCEPTED_GAP: float = 0.01
 
 CLEAR: float = 1e-09
@@ -217,30 +247,37 @@ def combine(basis: object, wrench: object, printed: bool, to: object) -> None:
 class ForceOptimizer:
     """`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`."""
 
-    @staticmethod
-    def make(contacts: Contacts, weights: object | None = None, force_weight: float = 1.0, barrier_weight: float = 0.01, min_normal: object | None = None, max_normal: object | None = None, jacobian: object | None = None, torque_limit: object | None = None, torque_bias: object | None = None, method: str = 'newton', largest: bool = False, start: int = 0, tolerance: float = 0.0, limit: int = 20000, elastic: bool = False, rule: object | None = None, model: Model | None = None, kind: object | None = None, name: object | None = None, starts: tuple = (), asked: object | None = None, remembers: bool = False) -> ForceOptimizer:
+    def __init__(self, problem: Problem, options: Options, kind: object, names: object | None) -> None:
+        """kind: the class of solutions; names: what `Solution.names` returns."""
+
+    def solve(self, wrench: object | None, changes: object | None = None, request: Request | None = None) -> object:
         """
-        See `Problem` and `Options`. start: index into `starts`, the names of each `Start`; kind: the class of solutions;
-        asked: the name of the requested start; remembers: True if calls get the previous solution.
+        Return a solution, whose code says whether it holds a force; NotImplemented if wrench or changes are not C-contiguous
+        float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, torque_bias, contacts), each None if
+        it did not change.
         """
 
-    def solve(self, wrench: object | None, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
+    def start(self, wrench: object, changes: object | None, request: Request) -> object:
         """
-        Return a solution; None if an argument cannot be read in place, or if there is no force and `ended` holds the row.
-        """
-
-    def solve_from(self, start: int, initial: object | None, force: object | None, before: object | None, optimum: float, trace: object | None, wrench: object, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
-        """
-        The same from a start of this call. optimum: a known minimum or nan; trace: (T,) receives Phi of the first iterates.
+        The same for the start alone: code `started`, and the start in `initial_force`.
         """
 
-    def start(self, start: int, force: object | None, before: object | None, wrench: object, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
-        """Return the row of the start alone."""
-
-    def update(self, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None) -> bool:
+    def update(self, changes: object) -> bool:
         """
         Replace contacts and limits for later calls. Return False, with nothing changed, if they are not possible.
         """
+
+    @property
+    def previous(self) -> object:
+        """The last solution with a force, or None."""
+
+    def remember(self, solution: object) -> bool:
+        """
+        Take a solution as the last one. Return False if it holds no force or has another number of contacts.
+        """
+
+    def forget(self) -> None:
+        """Forget the last solution."""
 
     def set_basis(self, basis: object) -> None:
         """Set the 12-basis with the optimum at rest, (13, 3N) cone coordinates."""
@@ -266,19 +303,6 @@ class ForceOptimizer:
         """
 
     @property
-    def previous(self) -> object:
-        """Last solution with a force, or None."""
-
-    @previous.setter
-    def previous(self, solution: object | None) -> None: ...
-
-    @property
-    def ended(self) -> object:
-        """
-        Row of the last call that returned None without a force; None if it could not read its arguments.
-        """
-
-    @property
     def count(self) -> int:
         """Number of contacts."""
 
@@ -294,17 +318,17 @@ def advise(contacts: Contacts, wrench: object = None, jacobian: object = None, t
 def looks_wrong(contacts: Contacts, wrench: object | None = None, jacobian: object | None = None, torque_limit: object | None = None) -> bool:
     """True if some of that advice is near certain."""
 
-def newton_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+def newton_grasps(contacts: list, weights: object, first: object, stop: tuple[float, int], wrenches: object, records: object) -> None:
     """
     Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to
-    contacts u. Writes complete rows of solutions; releases the GIL.
+    contacts u. stop: relative gap, and largest number of steps. Writes complete rows of solutions; releases the GIL.
     REFUSED: soft contacts, or no force closure.
     """
 
-def conic_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+def conic_grasps(contacts: list, weights: object, first: object, stop: tuple[float, int], wrenches: object, records: object) -> None:
     """
     Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to
-    contacts u. Writes complete rows of solutions; releases the GIL.
+    contacts u. stop: relative gap, and largest number of steps. Writes complete rows of solutions; releases the GIL.
     REFUSED: soft contacts, or no force closure.
     """
 
@@ -362,10 +386,9 @@ class ForceProblems:
 
 FULL_CONTACTS: int = 8
 
-def descend_flow(contacts: Contacts, form: str, rule: object, tolerance: float, limit: int, wrench: object, force: object, optimum: float, trace: object, record: object) -> int:
+def descend_flow(contacts: Contacts, form: str, options: Options, wrench: object, request: Request, record: object) -> int:
     """
-    Run a flow from a balanced force (N, 3) inside the cones; write the record and return the code. rule: (5,) kind, first,
-    grow, shrink, decrease, see `step_size.py`; optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.
+    Run a flow from the force of a request, balanced and inside the cones; write the record and return the code.
     """
 
 def repeat_step(contacts: Contacts, form: str, x: object, times: int) -> float:
@@ -374,10 +397,10 @@ def repeat_step(contacts: Contacts, form: str, x: object, times: int) -> float:
     form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the cheapest form.
     """
 
-def limit_rows(least: object, most: object, jacobian: object, torques: object, biases: object, matrix: object, bounds: object, limited: object) -> int:
+def limit_rows(limits: tuple, matrix: object, bounds: object, limited: object) -> int:
     """
-    Write finite limits of normal forces (N,) and, with a Jacobian (N, 4, J), of torques (J,), as rows A f <= b on force
-    and torsion: A (R, N, 4), b (R,) and the size of each limit (R,), with R = 2 (N + J). Return the number of rows.
+    Write the finite limits of (min_normal (N,), max_normal (N,), jacobian (N, 4, J), torque_limit (J,), torque_bias (J,)) as rows
+    A f <= b on force and torsion: A (R, N, 4), b (R,) and the size of each limit (R,), with R = 2 (N + J). Return the number of rows.
     """
 
 PLAIN_FEATURES: int = 8
@@ -1038,23 +1061,19 @@ class Controller:
     def rewind(self) -> None:
         """Reset the sensors to the state before the first tick."""
 
-    def tick(self, reading: object | None, external: object, gravity: object, target: object, noise: object | None, due: bool, adjustment: object | None, given: object | None) -> list[float] | None:
-        """
-        Return the joint torques (M,) [N m] of a control tick; None if the reading is not finite or the object is lost.
-        reading: as for `Scene.read`; None: the scene has read it already. external: the wrench (6,) that a perfect sensor
-        reports; gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if anything is noisy. due: True if an
-        agent's step begins, with adjustment (K,) [N] of the start and given forces (N, 3) [N], contact frames, for
-        `Hold.direct`.
-        """
-
     def see(self, reading: object | None, external: object, gravity: object, target: object, noise: object | None) -> bool:
         """
-        First half of a tick: observe the scene and find the wrench to balance.
+        First half of a control tick: observe the scene and find the wrench to balance. Return False if the reading is not finite
+        or the object is lost.
+        reading: as for `Scene.read`; None: the scene has read it already. external: the wrench (6,) that a perfect sensor
+        reports; gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if anything is noisy.
         """
 
     def act(self, due: bool, adjustment: object | None, start: object | None, given: object | None) -> list[float]:
         """
-        Second half of a tick: find forces and torques. start: (N, 3) [N], contact frames, start of the method.
+        Second half of a tick: find forces, and return the joint torques (M,) [N m] that produce them. due: True if an agent's step
+        begins, with adjustment (K,) [N] of the start. start: (N, 3) [N], contact frames, start of the method; given: (N, 3) [N],
+        contact frames, forces for `Hold.direct`.
         """
 
     @property

@@ -12,7 +12,7 @@ from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench, flag, instance
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force.objective import Objective, as_objective
-from grasp_env.force.record import CODE, FORCE, LIMIT
+from grasp_env.force.record import STARTED
 from grasp_env.force.solution import COMBINATION
 from grasp_env.grasp.checks import rank_error
 from grasp_env.grasp.grasp import Grasp, as_grasp
@@ -144,14 +144,13 @@ def start_of(
     optimizer: core.ForceOptimizer, start: int, wrench: Wrench, force: ContactForces | None
 ) -> ContactForces | None:
     """Return the start (N, 3) [N] of a `starter`, by its index in `STARTS`, or None if it has none; some take a force (N, 3) [N]."""
-    # the core reports a start as LIMIT: a solve that stops after zero iterations
-    row: Any = optimizer.start(start, force, None, wrench, None, None, None, None, None, None)
-    return row[FORCE : FORCE + 3 * optimizer.count].reshape(-1, 3).copy() if row[CODE] == LIMIT else None
+    made = optimizer.start(wrench, None, core.Request(start=start, force=force))
+    return made.initial_force.copy() if made.code == STARTED else None
 
 
 def _compiled(grasp: Grasp, objective: Objective, **options: Any) -> core.ForceOptimizer:
-    contacts = core_contacts(grasp, objective)
-    return core.ForceOptimizer.make(contacts, objective.weights(grasp.n_contacts), **options)
+    problem = core.Problem(core_contacts(grasp, objective), objective.weights(grasp.n_contacts))
+    return core.ForceOptimizer(problem, core.Options(**options), core.Solution, None)
 
 
 # weak keys: a basis is dropped with its grasp

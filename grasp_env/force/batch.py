@@ -99,7 +99,7 @@ def _many_grasps(grasps: list[Grasp], loads: Array, threads: int, options: dict[
         unfinished = np.flatnonzero(records[:, CODE] != CONVERGED)
     for k in unfinished:
         solve_one(ForceOptimizer(grasps[k], **options), loads[k], records[k])
-    return ForceSolutions(records, first.method, *first.names)
+    return ForceSolutions(records, first.names)
 
 
 def _compiled_grasps(
@@ -120,7 +120,7 @@ def _compiled_grasps(
         return None
     weights = options.objective.weights(count)
     return lambda contacts, begins, loads, records: call(
-        contacts, weights, begins, options.tolerance, options.max_iterations, loads, records
+        contacts, weights, begins, (options.tolerance, options.max_iterations), loads, records
     )
 
 

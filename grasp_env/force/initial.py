@@ -9,13 +9,14 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import ContactForces, Wrench, as_array, as_text, as_wrench, call_user, choice
+from grasp_env._check import Array, ContactForces, Wrench, as_array, as_text, as_wrench, call_user, choice
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, shown
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.objective import Objective
 from grasp_env.force.options import Options
+from grasp_env.force.record import REPLACED, START
 from grasp_env.force.repair import Repair, start_replaced
-from grasp_env.force.solution import GIVEN, LEARNED, STARTS, ForceSolution
+from grasp_env.force.solution import COMBINATION, GIVEN, LEARNED, STARTS, ForceSolution, Names
 from grasp_env.grasp.grasp import Grasp
 
 BALANCE_TOLERANCE = 1e-8
@@ -59,10 +60,10 @@ class StartFrom:
 
     Attributes:
         start: index into `STARTS`.
-        name: name of a given force in the solution; None: the default name of the start.
+        name: name of a given force in the solution; None: that of `STARTS`.
         replaced: True if the paper's combination replaced a rule's force.
         force: (N, 3) given force [N].
-        before: the previous solution to carry over.
+        before: the solution to carry over in place of the last one.
     """
 
     start: int
@@ -70,6 +71,19 @@ class StartFrom:
     replaced: bool = False
     force: ContactForces | None = None
     before: ForceSolution | None = None
+
+    def request(self, optimum: float = float("nan"), trace: Array | None = None) -> core.Request:
+        """Return the request of the core; see `ForceOptimizer.solve` for `optimum` and `trace`."""
+        return core.Request(start=self.start, force=self.force, previous=self.before, optimum=optimum, trace=trace)
+
+    def mark(self, record: Array) -> None:
+        """Note in the record of a solution if the paper's combination replaced a rule's force."""
+        if self.replaced:
+            record[START], record[REPLACED] = COMBINATION, 1.0
+
+
+OWN_START = StartFrom(0)
+"""The start of the optimizer itself."""
 
 
 def rule_name(rule: Any) -> str:
@@ -156,17 +170,18 @@ def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:
         raise InfeasibleStartError(f"initial-force rule {name!r}: {reason}") from None
 
 
-def start_names(initial: Any, options: Options) -> tuple[tuple[str, ...], str]:
-    """Return the names of starts in an optimizer's solutions, in the order of `STARTS`, and the name of the requested start."""
+def names_of(initial: Any, options: Options) -> Names:
+    """Return the names that the solutions of an optimizer show."""
     if options.method == "conic":
-        return STARTS, "central"
+        return Names(options.method, "central")
     if initial is None:
-        return STARTS, "linear_combination" if options.flows else "internal_force"
+        return Names(options.method, "linear_combination" if options.flows else "internal_force")
     if isinstance(initial, ForceSolution):
-        return STARTS, "previous"
+        return Names(options.method, "previous")
     name = "given" if isinstance(initial, np.ndarray | list | tuple) else rule_name(initial)
-    place = LEARNED if isinstance(initial, LearnedRule) else GIVEN
-    return (STARTS if name in STARTS else (*STARTS[:place], name, *STARTS[place + 1 :])), name
+    if name in STARTS:
+        return Names(options.method, name)
+    return Names(options.method, name).of_start(LEARNED if isinstance(initial, LearnedRule) else GIVEN, name)
 
 
 def refused_start(grasp: Grasp, wrench: Wrench, start: StartFrom, touching: Any) -> InfeasibleStartError:

@@ -195,7 +195,7 @@ class ForceLimits:
         labels = self.labels(count)
         capacity = 2 * (count + len(limit))
         matrix, bound, of_rows = np.empty((capacity, count, 4)), np.empty(capacity), np.empty(capacity)
-        made = core.limit_rows(least, most, _in_contact_frames(grasp, jac), limit, bias, matrix, bound, of_rows)
+        made = core.limit_rows((least, most, _in_contact_frames(grasp, jac), limit, bias), matrix, bound, of_rows)
         assert made == len(labels)
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.transmitted
@@ -219,10 +219,10 @@ def as_limits(value: object) -> ForceLimits | None:
     return instance(value, ForceLimits, "limits", or_none=True)
 
 
-def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, Any, Any, Any, Any]:
+def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...] | None:
     """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`; None for those that were not given."""
     if limits is None:
-        return None, None, None, None, None
+        return None
     arrays: Any = vars(limits)  # arrays after __post_init__
     least, most, jacobian, torque, bias = map(arrays.__getitem__, LimitArrays._fields)
     if least.ndim == 0:

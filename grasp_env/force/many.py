@@ -14,7 +14,7 @@ from grasp_env import ranges
 from grasp_env._check import AllFaults, Array, as_array, checked_size, whole
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force import record as at
-from grasp_env.force.solution import STATUSES, ForceSolution, Status, start_name
+from grasp_env.force.solution import STATUSES, ForceSolution, Names, Status
 
 
 class ForceSolutions(Sequence[ForceSolution]):
@@ -22,12 +22,11 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     Attributes:
         records: (M, K) one row of numbers per problem, see `record.py`.
-        method: the method's name.
     """
 
-    def __init__(self, records: Array, method: str, names: Sequence[str], requested: str) -> None:
-        """Wrap filled records, with the names of all starts in the order of `STARTS` and the name of the requested one."""
-        self.records, self.method, self._names, self._requested = records, method, names, requested
+    def __init__(self, records: Array, names: Names) -> None:
+        """Wrap filled records."""
+        self.records, self._names = records, names
 
     def __len__(self) -> int:
         return len(self.records)
@@ -35,19 +34,18 @@ class ForceSolutions(Sequence[ForceSolution]):
     def __getitem__(self, index: Any) -> Any:
         """Return the solution at an integer, a `ForceSolutions` at a slice."""
         if isinstance(index, slice):
-            return ForceSolutions(self.records[index], self.method, self._names, self._requested)
-        record = self.records[range(len(self))[index]]
-        return ForceSolution(record, self.method, self._name(record))
+            return ForceSolutions(self.records[index], self._names)
+        return ForceSolution(self.records[range(len(self))[index]], self._names)
 
-    def _name(self, record: Array) -> str:
-        return start_name(
-            self._names[int(record[at.START])], self._requested, bool(record[at.REPLACED]), bool(record[at.OUTSIDE])
-        )
+    @property
+    def method(self) -> str:
+        """The method's name."""
+        return self._names.method
 
     @property
     def initial(self) -> str:
         """The name of the first problem's start; `solutions[k].initial` is that of each."""
-        return self._name(self.records[0]) if len(self) else self._requested
+        return self._names.initial(self.records[0]) if len(self) else self._names.requested
 
     def __iter__(self) -> Iterator[ForceSolution]:
         return (self[k] for k in range(len(self)))
@@ -150,7 +148,7 @@ def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:
         for load, record in zip(loads, records, strict=True):
             optimizer.forget()
             solve_one(optimizer, load, record)
-    return ForceSolutions(records, optimizer.method, *optimizer.names)
+    return ForceSolutions(records, optimizer.names)
 
 
 def solve_one(optimizer: Any, load: Array, record: Array) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core
-from grasp_env._check import AllFaults, Array, ContactForces, Wrench, as_wrench, flag, instance, positive
+from grasp_env._check import AllFaults, ContactForces, Wrench, as_wrench, flag, instance, positive
 from grasp_env.errors import (
     GraspError,
     InfeasibleStartError,
@@ -25,23 +25,24 @@ from grasp_env.errors import (
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.call import Call, checked_call, touching_grasp
 from grasp_env.force.initial import (
+    OWN_START,
     Initial,
     LearnedRule,
     StartFrom,
     call_rule,
     checked_initial,
+    names_of,
     refused_start,
     rule_name,
     rule_start,
-    start_names,
 )
 from grasp_env.force.limits import ForceLimits, as_limits, given_limits
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.options import MAX_ITERATIONS, checked_options
 from grasp_env.force.proof import explain
-from grasp_env.force.record import CODE, FORCE, INFEASIBLE, LIMIT, REFUSED, REPLACED, START, UNDECIDED
-from grasp_env.force.solution import COMBINATION, LEARNED, PREVIOUS, STARTS, ForceSolution, start_name
+from grasp_env.force.record import INFEASIBLE, REFUSED, STARTED, UNDECIDED
+from grasp_env.force.solution import LEARNED, PREVIOUS, STARTS, ForceSolution
 from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.advice import warn_of
 from grasp_env.grasp.checks import rank_error
@@ -140,8 +141,7 @@ class ForceOptimizer:
         """Make the compiled optimizer."""
         grasp, options, initial = self.grasp, self.options, self._initial
         start, model, remembers = 0, None, False
-        # names of all starts as solutions show them, and of the requested one
-        self.names = names, requested = start_names(initial, options)
+        self.names = names_of(initial, options)
         if isinstance(initial, ForceSolution):
             start, remembers = PREVIOUS, True
         elif isinstance(initial, str):
@@ -162,16 +162,24 @@ class ForceOptimizer:
             raise self._rank_error(grasp)
         weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
-        limits = given_limits(self.limits, grasp.n_contacts)
-        weighed = None if plain else weights.weights(grasp.n_contacts)
+        problem = core.Problem(
+            grasp.contacts,
+            (weights.force_weight, weights.barrier_weight) if plain else weights.weights(grasp.n_contacts),
+            given_limits(self.limits, grasp.n_contacts),
+        )
+        settings = core.Options(
+            method=options.method,
+            largest=options.criterion == "max",
+            start=start,
+            tolerance=options.tolerance,
+            limit=options.max_iterations,
+            elastic=options.elastic,
+            step_rule=options.step_rule.parameters() if options.flows else None,
+            model=model,
+            remembers=remembers,
+        )
         try:
-            self.core: Any = core.ForceOptimizer.make(
-                grasp.contacts, weighed, weights.force_weight if plain else 1.0,
-                weights.barrier_weight if plain else 1.0, *limits, options.method, options.criterion == "max", start,
-                options.tolerance, options.max_iterations, options.elastic,
-                options.step_rule.parameters() if options.flows else None, model, ForceSolution, options.method, names, requested,
-                remembers,
-            )  # fmt: skip
+            self.core = core.ForceOptimizer(problem, settings, ForceSolution, self.names)
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
         self._solve, self._count = self.core.solve, grasp.n_contacts
@@ -224,11 +232,14 @@ class ForceOptimizer:
 
     @previous.setter
     def previous(self, solution: ForceSolution | None) -> None:
-        self.core.previous = instance(solution, ForceSolution, "previous", or_none=True)
+        if instance(solution, ForceSolution, "previous", or_none=True) is None:
+            self.forget()
+        elif not self.core.remember(self._checked_previous(solution)):
+            raise InvalidInputError(f"previous must be a solution with a force, got status {solution.status.value}")
 
     def forget(self) -> None:
         """Drop the previous solution."""
-        self.core.previous = None
+        self.core.forget()
 
     @property
     def limit_labels(self) -> tuple[str, ...]:
@@ -275,40 +286,44 @@ class ForceOptimizer:
             InfeasibleStartError: the start is not balanced or not strictly inside the cones, or its rule fails.
             NotConvergedError: neither a force nor a proof was found.
         """
-        if initial is None and optimum is None and trace is False and self.core_finds_start:
-            solution = self._solve(wrench, positions, normals, friction, jacobian, torque_bias, contacts)
-            if solution is not None:
-                return solution
-            row = self.core.ended
-            if row is not None and row[CODE] == INFEASIBLE:
-                raise self._infeasible(row, (positions, normals, friction, jacobian, torque_bias, contacts))
         now = (positions, normals, friction, jacobian, torque_bias, contacts)
-        return self._solve_checked(wrench, now, initial, optimum, trace)
+        if initial is None and optimum is None and trace is False and self.core_finds_start:
+            solution = self._solve(wrench, now)
+            if solution is NotImplemented:  # an argument is not an array that can be read in place
+                solution = self._solve(*self._checked(wrench, now))
+            start = OWN_START
+        else:
+            solution, start = self._solve_from(*self._checked(wrench, now), initial, optimum, trace)
+        if solution.has_force:
+            return solution
+        raise self._error(solution, wrench, now, start)
 
-    def _solve_checked(
-        self, wrench: ArrayLike, given: tuple[Any, ...], initial: Initial | None, optimum: float | None, trace: bool
-    ) -> ForceSolution:
-        """Solve with converted arguments, Python rules and error messages: what the fast path of `solve` leaves out."""
+    def _checked(self, wrench: ArrayLike, given: tuple[Any, ...]) -> tuple[Wrench, Call]:
+        """Return the arguments of a call as checked arrays."""
         with AllFaults() as check:
-            load = check(as_wrench, wrench)
-            known = float("nan") if optimum is None else check(positive, optimum, "optimum")
-            check(flag, trace, "trace")
-            now = check(self._arrays, *given)
-        if self.method == "conic" and (initial is not None or known == known or trace):
-            raise InvalidInputError("method 'conic' takes no start, optimum or trace: they belong to descents on Phi")
+            load, now = check(as_wrench, wrench), check(self._arrays, *given)
         if self.limits is None and (now.jacobian is not None or now.torque_bias is not None):
             raise InvalidInputError("jacobian and torque_bias need torque limits: make the optimizer with limits")
+        return load, now
+
+    def _solve_from(
+        self, load: Wrench, now: Call, initial: Initial | None, optimum: float | None, trace: bool
+    ) -> tuple[ForceSolution, StartFrom]:
+        """Solve from a start of this call, or study its descent; return the start, too."""
+        with AllFaults() as check:
+            known = float("nan") if optimum is None else check(positive, optimum, "optimum")
+            check(flag, trace, "trace")
+        if self.method == "conic" and (initial is not None or known == known or trace):
+            raise InvalidInputError("method 'conic' takes no start, optimum or trace: they belong to descents on Phi")
         start = self._start(load, now, initial)
         values = np.full(self.max_iterations + 1, np.nan) if trace else None
-        solution = self.core.solve_from(start.start, start.name, start.force, start.before, known, values, load, *now)
-        if solution is None:
-            raise self._error(self.core.ended, load, now, start)
+        solution = self._solve(load, now, start.request(known, values))
+        solution._names = self.names.of_start(start.start, start.name)
+        if solution.has_force:
+            start.mark(solution._record)
         if values is not None:
             solution.objective_trace = values[: solution.iterations + 1]
-        if start.replaced:
-            solution._record[START], solution._record[REPLACED] = COMBINATION, 1.0
-            solution.initial = start_name(STARTS[COMBINATION], str(start.name), True, False)
-        return solution
+        return solution, start
 
     def start(
         self,
@@ -337,11 +352,10 @@ class ForceOptimizer:
             raise UnsupportedProblemError("method 'conic' takes no initial force")
         load, now = as_wrench(wrench), self._arrays(**given)
         start = self._start(load, now, initial)
-        row = self.core.start(start.start, start.force, start.before, load, *now)
-        if row[CODE] != LIMIT:  # a start counts as a solve that stops after zero iterations
-            raise self._error(row, load, now, start)
-        n = self._count
-        return row[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3), start.replaced or bool(row[REPLACED])
+        made = self.core.start(load, now, start.request())
+        if made.code != STARTED:
+            raise self._error(made, load, now, start)
+        return made.initial_force, start.replaced or made.start_replaced
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
         """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other, on `workers` threads; see `optimize_forces`."""
@@ -367,7 +381,7 @@ class ForceOptimizer:
         moved = touching_grasp(self.grasp, now) if any(each is not None for each in now[:3]) else self.grasp
         if self.options.flows and moved.rank < 6:
             raise self._rank_error(moved)
-        if not self.core.update(*now[:5]):
+        if not self.core.update(now):
             raise InvalidInputError("the contacts or limits are invalid: give finite numbers and inward unit normals")
         self._grasp = moved
         self.limits = self._limits_of(now)
@@ -387,15 +401,15 @@ class ForceOptimizer:
         """Return the start of a call; an `InfeasibleStartError` if a rule fails, or returns no force."""
         requested: Any = self._initial if initial is None else checked_initial(initial)
         if requested is None or self.method == "conic":
-            return StartFrom(0)
+            return OWN_START
         if isinstance(requested, ForceSolution):
             return StartFrom(PREVIOUS, before=self._checked_previous(requested))
         if isinstance(requested, str):
             if initial is not None and requested in FROM_BASIS:
                 self.core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
-            return StartFrom(STARTS.index(requested), before=self.previous if requested == "previous" else None)
+            return StartFrom(STARTS.index(requested))
         if initial is None and isinstance(requested, LearnedRule):
-            return StartFrom(0, before=self.previous if requested.remembers else None)
+            return OWN_START
         moved = self.grasp if all(each is None for each in now) else touching_grasp(self.grasp, now)
         start = rule_start(requested, moved, wrench, self.options.objective)
         if now.contacts is None or now.contacts.all():
@@ -412,10 +426,6 @@ class ForceOptimizer:
             )
         return previous
 
-    def _infeasible(self, row: Array, now: tuple[Any, ...], start: str | None = None) -> InfeasibleWrenchError:
-        solution = ForceSolution(row, self.method, start or STARTS[int(row[START])])
-        return InfeasibleWrenchError("", solution, lambda: self._proof(solution, now))
-
     def _proof(self, solution: ForceSolution, given: tuple[Any, ...]) -> str:
         """Explain why there is no force."""
         limits, moved = self.limits, self.grasp
@@ -428,14 +438,17 @@ class ForceOptimizer:
             limits = self._limits_of(now)
         return explain(solution, moved, limits)
 
-    def _error(self, row: Array, wrench: Wrench, now: Call, start: StartFrom) -> GraspError:
-        """Return the error for a row without a force."""
-        code = row[CODE]
+    def _error(
+        self, solution: ForceSolution, wrench: ArrayLike, given: tuple[Any, ...], start: StartFrom
+    ) -> GraspError:
+        """Return the error for a solution without a force."""
+        code = solution.code
         if code == INFEASIBLE:
-            return self._infeasible(row, now, start.name)
+            return InfeasibleWrenchError("", solution, lambda: self._proof(solution, given))
+        load, now = self._checked(wrench, given)  # raises if one of them is the reason
         if code == UNDECIDED:
             return NotConvergedError(
-                f"neither a force nor a proof that none exists was found for wrench {wrench.tolist()}: forces, limits and weights are too "
+                f"neither a force nor a proof that none exists was found for wrench {load.tolist()}: forces, limits and weights are too "
                 "many decades apart, or the contacts are within rounding of losing force closure"
             )
         try:
@@ -443,10 +456,10 @@ class ForceOptimizer:
         except GraspError as error:
             return error
         if code == REFUSED and start.force is not None:
-            return refused_start(moved, wrench, start, now.contacts)
+            return refused_start(moved, load, start, now.contacts)
         if code == REFUSED:
             return InvalidInputError(
-                f"the call has numbers that the solver cannot use, for wrench {wrench.tolist()} and {moved}"
+                f"the call has numbers that the solver cannot use, for wrench {load.tolist()} and {moved}"
             )
         return self._rank_error(moved)
 

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 from grasp_env._check import Array
 from grasp_env.core import Solution
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
-from grasp_env.force.record import CONVERGED, INFEASIBLE, LIMIT, LIMITS_EXCEEDED, STALLED, UNDECIDED
+from grasp_env.force.record import (
+    CONVERGED,
+    INFEASIBLE,
+    LIMIT,
+    LIMITS_EXCEEDED,
+    OUTSIDE,
+    REPLACED,
+    STALLED,
+    START,
+    UNDECIDED,
+)
 
 STARTS = (
     "standard", "internal_force", "linear_combination", "linear_combination_printed", "single_value", "lagrange", "phase_one",
@@ -61,11 +71,31 @@ STATUSES = {
 """Status of each code of the core."""
 
 
-def start_name(used: str, requested: str, replaced: bool, outside: bool) -> str:
-    """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the training range of a learned one."""
-    if replaced:
-        return f"{used} ({requested} was replaced)"
-    return f"{used} (outside its training range)" if outside else used
+class Names(NamedTuple):
+    """Names that a solution shows.
+
+    Attributes:
+        method: the method's name.
+        requested: the name of the requested start.
+        starts: the names of all starts, in the order of `STARTS`.
+    """
+
+    method: str
+    requested: str
+    starts: tuple[str, ...] = STARTS
+
+    def initial(self, record: Array) -> str:
+        """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the training range of a learned one."""
+        used = self.starts[int(record[START])]
+        if record[REPLACED]:
+            return f"{used} ({self.requested} was replaced)"
+        return f"{used} (outside its training range)" if record[OUTSIDE] else used
+
+    def of_start(self, start: int, name: str | None) -> Names:
+        """Return the names for a call with another start: an index into `STARTS`, and the name of that start for this call."""
+        if name is None:
+            return self._replace(requested=STARTS[start]) if start else self
+        return self._replace(requested=name, starts=(*STARTS[:start], name, *STARTS[start + 1 :]))
 
 
 class ForceSolution(Solution):
@@ -83,6 +113,7 @@ class ForceSolution(Solution):
         multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu.
         limit_multipliers: (M,) prices >= 0 of the limits, in the order of `ForceOptimizer.limit_labels`; with status INFEASIBLE
             those of the proof, see `certificate`; empty for LIMITS_EXCEEDED.
+        has_force: False if the solve found no force; then `force` is zero.
         method: the method's name.
         initial: the name of the start; "internal_force (NAME was replaced)" if nothing is left of the requested one.
         start_replaced: True if nothing is left of the requested start.
@@ -100,7 +131,17 @@ class ForceSolution(Solution):
     __slots__ = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._record, self.method, self.initial, self.objective_trace)
+        return type(self), (self._record, self._names, self.objective_trace)
+
+    @property
+    def method(self) -> str:
+        """The method's name."""
+        return self._names.method
+
+    @property
+    def initial(self) -> str:
+        """The name of the start, see the class."""
+        return self._names.initial(self._record)
 
     @property
     def certificate(self) -> Array | None:

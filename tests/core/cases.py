@@ -14,8 +14,9 @@ from grasp_env.core import _core
 from grasp_env.force.solution import STARTS
 
 CODES = _core.codes()
-CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, EXCEEDED, UNDECIDED = (
-    CODES[name] for name in ("converged", "limit", "stalled", "infeasible", "refused", "limits_exceeded", "undecided")
+CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, EXCEEDED, UNDECIDED, STARTED = (
+    CODES[name]
+    for name in ("converged", "limit", "stalled", "infeasible", "refused", "limits_exceeded", "undecided", "started")
 )
 FIELDS = _core.record_fields()
 START = {name: number for number, name in enumerate(STARTS)}

@@ -12,7 +12,8 @@ from samples import reference_of, sample, wrenches
 
 from grasp_env.core import _core
 from grasp_env.force import ForceSolution
-from grasp_env.force.solution import STARTS
+from grasp_env.force.call import Call as Changes
+from grasp_env.force.solution import Names
 
 REFUSED = _core.codes()["refused"]
 COUNT = 4
@@ -35,9 +36,10 @@ def contacts() -> _core.Contacts:
     return _core.Contacts.make(**PLACE, scale=SAMPLE.scale, weights=SAMPLE.weights, tangents=np.zeros((0, 3)))
 
 
-def optimizer(**given: Any) -> _core.ForceOptimizer:
-    options: dict[str, Any] = {"weights": SAMPLE.weights, "kind": ForceSolution, "name": "newton", "starts": STARTS}
-    return _core.ForceOptimizer.make(contacts(), **options | STOP | given)
+def optimizer(weights: Any = SAMPLE.weights, model: _core.Model | None = None, **limits: Any) -> _core.ForceOptimizer:
+    problem = _core.Problem(contacts(), weights, tuple(map(limits.get, LIMITS)) if limits else None)
+    names = Names("newton", "internal_force")
+    return _core.ForceOptimizer(problem, _core.Options(model=model, **STOP), ForceSolution, names)
 
 
 def model(placed: bool = True, **given: float) -> _core.Model:
@@ -72,24 +74,29 @@ class Call:
         return self.given | {name: self.given[name].copy() for name in self.arrays} | filled
 
 
-def solve(made: _core.ForceOptimizer, **given: Any) -> object:
+def solve(made: _core.ForceOptimizer, wrench: Any, **changes: Any) -> object:
     """False where arrays cannot be read, else the code."""
-    found = made.solve(contacts=None, **given)
-    row = made.ended if found is None else found._record
-    return False if row is None else int(row[0])
+    found: Any = made.solve(wrench, Changes(contacts=None, **changes))
+    return False if found is NotImplemented else found.code
 
 
 def calls() -> dict[str, Call]:
     s, limited = SAMPLE, optimizer(**LIMITS)
     tangents = {"tangents": s.frames[:, :, 1].copy()}
     now = PLACE | {"friction": np.full(COUNT, 0.5), "jacobian": LIMITS["jacobian"], "torque_bias": np.zeros(3)}
-    many = {"contacts": [contacts()], "weights": s.weights, "first": np.array([0.0, 3.0]), "wrenches": LOADS} | STOP
+    many = {
+        "contacts": [contacts()],
+        "weights": s.weights,
+        "first": np.array([0.0, 3.0]),
+        "wrenches": LOADS,
+        "stop": tuple(STOP.values()),
+    }
     records = {"records": (3, SIZE + 9 * COUNT)}
     deepest = {"force": (COUNT, 3), "torsion": (COUNT,), "twist": (6,)}
     return {
         "Contacts.make": Call(_core.Contacts.make, PLACE | {"scale": s.scale, "weights": s.weights} | tangents, {}),
-        "ForceOptimizer.make": Call(
-            optimizer, {"weights": s.weights} | LIMITS, {}, frozenset({"weights", "min_normal", "max_normal", "torque_bias"})
+        "ForceOptimizer": Call(
+            optimizer, {"weights": s.weights} | LIMITS, {}, frozenset({"min_normal", "max_normal", "torque_bias"})
         ),
         "solve": Call(lambda **given: solve(limited, **given), now | {"wrench": LOADS[0]}, {}, frozenset(now)),
         "deepest": Call(limited.deepest, {"wrench": LOADS[0]}, deepest),

@@ -7,7 +7,7 @@ from itertools import pairwise
 import _core_test as insides
 import numpy as np
 import pytest
-from cases import CONVERGED, EXCEEDED, FIELDS, INFEASIBLE, LIMIT, REFUSED, START, UNDECIDED, Case, at, case
+from cases import CONVERGED, EXCEEDED, FIELDS, INFEASIBLE, LIMIT, REFUSED, START, STARTED, UNDECIDED, Case, at, case
 from oracles import network as network_oracle
 from oracles.phi import phi
 from samples import Sample, sample, wrenches
@@ -56,7 +56,7 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size:
                     assert phi(start, s.weights) <= phi(safe, s.weights) * (1.0 + 1e-12)
                     left = np.abs(s.rows @ start + w).max()
                     assert left <= 1e-12 * count * (np.abs(start).max() + np.abs(w).max())
-                assert at(row, "code") == LIMIT
+                assert at(row, "code") == STARTED
                 assert at(row, "margin") > 0.0
                 outside.add(at(row, "outside"))
                 assert at(row, "outside") == (np.linalg.norm(w) > 20.0)

@@ -32,9 +32,9 @@ def flow(
         def alone(wrench: np.ndarray, force: np.ndarray, optimum: float = np.nan, traced: int = 0):
             row, trace = np.zeros(_core.record_size(s.count)), np.full(traced, -1.0)
             given = np.ascontiguousarray(force.reshape(-1, 3))
-            row[0] = _core.descend_flow(
-                contacts, "paper", numbers, tolerance, limit, wrench, given, optimum, trace, row
-            )
+            options = _core.Options(step_rule=numbers, tolerance=tolerance, limit=limit)
+            request = _core.Request(force=given, optimum=optimum, trace=trace)
+            row[0] = _core.descend_flow(contacts, "paper", options, wrench, request, row)
             return row, trace
 
         return alone

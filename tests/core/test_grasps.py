@@ -7,7 +7,7 @@ from functools import cache
 import _core_test as insides
 import numpy as np
 import pytest
-from cases import LIMIT, START
+from cases import START, STARTED
 from samples import Sample, random_contacts, thinned, with_frictionless, wrenches
 
 from grasp_env.core import _core
@@ -48,7 +48,7 @@ def depth(s: Sample) -> float:
     if s.placement.verdict != 0:
         return 0.0
     row = insides.AnyOptimizer.make(s.placement).start(np.zeros(6), START["internal_force"])
-    if row[CODE] != LIMIT:
+    if row[CODE] != STARTED:
         return 0.0
     first = FORCE + 3 * s.count
     u, o, t = (row[first : first + 3 * s.count] * s.scale.reshape(-1)).reshape(-1, 3).T
@@ -68,7 +68,7 @@ def solved(
     count = given[0].count
     size, begin = _core.record_size(count), np.arange(len(given) + 1.0) if first is None else first
     rows = np.full((len(loads), size + 9 * count), -7.0)
-    CALLS[method](given, weights_of(count), begin, tolerance or TOLERANCES[method], limit, loads, rows)
+    CALLS[method](given, weights_of(count), begin, (tolerance or TOLERANCES[method], limit), loads, rows)
     for k, contacts in enumerate(given):
         for row in rows[int(begin[k]) : int(begin[k + 1])]:
             if row[CODE] == 0.0:

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from cases import CONVERGED, FIELDS, LIMIT, REFUSED, START, Case, at, case, nu_of
+from cases import CONVERGED, FIELDS, LIMIT, REFUSED, START, STARTED, Case, at, case, nu_of
 from oracles import limits as oracle
 from oracles import newton
 from oracles.phi import gradient, lower_bound, phi
@@ -176,7 +176,7 @@ def test_starts_are_balanced_and_inside(count: int, name: str) -> None:
         w, row = s.unit @ load, made.start(load, START[name])
         x = c.z(row, "initial")
         size = np.abs(x).max() + np.abs(w).max()
-        assert at(row, "code") == LIMIT
+        assert at(row, "code") == STARTED
         assert name == "lagrange" or (at(row, "replaced"), at(row, "start")) == (0.0, START[name])
         assert at(row, "objective") == pytest.approx(phi(x, s.weights), rel=1e-9)
         assert np.abs(s.rows @ x + w).max() <= 1e-9 * size

@@ -11,9 +11,11 @@ import pytest
 from grasp_env.core import Solution, codes, record_fields
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import ForceSolution
+from grasp_env.force.solution import Names
 
 PLACES, CODES = record_fields(), codes()
 FORCE = PLACES["force"]
+NAMES = Names("newton", "previous")
 
 
 def row(count: int = 4, joints: int = 0, limits: int = 0, **said: float) -> np.ndarray:
@@ -26,7 +28,7 @@ def row(count: int = 4, joints: int = 0, limits: int = 0, **said: float) -> np.n
 
 
 def made(count: int = 4, joints: int = 0, limits: int = 0, **said: float) -> ForceSolution:
-    return ForceSolution(row(count, joints, limits, **said), "newton", "previous")
+    return ForceSolution(row(count, joints, limits, **said), NAMES)
 
 
 @pytest.mark.parametrize(("joints", "limits"), [(0, 0), (12, 24), (0, 5)])
@@ -58,7 +60,7 @@ def test_the_summary_is_read_off() -> None:
     }  # fmt: skip
     numbers = row(**said)
     numbers[PLACES["wrench"] :][:6], numbers[PLACES["multipliers"] :][:6] = np.arange(6), 10.0 + np.arange(6)
-    solution = ForceSolution(numbers, "newton", "given")
+    solution = ForceSolution(numbers, NAMES)
     names = {"residual": "equilibrium_residual", "margin": "cone_margin", "replaced": "start_replaced"}
     assert {name: getattr(solution, names.get(name, name)) for name in said} == said
     assert type(solution.iterations) is type(solution.trials) is int
@@ -80,7 +82,7 @@ def test_views_keep_the_record_alive_and_nothing_leaks() -> None:
     record, trace = row(4, 2, 4), np.zeros(3)
     before = sys.getrefcount(record), sys.getrefcount(trace)
     for _ in range(100):
-        solution = ForceSolution(record, "newton", "given", trace)
+        solution = ForceSolution(record, NAMES, trace)
         views = [getattr(solution, name) for name in ("force", "torsion", "frames", "torques", "limit_multipliers")]
         assert solution.objective_trace is not None
         del solution
@@ -102,12 +104,15 @@ def test_views_keep_the_record_alive_and_nothing_leaks() -> None:
     ],
 )  # fmt: skip
 def test_only_records_are_taken(record: object) -> None:
-    with pytest.raises(InvalidInputError, match="a record must be a C-contiguous float64 array whose numbers say"):
-        Solution(record, "newton", "given")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(
+        InvalidInputError,
+        match="expected the record of a ForceSolution: a C-contiguous float64 row whose header matches its length",
+    ):
+        Solution(record, NAMES)  # pyright: ignore[reportArgumentType]
 
 
 def test_pickled_whole() -> None:
-    solution = ForceSolution(row(4, 12, 24), "conic", "central", np.ones(2))
+    solution = ForceSolution(row(4, 12, 24), NAMES, np.ones(2))
     again = pickle.loads(pickle.dumps(solution))
     assert type(again) is ForceSolution
     for name in ("_record", "method", "initial", "objective_trace", "frames", "torques", "limit_multipliers"):

@@ -76,9 +76,16 @@ class Loop:
             jacobian[j // 3, 3:, j] = turn.T @ views.axes[j]
         return jacobian, views.gravity_torques.copy()
 
+    def act(
+        self, wrench: np.ndarray, due: bool, adjustment: np.ndarray | None = None, given: np.ndarray | None = None
+    ) -> list[float]:
+        """Run a tick; return the joint torques."""
+        assert self.core.see(None, wrench, STILL, TARGET, None)
+        return self.core.act(due, adjustment, None, given)
+
     def tick(self, wrench: np.ndarray, due: bool, adjustment: np.ndarray | None = None) -> np.ndarray:
         """Return the commanded force (N, 3)."""
-        self.torques = self.core.tick(None, np.array(wrench), STILL, TARGET, None, due, adjustment, None)
+        self.torques = self.act(np.array(wrench), due, adjustment)
         return self.arrays["force"].copy()
 
     def sees(self, touching: tuple[int, ...]) -> bool:
@@ -142,7 +149,7 @@ def test_forces_change_by_no_more_than_the_settings_allow(due: bool) -> None:
     best = ForceOptimizer(GRASP, tolerance=1e-10).solve(PAPER_WRENCH).force
     internal = ForceOptimizer(GRASP, tolerance=1e-10).solve(np.zeros(6)).force
     before = best + 2.0 * internal
-    loop.core.tick(None, PAPER_WRENCH, STILL, TARGET, None, True, None, before)
+    loop.act(PAPER_WRENCH, True, given=before)
     loop.core.hold = core.Hold.optimized
     way, ticks = np.abs(before - best).max(), 0
     assert way > 10.0 * most
@@ -254,7 +261,7 @@ def test_lost_closure_is_the_elastic_answer(touching: tuple[int, ...]) -> None:
     """Thumb and one finger, one finger, or the three of one side: inside the cones, with the least imbalance."""
     loop, codes = Loop(method="reduced_flow"), set()
     loop.core.hold = core.Hold.direct  # begin from forces outside their cones
-    loop.core.tick(None, PAPER_WRENCH, STILL, TARGET, None, True, None, np.tile([1.0, 3.0, -2.0], (4, 1)))
+    loop.act(PAPER_WRENCH, True, given=np.tile([1.0, 3.0, -2.0], (4, 1)))
     loop.core.hold = core.Hold.optimized
     for k, (positions, normals, wrench) in enumerate(path(7, 8)):
         loop.place(positions, normals, touching)

@@ -17,6 +17,7 @@ from grasp_env.force.initial import InitialForceRule, LearnedRule, call_rule
 from grasp_env.force.record import CONTACTS, FORCE
 from grasp_env.force.repair import Correction, carry_over
 from grasp_env.force.rules import RULES, CoreStart, initial_rule
+from grasp_env.force.solution import Names
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from training.compare.cases import HELD_OUT, scaled
@@ -251,7 +252,7 @@ def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:
     """Return a force (N, 3) as a previous solution; starts read only the force and the frames."""
     record = np.concatenate([np.zeros(record_size(len(force))), grasp.frames.reshape(-1)])
     record[CONTACTS], record[FORCE : FORCE + force.size] = len(force), force.reshape(-1)
-    return ForceSolution(record, "carried", "previous")
+    return ForceSolution(record, Names("carried", "previous"))
 
 
 class NetworkAlone:

@@ -91,13 +91,6 @@ bool see(Controller& controller, nb::handle reading, nb::handle external, nb::ha
     return controller.see(Known(controller, reading, external, gravity, target, noise).known);
 }
 
-std::optional<nb::typed<nb::list, double>> tick(Controller& controller, nb::handle reading, nb::handle external,
-                                                nb::handle gravity, nb::handle target, nb::handle noise, bool due,
-                                                nb::handle adjustment, nb::handle given) {
-    if (!see(controller, reading, external, gravity, target, noise)) return {};
-    return act(controller, due, adjustment, nb::none(), given);
-}
-
 Controller::Outcome outcome(const Controller& controller, nb::handle target, nb::handle error, nb::handle measured) {
     const Controller::Outcome found = controller.outcome(target_of(target), out(measured, controller.tree->fingers(), 3).data());
     const double* first = &found.error.position.u;
@@ -301,18 +294,18 @@ void bind_controller(nb::module_& m) {
         .def(
             "rewind", [](Controller& c) { c.sensors.reset(); }, "Reset the sensors to the state before the first tick.")
         .def(
-            "tick", &tick, "reading"_a.none(), "external"_a, "gravity"_a, "target"_a, "noise"_a.none(), "due"_a,
-            "adjustment"_a.none(), "given"_a.none(),
-            "Return the joint torques (M,) [N m] of a control tick; None if the reading is not finite or the object is lost.\n"
+            "see", &see, "reading"_a.none(), "external"_a, "gravity"_a, "target"_a, "noise"_a.none(),
+            "First half of a control tick: observe the scene and find the wrench to balance. Return False if the reading is not "
+            "finite\n"
+            "or the object is lost.\n"
             "reading: as for `Scene.read`; None: the scene has read it already. external: the wrench (6,) that a perfect sensor\n"
-            "reports; gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if anything is noisy. due: True if "
-            "an\n"
-            "agent's step begins, with adjustment (K,) [N] of the start and given forces (N, 3) [N], contact frames, for\n"
-            "`Hold.direct`.")
-        .def("see", &see, "reading"_a.none(), "external"_a, "gravity"_a, "target"_a, "noise"_a.none(),
-             "First half of a tick: observe the scene and find the wrench to balance.")
+            "reports; gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if anything is noisy.")
         .def("act", &act, "due"_a, "adjustment"_a.none(), "start"_a.none(), "given"_a.none(),
-             "Second half of a tick: find forces and torques. start: (N, 3) [N], contact frames, start of the method.")
+             "Second half of a tick: find forces, and return the joint torques (M,) [N m] that produce them. due: True if an "
+             "agent's step\n"
+             "begins, with adjustment (K,) [N] of the start. start: (N, 3) [N], contact frames, start of the method; given: (N, "
+             "3) [N],\n"
+             "contact frames, forces for `Hold.direct`.")
         .def_rw("hold", &Controller::hold, "Behaviour of the fingers in contact.")
         .def("begin_step", &Controller::begin_step, "Begin an agent's step.")
         .def_ro("effort", &Controller::effort)

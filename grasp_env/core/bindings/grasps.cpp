@@ -1,6 +1,8 @@
 // Problems on many grasps.
 #include <grasp/many/grasps.hpp>
 
+#include <nanobind/stl/pair.h>
+
 #include "buffers.hpp"
 
 using namespace grasp;
@@ -18,8 +20,8 @@ void check_first(const Numbers& first, Py_ssize_t grasps, Py_ssize_t many) {
     if (!rises) throw nb::value_error("first must rise from 0 to the number of wrenches");
 }
 
-template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first, double tolerance,
-                                                        int limit, nb::handle wrenches, nb::handle records) {
+template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first,
+                                                        std::pair<double, int> stop, nb::handle wrenches, nb::handle records) {
     const Numbers price = in(weights, -1, 2), loads = in(wrenches, -1, 6);
     const Py_ssize_t count = price.length(0), many = loads.length(0), grasps = Py_ssize_t(contacts.size());
     const Numbers begins = in(first, grasps + 1), rows = out(records, many, record_size(int(count), 0, 0));
@@ -35,7 +37,7 @@ template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::h
     const int made = record_size(int(count)), whole = record_size(int(count), 0, 0);
     nb::gil_scoped_release free;
     std::vector<double> found(made * many);
-    solve(given, {tolerance, limit}, {many, loads.data(), found.data()});
+    solve(given, {stop.first, stop.second}, {many, loads.data(), found.data()});
     for (Py_ssize_t u = 0; u < grasps; ++u)
         for (auto k = Py_ssize_t(begins.data()[u]); k < Py_ssize_t(begins.data()[u + 1]); ++k) {
             double* row = std::copy_n(&found[made * k], made, rows.data() + whole * k) - made;
@@ -50,10 +52,10 @@ template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::h
 void bind_grasps(nb::module_& m) {
     const char* arguments =
         "Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to\n"
-        "contacts u. Writes complete rows of solutions; releases the GIL.\n"
+        "contacts u. stop: relative gap, and largest number of steps. Writes complete rows of solutions; releases the GIL.\n"
         "REFUSED: soft contacts, or no force closure.";
     const auto bind = [&](const char* name, auto solve) {
-        m.def(name, solve, "contacts"_a, "weights"_a, "first"_a, "tolerance"_a, "limit"_a, "wrenches"_a, "records"_a, arguments);
+        m.def(name, solve, "contacts"_a, "weights"_a, "first"_a, "stop"_a, "wrenches"_a, "records"_a, arguments);
     };
     bind("newton_grasps", &solve_contacts<newton_grasps, Start::internal_force>);
     bind("conic_grasps", &solve_contacts<conic_grasps, Start::central>);

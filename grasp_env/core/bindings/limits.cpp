@@ -10,11 +10,11 @@ namespace {
 std::span<const double> span(const Numbers& numbers, Py_ssize_t count) { return {numbers.data(), size_t(count)}; }
 
 // Write all finite limits as rows on force and torsion, (M, N, 4), with bounds and the size of each limit (M,). Return M.
-int limit_rows(nb::handle least, nb::handle most, nb::handle jacobian, nb::handle torques, nb::handle biases, nb::handle matrix,
-               nb::handle bounds, nb::handle limited) {
-    const Numbers low = in(least, -1), limit = in(torques, -1);
+int limit_rows(nb::tuple given, nb::handle matrix, nb::handle bounds, nb::handle limited) {
+    if (given.size() != 5) throw nb::type_error("expected the five arrays of `ForceLimits`");
+    const Numbers low = in(given[0], -1), limit = in(given[3], -1);
     const Py_ssize_t count = low.length(0), joints = limit.length(0), most_rows = 2 * (count + joints);
-    const Numbers high = in(most, count), jac = in(jacobian, count, 4, joints), bias = in(biases, joints);
+    const Numbers high = in(given[1], count), jac = in(given[2], count, 4, joints), bias = in(given[4], joints);
     const Numbers to = out(matrix, most_rows, count, 4), bound = out(bounds, most_rows), size = out(limited, most_rows);
     const ForceLimits limits{span(low, count), span(high, count), span(jac, 4 * count * joints), span(limit, joints),
                              span(bias, joints)};
@@ -30,8 +30,9 @@ int limit_rows(nb::handle least, nb::handle most, nb::handle jacobian, nb::handl
 }  // namespace
 
 void bind_limits(nb::module_& m) {
-    m.def("limit_rows", &limit_rows, "least"_a, "most"_a, "jacobian"_a, "torques"_a, "biases"_a, "matrix"_a, "bounds"_a,
-          "limited"_a,
-          "Write finite limits of normal forces (N,) and, with a Jacobian (N, 4, J), of torques (J,), as rows A f <= b on force\n"
-          "and torsion: A (R, N, 4), b (R,) and the size of each limit (R,), with R = 2 (N + J). Return the number of rows.");
+    m.def("limit_rows", &limit_rows, "limits"_a, "matrix"_a, "bounds"_a, "limited"_a,
+          "Write the finite limits of (min_normal (N,), max_normal (N,), jacobian (N, 4, J), torque_limit (J,), torque_bias "
+          "(J,)) as rows\n"
+          "A f <= b on force and torsion: A (R, N, 4), b (R,) and the size of each limit (R,), with R = 2 (N + J). Return the "
+          "number of rows.");
 }

@@ -8,6 +8,7 @@ NB_MODULE(_core, m) {
     bind_record(m);
     bind_solution(m);
     bind_contacts(m);
+    bind_problem(m);
     bind_optimizer(m);
     bind_advice(m);
     bind_grasps(m);

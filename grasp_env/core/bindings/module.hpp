@@ -9,6 +9,7 @@ using namespace nb::literals;
 void bind_build_info(nb::module_& m);
 void bind_record(nb::module_& m);
 void bind_contacts(nb::module_& m);
+void bind_problem(nb::module_& m);
 void bind_optimizer(nb::module_& m);
 void bind_advice(nb::module_& m);
 void bind_grasps(nb::module_& m);

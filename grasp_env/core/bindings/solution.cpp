@@ -1,4 +1,4 @@
-// The base class of `ForceSolution`: a record with the method and start that made it, and the force read from it. Plain CPython and
+// The base class of `ForceSolution`: a record, the names of its method and starts, and the force read from it. Plain CPython and
 // numpy, since the control loop is sensitive to every nanosecond here: Python or a nanobind class take four times as long.
 #include <grasp/record.hpp>
 
@@ -10,10 +10,11 @@ namespace {
 
 using grasp::SUMMARY;
 
-struct Solution { PyObject_HEAD PyObject *record, *method, *initial, *objective_trace; };
+struct Solution { PyObject_HEAD PyObject *record, *names, *objective_trace; };
 
-constexpr PyObject* Solution::* FIELDS[] = {&Solution::record, &Solution::method, &Solution::initial, &Solution::objective_trace};
+constexpr PyObject* Solution::* FIELDS[] = {&Solution::record, &Solution::names, &Solution::objective_trace};
 PyObject* empty_array = nullptr;  // an empty array, read-only
+PyTypeObject* solution_type = nullptr;
 
 PyArrayObject* array(PyObject* object) { return reinterpret_cast<PyArrayObject*>(object); }
 
@@ -42,31 +43,29 @@ bool is_record(PyObject* object) {
     return code <= grasp::UNDECIDED && code != grasp::REFUSED && code != grasp::RANK_LOST;
 }
 
-PyObject* made_of(PyTypeObject* type, PyObject* record, PyObject* method, PyObject* initial, PyObject* trace) {
+PyObject* made_of(PyTypeObject* type, PyObject* record, PyObject* names, PyObject* trace) {
     Solution* made = reinterpret_cast<Solution*>(PyType_GenericAlloc(type, 0));
     if (!made) return nullptr;
-    PyObject* given[] = {record, method, initial, trace};
-    for (int k = 0; k < 4; ++k) made->*FIELDS[k] = Py_NewRef(given[k]);
+    PyObject* given[] = {record, names, trace};
+    for (int k = 0; k < 3; ++k) made->*FIELDS[k] = Py_NewRef(given[k]);
     return reinterpret_cast<PyObject*>(made);
 }
 
 PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
-    PyObject *record, *method, *initial, *trace = empty_array;
-    static const char* names[] = {"record", "method", "initial", "objective_trace", nullptr};
-    if (!PyArg_ParseTupleAndKeywords(arguments, named, "OOO|O", const_cast<char**>(names), &record, &method, &initial, &trace))
+    PyObject *record, *names, *trace = empty_array;
+    static const char* keywords[] = {"record", "names", "objective_trace", nullptr};
+    if (!PyArg_ParseTupleAndKeywords(arguments, named, "OO|O", const_cast<char**>(keywords), &record, &names, &trace))
         return nullptr;
     if (!is_record(record)) {
         try {
             return raise_invalid_input(
-                "a record must be a C-contiguous float64 array whose numbers say how many they are, the first a code of "
-                "`Status`: take "
-                "a solver's");
+                "expected the record of a ForceSolution: a C-contiguous float64 row whose header matches its length");
         } catch (nb::python_error& error) {
             error.restore();
             return nullptr;
         }
     }
-    return made_of(type, record, method, initial, trace);
+    return made_of(type, record, names, trace);
 }
 
 void drop(PyObject* self) {
@@ -97,6 +96,7 @@ PyObject* n_contacts(PyObject* self, void*) { return PyLong_FromSsize_t(count(se
 PyObject* code(PyObject* self, void*) {
     return PyLong_FromLong(long(*static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(self)->record)))));
 }
+PyObject* has_force(PyObject* self, void*) { return PyBool_FromLong(record(self).has_force()); }
 PyObject* forces(PyObject* self, Py_ssize_t rows_before) {
     const npy_intp shape[] = {count(self), 3};
     return view(self, SUMMARY + 3 * rows_before, 2, shape);
@@ -177,6 +177,7 @@ PyGetSetDef read[] = {
      nullptr},
     {"n_contacts", n_contacts, nullptr, "Number of contacts.", nullptr},
     {"code", code, nullptr, "Code of the solve, see `codes`.", nullptr},
+    {"has_force", has_force, nullptr, "True if the solution holds a force; otherwise its force is zero.", nullptr},
     {"force", force, nullptr, "(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.", nullptr},
     {"initial_force", initial_force, nullptr, "(N, 3) start [N].", nullptr},
     {"torsion", torsion, nullptr,
@@ -185,8 +186,7 @@ PyGetSetDef read[] = {
 };
 PyMemberDef held[] = {
     {"_record", T_OBJECT, offsetof(Solution, record), READONLY, nullptr},
-    {"method", T_OBJECT, offsetof(Solution, method), 0, nullptr},
-    {"initial", T_OBJECT, offsetof(Solution, initial), 0, nullptr},
+    {"_names", T_OBJECT, offsetof(Solution, names), 0, nullptr},
     {"objective_trace", T_OBJECT, offsetof(Solution, objective_trace), 0, nullptr},
     {},
 };
@@ -200,10 +200,13 @@ PyType_Spec spec{"grasp_env.core._core.Solution", sizeof(Solution), 0, Py_TPFLAG
 
 }  // namespace
 
-PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* method, PyObject* initial) {
-    return made_of(reinterpret_cast<PyTypeObject*>(kind), record, method, initial, empty_array);
+PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* names) {
+    return made_of(reinterpret_cast<PyTypeObject*>(kind), record, names, empty_array);
 }
-PyObject* record_of(PyObject* solution) { return reinterpret_cast<Solution*>(solution)->record; }
+double* row_of(nb::handle solution) {
+    if (!PyObject_TypeCheck(solution.ptr(), solution_type)) throw nb::type_error("expected a solution");
+    return static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(solution.ptr())->record)));
+}
 
 void bind_solution(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
@@ -211,5 +214,8 @@ void bind_solution(nb::module_& m) {
     empty_array = PyArray_SimpleNew(1, &none, NPY_DOUBLE);
     if (!empty_array) throw nb::python_error();
     PyArray_CLEARFLAGS(array(empty_array), NPY_ARRAY_WRITEABLE);
-    m.attr("Solution") = nb::steal(PyType_FromSpec(&spec));
+    nb::object type = nb::steal(PyType_FromSpec(&spec));
+    if (!type) throw nb::python_error();
+    solution_type = reinterpret_cast<PyTypeObject*>(type.ptr());
+    m.attr("Solution") = type;
 }

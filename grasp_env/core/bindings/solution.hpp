@@ -7,6 +7,6 @@
 #include <numpy/arrayobject.h>
 
 // Return a new object of a class derived from `core.Solution` for a row that a solver wrote; null: an exception is set.
-PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* method, PyObject* initial);
-// Return the row of a solution, borrowed.
-PyObject* record_of(PyObject* solution);
+PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* names);
+// Return the row of a solution. Throws a TypeError for other objects.
+double* row_of(nb::handle solution);
