@@ -286,14 +286,6 @@ class ForceOptimizer:
     def size(self) -> int:
         """Number of values in a row."""
 
-def advise(contacts: Contacts, wrench: object = None, jacobian: object = None, torque_limit: object = None) -> list[tuple[bool, str]]:
-    """
-    Likely mistakes: whether each is near certain, and its text. float64 arrays: (6,), (N, 3 or 6, J), (J,).
-    """
-
-def looks_wrong(contacts: Contacts, wrench: object | None = None, jacobian: object | None = None, torque_limit: object | None = None) -> bool:
-    """True if some of that advice is near certain."""
-
 def newton_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
     """
     Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to

@@ -9,7 +9,6 @@ NB_MODULE(_core, m) {
     bind_solution(m);
     bind_contacts(m);
     bind_optimizer(m);
-    bind_advice(m);
     bind_grasps(m);
     bind_layer(m);
     bind_flow(m);

@@ -10,7 +10,6 @@ void bind_build_info(nb::module_& m);
 void bind_record(nb::module_& m);
 void bind_contacts(nb::module_& m);
 void bind_optimizer(nb::module_& m);
-void bind_advice(nb::module_& m);
 void bind_grasps(nb::module_& m);
 void bind_layer(nb::module_& m);
 void bind_flow(nb::module_& m);
