@@ -33,9 +33,8 @@ os.environ["XDG_CACHE_HOME"] = str(Path(__file__).parent / "build" / "cache")
 if "GRASP_CORE_BUILD" in os.environ:
     sys.meta_path.insert(0, OtherBuild(Path(__file__).parent / os.environ["GRASP_CORE_BUILD"]))
 
-collect_ignore = ["benchmarks/force/benchopt"]  # it belongs to another program
 if find_spec("pybullet") is None:  # as from CPython 3.12 on: the doctests of what imports it
-    collect_ignore += [
+    collect_ignore = [
         "benchmarks/env.py",
         *(f"grasp_env/sim/{name}.py" for name in ("bullet", "client", "picture/bullet")),
     ]

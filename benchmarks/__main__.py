@@ -17,7 +17,6 @@ BENCHMARKS = {
     "batch": "solves per second on one core and on all",
     "env": "steps per second of the environment beside bare PyBullet, resets, memory",
     "hand_loop": "the controllers of examples/hand_controller in real time against a simulated hand: latencies, what is lost",
-    "ros2": "the same as a ROS 2 node: from contacts to efforts; GRASP_ROS_PYTHON names a Python that has rclpy",
     "layer": "the force layer beside cvxpylayers, Moreau's and ProxSuite's: forward and backward, how far answers differ",
     "core": "this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps",
 }

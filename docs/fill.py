@@ -256,18 +256,6 @@ def hand_loop() -> str:
     return markdown("hand_loop", pd.DataFrame(made), "\n".join(told))
 
 
-def ros2() -> str:
-    """Return round trips of the ROS 2 node."""
-    means = saved("ros2")[0]
-    unanswered = chosen(means, "case == 'run'").set_index("method")["unanswered_sum"]
-    made = [
-        {"node": {"ros2_500": "500 Hz", "ros2_1000": "1 kHz"}[row["method"]], "answered": row["n"],
-         "unanswered": int(unanswered[row["method"]]), **latencies(row)}
-        for row in chosen(means, "case != 'run'").to_dict("records")
-    ]  # fmt: skip
-    return markdown("ros2", pd.DataFrame(made))
-
-
 def latencies(row: dict[str, Any]) -> dict[str, str]:
     """Return the statistics of a latency [us] by their headings."""
     names = {"median": "median [us]", "p99": "99 %", "p999": "99.9 %", "max": "largest"}
@@ -339,7 +327,7 @@ def fixed_contacts(method: str) -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "summary": overview, "hand_loop": hand_loop, "ros2": ros2, "solvers": solvers, "force_tracks": force_tracks, "force_sum": force("sum"), "force_phi": force("phi"), "force_entrants": force_entrants, "batch": batch, "starts": reported("starts", starts.hardest_sets),
+    "summary": overview, "hand_loop": hand_loop, "solvers": solvers, "force_tracks": force_tracks, "force_sum": force("sum"), "force_phi": force("phi"), "force_entrants": force_entrants, "batch": batch, "starts": reported("starts", starts.hardest_sets),
     "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps), "newton_first": reported("starts", starts.newton_first),
     "starts_claims": targets("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
     "objects": objects, "transfer": reported("transfer", holds.grid), "env_speed": targets("env_speed"),

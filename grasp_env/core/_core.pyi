@@ -209,9 +209,9 @@ class Problem:
     `grasp::Problem`: contacts with the weights of Phi, and limits besides friction.
     """
 
-    def __init__(self, contacts: Contacts, weights: object, limits: object | None = None) -> None:
+    def __init__(self, contacts: Contacts, weights: object | None = None, limits: object | None = None) -> None:
         """
-        weights: omega and lambda of all contacts, or an array (N, 2). limits: (min_normal, max_normal, jacobian, torque_limit,
+        weights: omega and lambda of all contacts, or an array (N, 2); None: 1 and 0.01. limits: (min_normal, max_normal, jacobian, torque_limit,
         torque_bias), each an array or None; None: no limits.
         """
 
@@ -309,14 +309,6 @@ class ForceOptimizer:
     @property
     def size(self) -> int:
         """Number of values in a row."""
-
-def advise(contacts: Contacts, wrench: object = None, jacobian: object = None, torque_limit: object = None) -> list[tuple[bool, str]]:
-    """
-    Likely mistakes: whether each is near certain, and its text. float64 arrays: (6,), (N, 3 or 6, J), (J,).
-    """
-
-def looks_wrong(contacts: Contacts, wrench: object | None = None, jacobian: object | None = None, torque_limit: object | None = None) -> bool:
-    """True if some of that advice is near certain."""
 
 def newton_grasps(contacts: list, weights: object, first: object, stop: tuple[float, int], wrenches: object, records: object) -> None:
     """

@@ -44,7 +44,7 @@ from grasp_env.force.proof import explain
 from grasp_env.force.record import INFEASIBLE, REFUSED, STARTED, UNDECIDED
 from grasp_env.force.solution import LEARNED, PREVIOUS, STARTS, ForceSolution
 from grasp_env.force.step_size import StepRule
-from grasp_env.grasp.advice import warn_of
+from grasp_env.grasp.advice import warn_of_contacts, warn_of_wrench
 from grasp_env.grasp.checks import rank_error
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
@@ -133,7 +133,7 @@ class ForceOptimizer:
         if initial is not None and self.options.method == "conic":
             raise InvalidInputError(f"method 'conic' starts from its own centre, got initial={shown(initial)}")
         self._make()
-        warn_of(grasp, None, self.limits)
+        warn_of_contacts(grasp, self.limits)
         if isinstance(self._initial, ForceSolution):
             self.previous, self._initial = self._checked_previous(self._initial), "previous"
 
@@ -508,7 +508,7 @@ def optimize_force(
     try:
         solution = optimizer.solve(wrench, optimum=optimum, trace=trace)
     except InfeasibleWrenchError as error:
-        warn_of(grasp, error.solution.wrench, optimizer.limits)
+        warn_of_wrench(grasp, error.solution.wrench)
         raise
-    warn_of(grasp, solution.wrench, optimizer.limits)
+    warn_of_wrench(grasp, solution.wrench)
     return solution

@@ -1,4 +1,4 @@
-"""Contacts, grasps and wrenches, their files and frames. It needs numpy only; `advise` also needs scipy."""
+"""Contacts, grasps and wrenches, their files and frames. It needs numpy only."""
 
 from grasp_env.grasp import presets, wrench
 from grasp_env.grasp.advice import advise

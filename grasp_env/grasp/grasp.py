@@ -251,6 +251,14 @@ class Grasp:
         return made
 
     @property
+    def largest_friction(self) -> float:
+        """Largest friction coefficient of any contact in any direction."""
+        given = vars(self).get("_friction")  # of hard contacts, whose `models` are made at their first use
+        if type(given) is float:
+            return given
+        return float((self.models.friction if given is None else given).max())
+
+    @property
     def hard(self) -> bool:
         """True if no contact transmits torsion; the flows need this."""
         return not self.contacts.soft

@@ -93,7 +93,7 @@ def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None)
 def deepest(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Deepest:
     """Return the core's result for checked arguments; see `feasibility`."""
     n = grasp.n_contacts
-    problem = core.Problem(grasp.contacts, (1.0, 1.0), given_limits(limits, n))
+    problem = core.Problem(grasp.contacts, None, given_limits(limits, n))
     solver = core.ForceOptimizer(problem, core.Options(), core.Solution, None)
     force, torsion, twist = np.empty((n, 3)), np.empty(n), np.empty(6)
     return Deepest(*solver.deepest(wrench, force, torsion, twist), force, torsion, twist)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -215,18 +213,6 @@ def test_an_entrant_agrees_or_shows_its_failures(name, tracks, monkeypatch, tmp_
     else:
         assert ran["solved"].all()
     assert np.full(9, 5e-324).max() > 0.0  # no library makes this process flush small numbers to zero
-
-
-def test_benchopt_scores_the_same(monkeypatch):
-    """With a stand-in for benchopt's base class, which it only inherits from."""
-    monkeypatch.setitem(sys.modules, "benchopt", SimpleNamespace(BaseObjective=object))
-    objective = run._module(str(Path(run.__file__).parent / "benchopt/objective.py")).Objective()
-    session = load("soft").sessions[0]
-    objective.objective = "sum"
-    objective.set_data([session])
-    forces = [*session.references["sum"].force]
-    assert objective.evaluate_result([forces])["value"] == 0.0
-    assert objective.evaluate_result([[None, *forces[1:]]])["value"] == pytest.approx(1.0 / len(forces))
 
 
 def test_tables_of_known_rows():

@@ -25,9 +25,7 @@ HOLDS = ("gravity", "random")
 OWN = """
 import threading
 from dataclasses import dataclass
-from grasp_env.force import ForceOptimizer
 from grasp_env.force.initial import LinearCombination
-from grasp_env.grasp import Grasp
 
 @dataclass
 class Sometimes:
@@ -36,14 +34,6 @@ class Sometimes:
         if wrench[0] > self.limit:
             raise ArithmeticError("not to the right")
         return LinearCombination()(grasp, wrench)
-
-class Solver:
-    def solve(self, problem):
-        grasp = Grasp.from_contacts(problem.positions, problem.normals, problem.friction)
-        return grasp.to_object_frame(ForceOptimizer(grasp, method="newton").solve(problem.wrench).force)
-
-class NoSolver:
-    pass
 
 def outside(grasp, wrench):
     return -(grasp.pseudoinverse @ wrench).reshape(-1, 3)
@@ -67,7 +57,7 @@ def shrunk(names: tuple[str, ...] = NAMES, holds: tuple[str, ...] = HOLDS) -> It
 
 @cache
 def own_file() -> Path:
-    """A user's file with starts and solvers."""
+    """A user's file with starts."""
     path = Path(tempfile.mkdtemp()) / "my_rules.py"
     atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
     path.write_text(OWN)
@@ -83,7 +73,6 @@ def small_run() -> SimpleNamespace:
         words += [f"--{name}", str(getattr(CONFIG, name))]
     for given in (f"sometimes={own}:Sometimes", f"outside={own}:outside"):
         words += ["--start", given]
-    words += ["--solver", f"mine={own}:Solver"]
     printed, errors = StringIO(), StringIO()
     with shrunk(), patch.multiple(comparison, _QUICK={}, WARM_UP=2), redirect_stdout(printed), redirect_stderr(errors):
         assert main(words) == 0, errors.getvalue()

@@ -11,8 +11,9 @@ from training.cli import main
 from training.compare import comparison
 from training.compare.cases import SETS
 from training.compare.comparison import HELD_WITH, StartsConfig, plan, run
-from training.compare.given import METHODS, Given
+from training.compare.given import Given
 from training.compare.holds import HoldsConfig
+from training.compare.methods import METHODS
 from training.compare.scenarios import HOLDS_OF_STARTS, RANDOM_STARTS
 from training.compare.starts import STARTS
 from training.results.columns import TIMES
@@ -21,7 +22,7 @@ from training.results.table import chosen
 
 def given() -> Given:
     own = own_file()
-    return Given.of((f"sometimes={own}:Sometimes", f"outside={own}:outside"), (f"mine={own}:Solver",))
+    return Given.of((f"sometimes={own}:Sometimes", f"outside={own}:outside"))
 
 
 def test_the_plan_and_the_rows_have_every_set_start_method_and_scenario():
@@ -31,9 +32,9 @@ def test_the_plan_and_the_rows_have_every_set_start_method_and_scenario():
     holds = [f"hold_{name}" for name in HOLDS]
     assert list(dict.fromkeys(rows["case"])) == [*NAMES, *holds, "model"]
     ball = rows[rows["case"] == "ball"]
-    assert {*ball["start"].dropna()} == {*STARTS, "sometimes", "outside"}
-    assert {*ball["method"]} == {*METHODS, "mine"}
-    assert about["given"].keys() == {"sometimes", "outside", "mine"}
+    assert {*ball["start"]} == {*STARTS, "sometimes", "outside"}
+    assert {*ball["method"]} == {*METHODS}
+    assert about["given"].keys() == {"sometimes", "outside"}
     held = rows[rows["case"].isin(holds)]
     counts = held.groupby(["case", "start"]).size()
     for name in HOLDS:
@@ -52,7 +53,6 @@ def test_given_starts_are_counted_with_their_failures():
     assert 0 < len(failed) < len(sometimes)
     assert {*failed["reason"]} == {"ArithmeticError: not to the right"}
     assert {*chosen(flow, "case == 'hold_gravity' and start == 'outside'")["failure"]} == {"no_start"}
-    assert {*chosen(rows, "method == 'mine'")["status"]} == {"optimal"}
 
 
 def test_times_are_those_of_the_first_problems_and_of_starts_that_exist():
@@ -62,7 +62,6 @@ def test_times_are_those_of_the_first_problems_and_of_starts_that_exist():
     assert {*timed["case"]} == {*comparison.TIMED_SETS}
     for _, of_set in timed.groupby("case"):
         assert of_set["problem"].max() == CONFIG.timed - 1
-        assert len(of_set[of_set["method"] == "mine"]) == CONFIG.timed
         inside = of_set[of_set["compiled_microseconds"].notna()]
         assert {"linear_combination", "internal_force", "learned_fixed"} <= {*inside["start"]}
         assert not {"sometimes", "learned_previous", "network"} & {*inside["start"]}
@@ -124,9 +123,9 @@ def test_a_call_keeps_its_shortest_time_in_microseconds_and_one_that_raises_has_
     assert best.tolist() == [3.0, 2.0, np.inf]
 
 
-def starts_of(*starts, solvers=()):
-    """A call that reads starts and solvers of a user."""
-    return lambda: Given.of(*(tuple(text.format(own=own_file()) for text in texts) for texts in (starts, solvers)))
+def starts_of(*starts):
+    """A call that reads starts of a user."""
+    return lambda: Given.of(tuple(text.format(own=own_file()) for text in starts))
 
 
 REFUSED = [
@@ -135,11 +134,10 @@ REFUSED = [
     (starts_of("a={own}:two", "b=nothing/here"), "no rule but of type int.*no such file"),
     (starts_of("a=no_module:rule"), "is not there: neither in the working directory nor installed"),
     (starts_of("ball is round={own}:outside"), "needs a name of letters"),
-    (starts_of("newton={own}:outside"), "the name newton is taken"),
-    (starts_of("a={own}:outside", solvers=("a={own}:Solver",)), "the name a is taken"),
-    (starts_of(*(f"s{k}={{own}}:outside" for k in range(9))), "at most 8 starts and solvers of yours, got 9"),
-    (starts_of(solvers=("b={own}:NoSolver",)), "has no method solve: give it solve"),
-    (starts_of(solvers=("b={own}",)), "names nothing: give --solver NAME=module:Class"),
+    (starts_of("lagrange={own}:outside"), "the name lagrange is taken"),
+    (starts_of("a={own}:outside", "a={own}:Sometimes"), "the name a is taken"),
+    (starts_of(*(f"s{k}={{own}}:outside" for k in range(9))), "at most 8 starts of yours, got 9"),
+    (starts_of("b={own}"), "names nothing: give --start NAME=module:rule"),
     (starts_of("a={own}:held"), "cannot be sent to the worker processes"),
     (lambda: StartsConfig(wrenches=0), "wrenches"),
     (lambda: HoldsConfig("hands", ("nobody",)), "unknown hand 'nobody': choose one of .* or the path of a URDF"),

@@ -25,7 +25,6 @@ ROOMS: dict[str, set[str]] = {
     "problem.hpp": {"limits", "learned", "conic", "flow"},
     "optimizer": {"math", "record.hpp", "newton", "flow", "many", "general", "problem.hpp"},
     "optimizer.hpp": {"learned", "optimizer"},
-    "advice.hpp": {"optimizer.hpp"},
     "layer": {"math", "contacts", "limits", "many", "optimizer.hpp"},
     "hand": {"detail", "math", "contacts", "phi", "problem.hpp", "optimizer.hpp"},
     "planner": {"hand"},

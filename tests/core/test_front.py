@@ -167,17 +167,3 @@ def test_a_model_is_not_exported_for_contacts_that_it_does_not_know(tmp_path: Pa
     with pytest.raises(ModelFileError):
         rule.export(tmp_path / "no folder/model", presets.paper_cuboid())
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("name", "told"),
-    [
-        ("good", "(nothing)"),
-        ("millimetres", "1 the contacts lie 52.4 m from their centre"),
-        ("outward", "1 all 4 normals point away"),
-        ("moment first", "1 the wrench's moment of 1.27 N m"),
-    ],
-)
-def test_mistakes_in_the_numbers_are_found_in_c_plus_plus(said: dict[str, str], name: str, told: str) -> None:
-    assert said[f"advice, {name}"].startswith(told)
-    assert said[f"advice, {name}"].endswith("(nothing)" if name == "good" else "(looks wrong)")

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from problems import GRASPS
 
-from grasp_env import core
 from grasp_env.errors import GraspWarning, InfeasibleWrenchError, InvalidInputError
-from grasp_env.force import ForceLimits, ForceOptimizer, optimize_force
+from grasp_env.force import ForceLimits, ForceOptimizer, joint_torques, optimize_force
 from grasp_env.grasp import Grasp, presets, wrench_about
 from grasp_env.grasp.advice import advise
-from grasp_env.grasp.transforms import transformed
+from grasp_env.grasp.transforms import transform_wrench, transformed
 from grasp_env.quality import force_closure
 
 CUBOID = presets.paper_cuboid()
@@ -60,9 +59,6 @@ MISTAKES = {
 def test_mistakes_are_found_and_the_near_certain_ones_are_warnings(name: str) -> None:
     made = MISTAKES[name]
     assert any(made.told in text for text in advise(made.grasp, made.wrench, made.limits)), name
-    rows = (None, None) if made.limits is None else (made.limits.jacobian, made.limits.torque_limit)
-    given = (made.grasp.contacts, made.wrench, *rows)
-    assert core.looks_wrong(*given) == any(certain for certain, _ in core.advise(*given)) == made.warns
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
         try:
@@ -145,6 +141,7 @@ def test_some_normals_are_only_blamed_if_turning_them_round_helps() -> None:
 
 def test_poor_grasps_are_described() -> None:
     assert [text for grasp in GRASPS.values() for text in advise(grasp, PAPER)] == []
+    assert advise(other(friction=1.9)) == []
     five = presets.five_finger_cuboid()
     positions = five.positions.copy()
     positions[3] = positions[1] + [1e-4, 0.0, 0.0]
@@ -162,6 +159,25 @@ def test_poor_grasps_are_described() -> None:
     plain = presets.tripod()
     soft = Grasp.from_contacts(plain.positions, plain.normals, 0.5, contact_model="soft", torsional_friction=5.0)
     assert any(text.startswith("torsional_friction is 5 m at contact 0") for text in advise(soft))
+    one = Grasp.from_contacts(plain.positions[:1], plain.normals[:1], 0.5)  # which has no length
+    (text,) = advise(one, [-1, 0, 0, 0, 0, 0], ForceLimits(jacobian=LEVERS[:1], torque_limit=1.0))
+    assert text.startswith("rank(G) = 3 < 6")
+
+
+def test_torque_limits_are_beside_the_torques_of_forces_and_torsions() -> None:
+    soft = Grasp.from_contacts(CUBOID.positions, CUBOID.normals, 0.5, contact_model="soft", torsional_friction=0.02)
+    jacobian = np.random.default_rng(4).standard_normal((4, 6, 5)) * np.repeat([0.01, 2.0], 3)[:, None]
+    found = optimize_force(soft, PAPER)
+    torques = np.abs(joint_torques(jacobian, found.object_force, moment=found.torsion[:, None] * soft.normals))
+    worst = int(torques.argmax())
+    (text,) = advise(soft, PAPER, ForceLimits(jacobian=jacobian, torque_limit=1e-5))
+    assert f"of joint {worst} ({torques[worst]:.3g} of 1e-05 N m)" in text
+    assert advise(soft, PAPER, ForceLimits(jacobian=jacobian, torque_limit=torques[worst] / 290)) == []
+
+
+def test_a_swapped_wrench_is_described_alike_in_every_frame() -> None:
+    swapped, place = PAPER[[3, 4, 5, 0, 1, 2]], (np.eye(3)[[1, 2, 0]], [0.05, -0.15, 0.08])
+    assert advise(transformed(CUBOID, *place), transform_wrench(swapped, *place)) == advise(CUBOID, swapped) != []
 
 
 def test_a_control_loop_is_not_warned_again_and_wrong_arguments_are_errors() -> None:

@@ -14,7 +14,7 @@ from training.commands.options import misplaced, one_of
 from training.compare.scenarios import BOTH, ENGINES
 
 OWN = {
-    "starts": ("wrenches", "timed", "repeats", "episodes", "steps", "start", "solver"),
+    "starts": ("wrenches", "timed", "repeats", "episodes", "steps", "start"),
     "env": ("hands", "episodes"),
     "env --hands ...": ("hands", "objects", "engines", "episodes"),
     "transfer": ("hands", "episodes"),
@@ -47,7 +47,6 @@ class Evaluate:
         steps: starts: steps of each roll-out, at 50 per second.
         start: starts: your own starts to compare with the others, each NAME=module:rule, NAME=file.py:rule or NAME=path of a saved
             model. A rule takes (grasp, wrench) and returns an (N, 3) force.
-        solver: starts: your own solvers, each NAME=module:Class or NAME=file.py:Class. solve(problem) returns the (N, 3) forces.
         hands: env and transfer: names, or files (URDF, xacro, MJCF); none: the four-finger hand, for transfer also allegro and leap.
         objects: env --hands: mesh files to hold instead of the built-in objects, each FILE or FILE=SCALE; 150 g, friction 0.7.
         engines: env --hands: physics engines; none: the default one.
@@ -66,7 +65,6 @@ class Evaluate:
     episodes: int = 0
     steps: int = 100
     start: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    solver: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     hands: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
     engines: tuple[Annotated[str, one_of(ENGINES)], ...] = ()
@@ -113,7 +111,7 @@ class Evaluate:
 
             own = {name: getattr(self, name) for name in ("wrenches", "timed", "repeats", "steps", "seed", "quick")}
             config = StartsConfig(**own, episodes=self.episodes or StartsConfig.episodes)
-            given = Given.of(self.start, self.solver)
+            given = Given.of(self.start)
             folder.begin({"kind": kind, **vars(config.resolved()), "given": dict(given.names)})
             return run(config, given, folder, **shared)
         from training.compare.holds import HoldsConfig

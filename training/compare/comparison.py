@@ -22,7 +22,7 @@ from training.compare.given import Given
 from training.compare.holds import HOLDS_OF_STARTS, hold_of_start
 from training.compare.methods import FLOW, METHODS, optimizer
 from training.compare.starts import PreparedStart, StartFactory
-from training.compare.trial import TOLERANCE, problem_of, trials
+from training.compare.trial import TOLERANCE, trials
 from training.results.bars import progress
 from training.results.run import SHARDS, Run, check_counts
 from training.results.shards import map_shards
@@ -107,7 +107,7 @@ def _shipped() -> pd.DataFrame:
 
 def plan(given: Given) -> list[str]:
     """Return the names of the shards, longest first: "<set>" and "holds/<scenario>/<start>"."""
-    rules, _ = given.unpack()
+    rules = given.unpack()
     sets = sorted(SETS, key=lambda name: -SETS[name].share * SETS[name].cost)
     holds = [
         f"holds/{scenario}/{start}" for scenario in HOLDS_OF_STARTS for start in (*HELD_WITH, "learned_fixed", *rules)
@@ -118,23 +118,21 @@ def plan(given: Given) -> list[str]:
 def work(shard: Shard) -> pd.DataFrame:
     """Return the rows of a shard; this runs in a worker."""
     config = shard.config
-    rules, solvers, made = _made(shard.given, shard.objective)
+    rules, made = _made(shard.given, shard.objective)
     if shard.name.startswith("holds/"):
         _, scenario, start = shard.name.split("/")
         rule = HELD_WITH.get(start) or rules.get(start) or StartFactory(shard.objective).model
         return table(hold_of_start(scenario, start, rule, config.episodes, config.seed, config.steps))
     which, starts = SETS[shard.name], _looked_at(shard.name, made, rules)
     cases = make_cases(shard.name, config.wrenches, config.seed)
-    rows = trials(shard.name, cases, starts, solvers if which.solved else {}, shard.objective, which.solved)
+    rows = trials(shard.name, cases, starts, shard.objective, which.solved)
     return table({**row, "seed": config.seed} for row in rows)
 
 
 @cache
-def _made(
-    given: Given, objective: Objective
-) -> tuple[Mapping[str, InitialForceRule], Mapping[str, Any], dict[str, PreparedStart]]:
-    rules, solvers = given.unpack()
-    return rules, solvers, StartFactory(objective, rules).made()
+def _made(given: Given, objective: Objective) -> tuple[Mapping[str, InitialForceRule], dict[str, PreparedStart]]:
+    rules = given.unpack()
+    return rules, StartFactory(objective, rules).made()
 
 
 def _looked_at(
@@ -146,7 +144,7 @@ def _looked_at(
 
 
 def time_calls(name: str, config: StartsConfig, given: Given, objective: Objective) -> pd.DataFrame:
-    """Measure the microseconds of every start and solver on wrenches of a set: the shortest of the repeats, the starts taking turns.
+    """Measure the microseconds of every start on wrenches of a set: the shortest of the repeats, the starts taking turns.
 
     All calls of one start on one grasp are made in a row, so code and data are in the cache as in a control loop that does nothing
     else. The previous solution is that of the wrench before, as in a loop. A call that raises has no time.
@@ -155,7 +153,7 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
         Columns case, problem, start, method, microseconds (the whole public call), start_microseconds (the start alone) and, of starts
         that the core makes from the wrench alone, compiled_microseconds (the call without Python).
     """
-    rules, solvers, every = _made(given, objective)
+    rules, every = _made(given, objective)
     made = _looked_at(name, every, rules)
     cases = make_cases(name, config.wrenches, config.seed)[: config.timed]
     blocks: dict[Grasp, list[int]] = {}
@@ -167,8 +165,8 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
         for k in block:
             optima[k] = newton.solve(cases[k].wrench).force
     before = {k: block[place - 1] for block in blocks.values() for place, k in enumerate(block)}
-    calls: dict[tuple[str | None, str], tuple[Callable[[int], object], Callable[[int], object] | None]] = {}
-    compiled = dict[tuple[str | None, str], np.ndarray]()
+    calls: dict[tuple[str, str], tuple[Callable[[int], object], Callable[[int], object] | None]] = {}
+    compiled = dict[tuple[str, str], np.ndarray]()
     for key, start in made.items():
 
         def alone(k: int, start: PreparedStart = start) -> ContactForces:
@@ -190,9 +188,6 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
                     loads = np.array([cases[k].wrench for k in block])
                     core.times(loads, 2 + config.repeats, np.empty((len(block), core.size)), found)
                     best[block] = 1e6 * found
-    for key, solver in solvers.items():
-        problems = [problem_of(case.grasp, case.wrench, objective) for case in cases]
-        calls[None, key] = lambda k, solver=solver, problems=problems: solver.solve(problems[k]), None
     best_of = {who: np.full((2, len(cases)), np.inf) for who in calls}
     collecting = gc.isenabled()
     try:
@@ -211,7 +206,7 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
     return table(
         {
             "case": name, "problem": k, "start": start, "method": method, "microseconds": total[k],
-            "start_microseconds": best_of[start, FLOW][1][k] if start is not None else np.nan,
+            "start_microseconds": best_of[start, FLOW][1][k],
             "compiled_microseconds": compiled[start, method][k] if (start, method) in compiled else np.nan,
         }
         for (start, method), (total, _) in best_of.items() for k in range(len(cases))

@@ -1,4 +1,4 @@
-"""Starts and solvers that a user adds to the comparison: objects of a module or a file, saved models, Python objects."""
+"""Starts that a user adds to the comparison: objects of a module or a file, and saved models."""
 
 from __future__ import annotations
 
@@ -14,57 +14,26 @@ from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 import cloudpickle
 
-from grasp_env._check import AllFaults, Array
+from grasp_env._check import AllFaults
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.initial import InitialForceRule
 from policies import LearnedInitialForce
-from training.compare.methods import METHODS
 from training.compare.starts import GIVEN_COLOURS, STARTS
 
 START = "--start NAME=module:rule, NAME=file.py:rule or NAME=saved model's path"
-SOLVER = "--solver NAME=module:Class or NAME=file.py:Class"
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_-]{0,39}")
 
 
 @dataclass(frozen=True)
-class Problem:
-    """Problem for a user's solver, in the object frame.
-
-    Attributes:
-        positions: (N, 3) contact points [m].
-        normals: (N, 3) unit normals that point into the object.
-        friction: (N,) friction coefficients.
-        wrench: (6,) external wrench on the object: force [N], moment about the origin [N m].
-        frames: (N, 3, 3) contact frames; the columns are the normal and two tangents.
-        weights: (N, 2) omega and lambda of Phi for each contact, for solvers that minimise it.
-    """
-
-    positions: Array
-    normals: Array
-    friction: Array
-    wrench: Array
-    frames: Array
-    weights: Array
-
-
-class Solver(Protocol):
-    """Solver of a user."""
-
-    def solve(self, problem: Problem) -> Any:
-        """Return the forces (N, 3) [N] of the fingers on the object that balance the wrench, in the object frame."""
-        ...
-
-
-@dataclass(frozen=True)
 class Given:
-    """Starts and solvers of a user, ready to be sent to workers.
+    """Starts of a user, ready to be sent to workers.
 
     Attributes:
-        packed: (starts, solvers) by name, pickled; code from files is pickled by value, so other machines need no copy.
+        packed: starts by name, pickled; code from files is pickled by value, so other machines need no copy.
         names: pairs (name, origin as text).
     """
 
@@ -72,29 +41,28 @@ class Given:
     names: tuple[tuple[str, str], ...]
 
     @classmethod
-    def of(cls, starts: tuple[str, ...] = (), solvers: tuple[str, ...] = ()) -> Given:
-        """Load and check all starts (texts of the form `START`) and solvers (`SOLVER`) before anything runs.
+    def of(cls, starts: tuple[str, ...] = ()) -> Given:
+        """Load and check all starts (texts of the form `START`) before anything runs.
 
         Raises:
-            InvalidInputError: an invalid or used name, a missing object, or one that is no rule or solver. It lists all of them.
+            InvalidInputError: an invalid or used name, a missing object, or one that is no rule. It lists all of them.
         """
-        origins = [(name, what) for name, _, what in (text.partition("=") for text in (*starts, *solvers))]
+        origins = [(name, what) for name, _, what in (text.partition("=") for text in starts)]
         names = [name for name, _ in origins]
         with AllFaults() as check:
             check(_check_names, names)
             made = {text.partition("=")[0]: check(_start, text) for text in starts}
-            methods = {text.partition("=")[0]: check(_solver, text) for text in solvers}
         try:
-            packed = cloudpickle.dumps((made, methods))
+            packed = cloudpickle.dumps(made)
         except Exception as error:
             raise InvalidInputError(
-                f"the starts and solvers {', '.join(names)} cannot be sent to the worker processes ({type(error).__name__}: "
+                f"the starts {', '.join(names)} cannot be sent to the worker processes ({type(error).__name__}: "
                 f"{str(error)[:200]}): leave open files, locks and the like out of them"
             ) from error
         return cls(packed, tuple(origins))
 
-    def unpack(self) -> tuple[dict[str, InitialForceRule], dict[str, Solver]]:
-        """Return the starts and the solvers, each by name."""
+    def unpack(self) -> dict[str, InitialForceRule]:
+        """Return the starts by name."""
         return pickle.loads(self.packed)
 
 
@@ -102,18 +70,17 @@ def _check_names(names: list[str]) -> None:
     wrong = [name for name in names if not _NAME.fullmatch(name)]
     if wrong:
         raise InvalidInputError(
-            f"a start or solver needs a name of letters, digits, - and _, at most 40, a letter first, got "
-            f"{', '.join(map(shown, wrong))}: give {START}; {SOLVER}"
+            f"a start needs a name of letters, digits, - and _, at most 40, a letter first, got "
+            f"{', '.join(map(shown, wrong))}: give {START}"
         )
-    reserved = {*STARTS, *METHODS}
-    taken = sorted({name for name in names if name in reserved or names.count(name) > 1})
+    taken = sorted({name for name in names if name in STARTS or names.count(name) > 1})
     if taken:
         raise InvalidInputError(
-            f"the name {', '.join(taken)} is taken: choose another than {', '.join(sorted(reserved))}, a different one for each"
+            f"the name {', '.join(taken)} is taken: choose another than {', '.join(sorted(STARTS))}, a different one for each"
         )
     if len(names) > len(GIVEN_COLOURS):
         raise InvalidInputError(
-            f"a run compares at most {len(GIVEN_COLOURS)} starts and solvers of yours, got {len(names)}: make two runs"
+            f"a run compares at most {len(GIVEN_COLOURS)} starts of yours, got {len(names)}: make two runs"
         )
 
 
@@ -137,23 +104,13 @@ def _start(text: str) -> InitialForceRule:
         return LearnedInitialForce.load(path)
     if what and ":" not in what and not os.path.exists(what):
         raise InvalidInputError(f"--start {text}: no such file or saved model is there (nor {what}.json): give {START}")
-    made = _instance(_read(text, "--start", START), f"--start {text}")
+    made = _instance(_read(text), f"--start {text}")
     if not callable(made):
         raise InvalidInputError(
             f"--start {text} is no rule but of type {type(made).__name__}: a rule takes (grasp, wrench) and returns an (N, 3) force"
         )
     rule: Callable[..., Any] = made
     return rule
-
-
-def _solver(text: str) -> Solver:
-    made = _instance(_read(text, "--solver", SOLVER), f"--solver {text}")
-    if not callable(getattr(made, "solve", None)):
-        raise InvalidInputError(
-            f"--solver {text}: {type(made).__name__} has no method solve: give it solve(problem), which returns (N, 3) forces [N] "
-            "in the object frame"
-        )
-    return made
 
 
 def _instance(made: Any, what: str) -> Any:
@@ -169,22 +126,22 @@ def _instance(made: Any, what: str) -> Any:
         ) from error
 
 
-def _read(text: str, option: str, how: str) -> Any:
+def _read(text: str) -> Any:
     """Load the object that NAME=module:object or NAME=file.py:object names."""
     place, _, attribute = text.partition("=")[2].rpartition(":")
     if not place or not attribute:
-        raise InvalidInputError(f"{option} {text} names nothing: give {how}")
-    module = _imported(place, f"{option} {text}", how)
+        raise InvalidInputError(f"--start {text} names nothing: give {START}")
+    module = _imported(place, f"--start {text}")
     try:
         return reduce(getattr, attribute.split("."), module)
     except AttributeError:
         callables = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise InvalidInputError(
-            f"{option} {text}: {place} has no {attribute!r}; it has {', '.join(callables[:20]) or 'nothing that can be called'}"
+            f"--start {text}: {place} has no {attribute!r}; it has {', '.join(callables[:20]) or 'nothing that can be called'}"
         ) from None
 
 
-def _imported(place: str, context: str, how: str) -> ModuleType:
+def _imported(place: str, context: str) -> ModuleType:
     """Import a module of the working directory, an installed module, or a file, which is then pickled by value."""
     if os.getcwd() not in sys.path:  # as with `python -m`; at the end, where it hides no other module
         sys.path.append(os.getcwd())
@@ -206,4 +163,4 @@ def _imported(place: str, context: str, how: str) -> ModuleType:
         why = f"fails with {type(error).__name__}: {str(error)[:200]}"
         if missing:
             why = "is not there: neither in the working directory nor installed"
-        raise InvalidInputError(f"{context}: {place} {why}; give {how}") from error
+        raise InvalidInputError(f"{context}: {place} {why}; give {START}") from error

@@ -1,4 +1,4 @@
-"""Run every method from every start on every case, and every user-supplied solver on every case; yield one result row each.
+"""Run every method from every start on every case; yield one result row each.
 
 Column `status` of a row:
 
@@ -6,7 +6,6 @@ Column `status` of a row:
 - "iteration_limit", "stalled", ...: the method stopped before that. The value is its own status; if it reported "optimal" by its own
   criterion without reaching `TOLERANCE`, the value is "stalled".
 - "no_start": the start is missing or invalid; `reason` says why.
-- "feasible", "failed": only for a user's solver: the force is valid without reaching `TOLERANCE`; there is no valid force.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ from grasp_env.force.rules import RULES
 from grasp_env.grasp import Grasp
 from training.compare.case import Case
 from training.compare.cases import scaled
-from training.compare.given import Problem, Solver
 from training.compare.methods import METHODS, optimizer
 from training.compare.starts import BASIS, DoesNotApply, PreparedStart, carry_force
 from training.results.words import shortened
@@ -70,9 +68,9 @@ class Quality:
         gap = objective.value(grasp.to_cone(force)) / least_phi - 1.0
         return cls(max(0.0, gap), grasp.cone_margin(force) / size, grasp.residual(force, load) / size)
 
-    def reason(self, margin: float = 0.0) -> str | None:
-        """Return why the force is invalid; None if it balances the wrench with more than this cone margin."""
-        if self.margin <= margin:
+    def reason(self) -> str | None:
+        """Return why the force is invalid; None if it balances the wrench inside the cones."""
+        if self.margin <= 0.0:
             return "outside the cones"
         return "out of balance" if self.residual > MAX_RESIDUAL else None
 
@@ -124,20 +122,14 @@ class Optimizers:
 
 
 def trials(
-    name: str,
-    cases: list[Case],
-    starts: Mapping[str, PreparedStart],
-    solvers: Mapping[str, Solver],
-    objective: Objective,
-    solved: bool = True,
+    name: str, cases: list[Case], starts: Mapping[str, PreparedStart], objective: Objective, solved: bool = True
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a set: one for each case, start and method, and one for each case and solver.
+    """Yield the rows of a set: one for each case, start and method.
 
     Args:
         name: name of the set.
         cases: cases to solve.
         starts: see `StartFactory.made`; a start that does not apply to a case has no row there.
-        solvers: those of a user.
         objective: Phi.
         solved: True if the methods run; otherwise there is one row for each case and start.
     """
@@ -180,30 +172,6 @@ def trials(
                     yield {**row, "method": method, "status": "no_start", "reason": reason or "out of balance"}
                     continue
                 yield {**row, "method": method, **run}
-        for key, solver in solvers.items():
-            yield {**common, "method": key, **solver_columns(solver, grasp, load, least_phi, objective)}
-
-
-def problem_of(grasp: Grasp, load: Array, objective: Objective) -> Problem:
-    """Return the problem in the form that a user's solver gets."""
-    weights = objective.weights(grasp.n_contacts)
-    arrays = (grasp.positions, grasp.normals, grasp.friction, load, grasp.frames, weights)
-    return Problem(*(np.array(array) for array in arrays))
-
-
-def solver_columns(solver: Solver, grasp: Grasp, load: Array, least_phi: float, objective: Objective) -> dict[str, Any]:
-    """Run a user's solver and return its columns; see the module for `status`."""
-    try:
-        made = solver.solve(problem_of(grasp, load, objective))
-        forces = as_array(made, (grasp.n_contacts, 3), "a solver", ranges.SIZE)
-    except Exception as error:
-        return {"status": "failed", "reason": failure_reason(error), "failed": True}
-    local = np.einsum("nij,ni->nj", grasp.frames, forces)
-    quality = Quality.of(grasp, load, local, least_phi, objective)
-    reason = quality.reason(-MAX_RESIDUAL)
-    status = "failed" if reason else "optimal" if quality.gap <= TOLERANCE else "feasible"
-    columns = {"status": status, "reason": reason, "failed": reason is not None}
-    return {**columns, "normal_force": float(local[:, 0].sum()), **quality.columns()}
 
 
 def attempt(made: PreparedStart, grasp: Grasp, load: Array, carried_force: ContactForces | None) -> ContactForces:

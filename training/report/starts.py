@@ -270,7 +270,7 @@ def newton_first(rows: Rows, means: Rows) -> Rows:
 def all_starts(rows: Rows, means: Rows) -> Rows:
     """Make a table of every start on the ball."""
     by = {(row["start"], row["method"]): row for row in chosen(means, _BALL).to_dict("records")}
-    keys = dict.fromkeys(start for start, _ in by if isinstance(start, str))
+    keys = dict.fromkeys(start for start, _ in by)
     made = []
     for key in keys:
         flow, newton = by.get((key, "reduced_flow"), {}), by.get((key, "newton"), {})
@@ -283,32 +283,13 @@ def all_starts(rows: Rows, means: Rows) -> Rows:
     return pd.DataFrame(made)
 
 
-def solvers(rows: Rows, means: Rows) -> Rows:
-    """Make a table of the user's solvers, beside Newton from the 12-basis."""
-    given = means[means["start"].isna()] if "start" in means.columns else means.iloc[:0]
-    names = given["method"].dropna().unique().tolist()
-    if not names:
-        return means.iloc[:0]
-    made = []
-    for row in [*given.to_dict("records"), *chosen(means, f"{_BALL} and {_PAPER} and {NEWTON}").to_dict("records")]:
-        if row["case"] not in SETS:
-            continue
-        status = chosen(rows, f"case == '{row['case']}' and method == '{row['method']}'")["status"].value_counts()
-        made.append({
-            "solver": row["method"], "cases": SETS[row["case"]].label,
-            "answers": ", ".join(f"{count} {name}" for name, count in status.items()) if row["method"] in names else "",
-            "gap in Phi": pair(row, "gap"), "us": pair(row, "microseconds"),
-        })  # fmt: skip
-    return pd.DataFrame(made)
-
-
 def failures(rows: Rows, means: Rows) -> Rows:
-    """Count the failures of starts and solvers by case and reason."""
-    found: Rows = chosen(rows, "status in ['no_start', 'failed', 'stalled', 'iteration_limit'] or held == False")
+    """Count the failures of starts by case and reason."""
+    found: Rows = chosen(rows, "status in ['no_start', 'stalled', 'iteration_limit'] or held == False")
     if found.empty:
         return found
     why = found["reason"].fillna(found.get("failure", found["status"])).fillna(found["status"])
-    found, keys = found.assign(why=why, start=found["start"].fillna("")), ["case", "start", "method", "why"]
+    found, keys = found.assign(why=why), ["case", "start", "method", "why"]
     counts = found.groupby(keys, dropna=False, sort=False).size().reset_index(name="count")
     return counts.sort_values("count", ascending=False)
 
@@ -319,7 +300,6 @@ TABLES = (
     ("The network alone against the paper's 12-basis", f"{SETS['ball_frictions'].label}, held out; median / p99. Times are those of the network with its repair.", learned_steps),
     ("After Newton steps", "Iterations of the flow and gap of the start on the held-out ball, median / p99.", newton_first),
     ("Every start on the ball", "Iterations and microseconds, median / p99.", all_starts),
-    ("Your own solvers", "The gap is that of Phi, whatever the solver minimises.", solvers),
     ("Hold rates", "Episodes held, and the mean of the measured normal force.", grid),
     ("Failures", "Cases without a start, without an answer, or not held.", failures),
 )  # fmt: skip

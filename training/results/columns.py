@@ -76,7 +76,7 @@ COLUMNS: dict[str, Column] = {
     "contact": Column("whole", "number of the contact; 0: the thumb"),
     "event": Column("text", "event since the problem before, or name of the variant"),
     # the optimisation
-    "status": Column("text", "outcome: optimal, iteration_limit, stalled, no_start; feasible or failed for a solver of a user"),
+    "status": Column("text", "outcome: optimal, iteration_limit, stalled, no_start; of the benchmark of forces: solved, failed, infeasible"),
     "reason": Column("text", "reason why there is no start or no answer"),
     "iterations": Column("whole", "accepted steps; in comparisons of starts to a relative gap of 1e-4, with 5001 if it is not reached in 5000", "", False, _COUNTED),
     "iterations_coarse": Column("whole", "accepted steps to a relative gap of 1e-2", "", False, ("median", "p99")),

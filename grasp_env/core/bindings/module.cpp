@@ -10,7 +10,6 @@ NB_MODULE(_core, m) {
     bind_contacts(m);
     bind_problem(m);
     bind_optimizer(m);
-    bind_advice(m);
     bind_grasps(m);
     bind_layer(m);
     bind_flow(m);

@@ -11,7 +11,6 @@ void bind_record(nb::module_& m);
 void bind_contacts(nb::module_& m);
 void bind_problem(nb::module_& m);
 void bind_optimizer(nb::module_& m);
-void bind_advice(nb::module_& m);
 void bind_grasps(nb::module_& m);
 void bind_layer(nb::module_& m);
 void bind_flow(nb::module_& m);

@@ -22,10 +22,12 @@ template <class... Sizes> std::vector<double> copied(nb::handle array, Sizes... 
     return {given.data(), given.data() + total};
 }
 
-// weights: omega and lambda of all contacts, or (N, 2); limits: in the order of `ForceLimits`
+// weights: omega and lambda of all contacts, or (N, 2), or None: those of `Objective`; limits: in the order of `ForceLimits`
 void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights, nb::handle limits) {
     OwnProblem made{contacts};
-    if (PyTuple_Check(weights.ptr())) {
+    if (weights.is_none()) {
+        made.contacts.set_weights(Objective{});
+    } else if (PyTuple_Check(weights.ptr())) {
         const auto [omega, lambda] = nb::cast<std::pair<double, double>>(weights);
         made.contacts.set_weights(Objective{omega, lambda});
     } else {
@@ -91,8 +93,9 @@ void make_request(OwnRequest* self, int start, nb::object force, nb::object prev
 
 void bind_problem(nb::module_& m) {
     nb::class_<OwnProblem>(m, "Problem", "`grasp::Problem`: contacts with the weights of Phi, and limits besides friction.")
-        .def("__init__", &make_problem, "contacts"_a, "weights"_a, "limits"_a.none() = nb::none(),
-             "weights: omega and lambda of all contacts, or an array (N, 2). limits: (min_normal, max_normal, jacobian, "
+        .def("__init__", &make_problem, "contacts"_a, "weights"_a.none() = nb::none(), "limits"_a.none() = nb::none(),
+             "weights: omega and lambda of all contacts, or an array (N, 2); None: 1 and 0.01. limits: (min_normal, max_normal, "
+             "jacobian, "
              "torque_limit,\n"
              "torque_bias), each an array or None; None: no limits.");
     nb::class_<Options>(m, "Options", "`grasp::Options`.")

@@ -1,5 +1,4 @@
 // For test_front.py: `front MODEL CALLS` prints, a line each, how calls of optimizer.hpp end and how often they allocate.
-#include <grasp/advice.hpp>
 #include <grasp/optimizer.hpp>
 
 #include <cstdio>
@@ -260,21 +259,6 @@ int main(int given, char** arguments) {
     refused("criterion", [&] { ForceOptimizer({contacts}, {.criterion = Criterion::largest}); });
     refused("file", [&] { ModelFile::load("nowhere"); });
     refused("model for three", [&] { ForceOptimizer({Contacts::from(all.first(9), up.first(9), 0.4)}, learning); });
-
-    // mistakes in the numbers
-    const auto advised = [](const char* name, const Contacts& at, Doubles load) {
-        std::printf("advice, %s:", name);
-        for (const Advice& found : advise(at, {}, load)) std::printf(" %d %s", found.near_certain, found.text.c_str());
-        std::printf("%s\n", looks_wrong(at, {}, load) ? " (looks wrong)" : " (nothing)");
-    };
-    std::vector<double> millimetres(all.begin(), all.end()), outward(std::begin(normals), std::end(normals));
-    for (double& x : millimetres) x *= 1000.0;
-    for (double& n : outward) n *= -1.0;
-    const double moment_first[] = {-0.1, 0.2, 0, 1, 0.5, -0.6};
-    advised("good", contacts, wrench);
-    advised("millimetres", Contacts::from(millimetres, normals, 0.4), wrench);
-    advised("outward", Contacts::from(positions, outward, 0.4), wrench);
-    advised("moment first", contacts, moment_first);
 
     // allocations of every case with all starts and with contacts of the call
     const auto load = [](int k) {

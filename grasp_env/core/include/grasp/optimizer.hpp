@@ -31,9 +31,7 @@ public:
     const Record& solve(Wrench wrench, const Changes& now = {}) { return solve(Request{.wrench = wrench.data(), .now = now}); }
     // The same with a start, a known optimum or a trace for this call. If it has no `previous`, the last solution is used as such.
     const Record& solve(const Request& request) {
-        Request ask = request;
-        if (has_previous_ && !ask.previous) ask.previous = rows_[0].data();
-        engine_->solve(ask, rows_[1].data());
+        engine_->solve(with_previous(request), rows_[1].data());
         const Record made(rows_[1].data());
         if (made.has_force()) {  // without a force, the previous solution stays
             std::swap(rows_[0], rows_[1]);
@@ -50,7 +48,7 @@ public:
     Code solve(const Request& ask, double* row) { return engine_->solve(ask, row); }
     // Compute only the start of a call and write it where the force would go. Return STARTED; any other code says why there is no
     // start.
-    Code start(const Request& ask, double* row) { return engine_->start(ask, row); }
+    Code start(const Request& ask, double* row) { return engine_->start(with_previous(ask), row); }
     // Replace the offline basis of the problem's contacts, (13, 3N) in cone coordinates: the optimal forces for +1 along each of the
     // six wrench axes, for -1 along each, and for zero wrench. Call this to reuse a stored basis, or if only a request asks for a
     // start that needs one; if the options need the basis, the constructor computes it.
@@ -100,6 +98,10 @@ private:
     bool has_previous_ = false;
     Record record_{rows_[0].data(), 0};
 
+    Request with_previous(Request ask) const {
+        if (has_previous_ && !ask.previous) ask.previous = rows_[0].data();
+        return ask;
+    }
     Record last_record() { return Record(rows_[0].data()); }
     static std::unique_ptr<detail::Engine> make(const Problem& problem, const Options& options) {
         return detail::make_engine<REGISTER>(problem, options);

@@ -4,7 +4,6 @@ It imports nothing of this project. A task is read as JSON from stdin, and the r
 through shared memory only, without sockets, so no other process can take part.
 """
 
-# pyright: reportMissingImports=false
 from __future__ import annotations
 
 import json
@@ -56,13 +55,12 @@ class Hand:
         self.request = ChangeState.Request()
         self.service = self.node.create_client(ChangeState, "hand_controller/change_state")
         self.last: Any = None
-        self.seen: list[tuple[int, int]] = []
+        self.seen: list[int] = []
 
     def receive(self, message: Any) -> None:
-        """Keep an effort, with the time stamp of the contacts that it answers and the current time [ns]."""
-        now, stamp = time.time_ns(), message.header.stamp
-        self.last = message
-        self.seen.append((stamp.sec * 10**9 + stamp.nanosec, now))
+        """Keep an effort, and the time stamp of the contacts that it answers [ns]."""
+        self.last, stamp = message, message.header.stamp
+        self.seen.append(stamp.sec * 10**9 + stamp.nanosec)
 
     def change(self, transition: str) -> bool:
         """Request a transition of the node's life cycle, and return True if it succeeded."""

@@ -1,0 +1,268 @@
+"""Rules that find common mistakes in contacts, limits and wrenches: wrong units, signs and frames solve as well as right ones.
+
+Rules that can be near certain take a few microseconds while they find nothing, because every `optimize_force` asks them. They read
+`Grasp.contacts`, which is faster than the attributes of a new grasp.
+"""
+
+from __future__ import annotations
+
+from math import hypot
+from typing import NamedTuple
+
+import numpy as np
+
+from grasp_env import core
+from grasp_env._check import Array, Wrench
+from grasp_env.grasp.grasp import Grasp
+
+LONGEST = 5.0
+"""Length of a grasp, or lever of a joint, beyond which lengths are in millimetres [m]."""
+ROUGHEST = 2.0
+"""Friction coefficient of the roughest rubber."""
+DEGREES = 5.0
+"""Friction coefficient beyond which it is an angle."""
+WIDEST_PATCH = 0.1
+"""Torsional friction that needs a contact patch as wide as a hand [m]."""
+FAR, VERY_FAR = 8.0, 15.0
+"""Distance of the origin from the contacts, in lengths of the grasp; no tool that is held reaches the second."""
+ARM = 0.4
+"""Distance of the origin that can be near certain to be a mistake [m]."""
+SHORT_LEVER = 4.0
+"""Moment over force of a usual wrench, in lengths or reaches of the grasp; the reach is the length plus the origin's distance."""
+LONG_LEVER = 20.0
+"""Moment over force of a wrench that hardly pushes, in reaches."""
+PURE_MOMENT = 50.0
+"""Moment over the grasp's length, without any force, that is large [N]."""
+TURNING = 10.0
+"""Moment over the grasp's length that is too small to mistake for a force [N]."""
+STRONGEST, WEAKEST = 500.0, 1.0 / 300.0
+"""Torque limit over the torque that a load needs, beyond which the limit has another unit."""
+SMALLEST_LOAD = 0.1
+"""Load below which torque limits are not judged [N]."""
+LARGEST_CONDITION = 1e3
+"""Condition number of G, with moments divided by the grasp's length, above which some wrenches need very large forces."""
+SMALLEST_DISTANCE = 0.01
+"""Distance of two contacts, as a fraction of the grasp's length, below which they act like one contact."""
+_CODES, _CODE = core.codes(), core.record_fields()["code"]
+
+
+class Mistake(NamedTuple):
+    """A likely mistake.
+
+    Attributes:
+        near_certain: True if no plausible problem looks like this.
+        text: what was seen, when it may be right, and what to change.
+    """
+
+    near_certain: bool
+    text: str
+
+
+def all_outward(grasp: Grasp) -> list[Mistake]:
+    """Judge normals that all point away from the centre of the contacts."""
+    contacts = grasp.contacts
+    mean = np.vdot(contacts.positions - contacts.centre, contacts.normals)  # nearly always negative
+    if mean <= 0.0 or not _away(grasp).all():
+        return []
+    text = (
+        f"all {grasp.n_contacts} normals point away from the centre of the contacts: normals must point INTO the object; change their "
+        "sign, unless the fingers press outwards from inside a hole"
+    )
+    return [Mistake(True, text)]
+
+
+def some_outward(grasp: Grasp) -> list[Mistake]:
+    """Judge normals of which some point away from the centre, if the fingers could squeeze with these turned round.
+
+    Turning all normals round never changes force closure.
+    """
+    away, models = _away(grasp), grasp.models
+    if not away.any() or away.all() or _can_squeeze(grasp.contacts):
+        return []
+    if models.transmitted.sum() - grasp.null_dimension < 6:  # forces without torsion do not balance every wrench
+        return []
+    normals = np.where(away[:, None], -grasp.normals, grasp.normals)
+    given = models.cone_scale, models.torsional_friction, grasp.contacts.tangents
+    if not _can_squeeze(core.Contacts.put(grasp.positions, normals, *given)):
+        return []
+    text = (
+        f"the normals of contacts {np.nonzero(away)[0].tolist()} point away from the centre of the contacts, and the fingers cannot "
+        "squeeze the object; with these normals turned round they could: normals must point INTO the object"
+    )
+    return [Mistake(False, text)]
+
+
+def _away(grasp: Grasp) -> np.ndarray:
+    """Return (N,) True for normals that point away from the centre of the contacts."""
+    along = ((grasp.positions - grasp.centre) * grasp.normals).sum(axis=1)
+    return along > 1e-9 * grasp.length
+
+
+def _can_squeeze(contacts: core.Contacts) -> bool:
+    """True if some force strictly inside the friction cones balances itself."""
+    count = contacts.count
+    found = np.zeros(6), np.empty((count, 3)), np.empty(count), np.empty(6)
+    solver = core.ForceOptimizer(core.Problem(contacts), core.Options(), core.Solution, None)
+    return solver.deepest(*found)[0] == _CODES["converged"]
+
+
+def contact_units(grasp: Grasp) -> list[Mistake]:
+    """Judge the units of positions, friction and torsional friction."""
+    found = []
+    length = grasp.contacts.length
+    if length > LONGEST:
+        text = f"the contacts lie {length:.3g} m from their centre (root mean square): positions are in metres; divide millimetres by 1000"
+        found.append(Mistake(True, text))
+    if grasp.largest_friction > ROUGHEST:
+        friction = grasp.models.friction.max(axis=1)
+        worst = int(friction.argmax())
+        text = (
+            f"friction is {friction[worst]:.3g} at contact {worst}: rubber reaches 1 to 2; give the coefficient, tan(friction angle), "
+            "not an angle in degrees"
+        )
+        found.append(Mistake(bool(friction[worst] > DEGREES), text))
+    if not grasp.hard:
+        torsion = grasp.models.torsional_friction
+        worst = int(torsion.argmax())
+        if torsion[worst] > WIDEST_PATCH:
+            text = (
+                f"torsional_friction is {torsion[worst]:.3g} m at contact {worst}: a fingertip has about 0.005 m; divide millimetres "
+                "by 1000"
+            )
+            found.append(Mistake(False, text))
+    return found
+
+
+def lever_units(jacobian: Array) -> list[Mistake]:
+    """Judge the units of a Jacobian (N, 3 or 6, J)."""
+    longest = np.abs(jacobian[:, :3]).max()
+    if longest <= LONGEST:
+        return []
+    text = (
+        f"the Jacobian's largest entry is {longest:.3g} m: a joint that far from its contact would be larger than a robot; lengths are "
+        "in metres, divide the linear rows by 1000 if they are in millimetres"
+    )
+    return [Mistake(True, text)]
+
+
+def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
+    """Judge the point about which a wrench (6,) has its moment, and the order and units of its force and moment."""
+    size, found = grasp.contacts.length, []
+    force, moment, turning, distance = _sizes(grasp, wrench)
+    reach = size + distance
+    # the force acts near the origin, which is far from the contacts
+    if distance > FAR * size and moment < SHORT_LEVER * size * force and turning > FAR * size * force:
+        text = (
+            f"the contacts are {distance:.3g} m from the origin, but the wrench's force acts within {max(1e-3, moment / force):.2g} m of "
+            "it: is its moment about another point (the centre of mass)? Give both in one frame, the moment about the origin of the "
+            "positions (in Python wrench_about shifts it), unless the object reaches that far"
+        )
+        found.append(Mistake(distance > VERY_FAR * size and distance > ARM, text))
+    # force and moment make sense only if they change places
+    if (
+        force > 0.0
+        and turning > LONG_LEVER * reach * force
+        and force < SHORT_LEVER * reach * moment
+        and moment > TURNING * size
+    ):
+        text = (
+            f"the wrench's moment of {turning:.3g} N m is that of its force of {force:.3g} N at {turning / force:.2g} m from contacts "
+            f"that span {size:.2g} m: a wrench is force [N] first, then moment [N m]; exchange them, or divide the moment by 1000 if it "
+            "is in N mm"
+        )
+        found.append(Mistake(True, text))
+    elif force == 0.0 and turning > PURE_MOMENT * size:
+        text = (
+            f"the wrench is a moment of {turning:.3g} N m without a force, on contacts that span {size:.2g} m: a wrench is force [N] "
+            "first, then moment [N m]; exchange them, unless the fingers turn something"
+        )
+        found.append(Mistake(False, text))
+    return found
+
+
+def _sizes(grasp: Grasp, wrench: Wrench) -> tuple[float, float, float, float]:
+    """Return the magnitudes of the force [N], of the moment, of that about the contacts' centre [N m], and the centre's distance [m]."""
+    (fx, fy, fz, mx, my, mz), (x, y, z) = wrench.tolist(), grasp.contacts.centre.tolist()
+    turning = hypot(mx - (y * fz - z * fy), my - (z * fx - x * fz), mz - (x * fy - y * fx))
+    return hypot(fx, fy, fz), hypot(mx, my, mz), turning, hypot(x, y, z)
+
+
+def torque_units(grasp: Grasp, wrench: Wrench, jacobian: Array, torque_limit: Array) -> list[Mistake]:
+    """Judge the units of torque limits (J,), given J^T f of the force that the wrench needs without them."""
+    force, _, turning, _ = _sizes(grasp, wrench)
+    if force * grasp.length + turning < SMALLEST_LOAD * grasp.length:  # a single contact has no length
+        return []
+    solver = core.ForceOptimizer(core.Problem(grasp.contacts), core.Options(), core.Solution, None)
+    row = np.empty((1, solver.size))
+    solver.solve_many(wrench[None], row)
+    if row[0, _CODE] not in (_CODES["converged"], _CODES["limit"], _CODES["stalled"]):  # there is no force
+        return []
+    found = core.Solution(row[0], None)
+    pushed = np.hstack([found.object_force, found.torsion[:, None] * grasp.normals])
+    needed = np.abs(np.einsum("nrj,nr->j", jacobian, pushed[:, : jacobian.shape[1]]))
+    with np.errstate(divide="ignore"):
+        shares = torque_limit / needed
+    weakest = int(shares.argmin())
+    share = shares[weakest]
+    seen = f"{needed[weakest]:.3g} of {torque_limit[weakest]:.3g} N m): limits are in N m"
+    if STRONGEST < share < np.inf:
+        text = f"every torque limit is more than 500 times what this load needs (joint {weakest}: {seen}; divide mN m by 1000"
+        return [Mistake(False, text)]
+    if share < WEAKEST:
+        text = (
+            f"this load needs {1.0 / share:.2g} times the torque limit of joint {weakest} ({seen}, and the Jacobian's linear rows in "
+            "metres"
+        )
+        return [Mistake(False, text)]
+    return []
+
+
+def coincident(grasp: Grasp) -> list[Mistake]:
+    """Judge contacts that lie close together."""
+    if grasp.n_contacts == 1:
+        return []
+    apart = np.linalg.norm(grasp.positions[:, None] - grasp.positions, axis=2)
+    first, second = np.nonzero(np.triu(apart < SMALLEST_DISTANCE * grasp.length, 1))
+    return [
+        Mistake(
+            False,
+            f"contacts {i} and {j} are {1e3 * apart[i, j]:.3g} mm apart, {100 * apart[i, j] / grasp.length:.2g} % of the grasp's "
+            "length: they act like one contact; drop one or correct its position",
+        )
+        for i, j in zip(first.tolist(), second.tolist(), strict=True)
+    ]
+
+
+def condition(grasp: Grasp) -> list[Mistake]:
+    """Judge a G that is singular or nearly so."""
+    if grasp.rank < 6:
+        text = (
+            f"rank(G) = {grasp.rank} < 6: the contacts balance only some wrenches, and contacts on a line none with a moment about that "
+            "line; add a contact, friction, or soft fingertips if the object can turn"
+        )
+        return [Mistake(False, text)]
+    centre = grasp.positions.mean(axis=0)
+    here, centred = (_condition_number(grasp, about) for about in (np.zeros(3), centre))
+    if centred > LARGEST_CONDITION:
+        text = (
+            f"G is nearly singular, condition number {centred:.2g}: some wrenches need forces that much larger than others; "
+            "spread the contacts, away from one common line, or add friction, torsion or a contact"
+        )
+        return [Mistake(False, text)]
+    if here > LARGEST_CONDITION:
+        text = (
+            f"G has condition number {here:.2g}, but {centred:.2g} with moments about the centre of the contacts: the object "
+            f"frame's origin is {np.linalg.norm(centre):.3g} m away; put it near the contacts"
+        )
+        return [Mistake(False, text)]
+    return []
+
+
+def _condition_number(grasp: Grasp, about: Array) -> float:
+    """Return the condition number of G, with moments taken about `about` (3,) [m] and divided by the grasp's length."""
+    matrix = grasp.matrix * grasp.models.transmitted.reshape(-1)
+    whole = np.concatenate([matrix, grasp.torsion_matrix * grasp.length], axis=1)
+    whole[3:] -= np.cross(about, whole[:3].T).T
+    whole[3:] /= grasp.length
+    values = np.linalg.svd(whole, compute_uv=False)
+    return float(values[0] / values[-1])
