@@ -62,3 +62,17 @@ def test_no_headers_include_each_other_in_a_circle() -> None:
         for header in free:
             del left[header]
     assert left == {}
+
+
+LONGEST = 400
+"""Largest number of lines of a header or a source file of the core."""
+LONG = {"hand/controller.hpp"}
+"""The controller and its sensors, until they are taken apart."""
+
+
+def test_no_file_is_long() -> None:
+    core = HEADERS.parents[1]
+    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in core.rglob("*.[ch]pp")}
+    long = {str(path) for path, length in lengths.items() if length > LONGEST}
+    assert {path for path in long if not path.endswith(tuple(LONG))} == set()
+    assert len(long) == len(LONG), "a file that is no longer long"

@@ -120,4 +120,16 @@ private:
     static constexpr double ALONG = 1e-6;  // sine of the angle between a tangent and its normal
 };
 
+// Gradients for every array of a batch, one row per problem; null: not wanted.
+struct BatchGradients {
+    double *positions, *normals, *friction, *tangents, *torsion, *wrench, *jacobian, *torque_limit, *torque_bias, *min_normal,
+        *max_normal, *force_weight, *barrier_weight;
+};
+// In the order of `FORCE_INPUTS`, of which a start has no gradient.
+inline constexpr double* BatchGradients::* FORCE_GRADIENTS[] = {
+    &BatchGradients::positions,     &BatchGradients::normals,    &BatchGradients::friction,   &BatchGradients::tangents,
+    &BatchGradients::torsion,       &BatchGradients::wrench,     &BatchGradients::jacobian,   &BatchGradients::torque_limit,
+    &BatchGradients::torque_bias,   &BatchGradients::min_normal, &BatchGradients::max_normal, &BatchGradients::force_weight,
+    &BatchGradients::barrier_weight};
+
 }  // namespace grasp

@@ -1,4 +1,4 @@
-// The solution part of `SmoothLanes`: descent, polishing, certificate.
+// The solution part of `SmoothLanes`: descent, polishing, certificate, answer.
 #pragma once
 #include <grasp/layer/stiff.hpp>
 
@@ -102,6 +102,16 @@ template <int W> auto SmoothLanes<W>::gap() const -> V {
     }
     const V value = energy(), above = max(value - bound, V(0.0));
     return select((room > 0.0) & (bound > 0.0) & (value < infinity), above / bound, V(infinity));
+}
+
+template <int W> void SmoothLanes<W>::write(int lane, double* force, double* torsion, double* multipliers) const {
+    const Six<V> y = cones_.unit.pull_back(y_);
+    for (int r = 0; r < 6; ++r) multipliers[r] = -get(y[r], lane);
+    for (int i = 0; i < count(); ++i) {
+        const Vec made = object_force(i, x_[i]);
+        for (int a = 0; a < 3; ++a) force[3 * i + a] = get(made[a], lane);
+        torsion[i] = get(v_[i] / at_[i].divisor_v, lane);
+    }
 }
 
 }  // namespace grasp

@@ -25,18 +25,6 @@ inline bool is_optimum(Regime regime) { return regime == Regime::optimum || regi
 inline constexpr double ELASTIC_EDGE = 0.1;  // fraction of sqrt(lambda / omega): smaller slacks have a quadratic barrier
 inline constexpr double ELASTIC_SOFTNESS = 1e-2;  // [N^2] per unit of Phi: missed balance costs |missed|^2 / (2 softness)
 
-// Gradients for every array of a batch, one row per problem; null: not wanted.
-struct BatchGradients {
-    double *positions, *normals, *friction, *tangents, *torsion, *wrench, *jacobian, *torque_limit, *torque_bias, *min_normal,
-        *max_normal, *force_weight, *barrier_weight;
-};
-// In the order of `FORCE_INPUTS`, of which a start has no gradient.
-inline constexpr double* BatchGradients::* FORCE_GRADIENTS[] = {
-    &BatchGradients::positions,     &BatchGradients::normals,    &BatchGradients::friction,   &BatchGradients::tangents,
-    &BatchGradients::torsion,       &BatchGradients::wrench,     &BatchGradients::jacobian,   &BatchGradients::torque_limit,
-    &BatchGradients::torque_bias,   &BatchGradients::min_normal, &BatchGradients::max_normal, &BatchGradients::force_weight,
-    &BatchGradients::barrier_weight};
-
 template <int W> class SmoothLanes {
 public:
     using V = Each<W>;
@@ -53,26 +41,7 @@ public:
           rest_v_(batch.contacts), along_(joints_) {}
 
     // Load problem k into a lane, before `place`, which still reads `posed`.
-    void load(int lane, std::ptrdiff_t k, const PosedProblem& posed, Regime regime) {
-        problems_[lane] = {
-            {batch_.positions[k], posed.normals.data(), posed.scale.data(), posed.tangents.data(), posed.weights.data()}, k};
-        for (int r = 0; r < 6; ++r) set(wrench_[r], lane, batch_.wrench[k][r]);
-        for (int i = 0; i < count(); ++i) {
-            Contact& c = at_[i];
-            const double omega = posed.weights[2 * i], lambda = posed.weights[2 * i + 1], mu = posed.scale[3 * i];
-            for (int a = 0; a < 3; ++a) {
-                set(c.arm[a], lane, batch_.positions[k][3 * i + a]), set(c.frame[0][a], lane, posed.normals[3 * i + a]);
-                set(c.along[a], lane, posed.tangents[3 * i + a]);
-            }
-            const double gamma = batch_.torsion ? batch_.torsion[k][i] : 0.0;
-            set(c.divisor_v, lane, gamma > 0.0 ? mu / gamma : infinity), set(c.lambda_v, lane, gamma > 0.0 ? lambda : 0.0);
-            const double low = batch_.min_normal ? batch_.min_normal[k][i] : 0.0;
-            const double high = batch_.max_normal ? batch_.max_normal[k][i] : infinity;
-            load_side(c.low, lane, low > 0.0, -mu * low, lambda), load_side(c.high, lane, high < infinity, mu * high, lambda);
-            set(c.unit, lane, std::sqrt(lambda / omega));
-        }
-        choose(lane, regime, posed);
-    }
+    void load(int lane, std::ptrdiff_t k, const PosedProblem& posed, Regime regime);
     // Choose the optimum that a lane stands for. posed: its contacts, as loaded.
     void choose(int lane, Regime regime, const PosedProblem& posed) {
         set(softness_, lane, regime == Regime::unbalanced ? ELASTIC_SOFTNESS : 0.0);
@@ -167,15 +136,7 @@ public:
     Mask balanced() const { return cones_.balanced(x_, w_, residual); }
 
     // Write forces (N, 3) [N] in the frame of the positions, torsion (N,) [N m], and multipliers (6,) nu = -y of the given wrench.
-    void write(int lane, double* force, double* torsion, double* multipliers) const {
-        const Six<V> y = cones_.unit.pull_back(y_);
-        for (int r = 0; r < 6; ++r) multipliers[r] = -get(y[r], lane);
-        for (int i = 0; i < count(); ++i) {
-            const Vec made = object_force(i, x_[i]);
-            for (int a = 0; a < 3; ++a) force[3 * i + a] = get(made[a], lane);
-            torsion[i] = get(v_[i] / at_[i].divisor_v, lane);
-        }
-    }
+    void write(int lane, double* force, double* torsion, double* multipliers) const;
 
     // Gradients of a loss at the restored and placed problems. wanted: problems whose rows are written.
     void gradients(Mask wanted, const double* by_force, const double* by_torsion, const double* by_multipliers,

@@ -1,8 +1,29 @@
-// The Newton system of `SmoothLanes`: rows of limits, and blocks of the inverse Hessian.
+// The Newton system of `SmoothLanes`: loaded problems, rows of limits, and blocks of the inverse Hessian.
 #pragma once
 #include <grasp/layer/smooth.hpp>
 
 namespace grasp {
+
+template <int W> void SmoothLanes<W>::load(int lane, std::ptrdiff_t k, const PosedProblem& posed, Regime regime) {
+    problems_[lane] = {
+        {batch_.positions[k], posed.normals.data(), posed.scale.data(), posed.tangents.data(), posed.weights.data()}, k};
+    for (int r = 0; r < 6; ++r) set(wrench_[r], lane, batch_.wrench[k][r]);
+    for (int i = 0; i < count(); ++i) {
+        Contact& c = at_[i];
+        const double omega = posed.weights[2 * i], lambda = posed.weights[2 * i + 1], mu = posed.scale[3 * i];
+        for (int a = 0; a < 3; ++a) {
+            set(c.arm[a], lane, batch_.positions[k][3 * i + a]), set(c.frame[0][a], lane, posed.normals[3 * i + a]);
+            set(c.along[a], lane, posed.tangents[3 * i + a]);
+        }
+        const double gamma = batch_.torsion ? batch_.torsion[k][i] : 0.0;
+        set(c.divisor_v, lane, gamma > 0.0 ? mu / gamma : infinity), set(c.lambda_v, lane, gamma > 0.0 ? lambda : 0.0);
+        const double low = batch_.min_normal ? batch_.min_normal[k][i] : 0.0;
+        const double high = batch_.max_normal ? batch_.max_normal[k][i] : infinity;
+        load_side(c.low, lane, low > 0.0, -mu * low, lambda), load_side(c.high, lane, high < infinity, mu * high, lambda);
+        set(c.unit, lane, std::sqrt(lambda / omega));
+    }
+    choose(lane, regime, posed);
+}
 
 // Row j of the torque limits, divided by its length, as in `LimitTable` and `General`.
 template <int W> void SmoothLanes<W>::place_row(int j) {
