@@ -250,7 +250,7 @@ class ForceOptimizer:
     def __init__(self, problem: Problem, options: Options, kind: object, names: object | None) -> None:
         """kind: the class of solutions; names: what `Solution.names` returns."""
 
-    def solve(self, wrench: object | None, changes: object | None = None, request: Request | None = None) -> object:
+    def solve(self, wrench: object | None, changes: object | None, request: Request | None) -> object:
         """
         Return a solution, whose code says whether it holds a force; NotImplemented if wrench or changes are not C-contiguous
         float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, torque_bias, contacts), each None if

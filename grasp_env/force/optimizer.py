@@ -288,9 +288,9 @@ class ForceOptimizer:
         """
         now = (positions, normals, friction, jacobian, torque_bias, contacts)
         if initial is None and optimum is None and trace is False and self.core_finds_start:
-            solution = self._solve(wrench, now)
+            solution = self._solve(wrench, now, None)
             if solution is NotImplemented:  # an argument is not an array that can be read in place
-                solution = self._solve(*self._checked(wrench, now))
+                solution = self._solve(*self._checked(wrench, now), None)
             start = OWN_START
         else:
             solution, start = self._solve_from(*self._checked(wrench, now), initial, optimum, trace)

@@ -76,7 +76,7 @@ class Call:
 
 def solve(made: _core.ForceOptimizer, wrench: Any, **changes: Any) -> object:
     """False where arrays cannot be read, else the code."""
-    found: Any = made.solve(wrench, Changes(contacts=None, **changes))
+    found: Any = made.solve(wrench, Changes(contacts=None, **changes), None)
     return False if found is NotImplemented else found.code
 
 
@@ -96,7 +96,7 @@ def calls() -> dict[str, Call]:
     return {
         "Contacts.make": Call(_core.Contacts.make, PLACE | {"scale": s.scale, "weights": s.weights} | tangents, {}),
         "ForceOptimizer": Call(
-            optimizer, {"weights": s.weights} | LIMITS, {}, frozenset({"min_normal", "max_normal", "torque_bias"})
+            optimizer, {"weights": s.weights} | LIMITS, {}, frozenset({"weights", "min_normal", "max_normal", "torque_bias"})
         ),
         "solve": Call(lambda **given: solve(limited, **given), now | {"wrench": LOADS[0]}, {}, frozenset(now)),
         "deepest": Call(limited.deepest, {"wrench": LOADS[0]}, deepest),

@@ -184,7 +184,7 @@ def test_contacts_without_rank_have_an_infinite_objective(method: str) -> None:
     with pytest.raises(RankDeficientGraspError if method == "reduced_flow" else InfeasibleWrenchError):
         optimizer.solve(LOADS[0], contacts=np.array([True, False, False, False]))
     alone = np.array([True, False, False, False])
-    solution = optimizer.core.solve(LOADS[0], (None, None, None, None, None, alone))
+    solution = optimizer.core.solve(LOADS[0], (None, None, None, None, None, alone), None)
     ends = (RANK_LOST, np.inf, -np.inf) if method == "reduced_flow" else (INFEASIBLE, np.inf, np.inf)
     assert (solution.code, solution.objective, solution.lower_bound) == ends
 

@@ -131,7 +131,8 @@ void make(ForceOptimizer* self, const OwnProblem& problem, const grasp::Options&
 }
 
 nb::object solve(ForceOptimizer& on, nb::handle wrench, nb::handle changes, const OwnRequest* request) {
-    Request ask = request ? request->request : Request{};
+    Request ask{};
+    if (request) ask = request->request;
     if (!on.read(wrench, changes, ask)) return nb::borrow(Py_NotImplemented);
     return on.solution(on.solve(ask));
 }
@@ -213,7 +214,7 @@ void bind_optimizer(nb::module_& m) {
     nb::class_<ForceOptimizer>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`.")
         .def("__init__", &make, "problem"_a, "options"_a, "kind"_a, "names"_a.none(),
              "kind: the class of solutions; names: what `Solution.names` returns.")
-        .def("solve", &solve, "wrench"_a.none(), "changes"_a.none() = nb::none(), "request"_a.none() = nb::none(),
+        .def("solve", &solve, "wrench"_a.none(), "changes"_a.none(), "request"_a.none(),
              "Return a solution, whose code says whether it holds a force; NotImplemented if wrench or changes are not "
              "C-contiguous\n"
              "float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, torque_bias, contacts), each "

@@ -30,8 +30,9 @@ public:
     // Solve for the force that balances a wrench. The next call overwrites the record. now: changes for this call only.
     const Record& solve(Wrench wrench, const Changes& now = {}) { return solve(Request{.wrench = wrench.data(), .now = now}); }
     // The same with a start, a known optimum or a trace for this call. If it has no `previous`, the last solution is used as such.
-    const Record& solve(const Request& request) {
-        engine_->solve(with_previous(request), rows_[1].data());
+    const Record& solve(Request request) {
+        use_previous(request);
+        engine_->solve(request, rows_[1].data());
         const Record made(rows_[1].data());
         if (made.has_force()) {  // without a force, the previous solution stays
             std::swap(rows_[0], rows_[1]);
@@ -48,7 +49,10 @@ public:
     Code solve(const Request& ask, double* row) { return engine_->solve(ask, row); }
     // Compute only the start of a call and write it where the force would go. Return STARTED; any other code says why there is no
     // start.
-    Code start(const Request& ask, double* row) { return engine_->start(with_previous(ask), row); }
+    Code start(Request request, double* row) {
+        use_previous(request);
+        return engine_->start(request, row);
+    }
     // Replace the offline basis of the problem's contacts, (13, 3N) in cone coordinates: the optimal forces for +1 along each of the
     // six wrench axes, for -1 along each, and for zero wrench. Call this to reuse a stored basis, or if only a request asks for a
     // start that needs one; if the options need the basis, the constructor computes it.
@@ -98,9 +102,8 @@ private:
     bool has_previous_ = false;
     Record record_{rows_[0].data(), 0};
 
-    Request with_previous(Request ask) const {
-        if (has_previous_ && !ask.previous) ask.previous = rows_[0].data();
-        return ask;
+    void use_previous(Request& request) const {
+        if (has_previous_ && !request.previous) request.previous = rows_[0].data();
     }
     Record last_record() { return Record(rows_[0].data()); }
     static std::unique_ptr<detail::Engine> make(const Problem& problem, const Options& options) {
