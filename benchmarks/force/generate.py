@@ -210,7 +210,7 @@ class Recipes:
         text: description in one line.
         modes: modes of its runs.
         objectives: objectives.
-        digits: "exact" if its references are computed in 60 digits.
+        digits: "exact" if its references are computed in many digits.
     """
 
     make: Callable[[np.random.Generator], Made]
