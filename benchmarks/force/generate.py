@@ -245,12 +245,15 @@ def generate(name: str, seed: int) -> Track:
     recipe = TRACKS[name]
     place = list(TRACKS).index(name)
     rng = np.random.default_rng([seed, place])
-    sessions = [Session(label, arrays, {}) for label, arrays in recipe.make(rng)]
+    sessions: dict[str, Session] = {}
+    for label, arrays in recipe.make(rng):
+        label = f"{label} ({len(sessions) + 1})" if label in sessions else label
+        sessions[label] = Session(label, arrays, {})
     about = {
         "place": place, "seed": seed, "about": recipe.text, "modes": recipe.modes, "objectives": recipe.objectives, "digits": recipe.digits,
         "made": f"python -m benchmarks.force generate --seed {seed} {name}",
     }  # fmt: skip
-    return Track(name, sessions, about)
+    return Track(name, [*sessions.values()], about)
 
 
 def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arrays:

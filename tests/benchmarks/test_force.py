@@ -50,6 +50,13 @@ def test_a_file_is_made_by_its_seed_and_its_references_hold(name):
     assert check.check(replace(track, sessions=track.sessions[::4])) == []
 
 
+def test_sessions_of_one_description_are_told_apart(tmp_path):
+    """With seed 1, two pinches have the same size."""
+    track = generate.generate("soft", 1)
+    problems.save(track, tmp_path)
+    assert load("soft", tmp_path).digest() == track.digest()
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
