@@ -1,11 +1,15 @@
-"""Random problems of the force layer, by kind, as its keyword arguments."""
+"""Random problems of the force layer, by kind, as its keyword arguments; its answers with gradients, and how they compare."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
-from policies import GraspForceLayer
+from policies import GraspForceLayer, GraspForces, grasp_force
 
 KINDS = ("hard", "elliptic", "soft", "own joints", "shared joints", "normal")
 HOPELESS = ("exceeded", "far exceeded", "unbalanced")
@@ -117,3 +121,33 @@ class Forces(torch.utils.data.Dataset[Tensor]):
 
     def __getitem__(self, k: int) -> Tensor:
         return GraspForceLayer()(**{name: a[k] for name, a in problems("hard", 2).items()}).force
+
+
+class Passing(TorchDispatchMode):
+    """Passes every call on. Under such a mode inputs are not read in place: they go through the operators."""
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        return func(*args, **(kwargs or {}))
+
+
+DIFFERENTIABLE = ("force", "torsion", "multipliers")
+
+
+def gradients(given: dict[str, Tensor], **options: Any) -> tuple[GraspForces, dict[str, Tensor]]:
+    """Answers, and gradients of a random linear function of them."""
+    leaves = {name: a.detach().clone().requires_grad_() for name, a in given.items()}
+    result, draw = grasp_force(**leaves, **options), torch.Generator().manual_seed(0)
+    answers = [getattr(result, name) for name in DIFFERENTIABLE]
+    loss = [(torch.randn(a[:1].shape, generator=draw, dtype=torch.float64).to(a.device) * a).sum() for a in answers]
+    torch.stack(loss).sum().backward()
+    return GraspForces(*(a.detach() for a in result)), {k: a.grad for k, a in leaves.items() if a.grad is not None}
+
+
+def same_bits(a: Sequence[Tensor], b: Sequence[Tensor]) -> bool:
+    return all(torch.equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def error(a: Tensor, b: Tensor) -> float:
+    """Largest difference of an element, relative to its size."""
+    size = b.flatten(1).abs().amax(1).clamp(min=1e-9)
+    return float(((a - b).flatten(1).abs().amax(1) / size).max())

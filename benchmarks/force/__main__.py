@@ -1,4 +1,4 @@
-"""`python -m benchmarks.force run | validate | report | generate | record`."""
+"""`python -m benchmarks.force run | validate | report | references | generate | record`."""
 
 from __future__ import annotations
 
@@ -43,6 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--tracks", nargs="+", default=[], metavar="TRACK")
     add = command("report", _report, "print the tables of a run, or what changed between two")
     add("runs", nargs="+", type=Path, metavar="RUN")
+    anew = "compute the references of the tracks anew, and compare them with the stored ones"
+    add = command("references", _references, anew)
+    add("--tracks", nargs="+", default=[], metavar="TRACK")
     seeds = "make tracks and their references from a seed: 0 is the published one, others are for training or held out"
     add = command("generate", _generate, seeds)
     add("tracks", nargs="*", default=[], metavar="TRACK")
@@ -88,8 +91,8 @@ def _run(given: Any) -> int:
 
 
 def _validate(given: Any) -> int:
+    from benchmarks.force.check import check
     from benchmarks.force.generate import TRACKS, generate
-    from benchmarks.force.reference import check
     from benchmarks.force.report import answers
     from benchmarks.force.run import Effort, entrants, measured
     from training.results.table import table
@@ -129,12 +132,33 @@ def _report(given: Any) -> int:
     return 0
 
 
+def _references(given: Any) -> int:
+    from benchmarks.force.check import AGREEMENT
+    from benchmarks.force.references import distance, refer
+
+    worst = 0.0
+    for track in _tracks(given):
+        apart, digits = [0.0], track.about.get("digits", "double")
+        for session in track.sessions:
+            if lacking := set(track.about["objectives"]) - set(session.references):
+                raise ValueError(
+                    f"{track.name}, session {session.name!r} stores no references of {', '.join(sorted(lacking))}"
+                )
+            made = refer(session, track.about["objectives"], digits)
+            apart += [distance(session.references[name], reference) for name, reference in made.items()]
+        worst = max(worst, *apart)
+        sys.stdout.write(
+            f"{track.name}: the optima differ from the stored ones by at most {max(apart):.1e} of themselves\n"
+        )
+    return int(worst > AGREEMENT)
+
+
 def _generate(given: Any) -> int:
     from dataclasses import replace
 
     from benchmarks.force.generate import TRACKS, generate
     from benchmarks.force.problems import save
-    from benchmarks.force.reference import refer
+    from benchmarks.force.references import refer
 
     if given.seed < 0:
         raise ValueError(f"the seed must be at least 0, got {given.seed}")

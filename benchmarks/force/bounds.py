@@ -1,6 +1,6 @@
 """Bounds and proofs from a force, multipliers or a witness, computed from the problem alone.
 
-`Measure` holds every formula, for NumPy's floats and for object arrays of `decimal.Decimal`, which `exact.py` gives it. Forces and
+`Measure` holds every formula, for NumPy's floats and for object arrays of mpmath's numbers, which `references.py` gives it. Forces and
 moments are compared in N: moments are taken about the centre of the contacts that touch and divided by their root mean square distance
 from it.
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
 
 Numbers = NDArray[Any]
-"""Floats, or Decimals in an object array."""
+"""Floats, or numbers of mpmath in an object array."""
 REACH = 10**6
 """A witness excludes forces whose normal forces total up to this many times the wrench."""
 ROUNDING = 1e-15

@@ -210,7 +210,7 @@ class Recipes:
         text: description in one line.
         modes: modes of its runs.
         objectives: objectives.
-        digits: "exact" if its references are computed in 60 digits.
+        digits: "exact" if its references are computed in many digits.
     """
 
     make: Callable[[np.random.Generator], Made]
@@ -245,12 +245,15 @@ def generate(name: str, seed: int) -> Track:
     recipe = TRACKS[name]
     place = list(TRACKS).index(name)
     rng = np.random.default_rng([seed, place])
-    sessions = [Session(label, arrays, {}) for label, arrays in recipe.make(rng)]
+    sessions: dict[str, Session] = {}
+    for label, arrays in recipe.make(rng):
+        label = f"{label} ({len(sessions) + 1})" if label in sessions else label
+        sessions[label] = Session(label, arrays, {})
     about = {
         "place": place, "seed": seed, "about": recipe.text, "modes": recipe.modes, "objectives": recipe.objectives, "digits": recipe.digits,
         "made": f"python -m benchmarks.force generate --seed {seed} {name}",
     }  # fmt: skip
-    return Track(name, sessions, about)
+    return Track(name, [*sessions.values()], about)
 
 
 def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arrays:

@@ -154,21 +154,21 @@ class Reference:
 
     Attributes:
         value: (M,) the optimum; inf where no force exists.
-        lower, upper: (M,) dual and primal bound by the first source.
-        other: (M,) the optimum by the second source.
+        lower, upper: (M,) dual and primal bound.
         force: (M, N k) an optimal force; nan where none exists.
         multipliers: (M, 6 + L) those of balance and limits; the witness where no force exists.
         rest: rounding errors of force and multipliers (M, N k + 6 + L) of references in many digits (zero if doubles sufficed),
             else None.
+        other: (M,) the optimum by another solver, in the published files: Clarabel's, or in track `hard` one in the six multipliers.
     """
 
     value: Array
     lower: Array
     upper: Array
-    other: Array
     force: Array
     multipliers: Array
     rest: Array | None = None
+    other: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -366,14 +366,16 @@ class ForceProblems:
     def float32(self) -> bool:
         """True if no tensor with dimensions is float64."""
 
-    def solve(self, start: int, stop: int, tolerance: float, limit: int, force: object, torsion: object, multipliers: object, facts: object, state: object) -> None:
+    def solve(self, range: tuple[int, int], stop: tuple[float, int], results: tuple) -> None:
         """
-        Write the optimal forces of problems start to stop into arrays for all problems, see `BatchForces`. Releases the GIL.
+        Write the optimal forces of a range of problems (first, last + 1) into arrays for all problems: force, torsion,
+        multipliers, facts and state, see `BatchForces`. stop: relative gap, and largest number of steps. Releases the GIL.
         """
 
-    def differentiate(self, start: int, stop: int, state: object, by_force: object | None, by_torsion: object | None, by_multipliers: object | None, elastic: bool, gradients: tuple) -> None:
+    def differentiate(self, range: tuple[int, int], state: object, losses: tuple, elastic: bool, gradients: tuple) -> None:
         """
-        Write the gradients of a loss with respect to the inputs, into arrays or None, in the inputs' order. Releases the GIL.
+        Write the gradients of a loss with respect to the inputs, into arrays or None, in the inputs' order. losses: its
+        derivatives with respect to force, torsion and multipliers, or None. Releases the GIL.
         """
 
 FULL_CONTACTS: int = 8

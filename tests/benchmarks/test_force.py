@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from decimal import localcontext
 
 import numpy as np
 import pytest
+from mpmath import mp
 from oracles.phi import phi
 
-from benchmarks.force import exact, generate, problems, reference
+from benchmarks.force import check, generate, problems, references
+from benchmarks.force.__main__ import main
 from benchmarks.force.bounds import Measure
-from benchmarks.force.entrants.forms import Dual, Primal
 from benchmarks.force.package import problem_of
 from benchmarks.force.problems import Problem, load, names
 from benchmarks.force.score import parts_of, score
@@ -20,6 +20,8 @@ from grasp_env.force import ForceLimits, ForceOptimizer
 from grasp_env.grasp import Grasp, presets
 
 TRACKS = names()
+LARGEST_DISTANCE = {"double": 1e-10, "exact": 3e-16}
+"""Of an optimum that is computed again, relative: the largest gap that is aimed at in doubles, the last bit where there are more digits."""
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 
 
@@ -45,7 +47,14 @@ def test_a_file_is_made_by_its_seed_and_its_references_hold(name):
         assert again.about[key] == tuple(track.about[key])
     assert again.about["place"] == track.about["place"] == TRACKS.index(name) == list(generate.TRACKS).index(name)
     # a part of the sessions; `validate` checks all of them
-    assert reference.check(replace(track, sessions=track.sessions[::4])) == []
+    assert check.check(replace(track, sessions=track.sessions[::4])) == []
+
+
+def test_sessions_of_one_description_are_told_apart(tmp_path):
+    """With seed 1, two pinches have the same size."""
+    track = generate.generate("soft", 1)
+    problems.save(track, tmp_path)
+    assert load("soft", tmp_path).digest() == track.digest()
 
 
 @pytest.mark.parametrize(
@@ -69,32 +78,107 @@ def test_a_changed_file_is_refused(change, words, tmp_path):
         load("soft", tmp_path)
 
 
-def test_a_wrong_reference_is_found():
-    track = load("roll")
-    session = track.sessions[0]
-    other = replace(session.references["sum"], value=session.references["sum"].value * (1.0 + 3e-8))
-    faults = reference.check(replace(track, sessions=[replace(session, references={"sum": other})]))
-    assert len(faults) >= len(session.problems)
-
-
-@pytest.mark.parametrize("name", ["roll", "own", "soft", "infeasible", "hard"])
-def test_two_sources_settle_a_problem(name):
-    """Their references hold and are the published ones."""
+def one_of(name: str, session: int = 0, m: int = 1) -> tuple[problems.Track, problems.Session]:
+    """A track with one problem, and its session."""
     track = load(name)
-    session = track.sessions[0]
-    arrays = {field: array[1:2] if len(array) > 1 else array for field, array in session.arrays.items()}
-    one = problems.Session("", arrays, {})
-    for objective in track.about["objectives"]:
-        settled = reference._settled(one.problems[0], objective, track.about["digits"])
-        one.references[objective] = reference._reference([settled])
-        assert settled[0].value == pytest.approx(session.references[objective].value[1], rel=1e-9)
-        if settled[0].rest is not None:
-            with localcontext(exact.CONTEXT):
-                force = exact.joined(settled[0].force, settled[0].rest[: len(settled[0].force)])
-                assert np.abs(exact.measure(one.problems[0]).missed(force)).max() < 1e-25  # doubles leave 1e-16
-        if settled[0].value == np.inf:  # either form shows it
-            assert all(reference._solved(make(one.problems[0]), 1e-9)[2] for make in (Dual, Primal))
-    assert reference.check(replace(track, sessions=[one])) == []
+    whole = track.sessions[session]
+    arrays = {field: array[m : m + 1] if len(array) > 1 else array for field, array in whole.arrays.items()}
+    references = {
+        objective: problems.Reference(**{key: a[m : m + 1] for key, a in vars(stored).items() if a is not None})
+        for objective, stored in whole.references.items()
+    }
+    one = problems.Session("", arrays, references)
+    return replace(track, sessions=[one]), one
+
+
+@pytest.mark.parametrize("field", ["value", "lower", "upper", "other", "force", "multipliers", "rest"])
+@pytest.mark.parametrize("name", ["roll", "own", "soft", "hard", "infeasible"])
+def test_a_falsified_reference_is_found(name, field):
+    track, one = one_of(name)
+    assert check.check(track) == []
+    for objective, stored in one.references.items():
+        right = getattr(stored, field)
+        if right is None:
+            continue
+        if field in ("force", "multipliers", "rest"):
+            numbers = stored.multipliers if field == "multipliers" else np.nan_to_num(stored.force, nan=1.0)
+            change = 1e-3 * np.abs(numbers).max() * np.random.default_rng(0).standard_normal(right.shape)
+            wrong = -right if right is stored.multipliers and name == "infeasible" else np.nan_to_num(right) + change
+        else:
+            size = {"value": 3e-9, "other": 3e-8}.get(field, 1e-10)
+            wrong = np.where(np.isfinite(right), right * (1.0 + size), 1.0)
+        changed = replace(one, references=one.references | {objective: replace(stored, **{field: wrong})})
+        faults = check.check(replace(track, sessions=[changed]))
+        assert faults, (objective, field)
+        assert all(f"problem 0, {objective}: " in fault for fault in faults)
+
+
+def remake(track: problems.Track, session: problems.Session) -> None:
+    """References made anew hold, and have the stored optima; where there are many digits, also the same least Phi's force."""
+    objectives, digits = track.about["objectives"], track.about["digits"]
+    made = references.refer(session, objectives, digits)
+    again = problems.Track(track.name, [replace(session, references=made)], {"objectives": objectives})
+    assert check.check(again) == []
+    for objective, stored in session.references.items():
+        assert references.distance(stored, made[objective]) <= LARGEST_DISTANCE[digits]
+        if digits == "exact" and objective == "phi":
+            forces = [all_digits(each.force, each.rest[:, : each.force.shape[1]]) for each in (stored, made[objective])]
+            assert (np.abs(forces[1] - forces[0]).max(1) < 1e-18 * np.abs(forces[0]).max(1)).all()
+
+
+def all_digits(high, low):
+    with mp.workdps(references.DIGITS):
+        return references.numbers(high) + references.numbers(low)
+
+
+@pytest.mark.parametrize("name", TRACKS)
+def test_references_are_made_again(name):
+    remake(*one_of(name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TRACKS)
+def test_all_references_are_made_again(name):
+    track = load(name)
+    for session in track.sessions:
+        remake(track, session)
+
+
+def test_the_program_compares_references_with_stored_ones(tmp_path, capsys):
+    track, one = one_of("soft")
+    right = one.references["sum"]
+    for factor, code in ((1.0, 0), (1.0 + 3e-8, 1)):
+        wrong = replace(one, references={"sum": replace(right, value=factor * right.value)})
+        problems.save(replace(track, sessions=[wrong]), tmp_path)
+        assert main(["references", "--sets", str(tmp_path)]) == code
+        assert "soft: the optima differ from the stored ones by at most" in capsys.readouterr().out
+    for some in (right, one_of("infeasible")[1].references["sum"]):
+        other = replace(some, value=np.where(np.isfinite(some.value), np.inf, 1.0))
+        assert references.distance(some, other) == np.inf
+    problems.save(replace(track, sessions=[replace(one, references={})]), tmp_path)
+    assert main(["references", "--sets", str(tmp_path)]) == 2
+    assert "stores no references of sum" in capsys.readouterr().err
+
+
+def test_what_has_no_digits_is_told():
+    soft, nothing = load("soft").sessions[0].problems[0], made(np.zeros(6))
+    for problem, words in ((soft, "hard contacts without limits"), (nothing, "no wrench"), (PULLED, "no force")):
+        with pytest.raises(ArithmeticError, match=words):
+            references.exact(problem, "sum")
+
+
+@pytest.mark.parametrize(("track", "session"), [("smooth", 1), ("lost", 0)])
+def test_many_digits_agree_with_the_package_s_bounds(track, session):
+    """Where doubles settle a problem, also with a contact that does not touch; `other` is Clarabel's optimum."""
+    _, one = one_of(track, session, m=15)
+    for objective, stored in one.references.items():
+        found = references.exact(one.problems[0], objective)
+        assert abs(found.value - stored.value[0]) <= 1e-11 * found.value
+        assert abs(found.value - stored.other[0]) <= 1e-9 * found.value
+        assert found.gap <= 1e-15
+        force = all_digits(found.force, found.rest[: len(found.force)])
+        with mp.workdps(references.DIGITS):
+            assert np.abs(references.exact_measure(one.problems[0]).missed(force)).max() < 1e-25  # doubles leave 1e-16
 
 
 def test_a_problem_holds_the_package_s_matrices():

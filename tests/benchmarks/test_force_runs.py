@@ -12,8 +12,11 @@ import pytest
 
 from benchmarks.force import build, problems, report, run
 from benchmarks.force.__main__ import main
+from benchmarks.force.bounds import Measure
 from benchmarks.force.entrant import Library, Task
 from benchmarks.force.entrants import ENTRANTS, qocogen
+from benchmarks.force.entrants.clarabel import Clarabel
+from benchmarks.force.entrants.forms import Dual, Primal
 from benchmarks.force.package import problem_of
 from benchmarks.force.problems import Problem, load
 from grasp_env.force import ForceOptimizer
@@ -134,7 +137,7 @@ def test_the_answers_of_all_passes_are_scored(factor):
             return self.answers.pop() if self.answers else later
 
     optimum = problems.Reference(
-        *np.full((4, 1), best.objective), best.force.reshape(1, -1), np.array([best.multipliers])
+        *np.full((3, 1), best.objective), best.force.reshape(1, -1), np.array([best.multipliers])
     )
     arrays = {name: np.array([getattr(made(), name)]) for name in ("positions", "frames", "friction", "wrench")}
     session = problems.Session("", arrays, {"sum": optimum})
@@ -213,6 +216,18 @@ def test_an_entrant_agrees_or_shows_its_failures(name, tracks, monkeypatch, tmp_
     else:
         assert ran["solved"].all()
     assert np.full(9, 5e-324).max() > 0.0  # no library makes this process flush small numbers to zero
+
+
+@pytest.mark.parametrize("form", [Dual, Primal])
+def test_either_form_shows_that_no_force_exists(form):
+    pytest.importorskip("clarabel")
+    for session in load("infeasible").sessions[::3]:  # without closure, weak motors, soft pinches
+        problem, solver = session.problems[0], Clarabel()
+        solver.form = form(problem)
+        solver.build()
+        force, witness, status = solver.form.answer(*solver.run(False))
+        assert (force, status) == (None, "infeasible")
+        assert Measure.of(problem).witness(witness) > 0.0
 
 
 def test_tables_of_known_rows():

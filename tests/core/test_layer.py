@@ -71,7 +71,7 @@ def solved(
     count = problems.contacts
     shapes = ((count, 3), (count,), (6,), (_core.LAYER_FACTS,), (_core.layer_state_size(count),))
     *answers, state = (np.full((*problems.lead, *shape), np.nan) for shape in shapes)
-    problems.solve(0, problems.size, tolerance, limit, *answers, state)
+    problems.solve((0, problems.size), (tolerance, limit), (*answers, state))
     return (state, *answers)
 
 
@@ -83,7 +83,7 @@ def read(given: Batch, *start: np.ndarray | None) -> _core.ForceProblems:
 
 def differentiated(given: Batch, state: np.ndarray, by: tuple[np.ndarray, ...], elastic: bool = True) -> Batch:
     made = mapped(given, lambda each: np.full(each.shape, np.nan))
-    read(given).differentiate(0, len(state), state, *by, elastic, tuple(made.values()))
+    read(given).differentiate((0, len(state)), state, tuple(by), elastic, tuple(made.values()))
     return made
 
 
@@ -251,8 +251,8 @@ def test_arrays_to_write_are_checked() -> None:
         read_only = right.copy()
         read_only.flags.writeable = False
         for bad in (right[:1], right.astype(np.float32), np.broadcast_to(right[:1], shapes[k]), None, read_only):
-            with pytest.raises(TypeError):
-                problems.solve(0, 2, 1e-10, 300, *arrays[:k], bad, *arrays[k + 1 :])
+            with pytest.raises(TypeError, match="expected C-contiguous"):
+                problems.solve((0, 2), (1e-10, 300), (*arrays[:k], bad, *arrays[k + 1 :]))
     for start, stop in ((-1, 1), (0, 3), (2, 1)):
         with pytest.raises(ValueError, match="no part of the problems"):
-            problems.solve(start, stop, 1e-10, 300, *arrays)
+            problems.solve((start, stop), (1e-10, 300), tuple(arrays))

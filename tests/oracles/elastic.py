@@ -27,19 +27,73 @@ def elastic(x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.n
     return x
 
 
-def penalised(force: np.ndarray, normals: np.ndarray, friction: float, most: np.ndarray, weight: float = 0.01) -> float:
-    """Phi (omega 1) of forces (N, 3) on normals (N, 3) of length one, plus the elastic barriers of normal forces up to `most` (N,).
+def spread_matrix(positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(6, 4N) wrench of forces (N, 3) in the positions' frame, then of torsions (N,); moments about the centre, over the spread."""
+    arms = positions - positions.mean(0)
+    moments = np.concatenate([np.cross(arm, axis)[:, None] for arm in arms for axis in np.eye(3)], 1)
+    turns = np.concatenate([np.zeros((3, len(arms))), normals.T])
+    matrix = np.concatenate([np.concatenate([np.tile(np.eye(3), len(arms)), moments]), turns], 1)
+    matrix[3:] /= np.sqrt((arms**2).sum(1).mean())
+    return matrix
 
-    Below 0.1 sqrt(weight), the barrier weight / slack goes on as a parabola with the same value, slope and curvature.
+
+def spread_wrench(positions: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+    """The wrench (6,) in the units of `spread_matrix`."""
+    arms = positions - positions.mean(0)
+    moment = wrench[3:] - np.cross(positions.mean(0), wrench[:3])
+    return np.concatenate([wrench[:3], moment / np.sqrt((arms**2).sum(1).mean())])
+
+
+def penalised(given: dict[str, np.ndarray], answer: np.ndarray, softness: float = 0.0) -> np.floating:
+    """The function that an elastic force minimises, of one problem with the names of `grasp_force` and isotropic friction.
+
+    The answer is forces (N, 3) in the frame of the positions, then torsions (N,). Normals have length one. With a softness, missing
+    balance costs |G f + w|^2 / (2 softness). The value is a long double if the numbers are.
     """
-    u = friction * (force * normals).sum(1)
-    s = np.sqrt(((force - (u / friction)[:, None] * normals) ** 2).sum(1))
-    edge = 0.1 * np.sqrt(weight)
-    slack = friction * most - u
-    below = np.minimum(slack - edge, 0.0) / edge
-    barrier = weight / np.maximum(slack, edge) * (1.0 - below + below**2)
-    inside = bool((s < u).all())
-    return float((3.0 * u + weight * (1.0 / u + 1.0 / (u - s) + 1.0 / (u + s)) + barrier).sum()) if inside else np.inf
+    normals, mu, count = given["normals"], given["friction"][:, 0], len(given["normals"])
+    omega = given.get("force_weight", np.full(count, 1.0))
+    lam = given.get("barrier_weight", np.full(count, 0.01))
+    gamma = given.get("torsional_friction", np.zeros(count))
+    soft = gamma > 0.0
+    force, torsion = answer[: 3 * count].reshape(count, 3), answer[3 * count :]
+    pressure = (force * normals).sum(1)
+    u, s = mu * pressure, np.sqrt(((force - pressure[:, None] * normals) ** 2).sum(1))
+    v = mu * torsion / np.where(soft, gamma, 1.0)
+    if not ((s < u).all() and (np.abs(v) < u)[soft].all()):
+        return np.float64(np.inf)
+    total = (3.0 * omega * u + lam * (1.0 / u + 1.0 / (u - s) + 1.0 / (u + s))).sum()
+    total += (lam * (1.0 / (u - v) + 1.0 / (u + v)))[soft].sum()
+    if "max_normal" in given:
+        total += sum(map(_barrier, given["max_normal"] - pressure, 1.0 / mu, lam, omega))
+    for j in range(given["jacobian"].shape[2] if "jacobian" in given else 0):
+        lever, turn = given["jacobian"][:, :3, j], np.zeros(count)
+        if given["jacobian"].shape[1] == 6:
+            turn = (given["jacobian"][:, 3:, j] * normals).sum(1)
+        along, spun = (lever * normals).sum(1), gamma * turn
+        sizes = ((along + spun) / mu) ** 2 + (lever**2).sum(1) - along**2 + (spun / mu) ** 2
+        touched = sizes > 0.0
+        torque = (lever * force).sum() + (turn * torsion).sum()
+        for sign in (1.0, -1.0):
+            room = given["torque_limit"][j] - sign * torque
+            total += _barrier(room, np.sqrt(sizes.sum()), lam[touched].mean(), omega[touched].mean())
+    if softness:
+        missed = spread_matrix(given["positions"], normals) @ answer + spread_wrench(
+            given["positions"], given["wrench"]
+        )
+        total += (missed**2).sum() / (2.0 * softness)
+    return total
+
+
+def _barrier(room: np.floating, size: np.floating, weight: np.floating, omega: np.floating) -> np.floating | float:
+    """The elastic barrier of a limit a . z <= bound, `room` away from it; the row has the length `size` in (u, o, t, u - v).
+
+    Below 0.1 sqrt(weight / omega), weight / slack goes on as a parabola with the same value, slope and curvature.
+    """
+    if not np.isfinite(room):
+        return 0.0
+    slack, edge = room / size, 0.1 * np.sqrt(weight / omega)
+    below = min(slack - edge, 0.0) / edge
+    return weight / max(slack, edge) * (1.0 - below + below**2)
 
 
 def excess(force: np.ndarray, normals: np.ndarray, most: np.ndarray) -> float:

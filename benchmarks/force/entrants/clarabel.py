@@ -32,7 +32,9 @@ class Clarabel(Conic):
         self._solver = clarabel.DefaultSolver(
             nothing, form.c, self._numbers.matrix, form.sides, cones_of(clarabel, form), settings
         )
-        self._statuses = {clarabel.SolverStatus.Solved: "solved", infeasible_of(clarabel, form): "infeasible"}
+        status = clarabel.SolverStatus
+        infeasible = status.DualInfeasible if form.in_cost else status.PrimalInfeasible
+        self._statuses = {status.Solved: "solved", infeasible: "infeasible"}
 
     def run(self, moved: bool) -> tuple[Array, Array, str]:
         """See `Conic`."""
@@ -53,8 +55,3 @@ def cones_of(clarabel: Any, form: Form) -> list[Any]:
     linear = ((clarabel.ZeroConeT, form.equations), (clarabel.NonnegativeConeT, form.nonneg))
     cones = [cone(size) for cone, size in linear if size]
     return cones + [clarabel.SecondOrderConeT(size) for size in form.cones]
-
-
-def infeasible_of(clarabel: Any, form: Form) -> Any:
-    """The status with which Clarabel says that no force exists."""
-    return clarabel.SolverStatus.DualInfeasible if form.in_cost else clarabel.SolverStatus.PrimalInfeasible

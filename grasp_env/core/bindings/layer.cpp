@@ -2,6 +2,8 @@
 #include <grasp/layer/layer.hpp>
 
 #include "buffers.hpp"
+#include <nanobind/stl/pair.h>
+
 #include "tensors.hpp"
 
 using namespace grasp;
@@ -31,6 +33,7 @@ enum Place {
 // None.
 class Problems {
 public:
+    using Range = std::pair<Py_ssize_t, Py_ssize_t>;  // the first problem, and the one after the last
     ForceBatch batch;
     bool float32 = true;  // no tensor with dimensions is float64
 
@@ -49,25 +52,29 @@ public:
         return nb::tuple(made);
     }
 
-    void solve(Py_ssize_t from, Py_ssize_t to, double tolerance, int limit, nb::handle force, nb::handle torsion,
-               nb::handle multipliers, nb::handle facts, nb::handle state) const {
+    // results: force, torsion, multipliers, facts, state
+    void solve(Range range, std::pair<double, int> stop, nb::tuple results) const {
         const Py_ssize_t n = contacts();
-        const NumberRows forces(force, true, size(), 3 * n), turns(torsion, true, size(), n),
-            prices(multipliers, true, size(), 6), told(facts, true, size(), LAYER_FACTS),
-            states(state, true, size(), layer_state_size(contacts()));
+        const auto [from, to] = range;
+        if (results.size() != 5) throw nb::type_error("expected force, torsion, multipliers, facts and state");
+        const NumberRows forces(results[0], true, size(), 3 * n), turns(results[1], true, size(), n),
+            prices(results[2], true, size(), 6), told(results[3], true, size(), LAYER_FACTS),
+            states(results[4], true, size(), layer_state_size(contacts()));
         const ForceBatch chosen = part(from, to);
         nb::gil_scoped_release free;
-        optimal_forces(chosen, {tolerance, limit}, {forces[from], turns[from], prices[from], told[from], states[from]});
+        optimal_forces(chosen, {stop.first, stop.second}, {forces[from], turns[from], prices[from], told[from], states[from]});
     }
-    // state: from `solve`. The derivatives of a loss with respect to the answers, None: zero. gradients: arrays in the order of the
-    // inputs, or None.
-    void differentiate(Py_ssize_t from, Py_ssize_t to, nb::handle state, nb::handle by_force, nb::handle by_torsion,
-                       nb::handle by_multipliers, bool elastic, nb::tuple gradients) const {
+    // state: from `solve`. losses: the derivatives of a loss with respect to force, torsion and multipliers, None: zero. gradients:
+    // arrays in the order of the inputs, or None.
+    void differentiate(Range range, nb::handle state, nb::tuple losses, bool elastic, nb::tuple gradients) const {
+        const auto [from, to] = range;
         const ForceBatch chosen = part(from, to);
+        if (losses.size() != 3) throw nb::type_error("expected losses by force, torsion and multipliers");
         const Py_ssize_t n = contacts();
         if (gradients.size() != INPUTS) throw nb::type_error("expected 13 arrays of gradients");
-        const NumberRows states(state, false, size(), layer_state_size(contacts())), forces(by_force, false, size(), 3 * n, true),
-            turns(by_torsion, false, size(), n, true), prices(by_multipliers, false, size(), 6, true);
+        const NumberRows states(state, false, size(), layer_state_size(contacts())),
+            forces(losses[0], false, size(), 3 * n, true), turns(losses[1], false, size(), n, true),
+            prices(losses[2], false, size(), 6, true);
         BatchGradients made{};
         for (int k = 0; k < INPUTS; ++k) {
             if (gradients[k].is_none()) continue;
@@ -171,12 +178,11 @@ void bind_layer(nb::module_& m) {
         .def_prop_ro("joints", [](const Problems& made) { return made.batch.joints; })
         .def_prop_ro("jacobian_rows", [](const Problems& made) { return made.batch.jacobian_rows; })
         .def_ro("float32", &Problems::float32, "True if no tensor with dimensions is float64.")
-        .def("solve", &Problems::solve, "start"_a, "stop"_a, "tolerance"_a, "limit"_a, "force"_a, "torsion"_a, "multipliers"_a,
-             "facts"_a, "state"_a,
-             "Write the optimal forces of problems start to stop into arrays for all problems, see `BatchForces`. Releases the "
-             "GIL.")
-        .def("differentiate", &Problems::differentiate, "start"_a, "stop"_a, "state"_a, "by_force"_a.none(),
-             "by_torsion"_a.none(), "by_multipliers"_a.none(), "elastic"_a, "gradients"_a,
-             "Write the gradients of a loss with respect to the inputs, into arrays or None, in the inputs' order. Releases the "
-             "GIL.");
+        .def(
+            "solve", &Problems::solve, "range"_a, "stop"_a, "results"_a,
+            "Write the optimal forces of a range of problems (first, last + 1) into arrays for all problems: force, torsion,\n"
+            "multipliers, facts and state, see `BatchForces`. stop: relative gap, and largest number of steps. Releases the GIL.")
+        .def("differentiate", &Problems::differentiate, "range"_a, "state"_a, "losses"_a, "elastic"_a, "gradients"_a,
+             "Write the gradients of a loss with respect to the inputs, into arrays or None, in the inputs' order. losses: its\n"
+             "derivatives with respect to force, torsion and multipliers, or None. Releases the GIL.");
 }

@@ -1,0 +1,317 @@
+"""References of the tracks, made from the problems: `refer`.
+
+A reference is a force with multipliers that prove it optimal, or a witness that no force exists. `Measure` computes the bounds from
+the problem alone, so the proof holds whoever found the numbers. The package finds them: conic for `sum`, newton for `phi`. In a track
+of many digits, and where doubles leave too large a gap, `exact` goes on from the package's force with mpmath.
+
+`exact` solves hard contacts without limits in cone coordinates x = (u, o, t), u = friction * normal. It minimises
+
+    phi     3 sum u + lambda sum (1 / u + 2 u / det x)
+    sum     c . x - weight sum log det x,   weight -> 0
+
+over balance A x = b, with det x = u^2 - o^2 - t^2, by damped Newton steps. For `sum` it follows the minimisers as the weight falls,
+until the gap 2 N weight is `EXACT_GAP` of the optimum.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import repeat
+from typing import Any
+
+import numpy as np
+from mpmath import mp
+
+from benchmarks.force.bounds import Measure, Numbers
+from benchmarks.force.package import grasp_of
+from benchmarks.force.problems import Array, Problem, Reference, Session
+from grasp_env.errors import GraspError, GraspWarning, InfeasibleWrenchError
+from grasp_env.force import ForceOptimizer
+
+GAP = 1e-9
+"""Largest (upper - lower) / upper."""
+TOLERANCES = (1e-13, 1e-12, 1e-11, 1e-10, 1e-9)
+"""Tolerances that the package is given one after the other, until the gap is a tenth of `GAP`; the best answer counts."""
+DIGITS = 100
+"""Digits of `exact`. The Hessian of a barrier spans up to twice the digits of the gap."""
+EXACT_GAP, CLOSE, CONVERGED = mp.mpf("1e-18"), mp.mpf("0.1"), mp.mpf("1e-20")
+"""Relative gap of `sum`; Newton decrements, in units of the weight, of the last step for a weight and of the last step of all."""
+STEPS, HALVINGS = 300, 200
+"""Most Newton steps for a weight, which takes 1 to 20, and most halvings of one."""
+
+FLIP = np.array([1, -1, -1], dtype=object)
+Barrier = Callable[[Numbers, Any], Any]
+"""Gradient (N, 3) and Hessian (N, 3, 3) of a barrier as a function of x and its weight; None outside the cones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The answer to a problem.
+
+    Attributes:
+        force, multipliers: (N k,), (6 + L,); the force is nan if the multipliers are a witness.
+        lower, upper: bounds by `Measure`; inf if the witness proves that no force exists.
+        rest: (N k + 6 + L,) rounding errors of both for results of `exact`, else None.
+    """
+
+    force: Array
+    multipliers: Array
+    lower: float
+    upper: float
+    rest: Array | None = None
+
+    @property
+    def gap(self) -> float:
+        """(upper - lower) / upper; 0 where no force exists, inf where nothing is known."""
+        if self.lower == np.inf:
+            return 0.0
+        return abs(self.upper - self.lower) / self.upper if 0.0 < self.upper < np.inf else np.inf
+
+    @property
+    def value(self) -> float:
+        """The optimum."""
+        return 0.5 * (self.lower + self.upper)
+
+
+def refer(session: Session, objectives: Sequence[str], digits: str) -> dict[str, Reference]:
+    """The references of a session's problems, by objective; a `ValueError` names a problem that is not settled.
+
+    Args:
+        session: its references are not read.
+        objectives: of the track.
+        digits: "double": by the package, and by `exact` where that is not enough; "exact": all by `exact`.
+    """
+    made = {}
+    with ProcessPoolExecutor(2) as pool:
+        for name in objectives:
+            found: list[Found] = []
+            for m, answer in enumerate(pool.map(_settled, session.problems, repeat(name), repeat(digits), chunksize=4)):
+                if isinstance(answer, str):
+                    raise ValueError(f"session {session.name!r}, problem {m}, {name}: {answer}")
+                found.append(answer)
+            made[name] = _reference(found)
+    return made
+
+
+def distance(stored: Reference, made: Reference) -> float:
+    """Return the largest relative difference of the optima; inf if they disagree on whether a force exists."""
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(made.value - stored.value) / stored.value
+    apart = np.where(np.isnan(apart), np.inf, apart)
+    return float(np.where(made.value == stored.value, 0.0, apart).max())
+
+
+def _settled(problem: Problem, name: str, digits: str) -> Found | str:
+    """An answer, or what is wrong."""
+    try:
+        found = exact(problem, name) if digits == "exact" else package(problem, name)
+        if found.gap > GAP and problem.width == 3 and not len(problem.limit_bound):
+            found = exact(problem, name)
+    except (GraspError, ArithmeticError) as error:
+        return str(error)
+    return found if found.gap <= GAP else f"the bounds {found.lower!r} and {found.upper!r} are a gap of {found.gap:.1e}"
+
+
+def _reference(found: list[Found]) -> Reference:
+    """The record of a session; rests are there if any problem has one."""
+    names = ("value", "lower", "upper", "force", "multipliers")
+    stacked = {name: np.array([getattr(each, name) for each in found]) for name in names}
+    none = np.zeros(len(found[0].force) + len(found[0].multipliers))
+    rests = np.stack([none if each.rest is None else each.rest for each in found])
+    return Reference(**stacked, rest=rests if any(each.rest is not None for each in found) else None)
+
+
+def package(problem: Problem, name: str) -> Found:
+    """The answer of `ForceOptimizer`, whose `GraspError` is raised if it refuses the problem."""
+    grasp, limits = grasp_of(problem)
+    method = "conic" if name == "sum" else "newton"
+
+    def answers() -> Iterator[tuple[Array, Array, bool]]:
+        for tolerance in TOLERANCES:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", GraspWarning)  # sizes of a kilometre are intended
+                optimizer = ForceOptimizer(grasp, method=method, limits=limits, tolerance=tolerance)
+            try:
+                solution = optimizer.solve(problem.wrench, contacts=problem.touching)
+            except InfeasibleWrenchError as error:
+                solution = error.solution
+            if solution is None:
+                continue
+            force = np.column_stack([solution.force, solution.torsion])[:, : problem.width]
+            yield (
+                force.reshape(-1),
+                np.concatenate([solution.multipliers, solution.limit_multipliers]),
+                solution.certificate is not None,
+            )
+
+    return _best(problem, name, answers())
+
+
+def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, bool]]) -> Found:
+    """The answer of the least gap, or the first witness that holds."""
+    measure = Measure.of(problem)
+    none = best = Found(np.full(problem.matrix.shape[1], np.nan), np.zeros(6 + len(measure.bound)), -np.inf, np.inf)
+    for force, multipliers, infeasible in answers:
+        if infeasible and measure.witness(multipliers) > 0.0:
+            return replace(none, multipliers=multipliers, lower=np.inf)
+        if infeasible or not (np.isfinite(force).all() and np.isfinite(multipliers).all()):
+            continue
+        lower, upper = measure.lower(name, multipliers), measure.upper(name, force, multipliers)
+        found = Found(force, multipliers, float(lower), float(upper))
+        if found.gap < best.gap:
+            best = found
+        if best.gap <= 0.1 * GAP:
+            break
+    return best
+
+
+# --- many digits
+
+
+def exact(problem: Problem, name: str) -> Found:
+    """The answer in `DIGITS` digits, or an `ArithmeticError`."""
+    if problem.width != 3 or len(problem.limit_bound):
+        raise ArithmeticError("many digits are for hard contacts without limits")
+    if name == "sum" and not problem.wrench.any():
+        raise ArithmeticError("no wrench: the optimum of `sum` is zero")
+    start = package(problem, "phi").force
+    with mp.workdps(DIGITS):
+        m = exact_measure(problem)
+        kept = np.flatnonzero(m.touching)
+        mu, count = m.friction[kept], len(kept)
+        matrix = m.matrix[:, kept]  # A: a copy
+        matrix[:, :, 0] /= mu
+        costs = numbers(np.zeros((count, 3)))
+        costs[:, 0] = m.price(name)[kept] / mu
+        x = numbers(start).reshape(-1, 3)[kept]
+        x[:, 0] *= mu
+        x, nu = _optimum(name, matrix, -m.load, costs, x, m.weight)
+        force, multipliers = numbers(np.zeros((len(m.friction), 3))), m.about_origin(nu)
+        force[kept] = x
+        force[kept, 0] /= mu
+        force = force.reshape(-1)
+        lower, upper = m.lower(name, multipliers), m.upper(name, force, multipliers)
+        (high, low), (first, rest) = map(split, (force, multipliers))
+    return Found(high, first, float(lower), float(upper), np.concatenate([low, rest]))
+
+
+def exact_measure(problem: Problem) -> Measure:
+    """The measure in numbers of mpmath. The doubles of a problem define it without their rounding.
+
+    n is the first column of a frame at unit length, o the second column at unit length across n, t = n x o.
+    """
+    normal, along = (numbers(problem.frames[:, :, k]) for k in (0, 1))
+    normal = normal / _norm(normal)
+    along = along - normal * (normal * along).sum(axis=1)[:, None]
+    along = along / _norm(along)
+    return Measure.of(problem, numbers, np.stack([normal, along, np.cross(normal, along)], axis=2))
+
+
+def numbers(values: Any) -> Numbers:
+    """An object array of mpmath's numbers, exactly."""
+    array = np.asarray(values)
+    made = np.empty(array.size, dtype=object)
+    made[:] = [mp.mpf(each) for each in array.reshape(-1).tolist()]
+    return made.reshape(array.shape)
+
+
+def split(values: Numbers) -> tuple[Array, Array]:
+    """Numbers as two floats: the nearest ones, and what they leave."""
+    high = values.astype(float)
+    return high, (values - numbers(high)).astype(float)
+
+
+def _norm(vectors: Numbers) -> Numbers:
+    """(N, 1) lengths of (N, 3)."""
+    return np.sqrt((vectors**2).sum(axis=1))[:, None]
+
+
+def _optimum(
+    name: str, matrix: Numbers, target: Numbers, costs: Numbers, x: Numbers, weight: Any
+) -> tuple[Numbers, Numbers]:
+    """Return the optimal x and nu over A x = target, from an x strictly inside the cones that balances in doubles."""
+    if _phi(x, weight) is None:
+        raise ArithmeticError("the package found no force strictly inside the cones")
+    for _ in range(2):  # add what doubles miss of balance; twice, because a step rounds
+        x = x + _step(matrix, _phi(x, weight)[1], 0 * x, target - np.einsum("rnk,nk->r", matrix, x))[0]
+    value = (costs * x).sum()
+    if name == "phi":
+        return _minimised(_phi, matrix, costs, x, weight, CONVERGED * value)
+    weight = value / (2 * len(x))
+    while 2 * len(x) * weight > EXACT_GAP * (costs * x).sum():
+        x, _ = _minimised(_log, matrix, costs, x, weight, CLOSE * weight)
+        gradient, hessian = _log(x, weight)
+        tangent, _ = _step(matrix, hessian, gradient * 9 / 10, 0 * target)
+        x, weight = x + _halved(tangent, lambda move, x=x: _log(x + move, 1) is not None), weight / 10
+    return _minimised(_log, matrix, costs, x, weight, CONVERGED * weight)
+
+
+def _minimised(
+    barrier: Barrier, matrix: Numbers, costs: Numbers, x: Numbers, weight: Any, close: Any
+) -> tuple[Numbers, Numbers]:
+    """The minimiser of `costs . x + barrier(x, weight)` from a balanced x inside the cones, and nu with gradient = A^T nu.
+
+    The step whose squared Newton decrement is at most `close` is the last one.
+    """
+    for _ in range(STEPS):
+        gradient, hessian = barrier(x, weight)
+        slope = costs + gradient
+        move, nu = _step(matrix, hessian, -slope, 0 * matrix[:, 0, 0])
+        near = -(slope * move).sum() <= close
+
+        def good(move: Numbers, x: Numbers = x, slope: Numbers = slope, near: bool = near) -> bool:
+            there = barrier(x + move, weight)
+            return there is not None and (near or 4 * ((costs + there[0]) * move).sum() <= -(slope * move).sum())
+
+        x = x + _halved(move, good)
+        if near:
+            return x, nu
+    raise ArithmeticError(f"{STEPS} Newton steps were not enough")
+
+
+def _halved(move: Numbers, good: Callable[[Numbers], bool]) -> Numbers:
+    """Return the move, halved until it is good."""
+    for _ in range(HALVINGS):
+        if good(move):
+            return move
+        move = move / 2
+    raise ArithmeticError("no step leads down inside the cones")
+
+
+def _step(matrix: Numbers, hessian: Numbers, right: Numbers, missed: Numbers) -> tuple[Numbers, Numbers]:
+    """Return dx (N, 3) and nu (6,) with hessian dx - A^T nu = right and A dx = missed."""
+    inverse = np.stack([numbers(mp.inverse(mp.matrix(each.tolist())).tolist()) for each in hessian])
+    back = np.einsum("rnk,nkl->rnl", matrix, inverse)
+    square, lack = np.einsum("rnk,snk->rs", back, matrix), missed - np.einsum("rnk,nk->r", back, right)
+    nu = numbers([*mp.lu_solve(mp.matrix(square.tolist()), mp.matrix(lack.tolist()))])
+    return np.einsum("nkl,nl->nk", inverse, right + np.einsum("rnk,r->nk", matrix, nu)), nu
+
+
+def _log(x: Numbers, weight: Any) -> Any:
+    """Gradient (N, 3) and Hessian (N, 3, 3) of -weight sum log det x; None outside the cones."""
+    flipped = x * FLIP  # half the gradient of det
+    det = (x * flipped).sum(axis=1)[:, None]
+    if not ((x[:, 0] > 0) & (det[:, 0] > 0)).all():
+        return None
+    half = flipped / det
+    return -2 * weight * half, weight * (4 * _outer(half, half) - 2 * np.diag(FLIP) / det[:, :, None])
+
+
+def _phi(x: Numbers, weight: Any) -> Any:
+    """The same of weight sum (1 / u + 2 u / det x)."""
+    flipped, up = x * FLIP, np.array([1, 0, 0], dtype=object) + 0 * x
+    det, u = (x * flipped).sum(axis=1)[:, None], x[:, :1]
+    if not ((u > 0) & (det > 0)).all():
+        return None
+    gradient = up * (2 / det - 1 / u**2) - 4 * u * flipped / det**2
+    both = _outer(up, flipped) + _outer(flipped, up) + u[:, :, None] * np.diag(FLIP)
+    hessian = _outer(up, 2 * up / u**3) - 4 * both / det[:, :, None] ** 2 + _outer(flipped, 16 * u * flipped / det**3)
+    return weight * gradient, weight * hessian
+
+
+def _outer(a: Numbers, b: Numbers) -> Numbers:
+    """(N, 3, 3) products of (N, 3)."""
+    return a[:, :, None] * b[:, None]

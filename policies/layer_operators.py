@@ -1,0 +1,301 @@
+"""The compiled core as operators of torch, with their rules for autograd, `torch.func` and `torch.compile`.
+
+The core solves and differentiates in vector registers, on `torch.get_num_threads()` threads. All internal numbers are
+float64. Tensors are on the CPU, their leading dimensions broadcast, and gradients have the shapes of the inputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NoReturn, TypeAlias
+
+import numpy as np
+
+from grasp_env import core
+from grasp_env._extras import need
+from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, UnsupportedProblemError
+from grasp_env.force import record
+from grasp_env.force.many import over_parts
+from grasp_env.ranges import CONTACTS, JOINTS
+from policies.layer_inputs import INPUTS, NAMES, NEEDED, RANKS, checked_tensors, common_lead, tails_of
+
+with need("layer"):
+    import torch
+    from torch import Tensor, nn
+    from torch.autograd import forward_ad
+
+STATUS = {
+    record.INFEASIBLE: "no force inside the friction cones balances the wrench",
+    record.REFUSED: "an input is not finite, out of range, or a zero vector where a direction is needed",
+    record.LIMITS_EXCEEDED: "no force is within the limits",
+    record.RANK_LOST: "all contacts are at one point",
+    record.UNDECIDED: "no force inside the friction cones was found",
+}
+"""Reasons why an element has no optimum, by status."""
+Solved: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+"""Force, torsion, multipliers, facts (status, gap, residual, iterations), and the state from which the core differentiates."""
+_TENSORS = len(NAMES)
+_PLAIN = (Tensor, nn.Parameter)  # no derived classes
+
+
+# --- the core
+
+
+def read_in_place(given: Sequence[Any]) -> core.ForceProblems | None:
+    """Return the problems if the core can read the inputs where they are; None if torch's operators must convert them."""
+    if (
+        torch.compiler.is_compiling()
+        or torch._C._are_functorch_transforms_active()
+        or torch._C._len_torch_dispatch_stack()
+        or forward_ad._current_level >= 0
+    ):
+        return None
+    for a in given:
+        if type(a) in _PLAIN:
+            if a.is_neg():
+                return None
+        elif a is not None and type(a) not in (float, int):
+            return None
+    return core.ForceProblems.of(tuple(given), CONTACTS, JOINTS)
+
+
+def _read(tensors: Sequence[Tensor | None]) -> core.ForceProblems:
+    """Return the problems of an operator's tensors, whose trailing dimensions have been checked."""
+    arrays = [a if a is None else _array(a, (torch.float64, torch.float32)) for a in tensors]
+    problems = core.ForceProblems.of(tuple(arrays), CONTACTS, JOINTS)
+    if problems is None:
+        most = max(a.ndim for a in arrays if a is not None)
+        raise InvalidInputError(f"tensors have {most} dimensions, too many leading ones: flatten them to at most 20")
+    return problems
+
+
+def _array(a: Tensor, types: Sequence[torch.dtype] = (torch.float64,)) -> Any:
+    """Return the array of a tensor, converted to float64 unless it has one of these types."""
+    return (a if a.dtype in types else a.to(torch.float64)).detach().resolve_neg().numpy()
+
+
+def optima(problems: core.ForceProblems, tolerance: float, max_iterations: int, chunk: int) -> Solved:
+    """Return the results of all problems."""
+    arrays = tuple([np.empty((*problems.lead, *tail)) for tail in _result_tails(problems.contacts)])
+
+    def work(part: slice) -> None:
+        problems.solve((part.start, part.stop), (tolerance, max_iterations), arrays)
+
+    over_parts(work, problems.size, chunk, torch.get_num_threads())
+    return tuple([torch.from_numpy(a) for a in arrays])  # type: ignore[return-value]
+
+
+def _result_tails(count: int) -> tuple[tuple[int, ...], ...]:
+    """Return the trailing dimensions of the tensors of `Solved`."""
+    return (count, 3), (count,), (6,), (core.LAYER_FACTS,), (core.layer_state_size(count),)
+
+
+def _slopes(
+    problems: core.ForceProblems, state: Tensor, losses: Sequence[Tensor | None], wanted: Sequence[bool], elastic: bool, chunk: int
+) -> list[Tensor | None]:  # fmt: skip
+    """Return gradients with respect to the inputs, with the leading dimensions of the problems."""
+    tails = tails_of(problems.contacts, problems.jacobian_rows, problems.joints)
+    arrays = tuple([np.empty((*problems.lead, *tail)) if w else None for w, tail in zip(wanted, tails, strict=False)])
+    at = _array(state.contiguous())
+    slopes = tuple([a if a is None else _array(a.contiguous()) for a in losses])
+
+    def work(part: slice) -> None:
+        problems.differentiate((part.start, part.stop), at, slopes, elastic, arrays)
+
+    over_parts(work, problems.size, chunk, torch.get_num_threads())
+    return [a if a is None else torch.from_numpy(a) for a in arrays]
+
+
+def _as_given(gradient: Tensor, like: Tensor) -> Tensor:
+    """Return the gradient (lead, ...) in the shape and type of the input, summed over broadcast dimensions."""
+    if gradient.shape != like.shape:
+        gradient = gradient.sum_to_size(like.shape)
+    return gradient if gradient.dtype is like.dtype else gradient.to(like.dtype)
+
+
+def raise_for(status: Tensor, lead: Sequence[int]) -> None:
+    """Raise an error that names the elements without an optimum, if there are any."""
+    status = status.reshape(-1)
+    lost = status > record.STALLED
+    places = lost.reshape(lead).nonzero().tolist()
+    if not places:
+        return
+    told = [
+        f"{k[0] if len(k) == 1 else tuple(k) or 'the only one'}: {STATUS[int(code)]}"
+        for k, code in zip(places[:5], status[lost][:5], strict=True)
+    ]
+    if len(places) > 5:
+        told.append(f"and {len(places) - 5} more")
+    raise InfeasibleWrenchError(
+        f"{len(places)} of {len(status)} elements have no optimal force ({', '.join(told)}): "
+        "infeasible='mask' gives them the nearest force without a gradient, 'elastic' with one"
+    )
+
+
+# --- the operators
+
+
+def _solve_impl(*args: Any) -> Solved:
+    tensors, (infeasible, *options) = args[:_TENSORS], args[_TENSORS:]
+    lead = common_lead(tensors)
+    out = optima(_read(tensors), *options) if lead.numel() else _solve_fake(*args)
+    if infeasible == "raise":
+        raise_for(out[3][..., 0], lead)
+    return out
+
+
+def _solve_fake(*args: Any) -> Solved:
+    lead, like = common_lead(args[:_TENSORS]), args[0]
+    made = [like.new_empty((*lead, *tail), dtype=torch.float64) for tail in _result_tails(like.shape[-2])]
+    return tuple(made)  # type: ignore[return-value]
+
+
+def _gradients_impl(*args: Any) -> list[Tensor]:
+    tensors, (state, *losses), (wanted, elastic, chunk) = args[:INPUTS], args[INPUTS:-3], args[-3:]
+    if not state.numel():
+        return [a.new_zeros(a.shape) for a, w in zip(tensors, wanted, strict=True) if w]
+    positions = tensors[0].expand(*state.shape[:-1], *tensors[0].shape[-2:])  # the start may have had more dimensions
+    found = _slopes(_read([positions, *tensors[1:]]), state, losses, wanted, elastic, chunk)
+    return [_as_given(g, a) for g, a in zip(found, tensors, strict=True) if g is not None]
+
+
+def _gradients_fake(*args: Any) -> list[Tensor]:
+    wanted = [a for a, w in zip(args, args[INPUTS + 4], strict=False) if w]
+    return [torch.empty_like(a, memory_format=torch.contiguous_format) for a in wanted]
+
+
+def _in_front(args: Sequence[Any], dims: Sequence[Any], ranks: Sequence[int], size: int) -> list[Any]:
+    """Return tensors with the dimension of `vmap` in front, and equally many leading dimensions."""
+    rank = max(a.ndim - (d is not None) - r for a, d, r in zip(args, dims, ranks, strict=True) if a is not None)
+    out: list[Any] = []
+    for a, d, r in zip(args, dims, ranks, strict=True):
+        if a is not None:
+            a = a.unsqueeze(0).expand(size, *a.shape) if d is None else a.movedim(d, 0)
+            a = a.reshape(size, *(1,) * (rank - (a.ndim - 1 - r)), *a.shape[1:])
+        out.append(a)
+    return out
+
+
+def _solve_vmap(info: Any, in_dims: Any, *args: Any) -> tuple[Any, Any]:
+    tensors = _in_front(args[:_TENSORS], in_dims[:_TENSORS], [*RANKS.values()], info.batch_size)
+    return solve(*tensors, *args[_TENSORS:]), (0,) * 5
+
+
+def _gradients_vmap(info: Any, in_dims: Any, *args: Any) -> tuple[Any, Any]:
+    last = INPUTS + 4
+    ranks = [*RANKS.values()][:INPUTS]
+    ranks += [1, 2, 1, 1]  # the state, and the gradients by force, torsion and multipliers
+    tensors = _in_front(args[:last], in_dims[:last], ranks, info.batch_size)
+    found = _gradients(*tensors, *args[last:])
+    wanted = [(a, d) for a, d, w in zip(args, in_dims, args[last], strict=False) if w]
+    shapes = [a.shape if d is None else a.movedim(d, 0).shape[1:] for a, d in wanted]
+    made = [g.reshape(info.batch_size, *shape) for g, shape in zip(found, shapes, strict=True)]
+    return (tuple(made), (0,) * len(made)) if isinstance(found, tuple) else (made, [0] * len(made))
+
+
+def _setup(ctx: Any, inputs: Any, output: Any) -> None:
+    ctx.save_for_backward(*inputs[:INPUTS], output[4])
+    ctx.elastic, ctx.chunk = inputs[_TENSORS] == "elastic", inputs[_TENSORS + 3]
+    ctx.set_materialize_grads(False)
+    ctx.mark_non_differentiable(output[3], output[4])
+
+
+def _backward(ctx: Any, *losses: Any) -> tuple[Any, ...]:
+    *tensors, state = ctx.saved_tensors
+    wanted = [a is not None and needed for a, needed in zip(tensors, ctx.needs_input_grad, strict=False)]
+    return (*_wanted(ctx, tensors, state, losses, wanted), None, None, None, None, None)
+
+
+def _wanted(ctx: Any, tensors: Any, state: Tensor, losses: Any, wanted: list[bool]) -> list[Tensor | None]:
+    """Return gradients with respect to the wanted inputs by the operator, which refuses a second differentiation."""
+    found = iter(_gradients(*tensors, state, *losses[:3], wanted, ctx.elastic, ctx.chunk))
+    return [next(found) if w else None for w in wanted]
+
+
+def _no_second(ctx: Any, *_: Any) -> NoReturn:
+    raise UnsupportedProblemError(
+        "grasp_force has first derivatives only: take second ones by differences of its gradients"
+    )
+
+
+_ARGUMENTS = ", ".join(f"Tensor{'' if name in NEEDED else '?'} {name}" for name in NAMES[:INPUTS])
+SOLVE = torch.library.custom_op(
+    "policies::grasp_force", _solve_impl, mutates_args=(),
+    schema=f"({_ARGUMENTS}, Tensor? start, str infeasible, float tolerance, int max_iterations, int chunk)"
+    " -> (Tensor, Tensor, Tensor, Tensor, Tensor)",
+)  # fmt: skip
+GRADIENTS = torch.library.custom_op(
+    "policies::grasp_force_gradients", _gradients_impl, mutates_args=(),
+    schema=f"({_ARGUMENTS}, Tensor state, Tensor? d_force, Tensor? d_torsion, Tensor? d_multipliers,"
+    " bool[] wanted, bool elastic, int chunk) -> Tensor[]",
+)  # fmt: skip
+SOLVE.register_fake(_solve_fake)
+SOLVE.register_vmap(_solve_vmap)
+SOLVE.register_autograd(_backward, setup_context=_setup)
+GRADIENTS.register_fake(_gradients_fake)
+GRADIENTS.register_vmap(_gradients_vmap)
+GRADIENTS.register_autograd(_no_second)
+
+
+def solve(*args: Any) -> Solved:
+    """Solve by the operator; `args` are its arguments."""
+    return _call(SOLVE, _SolveFunction, *args)
+
+
+def _gradients(*args: Any) -> Any:
+    return _call(GRADIENTS, _GradientsFunction, *args)
+
+
+def _call(operator: Any, function: Any, *args: Any) -> Any:
+    """Call an operator. Eager code that differentiates calls the autograd function with the same rules instead.
+
+    The function costs a fifth of the operator's own autograd kernel, and `torch.func.grad` supports it alone.
+    """
+    # an autograd function refuses forward mode
+    differentiated = torch.is_grad_enabled() or forward_ad._current_level >= 0
+    if differentiated and not torch.compiler.is_compiling():
+        return function.apply(*args)
+    return operator(*args)
+
+
+class _SolveFunction(torch.autograd.Function):
+    forward, setup_context = staticmethod(SOLVE), staticmethod(_setup)  # type: ignore[assignment]
+    backward, vmap = staticmethod(_backward), staticmethod(_solve_vmap)  # type: ignore[assignment]
+
+
+class _GradientsFunction(torch.autograd.Function):
+    forward = staticmethod(lambda *args: tuple(GRADIENTS(*args)))  # type: ignore[assignment]
+    setup_context = staticmethod(lambda ctx, inputs, output: None)  # type: ignore[assignment]
+    backward, vmap = staticmethod(_no_second), staticmethod(_gradients_vmap)  # type: ignore[assignment]
+
+
+class InPlace(torch.autograd.Function):
+    """The fast path: forces of inputs that the core reads in place, without the overhead of operators and `torch.func`."""
+
+    @staticmethod
+    def forward(ctx: Any, problems: core.ForceProblems, settings: tuple[Any, ...], *given: Any) -> Any:
+        """Return force, torsion, multipliers and facts."""
+        *answers, state = optima(problems, *settings[1:])
+        tensors = [a if isinstance(a, Tensor) else None for a in given[:INPUTS]]
+        ctx.save_for_backward(*tensors, state)
+        ctx.numbers = [None if isinstance(a, Tensor) else a for a in given[:INPUTS]]
+        ctx.elastic, ctx.chunk = settings[0] == "elastic", settings[3]
+        ctx.set_materialize_grads(False)
+        ctx.mark_non_differentiable(answers[3])
+        return tuple(answers)
+
+    @staticmethod
+    def backward(ctx: Any, *losses: Any) -> Any:
+        """Return the gradients with respect to the arguments of `forward`."""
+        *tensors, state = ctx.saved_tensors
+        given = tuple([b if a is None else a for a, b in zip(tensors, ctx.numbers, strict=True)])
+        wanted = ctx.needs_input_grad[2 : 2 + INPUTS]
+        problems = None if torch.is_grad_enabled() else read_in_place(given)
+        if problems is None or problems.lead != state.shape[:-1]:  # the start may have had more dimensions
+            known, _ = checked_tensors((*given, None))
+            found = _wanted(ctx, known[:-1], state, losses, list(wanted))
+        else:
+            found = _slopes(problems, state, losses[:3], wanted, ctx.elastic, ctx.chunk)
+        if found[2] is not None and found[2].shape[-2:] != given[2].shape[-2:]:  # one coefficient per contact
+            found[2] = found[2].sum(-1)
+        return (None, None, *[g if g is None else _as_given(g, a) for g, a in zip(found, given, strict=True)], None)
