@@ -47,11 +47,11 @@ def cached(key: str, name: str, make: Callable[[], dict[str, Any]], use: str = "
     The key, of letters and digits, identifies the content. Name and use ("object" or "hand") of the mesh are for the list of entries. A
     folder that cannot be written or an entry that cannot be read only costs time.
     """
-    path = folder() / f"{key}.npz"
-    if found := _read(path):
+    if found := lookup(key):
         return found
+    path = folder() / f"{key}.npz"
     with _locked(path):
-        if found := _read(path):  # made by the process that was waited for
+        if found := lookup(key):  # made by the process that was waited for
             return found
         made = make()
         with suppress(OSError), replacing(path) as temporary, open(temporary, "wb") as file:
@@ -81,9 +81,10 @@ def clear() -> int:
     return count
 
 
-def _read(path: Path) -> dict[str, Any]:
+def lookup(key: str) -> dict[str, Any]:
+    """Return the arrays of an entry; {} if there is none that can be read."""
     try:
-        return unpacked(read_bytes(path, MOST_BYTES), MOST_BYTES)
+        return unpacked(read_bytes(folder() / f"{key}.npz", MOST_BYTES), MOST_BYTES)
     except Exception:  # missing, cut short or not one of ours
         return {}
 
