@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from grasp_env._files import WEIGHTS as MOST_BYTES
-from grasp_env._files import read_bytes, replacing, unpacked
+from grasp_env._files import replacing, unpacked
 
 LONGEST_WAIT = 150.0  # longest wait for another process that makes the same entry [s]
 _NAME, _USE = "name", "use"  # keys of the name and the use among the arrays of an entry
@@ -84,7 +83,7 @@ def clear() -> int:
 def lookup(key: str) -> dict[str, Any]:
     """Return the arrays of an entry; {} if there is none that can be read."""
     try:
-        return unpacked(read_bytes(folder() / f"{key}.npz", MOST_BYTES), MOST_BYTES)
+        return unpacked((folder() / f"{key}.npz").read_bytes())
     except Exception:  # missing, cut short or not one of ours
         return {}
 

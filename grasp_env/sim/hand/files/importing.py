@@ -17,7 +17,7 @@ import numpy as np
 
 from grasp_env._check import AllFaults, Array
 from grasp_env._extras import need
-from grasp_env._files import parsed, read_xml, shown_path
+from grasp_env._files import parsed
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, HandFile, names_of
@@ -33,6 +33,7 @@ from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, inertia_numbers,
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tips import Ball, cut_back, end_direction, inscribed
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
+from grasp_env.sim.xml_files import read_xml
 
 _NEAR = 1e-3  # [m] from a joint, below which points give no direction
 
@@ -70,7 +71,7 @@ def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
 
 def _opened(path: str | os.PathLike[str], options: HandOptions) -> HandFile:
     """Return the reader of a file, chosen by its first element."""
-    first: Element = parsed(path, read_xml, InvalidInputError, f"the file {shown_path(path)}", "XML")
+    first: Element = parsed(path, read_xml, InvalidInputError, f"the file {path}", "XML")
     if first.tag == "sdf":
         raise InvalidInputError("it is SDF, which is not read: give the hand's URDF, xacro or MJCF")
     expand, arguments = options.expansion()

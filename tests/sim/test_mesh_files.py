@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from malformed.meshes import CORNERS, FACES, HEAVY, LONG, VALID, WRONG
+from sim.mesh_samples import CORNERS, FACES, HEAVY, LONG, VALID, WRONG
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim import mesh_files
