@@ -1,12 +1,11 @@
 """Checks of the arguments of public calls, and the array aliases.
 
 Numbers that pass are float64, finite, of the right shape and within `ranges`. Each fault is an `InvalidInputError` that names the argument,
-what was given and what is allowed; `AllFaults` collects several.
+what was given and what is allowed. `AllFaults` collects several.
 """
 
 from __future__ import annotations
 
-import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable
@@ -33,10 +32,6 @@ Shape: TypeAlias = tuple[int | None, ...]
 T = TypeVar("T")
 
 _FLOAT = np.dtype(np.float64)
-_NO_NUMBERS = {
-    "U": "text is no number", "S": "bytes are no numbers", "b": "true or false are no numbers", "c": "complex are no numbers",
-    "M": "dates are no numbers", "m": "times are no numbers", "V": "records are no numbers",
-}  # fmt: skip
 
 
 def as_array(
@@ -55,17 +50,41 @@ def as_array(
     (N,) leaves out may hold any numbers.
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
-        _check_shape(value.shape, shape, name)
         array = np.array(value, order="C") if copy or not value.flags.aligned else np.asarray(value, order="C")
     else:
         array = _converted(value, shape, name)
-    checked = array if used is None or array.shape[:1] != used.shape else array[used]
+    if shape is not None and (
+        array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True))
+    ):
+        raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {array.shape}")
+    checked = array if used is None else array[used]
     if finite and not all_finite(checked):
         raise InvalidInputError(f"{name} must be finite, got {shown(array)}")
     if within is not None and checked.size and not (checked.min() >= within.low and checked.max() <= within.high):
         worst = checked[~((checked >= within.low) & (checked <= within.high))].flat[0]
         raise InvalidInputError(f"{name} must lie within {within}, got {worst:g}{'' if array.ndim == 0 else ' in it'}")
     return array
+
+
+def _converted(value: Any, shape: Shape | None, name: str) -> Array:
+    """Return a new float64 array of anything that numpy reads as real numbers."""
+    try:
+        given: Any = np.asarray(value)
+        if type(value) is list and given.dtype is _FLOAT:  # the usual case: a new array that needs no conversion
+            return given
+        if given.dtype.kind == "O":  # fractions, large integers, None
+            return np.reshape([float(entry) for entry in given.flat], given.shape)
+        if given.dtype.kind in "iuf":  # numpy would convert text and booleans, too, and complex numbers in part
+            return np.array(given, dtype=np.float64, order="C")
+        why = f"they are of type {given.dtype}"
+    except Exception as error:  # numpy's own
+        why = str(error).partition("\n")[0].rstrip(".")[:200]
+    raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {why}, got {shown(value)}")
+
+
+def _text(shape: Shape | None) -> str:
+    """Return a shape as Python writes it, with N for any length."""
+    return "(...)" if shape is None else str(shape).replace("None", "N")
 
 
 def as_wrench(value: ArrayLike, name: str = "wrench") -> Wrench:
@@ -90,14 +109,19 @@ def as_wrenches(value: ArrayLike) -> Array:
     return wrenches
 
 
+def as_number(value: Any) -> float | None:
+    """Return a real number, or an array of one without axes, as a float; None if it is neither."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    number: Any = value
+    return float(number) if isinstance(value, Real) and not isinstance(value, bool) else None
+
+
 def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
     """Return a float > 0 within a range, or raise an `InvalidInputError`."""
-    found = as_number(value)
-    if found is None or not 0.0 < found < math.inf:
-        raise InvalidInputError(
-            f"{name} must be {'a number' if found is None else 'finite and'} > 0, got {shown(value)}"
-        )
-    return found if within.low <= found <= within.high else number(found, name, within)
+    if not (as_number(value) or 0.0) > 0.0:
+        raise InvalidInputError(f"{name} must be a number > 0, got {shown(value)}")
+    return number(value, name, within)
 
 
 def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
@@ -111,7 +135,7 @@ def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
 
 def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
     """Return an integer from `least` to `most`, or raise an `InvalidInputError`; 2.0 is not an integer."""
-    is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool | np.timedelta64)
+    is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not is_integer or not least <= value <= most:
         allowed = f"from {least} to {most}" if is_integer and value > most else f">= {least}"
         raise InvalidInputError(f"{name} must be an integer {allowed}, got {shown(value)}")
@@ -144,16 +168,6 @@ def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> Any
         what = f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}{' or None' if or_none else ''}"
         raise InvalidInputError(f"{name} must be {what}, got {shown(value)}")
     return value
-
-
-def as_text(value: object) -> str | None:
-    """Return text as a plain `str`; None if it is not text."""
-    return str(value) if isinstance(value, str) else None
-
-
-def as_list(value: Any) -> list[Any] | None:
-    """Return the entries of a list or tuple; None if it is neither."""
-    return list(value) if isinstance(value, list | tuple) else None
 
 
 class AllFaults:
@@ -203,19 +217,6 @@ def call_user(
         raise fault(f"{what} fails with {type(error).__name__}: {str(error)[:200]}; {takes}") from error
 
 
-def as_number(value: Any) -> float | None:
-    """Return a real number, or an array of one without axes, as a float (infinite if it is too large); None if it is neither."""
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value.item()
-    if not isinstance(value, Real) or isinstance(value, bool | np.timedelta64):
-        return None
-    number: Any = value
-    try:
-        return float(number)
-    except OverflowError:
-        return math.inf if number > 0 else -math.inf
-
-
 def warn(message: str) -> None:
     """Issue a `GraspWarning` at the line that called this package, also through Gymnasium."""
     level, frame = 2, sys._getframe(1)
@@ -224,42 +225,3 @@ def warn(message: str) -> None:
     ):
         level, frame = level + 1, frame.f_back
     warnings.warn(message, GraspWarning, stacklevel=level)
-
-
-def _converted(value: Any, shape: Shape | None, name: str) -> Array:
-    """Return a new float64 array of anything that numpy reads as real numbers."""
-    if type(value) is range:  # may be of any length
-        _check_shape((len(value),), None, name)
-    try:
-        with np.errstate(all="ignore"):
-            given: Any = np.asarray(value)
-            if type(value) is list and given.dtype is _FLOAT:  # the usual case: a new array that needs no conversion
-                _check_shape(given.shape, shape, name)
-                return given
-            why = "masked entries are no numbers" if np.ma.is_masked(value) else _NO_NUMBERS.get(given.dtype.kind)
-            if not why:
-                _check_shape(given.shape, shape, name)
-                if given.dtype.kind == "O":  # integers of any size, fractions
-                    each: Any = [as_number(entry) for entry in given.flat]
-                    why, given = "not all of it is numbers" if None in each else "", np.reshape(each, given.shape)
-                if not why:
-                    return np.array(given, dtype=np.float64, order="C")
-    except GraspError:
-        raise
-    except Exception as error:  # numpy's own
-        why = str(error).partition("\n")[0].rstrip(".")[:200]
-    raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {why}, got {shown(value)}")
-
-
-def _check_shape(got: tuple[int, ...], shape: Shape | None, name: str) -> None:
-    if shape is not None and (
-        len(got) != len(shape) or any(want not in (None, have) for want, have in zip(shape, got, strict=True))
-    ):
-        raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {got}")
-    if (shape is None or None in shape) and math.prod(got) > ranges.NUMBERS:
-        raise InvalidInputError(f"{name} must hold at most {ranges.NUMBERS} numbers, got shape {got}")
-
-
-def _text(shape: Shape | None) -> str:
-    """Return a shape as Python writes it, with N for any length."""
-    return "(...)" if shape is None else str(shape).replace("None", "N")

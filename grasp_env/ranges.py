@@ -74,6 +74,6 @@ POINTS = 5000
 """Most points of the polytope of `worst_case`: in six dimensions its facets grow far faster than its points."""
 
 NUMBERS = 100_000_000
-"""Most numbers of an argument: 0.8 GB."""
+"""Most numbers that a call makes of a count: 0.8 GB."""
 SEED = 2**63 - 1
 WORKERS = 1024

@@ -27,7 +27,7 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import AllFaults, as_array, as_number, as_text, choice, whole
+from grasp_env._check import AllFaults, as_array, as_number, choice, whole
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.ranges import Range
 
@@ -120,7 +120,7 @@ class Settings:
         try:
             known = [item.name for item in fields(self)]
             for name in given:
-                if as_text(name) not in known:
+                if name not in known:
                     raise UnknownSettingError(placed(str(name)), map(placed, known or ["(none)"]))
             return replace(self, **given)
         finally:
@@ -160,7 +160,7 @@ def one_of(names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] 
     allowed = tuple(names)
 
     def take(value: Any, name: str) -> Any:
-        if as_text(value) is None and fits(value):
+        if not isinstance(value, str) and fits(value):
             return value
         return choice(value, name, allowed, instead and f", or give {instead}")
 
@@ -197,7 +197,7 @@ def any_of(table: Mapping[str, type[Settings]], base: type[Settings], hint: str,
     """
 
     def take(value: Any, name: str) -> Any:
-        if isinstance(value, base) or (calls and as_text(value) is None and callable(value)):
+        if isinstance(value, base) or (calls and callable(value)):
             return value
         named, settings = value, {}
         if isinstance(value, dict):

@@ -50,7 +50,7 @@ def write_checkpoint(parent: Path, steps: int, meta: dict[str, Any], tensors: Pa
     hashes = {}
     try:
         parent.mkdir(parents=True, exist_ok=True)
-        with replacing(folder, f"{STEM}*") as hidden:  # the same steps again: the newer files are kept
+        with replacing(folder) as hidden:  # the same steps again: the newer files are kept
             hidden.mkdir()
             for name, make in blobs.items():
                 blob = make()

@@ -53,7 +53,7 @@ ENDS = {
     "solve --method newtn": (2, "UsageError", "did you mean 'newton'?"),
     "solve --wrench 1 2": (2, "UsageError", "Expected 6 values, got 2"),
     "solve --wrench nan nan nan nan nan nan": (2, "InvalidInputError", "wrench must be finite"),
-    "solve --tolerance 0": (2, "InvalidInputError", "tolerance must be finite and > 0"),
+    "solve --tolerance 0": (2, "InvalidInputError", "tolerance must be a number > 0"),
     "solve --initial previous": (2, "InvalidInputError", "leave --initial out"),
     "solve --grasp nowhere.json": (2, "GraspFileError", "nowhere.json"),
     "solve --grasp my.json": (2, "InvalidInputError", "--grasp needs --wrench"),

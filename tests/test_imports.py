@@ -73,7 +73,7 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "core": set(),
         "_extras": {"errors"},
         "_check": {"errors", "ranges", "core"},
-        "_files": {"errors", "_check"},
+        "_files": {"errors"},
         "grasp": {"errors", "ranges", "core", "_check", "_files"},
         "force": {"errors", "ranges", "core", "_check", "grasp"},
         "quality": {"errors", "ranges", "core", "_check", "grasp", "force"},

@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 from processes import start
 
-from grasp_env import _files
 from grasp_env._files import replacing
 from training.cli import main
 
@@ -82,74 +81,35 @@ def test_readers_find_whole_files_while_threads_and_processes_write(tmp_path: Pa
 
 
 @pytest.mark.parametrize("suffix", [".json", ".npz", ".mp4"])
-def test_what_a_killed_process_left_is_removed_by_the_next_writer(tmp_path: Path, suffix: str) -> None:
-    path, other = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
-    write(path, "old")
+def test_what_a_killed_process_left_is_removed_after_a_day_and_nothing_else(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
     with start([sys.executable, "-c", SLEEPER, str(path)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         left = Path(process.stdout.readline().strip())
-        write(path, "meanwhile")
-        assert left.read_text() == "half"  # its process still writes
         process.send_signal(signal.SIGKILL)
         process.wait()
-        assert path.read_text() == "meanwhile"
-        write(other, "other")
-        assert left.exists()
-        write(path, "new")
-    assert not left.exists()
-    assert path.read_text() == "new"
-    assert hidden_names(tmp_path) == []
-
-
-def test_only_leftovers_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Day-old ones of any process; younger ones of a process that is gone, which only counts under the same boot and namespace."""
-    path = tmp_path / "run.json"
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    here, day = _files._place(), 90_000.0
-    assert here is not None
-    table = [
-        (f".{here}-{gone.pid}-0123abcd.run.json", 0.0, False),
-        (f".{here}-{os.getpid()}-0123abcd.run.json", 0.0, True),
-        (f".{here}-1-0123abcd.run.json", 0.0, True),
-        (f".{here}-{os.getpid()}-0123abce.run.json", day, False),
-        (f".89abcdef-{gone.pid}-0123abcd.run.json", 0.0, True),
-        (f".89abcdef-{gone.pid}-0123abce.run.json", day, False),
-        (f".00000000-{gone.pid}-0123abcd.run.json", 0.0, True),
-        (f".{here}-{gone.pid}-0123abcd.other.json", day, True),
-        (f".{here}-{gone.pid}-0123abcd.more.run.json", day, True),
-        (f".{here}-{gone.pid}-0123abcX.run.json", day, True),
-        (f".{here}-9999999999-0123abcd.run.json", 0.0, True),  # no number of a process
-        (f".{gone.pid}.run.json", day, True),
-        (".run.json", day, True),
-        ("run.json.bak", day, True),
-    ]  # fmt: skip
-    for name, age, _ in table:
-        (tmp_path / name).write_text("half")
-        os.utime(tmp_path / name, (time.time() - age,) * 2)
+    assert (left.parent, left.suffix, left.read_text()) == (tmp_path, suffix, "half")
+    folder, others = left.with_name(f"{left.name}.step-1"), [tmp_path / name for name in (".a.json", "a.bak", ".git")]
+    folder.mkdir()
+    (folder / "part").write_text("half")
+    for other in others:
+        other.write_text("mine")
     write(path, "new")
-    assert sorted(os.listdir(tmp_path)) == sorted(["run.json", *(name for name, _, kept in table if kept)])
-    (tmp_path / f".{here}-{gone.pid}-0123abcd.other.json").unlink()
-    left = tmp_path / f".00000000-{gone.pid}-0123abcd.run.json"
-    monkeypatch.setattr(_files, "_place", lambda: None)  # where process numbers tell nothing
-    write(path, "newer")
-    assert left.exists()
+    assert left.exists()  # its process may still write
+    for old in (left, folder, *others):
+        os.utime(old, (time.time() - 90_000.0,) * 2)
+    write(tmp_path / "b.json", "new")
+    assert sorted(tmp_path.iterdir()) == sorted([path, tmp_path / "b.json", *others])
 
 
-def test_leftover_folders_of_siblings_are_removed(tmp_path: Path) -> None:
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    for name in ("step-1", "other"):
-        folder = tmp_path / f".{_files._place()}-{gone.pid}-0123abcd.{name}"
-        folder.mkdir()
-        (folder / "part").write_text("half")
+def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
     for text in ("old", "new"):
-        with replacing(tmp_path / "step-2", "step-*") as hidden:
+        with replacing(tmp_path / "step-2") as hidden:
             hidden.mkdir()
             (hidden / "deep").mkdir()
-            (hidden / "deep/file").write_text(text)
-    assert (tmp_path / "step-2/deep/file").read_text() == "new"
-    assert [name.rpartition(".")[2] for name in hidden_names(tmp_path)] == ["other"]
+            (hidden / f"deep/{text}").write_text(text)
+    assert [path.name for path in (tmp_path / "step-2").rglob("*")] == ["deep", "new"]
+    assert hidden_names(tmp_path) == []
 
 
 def test_a_block_that_fails_leaves_the_old_file(tmp_path: Path) -> None:

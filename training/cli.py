@@ -161,9 +161,9 @@ def _fail(error: BaseException, as_json: bool) -> int:
     elif isinstance(error, KeyboardInterrupt):
         code, message = 130, "interrupted"
     elif isinstance(error, OSError):  # for any file: a full disk, no permission, a name that is too long
-        from grasp_env._files import file_fault, shown_path
+        from grasp_env._files import file_fault
 
-        message = ("" if error.filename is None else f"{shown_path(error.filename)}: ") + file_fault(error)
+        message = ("" if error.filename is None else f"{error.filename}: ") + file_fault(error)
     else:
         from traceback import format_exc
 

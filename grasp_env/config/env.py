@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import AllFaults, as_array, as_text, warn
+from grasp_env._check import AllFaults, as_array, warn
 from grasp_env.config.randomize import RANDOMIZE, draw
 from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
@@ -278,7 +278,7 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
     if config is None or isinstance(config, EnvConfig):
         return EnvConfig() if config is None else config
     given: Any = config
-    if as_text(given) is not None:
+    if isinstance(given, str):
         try:
             given = json.loads(given)
         except (ValueError, RecursionError) as error:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, as_list, call_user, choice
+from grasp_env._check import as_array, call_user, choice
 from grasp_env.config.records import Controller, Sensors
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.settings import Kind, described, to_json
@@ -30,8 +30,8 @@ ALLOWED = (*SHORT, *RANDOM, "gravity")
 
 
 def _checked_rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
-    given = list(value.items()) if isinstance(value, dict) else as_list([value] if isinstance(value, str) else value)
-    if given is None:
+    given = list(value.items()) if isinstance(value, dict) else [value] if isinstance(value, str) else value
+    if not isinstance(given, list | tuple):
         raise InvalidInputError(
             f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"
         )

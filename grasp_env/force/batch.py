@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core
-from grasp_env._check import Array, as_list, as_text, choice
+from grasp_env._check import Array, choice
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.many import ForceSolutions, checked_batch, over_parts, solve_many, solve_one
 from grasp_env.force.optimizer import ForceOptimizer
@@ -52,14 +52,13 @@ def optimize_forces(
     for name in options:
         choice(name, "option", known)
     initial = options.get("initial")
-    if as_text(initial) == "previous" or isinstance(initial, ForceSolution):
+    if isinstance(initial, ForceSolution) or (isinstance(initial, str) and initial == "previous"):
         raise InvalidInputError("a batch has no previous solution: leave initial out, or give a rule")
     if isinstance(grasps, Grasp):
         return solve_many(ForceOptimizer(grasps, **options), loads, threads)
-    each = as_list(grasps)
-    if each is None:
+    if not isinstance(grasps, list | tuple):
         raise InvalidInputError(f"grasps must be one Grasp or a list of them, got {shown(grasps)}")
-    return _many_grasps(_checked_grasps(each, loads), loads, threads, options)
+    return _many_grasps(_checked_grasps(list(grasps), loads), loads, threads, options)
 
 
 def _checked_grasps(grasps: list[Any], loads: Array) -> list[Grasp]:
@@ -110,7 +109,8 @@ def _compiled_grasps(
     Its arguments are the contacts, the index at which the problems of each begin, their wrenches and their records.
     """
     options, count = optimizer.options, optimizer.grasp.n_contacts
-    if optimizer.limits is not None or not (initial is None or as_text(initial) == "internal_force"):
+    first = initial is None or (isinstance(initial, str) and initial == "internal_force")
+    if optimizer.limits is not None or not first:
         return None
     if options.method == "newton":
         call = core.newton_grasps

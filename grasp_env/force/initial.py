@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_array, as_text, as_wrench, call_user, choice
+from grasp_env._check import Array, ContactForces, Wrench, as_array, as_wrench, call_user, choice
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, shown
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.objective import Objective
@@ -88,10 +88,10 @@ OWN_START = StartFrom(0)
 
 def rule_name(rule: Any) -> str:
     """Return the name of a rule for solutions: its `name`, its `__name__`, or that of its class."""
-    text = as_text(rule)
-    if text is not None:
-        return text
-    return as_text(getattr(rule, "name", None)) or as_text(getattr(rule, "__name__", None)) or type(rule).__name__
+    if isinstance(rule, str):
+        return rule
+    named = getattr(rule, "name", None), getattr(rule, "__name__", None)
+    return next((name for name in named if isinstance(name, str) and name), type(rule).__name__)
 
 
 def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
@@ -136,10 +136,9 @@ class LinearCombination:
 
 def checked_initial(initial: Any) -> Any:
     """Return a checked `initial` argument with names as plain text."""
-    named = as_text(initial)
-    if named is not None:
-        hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in named else ""
-        return choice(named, "initial-force rule", NAMES, hint)
+    if isinstance(initial, str):
+        hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in initial else ""
+        return choice(initial, "initial-force rule", NAMES, hint)
     given = initial is None or isinstance(initial, ForceSolution | np.ndarray | list | tuple)
     if not given and (isinstance(initial, type) or not callable(initial)):
         raise InvalidInputError(

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 from grasp_env import ranges
-from grasp_env._check import AllFaults, as_text, choice, flag, positive, whole
+from grasp_env._check import AllFaults, choice, flag, positive, whole
 from grasp_env.errors import UnsupportedProblemError, shown
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.step_size import StepRule, checked_rule
@@ -92,5 +92,5 @@ _cached = lru_cache(256, typed=True)(_checked)
 
 def _tolerance(given: float | None, method: object) -> float:
     if given is None:
-        return CONIC_TOLERANCE if as_text(method) == "conic" else TOLERANCE
+        return CONIC_TOLERANCE if method == "conic" else TOLERANCE
     return positive(given, "tolerance", ranges.TOLERANCE)

@@ -71,7 +71,7 @@ class FixedStep(_Checked):
         'OPTIMAL'
         >>> FixedStep(0.0)
         Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: size must be finite and > 0, got 0.0
+        grasp_env.errors.InvalidInputError: size must be a number > 0, got 0.0
     """
 
     size: float

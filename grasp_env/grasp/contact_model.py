@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core, ranges
-from grasp_env._check import Array, as_array, as_list, as_text, choice
+from grasp_env._check import Array, as_array, choice
 from grasp_env.errors import InvalidInputError, shown
 
 CONTACT_MODELS = ("hard", "soft", "frictionless")
@@ -50,9 +50,10 @@ class ContactModels:
         cls, models: str | Sequence[str], friction: ArrayLike, torsional_friction: ArrayLike | None, count: int
     ) -> ContactModels:
         """Check the models of `count` contacts; see `Grasp.from_contacts` for the arguments and errors."""
-        named, within = as_text(models), ranges.FRICTION
+        within = ranges.FRICTION
         if (
-            named == "hard"
+            isinstance(models, str)
+            and models == "hard"
             and torsional_friction is None
             and type(friction) is float
             and within.low <= friction <= within.high
@@ -61,9 +62,9 @@ class ContactModels:
             return cls._made(("hard",) * count, np.full((count, 2), friction), np.zeros(count))
         if isinstance(models, np.ndarray) and models.ndim == 1 and len(models) == count:
             models = models.tolist()
-        each = [named] * count if named is not None else as_list(models)
-        if each is None or len(each) != count:
-            given = shown(models) if each is None else len(each)
+        each = [models] * count if isinstance(models, str) else models
+        if not isinstance(each, list | tuple) or len(each) != count:
+            given = len(each) if isinstance(each, list | tuple) else shown(models)
             raise InvalidInputError(f"contact_model must be one name or {count} of them, got {given}")
         names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in each)
         mu = _friction(friction, np.array([name != "frictionless" for name in names], dtype=bool))

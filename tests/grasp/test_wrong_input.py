@@ -65,7 +65,7 @@ def placed(positions: Any) -> Callable[[], Grasp]:
         (partial(transform_wrench, np.zeros(6), 1.01 * np.eye(3), np.zeros(3)), "R\\^T R misses the identity by 0.0201, at most 1e-06"),
         (partial(gravity_wrench, 1.0, rotation=np.diag([1.0, -1.0, 1.0])), r"is a reflection \(determinant -1\)"),
         (partial(transform_wrench, np.zeros(6), np.eye(3), np.zeros(2)), r"translation must have shape \(3,\)"),
-        (partial(transform_wrench, np.zeros(5), np.eye(3), np.zeros(3)), "wrench must have shape"), (partial(gravity_wrench, 0.0), "mass must be finite and > 0"),
+        (partial(transform_wrench, np.zeros(5), np.eye(3), np.zeros(3)), "wrench must have shape"), (partial(gravity_wrench, 0.0), "mass must be a number > 0, got 0.0"),
         (partial(wrench_about, np.zeros(6), 0.0), r"point must have shape \(3,\)"), (partial(wrench.magnitude, np.zeros(5)), "wrench must have shape"),
         (partial(wrench.sample_ball, np.random.default_rng(0), 0), "count must be an integer >= 1, got 0"),
         (partial(wrench.sample_magnitudes, np.random.default_rng(0), 3, 2.0, 1.0), "low must be <= high"),

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import json
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from pathlib import Path
@@ -24,7 +21,6 @@ from grasp_env.force.rules import CoreStart
 from grasp_env.grasp import (
     Grasp,
     gravity_wrench,
-    load_grasp,
     presets,
     save_grasp,
     transform_wrench,
@@ -37,8 +33,6 @@ from grasp_env.grasp.null_space import null_space_basis, reference_basis
 from grasp_env.task.disturbance import DISTURBANCES
 from grasp_env.task.tasks import TASKS
 from policies import LearnedInitialForce, ZeroPolicy
-from policies.agent import TrainedAgent
-from training.cli import main
 
 CUBOID = presets.paper_cuboid()
 SOFT = Grasp.from_contacts(CUBOID.positions, CUBOID.normals, 0.4, contact_model="soft", torsional_friction=0.005)
@@ -97,38 +91,8 @@ def _rows(**keywords: Any) -> Any:
     return limits.rows(CUBOID).bound, limits.slack(CUBOID, FORCE)[0]
 
 
-def _after(previous: Any, solution: Any) -> Any:
-    """Solves that go on from these, one set before and one given."""
-    optimizer = _optimizer("newton, previous")
-    optimizer.previous = previous
-    return optimizer.solve(PAPER), optimizer.solve(PAPER, initial=solution)
-
-
 def _started(rule: Any) -> Callable[..., Any]:
     return lambda grasp, wrench: rule()(grasp, wrench)
-
-
-def _load(folder: Path) -> Callable[..., Any]:
-    """Return a function that reads a grasp file with these keys."""
-
-    def run(**keys: Any) -> Any:
-        file = folder / "given.json"
-        file.write_text(json.dumps(keys, default=_plain))
-        return load_grasp(file)
-
-    return run
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) and value.size < 1000 else str(type(value))
-
-
-def _command(**options: Any) -> Any:
-    """`grasp solve` with these words; what the command line itself refuses ends as SystemExit."""
-    words = ["solve", "--wrench", *options.pop("wrench", [])]
-    words += [word for name, value in options.items() for word in (f"--{name}", str(value))]
-    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), suppress(SystemExit):
-        assert main(words) in (0, 2, 3, 4)
 
 
 @cache
@@ -143,10 +107,6 @@ def _step(action: Any) -> Any:
     if over or ended:
         _env().reset(seed=0)
     return seen, reward
-
-
-def _words(value: Any) -> list[str]:
-    return [str(each)[:1000] for each in np.atleast_1d(np.asarray(value, dtype=object)).flat[:8]]
 
 
 def calls(folder: Path) -> dict[str, Call]:
@@ -176,7 +136,6 @@ def calls(folder: Path) -> dict[str, Call]:
         "paper_path": Call(wrench.paper_path, {"time": 0.1}),
         "advise": Call(advise, {"grasp": CUBOID}),
         "save_grasp": Call(save_grasp, {"grasp": CUBOID, "path": str(folder / "saved" / "grasp.json")}),
-        "load_grasp": Call(load_grasp, {"path": str(folder / "none.json")}),
         **{f"optimize_force, {method}": _solve(method) for method in ("reduced_flow", "newton", "conic")},
         "optimize_force, full_flow": _solve("full_flow", max_iterations=20),
         "optimize_force, soft newton": _solve("newton", SOFT),
@@ -190,7 +149,6 @@ def calls(folder: Path) -> dict[str, Call]:
             )
             for m in ("reduced_flow", "newton", "conic")
         },
-        "ForceOptimizer.previous": Call(_after, {"previous": SOLVED, "solution": SOLVED}),
         "ForceOptimizer.start": Call(_with(lambda: _optimizer("newton"), "start"), {"wrench": PAPER, "initial": "lagrange"}),
         "ForceOptimizer.update": Call(
             _with(lambda: f.ForceOptimizer(CUBOID, limits=LIMITED), "update"), {**PLACE, "jacobian": JACOBIAN, "torque_bias": np.zeros(5)}
@@ -258,20 +216,8 @@ def calls(folder: Path) -> dict[str, Call]:
             {"mass": (0.1, 0.2), "size": (0.07, 0.12), "gravity": lambda rng: (0.0, -9.81, 0.0), "shape": True},
         ),
         "null_space_basis": Call(null_space_basis, {"grasp": CUBOID, "reference": reference_basis(CUBOID)}),
-        "a grasp's file": Call(
-            _load(folder),
-            {**contacts, "schema": "grasp-force/grasp/1", "units": {"positions": "m"}},
-        ),
-        "TrainedAgent.load": Call(TrainedAgent.load, {"folder": str(folder), "seed": 0}),
-        "LearnedInitialForce.load": Call(LearnedInitialForce.load, {"path": str(folder / "none"), "remembers": False}),
         "ZeroPolicy": Call(lambda action_size, observation: ZeroPolicy(action_size).predict(observation)[0],
                            {"action_size": 6, "observation": np.zeros(10)}),
-        "make": Call(FourFingerGrasp, {"render_mode": "ascii", "config": None, "friction": 0.4}),
         "reset": Call(lambda **k: _env().reset(**k)[0], {"seed": 0, "options": {"wrench": PAPER}}),
         "step": Call(_step, {"action": np.zeros(6, dtype=np.float32)}),
-        "grasp solve": Call(
-            lambda wrench, **k: _command(wrench=_words(wrench), **{n: (_words([v]) or ["a"])[0] for n, v in k.items()}),
-            {"wrench": PAPER, "preset": "tripod", "friction": 0.5, "method": "newton", "tolerance": 1e-4, "barrier-weight": 0.01,
-             "min-normal": 0.0, "max-normal": 50.0, "criterion": "sum", "initial": "single_value"},
-        ),
     }  # fmt: skip

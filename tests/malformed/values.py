@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import decimal
-import fractions
 from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
-from scipy import sparse
 
 NUMBERS: list[Any] = [
     0, 0.0, -1, -1.0, 1, 2, 3, 0.5, 1e-300, 1e-12, 1e-6, 1e3, 1e6, 1e9, 1e13, 1e155, 1e300, float("nan"), float("inf"), -float("inf"),
-    2**31, 2**63, -(2**63), 10**400, 1 - 1e-12, True, False, 1j, np.float32(0.3), np.int8(3), np.float64("nan"), fractions.Fraction(1, 3),
-    decimal.Decimal("0.4"), np.datetime64("nat"), np.timedelta64(3),
+    2**31, 1 - 1e-12, True, False, 1j, np.float32(0.3), np.int8(3), np.float64("nan"),
 ]  # fmt: skip
 OBJECTS: list[Any] = [
-    None, "", "a", "0.4", "nan", "newton", "sum", "previous", b"12", [], (), {}, set(), object(), int, print, range(6), [None] * 6,
-    [1.0, [2.0]], [[1.0, 2.0, 3.0], [1.0, 2.0]], ["1"] * 6, [True] * 6, [1j] * 6, [[0.0]] * 70, {"a": 1.0}, slice(3),
+    None, "", "a", "0.4", "nan", "newton", "sum", "previous", [], (), {}, int, print, [None] * 6, [1.0, [2.0]],
+    [[1.0, 2.0, 3.0], [1.0, 2.0]], ["1"] * 6, [True] * 6, [1j] * 6, [[0.0]] * 70, {"a": 1.0},
     np.zeros(()), np.zeros(0), np.zeros((0, 3)), np.ones(6), np.ones((4, 3)), np.full(6, np.nan), np.full((4, 3), np.inf), np.eye(6),
-    np.array(["2020"] * 6, dtype="M8[Y]"), np.array([None] * 6), np.ma.masked_array(np.ones(6), [1, 0, 0, 0, 0, 0]), sparse.csr_matrix(np.eye(6)),
-    np.array([1.0, 10**400], dtype=object), np.broadcast_to(0.0, (2**40, 6)), np.ones(6, dtype=np.float32), np.ones(6).astype(">f8"),
+    np.ones(6, dtype=np.float32), np.ones(6).astype(">f8"),
 ]  # fmt: skip
 
 

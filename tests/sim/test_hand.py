@@ -98,7 +98,7 @@ THUMB = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (partial(make_link, mass=0.0), r"link 'a': mass \[kg\] must be finite and > 0"),
+        (partial(make_link, mass=0.0), r"link 'a': mass \[kg\] must be a number > 0"),
         (partial(make_link, axis=(0, 0, 2)), "axis=.* must have length 1, not 2; normalise it"),
         (partial(make_link, lower=1.0, upper=-1.0), "lower=1.0 must be below upper=-1.0"),
         (partial(make_link, inertia=(1e-5, 2e-5, 0, 1e-5, 0, 1e-5)), "all must be above 0"),

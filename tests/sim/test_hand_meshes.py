@@ -13,12 +13,12 @@ from scipy.spatial import ConvexHull
 from urdf_text import finger, joint, link, read, small, solid
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim import mesh_files
 from grasp_env.sim.hand.files import meshes, pieces
 from grasp_env.sim.hand.files.pieces import convex_pieces
 from grasp_env.sim.hand.solids import MAX_CORNERS, cut_below, few_corners, outline, shrunk
 from grasp_env.sim.hand.tree import Geometry
 from grasp_env.sim.hand.urdf import hand_files
+from grasp_env.sim.objects import reading
 from grasp_env.sim.objects.cache import entries
 
 BOX = trimesh.creation.box((0.02, 0.03, 0.04))
@@ -205,7 +205,7 @@ def test_the_second_reading_makes_and_reads_nothing_again(tmp_path: Path, monkey
     corners, faces = np.array(bent().vertices), np.array(bent().faces)
     kept = pieces.kept_pieces(corners, faces, "of a model")
     assert ("of a model", "hand") in {(entry.name, entry.use) for entry in entries()}
-    for module, name in ((pieces, "convex_pieces"), (mesh_files, "read_mesh_bytes"), (meshes, "_corners_exist")):
+    for module, name in ((pieces, "convex_pieces"), (reading, "apart"), (meshes, "_corners_exist")):
         monkeypatch.setattr(module, name, fail)
     assert read(tmp_path, text, ["finger"])[0] == first
     assert all(map(np.array_equal, pieces.kept_pieces(corners, faces.astype(np.int32), "again"), kept))
@@ -218,7 +218,7 @@ def test_the_second_reading_makes_and_reads_nothing_again(tmp_path: Path, monkey
 
 def test_all_missing_meshes_are_told_before_any_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bent().export(tmp_path / "bent.stl")
-    monkeypatch.setattr(pieces, "mesh_bytes", fail)
+    monkeypatch.setattr(meshes, "open_mesh", fail)
     palm = mesh("bent.stl") + mesh("meshes/a.stl") + mesh("c.stl", role="visual")
     with pytest.raises(InvalidInputError) as told:
         read(tmp_path, small(mesh("package://hand/b.obj") + mesh("meshes/a.stl"), palm))

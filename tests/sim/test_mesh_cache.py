@@ -20,11 +20,11 @@ from trimesh import creation
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim import ObjectDescription, progress
-from grasp_env.sim.mesh_files import read_mesh
 from grasp_env.sim.objects import cache, mesh, pieces
 from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.objects.cache import cached, clear, entries, folder
 from grasp_env.sim.objects.closing import close_mesh
+from grasp_env.sim.objects.reading import open_mesh, read_mesh
 from training.cli import main
 from training.commands import mending
 
@@ -94,10 +94,10 @@ def test_a_torn_mesh_is_refused_mended_with_all_parts_and_hollows_and_accepted(t
     assert (told["faces_before"], told["parts"], told["parts_left_out"]) == (len(torn), 3, 1)
     assert told["volume"] == pytest.approx((1.0 - 0.125 + 1.0) * BALL.volume, rel=0.05)  # missing faces are guessed
     assert told["faces_kept"] > 0.3 * len(torn)
-    corners, faces, changes = close_mesh(*read_mesh(told["out"], "it"), "it")
+    corners, faces, changes = close_mesh(*read_mesh(open_mesh(told["out"], "it")), "it")
     assert (changes, len(faces)) == ([], told["faces_after"])
     assert np.ptp(corners, axis=0) == pytest.approx((0.3, 0.1, 0.1), rel=0.05)
-    assert read_mesh(path, "it")[1].shape == torn.shape  # the file stays
+    assert read_mesh(open_mesh(path, "it"))[1].shape == torn.shape  # the file stays
 
 
 def test_a_closed_mesh_is_kept_and_nothing_is_overwritten_by_default(tmp_path: Path, answer: Any) -> None:
@@ -121,7 +121,11 @@ def test_mending_that_fails(tmp_path: Path, answer: Any, monkeypatch: pytest.Mon
     with monkeypatch.context() as patched:
         patched.setattr(mending, "LONGEST", 0.01)
         assert "did not end within" in answer("mend", torn)[1]["error"]["message"]
-    monkeypatch.setattr(sys, "executable", "/bin/false")
+
+    def crash(*_: Any, **__: Any) -> Any:
+        raise ChildProcessError("exit code -11")
+
+    monkeypatch.setattr(mending, "apart", crash)
     assert "broke off" in answer("mend", torn)[1]["error"]["message"]
     assert not list(tmp_path.glob("*mended*"))
 

@@ -218,7 +218,7 @@ def test_files_that_are_no_hand_are_refused(tmp_path: Path, old: str, new: str, 
         ({"fingertips": ("palm",)}, "'palm' does not move, it is part of the palm"),
         ({"fingertips": ("i1", "i1")}, "two fingertips are called 'i1'"),
         *(({"fingertips": tips}, "fingertips=.* must be a list of one link name or more") for tips in ((), 0, "i1", {"i1": 1.0})),
-        ({"fingertips": {"i1": ((0.0, 0.0, 0.0), -1.0)}}, "fingertips: radius .* must be finite and > 0"),
+        ({"fingertips": {"i1": ((0.0, 0.0, 0.0), -1.0)}}, "fingertips: radius .* must be a number > 0"),
         ({"palm": ""}, "palm='' must be a name"),
     ],
 )  # fmt: skip

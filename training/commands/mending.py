@@ -9,10 +9,11 @@ import numpy as np
 from grasp_env._check import Array
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.mesh_files import obj_text, read_mesh_bytes
+from grasp_env.sim.mesh_files import obj_text
 from grasp_env.sim.mesh_shape import connected_parts, extent_of, open_edges, volume, weld
 from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.objects.closing import close_mesh
+from grasp_env.sim.objects.reading import MeshFile, read_mesh
 
 LONGEST = 180.0
 """Longest run of MeshFix [s]. 80,000 faces with a twentieth of them missing take 8; on some inputs it never ends."""
@@ -83,7 +84,7 @@ def as_obj(mesh: Mended, name: str) -> bytes:
     """
     text = obj_text([(mesh.corners, mesh.faces)]).encode()
     name = f"what MeshFix makes of {name}"
-    close_mesh(*read_mesh_bytes(text, ".obj", name, f"; {_REMESH}"), name)
+    close_mesh(*read_mesh(MeshFile(text, ".obj", name)), name)
     return text
 
 

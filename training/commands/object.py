@@ -102,13 +102,13 @@ class Object:
         return facts, _shown_page(facts)
 
     def _mend(self) -> tuple[dict[str, Any], list[Any]]:
-        from grasp_env.sim.mesh_files import read_mesh
         from grasp_env.sim.mesh_shape import volume
+        from grasp_env.sim.objects.reading import open_mesh, read_mesh
         from training.commands.mending import as_obj, mended
 
         assert self.file is not None
         out, name = self._out(self.file), f"the mesh {self.file}"
-        before = read_mesh(self.file, name)
+        before = read_mesh(open_mesh(self.file, name))
         made = mended(*before, name)
         with replacing(out) as path:
             path.write_bytes(as_obj(made, name))

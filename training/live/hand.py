@@ -187,9 +187,10 @@ class SimulatedHand(Window):
         self.scene.remove_by_name("/hand")
         self._links, points = [], [mesh.vertices]
         poses = [(np.eye(3), np.zeros(3)), *zip(snapshot.frames, snapshot.origins, strict=True)]
-        for k, (body, (rotation, origin)) in enumerate(zip((config.hand.palm, *config.hand.links), poses, strict=True)):
+        bodies = look.link_meshes((config.hand.palm, *config.hand.links))
+        for k, (meshes, (rotation, origin)) in enumerate(zip(bodies, poses, strict=True)):
             self._links.append(self.scene.add_frame(f"/hand/{k}", show_axes=False))
-            for part, (mesh, color) in enumerate(look.link_meshes(body)):
+            for part, (mesh, color) in enumerate(meshes):
                 name, corners, flat = f"/hand/{k}/{part}", zoom * mesh.vertices, len(mesh.faces) < 50
                 self.scene.add_mesh_simple(name, corners, mesh.faces, color=color, opacity=0.7, flat_shading=flat)
                 points.append(mesh.vertices @ rotation.T + origin)

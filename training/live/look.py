@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import viser
 from trimesh import creation
 
 from grasp_env._check import Array
-from grasp_env.sim.hand.files.meshes import read_mesh
+from grasp_env.sim.hand.files.meshes import read_looks
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tree import Geometry, Link, Palm
@@ -114,18 +114,23 @@ def object_mesh(shape: str, size: Sequence[float]) -> trimesh.Trimesh:
     return mesh.apply_transform(trimesh.transformations.rotation_matrix(-0.5 * np.pi, (1.0, 0.0, 0.0)))
 
 
-def link_meshes(body: Link | Palm) -> list[tuple[trimesh.Trimesh, Color]]:
-    """Return meshes and colours of a link, link frame [m]: its visual shapes, or its collision shapes if those are missing or too large."""
+def link_meshes(bodies: Sequence[Link | Palm]) -> list[list[tuple[trimesh.Trimesh, Color]]]:
+    """Return meshes and colours of links, link frame [m]: their visual shapes, or collision shapes if those are missing or too large."""
+    looks = read_looks(shape.file for body in bodies for shape in body.visual if shape.kind == "mesh")
+    return [_meshes_of(body, looks) for body in bodies]
+
+
+def _meshes_of(body: Link | Palm, looks: Mapping[str, tuple[Array, Any]]) -> list[tuple[trimesh.Trimesh, Color]]:
     for shapes in (body.visual, body.collision):
-        meshes = [(_mesh(shape), shape.color or body.color) for shape in shapes]
+        meshes = [(_mesh(shape, looks), shape.color or body.color) for shape in shapes]
         if 0 < sum(len(mesh.faces) for mesh, _ in meshes) <= MAX_LINK_FACES:
             return [(mesh, (int(255 * red), int(255 * green), int(255 * blue))) for mesh, (red, green, blue) in meshes]
     return []
 
 
-def _mesh(shape: Geometry) -> trimesh.Trimesh:
+def _mesh(shape: Geometry, looks: Mapping[str, tuple[Array, Any]]) -> trimesh.Trimesh:
     if shape.kind != "mesh":
         return trimesh.convex.convex_hull(outline(shape))
-    corners, faces = read_mesh(shape.file)
+    corners, faces = looks[shape.file]
     place = Frame.of(shape.origin, shape.rotation)
     return trimesh.Trimesh(corners * np.array(shape.size) @ place.rotation.T + place.origin, faces, process=False)

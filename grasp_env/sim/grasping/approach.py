@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, as_array, as_text, choice
+from grasp_env._check import Array, as_array, choice
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
@@ -22,7 +22,7 @@ _PROBE, _STEP = 0.002, 1e-4  # diameter of the ball that probes for the palm, an
 
 def as_approach(value: Any, name: str) -> str | tuple[float, float, float]:
     """Check a wanted direction, world frame: return a name in `DIRECTIONS`, or a vector (3,) with unit length."""
-    if as_text(value) is not None:
+    if isinstance(value, str):
         return choice(value, name, DIRECTIONS, ", or give the direction (3,) from the palm to the object, world frame")
     given = as_array(value, (3,), name)
     largest = float(np.abs(given).max())

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from grasp_env import _check
-from grasp_env._check import as_array, as_list, as_text
+from grasp_env._check import as_array
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.ranges import Range
 
@@ -29,21 +29,19 @@ def positive(value: Any, name: str) -> float:
 
 def word(value: Any, name: str) -> str:
     """Return a name that is not empty, or raise an `InvalidInputError`."""
-    text = as_text(value)
-    if text is None or not text.strip():
+    if not isinstance(value, str) or not value.strip():
         raise InvalidInputError(f"{name}={shown(value)} must be a name of at least one letter")
-    return text
+    return str(value)
 
 
 def parts(values: Any, kind: type[T], name: str) -> tuple[T, ...]:
     """Return a list of objects of a class as a tuple, or raise an `InvalidInputError`."""
-    each = as_list(values)
-    if each is None:
+    if not isinstance(values, list | tuple):
         raise InvalidInputError(f"{name}={shown(values)} must be a list of {kind.__name__}s")
-    for value in each:
+    for value in values:
         if not isinstance(value, kind):
             raise InvalidInputError(f"{name} must be a list of {kind.__name__}s, got {shown(value)} in it")
-    return tuple(each)
+    return tuple(values)
 
 
 def unit(values: Any, name: str) -> Vector3:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_env._check import as_list, flag, instance
+from grasp_env._check import flag, instance
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand import presets
 from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
@@ -79,7 +79,11 @@ class HandDescription:
         check_tree(name, self.palm, self.links)
         check_mimics(name, self.links)
         check_fingertips(name, self.links, self.fingertips)
-        home = tuple(_middle(link) for link in self.links) if as_list(self.home) == [] else self.home
+        home = (
+            tuple(_middle(link) for link in self.links)
+            if isinstance(self.home, list | tuple) and not self.home
+            else self.home
+        )
         object.__setattr__(self, "home", self._coupled(numbers(home, len(self.links), f"{name}: home [rad]")))
         for link, angle in zip(self.links, self.home, strict=True):
             if link.mimic is None and not link.lower <= angle <= link.upper:

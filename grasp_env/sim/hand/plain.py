@@ -7,7 +7,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from typing import Any
 
-from grasp_env._check import as_list, as_text, choice
+from grasp_env._check import choice
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.sim.hand.description import HANDS, Fingertip, Geometry, HandDescription, Link, Mimic, Palm
 
@@ -66,7 +66,7 @@ def _made(kind: type[Any], value: Any, name: str) -> Any:
         raise InvalidInputError(f"{name} must be a dict of the fields of a {kind.__name__}, got {shown(value)}")
     known = {item.name: item.default is MISSING for item in fields(kind)}
     for key in value:
-        if as_text(key) not in known:
+        if key not in known:
             raise UnknownSettingError(f"{name}.{key}", [f"{name}.{each}" for each in known])
     if missing := [f"{name}.{key}" for key, needed in known.items() if needed and key not in value]:
         raise InvalidInputError(f"{', '.join(missing)} must be given: the dict of a {kind.__name__} needs them")
@@ -78,11 +78,10 @@ def _part(key: str, value: Any, name: str) -> Any:
         return _UNLIMITED[key]
     if key in _SINGLE and value is not None:
         return _made(_SINGLE[key], value, name)
-    if key == "file" and as_text(value) is None:
+    if key == "file" and not isinstance(value, str):
         raise InvalidInputError(f"{name} must be the path of a mesh, got {shown(value)}")
     if key not in _LISTS:
         return value
-    each = as_list(value)
-    if each is None:
+    if not isinstance(value, list | tuple):
         raise InvalidInputError(f"{name} must be a list of dicts, got {shown(value)}")
-    return tuple(_made(_LISTS[key], part, f"{name}[{place}]") for place, part in enumerate(each))
+    return tuple(_made(_LISTS[key], part, f"{name}[{place}]") for place, part in enumerate(value))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from grasp_env._check import as_list, as_text, choice, instance
+from grasp_env._check import choice, instance
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Vector3, hull_corners, limits, numbers, parts, positive, unit, word
 from grasp_env.sim.hand.frames import Frame
@@ -60,7 +60,8 @@ class Geometry:
         size = numbers(self.size, len(SIZES[self.kind]), f"{name}: size ({', '.join(SIZES[self.kind])})")
         if min(size, default=1.0) <= 0.0:
             raise InvalidInputError(f"{name}: size={size} m must be above 0")
-        if (as_list(self.corners) != []) != (self.kind == "hull") or bool(self.file) != (self.kind == "mesh"):
+        none = isinstance(self.corners, list | tuple) and not self.corners
+        if none == (self.kind == "hull") or bool(self.file) != (self.kind == "mesh"):
             raise InvalidInputError(
                 f"{name}: corners belong to a hull, a file to a mesh; got corners={shown(self.corners)}, file={self.file!r}"
             )
@@ -172,7 +173,7 @@ class Link:
             color=numbers(self.color, 3, f"{name}: color"),
             sliding=bool(self.sliding),
             mimic=instance(self.mimic, Mimic, f"{name}: mimic", or_none=True),
-            joint=f"{self.name}_joint" if as_text(self.joint) == "" else word(self.joint, f"{name}: joint"),
+            joint=f"{self.name}_joint" if self.joint == "" else word(self.joint, f"{name}: joint"),
         )
 
 

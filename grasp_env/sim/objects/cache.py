@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from grasp_env._files import WEIGHTS as MOST_BYTES
-from grasp_env._files import read_bytes, replacing, unpacked
+from grasp_env._files import replacing, unpacked
 
 LONGEST_WAIT = 150.0  # longest wait for another process that makes the same entry [s]
 _NAME, _USE = "name", "use"  # keys of the name and the use among the arrays of an entry
@@ -47,11 +46,11 @@ def cached(key: str, name: str, make: Callable[[], dict[str, Any]], use: str = "
     The key, of letters and digits, identifies the content. Name and use ("object" or "hand") of the mesh are for the list of entries. A
     folder that cannot be written or an entry that cannot be read only costs time.
     """
-    path = folder() / f"{key}.npz"
-    if found := _read(path):
+    if found := lookup(key):
         return found
+    path = folder() / f"{key}.npz"
     with _locked(path):
-        if found := _read(path):  # made by the process that was waited for
+        if found := lookup(key):  # made by the process that was waited for
             return found
         made = make()
         with suppress(OSError), replacing(path) as temporary, open(temporary, "wb") as file:
@@ -81,9 +80,10 @@ def clear() -> int:
     return count
 
 
-def _read(path: Path) -> dict[str, Any]:
+def lookup(key: str) -> dict[str, Any]:
+    """Return the arrays of an entry; {} if there is none that can be read."""
     try:
-        return unpacked(read_bytes(path, MOST_BYTES), MOST_BYTES)
+        return unpacked((folder() / f"{key}.npz").read_bytes())
     except Exception:  # missing, cut short or not one of ours
         return {}
 

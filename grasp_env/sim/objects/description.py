@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env import core
-from grasp_env._check import Array, as_array, as_text
+from grasp_env._check import Array, as_array
 from grasp_env._files import as_path
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.ranges import Range
@@ -165,7 +165,7 @@ class ObjectDescription(Settings):
             given: Settings by name.
             path: Path of the object's settings, for messages.
         """
-        if as_text(given.get("shape")) not in (None, self.shape):
+        if given.get("shape") not in (None, self.shape):
             given = {"size": (), "mesh": None, **given}
         return super().replaced(given, path)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from functools import lru_cache
 from itertools import permutations
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,8 +12,9 @@ import numpy as np
 from grasp_env._check import Array, warn
 from grasp_env._files import digest
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.mesh_files import KINDS, mesh_bytes, read_mesh_bytes
+from grasp_env.sim.mesh_files import KINDS
 from grasp_env.sim.objects.cache import cached
+from grasp_env.sim.objects.reading import open_mesh, read_mesh
 
 _VERSION = "6"  # version of the processed arrays, part of the cache's key: increase it when they change
 _SAME_MOMENT = 1e-6  # relative difference of moments, or product of inertia, below which axes are not distinguished
@@ -57,10 +57,9 @@ def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
 @lru_cache(maxsize=16)
 def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mesh:
     """Read and process a mesh; `_changed` and `_bytes` make the in-memory cache notice a changed file."""
-    kind = Path(path).suffix.lower()
-    blob = mesh_bytes(path, name)
-    key = digest(_VERSION.encode(), kind.encode(), blob)
-    made = cached(key, os.path.basename(path), lambda: _processed(*read_mesh_bytes(blob, kind, name), name))
+    file = open_mesh(path, name)
+    key = digest(_VERSION.encode(), file.kind.encode(), file.content)
+    made = cached(key, os.path.basename(path), lambda: _processed(*read_mesh(file), name))
     ends = np.cumsum(made["counts"])[:-1]
     vertices, pieces = np.ascontiguousarray(scale * made["vertices"]), scale * made["pieces"]
     for array in (vertices, made["faces"], pieces):  # shared by all objects of this file

@@ -18,7 +18,7 @@ from PIL import Image
 from grasp_env._check import Array
 from grasp_env.errors import SimulationError
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.files.meshes import read_mesh
+from grasp_env.sim.hand.files.meshes import read_looks
 from grasp_env.sim.mjcf import OBJECT_GROUP, link_name, looks_mjcf
 from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.objects.description import ObjectDescription
@@ -108,8 +108,9 @@ class MujocoPainter(Painter):
     def _build(self, hand: HandDescription, item: ObjectDescription | None = None) -> None:
         text, files = looks_mjcf(hand, item)
         spec = mujoco.MjSpec.from_string(text)
+        meshes = read_looks(shape.file for shape in files.values())
         for name, shape in files.items():
-            corners, faces = read_mesh(shape.file)
+            corners, faces = meshes[shape.file]
             spec.add_mesh(
                 name=name, uservert=(corners * shape.size).ravel().tolist(), userface=faces.ravel().tolist(),
                 inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,

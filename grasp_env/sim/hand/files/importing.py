@@ -17,14 +17,14 @@ import numpy as np
 
 from grasp_env._check import AllFaults, Array
 from grasp_env._extras import need
-from grasp_env._files import parsed, read_xml, shown_path
+from grasp_env._files import parsed
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, HandFile, names_of
 from grasp_env.sim.hand.files.joints import find_rods, free_ranges, judge_ranges
 from grasp_env.sim.hand.files.options import HandOptions, Inertial
 from grasp_env.sim.hand.files.part import arrange, read_part
-from grasp_env.sim.hand.files.pieces import hull_of_file
+from grasp_env.sim.hand.files.pieces import hulls_of_files
 from grasp_env.sim.hand.files.plausible import Body, Judge
 from grasp_env.sim.hand.files.urdf import UrdfReader
 from grasp_env.sim.hand.files.xacro import robot_of
@@ -33,6 +33,7 @@ from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, inertia_numbers,
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tips import Ball, cut_back, end_direction, inscribed
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
+from grasp_env.sim.xml_files import read_xml
 
 _NEAR = 1e-3  # [m] from a joint, below which points give no direction
 
@@ -70,7 +71,7 @@ def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
 
 def _opened(path: str | os.PathLike[str], options: HandOptions) -> HandFile:
     """Return the reader of a file, chosen by its first element."""
-    first: Element = parsed(path, read_xml, InvalidInputError, f"the file {shown_path(path)}", "XML")
+    first: Element = parsed(path, read_xml, InvalidInputError, f"the file {path}", "XML")
     if first.tag == "sdf":
         raise InvalidInputError("it is SDF, which is not read: give the hand's URDF, xacro or MJCF")
     expand, arguments = options.expansion()
@@ -93,7 +94,6 @@ class _Importer:
     """An importer that assembles the hand of one file."""
 
     def __init__(self, file: HandFile, options: HandOptions) -> None:
-        self._corners: dict[str, Array] = {}  # hulls of visual meshes
         given_tips = options.tips()
         part, self.links, joints = read_part(file, options.checked_palm(), given_tips or {})
         ranges = options.ranges([joint.name for joint in joints if not joint.fixed])
@@ -112,6 +112,10 @@ class _Importer:
         for why in dict.fromkeys(file.undrawn.values()):
             left = [name for name, reason in file.undrawn.items() if reason == why]
             self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
+        groups = [self._group(joint.child) for joint in self.moving]
+        self._corners = hulls_of_files(
+            shape.file for group in groups for _, shape in self._outlines(group) if shape.kind == "mesh"
+        )
         bodies = [self._body(joint) for joint in self.moving]
         drivers = {joint.name: joint.mimic.joint for joint in self.moving if joint.mimic is not None}
         with AllFaults() as check:
@@ -214,16 +218,20 @@ class _Importer:
             group += [joint.child] if joint.fixed and joint.parent in group else []
         return group
 
-    def _points(self, group: Sequence[str]) -> list[Array]:
-        """Return convex pieces (K, 3) [m] of the links' collision shapes, or else of their visuals, carrier's frame."""
+    def _outlines(self, group: Sequence[str]) -> list[tuple[Frame, Geometry]]:
+        """Return the collision shapes of links, or else their visuals, each with the frame of its link in the carrier's."""
         solids = [(self.places[name].frame, shape) for name in group for shape in self.links[name].collision]
         looks = [(self.places[name].frame, shape) for name in group for shape in self.links[name].visual]
+        return solids or looks
+
+    def _points(self, group: Sequence[str]) -> list[Array]:
+        """Return convex pieces (K, 3) [m] of the `_outlines` of links, carrier's frame."""
         pieces = list[Array]()
-        for frame, shape in solids or looks:
+        for frame, shape in self._outlines(group):
             if shape.kind == "mesh":
                 place = frame @ Frame.of(shape.origin, shape.rotation)
                 if shape.file not in self._corners:
-                    self._corners[shape.file] = hull_of_file(Path(shape.file))
+                    self._corners |= hulls_of_files([shape.file])
                 pieces.append(self._corners[shape.file] * shape.size @ place.rotation.T + place.origin)
             else:
                 pieces.append(outline(shape.carried(frame)))

@@ -1,13 +1,14 @@
-"""Find and read the mesh files of a hand, and check that Bullet can draw them."""
+"""Find the mesh files of a hand, read them, keep what is made of them, and check that Bullet can draw them."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
@@ -15,10 +16,11 @@ import numpy as np
 from grasp_env._check import Array
 from grasp_env._files import MEGABYTE, digest, read_bytes, stand_in
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim import mesh_files
-from grasp_env.sim.mesh_files import key_lines, key_places, one_newline
+from grasp_env.sim.mesh_files import EXPORT, unix_lines
 from grasp_env.sim.mesh_shape import WELD, extent_of, weld
-from grasp_env.sim.objects.cache import cached
+from grasp_env.sim.objects.cache import cached, lookup
+from grasp_env.sim.objects.reading import MeshFile, open_mesh, read_meshes
+from grasp_env.sim.progress import progress_bar
 
 DRAWN = (".obj", ".stl", ".dae")  # suffixes of mesh files that Bullet draws
 PARENTS = 5  # number of folders above a hand's file in which its meshes are looked for
@@ -26,7 +28,7 @@ _MAX_VISUAL_BYTES = 20 * MEGABYTE  # largest visual mesh [bytes]
 _MAX_BLOCKS = 10_000
 _LONGEST_HEAD = 65_536  # head of a .dae in which its unit is looked for [bytes]
 _UNIT = re.compile(rb"""<(?:\w+:)?unit\s(?:[^<>]*\s)?meter\s*=\s*["']([^"'<>]*)["']""")
-_MADE = "1"  # version of the check; change it when the check changes, so that older cache entries are not used
+MADE = "1"  # version of what is made; change it when that changes, so that older cache entries are not used
 
 
 def find_mesh(name: str, urdf: Path) -> Path | None:
@@ -53,19 +55,66 @@ def find_mesh(name: str, urdf: Path) -> Path | None:
     return None
 
 
-def read_mesh(path: str | Path) -> tuple[Array, Any]:
-    """Return corners (V, 3), in the file's units, without duplicates, and faces (F, 3) of a mesh, or raise an InvalidInputError."""
-    kind, name = Path(path).suffix.lower(), f"the mesh {path}"
-    return read_mesh_bytes(mesh_files.mesh_bytes(path, name), kind, name)
+class Job(NamedTuple):
+    """Something to make of a mesh file's corners (V, 3), without duplicates, and faces (F, 3); `mark` tells apart what is made of a file."""
+
+    path: Path
+    mark: bytes
+    make: Callable[[Array, Any], dict[str, Any]]
 
 
-def read_mesh_bytes(blob: bytes, kind: str, name: str) -> tuple[Array, Any]:
-    """Return the corners and faces as `read_mesh` does, from a file's bytes and its suffix, such as ".obj"."""
-    corners, faces = mesh_files.read_mesh_bytes(blob, kind, name)
-    corners, faces = weld(corners, faces, WELD * extent_of(corners))
+def made_of_files(jobs: Sequence[Job], text: str) -> list[dict[str, Any] | InvalidInputError]:
+    """Return what the jobs make or raise, from the cache where it is known. One process reads all files of the others.
+
+    `text` describes the work on the progress line.
+    """
+    done = dict[int, dict[str, Any] | InvalidInputError]()
+    left = dict[int, tuple[str, MeshFile]]()
+    for number, job in enumerate(jobs):
+        try:
+            file = open_mesh(job.path, f"the mesh {job.path}")
+        except InvalidInputError as error:
+            done[number] = error
+            continue
+        key = digest(MADE.encode(), file.kind.encode(), job.mark, file.content)
+        if known := lookup(key):
+            done[number] = known
+        else:
+            left[number] = key, file
+    unread = list({file.name: file for _, file in left.values()}.values())
+    meshes = {file.name: mesh for file, mesh in zip(unread, read_meshes(unread), strict=True)}
+    for number, (key, file) in progress_bar(list(left.items()), text):
+        make = partial(_made, jobs[number], file.name, meshes[file.name])
+        try:
+            done[number] = cached(key, jobs[number].path.name, make, use="hand")
+        except InvalidInputError as error:
+            done[number] = error
+    return [done[number] for number in range(len(jobs))]
+
+
+def _made(job: Job, name: str, mesh: tuple[Array, Any] | InvalidInputError) -> dict[str, Any]:
+    if isinstance(mesh, InvalidInputError):
+        raise mesh
+    corners, faces = weld(*mesh, WELD * extent_of(mesh[0]))
     if len(faces) == 0:
-        raise InvalidInputError(f"{name} holds no triangles: all its faces are lines or points; export it again")
-    return corners, faces
+        raise InvalidInputError(f"{name} holds no triangles: all its faces are lines or points; {EXPORT}")
+    return job.make(corners, faces)
+
+
+def read_looks(files: Iterable[str]) -> dict[str, tuple[Array, Any]]:
+    """Return corners (V, 3), in the file's units, without duplicates, and faces (F, 3) of the meshes that a hand shows, by file.
+
+    Raises:
+        InvalidInputError: A file is not a mesh.
+    """
+    names = list(dict.fromkeys(files))
+    jobs = [Job(Path(name), b"look", lambda corners, faces: {"corners": corners, "faces": faces}) for name in names]
+    looks = dict[str, tuple[Array, Any]]()
+    for name, made in zip(names, made_of_files(jobs, "meshes to look at"), strict=True):
+        if isinstance(made, InvalidInputError):
+            raise made
+        looks[name] = made["corners"], made["faces"]
+    return looks
 
 
 def unit_of(path: Path) -> float:
@@ -101,7 +150,7 @@ def why_not_drawn(path: Path, scale: Sequence[float]) -> str:
     if path.suffix.lower() != ".obj":
         why = "" if len(blob) > 84 else "are empty"
     else:
-        key = digest(_MADE.encode(), b"drawn", blob)
+        key = digest(MADE.encode(), b"drawn", blob)
         why = str(cached(key, path.name, lambda: {"why": _why_broken(blob)}, use="hand")["why"])
     return why or ("are mirrored by a scale below 0" if min(scale) < 0.0 else "")
 
@@ -115,14 +164,14 @@ def _why_broken(blob: bytes) -> Any:
 
 def _corners_exist(blob: bytes) -> bool:
     """Return True if the faces of an .obj only name corners, textures and normals that stand before them."""
-    text = one_newline(blob)
-    faces, *others = (np.fromiter(key_places(text, key), np.int64) for key in (b"f", b"v", b"vt", b"vn"))
+    text = b"\n" + unix_lines(blob)  # to search for a newline is several times as fast as for `^`
+    faces, *others = (np.fromiter(_places(text, key), np.int64) for key in (b"f", b"v", b"vt", b"vn"))
     known = np.stack([np.searchsorted(other, faces) for other in others], axis=1)
     # blocks of faces behind the same number of corners; most files have one block
     cuts = (np.flatnonzero((np.diff(known, axis=0) != 0).any(axis=1)) + 1).tolist()
     if len(faces) == 0 or len(cuts) > _MAX_BLOCKS:
         return False
-    rows = key_lines(text, b"f")
+    rows = re.findall(rb"\n[ \t]*f[ \t]+(.*)", text)
     for begin, end in zip([0, *cuts], [*cuts, len(rows)], strict=True):
         for word in set(b" ".join(rows[begin:end]).split()):
             numbers = word.split(b"/")
@@ -131,3 +180,8 @@ def _corners_exist(blob: bytes) -> bool:
             ):
                 return False
     return True
+
+
+def _places(text: bytes, key: bytes) -> Iterator[int]:
+    """Yield the offsets of the lines that begin with a word."""
+    return (found.start() for found in re.finditer(rb"\n[ \t]*%s[ \t]" % key, text))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env._files import HEAD, shown_path, stand_in
+from grasp_env._files import HEAD, stand_in
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.files.meshes import PARENTS
 from grasp_env.sim.hand.frames import Frame
@@ -24,7 +24,7 @@ _COUNTS = {"body": "nbody", "joint": "njnt", "actuator": "nu"}  # fields with th
 
 def load_model(path: Path) -> tuple[Any, bool]:
     """Return the compiled model of a file, and True if its angles are degrees."""
-    where = f"cannot read the MuJoCo model {shown_path(path)}"
+    where = f"cannot read the MuJoCo model {path}"
     task, text = f"{__name__}:compile_mjcf", f"compiling {path.name}"
     try:
         made = apart(task, text, _SECONDS, memory=_MAX_MEMORY, path=np.array(str(path.absolute())))

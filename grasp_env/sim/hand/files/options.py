@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from grasp_env._check import AllFaults, as_list, as_number, as_text, flag
+from grasp_env._check import AllFaults, as_number, flag
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Vector3, limits, numbers, positive, word
 from grasp_env.sim.hand.files.elements import names_of
@@ -51,7 +51,7 @@ class HandOptions:
     def expansion(self) -> tuple[bool | None, dict[str, str]]:
         """Return whether the file is expanded by xacro, None: by its name, and the arguments' texts by name."""
         given = {} if self.xacro_args is None else self.xacro_args
-        if not isinstance(given, Mapping) or None in map(as_text, given):
+        if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
             raise InvalidInputError(f"xacro_args={shown(given)} must be a dict from names of arguments to their values")
         with AllFaults() as check:
             texts = {str(name): check(_argument, value, f"xacro_args of {name!r}") for name, value in given.items()}
@@ -61,9 +61,10 @@ class HandOptions:
         """Return the fingertips by the names of their links, each with its sphere or None; None: not given."""
         if (given := self.fingertips) is None:
             return None
-        names = list(given) if isinstance(given, dict) else as_list(given) or []
-        pairs = [as_list(value) or [] for value in given.values()] if isinstance(given, dict) else []
-        if not names or None in map(as_text, names) or any(len(pair) != 2 for pair in pairs):
+        names = list(given) if isinstance(given, dict | list | tuple) else []
+        pairs = list(given.values()) if isinstance(given, dict) else []
+        paired = all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in pairs)
+        if not names or not paired or not all(isinstance(name, str) for name in names):
             raise InvalidInputError(
                 f"fingertips={shown(given)} must be a list of one link name or more, or {{link: (point, radius)}} [m]"
             )
@@ -85,7 +86,7 @@ class HandOptions:
                     f"torque_limit: {names_of(idle)} have no motor of their own; give that of {names_of([drivers[name] for name in idle])}"
                 )
             return _by_name(given, joints, "torque_limit", "joint", lambda value, of: positive(value, f"{of} [N m]"))
-        if as_list(given) is None and not isinstance(given, np.ndarray):
+        if not isinstance(given, list | tuple | np.ndarray):
             return dict.fromkeys(joints, positive(given, "torque_limit [N m]"))
         each = numbers(given, len(joints), f"torque_limit [N m], one per joint ({names_of(joints)})")
         pairs = zip(joints, each, strict=True)
@@ -96,10 +97,9 @@ class HandOptions:
         """Return the given ranges by joint [rad], of sliding joints [m]."""
 
         def both(value: Any, of: str) -> tuple[float, float]:
-            pair = as_list(value)
-            if pair is None or len(pair) != 2:
+            if not isinstance(value, list | tuple) or len(value) != 2:
                 raise InvalidInputError(f"{of}={shown(value)} must be (lower, upper)")
-            return limits(pair[0], pair[1], of)
+            return limits(value[0], value[1], of)
 
         return _by_name(self.joint_limits, joints, "joint_limits", "joint", both)
 
@@ -107,22 +107,20 @@ class HandOptions:
         """Return the given masses [kg], or masses with centres and inertias, by link."""
 
         def body(value: Any, of: str) -> float | Inertial:
-            parts = as_list(value)
-            if parts is None:
+            if not isinstance(value, list | tuple):
                 return positive(value, f"{of}: mass [kg]")
-            if len(parts) != 3:
+            if len(value) != 3:
                 raise InvalidInputError(f"{of}={shown(value)} must be a mass [kg], or (mass, center, inertia)")
-            x, y, z = numbers(parts[1], 3, f"{of}: center [m]")
-            return Inertial(positive(parts[0], f"{of}: mass [kg]"), (x, y, z), inertia_of(parts[2], of))
+            x, y, z = numbers(value[1], 3, f"{of}: center [m]")
+            return Inertial(positive(value[0], f"{of}: mass [kg]"), (x, y, z), inertia_of(value[2], of))
 
         return _by_name(self.inertials, links, "inertials", "moving link", body)
 
 
 def _argument(value: Any, what: str) -> str:
     """Return the text of a xacro argument; numbers, True and False are written as Python writes them."""
-    text = as_text(value)
-    if text is not None:
-        return text
+    if isinstance(value, str):
+        return value
     if isinstance(value, bool | np.bool_):
         return str(bool(value))
     if isinstance(value, int):
@@ -139,7 +137,7 @@ def _by_name(given: Any, names: Sequence[str], what: str, kind: str, check: Call
         return {}
     if not isinstance(given, dict):
         raise InvalidInputError(f"{what}={shown(given)} must be a dict with names of {kind}s as keys")
-    unknown = [name for name in given if as_text(name) not in names]
+    unknown = [name for name in given if name not in names]
     if unknown:
         raise InvalidInputError(f"{what}: no {kind} is called {names_of(unknown)}; {kind}s are {names_of(names)}")
     with AllFaults() as faults:

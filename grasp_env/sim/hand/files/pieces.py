@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,10 @@ from grasp_env._check import AllFaults, Array
 from grasp_env._files import digest
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim import mesh_shape
-from grasp_env.sim.hand.files.meshes import read_mesh_bytes
+from grasp_env.sim.hand.files.meshes import MADE, Job, made_of_files
 from grasp_env.sim.hand.solids import few_corners, hull_of, hull_shape, principal_axes
 from grasp_env.sim.hand.tree import Geometry, Vector3
-from grasp_env.sim.mesh_files import mesh_bytes
 from grasp_env.sim.objects.cache import cached
-from grasp_env.sim.progress import progress_bar
 
 _FULL = 0.9  # share of its hull's volume from which on a mesh counts as convex
 _MAX_PIECES = 8
@@ -32,7 +31,6 @@ _SMALLEST, _LARGEST = 1e-5, 5.0  # [m] extent of a mesh
 _CRUMBS = 40  # number of parts above which a mesh is cut as a whole
 _VISUAL_CORNERS = 256  # of the hull of a visual mesh in which a tip is fitted
 _VISUAL_ERROR = 2e-4  # relative error of that hull
-_MADE = "1"  # version of the pieces; change it when they change, so that older cache entries are not used
 
 
 @dataclass(frozen=True)
@@ -54,14 +52,15 @@ def solids_of(shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str) -> 
         for part in parts:
             if isinstance(part, MeshUse):
                 first.setdefault((part.path, part.scale), (link, part.name))
-    pieces, faults = dict[tuple[Path, Vector3], list[Array]](), list[str]()
-    for use, (link, name) in progress_bar(list(first.items()), f"{file}: convex pieces of meshes"):
-        try:
-            pieces[use] = pieces_of_file(*use)
-        except InvalidInputError as error:
-            faults.append(f"link {link!r}, <collision>, {shown(name)}: {error}")
+    jobs = [Job(path, np.array(scale).tobytes(), partial(_pieces_of, scale)) for path, scale in first]
+    pieces = dict[tuple[Path, Vector3], list[Array]]()
     with AllFaults() as check:
-        check.add(*faults)
+        for use, made in zip(first, made_of_files(jobs, f"{file}: convex pieces of meshes"), strict=True):
+            if isinstance(made, InvalidInputError):
+                link, name = first[use]
+                check.add(f"link {link!r}, <collision>, {shown(name)}: {made}")
+            else:
+                pieces[use] = _split(made)
 
     def solids(part: Geometry | MeshUse) -> list[Geometry]:
         if isinstance(part, Geometry):
@@ -71,47 +70,46 @@ def solids_of(shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str) -> 
     return {link: [solid for part in parts for solid in solids(part)] for link, parts in shapes.items()}
 
 
-def pieces_of_file(path: Path, scale: Vector3) -> list[Array]:
-    """Return the `convex_pieces` of a mesh file, from the cache if possible; `scale` are factors to metres."""
-    kind, name = path.suffix.lower(), f"the mesh {path}"
-    blob = mesh_bytes(path, name)
-
-    def make() -> list[Array]:
-        corners, faces = read_mesh_bytes(blob, kind, name)
-        return convex_pieces(corners * scale, faces)
-
-    return _kept(digest(_MADE.encode(), kind.encode(), np.array(scale).tobytes(), blob), path.name, make)
+def _pieces_of(scale: Vector3, corners: Array, faces: Any) -> dict[str, Any]:
+    """Return the `convex_pieces` of a mesh, packed; `scale` are factors to metres."""
+    return _packed(convex_pieces(corners * scale, faces))
 
 
-def hull_of_file(path: Path) -> Array:
-    """Return at most `_VISUAL_CORNERS` corners (K, 3) of the hull of a mesh file, in its units, from the cache if possible."""
-    kind, name = path.suffix.lower(), f"the mesh {path}"
-    blob = mesh_bytes(path, name)
+def hulls_of_files(files: Iterable[str]) -> dict[str, Array]:
+    """Return at most `_VISUAL_CORNERS` corners (K, 3) of the hull of each mesh file, in its units, or raise an InvalidInputError."""
+    names = list(dict.fromkeys(files))
+    hulls = dict[str, Array]()
+    with AllFaults() as check:
+        jobs = [Job(Path(name), b"hull", _hull_of) for name in names]
+        for name, made in zip(names, made_of_files(jobs, "hulls of meshes"), strict=True):
+            if isinstance(made, InvalidInputError):
+                check.add(made)
+            else:
+                hulls[name] = made["corners"]
+    return hulls
 
-    def make() -> list[Array]:
-        hull = hull_of(read_mesh_bytes(blob, kind, name)[0])
-        return [mesh_shape.reduce_hull(hull.points[hull.vertices], _VISUAL_CORNERS, _VISUAL_ERROR)]
 
-    return _kept(digest(_MADE.encode(), b"hull", kind.encode(), blob), path.name, make)[0]
+def _hull_of(corners: Array, _: Any) -> dict[str, Any]:
+    hull = hull_of(corners)
+    return {"corners": mesh_shape.reduce_hull(hull.points[hull.vertices], _VISUAL_CORNERS, _VISUAL_ERROR)}
 
 
 def kept_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     """Return the `convex_pieces` of corners (V, 3) [m] and faces (F, 3), from the cache if possible, which lists them under `name`."""
     corners, faces = np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int64)
-    key = digest(_MADE.encode(), b"arrays", corners.tobytes(), faces.tobytes())
-    return _kept(
-        key,
-        name,
-        lambda: convex_pieces(*mesh_shape.weld(corners, faces, mesh_shape.WELD * mesh_shape.extent_of(corners))),
-    )
+    key = digest(MADE.encode(), b"arrays", corners.tobytes(), faces.tobytes())
+
+    def make() -> dict[str, Any]:
+        return _packed(convex_pieces(*mesh_shape.weld(corners, faces, mesh_shape.WELD * mesh_shape.extent_of(corners))))
+
+    return _split(cached(key, name, make, use="hand"))
 
 
-def _kept(key: str, name: str, make: Callable[[], list[Array]]) -> list[Array]:
-    def arrays() -> dict[str, Array]:
-        pieces = make()
-        return {"pieces": np.concatenate(pieces), "counts": np.array([len(piece) for piece in pieces])}
+def _packed(pieces: list[Array]) -> dict[str, Any]:
+    return {"pieces": np.concatenate(pieces), "counts": np.array([len(piece) for piece in pieces])}
 
-    made = cached(key, name, arrays, use="hand")
+
+def _split(made: dict[str, Any]) -> list[Array]:
     return np.split(made["pieces"], np.cumsum(made["counts"])[:-1])
 
 

@@ -12,9 +12,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from grasp_env._extras import need
-from grasp_env._files import MEGABYTE, read_xml
+from grasp_env._files import MEGABYTE
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.objects.apart import apart
+from grasp_env.sim.xml_files import read_xml
 
 _SECONDS, _MAX_MEMORY = 30.0, 1000 * MEGABYTE  # longest time [s] and largest memory [bytes] to expand a file
 _ELEMENT = re.compile(r"\{[^}]*xacro/?\}")  # start of the tag of a xacro element, for any address of the namespace
