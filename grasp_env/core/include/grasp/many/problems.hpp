@@ -59,8 +59,8 @@ public:
                 .nu = of(nu, lane)};
     }
 
-    // Take one step of the `live` lanes, as in `NewtonSolver::descend`.
-    LaneOutcome<Mask> step(const Mask& live) {
+    // Take one step of the `live` lanes, as in `NewtonSolver::descend`. Flat: a call for a part of it costs a tenth of the time.
+    [[gnu::flatten]] LaneOutcome<Mask> step(const Mask& live) {
         const double tolerance = options.tolerance;
         Mask open = live & system_.assemble(cones, x) & (iterations < double(std::min(options.limit, PATIENCE)));
         const Six<V> left = system_.made + wrench;
@@ -152,7 +152,7 @@ public:
         return int(get(iterations, lane));
     }
 
-    LaneOutcome<Mask> step(const Mask& live) {
+    [[gnu::flatten]] LaneOutcome<Mask> step(const Mask& live) {
         const Mask sound = live & (steps.system() > 0.0) & (iterations < double(options.limit));
         const auto solve = [&](const Six<V>& pull) { return steps.schur.solve(pull); };
         const Mask moved = sound & steps.template step<false>(solve(minus), solve);
