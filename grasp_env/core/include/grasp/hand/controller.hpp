@@ -420,9 +420,8 @@ private:
             return most;
         };
         if (change(last_force_.data()) <= settings.most_change) return;
-        follow_.start(from_last(), follow_row_.data());
+        if (follow_.start(from_last(), follow_row_.data()) != STARTED) return;
         const Record kept(follow_row_.data());
-        if (!kept.has_force()) return;
         const double moved = change(kept.force());
         if (moved <= settings.most_change) return;
         const double share = within_limits(kept, settings.most_change / moved);
