@@ -144,7 +144,7 @@ def start_of(
     optimizer: core.ForceOptimizer, start: int, wrench: Wrench, force: ContactForces | None
 ) -> ContactForces | None:
     """Return the start (N, 3) [N] of a `starter`, by its index in `STARTS`, or None if it has none; some take a force (N, 3) [N]."""
-    made = optimizer.start(wrench, None, core.Request(start=start, force=force))
+    made: Any = optimizer.start(wrench, None, core.Request(start=start, force=force))
     return made.initial_force.copy() if made.code == STARTED else None
 
 

@@ -179,7 +179,7 @@ class ForceOptimizer:
             remembers=remembers,
         )
         try:
-            self.core = core.ForceOptimizer(problem, settings, ForceSolution, self.names)
+            self.core: Any = core.ForceOptimizer(problem, settings, ForceSolution, self.names)
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
         self._solve, self._count = self.core.solve, grasp.n_contacts
@@ -232,10 +232,11 @@ class ForceOptimizer:
 
     @previous.setter
     def previous(self, solution: ForceSolution | None) -> None:
-        if instance(solution, ForceSolution, "previous", or_none=True) is None:
+        given = instance(solution, ForceSolution, "previous", or_none=True)
+        if given is None:
             self.forget()
-        elif not self.core.remember(self._checked_previous(solution)):
-            raise InvalidInputError(f"previous must be a solution with a force, got status {solution.status.value}")
+        elif not self.core.remember(self._checked_previous(given)):
+            raise InvalidInputError(f"previous must be a solution with a force, got status {given.status.value}")
 
     def forget(self) -> None:
         """Drop the previous solution."""
