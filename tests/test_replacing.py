@@ -180,7 +180,7 @@ def test_links_stay_and_pipes_are_written_to(tmp_path: Path) -> None:
         assert target.read_text() == text
     pipe, got = tmp_path / "pipe", list[str]()
     os.mkfifo(pipe)
-    reader = threading.Thread(target=lambda: got.append(pipe.read_text()))
+    reader = threading.Thread(target=lambda: got.append(pipe.read_text()), daemon=True)
     reader.start()
     write(pipe, "through")
     reader.join(10.0)

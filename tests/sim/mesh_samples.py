@@ -90,7 +90,7 @@ VALID: dict[str, tuple[str, bytes]] = {
     "stl": (".stl", stl(4, _STL)),
     "stl of words": (".stl", b"solid a\n" + b"".join(_TWO[:2]) + b"endsolid a\nSOLID b\n" + b"".join(_TWO[2:]).upper() + b"ENDSOLID b\n"),
     "ply of words": (".ply", ply("ascii", 4, 4, (_PLACES + _TEXT_FACES).replace(b"\n", b"\r\n"))),
-    "ply with textures": (".ply", ply("ascii", 4, 4, _PLACES + _TEXT_FACES.replace(b"\n", b" 6 0 0 0 1 1 1\n"), _UV)),
+    "ply with textures": (".ply", ply("ascii", 4, 4, _PLACES + _TEXT_FACES.replace(b"\n", b" 6 0 0 0 1 1 1\n", 3).replace(b"3 1 2 3\n", b"3 1 2 3 0\n"), _UV)),
     "ply": (".ply", ply("binary_little_endian", 4, 4, _FLOATS + b"".join(struct.pack("<B3i", 3, *face) for face in FACES))),
     "ply, the other order": (".ply", ply(
         "binary_big_endian", 4, 4, b"".join(struct.pack(">3f", *corner) for corner in CORNERS)

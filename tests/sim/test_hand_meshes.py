@@ -216,6 +216,17 @@ def test_the_second_reading_makes_and_reads_nothing_again(tmp_path: Path, monkey
         read(tmp_path, text, ["finger"])
 
 
+def test_one_process_reads_all_meshes_of_a_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a.stl", "b.obj", "c.ply"):
+        BOX.export(tmp_path / name)
+    runs, apart = list[str](), reading.apart
+    monkeypatch.setattr(reading, "apart", lambda *given, **more: runs.append(given[1]) or apart(*given, **more))
+    text = small(mesh("a.stl") + mesh("b.obj"), mesh("c.ply") + mesh("a.stl", "2 2 2"))
+    hands = [read(tmp_path, text, TIP)[0] for _ in range(2)]
+    assert hands[0] == hands[1]
+    assert runs == ["reading 3 mesh files, once for this content"]
+
+
 def test_all_missing_meshes_are_told_before_any_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bent().export(tmp_path / "bent.stl")
     monkeypatch.setattr(meshes, "open_mesh", fail)

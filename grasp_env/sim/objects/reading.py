@@ -66,9 +66,10 @@ def read_meshes(files: Sequence[MeshFile]) -> list[tuple[Array, Any] | InvalidIn
     }
     text = f"reading {files[0].name if len(files) == 1 else f'{len(files)} mesh files'}, once for this content"
     variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # each thread would take memory
+    seconds = SECONDS + len(files) - 1
     try:
         made = apart(
-            "grasp_env.sim.mesh_files:read_files", text, SECONDS, memory=MAX_MEMORY, variables=variables,
+            "grasp_env.sim.mesh_files:read_files", text, seconds, memory=MAX_MEMORY, variables=variables,
             kinds=kinds, **contents,
         )  # fmt: skip
     except (TimeoutError, ChildProcessError) as error:
