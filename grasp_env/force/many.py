@@ -25,7 +25,7 @@ class ForceSolutions(Sequence[ForceSolution]):
     """
 
     def __init__(self, records: Array, names: Names) -> None:
-        """Wrap filled records."""
+        """Wrap filled records, with the `names` that their solutions show."""
         self.records, self._names = records, names
 
     def __len__(self) -> int:

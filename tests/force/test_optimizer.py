@@ -14,7 +14,13 @@ from force.clarabel_reference import Reference
 from force.generators import own_joints, problem
 from problems import PAPER_WRENCH
 
-from grasp_env.errors import GraspError, InfeasibleWrenchError, RankDeficientGraspError
+from grasp_env.errors import (
+    GraspError,
+    InfeasibleStartError,
+    InfeasibleWrenchError,
+    InvalidInputError,
+    RankDeficientGraspError,
+)
 from grasp_env.force import ForceLimits, ForceOptimizer, OfflineBasis, Status, optimize_force, optimize_forces
 from grasp_env.force.rules import RULES
 from grasp_env.grasp import Grasp, presets
@@ -155,6 +161,59 @@ def test_previous_starts_with_the_methods_own_and_then_remembers(method: str, ow
     optimizer.forget()
     assert optimizer.previous is None
     np.testing.assert_array_equal(optimizer.solve(PAPER_WRENCH).force, first.force)
+
+
+def test_a_solution_that_was_kept_is_the_previous_one() -> None:
+    """Also one of a solver with limits, whose row is longer. One of other contacts, or without a force, is refused."""
+    optimizer = ForceOptimizer(FIVE, initial="previous")
+    kept = ForceOptimizer(FIVE, limits=OWN).solve(LOAD)
+    optimizer.previous = kept
+    assert optimizer.previous is not None
+    np.testing.assert_array_equal(optimizer.previous._record, kept._record)
+    warm, again = optimizer.solve(LOAD), optimizer.solve(LOAD)
+    assert (warm.initial, again.initial, again.iterations) == ("previous", "previous", 0)
+    np.testing.assert_array_equal(warm.force, optimize_force(FIVE, LOAD, initial=kept).force)
+    with pytest.raises(InfeasibleStartError, match="4 contacts, the grasp 5"):
+        optimizer.previous = optimize_force(CUBOID, LOAD)
+    with pytest.raises(InfeasibleWrenchError) as caught:
+        optimize_force(FIVE, LOAD, limits=ForceLimits(max_normal=0.1))
+    with pytest.raises(InvalidInputError, match="must be a solution with a force, got status infeasible"):
+        optimizer.previous = caught.value.solution
+    np.testing.assert_array_equal(optimizer.previous._record, again._record)
+
+
+def test_torsions_of_the_touching_contacts_are_carried_over() -> None:
+    touching = np.array([True, False, True, True, True])
+    optimizer = ForceOptimizer(SOFT, initial="previous")
+    first = optimizer.solve(LOAD, contacts=touching)
+    again = optimizer.solve(LOAD, contacts=touching, trace=True)
+    assert np.abs(first.torsion[touching]).min() > 1e-4
+    assert again.initial == "previous"
+    assert again.objective_trace[0] == pytest.approx(first.objective, rel=1e-9)
+
+
+def test_a_mask_of_all_contacts_is_none() -> None:
+    """A start that belongs to the constructor's contacts is found."""
+    optimizer = ForceOptimizer(FIVE, initial="lagrange")
+    assert optimizer.solve(LOAD, contacts=np.ones(5, bool)).initial == "lagrange"
+
+
+def test_the_gap_is_a_part_of_the_bound() -> None:
+    loose = optimize_force(FIVE, LOAD, tolerance=0.9)
+    assert loose.objective > 1.01 * loose.lower_bound > 0.0
+    assert loose.optimality_gap == (loose.objective - loose.lower_bound) / loose.lower_bound
+
+
+def test_a_rule_cannot_change_the_wrench() -> None:
+    def rule(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
+        start = optimize_force(grasp, wrench).force
+        wrench[:] = 0.0
+        return start
+
+    load = LOAD.copy()
+    solution = ForceOptimizer(FIVE, initial=rule).solve(load)
+    np.testing.assert_array_equal(solution.wrench, LOAD)
+    np.testing.assert_array_equal(load, LOAD)
 
 
 def test_warm_starts_on_the_papers_path_save_steps() -> None:

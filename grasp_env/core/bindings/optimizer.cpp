@@ -59,8 +59,8 @@ public:
 
     // Return a new solution with the numbers of a record; its start is of a call that has names of its own, or of the constructor's.
     nb::object solution(const Record& record) const {
-        nb::object row = new_row();
-        std::copy_n(&record.summary().code, size(), data(row));
+        nb::object row = new_row(record.size());
+        std::copy_n(&record.summary().code, record.size(), data(row));
         return solution(row);
     }
     nb::object solution(const nb::object& row) const {
@@ -68,8 +68,7 @@ public:
         if (!made) throw nb::python_error();
         return made;
     }
-    nb::object new_row() const {
-        npy_intp length = size();
+    static nb::object new_row(npy_intp length) {
         nb::object row = nb::steal(PyArray_SimpleNew(1, &length, NPY_DOUBLE));
         if (!row) throw nb::python_error();
         return row;
@@ -140,7 +139,7 @@ nb::object solve(ForceOptimizer& on, nb::handle wrench, nb::handle changes, cons
 nb::object start(ForceOptimizer& on, nb::handle wrench, nb::handle changes, const OwnRequest& request) {
     Request ask = request.request;
     if (!on.read(wrench, changes, ask)) return nb::borrow(Py_NotImplemented);
-    nb::object row = on.new_row();
+    nb::object row = on.new_row(on.size());
     on.start(ask, data(row));
     return on.solution(row);
 }

@@ -82,10 +82,9 @@ public:
     // number of contacts. Allocates.
     bool remember(const Record& solution) {
         if (!solution.has_force() || solution.contacts() != contacts().count) return false;
-        const Summary& s = solution.summary();
-        const double* row = &s.code;
+        const double* row = &solution.summary().code;
         if (row == rows_[0].data()) return true;
-        rows_[0].assign(row, row + record_size(int(s.contacts), int(s.joints), int(s.limits)));
+        rows_[0].assign(row, row + solution.size());
         has_previous_ = true;
         record_ = last_record();
         return true;

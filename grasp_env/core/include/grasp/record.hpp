@@ -77,6 +77,8 @@ public:
         return s.objective == 0.0 ? 0.0 : infinity;
     }
     int contacts() const { return count_; }
+    // Numbers of a complete row.
+    int size() const { return record_size(count_, int(summary().joints), int(summary().limits)); }
     double* force() const { return row_ + SUMMARY; }  // (N, 3) [N]: normal, o, t
     double* initial_force() const { return force() + 3 * count_; }  // (N, 3) [N]
     double* torsion() const { return force() + 6 * count_; }  // (N,) [N m]
