@@ -35,6 +35,7 @@ private:
     T value_{};
 };
 
+// How an internal force is searched for: not yet; with as many steps as are nearly always enough; until it is found or out of digits.
 enum class Search { none, quick, thorough };
 
 // A force and its torsions; an answer with the prices of the limits. Space for all contacts.
