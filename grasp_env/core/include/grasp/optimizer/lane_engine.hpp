@@ -42,11 +42,11 @@ public:
         for (std::ptrdiff_t k = 0; k < count; ++k) {
             const Request ask{.wrench = many.wrench(k)};
             double* row = rows + size() * k;
-            const Record made = many.record(k, home().count);
-            if (start == Start::standard || made.code() != CONVERGED) {
+            if (start == Start::standard || many.record(k, home().count).code() != CONVERGED) {
                 solve(ask, row);
                 continue;
             }
+            const Record made = many.record(k, home().count);
             CallState call = begin(ask);
             call.used.start = start;
             std::copy_n(&made.summary().code, record_size(home().count), on_.answer.row.data());
