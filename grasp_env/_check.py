@@ -72,11 +72,14 @@ def _converted(value: Any, shape: Shape | None, name: str) -> Array:
         given: Any = np.asarray(value)
         if type(value) is list and given.dtype is _FLOAT:  # the usual case: a new array that needs no conversion
             return given
-        if given.dtype.kind == "O":  # fractions, large integers, None
+        if np.ma.is_masked(value):  # `asarray` reads what the mask hides
+            why = "masked entries are no numbers"
+        elif given.dtype.kind == "O":  # fractions, large integers, None
             return np.reshape([float(entry) for entry in given.flat], given.shape)
-        if given.dtype.kind in "iuf":  # numpy would convert text and booleans, too, and complex numbers in part
+        elif given.dtype.kind in "iuf":  # numpy would convert text and booleans, too, and complex numbers in part
             return np.array(given, dtype=np.float64, order="C")
-        why = f"they are of type {given.dtype}"
+        else:
+            why = f"they are of type {given.dtype}"
     except Exception as error:  # numpy's own
         why = str(error).partition("\n")[0].rstrip(".")[:200]
     raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {why}, got {shown(value)}")

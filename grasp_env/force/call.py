@@ -69,6 +69,8 @@ def _mask(contacts: Any, count: int) -> Any:
         given = np.asarray(contacts)
     except Exception:  # numpy's own: rows of different lengths, arrays that refuse
         given = np.asarray(None)
+    if np.ma.is_masked(contacts):
+        raise InvalidInputError(f"contacts must be true or false each, none of them masked, got {shown(contacts)}")
     if given.shape == (count,) and given.dtype.kind in "biuf" and count <= 64:
         mask = np.ascontiguousarray(given, dtype=bool)
         if given.dtype.kind == "b" or (mask == given).all():

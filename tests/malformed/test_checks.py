@@ -12,7 +12,7 @@ import pytest
 
 from grasp_env._check import AllFaults, as_array, choice, flag, instance, number, positive, whole
 from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError
-from grasp_env.force import optimize_force
+from grasp_env.force import ForceOptimizer, optimize_force
 from grasp_env.grasp import Grasp, presets
 from grasp_env.ranges import Range
 
@@ -27,6 +27,7 @@ PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
         (["1", "2"], "they are of type <U1"),
         (np.array([True, False]), "they are of type bool"),
         ([1j, 2.0], "they are of type complex128"),
+        (np.ma.masked_array([1.0, 2.0], [True, False]), "masked entries are no numbers"),
         ([None, 1.0], "not 'NoneType'"),
         ({"a": 1.0}, "not 'dict'"),
         ([[1.0], [1.0, 2.0]], "inhomogeneous|ragged"),  # the latter before numpy 1.24
@@ -83,3 +84,21 @@ def test_all_faults_are_told_at_once() -> None:
         Grasp.from_contacts("here", "there", 0.4)
     with pytest.raises(UnknownNameError), AllFaults() as check:  # one fault keeps its class
         (check(choice, "a", "letter", "b"), check(whole, 1, "count", 0))
+
+
+@pytest.mark.parametrize("name", ["wrench", "normals", "friction", "contacts"])
+def test_a_masked_array_never_loses_its_mask(name: str) -> None:
+    """The solver reads plain arrays in place; a subclass is read by `as_array`, which refuses what numpy would uncover."""
+    optimizer = ForceOptimizer(CUBOID)
+    call: dict[str, Any] = {
+        "wrench": PAPER,
+        "normals": CUBOID.normals,
+        "friction": np.full(4, 0.4),
+        "contacts": np.ones(4, dtype=bool),
+    }
+    mask = np.zeros(call[name].shape, dtype=bool)
+    mask[:1] = True
+    hidden = np.ma.masked_array(call[name], mask)
+    with pytest.raises(InvalidInputError, match=f"{name} must be.*masked"):
+        optimizer.solve(**call | {name: hidden})
+    assert optimizer.solve(**call | {name: np.ma.masked_array(call[name])}).cone_margin > 0.0

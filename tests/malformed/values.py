@@ -15,7 +15,7 @@ OBJECTS: list[Any] = [
     None, "", "a", "0.4", "nan", "newton", "sum", "previous", [], (), {}, int, print, [None] * 6, [1.0, [2.0]],
     [[1.0, 2.0, 3.0], [1.0, 2.0]], ["1"] * 6, [True] * 6, [1j] * 6, [[0.0]] * 70, {"a": 1.0},
     np.zeros(()), np.zeros(0), np.zeros((0, 3)), np.ones(6), np.ones((4, 3)), np.full(6, np.nan), np.full((4, 3), np.inf), np.eye(6),
-    np.ones(6, dtype=np.float32), np.ones(6).astype(">f8"),
+    np.ones(6, dtype=np.float32), np.ones(6).astype(">f8"), np.ma.masked_array(np.ones(6), [1, 0, 0, 0, 0, 0]),
 ]  # fmt: skip
 
 

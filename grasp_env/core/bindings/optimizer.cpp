@@ -15,11 +15,11 @@ using grasp::Doubles;
 using grasp::Record;
 using grasp::Request;
 
-// The numbers of an array that can be read in place.
+// The numbers of an array that can be read in place. Subclasses are left to Python: a masked array, for one, hides some of its numbers.
 class ArrayArgument {
 public:
     explicit ArrayArgument(PyObject* object) : given_(object != Py_None) {
-        if (!given_ || !PyArray_Check(object)) return;
+        if (!given_ || !PyArray_CheckExact(object)) return;
         PyArrayObject* array = reinterpret_cast<PyArrayObject*>(object);
         if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array)) array_ = array;
     }
@@ -114,7 +114,7 @@ private:
     }
     bool read_contacts(PyObject* given, Changes& now) const {
         if (given == Py_None) return true;
-        if (!PyArray_Check(given)) return false;
+        if (!PyArray_CheckExact(given)) return false;
         PyArrayObject* which = reinterpret_cast<PyArrayObject*>(given);
         if (PyArray_TYPE(which) != NPY_BOOL || PyArray_NDIM(which) != 1 || PyArray_DIM(which, 0) != count || count > 64)
             return false;
