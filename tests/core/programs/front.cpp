@@ -176,6 +176,19 @@ int main(int given, char** arguments) {
         return ForceOptimizer(static_cast<const ForceOptimizer&>(gone));
     }();
     print("copied", copy.solve(wrench));
+    {  // a copy remembers; after the shorter row of a solver without limits it has room for its own
+        ForceOptimizer remembering({contacts, limits}, newton);
+        remembering.remember(solver.solve(wrench));
+        ForceOptimizer heir(remembering);
+        const auto follows = [&](int) {
+            return heir.solve({.wrench = wrench, .start = Start::previous}).summary().start == double(Start::previous);
+        };
+        counted("copies", 5, follows);
+        const Record kept = *heir.previous();
+        heir.forget();
+        const bool taken = heir.remember(kept);
+        std::printf("remembered again: %d%d\n", taken, heir.previous().has_value());
+    }
     std::printf("updated: %d\n", copy.update(there));
     print("updated there", copy.solve(wrench));
     print("not updated", limited.solve(wrench));

@@ -83,7 +83,7 @@ void require(bool good, const char* what, const Record& record, double value) {
 constexpr double BALANCED = 1e-6;  // part of wrench and forces; contacts nearly on a line have fewer digits than others
 constexpr double INSIDE = 1e-9;  // part of a force by which rounding may take conic forces out of their cones
 
-// Compares a record with what was given; tests/force/trial.py judges optima, bounds and proofs.
+// Compares a record with what was given; tests/force/test_trial.py judges optima, bounds and proofs.
 void check(const Given& g, const double* wrench, const Options& options, const Record& record) {
     const Summary& s = record.summary();
     const Code code = record.code();

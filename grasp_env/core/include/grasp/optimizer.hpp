@@ -23,8 +23,10 @@ public:
     explicit ForceOptimizer(const Problem& problem, const Options& options = {})
         : engine_(make(problem, options)), rows_{std::vector<double>(engine_->size()), std::vector<double>(engine_->size())} {}
     ForceOptimizer(const ForceOptimizer& other)
-        : engine_(other.engine_->clone()), rows_{other.rows_[0], other.rows_[1]}, has_previous_(other.has_previous_),
-          record_(last_record()) {}
+        : engine_(other.engine_->clone()), rows_{other.rows_[0], other.rows_[1]}, has_previous_(other.has_previous_) {
+        for (auto& row : rows_) row.reserve(size());  // a copied vector has no more room than it needs
+        record_ = last_record();
+    }
     ForceOptimizer(ForceOptimizer&&) = default;
 
     // Solve for the force that balances a wrench. The next call overwrites the record. now: changes for this call only.
@@ -36,7 +38,7 @@ public:
         const Record made(rows_[1].data());
         if (made.has_force()) {  // without a force, the previous solution stays
             std::swap(rows_[0], rows_[1]);
-            rows_[1].resize(rows_[0].size());  // after `remember`; there is room
+            rows_[1].resize(size());  // after `remember`; there is room
             has_previous_ = true;
             record_ = last_record();
         } else {
@@ -83,8 +85,7 @@ public:
     bool remember(const Record& solution) {
         if (!solution.has_force() || solution.contacts() != contacts().count) return false;
         const double* row = &solution.summary().code;
-        if (row == rows_[0].data()) return true;
-        rows_[0].assign(row, row + solution.size());
+        if (row != rows_[0].data()) rows_[0].assign(row, row + solution.size());
         has_previous_ = true;
         record_ = last_record();
         return true;

@@ -1,7 +1,6 @@
 // The inputs of `ForceOptimizer`: a problem, options, and the data of one call.
 #pragma once
 #include <memory>
-#include <optional>
 #include <grasp/conic/criterion.hpp>
 #include <grasp/flow/step_rule.hpp>
 #include <grasp/learned/learned.hpp>

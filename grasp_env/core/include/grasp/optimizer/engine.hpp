@@ -1,5 +1,6 @@
 // The interface of the solver behind `ForceOptimizer`; `lane_engine.hpp` implements it.
 #pragma once
+#include <optional>
 #include <grasp/general/deepest.hpp>
 #include <grasp/problem.hpp>
 #include <grasp/record.hpp>

@@ -56,7 +56,9 @@ public:
 
     // Work space of a call.
     Field begun, work, predicted;  // start of a descent; another start; prediction of a model
-    Given given;  // a force of the caller, or the previous one, on the touching contacts
+    // A force of the caller, or the previous one, on the touching contacts. The searches for an internal force write here, too: make
+    // `general()` before a force is loaded.
+    Given given;
     Answer answer, kept;  // of the current contacts; an answer to which another may be preferred
 
     // Throws std::invalid_argument.
