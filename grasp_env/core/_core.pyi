@@ -249,7 +249,7 @@ class ForceOptimizer:
     """`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`."""
 
     def __init__(self, problem: Problem, options: Options, kind: object, names: object | None) -> None:
-        """kind: the class of solutions; names: what `Solution.names` returns."""
+        """kind: the class of solutions; names: what `Solution._names` returns."""
 
     def solve(self, wrench: object | None, changes: object | None, request: Request | None) -> object:
         """

@@ -220,7 +220,7 @@ def as_limits(value: object) -> ForceLimits | None:
 
 
 def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...] | None:
-    """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`; None for those that were not given."""
+    """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`, each None if it was not given; None without limits."""
     if limits is None:
         return None
     arrays: Any = vars(limits)  # arrays after __post_init__

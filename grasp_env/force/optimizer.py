@@ -135,7 +135,7 @@ class ForceOptimizer:
         self._make()
         warn_of_contacts(grasp, self.limits)
         if isinstance(self._initial, ForceSolution):
-            self.previous, self._initial = self._checked_previous(self._initial), "previous"
+            self.previous, self._initial = self._initial, "previous"
 
     def _make(self) -> None:
         """Make the compiled optimizer."""
@@ -235,8 +235,8 @@ class ForceOptimizer:
         given = instance(solution, ForceSolution, "previous", or_none=True)
         if given is None:
             self.forget()
-        elif not self.core.remember(self._checked_previous(given)):
-            raise InvalidInputError(f"previous must be a solution with a force, got status {given.status.value}")
+        else:
+            self.core.remember(self._checked_previous(given))
 
     def forget(self) -> None:
         """Drop the previous solution."""
@@ -322,6 +322,7 @@ class ForceOptimizer:
         solution._names = self.names.of_start(start.start, start.name)
         if solution.has_force:
             start.mark(solution._record)
+            self.core.remember(solution)  # with the names and the mark
         if values is not None:
             solution.objective_trace = values[: solution.iterations + 1]
         return solution, start
@@ -356,7 +357,7 @@ class ForceOptimizer:
         made = self.core.start(load, now, start.request())
         if made.code != STARTED:
             raise self._error(made, load, now, start)
-        return made.initial_force, start.replaced or made.start_replaced
+        return made.initial_force.copy(), start.replaced or made.start_replaced
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
         """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other, on `workers` threads; see `optimize_forces`."""
@@ -420,7 +421,9 @@ class ForceOptimizer:
         return StartFrom(start.start, start.name, start.replaced, force)
 
     def _checked_previous(self, previous: ForceSolution) -> ForceSolution:
-        """Return a solution to start from; raise if its number of contacts differs."""
+        """Return a solution to start from; raise if it has no force or another number of contacts."""
+        if not previous.has_force:
+            raise InvalidInputError(f"previous must be a solution with a force, got status {previous.status.value}")
         if previous.n_contacts != self._count:
             raise InfeasibleStartError(
                 f"the previous solution has {previous.n_contacts} contacts, the grasp {self._count}"

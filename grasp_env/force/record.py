@@ -9,10 +9,10 @@ from grasp_env.core import codes, record_fields
 
 _PLACES, _CODES = record_fields(), codes()
 
-CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN, EXCESS, START, REPLACED, OUTSIDE, CONTACTS = (
+CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN, START, REPLACED, OUTSIDE, CONTACTS = (
     _PLACES[name]
     for name in (
-        "code", "iterations", "trials", "objective", "lower_bound", "residual", "margin", "limit_excess", "start", "replaced",
+        "code", "iterations", "trials", "objective", "lower_bound", "residual", "margin", "start", "replaced",
         "outside", "contacts",
     )
 )  # fmt: skip

@@ -55,19 +55,26 @@ public:
 
     ForceOptimizer(const grasp::Problem& problem, const grasp::Options& options, nb::object kind, nb::object names)
         : grasp::ForceOptimizer(problem, options), count(problem.contacts.count), joints(int(problem.limits.torque_limit.size())),
-          kind_(kind), names_(names) {}
+          kind_(kind), names_(names), last_names_(names) {}
 
-    // Return a new solution with the numbers of a record; its start is of a call that has names of its own, or of the constructor's.
-    nb::object solution(const Record& record) const {
-        nb::object row = new_row(record.size());
-        std::copy_n(&record.summary().code, record.size(), data(row));
-        return solution(row);
+    // Solve, and return a new solution with the constructor's names.
+    nb::object solved(const Request& ask) {
+        const Record& made = solve(ask);
+        if (made.has_force() && last_names_.ptr() != names_.ptr()) last_names_ = names_;
+        return solution(made, names_);
     }
-    nb::object solution(const nb::object& row) const {
-        nb::object made = nb::steal(new_solution(kind_.ptr(), row.ptr(), names_.ptr()));
-        if (!made) throw nb::python_error();
-        return made;
+    // The last solution with a force, or None.
+    nb::object last() {
+        const std::optional<Record> found = previous();
+        return found ? solution(*found, last_names_) : nb::none();
     }
+    bool take(nb::handle solution) {
+        const bool taken = remember(Record(row_of(solution)));
+        if (taken) last_names_ = names_of(solution);
+        return taken;
+    }
+    // Return a new solution with the numbers of a row and the constructor's names.
+    nb::object solution(const nb::object& row) const { return solution(row, names_); }
     static nb::object new_row(npy_intp length) {
         nb::object row = nb::steal(PyArray_SimpleNew(1, &length, NPY_DOUBLE));
         if (!row) throw nb::python_error();
@@ -93,8 +100,19 @@ public:
     }
 
 private:
-    nb::object kind_, names_;
+    nb::object kind_, names_, last_names_;
     double friction_ = 0.0;
+
+    nb::object solution(const Record& record, const nb::object& names) const {
+        nb::object row = new_row(record.size());
+        std::copy_n(&record.summary().code, record.size(), data(row));
+        return solution(row, names);
+    }
+    nb::object solution(const nb::object& row, const nb::object& names) const {
+        nb::object made = nb::steal(new_solution(kind_.ptr(), row.ptr(), names.ptr()));
+        if (!made) throw nb::python_error();
+        return made;
+    }
 
     bool read_friction(PyObject* given, Changes& now) {
         if (given == Py_None) return true;
@@ -126,6 +144,7 @@ private:
 };
 
 void make(ForceOptimizer* self, const OwnProblem& problem, const grasp::Options& options, nb::object kind, nb::object names) {
+    if (!is_solution_class(kind)) throw nb::type_error("kind must be `Solution` or a class derived from it");
     new (self) ForceOptimizer(problem.view(), options, kind, names);
 }
 
@@ -133,7 +152,7 @@ nb::object solve(ForceOptimizer& on, nb::handle wrench, nb::handle changes, cons
     Request ask{};
     if (request) ask = request->request;
     if (!on.read(wrench, changes, ask)) return nb::borrow(Py_NotImplemented);
-    return on.solution(on.solve(ask));
+    return on.solved(ask);
 }
 
 nb::object start(ForceOptimizer& on, nb::handle wrench, nb::handle changes, const OwnRequest& request) {
@@ -150,11 +169,6 @@ bool update(ForceOptimizer& on, nb::handle changes) {
     return on.update(now);
 }
 
-nb::object previous(ForceOptimizer& on) {
-    const std::optional<Record> last = on.previous();
-    return last ? on.solution(*last) : nb::none();
-}
-
 void solve_many(const ForceOptimizer& on, nb::handle wrenches, nb::handle rows) {
     const Numbers loads = in(wrenches, -1, 6);
     const std::size_t many = loads.length(0);
@@ -168,7 +182,7 @@ void times(ForceOptimizer& on, nb::handle wrenches, int passes, nb::handle rows,
     time_calls(wrenches, passes, on.size(), rows, best, [&](const double* wrench, double* row) {
         Request ask{};
         ask.wrench = wrench;
-        static_cast<grasp::ForceOptimizer&>(on).solve(ask, row);
+        on.solve(ask, row);
     });
 }
 
@@ -212,7 +226,7 @@ void bind_optimizer(nb::module_& m) {
           "(Eqs. 33, 34).");
     nb::class_<ForceOptimizer>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`.")
         .def("__init__", &make, "problem"_a, "options"_a, "kind"_a, "names"_a.none(),
-             "kind: the class of solutions; names: what `Solution.names` returns.")
+             "kind: the class of solutions; names: what `Solution._names` returns.")
         .def("solve", &solve, "wrench"_a.none(), "changes"_a.none(), "request"_a.none(),
              "Return a solution, whose code says whether it holds a force; NotImplemented if wrench or changes are not "
              "C-contiguous\n"
@@ -223,10 +237,9 @@ void bind_optimizer(nb::module_& m) {
              "The same for the start alone: code `started`, and the start in `initial_force`.")
         .def("update", &update, "changes"_a,
              "Replace contacts and limits for later calls. Return False, with nothing changed, if they are not possible.")
-        .def_prop_ro("previous", &previous, "The last solution with a force, or None.")
-        .def(
-            "remember", [](ForceOptimizer& on, nb::handle solution) { return on.remember(Record(row_of(solution))); },
-            "solution"_a, "Take a solution as the last one. Return False if it holds no force or has another number of contacts.")
+        .def_prop_ro("previous", &ForceOptimizer::last, "The last solution with a force, or None.")
+        .def("remember", &ForceOptimizer::take, "solution"_a,
+             "Take a solution as the last one. Return False if it holds no force or has another number of contacts.")
         .def("forget", &ForceOptimizer::forget, "Forget the last solution.")
         .def("set_basis", &set_basis, "basis"_a, "Set the 12-basis with the optimum at rest, (13, 3N) cone coordinates.")
         .def("make_basis", &make_basis, "basis"_a, "warm"_a,

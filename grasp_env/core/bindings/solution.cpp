@@ -203,10 +203,14 @@ PyType_Spec spec{"grasp_env.core._core.Solution", sizeof(Solution), 0, Py_TPFLAG
 PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* names) {
     return made_of(reinterpret_cast<PyTypeObject*>(kind), record, names, empty_array);
 }
+bool is_solution_class(nb::handle kind) {
+    return PyType_Check(kind.ptr()) && PyType_IsSubtype(reinterpret_cast<PyTypeObject*>(kind.ptr()), solution_type);
+}
 double* row_of(nb::handle solution) {
     if (!PyObject_TypeCheck(solution.ptr(), solution_type)) throw nb::type_error("expected a solution");
     return static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(solution.ptr())->record)));
 }
+nb::object names_of(nb::handle solution) { return nb::borrow(reinterpret_cast<Solution*>(solution.ptr())->names); }
 
 void bind_solution(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();

@@ -8,5 +8,9 @@
 
 // Return a new object of a class derived from `core.Solution` for a row that a solver wrote; null: an exception is set.
 PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* names);
+// True for `core.Solution` and classes derived from it.
+bool is_solution_class(nb::handle kind);
 // Return the row of a solution. Throws a TypeError for other objects.
 double* row_of(nb::handle solution);
+// Return the names of an object that is a solution.
+nb::object names_of(nb::handle solution);
