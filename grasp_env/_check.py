@@ -6,6 +6,7 @@ what was given and what is allowed. `AllFaults` collects several.
 
 from __future__ import annotations
 
+import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable
@@ -75,7 +76,10 @@ def _converted(value: Any, shape: Shape | None, name: str) -> Array:
         if np.ma.is_masked(value):  # `asarray` reads what the mask hides
             why = "masked entries are no numbers"
         elif given.dtype.kind == "O":  # fractions, large integers, None
-            return np.reshape([float(entry) for entry in given.flat], given.shape)
+            each: Any = [as_number(entry) for entry in given.flat]
+            if None not in each:
+                return np.reshape(each, given.shape)
+            why = "not all of them are"
         elif given.dtype.kind in "iuf":  # numpy would convert text and booleans, too, and complex numbers in part
             return np.array(given, dtype=np.float64, order="C")
         else:
@@ -113,11 +117,16 @@ def as_wrenches(value: ArrayLike) -> Array:
 
 
 def as_number(value: Any) -> float | None:
-    """Return a real number, or an array of one without axes, as a float; None if it is neither."""
+    """Return a real number, or an array of one without axes, as a float (infinite if it is too large); None if it is neither."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return None
     number: Any = value
-    return float(number) if isinstance(value, Real) and not isinstance(value, bool) else None
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf if number > 0 else -math.inf
 
 
 def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:

@@ -28,12 +28,17 @@ PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
         (np.array([True, False]), "they are of type bool"),
         ([1j, 2.0], "they are of type complex128"),
         (np.ma.masked_array([1.0, 2.0], [True, False]), "masked entries are no numbers"),
-        ([None, 1.0], "not 'NoneType'"),
-        ({"a": 1.0}, "not 'dict'"),
+        ([None, 1.0], "not all of them are"),
+        ({"a": 1.0}, "not all of them are"),
+        (["3", 10**30], "not all of them are|they are of type <U"),
+        ([True, 10**30], "not all of them are"),
+        (np.array(["1", "2"], object), "not all of them are"),
+        ([10**400, 1.0], "be finite, got"),
         ([[1.0], [1.0, 2.0]], "inhomogeneous|ragged"),  # the latter before numpy 1.24
         ([1.0, 2.0, 3.0], r"shape \(2,\), got \(3,\)"),
         ([1.0, math.nan], r"be finite, got \[1.0, nan\]"),
         (np.array([1.0, math.inf]), r"be finite, got \[1.0, inf\]"),
+        ([-0.5, 1.0], "lie within 0 to 2, got -0.5 in it"),
         ([0.5, 3.0], "lie within 0 to 2, got 3 in it"),
     ],
 )
@@ -54,7 +59,7 @@ def test_right_arrays() -> None:
 
 
 WRONG: list[tuple[Callable[[Any], Any], list[Any], type[GraspError], str]] = [
-    (lambda x: positive(x, "tolerance"), ["0.4", True, None, 1j, [0.4], math.inf, math.nan, -1.0, 0], InvalidInputError, "must be a number > 0|must lie within 1e-300 to"),
+    (lambda x: positive(x, "tolerance"), ["0.4", True, None, 1j, [0.4], math.inf, math.nan, -1.0, 0, 10**400], InvalidInputError, "must be a number > 0|must lie within 1e-300 to"),
     (lambda x: number(x, "share", Range(0.0, 1.0)), ["1", None, math.inf, 2], InvalidInputError, "within 0 to 1, got"),
     (lambda x: whole(x, "count", 0, 10), [1.0, "1", True, None, -1, 11], InvalidInputError, "count must be an integer"),
     (lambda x: choice(x, "letter", ("x", "y")), ["a", [], None], UnknownNameError, "choose one of 'x', 'y'"),
