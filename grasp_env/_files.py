@@ -40,13 +40,15 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
     """
     try:
         with open(os.fspath(path), "rb") as file:
-            size = os.fstat(file.fileno()).st_size or most  # 0: a pipe
-            blob = file.read(min(size, most) + 1)  # this much room is taken at once
+            parts, left = list[bytes](), most + 1
+            while part := file.read(min(left, MEGABYTE)):  # files under /proc and pipes do not tell their size
+                parts.append(part)
+                left -= len(part)
     except (TypeError, ValueError) as error:
         raise OSError(errno.EINVAL, f"no path of a file ({error})", shown(path)) from None
-    if len(blob) > most:
+    if left == 0:
         raise OSError(errno.EFBIG, f"it is larger than {most // MEGABYTE} MB", str(path))
-    return blob
+    return b"".join(parts)
 
 
 def read_json(path: Path, error: type[GraspError], what: str, most: int = TEXT, **options: Any) -> Any:

@@ -73,6 +73,8 @@ def read_files(kinds: Any, **files: Any) -> dict[str, Any]:
         except _FileFault as fault:
             made[f"fault{number}"] = np.array(str(fault))
         except MemoryError:
+            if len(kinds) > 1:  # it may be too much only beside the others
+                raise
             made[f"fault{number}"] = np.array(TOO_MUCH_MEMORY)
         except Exception as problem:  # each format has its own
             made[f"fault{number}"] = np.array(f"could not be read as {kind}: {_reason(problem)}; {EXPORT}")

@@ -106,7 +106,18 @@ def test_a_file_that_ends_the_process_costs_none_beside_it(
     assert re.match(message, str(found[-1]))
 
 
-def test_damaged_files_are_meshes_or_refused() -> None:
+def test_memory_is_told_of_a_file_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is too much beside other files is not too much for each, so the process of several ends, and each is read again."""
+
+    def load(blob: bytes, kind: str) -> Any:
+        raise MemoryError
+
+    monkeypatch.setattr(mesh_files, "_by_trimesh", load)
+    file = np.zeros(1, np.uint8)
+    assert mesh_files.read_files(np.array([".obj"]), file0=file)["fault0"] == mesh_files.TOO_MUCH_MEMORY
+    with pytest.raises(MemoryError):
+        mesh_files.read_files(np.array([".obj", ".stl"]), file0=file, file1=file)
+
     rng, files = np.random.default_rng(0), list[MeshFile]()
     for name, (kind, blob) in VALID.items():
         for _ in range(30):
