@@ -263,6 +263,16 @@ def test_verdicts_need_their_witness():
     assert (feasible["wrong"], feasible["solved"]) == (True, False)
 
 
+def test_negative_prices_count_as_none():
+    """A multiplier of an inequality is at least 0; one below would prove anything."""
+    problem = replace(PROBLEM, max_normal=np.full(4, 1e3))
+    twists = np.random.default_rng(1).standard_normal((50, 6))
+    measure = Measure.of(problem)
+    for twist in twists:
+        plain = measure.witness(np.concatenate([twist, np.zeros(4)]))
+        assert measure.witness(np.concatenate([twist, np.full(4, -1.0)])) == plain
+
+
 def test_no_witness_against_a_feasible_wrench():
     """Random twists, and those of the optimum, never separate what a force balances."""
     twists = [*np.random.default_rng(0).standard_normal((200, 6)), OPTIMUM.multipliers, -OPTIMUM.multipliers]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import pickle
 import weakref
 from contextlib import suppress
@@ -179,7 +180,29 @@ def test_a_solution_that_was_kept_is_the_previous_one() -> None:
         optimize_force(FIVE, LOAD, limits=ForceLimits(max_normal=0.1))
     with pytest.raises(InvalidInputError, match="must be a solution with a force, got status infeasible"):
         optimizer.previous = caught.value.solution
+    with pytest.raises(InvalidInputError, match="must be a solution with a force, got status infeasible"):
+        optimizer.solve(LOAD, initial=caught.value.solution)
     np.testing.assert_array_equal(optimizer.previous._record, again._record)
+
+
+def test_the_previous_solution_has_its_own_names() -> None:
+    def mine(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
+        return optimize_force(grasp, wrench).force
+
+    optimizer = ForceOptimizer(FIVE)
+    solution = optimizer.solve(LOAD, initial=mine)
+    assert optimizer.previous is not None
+    assert (solution.initial, optimizer.previous.initial) == ("mine", "mine")
+    optimizer.solve(LOAD)
+    assert optimizer.previous.initial == "internal_force"
+    optimizer.previous = optimize_force(FIVE, LOAD, method="conic")
+    assert (optimizer.previous.method, optimizer.previous.initial) == ("conic", "central")
+
+
+def test_a_start_belongs_to_the_caller() -> None:
+    start = ForceOptimizer(FIVE).start(LOAD)
+    start *= 2.0
+    assert start.base is None
 
 
 def test_torsions_of_the_touching_contacts_are_carried_over() -> None:
@@ -198,6 +221,58 @@ def test_a_mask_of_all_contacts_is_none() -> None:
     assert optimizer.solve(LOAD, contacts=np.ones(5, bool)).initial == "lagrange"
 
 
+def test_friction_in_pairs_belongs_to_the_touching_contacts() -> None:
+    friction = np.full((5, 2), np.nan)
+    friction[2:] = [0.4, 0.6]
+    touching = np.arange(5) >= 2
+    load = -FIVE.wrench(np.tile([1.0, 0.0, 0.0], (5, 1)) * touching[:, None])
+    found = ForceOptimizer(ELLIPTIC).solve(load, friction=friction, contacts=touching)
+    alone = ForceOptimizer(ELLIPTIC).solve(load, contacts=touching)
+    np.testing.assert_array_equal(found.force, alone.force)
+
+
+def test_the_deepest_force_is_that_of_the_constructors_contacts() -> None:
+    def deepest(optimizer: ForceOptimizer) -> np.ndarray:
+        force = np.zeros((5, 3))
+        optimizer.core.deepest(LOAD, force, np.zeros(5), np.zeros(6))
+        return force
+
+    used = ForceOptimizer(FIVE)
+    with suppress(InfeasibleWrenchError):
+        used.solve(LOAD, contacts=np.arange(5) > 0)
+    np.testing.assert_array_equal(deepest(used), deepest(ForceOptimizer(FIVE)))
+
+
+def test_a_force_that_exceeds_its_limits_has_no_prices() -> None:
+    """A row in C++ does not keep those of the solve before."""
+    grasp, options = KINDS["newton, elastic"]
+    optimizer = ForceOptimizer(grasp, **options)
+    priced, exceeded = optimizer.solve(0.1 * LOAD), optimizer.solve(LOAD)
+    assert priced.limit_multipliers.any()
+    assert exceeded.status is Status.LIMITS_EXCEEDED
+    assert not exceeded._record[-len(optimizer.limit_labels) :].any()
+
+
+def test_a_start_at_rest_lies_inside() -> None:
+    assert ForceOptimizer(FIVE, initial="lagrange").solve(np.zeros(6)).initial == "lagrange"
+
+
+def test_a_rule_is_given_the_touching_contacts_with_their_tangents() -> None:
+    touching = np.array([True, False, True, True, True])
+    tangents = np.cross(FIVE.normals, [0.6, 0.48, 0.64])
+    tangents /= np.linalg.norm(tangents, axis=1)[:, None]
+    grasp = Grasp.from_contacts(FIVE.positions, FIVE.normals, np.tile([0.4, 0.6], (5, 1)), tangents=tangents)
+    seen = []
+
+    def rule(touched: Grasp, wrench: np.ndarray) -> np.ndarray:
+        seen.append(touched.frames)
+        return np.ones((4, 3))
+
+    with pytest.raises(InfeasibleStartError, match=r"misses balance by \d"):
+        ForceOptimizer(grasp, initial=rule).solve(LOAD, contacts=touching)
+    np.testing.assert_allclose(seen[0], np.asarray(grasp.frames)[touching], atol=1e-15)
+
+
 def test_the_gap_is_a_part_of_the_bound() -> None:
     loose = optimize_force(FIVE, LOAD, tolerance=0.9)
     assert loose.objective > 1.01 * loose.lower_bound > 0.0
@@ -214,6 +289,23 @@ def test_a_rule_cannot_change_the_wrench() -> None:
     solution = ForceOptimizer(FIVE, initial=rule).solve(load)
     np.testing.assert_array_equal(solution.wrench, LOAD)
     np.testing.assert_array_equal(load, LOAD)
+
+
+@pytest.mark.parametrize("kind", ["newton", "newton, own joints", "newton, shared joints", "newton, soft, own joints"])
+def test_no_start_takes_more_steps_than_allowed(kind: str) -> None:
+    """Also when a start fails and the method's own takes its place, and when a solve without limits gives the start."""
+    grasp, options = KINDS[kind]
+    loads = 3.0 * np.random.default_rng(4).standard_normal((12, 6)) * np.repeat([1.0, 0.03], 3)
+    most = 0
+    for initial, allowed in itertools.product((None, "previous", "phase_one", "lagrange"), range(1, 7)):
+        optimizer = ForceOptimizer(grasp, **options, initial=initial, max_iterations=allowed)
+        for load in loads:
+            for trace in (False, True):
+                with suppress(InfeasibleWrenchError, InfeasibleStartError):
+                    solution = optimizer.solve(load, trace=trace)
+                    assert solution.iterations <= allowed
+                    most = max(most, solution.iterations)
+    assert most == 6
 
 
 def test_warm_starts_on_the_papers_path_save_steps() -> None:
@@ -306,6 +398,17 @@ def test_a_proof_is_a_twist_and_prices_of_limits(family: str, method: str) -> No
     assert proven > 4
     assert with_prices > 1
     assert named or method == "conic" or family == "limited"  # friction cones besides limits
+
+
+def test_a_proof_of_the_cones_alone_has_no_prices() -> None:
+    """Those of the last solve are not left behind."""
+    optimizer = ForceOptimizer(PALM, limits=ForceLimits(max_normal=2.0))
+    with pytest.raises(InfeasibleWrenchError) as by_limits:
+        optimizer.solve([0.0, 0.0, -50.0, 0.0, 0.0, 0.0])
+    with pytest.raises(InfeasibleWrenchError) as by_cones:
+        optimizer.solve([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    assert by_limits.value.solution.limit_multipliers.any()
+    assert not by_cones.value.solution.limit_multipliers.any()
 
 
 def test_a_proof_uses_the_limits_of_the_call() -> None:

@@ -48,6 +48,7 @@ GRASP, PUSHED, SOFT = presets.paper_cuboid(), NAMED["pushed"].grasp, NAMED["soft
 TRIPOD, ONES, JAC, SPUN = presets.tripod(), np.ones((4, 3)), np.ones((3, 3, 2)), np.zeros((4, 3, 2))
 TORQUES = ForceLimits(jacobian=0.05 * np.random.default_rng(0).standard_normal((4, 3, 5)), torque_limit=5.0)
 RING = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.arange(9) * 2.0 * np.pi / 9])
+MANY = Grasp.from_contacts(0.05 * np.tile(RING, (8, 1))[:65], -np.tile(RING, (8, 1))[:65], 0.5)
 SQUEEZE = np.array([[3.0, 0, 0], [1.2, 0, 0], [0.9, 0, 0], [0.9, 0, 0]])
 """Balanced: moments 1.2 * 0.03."""
 
@@ -93,7 +94,8 @@ def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
         *((call(name, **given), message) for name in ("solve", "update") for given, message in (
             ({"positions": np.zeros((3, 3))}, r"positions must have shape \(4, 3\), got \(3, 3\)"), ({"normals": 2.0 * GRASP.normals}, "normal"),
             ({"friction": -0.1}, "friction"), ({"jacobian": np.zeros((4, 3, 4))}, "jacobian must be that of 5 joints"))),
-        (call(contacts=[1, 1, 1, 2]), r"contacts must be \(4,\) of true and false"), (partial(ForceOptimizer(GRASP).solve, PAPER_WRENCH, torque_bias=np.zeros(5)), "torque"),
+        (call(contacts=[1, 1, 1, 2]), r"contacts must be \(4,\) of true and false"), (partial(ForceOptimizer(MANY).solve, PAPER_WRENCH, contacts=np.ones(65, bool)), "at most 64"),
+        (partial(ForceOptimizer(GRASP).solve, PAPER_WRENCH, torque_bias=np.zeros(5)), "torque"),
         (partial(ForceOptimizer(GRASP, method="conic").start, PAPER_WRENCH), "takes no initial force"),
         # limits and torques
         (partial(ForceLimits, min_normal=np.inf), "min_normal must lie within 0 to .*one for all or one per contact, got inf"), (partial(ForceLimits, [[1.0]]), "min_normal must lie"),

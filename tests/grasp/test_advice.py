@@ -175,6 +175,12 @@ def test_torque_limits_are_beside_the_torques_of_forces_and_torsions() -> None:
     assert advise(soft, PAPER, ForceLimits(jacobian=jacobian, torque_limit=torques[worst] / 290)) == []
 
 
+def test_rows_of_rotation_have_no_unit_to_mistake() -> None:
+    """A joint behind a gear turns a fingertip by more than 5 rad a radian."""
+    jacobian = np.concatenate([np.full((4, 3, 2), 0.03), np.full((4, 3, 2), 20.0)], axis=1)
+    assert advise(presets.paper_cuboid(), limits=ForceLimits(jacobian=jacobian, torque_limit=[1.0, 1.0])) == []
+
+
 def test_a_swapped_wrench_is_described_alike_in_every_frame() -> None:
     swapped, place = PAPER[[3, 4, 5, 0, 1, 2]], (np.eye(3)[[1, 2, 0]], [0.05, -0.15, 0.08])
     assert advise(transformed(CUBOID, *place), transform_wrench(swapped, *place)) == advise(CUBOID, swapped) != []

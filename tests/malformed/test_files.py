@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gzip
+import os
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -143,6 +145,19 @@ def test_what_is_no_path(path: Any) -> None:
     for reader in ("grasp", "urdf"):
         with pytest.raises(GraspError):
             READERS[reader](path)
+
+
+def test_a_file_or_pipe_that_is_too_large_is_refused(tmp_path: Path) -> None:
+    path, pipe = tmp_path / "large", tmp_path / "pipe"
+    path.write_bytes(b"x" * 11)
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=pipe.write_bytes, args=(b"x" * 11,), daemon=True)
+    writer.start()
+    for given in (path, pipe):
+        with pytest.raises(OSError, match="larger than"):
+            read_bytes(given, 10)
+    writer.join()
+    assert read_bytes(path, 11) == b"x" * 11
 
 
 def grasp(*words: str, text: str = "") -> subprocess.CompletedProcess[str]:

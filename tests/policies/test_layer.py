@@ -146,6 +146,15 @@ def test_shared_inputs_broadcast_and_sum_their_gradients() -> None:
 
 
 @pytest.mark.usefixtures("way")
+def test_a_number_does_not_widen_the_results() -> None:
+    """As in torch: a number, or a tensor without axes, takes the type of the others."""
+    given = {name: a.to(torch.float32) for name, a in problems("hard", 4).items()}
+    for friction in (0.5, torch.tensor(0.5, dtype=torch.float64)):
+        assert grasp_force(**given | {"friction": friction}).force.dtype is torch.float32
+    assert grasp_force(**given | {"friction": torch.full((4,), 0.5, dtype=torch.float64)}).force.dtype is torch.float64
+
+
+@pytest.mark.usefixtures("way")
 def test_a_start_saves_iterations_which_are_limited() -> None:
     given = problems("shared joints", 8)
     cold = grasp_force(**given)
