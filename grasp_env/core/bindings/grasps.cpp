@@ -41,9 +41,10 @@ template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::h
     for (Py_ssize_t u = 0; u < grasps; ++u)
         for (auto k = Py_ssize_t(begins.data()[u]); k < Py_ssize_t(begins.data()[u + 1]); ++k) {
             double* row = std::copy_n(&found[made * k], made, rows.data() + whole * k) - made;
-            Summary& s = Record(row, int(count)).summary();
+            const Record record(row, int(count));
+            Summary& s = record.summary();
             s.start = double(start), s.contacts = double(count), s.replaced = s.outside = s.joints = s.limits = 0.0;
-            std::copy_n(placed[u]->frames.data(), 9 * count, Record(row, int(count)).frames());
+            std::copy_n(placed[u]->frames.data(), 9 * count, record.frames());
         }
 }
 

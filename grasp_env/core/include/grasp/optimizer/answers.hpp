@@ -70,7 +70,8 @@ private:
     }
     Code write_proof(const Record& out) {
         write_nothing(INFEASIBLE, out);
-        const Summary& from = on_.record().summary();
+        const Record found = on_.record();
+        const Summary& from = found.summary();
         Summary& s = out.summary();
         s.iterations = from.iterations, s.trials = from.trials;
         s.residual = from.residual, s.multipliers = from.multipliers;
