@@ -1,9 +1,9 @@
 // Batches of problems for layers of learning programs.
 #include <grasp/layer/layer.hpp>
 
-#include "buffers.hpp"
 #include <nanobind/stl/pair.h>
 
+#include "buffers.hpp"
 #include "tensors.hpp"
 
 using namespace grasp;

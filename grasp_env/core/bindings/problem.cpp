@@ -6,7 +6,6 @@
 
 #include <nanobind/stl/pair.h>
 
-#include "rule.hpp"
 #include "solution.hpp"
 
 using namespace grasp;
@@ -20,6 +19,14 @@ template <class... Sizes> std::vector<double> copied(nb::handle array, Sizes... 
     std::size_t total = 1;
     for (int a = 0; a < given.axes(); ++a) total *= std::size_t(given.length(a));
     return {given.data(), given.data() + total};
+}
+
+// A step rule from the numbers of `StepRule.parameters`.
+StepRule rule_of(nb::handle numbers) {
+    const Numbers rule = in(numbers, 5);
+    const double* p = rule.data();
+    if (!(p[0] >= 0.0 && p[0] <= double(StepRule::EXACT))) throw nb::value_error("no such kind of step rule");
+    return {int(p[0]), p[1], p[2], p[3], p[4]};
 }
 
 // weights: omega and lambda of all contacts, or (N, 2), or None: those of `Objective`; limits: in the order of `ForceLimits`
