@@ -268,4 +268,4 @@ def _drop_sources(mesh: Element) -> None:
 _PLAIN = {
     ".obj": _plain_obj, ".stl": _plain_stl, ".ply": _plain_ply, ".off": _plain_off, ".glb": _plain_glb, ".dae": _plain_dae,
 }  # fmt: skip
-"""What leaves out of each kind of file what trimesh need not see."""
+"""For each kind of file, the function that reduces its bytes to what trimesh has to read."""

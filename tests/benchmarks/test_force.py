@@ -21,7 +21,7 @@ from grasp_env.grasp import Grasp, presets
 
 TRACKS = names()
 LARGEST_DISTANCE = {"double": 1e-10, "exact": 3e-16}
-"""Of an optimum that is computed again, relative: the largest gap that is aimed at in doubles, the last bit where there are more digits."""
+"""Largest relative difference between a stored optimum and one that is computed again: the gap that doubles aim at, or their last bit."""
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 
 
@@ -169,7 +169,7 @@ def test_what_has_no_digits_is_told():
 
 @pytest.mark.parametrize(("track", "session"), [("smooth", 1), ("lost", 0)])
 def test_many_digits_agree_with_the_package_s_bounds(track, session):
-    """Where doubles settle a problem, also with a contact that does not touch; `other` is Clarabel's optimum."""
+    """In tracks that doubles settle, many digits give the stored optimum, also if a contact does not touch. `other` is Clarabel's."""
     _, one = one_of(track, session, m=15)
     for objective, stored in one.references.items():
         found = references.exact(one.problems[0], objective)

@@ -107,7 +107,7 @@ def test_a_file_that_ends_the_process_costs_none_beside_it(
 
 
 def test_memory_is_told_of_a_file_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is too much beside other files is not too much for each, so the process of several ends, and each is read again."""
+    """Files that need too much memory together may each need little, so the process of several files ends and each is read alone."""
 
     def load(blob: bytes, kind: str) -> Any:
         raise MemoryError
