@@ -23,6 +23,9 @@ def record_fields() -> dict[str, int]:
 def codes() -> dict[str, int]:
     """Return the outcomes of a solve by name."""
 
+def codes_with_a_force() -> tuple[int, ...]:
+    """Return the codes of the rows that contain a force."""
+
 def record_size(contacts: int) -> int:
     """Return the number of values in a row of N contacts."""
 
@@ -248,10 +251,10 @@ def combine(basis: object, wrench: object, printed: bool, to: object) -> None:
 class ForceOptimizer:
     """`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`."""
 
-    def __init__(self, problem: Problem, options: Options, kind: object, names: object | None) -> None:
+    def __init__(self, problem: Problem, options: Options = ..., kind: object = ..., names: object | None = None) -> None:
         """kind: the class of solutions; names: what `Solution._names` returns."""
 
-    def solve(self, wrench: object | None, changes: object | None, request: Request | None) -> object:
+    def solve(self, wrench: object | None, changes: object | None = None, request: Request | None = None) -> object:
         """
         Return a solution, whose code says whether it holds a force; NotImplemented if wrench or changes are not C-contiguous
         float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, torque_bias, contacts), each None if

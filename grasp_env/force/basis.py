@@ -150,7 +150,7 @@ def start_of(
 
 def _compiled(grasp: Grasp, objective: Objective, **options: Any) -> core.ForceOptimizer:
     problem = core.Problem(core_contacts(grasp, objective), objective.weights(grasp.n_contacts))
-    return core.ForceOptimizer(problem, core.Options(**options), core.Solution, None)
+    return core.ForceOptimizer(problem, core.Options(**options))
 
 
 # weak keys: a basis is dropped with its grasp

@@ -5,7 +5,7 @@ The core's `Record` (`core/include/grasp/record.hpp`) defines the layout; the of
 
 from __future__ import annotations
 
-from grasp_env.core import codes, record_fields
+from grasp_env.core import codes, codes_with_a_force, record_fields
 
 _PLACES, _CODES = record_fields(), codes()
 
@@ -38,5 +38,5 @@ CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED, RANK_LOST, UNDE
     )
 )
 """Codes of the outcomes."""
-RESULTS = (CONVERGED, LIMIT, STALLED, LIMITS_EXCEEDED)
+RESULTS = codes_with_a_force()
 """Codes of rows that contain a force."""

@@ -7,7 +7,7 @@ Rules that can be near certain take a few microseconds while they find nothing, 
 from __future__ import annotations
 
 from math import hypot
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,7 +43,7 @@ LARGEST_CONDITION = 1e3
 """Condition number of G, with moments divided by the grasp's length, above which some wrenches need very large forces."""
 SMALLEST_DISTANCE = 0.01
 """Distance of two contacts, as a fraction of the grasp's length, below which they act like one contact."""
-_CODES, _CODE = core.codes(), core.record_fields()["code"]
+_CONVERGED = core.codes()["converged"]
 
 
 class Mistake(NamedTuple):
@@ -102,8 +102,8 @@ def _can_squeeze(contacts: core.Contacts) -> bool:
     """True if some force strictly inside the friction cones balances itself."""
     count = contacts.count
     found = np.zeros(6), np.empty((count, 3)), np.empty(count), np.empty(6)
-    solver = core.ForceOptimizer(core.Problem(contacts), core.Options(), core.Solution, None)
-    return solver.deepest(*found)[0] == _CODES["converged"]
+    solver = core.ForceOptimizer(core.Problem(contacts))
+    return solver.deepest(*found)[0] == _CONVERGED
 
 
 def contact_units(grasp: Grasp) -> list[Mistake]:
@@ -192,12 +192,9 @@ def torque_units(grasp: Grasp, wrench: Wrench, jacobian: Array, torque_limit: Ar
     force, _, turning, _ = _sizes(grasp, wrench)
     if force * grasp.length + turning < SMALLEST_LOAD * grasp.length:  # a single contact has no length
         return []
-    solver = core.ForceOptimizer(core.Problem(grasp.contacts), core.Options(), core.Solution, None)
-    row = np.empty((1, solver.size))
-    solver.solve_many(wrench[None], row)
-    if row[0, _CODE] not in (_CODES["converged"], _CODES["limit"], _CODES["stalled"]):  # there is no force
+    found: Any = core.ForceOptimizer(core.Problem(grasp.contacts)).solve(wrench)
+    if not found.has_force:
         return []
-    found = core.Solution(row[0], None)
     pushed = np.hstack([found.object_force, found.torsion[:, None] * grasp.normals])
     needed = np.abs(np.einsum("nrj,nr->j", jacobian, pushed[:, : jacobian.shape[1]]))
     with np.errstate(divide="ignore"):

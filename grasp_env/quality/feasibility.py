@@ -94,6 +94,6 @@ def deepest(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> 
     """Return the core's result for checked arguments; see `feasibility`."""
     n = grasp.n_contacts
     problem = core.Problem(grasp.contacts, None, given_limits(limits, n))
-    solver = core.ForceOptimizer(problem, core.Options(), core.Solution, None)
+    solver = core.ForceOptimizer(problem)
     force, torsion, twist = np.empty((n, 3)), np.empty(n), np.empty(6)
     return Deepest(*solver.deepest(wrench, force, torsion, twist), force, torsion, twist)

@@ -23,7 +23,6 @@ public:
         PyArrayObject* array = reinterpret_cast<PyArrayObject*>(object);
         if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array)) array_ = array;
     }
-    bool given() const { return given_; }
     // True if the array has this shape.
     bool has(std::initializer_list<npy_intp> shape) const {
         return array_ && PyArray_NDIM(array_) == int(shape.size()) &&
@@ -225,9 +224,10 @@ void bind_optimizer(nb::module_& m) {
           "Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,). printed: without the optimum at rest\n"
           "(Eqs. 33, 34).");
     nb::class_<ForceOptimizer>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`.")
-        .def("__init__", &make, "problem"_a, "options"_a, "kind"_a, "names"_a.none(),
+        .def("__init__", &make, "problem"_a, nb::arg("options").sig("...") = grasp::Options{},
+             nb::arg("kind").sig("...") = m.attr("Solution"), "names"_a.none() = nb::none(),
              "kind: the class of solutions; names: what `Solution._names` returns.")
-        .def("solve", &solve, "wrench"_a.none(), "changes"_a.none(), "request"_a.none(),
+        .def("solve", &solve, "wrench"_a.none(), "changes"_a.none() = nb::none(), "request"_a.none() = nb::none(),
              "Return a solution, whose code says whether it holds a force; NotImplemented if wrench or changes are not "
              "C-contiguous\n"
              "float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, torque_bias, contacts), each "

@@ -31,12 +31,20 @@ nb::typed<nb::dict, nb::str, int> codes() {
     return named;
 }
 
+nb::typed<nb::tuple, int, nb::ellipsis> codes_with_a_force() {
+    nb::list made;
+    for (int code = 0; code <= int(grasp::STARTED); ++code)
+        if (grasp::Record::has_force(grasp::Code(code))) made.append(code);
+    return nb::tuple(made);
+}
+
 }  // namespace
 
 void bind_record(nb::module_& m) {
     m.def("record_fields", &record_fields,
           "Return the offsets of a solution's fields in its row; from `force` on: 3N force, 3N initial force, N torsion.");
     m.def("codes", &codes, "Return the outcomes of a solve by name.");
+    m.def("codes_with_a_force", &codes_with_a_force, "Return the codes of the rows that contain a force.");
     m.def(
         "record_size",
         [](int contacts) {
