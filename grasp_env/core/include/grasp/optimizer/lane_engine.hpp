@@ -19,38 +19,34 @@ public:
     int size() const override { return record_size(home().count, on_.current.joints, on_.current.limits.rows); }
 
     Code solve(const Request& ask, double* row) override {
-        CallState call = begin(ask);
-        const Record out = open_row(on_, ask, row);
-        const Code placed = place(call);
-        const Code code = placed == CONVERGED ? Algorithms(on_, call).solve() : placed;
-        return AnswerWriter(on_, call).write(code, out);
+        return answer<&Algorithms<V, B>::solve, &AnswerWriter<V, B>::write>(ask, row);
     }
     Code start(const Request& ask, double* row) override {
-        CallState call = begin(ask);
-        const Record out = open_row(on_, ask, row);
-        const Code placed = place(call);
-        const Code code = placed == CONVERGED ? Algorithms(on_, call).start() : placed;
-        return AnswerWriter(on_, call).write_start(code, out);
+        return answer<&Algorithms<V, B>::start, &AnswerWriter<V, B>::write_start>(ask, row);
     }
 
     void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) override {
         const Start start = common_start(count);
-        std::vector<double> space(start == Start::standard ? 0 : record_size(home().count) * count);
+        const auto solve_one = [&](std::ptrdiff_t k) { solve({.wrench = wrenches + 6 * k}, rows + size() * k); };
+        if (start == Start::standard) {
+            for (std::ptrdiff_t k = 0; k < count; ++k) solve_one(k);
+            return;
+        }
+        std::vector<double> space(record_size(home().count) * count);
         const SolveBatch many{count, wrenches, space.data()};
         if (start == Start::internal_force) newton_many(on_.newton, on_.internal_force(), stop(), many);
-        if (start == Start::central) conic_many(on_.conic(), many);
+        else conic_many(on_.conic(), many);
         for (std::ptrdiff_t k = 0; k < count; ++k) {
-            const Request ask{.wrench = many.wrench(k)};
-            double* row = rows + size() * k;
-            if (start == Start::standard || many.record(k, home().count).code() != CONVERGED) {
-                solve(ask, row);
+            const Record made = many.record(k, home().count);
+            if (made.code() != CONVERGED) {
+                solve_one(k);
                 continue;
             }
-            const Record made = many.record(k, home().count);
+            const Request ask{.wrench = many.wrench(k)};
             CallState call = begin(ask);
             call.used.start = start;
             std::copy_n(&made.summary().code, record_size(home().count), on_.answer.row.data());
-            AnswerWriter(on_, call).write(CONVERGED, open_row(on_, ask, row));
+            AnswerWriter(on_, call).write(CONVERGED, open_row(on_, ask, rows + size() * k));
         }
     }
 
@@ -86,6 +82,14 @@ private:
 
     StopRule stop() const { return {on_.options.gap(), on_.options.limit}; }
     CallState begin(const Request& ask) const { return {.ask = ask, .stop = stop()}; }
+    // Place the call, run an algorithm and write its outcome into a row.
+    template <auto run, auto write> Code answer(const Request& ask, double* row) {
+        CallState call = begin(ask);
+        const Record out = open_row(on_, ask, row);
+        Code code = place(call);
+        if (code == CONVERGED) code = (Algorithms<V, B>(on_, call).*run)();
+        return (AnswerWriter<V, B>(on_, call).*write)(code, out);
+    }
     // Take over the contacts, limits and wrench of a call. Return CONVERGED if it can be solved.
     Code place(CallState& call) {
         const Code code = on_.place(call.ask.now);
