@@ -271,11 +271,9 @@ private:
         grasp::begin(cones_, on_.internal_force(), w_, newton.x);
         Code code = REFUSED;
         if (now.soft()) {
-            auto& soft = on_.soft->newton;
-            soft.cones = cones_;
-            soft.rows.pack(soft.cones, now, on_.current.divisor.data());
+            on_.place_soft();
             code = on_.soft->solve(call, record, [&](const Vec6&) {
-                soft.x = newton.x;
+                on_.soft->newton.x = newton.x;
                 return true;
             });
         } else {

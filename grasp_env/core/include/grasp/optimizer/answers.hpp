@@ -5,11 +5,15 @@
 
 namespace grasp::detail {
 
+// Write how many contacts, joints and limits a row is about.
+inline void write_sizes(const CurrentContacts& current, Summary& s) {
+    s.contacts = current.home.count, s.joints = current.joints, s.limits = current.limits.rows;
+}
 // Begin the row of a call: its sizes and its wrench.
 template <class V, int B> Record open_row(const Solvers<V, B>& on, const Request& ask, double* row) {
     Summary& s = *reinterpret_cast<Summary*>(row);
     s = Summary{};
-    s.contacts = on.current.home.count, s.joints = on.current.joints, s.limits = on.current.limits.rows;
+    write_sizes(on.current, s);
     if (is_valid_wrench(ask.wrench)) std::copy_n(ask.wrench, 6, s.wrench.begin());
     return Record(row);
 }
@@ -86,7 +90,7 @@ private:
         const Vec6 wrench = s.wrench;
         s = from.summary();
         s.code = code, s.wrench = wrench;
-        s.contacts = current_.home.count, s.joints = current_.joints, s.limits = current_.limits.rows;
+        write_sizes(current_, s);
         s.start = double(call_.used.start), s.replaced = call_.used.replaced, s.outside = call_.used.outside;
         write_contacts(from, out);
         if (current_.joints) current_.torques(from, out.torques());

@@ -128,6 +128,11 @@ public:
         });
         return conic_;
     }
+    // Load the current contacts into the solver of soft contacts.
+    void place_soft() {
+        soft->newton.cones = newton.cones;
+        soft->newton.rows.pack(newton.cones, current.now, current.divisor.data());
+    }
     // The flow, or null if G has lost rank.
     FlowSolver<V, B>* flow() {
         return flow_placed_.at(placement, [&] { return flow_->place(newton.cones); }) ? &*flow_ : nullptr;
@@ -184,8 +189,7 @@ private:
         newton.starter.tangents.load(current.now.frames.data(), current.now.count);
         placement.kind = kind();
         if (placement.kind == Kind::soft) {
-            soft->newton.cones = newton.cones;
-            soft->newton.rows.pack(newton.cones, current.now, current.divisor.data());
+            place_soft();
         } else if (placement.kind == Kind::limited) {
             limited->newton.cones = newton.cones;
             limited->newton.rows.pack(newton.cones, current.table.rows());
