@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from importlib import import_module
 
-from grasp_env._extras import need
 from grasp_env.errors import GraspError, UnknownNameError
+from grasp_env.inputs.extras import need
 
 BENCHMARKS = {
     "scaling": "cost against contacts",
@@ -64,9 +64,9 @@ def execute(name: str, *words: str) -> None:
     import tyro
 
     from benchmarks import show
-    from benchmarks.settings import Options, checked, tick
-    from training.report.page import svg
-    from training.results import Run, default_name
+    from benchmarks.benchmark import Options, checked, tick
+    from training.evaluation.report.page import svg
+    from training.evaluation.results import Run, default_name
 
     benchmark = import_module(f"benchmarks.{name}").BENCHMARK
     usual = replace(benchmark.settings, **benchmark.quick) if "--quick" in words else benchmark.settings

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.settings import Benchmark, tick
+from benchmarks.benchmark import Benchmark, tick
 from grasp_env.force import ForceLimits, optimize_forces
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import sample_ball
 from policies import LearnedInitialForce
-from training.results.table import pd, table
+from training.evaluation.results.table import pd, table
 
 KINDS: dict[str, dict[str, Any]] = {
     "newton": {"method": "newton"},

@@ -17,17 +17,17 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.benchmark import Benchmark, Effort, tick
 from benchmarks.core_side import ROWS
 from benchmarks.problem import problems
-from benchmarks.settings import Benchmark, Effort, tick
-from grasp_env._check import Array
 from grasp_env.errors import GraspError, InvalidInputError
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
+from grasp_env.inputs.arguments import Array
 from grasp_env.quality import feasibility
-from training.results.claims import Claim
-from training.results.run import commit
-from training.results.table import join, pd
+from training.evaluation.results.claims import Claim
+from training.evaluation.results.run import commit
+from training.evaluation.results.table import join, pd
 
 SIDE = Path(__file__).with_name("core_side.py")
 STEP = 0.03

@@ -14,13 +14,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from benchmarks.settings import Benchmark, tick
+from benchmarks.benchmark import Benchmark, tick
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim.client import bullet
 from policies import LearnedInitialForce
 from training.data.episodes import episode
-from training.results.claims import Claim
-from training.results.table import pd, table
+from training.evaluation.results.claims import Claim
+from training.evaluation.results.table import pd, table
 
 USUAL = "the paper's"
 EPISODES: dict[str, dict[str, Any]] = {

@@ -29,17 +29,17 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.settings import Benchmark, tick
-from grasp_env._check import Array
+from benchmarks.benchmark import Benchmark, tick
 from grasp_env.control.loop import critically_damped
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import SimulationError
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim import HandDescription, MujocoEngine
 from grasp_env.sim.hand.description import HANDS
 from grasp_env.task.motion import resting_target
-from training.report.page import axes
-from training.results.claims import Claim
-from training.results.table import pd, table
+from training.evaluation.report.page import axes
+from training.evaluation.results.claims import Claim
+from training.evaluation.results.table import pd, table
 
 ROOT = Path(__file__).parents[1]
 UNITS = 240.0

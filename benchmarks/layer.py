@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.benchmark import Benchmark, tick
 from benchmarks.layer_peers import CONTACTS, PEERS, Call, Contestant, Tensors, cone_form
-from benchmarks.settings import Benchmark, tick
-from grasp_env._check import Array
-from grasp_env._extras import need
 from grasp_env.force import ForceLimits, optimize_forces
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.wrench import sample_ball
+from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.extras import need
 from training.data.grasps import BENCH
-from training.results.claims import Claim
-from training.results.table import join, pd
+from training.evaluation.results.claims import Claim
+from training.evaluation.results.table import join, pd
 
 with need("train"):
     import torch

@@ -13,7 +13,7 @@ from functools import partial
 from importlib import import_module
 from typing import Any, TypeAlias
 
-from grasp_env._extras import need
+from grasp_env.inputs.extras import need
 
 with need("train"):
     import torch

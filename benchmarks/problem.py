@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.wrench import sample_ball
+from grasp_env.inputs.arguments import Array
 from training.data.grasps import BENCH, PRESETS
 
 WARM_UP = 20

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from benchmarks.benchmark import Benchmark, Effort, tick
 from benchmarks.problem import compiled_times, problems
-from benchmarks.settings import Benchmark, Effort, tick
 from grasp_env.force import ForceOptimizer
 from grasp_env.force.record import ITERATIONS
-from training.results.table import join, pd
+from training.evaluation.results.table import join, pd
 
 TOLERANCES = {"conic": 1e-6, "newton": 1e-8}
 

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.settings import Benchmark
+from benchmarks.benchmark import Benchmark
 from grasp_env.errors import InvalidInputError, shown
-from training.results import Run, understood
-from training.results.claims import judge, lines
-from training.results.columns import COLUMNS, KEYS, TIMES
-from training.results.table import pd, summary
-from training.results.words import number
+from training.evaluation.results import Run, understood
+from training.evaluation.results.claims import judge, lines
+from training.evaluation.results.columns import COLUMNS, KEYS, TIMES
+from training.evaluation.results.table import pd, summary
+from training.evaluation.results.words import number
 
 
 def lacking(rows: pd.DataFrame) -> dict[str, str]:

@@ -4,7 +4,7 @@ python -m docs.fill                 writes every block <!-- results: NAME --> ..
 python -m docs.fill --check         lists the blocks that differ from the saved runs; exit code 1
 python -m docs.fill --save RUN...   saves the summaries of run folders, of `grasp` or of the benchmarks
 
-docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json its settings and machine, KIND.svg its picture, if it
+docs/results/KIND.csv is the summary of a run (columns: training/evaluation/results/columns.py), KIND.json its settings and machine, KIND.svg its picture, if it
 has one. Of the force benchmark force.csv.xz holds all rows. This module is long because it contains one short function for each table, a query on these files; `TABLES` lists
 them by the names of the blocks.
 """
@@ -23,16 +23,16 @@ from typing import Any
 from benchmarks.force.entrants import ENTRANTS
 from benchmarks.force.problems import load, names
 from benchmarks.force.report import by_contacts, by_entrant, by_track, pair_of
-from grasp_env._files import replacing
-from training.report import holds, starts
-from training.report.page import cell, claims_of, module_of
-from training.report.reproduce import RULES
-from training.report.rl import AGENTS, SPEEDS, place
-from training.report.starts import pair
-from training.results.claims import Judged, judge
-from training.results.run import Run
-from training.results.table import Rows, chosen, numbers, pd, read, summary, write, write_summary
-from training.results.words import number
+from grasp_env.inputs.files import replacing
+from training.evaluation.report import holds_page, starts_page
+from training.evaluation.report.page import cell, claims_of, module_of
+from training.evaluation.report.reproduce_page import RULES
+from training.evaluation.report.rl_page import AGENTS, SPEEDS, place
+from training.evaluation.report.starts_page import pair
+from training.evaluation.results.claims import Judged, judge
+from training.evaluation.results.run import Run
+from training.evaluation.results.table import Rows, chosen, numbers, pd, read, summary, write, write_summary
+from training.evaluation.results.words import number
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"
@@ -327,10 +327,10 @@ def fixed_contacts(method: str) -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "summary": overview, "hand_loop": hand_loop, "solvers": solvers, "force_tracks": force_tracks, "force_sum": force("sum"), "force_phi": force("phi"), "force_entrants": force_entrants, "batch": batch, "starts": reported("starts", starts.hardest_sets),
-    "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps), "newton_first": reported("starts", starts.newton_first),
-    "starts_claims": targets("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
-    "objects": objects, "transfer": reported("transfer", holds.grid), "env_speed": targets("env_speed"),
+    "summary": overview, "hand_loop": hand_loop, "solvers": solvers, "force_tracks": force_tracks, "force_sum": force("sum"), "force_phi": force("phi"), "force_entrants": force_entrants, "batch": batch, "starts": reported("starts", starts_page.hardest_sets),
+    "calls": reported("starts", starts_page.all_starts), "network": reported("starts", starts_page.learned_steps), "newton_first": reported("starts", starts_page.newton_first),
+    "starts_claims": targets("starts"), "hold": reported("env", holds_page.grid), "hands": reported("hands", holds_page.grid),
+    "objects": objects, "transfer": reported("transfer", holds_page.grid), "env_speed": targets("env_speed"),
     "step_rules": step_rules, "layer": layer, "table_one": table_one, "rl": rl, "rl_speed": rl_speed,
 }  # fmt: skip
 

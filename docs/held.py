@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from grasp_env._files import replacing
 from grasp_env.env.env import FourFingerGrasp
+from grasp_env.inputs.files import replacing
 from grasp_env.sim.picture.camera import Camera, CameraConfig
-from training.compare.scenarios import PUSHES, mesh_settings, short_name
 from training.data.episodes import episode
+from training.evaluation.compare.scenarios import PUSHES, mesh_settings, short_name
 
 SIDE = 300
 """Side of a picture [pixels]."""

@@ -26,10 +26,10 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
-from grasp_env import ranges
-from grasp_env._check import AllFaults, as_array, as_number, choice, whole
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
-from grasp_env.ranges import Range
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import AllFaults, as_array, as_number, choice, whole
+from grasp_env.inputs.ranges import Range
 
 ANY, POSITIVE, NOT_NEGATIVE = Range(-1e9, 1e9), Range(1e-9, 1e9), Range(0.0, 1e9)
 """Ranges of settings of which only the sign is restricted; no sensible value is larger in the units of the settings."""

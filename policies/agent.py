@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env._check import as_array, generator
 from grasp_env.errors import InvalidInputError, ModelFileError
+from grasp_env.inputs.arguments import as_array, generator
 from policies.agent_files import find_checkpoint, read_arrays, read_meta, read_tensors
 
 NAMES = {
@@ -38,7 +38,7 @@ class TrainedAgent:
     Example:
         >>> import tempfile
         >>> import gymnasium as gym
-        >>> from training.rl.settings import RLConfig
+        >>> from training.rl.rl_config import RLConfig
         >>> from training.rl.train import train_seed  # what `grasp rl` does for each of its seeds
         >>> config = RLConfig(steps=64, envs=2, rollout=32, curve_points=1, curve_episodes=1).resolved()
         >>> with tempfile.TemporaryDirectory() as folder:

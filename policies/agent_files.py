@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import load, save
 
-from grasp_env._files import WEIGHTS, as_path, digest, file_fault, parsed, replacing, unpacked
 from grasp_env.env.observation import action_size, bounds
 from grasp_env.errors import ModelFileError
+from grasp_env.inputs.files import WEIGHTS, as_path, digest, file_fault, parsed, replacing, unpacked
 from policies.checkpoint import described, signature
 
 SCHEMA = "grasp-force/rl-agent/3"

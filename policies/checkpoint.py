@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import load, save
 
-from grasp_env._files import TEXT, as_path, digest, parsed, replacing, understood
 from grasp_env.errors import ModelFileError, shown
+from grasp_env.inputs.files import TEXT, as_path, digest, parsed, replacing, understood
 
 SCHEMA = "grasp-force/initial-force/5"
 MOST_TEXT, MOST_WEIGHTS = 1 << 20, 1 << 26

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env._check import as_array, whole
+from grasp_env.inputs.arguments import as_array, whole
 
 
 class Policy(Protocol):

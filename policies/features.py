@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.force import Objective, optimize_force
 from grasp_env.grasp import Grasp
+from grasp_env.inputs.arguments import Array
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeAlias
 
-from grasp_env._extras import need
 from grasp_env.force.record import STALLED
+from grasp_env.inputs.extras import need
 from policies.layer_inputs import checked_settings, checked_tensors, common_device
 from policies.layer_operators import InPlace, optima, raise_for, read_in_place, solve
 

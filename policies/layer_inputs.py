@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from grasp_env._check import choice, positive, whole
-from grasp_env._extras import need
 from grasp_env.core import LARGEST
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.ranges import CONTACTS, ITERATIONS, JOINTS, TOLERANCE
+from grasp_env.inputs.arguments import choice, positive, whole
+from grasp_env.inputs.extras import need
+from grasp_env.inputs.ranges import CONTACTS, ITERATIONS, JOINTS, TOLERANCE
 
 with need("layer"):
     import torch

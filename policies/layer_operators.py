@@ -12,11 +12,11 @@ from typing import Any, NoReturn, TypeAlias
 import numpy as np
 
 from grasp_env import core
-from grasp_env._extras import need
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, UnsupportedProblemError
 from grasp_env.force import record
 from grasp_env.force.many import over_parts
-from grasp_env.ranges import CONTACTS, JOINTS
+from grasp_env.inputs.extras import need
+from grasp_env.inputs.ranges import CONTACTS, JOINTS
 from policies.layer_inputs import INPUTS, NAMES, NEEDED, RANKS, checked_tensors, common_lead, tails_of
 
 with need("layer"):

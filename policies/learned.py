@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_array, flag, number, positive, whole
-from grasp_env._files import as_path, file_fault
 from grasp_env.errors import InfeasibleStartError, ModelFileError
 from grasp_env.force import Objective
 from grasp_env.force.basis import start_of, starter
@@ -20,7 +18,9 @@ from grasp_env.force.solution import LEARNED
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.grasp import as_grasp
 from grasp_env.grasp.null_space import null_space_basis
-from grasp_env.ranges import Range
+from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_array, flag, number, positive, whole
+from grasp_env.inputs.files import as_path, file_fault
+from grasp_env.inputs.ranges import Range
 from policies.checkpoint import Checkpoint, replace
 from policies.features import Features
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from grasp_env._extras import need
+from grasp_env.inputs.extras import need
 
 with need("train"):
     import torch

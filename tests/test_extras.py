@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from grasp_env._extras import EXTRAS, need
 from grasp_env.errors import MissingExtraError
+from grasp_env.inputs.extras import EXTRAS, need
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -108,7 +108,7 @@ for statement, extra in {IMPORTS}.items():
 
 
 def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from training.demo import record
+    from training.program.film import record
 
     for name in EXTRAS["video"]:
         monkeypatch.setitem(sys.modules, name, None)
@@ -131,7 +131,7 @@ def test_commands_name_their_extras_in_one_line(tmp_path: Path) -> None:
 import contextlib, io, os
 sys.path.insert(0, {str(ROOT)!r})
 os.chdir({str(tmp_path)!r})
-from training.cli import main
+from training.program.cli import main
 for words, extras in {COMMANDS}.items():
     with contextlib.redirect_stderr(io.StringIO()) as told:
         code = main(words.split())
@@ -147,7 +147,9 @@ for words, extras in {COMMANDS}.items():
 
 
 def test_the_program_itself_names_its_extra() -> None:
-    done = _without(EXTRAS["cli"], "from training.cli import main; sys.exit(main(['solve', '--wrench', *'100000']))")
+    done = _without(
+        EXTRAS["cli"], "from training.program.cli import main; sys.exit(main(['solve', '--wrench', *'100000']))"
+    )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == 'grasp: this needs rich, tyro: pip install "grasp-force[cli]"\n'
 

@@ -69,39 +69,30 @@ def test_the_solver_imports_numpy_and_scipy_only(package: str) -> None:
 ROOMS: dict[str, dict[str, set[str]]] = {
     "grasp_env": {
         "errors": set(),
-        "ranges": set(),
         "core": set(),
-        "_extras": {"errors"},
-        "_check": {"errors", "ranges", "core"},
-        "_files": {"errors"},
-        "grasp": {"errors", "ranges", "core", "_check", "_files"},
-        "force": {"errors", "ranges", "core", "_check", "grasp"},
-        "quality": {"errors", "ranges", "core", "_check", "grasp", "force"},
-        "settings": {"errors", "ranges", "_check"},
-        "sim": {"errors", "ranges", "core", "_extras", "_check", "_files", "settings", "grasp"},
-        "task": {"errors", "ranges", "_check", "settings", "grasp"},
-        "config": {"errors", "ranges", "_check", "settings", "force", "sim", "task"},
+        "inputs": {"errors", "core"},
+        "grasp": {"errors", "core", "inputs"},
+        "force": {"errors", "core", "inputs", "grasp"},
+        "quality": {"errors", "core", "inputs", "grasp", "force"},
+        "settings": {"errors", "inputs"},
+        "sim": {"errors", "core", "inputs", "settings", "grasp"},
+        "task": {"errors", "inputs", "settings", "grasp"},
+        "config": {"errors", "inputs", "settings", "force", "sim", "task"},
         "_spec": {"config"},
-        "control": {"errors", "core", "_check", "grasp", "force", "sim", "task", "config"},
-        "env": {"_spec", "errors", "core", "_extras", "_check", "grasp", "force", "sim", "task", "config", "control"},
+        "control": {"errors", "core", "inputs", "grasp", "force", "sim", "task", "config"},
+        "env": {"_spec", "errors", "core", "inputs", "grasp", "force", "sim", "task", "config", "control"},
     },
     "training": {
-        "results": set(),
-        "live": set(),
         "data": set(),
-        "demo": {"results", "data"},
-        "compare": {"results", "data"},
-        "fit": {"results", "data", "compare"},
-        "report": {"results", "compare"},
-        "rl": {"results", "data"},
-        "pyramids": set(),
-        "reproduce": {"results", "pyramids"},
-        "commands": {"results", "demo", "fit", "compare", "report", "rl", "reproduce", "live"},
+        "evaluation": {"data"},
+        "fit": {"data", "evaluation"},
+        "rl": {"data", "evaluation"},
+        "program": {"data", "evaluation", "fit", "rl"},
     },
 }
 """Rooms of a package, the lowest first, and the rooms that each may import."""
-DOORS = ("", "__main__", "cli")
-"""Modules outside the rooms: the package itself and its program."""
+DOORS = ("", "__main__")
+"""Modules outside the rooms: the package itself and `python -m`."""
 
 
 def _modules(package: str) -> dict[str, Path]:

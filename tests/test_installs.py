@@ -37,7 +37,7 @@ EXTRAS: dict[str, list[str]] = {
     "live": ["grasp live --help", SOLVE],
     "layer": [f'python -c "{LAYER}"'],
     "train": ["grasp fit --help", "grasp rl --quick --out runs"],
-    "report": ["grasp report --help", "python -c 'import training.report.page'"],
+    "report": ["grasp report --help", "python -c 'import training.evaluation.report.page'"],
     "sim,report": ["grasp evaluate starts --quick --out runs"],
     "cli,sim,video": ["grasp demo --video hand.mp4 --seconds 0.2"],
     "ray,sim,report": ["python -c 'import ray'", "grasp evaluate starts --quick --out runs"],

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from training.cli import main
+from training.program.cli import main
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_env import ranges
 from grasp_env.errors import GraspError, InvalidInputError
 from grasp_env.force import AdaptiveStep, ForceLimits, Objective, Status, optimize_force
 from grasp_env.grasp import Grasp, presets
+from grasp_env.inputs import ranges
+from grasp_env.inputs.ranges import Range
 from grasp_env.quality import WrenchBall
-from grasp_env.ranges import Range
 
 CUBOID = presets.paper_cuboid()
 PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])

@@ -16,13 +16,13 @@ from typing import Any
 import pytest
 from processes import start
 
-from grasp_env._files import replacing
-from training.cli import main
+from grasp_env.inputs.files import replacing
+from training.program.cli import main
 
 WRITER = """
 import sys
 from pathlib import Path
-from grasp_env._files import replacing
+from grasp_env.inputs.files import replacing
 path, letter, times = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 for _ in range(times):
     with replacing(path) as hidden, hidden.open("w") as file:
@@ -33,7 +33,7 @@ for _ in range(times):
 SLEEPER = """
 import os, sys, time
 from pathlib import Path
-from grasp_env._files import replacing
+from grasp_env.inputs.files import replacing
 with replacing(Path(sys.argv[1])) as hidden:
     hidden.write_text("half")
     print(hidden, flush=True)
@@ -191,7 +191,7 @@ def test_links_stay_and_pipes_are_written_to(tmp_path: Path) -> None:
 
 LIMITED = """
 import resource, signal, sys
-from training.cli import main
+from training.program.cli import main
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 sys.exit(main(sys.argv[1:]))

@@ -10,8 +10,8 @@ import pytest
 from docs import fill
 from docs.fill import PROVENANCE, RESULTS, TABLES
 from grasp_env.force.rules import RULES
-from training.results.run import Run
-from training.results.table import described, read, table
+from training.evaluation.results.run import Run
+from training.evaluation.results.table import described, read, table
 
 ROOT = Path(__file__).parents[1]
 

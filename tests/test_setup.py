@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from test_extras import NOT_IN_ALL
 
-from grasp_env._extras import EXTRAS
+from grasp_env.inputs.extras import EXTRAS
 
 ROOT = Path(__file__).parents[1]
 SIZES = {

@@ -25,7 +25,7 @@ CASES: dict[str, tuple[list[int], list[str]]] = {
 """Minor versions of CPython, of which the first that is here is taken, and packages."""
 TESTED = """tests/grasp tests/force tests/quality tests/oracles tests/golden tests/core/test_solution.py tests/core/test_layer.py
 tests/malformed/test_checks.py tests/test_ranges.py tests/policies/test_checkpoint.py tests/policies/test_learned.py --ignore tests/force/test_wrong_input.py
---pyargs grasp_env.grasp grasp_env.force grasp_env.quality grasp_env._check grasp_env._files policies.learned"""
+--pyargs grasp_env.grasp grasp_env.force grasp_env.quality grasp_env.inputs.arguments grasp_env.inputs.files policies.learned"""
 """Tests and doctests that need no extra."""
 
 

@@ -1,1 +1,1 @@
-"""Training, evaluation, reports, and the program `grasp` (`training.cli`)."""
+"""Training of learned starts (`fit`) and agents (`rl`), their evaluation, and the program `grasp` (`program`)."""

@@ -67,12 +67,12 @@ def _tracks(given: Any) -> list[Any]:
 
 
 def _run(given: Any) -> int:
+    from benchmarks.benchmark import tick
     from benchmarks.force.report import lines, profiles
     from benchmarks.force.run import QUICK, Effort, entrants, measured, unit
-    from benchmarks.settings import tick
-    from training.report.page import svg
-    from training.results import Run, default_name
-    from training.results.table import table
+    from training.evaluation.report.page import svg
+    from training.evaluation.results import Run, default_name
+    from training.evaluation.results.table import table
 
     tracks, chosen = _tracks(given), entrants([*given.solver, *given.against])
     run = Run.create(given.out, given.name or default_name("force"))
@@ -95,7 +95,7 @@ def _validate(given: Any) -> int:
     from benchmarks.force.generate import TRACKS, generate
     from benchmarks.force.report import answers
     from benchmarks.force.run import Effort, entrants, measured
-    from training.results.table import table
+    from training.evaluation.results.table import table
 
     tracks = _tracks(given)
     if given.solver:
@@ -114,7 +114,7 @@ def _validate(given: Any) -> int:
 
 def _report(given: Any) -> int:
     from benchmarks.force.report import beside, lines
-    from training.results import Run, understood
+    from training.evaluation.results import Run, understood
 
     loaded = []
     for folder in given.runs:

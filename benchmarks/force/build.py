@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from grasp_env._files import digest, replacing
+from grasp_env.inputs.files import digest, replacing
 
 BUILD = Path(__file__).parents[2] / "build/force"
 """Folder of the libraries."""

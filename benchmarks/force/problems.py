@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env._files import digest, parsed, read_json, replacing, unpacked
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.files import digest, parsed, read_json, replacing, unpacked
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.force.problems import Array
-from grasp_env._files import replacing
 from grasp_env.grasp import Grasp
+from grasp_env.inputs.files import replacing
 
 FILE = Path(__file__).with_name("hands.json")
 OBJECTS = {"cuboid": (0.05, 0.05, 0.05), "sphere": (0.03,), "cylinder": (0.025, 0.09)}

@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from training.report.page import decades
-from training.results.statistics import ratio_interval
-from training.results.table import Rows, numbers, pd
-from training.results.words import number
+from training.evaluation.report.page import decades
+from training.evaluation.results.statistics import ratio_interval
+from training.evaluation.results.table import Rows, numbers, pd
+from training.evaluation.results.words import number
 
 CELL = ["objective", "case", "mode"]
 """Columns that define a cell: entrants are compared on equal problems in the same mode."""

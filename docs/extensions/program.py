@@ -11,7 +11,7 @@ from unittest.mock import patch
 from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
 
-from training.cli import COMMANDS, main
+from training.program.cli import COMMANDS, main
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import AllFaults, as_array, warn
 from grasp_env.config.randomize import RANDOMIZE, draw
 from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
+from grasp_env.inputs.arguments import AllFaults, as_array, warn
 from grasp_env.settings import (
     ANY,
     About,

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, call_user, choice
 from grasp_env.config.records import Controller, Sensors
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.inputs.arguments import as_array, call_user, choice
 from grasp_env.settings import Kind, described, to_json
 from grasp_env.sim.objects.description import SHAPES, SHAPES_WITHOUT_MESH, SIZES, ObjectDescription
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from grasp_env import ranges
 from grasp_env.errors import InvalidInputError
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.force.objective import Objective
 from grasp_env.force.options import METHODS
 from grasp_env.force.rules import RULES
-from grasp_env.ranges import Range
+from grasp_env.inputs import ranges
+from grasp_env.inputs.ranges import Range
 from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Kind, Settings, integer, numbers, one_of, real, setting
 
 CONTROLLERS = ("optimized", "constant_squeeze", "pd")

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, Indices
 from grasp_env.config import EnvConfig
 from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
 from grasp_env.core import Hold
@@ -22,6 +21,7 @@ from grasp_env.force.rules import RULES, initial_rule
 from grasp_env.force.solution import STATUSES
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import reference_basis
+from grasp_env.inputs.arguments import Array, Indices
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.scene import Scene

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array
 from grasp_env.config import EnvConfig
+from grasp_env.inputs.arguments import Array
 
 
 def sensor_settings(config: EnvConfig) -> core.SensorSettings:

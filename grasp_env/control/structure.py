@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from grasp_env._check import Array, Indices
 from grasp_env.force import optimize_forces
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs.arguments import Array, Indices
 from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
 from grasp_env.sim.snapshot import Snapshot
 

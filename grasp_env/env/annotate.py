@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.config import EnvConfig
 from grasp_env.control.loop import ForceLoop
 from grasp_env.core import Outcome
@@ -14,6 +13,7 @@ from grasp_env.env.plan import Plan
 from grasp_env.errors import GraspError
 from grasp_env.force import optimize_force
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim import Scene
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN, WRENCH_STRETCH, Annotation

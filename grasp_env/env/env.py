@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env._extras import need
+from grasp_env.inputs.extras import need
 
 with need("sim"):
     import gymnasium as gym
@@ -21,7 +21,6 @@ with need("sim"):
 
     from grasp_env._spec import ENV_ID, FINISH, GraspSpec
 
-from grasp_env._check import Array, as_array, as_wrench, choice, instance, warn, whole
 from grasp_env.config import EnvConfig
 from grasp_env.config.env import as_config, keywords_to_json
 from grasp_env.control.loop import ForceLoop
@@ -32,6 +31,7 @@ from grasp_env.env.observation import Observer, action_size
 from grasp_env.env.plan import Plan, make_plan
 from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
+from grasp_env.inputs.arguments import Array, as_array, as_wrench, choice, instance, warn, whole
 from grasp_env.sim import Scene
 from grasp_env.sim.engine import class_of
 from grasp_env.sim.picture.annotation import LONGEST, Annotation

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env._check import Array
 from grasp_env.control.loop import ForceLoop, adjustment_size
 from grasp_env.core import Gather, Outcome
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.snapshot import Snapshot
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.config import EnvConfig
+from grasp_env.inputs.arguments import Array
 from grasp_env.task.disturbance import disturb
 
 

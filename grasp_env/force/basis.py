@@ -9,13 +9,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_wrench, flag, instance
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force.objective import Objective, as_objective
 from grasp_env.force.record import STARTED
 from grasp_env.force.solution import COMBINATION
 from grasp_env.grasp.checks import rank_error
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_wrench, flag, instance
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core
-from grasp_env._check import Array, choice
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.many import ForceSolutions, checked_batch, over_parts, solve_many, solve_one
 from grasp_env.force.optimizer import ForceOptimizer
 from grasp_env.force.record import CODE, CONVERGED
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs.arguments import Array, choice
 
 
 def optimize_forces(

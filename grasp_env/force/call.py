@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from grasp_env import ranges
-from grasp_env._check import AllFaults, as_array
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.torques import checked_jacobian
 from grasp_env.grasp.checks import rank_error
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import AllFaults, as_array
 
 
 class Call(NamedTuple):

@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env import ranges
-from grasp_env._check import Array, ContactForces, as_array
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, ContactForces, as_array
 
 METRIC = np.array([3.0, 2.0, 2.0])
 """Metric of the flows: |P|_F^2 = 3 u^2 + 2 o^2 + 2 t^2 per contact."""

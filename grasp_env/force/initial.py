@@ -9,7 +9,6 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_array, as_wrench, call_user, choice
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, shown
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.objective import Objective
@@ -18,6 +17,7 @@ from grasp_env.force.record import REPLACED, START
 from grasp_env.force.repair import Repair, start_replaced
 from grasp_env.force.solution import COMBINATION, GIVEN, LEARNED, STARTS, ForceSolution, Names
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_array, as_wrench, call_user, choice
 
 BALANCE_TOLERANCE = 1e-8
 """Largest imbalance of a given start, relative to its force and wrench; above it, the error reports the imbalance."""

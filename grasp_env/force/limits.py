@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import core, ranges
-from grasp_env._check import AllFaults, Array, as_array, instance, number, whole
+from grasp_env import core
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.torques import checked_jacobian
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import AllFaults, Array, as_array, instance, number, whole
 
 
 class LimitArrays(NamedTuple):

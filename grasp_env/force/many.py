@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grasp_env import ranges
-from grasp_env._check import AllFaults, Array, as_array, checked_size, whole
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force import record as at
 from grasp_env.force.solution import STATUSES, ForceSolution, Names, Status
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import AllFaults, Array, as_array, checked_size, whole
 
 
 class ForceSolutions(Sequence[ForceSolution]):

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env import core, ranges
-from grasp_env._check import AllFaults, Array, as_array, instance, positive, whole
+from grasp_env import core
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import AllFaults, Array, as_array, instance, positive, whole
 
 Weight = float | Sequence[float]
 """One weight for all contacts, or one per contact (the diagonal blocks of W_p, W_i)."""

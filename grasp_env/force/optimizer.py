@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core
-from grasp_env._check import AllFaults, ContactForces, Wrench, as_wrench, flag, instance, positive
 from grasp_env.errors import (
     GraspError,
     InfeasibleStartError,
@@ -47,6 +46,7 @@ from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.advice import warn_of_contacts, warn_of_wrench
 from grasp_env.grasp.checks import rank_error
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.inputs.arguments import AllFaults, ContactForces, Wrench, as_wrench, flag, instance, positive
 
 FROM_BASIS = ("linear_combination", "linear_combination_printed", "single_value", "lagrange")
 """Starts that need the 12-basis."""
@@ -86,7 +86,7 @@ class ForceOptimizer:
             is larger. The solution's `objective` is the excess, and `lower_bound` bounds it.
 
     Raises:
-        InvalidInputError: input of another type or shape, not finite, or out of range (`grasp_env/ranges.py`).
+        InvalidInputError: input of another type or shape, not finite, or out of range (`grasp_env/inputs/ranges.py`).
         UnknownNameError: unknown method, criterion or rule.
         UnsupportedProblemError: a method that does not support these contacts, limits or options.
         RankDeficientGraspError: a flow, and contacts that cannot balance wrenches of every direction.

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from grasp_env import ranges
-from grasp_env._check import AllFaults, choice, flag, positive, whole
 from grasp_env.errors import UnsupportedProblemError, shown
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.step_size import StepRule, checked_rule
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import AllFaults, choice, flag, positive, whole
 
 FLOWS = ("reduced_flow", "full_flow")
 """The paper's flows, for hard contacts without limits."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs.arguments import Array
 
 NEGLIGIBLE_PRICE = 1e-6
 """Fraction of the largest price up to which a limit does not count as needed."""

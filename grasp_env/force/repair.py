@@ -8,13 +8,14 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from grasp_env import core, ranges
-from grasp_env._check import ContactForces, Wrench, as_array, as_wrench, choice
+from grasp_env import core
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force.basis import OfflineBasis, start_of, starter
 from grasp_env.force.objective import Objective, as_objective
 from grasp_env.force.solution import GUESS, PREVIOUS
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import ContactForces, Wrench, as_array, as_wrench, choice
 
 SAME_FORCE = 1e-12
 """Relative difference of the largest component up to which two forces count as equal."""

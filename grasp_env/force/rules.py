@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
-from grasp_env._check import ContactForces, Wrench, choice
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError
 from grasp_env.force.initial import InitialForceRule, LinearCombination
 from grasp_env.force.objective import Objective, as_objective
 from grasp_env.force.optimizer import ForceOptimizer
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs.arguments import ContactForces, Wrench, choice
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from enum import Enum
 from typing import Any, NamedTuple
 
-from grasp_env._check import Array
 from grasp_env.core import Solution
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force.record import (
@@ -19,6 +18,7 @@ from grasp_env.force.record import (
     START,
     UNDECIDED,
 )
+from grasp_env.inputs.arguments import Array
 
 STARTS = (
     "standard", "internal_force", "linear_combination", "linear_combination_printed", "single_value", "lagrange", "phase_one",

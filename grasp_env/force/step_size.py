@@ -13,10 +13,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from grasp_env import ranges
-from grasp_env._check import AllFaults, Array, choice, positive
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.ranges import Range
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import AllFaults, Array, choice, positive
+from grasp_env.inputs.ranges import Range
 
 FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT = range(5)
 """Kinds of rules, their first parameter."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import ranges
-from grasp_env._check import Array, as_array
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, as_array
 
 
 def joint_torques(

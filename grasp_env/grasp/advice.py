@@ -6,7 +6,6 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from grasp_env._check import Array, Wrench, as_wrench, warn
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.grasp import Grasp, as_grasp
 from grasp_env.grasp.mistakes import (
@@ -20,6 +19,7 @@ from grasp_env.grasp.mistakes import (
     some_outward,
     torque_units,
 )
+from grasp_env.inputs.arguments import Array, Wrench, as_wrench, warn
 
 
 def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) -> list[str]:

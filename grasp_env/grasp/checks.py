@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import ranges
-from grasp_env._check import Array, as_array
 from grasp_env.core import along_normal, normalise
 from grasp_env.errors import InvalidInputError, RankDeficientGraspError, shown
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, as_array
 
 RANK_TOLERANCE = 1e-8
 """Least ratio of singular values of G (moments divided by the grasp's length) that counts as rank 6."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.core import TANGENT_SWITCH
+from grasp_env.inputs.arguments import Array
 
 
 def contact_frames(normals: Array) -> Array:

@@ -19,9 +19,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import core, ranges
-from grasp_env._check import Array, as_array, choice
+from grasp_env import core
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, as_array, choice
 
 CONTACT_MODELS = ("hard", "soft", "frictionless")
 """Names of the contact models."""

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._files import MEGABYTE, as_path, file_fault, read_json, replacing
 from grasp_env.errors import GraspError, GraspFileError, shown
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.inputs.files import MEGABYTE, as_path, file_fault, read_json, replacing
 
 SCHEMA = "grasp-force/grasp/1"
 """Name and version of the format."""

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import ranges
-from grasp_env._check import AllFaults, Array, ContactForces, Wrench, as_array
 from grasp_env.core import ContactReader, Contacts
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.grasp.checks import (
@@ -28,6 +26,8 @@ from grasp_env.grasp.checks import (
     rank_of,
 )
 from grasp_env.grasp.contact_model import ContactModels
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import AllFaults, Array, ContactForces, Wrench, as_array
 
 _READER = ContactReader(
     least_friction=ranges.FRICTION.low,
@@ -125,7 +125,7 @@ class Grasp:
             tangents: (N, 3) directions; o is their normalised projection on the tangent plane. None: the rule of `contact_frames`.
 
         Raises:
-            InvalidInputError: wrong shapes, values that are not finite or out of range (`grasp_env/ranges.py`), normals whose length
+            InvalidInputError: wrong shapes, values that are not finite or out of range (`grasp_env/inputs/ranges.py`), normals whose length
                 is not within 1 % of one, a tangent along its normal, soft contacts without torsional friction, no contact or
                 more than 1000, a grasp smaller than 1e-9 m or larger than 1e6 m, or one farther from the origin than 1e5 times
                 its length.

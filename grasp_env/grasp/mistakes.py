@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, Wrench
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs.arguments import Array, Wrench
 
 LONGEST = 5.0
 """Length of a grasp, or lever of a joint, beyond which lengths are in millimetres [m]."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env import ranges
-from grasp_env._check import Array, as_array
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, as_array
 
 
 def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:

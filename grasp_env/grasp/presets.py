@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from grasp_env._check import Array, choice
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs.arguments import Array, choice
 
 _CONTACTS: dict[str, tuple[list[list[float]], list[list[float]], float]] = {
     # a thumb on one z face of a 0.1 m cuboid, three fingers on the other (the paper's Sec. IV, placement ours)

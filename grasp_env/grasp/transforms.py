@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import ranges
-from grasp_env._check import Array, Wrench, as_array, as_wrenches, positive
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, Wrench, as_array, as_wrenches, positive
 
 ROTATION_TOLERANCE = 1e-6
 """Largest difference of R^T R from the identity, enough for single precision; R is then made orthonormal."""

@@ -5,9 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import ranges
-from grasp_env._check import Array, Wrench, as_array, as_wrench, as_wrenches, instance, number, positive, whole
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import (
+    Array,
+    Wrench,
+    as_array,
+    as_wrench,
+    as_wrenches,
+    instance,
+    number,
+    positive,
+    whole,
+)
 
 PAPER_CONSTANT: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
 """The constant external wrench of the paper's Sec. IV.A [N, N m]."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env._check import Array, ContactForces
 from grasp_env.core import CLEAR
 from grasp_env.errors import NotConvergedError
 from grasp_env.force.limits import ForceLimits, as_limits
@@ -18,6 +17,7 @@ from grasp_env.force.proof import contact_motions, least_normal_motions, transmi
 from grasp_env.force.record import CONVERGED, INFEASIBLE
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.inputs.arguments import Array, ContactForces
 from grasp_env.quality.feasibility import deepest
 
 PROVEN = 1e-6

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_wrench
 from grasp_env.errors import NotConvergedError
 from grasp_env.force.limits import ForceLimits, as_limits, given_limits
 from grasp_env.force.record import CONVERGED, INFEASIBLE
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_wrench
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from grasp_env import ranges
-from grasp_env._check import Array, Wrench, positive
 from grasp_env.force.options import CRITERIA
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, Wrench, positive
 from grasp_env.quality.closure import force_closure
 from grasp_env.quality.worst_wrench import WrenchBall, worst_case
 

@@ -24,14 +24,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
-from grasp_env import ranges
-from grasp_env._check import AllFaults, Array, Wrench, as_array, checked_size, choice, generator, positive, whole
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.optimizer import ForceOptimizer
 from grasp_env.force.options import CRITERIA
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import (
+    AllFaults,
+    Array,
+    Wrench,
+    as_array,
+    checked_size,
+    choice,
+    generator,
+    positive,
+    whole,
+)
 from grasp_env.quality.closure import force_closure
 
 SHAPES = ("ellipsoid", "product")

@@ -1,6 +1,6 @@
 """Simulated hand and object. No other package depends on a physics engine."""
 
-from grasp_env._extras import need
+from grasp_env.inputs.extras import need
 
 with need("sim"):
     from grasp_env.sim.engine import BulletEngine, MujocoEngine

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, instance
 from grasp_env.errors import UnknownNameError
+from grasp_env.inputs.arguments import Array, instance
 from grasp_env.sim.bullet_body import UNDAMPED, create_body, set_dynamics
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.config import SceneConfig

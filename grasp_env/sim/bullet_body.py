@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.client import bullet
 from grasp_env.sim.hand.urdf import hull_faces
 from grasp_env.sim.mesh_files import obj_text

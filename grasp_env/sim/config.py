@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grasp_env._check import as_array, instance, whole
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import as_array, instance, whole
 from grasp_env.sim.engine import Engine, engine_of
 from grasp_env.sim.hand.description import HandDescription, Vector3
 from grasp_env.sim.objects.description import ObjectDescription

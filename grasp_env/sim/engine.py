@@ -9,10 +9,10 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, ClassVar
 
-from grasp_env._check import as_array
-from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.ranges import Range
+from grasp_env.inputs.arguments import as_array
+from grasp_env.inputs.extras import need
+from grasp_env.inputs.ranges import Range
 from grasp_env.settings import Kind, Settings, any_of, integer, one_of, real, setting
 
 _POSITIVE = Range(1e-12, 1e9)

@@ -18,8 +18,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from grasp_env._check import Array
-from grasp_env._files import MEGABYTE
+from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.files import MEGABYTE
 from grasp_env.sim.xml_files import read_xml
 
 MAX_FACES = 200_000

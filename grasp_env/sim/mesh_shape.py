@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 
 WELD = 1e-7
 """Distance within which corners are merged, relative to the mesh's extent. An .stl repeats each corner for each of its faces."""

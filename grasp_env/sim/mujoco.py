@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import Array, instance
 from grasp_env.errors import InvalidInputError, SimulationError, UnknownNameError
+from grasp_env.inputs.arguments import Array, instance
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import MujocoEngine
 from grasp_env.sim.hand.description import HandDescription

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core
-from grasp_env._check import Array, as_array
 from grasp_env.errors import SimulationError
+from grasp_env.inputs.arguments import Array, as_array
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import class_of
 from grasp_env.sim.hand.kinematics import HandKinematics

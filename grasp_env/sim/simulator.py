@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.objects.description import ObjectDescription
 

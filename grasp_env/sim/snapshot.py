@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 
 
 class Snapshot(NamedTuple):

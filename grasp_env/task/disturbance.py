@@ -14,10 +14,10 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import ranges
-from grasp_env._check import Array, as_array, call_user
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.grasp.wrench import paper_path
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, as_array, call_user
 from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Settings, any_of, numbers, real, setting
 from grasp_env.task.motion import blend
 

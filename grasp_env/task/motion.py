@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 
 MOTIONS: dict[str, str] = {
     "lift": "up along y in the first third of a period, held, down in the last third",

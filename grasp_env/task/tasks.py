@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Settings, any_of, one_of, real, setting
 from grasp_env.task.disturbance import ConstantWrench, DisturbanceSettings, NoDisturbance
 from grasp_env.task.motion import MOTION_SIZES, MOTIONS, blend, motion_target, resting_target

@@ -12,8 +12,8 @@ from engines import needs_bullet
 
 from benchmarks import batch
 from benchmarks.__main__ import BENCHMARKS, main
-from training.results.columns import COLUMNS
-from training.results.table import numbers, read, summary
+from training.evaluation.results.columns import COLUMNS
+from training.evaluation.results.table import numbers, read, summary
 
 
 @pytest.mark.parametrize(

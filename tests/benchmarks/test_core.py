@@ -11,8 +11,8 @@ import pytest
 from benchmarks.core import BENCHMARK, CALL, FIRST, RATIO, Settings, joined, run
 from benchmarks.core_side import ROWS
 from grasp_env.errors import GraspError, InvalidInputError
-from training.results.claims import judge
-from training.results.table import join, pd, summary
+from training.evaluation.results.claims import judge
+from training.evaluation.results.table import join, pd, summary
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from grasp_env.errors import MissingExtraError
-from training.results.claims import judge
-from training.results.table import summary, table
+from training.evaluation.results.claims import judge
+from training.evaluation.results.table import summary, table
 
 env = pytest.importorskip("benchmarks.env", exc_type=MissingExtraError)
 

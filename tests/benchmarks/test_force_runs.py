@@ -21,8 +21,8 @@ from benchmarks.force.package import problem_of
 from benchmarks.force.problems import Problem, load
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import presets
-from training.results.table import read, table
-from training.results.words import number
+from training.evaluation.results.table import read, table
+from training.evaluation.results.words import number
 
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 

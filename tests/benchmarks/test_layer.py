@@ -10,7 +10,7 @@ from benchmarks import layer
 from benchmarks.layer import ANSWERS, FORWARD, LAYER, Settings, answers, draw
 from benchmarks.layer_peers import PEERS, Contestant, cone_form
 from grasp_env.force import ForceLimits, optimize_forces
-from training.results.table import summary
+from training.evaluation.results.table import summary
 
 COUNT = 40
 

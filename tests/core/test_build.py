@@ -156,6 +156,6 @@ def test_wheel_has_headers_and_data_and_no_development_files(tmp_path: Path) -> 
         for path in (ROOT / package).rglob("*")
         if path.is_file() and path.parent.name != "__pycache__" and path.suffix != ".so"
     }
-    left_out = {name for name in sources if name.startswith(("grasp_env/core/bindings/", "training/assets/"))}
+    left_out = {name for name in sources if name.startswith("grasp_env/core/bindings/")}
     assert files == sources - left_out
     assert {"grasp_env/core/include/grasp/version.hpp", "grasp_env/core/_core.pyi", "grasp_env/py.typed"} <= files

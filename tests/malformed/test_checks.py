@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_env._check import AllFaults, as_array, choice, flag, instance, number, positive, whole
 from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError
 from grasp_env.force import ForceOptimizer, optimize_force
 from grasp_env.grasp import Grasp, presets
-from grasp_env.ranges import Range
+from grasp_env.inputs.arguments import AllFaults, as_array, choice, flag, instance, number, positive, whole
+from grasp_env.inputs.ranges import Range
 
 CUBOID = presets.paper_cuboid()
 PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])

@@ -15,14 +15,14 @@ import pytest
 from sim.mesh_samples import ENTITIES
 from urdf_text import small, solid
 
-from grasp_env._files import read_bytes, stand_in
 from grasp_env.errors import GraspError
 from grasp_env.grasp import load_grasp, presets, save_grasp
+from grasp_env.inputs.files import read_bytes, stand_in
 from grasp_env.sim import HandDescription
 from grasp_env.sim.objects.description import ObjectDescription
 from policies.agent import TrainedAgent
-from training.cli import main
-from training.results import Run, table
+from training.evaluation.results import Run, table
+from training.program.cli import main
 
 
 def agent(path: Path) -> Any:

@@ -25,8 +25,8 @@ from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.objects.cache import cached, clear, entries, folder
 from grasp_env.sim.objects.closing import close_mesh
 from grasp_env.sim.objects.reading import open_mesh, read_mesh
-from training.cli import main
-from training.commands import mending
+from training.program.cli import main
+from training.program.commands import mending
 
 
 @pytest.fixture(autouse=True)

@@ -16,9 +16,9 @@ import pytest
 import trimesh
 from hands import make_link, mass_matrix, numbers
 
-from grasp_env import _extras
 from grasp_env.config import EnvConfig
 from grasp_env.errors import GraspError, InvalidInputError, MissingExtraError, SimulationError
+from grasp_env.inputs import extras
 from grasp_env.sim import BulletEngine, HandDescription, HandKinematics, MujocoEngine, ObjectDescription, Scene
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import _log_mujoco, engine_of
@@ -199,8 +199,8 @@ def test_invalid_settings_and_a_missing_extra(monkeypatch: pytest.MonkeyPatch) -
         MujocoEngine(impedance=(0.9, 0.5, 1e-3, 0.5, 2), tolerance=math.nan)
     with pytest.raises(InvalidInputError, match=r"opens no window: use render_mode='rgb_array'"):
         Mujoco(crooked_hand(), gui=True)
-    found = _extras.find_spec
-    monkeypatch.setattr(_extras, "find_spec", lambda name: None if name == "mujoco" else found(name))
+    found = extras.find_spec
+    monkeypatch.setattr(extras, "find_spec", lambda name: None if name == "mujoco" else found(name))
     with pytest.raises(MissingExtraError, match=r'this needs mujoco: pip install "grasp-force\[mujoco\]"'):
         gym.make("grasp_env:FourFingerGrasp-v0", engine="mujoco")
 

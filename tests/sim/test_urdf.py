@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from urdf_text import INERTIAL, hand, joint, link, read, robot, small
 
-from grasp_env import _extras
 from grasp_env.errors import InvalidInputError, MissingExtraError
+from grasp_env.inputs import extras
 from grasp_env.sim.hand.description import HANDS, Fingertip, HandDescription, Mimic
 from grasp_env.sim.hand.frames import Frame, roll_pitch_yaw, rotation_matrix
 from grasp_env.sim.hand.inertia import inertia_matrix, inertia_of
@@ -265,7 +265,7 @@ def test_xacro_files_find_packages_and_files(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "parts" / "finger.xacro").unlink()
     with pytest.raises(InvalidInputError, match=r"xacro cannot expand .*hand\.urdf\.xacro: .*parts"):
         HandDescription.from_urdf(tmp_path / "hand" / "hand.urdf.xacro")
-    found = _extras.find_spec
-    monkeypatch.setattr(_extras, "find_spec", lambda name: None if name == "xacrodoc" else found(name))
+    found = extras.find_spec
+    monkeypatch.setattr(extras, "find_spec", lambda name: None if name == "xacrodoc" else found(name))
     with pytest.raises(MissingExtraError, match=r'pip install "grasp-force\[xacro\]"'):
         HandDescription.from_urdf(tmp_path / "hand" / "hand.urdf.xacro")

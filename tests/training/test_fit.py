@@ -24,13 +24,13 @@ from grasp_env.grasp.null_space import null_space_basis, reference_basis
 from grasp_env.grasp.wrench import sample_ball
 from policies import LearnedInitialForce
 from policies.network import Network
-from training.cli import main
 from training.data.one_grasp import Source, label
+from training.fit.fit_config import FitConfig
 from training.fit.loop import WARM, optimise
 from training.fit.one_grasp import NetworkTask, fit
-from training.fit.settings import FitConfig
 from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
+from training.program.cli import main
 
 FIXED: dict[str, Any] = {"steps": 40, "samples": 4096, "hidden": (16,), "batch_size": 256}
 TRIPOD = {

@@ -20,18 +20,18 @@ from grasp_env.config.env import as_config
 from grasp_env.errors import GraspError
 from policies import TrainedAgent, ZeroPolicy
 from policies.agent_files import ENV_ID, checkpoints, find_checkpoint, read_meta
-from training.cli import main
 from training.data.episodes import Step
-from training.report import rl as page
-from training.results import Run
-from training.results.columns import TIMES
-from training.results.shards import map_shards
-from training.results.statistics import iqm
-from training.results.table import pd, summary
+from training.evaluation.report import rl_page as page
+from training.evaluation.results import Run
+from training.evaluation.results.columns import TIMES
+from training.evaluation.results.shards import map_shards
+from training.evaluation.results.statistics import iqm
+from training.evaluation.results.table import pd, summary
+from training.program.cli import main
 from training.rl.agent import build, first_seed, make_envs
 from training.rl.checkpoint import Training
+from training.rl.rl_config import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.rl.score import outcome, score
-from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.rl.train import STOP, Shard, rows_of, train, train_seed
 
 SHORT = '{"duration": 0.4}'

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.errors import GraspError
 from grasp_env.force import OfflineBasis
 from grasp_env.grasp import Grasp, presets
+from grasp_env.inputs.arguments import Array
 from grasp_env.quality import feasibility
 
 PRESETS = {3: presets.tripod, 4: presets.paper_cuboid, 5: presets.five_finger_cuboid}

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.errors import NotConvergedError
 from grasp_env.force import Objective, optimize_forces
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.null_space import null_space_basis
 from grasp_env.grasp.wrench import MAGNITUDE_LENGTH, sample_ball, sample_magnitudes
+from grasp_env.inputs.arguments import Array
 
 LABEL_GAP, LABEL_ITERATIONS = 1e-10, 200
 BALL = 0.7

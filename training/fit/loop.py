@@ -15,11 +15,11 @@ from rich.console import Console
 from torch import Tensor, nn
 
 from policies.network import Network
-from training.fit.settings import FitConfig
+from training.evaluation.results.bars import progress
+from training.evaluation.results.interrupts import interruptible
+from training.fit.fit_config import FitConfig
 from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
-from training.results.bars import progress
-from training.results.interrupts import interruptible
 
 MARKS = 20
 """Number of held-out scores, and of saved states, per training."""

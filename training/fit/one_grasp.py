@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from grasp_env import core
-from grasp_env._extras import need
-from grasp_env._files import digest
+from grasp_env.inputs.extras import need
+from grasp_env.inputs.files import digest
 
 with need("train"):
     import torch
@@ -24,12 +24,12 @@ from policies.features import Features, surface_pairs
 from policies.learned import LearnedInitialForce
 from policies.network import Network
 from training.data.one_grasp import BALL, LABEL_GAP, Source, label, with_mean_friction
+from training.evaluation.results import provenance
+from training.evaluation.results.words import small
+from training.fit.fit_config import FitConfig
 from training.fit.loop import AT_ONCE, PERCENTILES, NetworkTask, Samples, optimise
 from training.fit.scores import scores
-from training.fit.settings import FitConfig
 from training.fit.state import Progress, StateFile
-from training.results import provenance
-from training.results.words import small
 
 FRICTIONS = 256
 """Number of frictions in the data."""

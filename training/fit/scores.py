@@ -9,10 +9,10 @@ import numpy as np
 
 from grasp_env.grasp import Grasp
 from policies import LearnedInitialForce
-from training.compare.methods import FLOW, optimizer
-from training.compare.starts import NetworkAlone
-from training.compare.trial import TOLERANCE
 from training.data.one_grasp import with_mean_friction
+from training.evaluation.compare.methods import FLOW, optimizer
+from training.evaluation.compare.starts import NetworkAlone
+from training.evaluation.compare.trial import TOLERANCE
 
 MOST = 4
 """Number of Newton steps from which on counts are pooled."""

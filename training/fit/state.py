@@ -14,9 +14,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 from torch import nn
 
-from grasp_env._files import digest, file_fault, replacing
 from grasp_env.errors import InvalidInputError, ModelFileError
-from training.results import Run
+from grasp_env.inputs.files import digest, file_fault, replacing
+from training.evaluation.results import Run
 
 SCHEMA = "grasp-force/training-state/1"
 SPACE = 32_000_000

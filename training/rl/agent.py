@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from grasp_env.errors import ModelFileError
 from policies.agent_files import ENV_ID
-from training.rl.settings import RLConfig
+from training.rl.rl_config import RLConfig
 
 _WIDTHS = [64, 64]
 _MEAN_GAIN = 0.01

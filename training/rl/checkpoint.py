@@ -13,9 +13,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from grasp_env.errors import InvalidInputError
 from policies.agent_files import find_checkpoint, read_arrays, read_meta, read_tensors, write_checkpoint
-from training.results import provenance
+from training.evaluation.results import provenance
 from training.rl.agent import arrays, first_seed, restore
-from training.rl.settings import RLConfig
+from training.rl.rl_config import RLConfig
 
 FOLDER = "checkpoints"
 _TENSORS = ("policy", "optimiser")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from training.rl.agent import build, first_seed, make_envs
-from training.rl.settings import RLConfig
+from training.rl.rl_config import RLConfig
 
 ROUNDS, STEPS = 3, 2048
 """Number of measurements, and of steps of all environments together in each."""

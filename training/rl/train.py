@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._extras import need
+from grasp_env.inputs.extras import need
 
 with need("sim", "train", "report"):
     from rich.console import Console
@@ -18,19 +18,19 @@ with need("sim", "train", "report"):
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.logger import configure
 
-    from training.results.shards import map_shards
-    from training.results.table import join, pd, table
+    from training.evaluation.results.shards import map_shards
+    from training.evaluation.results.table import join, pd, table
 
 from grasp_env.errors import InvalidInputError, ModelFileError
 from policies import LearnedInitialForce, TrainedAgent, ZeroPolicy
 from policies.agent_files import checkpoints, find_checkpoint, read_meta
-from training.results import Run, understood
-from training.results.bars import progress
-from training.results.interrupts import interruptible
+from training.evaluation.results import Run, understood
+from training.evaluation.results.bars import progress
+from training.evaluation.results.interrupts import interruptible
 from training.rl.agent import build, first_seed, make_envs
 from training.rl.checkpoint import FOLDER, Training, check_settings, check_space
+from training.rl.rl_config import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.rl.score import score
-from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.rl.speed import speeds
 
 BASELINES = ("zero", "learned", "previous")

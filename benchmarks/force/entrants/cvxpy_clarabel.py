@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.force.entrant import Answer, Task
 from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
-from grasp_env._extras import need
+from grasp_env.inputs.extras import need
 
 
 class CvxpyClarabel:

@@ -23,7 +23,7 @@ int along_normal(nb::handle tangents, nb::handle normals) {
 }
 
 // Reads the arguments of `Grasp.from_contacts` if they have the expected form: arrays of this layout, numbers within the ranges of
-// `grasp_env/ranges.py`, a rank of 6 beyond doubt. Otherwise Python converts them or reports the error.
+// `grasp_env/inputs/ranges.py`, a rank of 6 beyond doubt. Otherwise Python converts them or reports the error.
 struct ContactReader {
     double least_friction, most_friction, least_length, most_length, distance;
     int most;

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, as_array, choice
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import Array, as_array, choice
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
 

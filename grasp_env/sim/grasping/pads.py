@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link

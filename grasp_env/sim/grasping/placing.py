@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grasp_env import core
-from grasp_env._check import Array, whole
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import Array, whole
 from grasp_env.sim.grasping.approach import Approach, as_approach, palm_direction
 from grasp_env.sim.grasping.pads import PATCH_RADIUS, SOFT_PAIR, torsion_of, with_protruding_tips
 from grasp_env.sim.grasping.points import GraspPlan, GraspSearch, plan_grasp

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core
-from grasp_env._check import Array, as_array
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.presets import paper_cuboid
+from grasp_env.inputs.arguments import Array, as_array
 from grasp_env.sim.config import ON_SURFACE, START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.hand.description import HandDescription

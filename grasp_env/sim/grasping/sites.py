@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env import core
-from grasp_env._check import Array, Indices
+from grasp_env.inputs.arguments import Array, Indices
 from grasp_env.sim.grasping.approach import Approach
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis

@@ -7,10 +7,10 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from grasp_env import _check
-from grasp_env._check import as_array
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.ranges import Range
+from grasp_env.inputs import arguments
+from grasp_env.inputs.arguments import as_array
+from grasp_env.inputs.ranges import Range
 
 LARGEST = 1e9  # number of a hand, in metres, kilograms, newton metres, radians
 T = TypeVar("T")
@@ -24,7 +24,7 @@ def numbers(values: Any, count: int | None, name: str) -> tuple[float, ...]:
 
 def positive(value: Any, name: str) -> float:
     """Return a number above 0 and up to 1e9, or raise an `InvalidInputError`."""
-    return _check.positive(value, name, Range(1e-300, LARGEST))
+    return arguments.positive(value, name, Range(1e-300, LARGEST))
 
 
 def word(value: Any, name: str) -> str:

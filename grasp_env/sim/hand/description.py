@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_env._check import flag, instance
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import flag, instance
 from grasp_env.sim.hand import presets
 from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand.fingers import FingerDescription

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.check import Vector3
 
 

@@ -7,8 +7,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.check import numbers
 
 Inertia: TypeAlias = tuple[float, float, float, float, float, float]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core
-from grasp_env._check import Array, Indices, as_array, whole
-from grasp_env._files import as_path, file_fault, replacing
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import Array, Indices, as_array, whole
+from grasp_env.inputs.files import as_path, file_fault, replacing
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import rotation_matrix
 from grasp_env.sim.hand.tree import Mimic

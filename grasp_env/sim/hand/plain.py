@@ -7,8 +7,8 @@ from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from typing import Any
 
-from grasp_env._check import choice
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
+from grasp_env.inputs.arguments import choice
 from grasp_env.sim.hand.description import HANDS, Fingertip, Geometry, HandDescription, Link, Mimic, Palm
 
 _LISTS: dict[str, type[Any]] = {"links": Link, "fingertips": Fingertip, "collision": Geometry, "visual": Geometry}

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry, Vector3
 from grasp_env.sim.mesh_shape import numbered, sides_of

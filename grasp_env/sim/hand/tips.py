@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linprog
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.solids import cut_below, few_corners, hull_of, hull_shape, outline
 from grasp_env.sim.hand.tree import Geometry, Link, Vector3
 

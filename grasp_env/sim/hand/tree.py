@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from grasp_env._check import choice, instance
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.inputs.arguments import choice, instance
 from grasp_env.sim.hand.check import Vector3, hull_corners, limits, numbers, parts, positive, unit, word
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import Inertia, inertia_of

@@ -12,8 +12,8 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from grasp_env._check import Array
-from grasp_env._files import digest
+from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.files import digest
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
 from grasp_env.sim.mesh_files import obj_text

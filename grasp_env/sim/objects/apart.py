@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.progress import ProgressLine
 
 _NEEDED = ("LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONHOME")  # variables without which some Pythons do not start

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from grasp_env._files import replacing, unpacked
+from grasp_env.inputs.files import replacing, unpacked
 
 LONGEST_WAIT = 150.0  # longest wait for another process that makes the same entry [s]
 _NAME, _USE = "name", "use"  # keys of the name and the use among the arrays of an entry

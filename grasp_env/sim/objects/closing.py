@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.mesh_shape import WELD, extent_of, grouped, numbered, open_edges, sides_of, volume, weld
 
 _SEAM = 1e-5  # distance within which corners of open seams are merged, relative to the extent

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env import core
-from grasp_env._check import Array, as_array
-from grasp_env._files import as_path
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.ranges import Range
+from grasp_env.inputs.arguments import Array, as_array
+from grasp_env.inputs.files import as_path
+from grasp_env.inputs.ranges import Range
 from grasp_env.settings import POSITIVE, Kind, Settings, one_of, placed, real, setting
 from grasp_env.sim.hand.check import numbers
 from grasp_env.sim.objects.mesh import Mesh, load_mesh

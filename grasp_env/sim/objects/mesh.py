@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from grasp_env._check import Array, warn
-from grasp_env._files import digest
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.inputs.arguments import Array, warn
+from grasp_env.inputs.files import digest
 from grasp_env.sim.mesh_files import KINDS
 from grasp_env.sim.objects.cache import cached
 from grasp_env.sim.objects.reading import open_mesh, read_mesh

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.mesh_shape import reduce_hull, volume
 from grasp_env.sim.objects.apart import apart
 

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from grasp_env._check import Array
-from grasp_env._extras import need
-from grasp_env._files import read_bytes, stand_in
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.extras import need
+from grasp_env.inputs.files import read_bytes, stand_in
 from grasp_env.sim.mesh_files import EXPORT, KINDS, MAX_MEMORY, SIMPLIFY, TOO_MUCH_MEMORY
 from grasp_env.sim.objects.apart import apart
 

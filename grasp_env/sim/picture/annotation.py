@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env import ranges
-from grasp_env._check import Array, as_array, positive
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, as_array, positive
 
 WRENCH_COLOR = (150, 30, 140)
 LONGEST = 0.08  # length of the longest force arrow [m]

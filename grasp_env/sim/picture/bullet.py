@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 from PIL import Image
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.bullet import joint_indices
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.hand.description import HandDescription

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from grasp_env._check import number, whole
 from grasp_env.errors import InvalidInputError
-from grasp_env.ranges import Range
+from grasp_env.inputs.arguments import number, whole
+from grasp_env.inputs.ranges import Range
 from grasp_env.sim.engine import class_of
 from grasp_env.sim.hand.description import Vector3
 from grasp_env.sim.picture.annotation import Annotation

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 
 _LONGEST = 8.0  # longest distance along an edge for smoothing [pixels]
 _CONTRAST = 16  # differences of brightness below this, of 255, are kept

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from grasp_env._check import Array
 from grasp_env.errors import SimulationError
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.files.meshes import read_looks
 from grasp_env.sim.mjcf import OBJECT_GROUP, link_name, looks_mjcf

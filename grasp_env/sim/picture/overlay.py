@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.picture.annotation import LONGEST_TURN, WRENCH_COLOR, WRENCH_STRETCH, Annotation
 from grasp_env.sim.picture.view import View
 

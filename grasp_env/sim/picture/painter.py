@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from PIL import Image, ImageOps
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.picture.annotation import WRENCH_COLOR, WRENCH_STRETCH, Annotation
 from grasp_env.sim.picture.view import View

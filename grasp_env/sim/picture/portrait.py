@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.engine import class_of, engine_of
 from grasp_env.sim.hand.description import Fingertip, Geometry, HandDescription, Link, Palm, Vector3
 from grasp_env.sim.hand.frames import roll_pitch_yaw

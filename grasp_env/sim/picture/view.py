@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.description import Vector3
 
 NEAR_PLANE, FAR_PLANE = 0.05, 5.0  # least and largest distance from the camera that is drawn [m]

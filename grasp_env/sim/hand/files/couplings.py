@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.mujoco_api import mujoco
 
 _STATIONS = 7  # positions of a motor at which the joints are measured

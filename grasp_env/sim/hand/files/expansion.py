@@ -24,8 +24,8 @@ from xml.dom import minidom
 
 import numpy as np
 
-from grasp_env._files import MEGABYTE, TEXT, parsed, read_bytes, understood
 from grasp_env.errors import GraspError, InvalidInputError, alike
+from grasp_env.inputs.files import MEGABYTE, TEXT, parsed, read_bytes, understood
 from grasp_env.sim.hand.files.expressions import RefusedError, evaluate
 from grasp_env.sim.hand.files.meshes import PARENTS
 from grasp_env.sim.xml_files import read_xml

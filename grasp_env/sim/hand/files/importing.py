@@ -15,10 +15,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from grasp_env._check import AllFaults, Array
-from grasp_env._extras import need
-from grasp_env._files import parsed
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import AllFaults, Array
+from grasp_env.inputs.extras import need
+from grasp_env.inputs.files import parsed
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, HandFile, names_of
 from grasp_env.sim.hand.files.joints import find_rods, free_ranges, judge_ranges

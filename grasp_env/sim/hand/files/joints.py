@@ -14,7 +14,7 @@ from itertools import permutations
 import numpy as np
 from scipy.optimize import linprog
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.files.elements import FileJoint, listed, names_of
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.solids import outline

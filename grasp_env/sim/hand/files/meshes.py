@@ -13,9 +13,9 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from grasp_env._check import Array
-from grasp_env._files import MEGABYTE, digest, read_bytes, stand_in
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.files import MEGABYTE, digest, read_bytes, stand_in
 from grasp_env.sim.mesh_files import EXPORT, unix_lines
 from grasp_env.sim.mesh_shape import WELD, extent_of, weld
 from grasp_env.sim.objects.cache import cached, lookup

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import Array
-from grasp_env._files import HEAD, stand_in
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.files import HEAD, stand_in
 from grasp_env.sim.hand.files.meshes import PARENTS
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.mujoco_api import mujoco

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.meshes import why_not_drawn
 from grasp_env.sim.hand.files.mjcf_model import frame_of, mesh_file

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from grasp_env._check import AllFaults, as_number, flag
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.inputs.arguments import AllFaults, as_number, flag
 from grasp_env.sim.hand.check import Vector3, limits, numbers, positive, word
 from grasp_env.sim.hand.files.elements import names_of
 from grasp_env.sim.hand.inertia import Inertia, inertia_of

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_env._check import AllFaults
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.inputs.arguments import AllFaults
 from grasp_env.sim.hand.files.elements import Ends, FileJoint, FileLink, HandFile, names_of
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Mimic

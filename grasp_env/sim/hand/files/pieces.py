@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import AllFaults, Array
-from grasp_env._files import digest
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.inputs.arguments import AllFaults, Array
+from grasp_env.inputs.files import digest
 from grasp_env.sim import mesh_shape
 from grasp_env.sim.hand.files.meshes import MADE, Job, made_of_files
 from grasp_env.sim.hand.solids import few_corners, hull_of, hull_shape, principal_axes

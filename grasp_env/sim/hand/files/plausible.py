@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import FileJoint, listed, names_of
 from grasp_env.sim.hand.files.options import Inertial

@@ -12,8 +12,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from grasp_env._check import AllFaults
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.inputs.arguments import AllFaults
 from grasp_env.sim.hand.check import Vector3, limits, numbers
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink, listed
 from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not_drawn

@@ -11,9 +11,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from grasp_env._extras import need
-from grasp_env._files import MEGABYTE
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.extras import need
+from grasp_env.inputs.files import MEGABYTE
 from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.xml_files import read_xml
 

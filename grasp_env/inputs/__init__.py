@@ -1,0 +1,1 @@
+"""What users give: checks of arguments, their ranges, files, and optional packages."""

@@ -1,0 +1,239 @@
+"""Checks of the arguments of public calls, and the array aliases.
+
+Numbers that pass are float64, finite, of the right shape and within `ranges`. Each fault is an `InvalidInputError` that names the argument,
+what was given and what is allowed. `AllFaults` collects several.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import warnings
+from collections.abc import Callable, Iterable
+from numbers import Real
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grasp_env.core import LARGEST, all_finite
+from grasp_env.errors import GraspError, GraspWarning, InvalidInputError, UnknownNameError, shown
+from grasp_env.inputs import ranges
+from grasp_env.inputs.ranges import Range
+
+Array: TypeAlias = NDArray[np.float64]
+Indices: TypeAlias = NDArray[np.int64]
+"""Numbers of fingers, contacts, links."""
+Wrench: TypeAlias = Array
+"""(6,): force [N] then moment about the object origin [N m], object frame, acting ON the object."""
+ContactForces: TypeAlias = Array
+"""(N, 3): force of each finger on the object [N] as (normal, o, t) in that contact's frame."""
+Shape: TypeAlias = tuple[int | None, ...]
+"""Shape of an array; None: any length."""
+T = TypeVar("T")
+
+_FLOAT = np.dtype(np.float64)
+
+
+def as_array(
+    value: ArrayLike,
+    shape: Shape | None,
+    name: str,
+    within: Range | None = None,
+    *,
+    finite: bool = True,
+    copy: bool = True,
+    used: np.ndarray | None = None,
+) -> Array:
+    """Return `value` as a new finite float64 array of `shape` (None: any) with numbers in a range, contiguous and aligned.
+
+    `finite=False` accepts infinities and nan; `copy=False` returns an array that needs no conversion as it is. Rows that a mask `used`
+    (N,) leaves out may hold any numbers.
+    """
+    if type(value) is np.ndarray and value.dtype is _FLOAT:
+        array = np.array(value, order="C") if copy or not value.flags.aligned else np.asarray(value, order="C")
+    else:
+        array = _converted(value, shape, name)
+    if shape is not None and (
+        array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True))
+    ):
+        raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {array.shape}")
+    checked = array if used is None else array[used]
+    if finite and not all_finite(checked):
+        raise InvalidInputError(f"{name} must be finite, got {shown(array)}")
+    if within is not None and checked.size and not (checked.min() >= within.low and checked.max() <= within.high):
+        worst = checked[~((checked >= within.low) & (checked <= within.high))].flat[0]
+        raise InvalidInputError(f"{name} must lie within {within}, got {worst:g}{'' if array.ndim == 0 else ' in it'}")
+    return array
+
+
+def _converted(value: Any, shape: Shape | None, name: str) -> Array:
+    """Return a new float64 array of anything that numpy reads as real numbers."""
+    try:
+        given: Any = np.asarray(value)
+        if type(value) is list and given.dtype is _FLOAT:  # the usual case: a new array that needs no conversion
+            return given
+        if np.ma.is_masked(value):  # `asarray` reads what the mask hides
+            why = "masked entries are no numbers"
+        elif given.dtype.kind == "O":  # fractions, large integers, None
+            each: Any = [as_number(entry) for entry in given.flat]
+            if None not in each:
+                return np.reshape(each, given.shape)
+            why = "not all of them are"
+        elif given.dtype.kind in "iuf":  # numpy would convert text and booleans, too, and complex numbers in part
+            return np.array(given, dtype=np.float64, order="C")
+        else:
+            why = f"they are of type {given.dtype}"
+    except Exception as error:  # numpy's own
+        why = str(error).partition("\n")[0].rstrip(".")[:200]
+    raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {why}, got {shown(value)}")
+
+
+def _text(shape: Shape | None) -> str:
+    """Return a shape as Python writes it, with N for any length."""
+    return "(...)" if shape is None else str(shape).replace("None", "N")
+
+
+def as_wrench(value: ArrayLike, name: str = "wrench") -> Wrench:
+    """Return a finite wrench (6,) [N, N m] with components up to 1e12; see `as_array`."""
+    return checked_size(as_array(value, (6,), name), name)
+
+
+def checked_size(wrench: Array, name: str = "wrench") -> Array:
+    """Return finite wrenches (..., 6); raise an `InvalidInputError` for components beyond 1e12 N and N m."""
+    if wrench.size and np.abs(wrench).max() > LARGEST:
+        raise InvalidInputError(f"{name} must have components up to {LARGEST:g} N and N m, got {shown(wrench)}")
+    return wrench
+
+
+def as_wrenches(value: ArrayLike) -> Array:
+    """Return finite wrenches (..., 6) of any size."""
+    wrenches = as_array(value, None, "wrench", ranges.SIZE)
+    if wrenches.shape[-1:] != (6,):
+        raise InvalidInputError(
+            f"wrench must have shape (6,) or (..., 6), force [N] then moment [N m], got {wrenches.shape}"
+        )
+    return wrenches
+
+
+def as_number(value: Any) -> float | None:
+    """Return a real number, or an array of one without axes, as a float (infinite if it is too large); None if it is neither."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return None
+    number: Any = value
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf if number > 0 else -math.inf
+
+
+def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
+    """Return a float > 0 within a range, or raise an `InvalidInputError`."""
+    if not (as_number(value) or 0.0) > 0.0:
+        raise InvalidInputError(f"{name} must be a number > 0, got {shown(value)}")
+    return number(value, name, within)
+
+
+def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
+    """Return a finite float within a range, or raise an `InvalidInputError`."""
+    found = as_number(value)
+    if found is None or not within.low <= found <= within.high:
+        must = "be a number" if found is None else "lie"
+        raise InvalidInputError(f"{name} must {must} within {within}, got {shown(value)}")
+    return found
+
+
+def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
+    """Return an integer from `least` to `most`, or raise an `InvalidInputError`; 2.0 is not an integer."""
+    is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not is_integer or not least <= value <= most:
+        allowed = f"from {least} to {most}" if is_integer and value > most else f">= {least}"
+        raise InvalidInputError(f"{name} must be an integer {allowed}, got {shown(value)}")
+    return int(value)
+
+
+def generator(seed: Any, name: str = "seed") -> np.random.Generator:
+    """Return the random generator of an integer seed >= 0, or raise an `InvalidInputError`."""
+    return np.random.default_rng(whole(seed, name, 0))
+
+
+def choice(value: Any, kind: str, allowed: Iterable[str], hint: str = "") -> str:
+    """Return one of some names, or raise an `UnknownNameError`."""
+    names = tuple(allowed)
+    if not isinstance(value, str) or value not in names:
+        raise UnknownNameError(kind, value, names, hint)
+    return str(value)
+
+
+def flag(value: Any, name: str) -> bool:
+    """Return True or False, or raise an `InvalidInputError`."""
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidInputError(f"{name} must be True or False, got {shown(value)}")
+    return bool(value)
+
+
+def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> Any:
+    """Return an object of a class (or None, if that is allowed), or raise an `InvalidInputError`."""
+    if not isinstance(value, kind) and not (or_none and value is None):
+        what = f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}{' or None' if or_none else ''}"
+        raise InvalidInputError(f"{name} must be {what}, got {shown(value)}")
+    return value
+
+
+class AllFaults:
+    """Collects the faults of several checks and raises them as one error at the end of the `with` block.
+
+    A single fault is raised as it is, several as an `InvalidInputError` with the texts of all.
+    """
+
+    MOST_TEXTS = 40
+
+    def __init__(self) -> None:
+        self.faults: list[GraspError] = []
+
+    def __enter__(self) -> AllFaults:
+        return self
+
+    def __call__(self, check: Callable[..., T], *given: Any, **options: Any) -> T:
+        """Return `check(*given, **options)`, or keep its fault and return None, which nobody uses as the block then raises."""
+        try:
+            return check(*given, **options)
+        except GraspError as fault:
+            self.faults.append(fault)
+            return None  # type: ignore[return-value]
+
+    def add(self, *faults: str | GraspError) -> None:
+        """Add faults that were found elsewhere: errors, or the texts of `InvalidInputError`s."""
+        self.faults += [InvalidInputError(fault) if isinstance(fault, str) else fault for fault in faults]
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if len(self.faults) == 1 and error is None:
+            raise self.faults[0]
+        if self.faults:
+            texts = list(dict.fromkeys(map(str, self.faults)))
+            more = f"; and {len(texts) - self.MOST_TEXTS} more" if len(texts) > self.MOST_TEXTS else ""
+            raise InvalidInputError("; ".join(texts[: self.MOST_TEXTS]) + more) from None
+
+
+def call_user(
+    function: Callable[..., Any], *given: Any, what: str, takes: str, fault: type[GraspError] = InvalidInputError
+) -> Any:
+    """Call a user's function; any failure becomes a `fault` that names `what` failed and what it `takes`."""
+    try:
+        return function(*given)
+    except GraspError:
+        raise
+    except Exception as error:
+        raise fault(f"{what} fails with {type(error).__name__}: {str(error)[:200]}; {takes}") from error
+
+
+def warn(message: str) -> None:
+    """Issue a `GraspWarning` at the line that called this package, also through Gymnasium."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(
+        ("grasp_env.", "gymnasium.", "functools")
+    ):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, GraspWarning, stacklevel=level)

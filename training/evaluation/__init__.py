@@ -1,0 +1,1 @@
+"""Comparisons of starts, controllers, hands and engines, their results and reports."""

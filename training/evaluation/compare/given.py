@@ -1,0 +1,166 @@
+"""Starts that a user adds to the comparison: objects of a module or a file, and saved models."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import os
+import pickle
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import cloudpickle
+
+from grasp_env.errors import InvalidInputError, shown
+from grasp_env.force.initial import InitialForceRule
+from grasp_env.inputs.arguments import AllFaults
+from policies import LearnedInitialForce
+from training.evaluation.compare.starts import GIVEN_COLOURS, STARTS
+
+START = "--start NAME=module:rule, NAME=file.py:rule or NAME=saved model's path"
+_NAME = re.compile("[A-Za-z][A-Za-z0-9_-]{0,39}")
+
+
+@dataclass(frozen=True)
+class Given:
+    """Starts of a user, ready to be sent to workers.
+
+    Attributes:
+        packed: starts by name, pickled; code from files is pickled by value, so other machines need no copy.
+        names: pairs (name, origin as text).
+    """
+
+    packed: bytes
+    names: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def of(cls, starts: tuple[str, ...] = ()) -> Given:
+        """Load and check all starts (texts of the form `START`) before anything runs.
+
+        Raises:
+            InvalidInputError: an invalid or used name, a missing object, or one that is no rule. It lists all of them.
+        """
+        origins = [(name, what) for name, _, what in (text.partition("=") for text in starts)]
+        names = [name for name, _ in origins]
+        with AllFaults() as check:
+            check(_check_names, names)
+            made = {text.partition("=")[0]: check(_start, text) for text in starts}
+        try:
+            packed = cloudpickle.dumps(made)
+        except Exception as error:
+            raise InvalidInputError(
+                f"the starts {', '.join(names)} cannot be sent to the worker processes ({type(error).__name__}: "
+                f"{str(error)[:200]}): leave open files, locks and the like out of them"
+            ) from error
+        return cls(packed, tuple(origins))
+
+    def unpack(self) -> dict[str, InitialForceRule]:
+        """Return the starts by name."""
+        return pickle.loads(self.packed)
+
+
+def _check_names(names: list[str]) -> None:
+    wrong = [name for name in names if not _NAME.fullmatch(name)]
+    if wrong:
+        raise InvalidInputError(
+            f"a start needs a name of letters, digits, - and _, at most 40, a letter first, got "
+            f"{', '.join(map(shown, wrong))}: give {START}"
+        )
+    taken = sorted({name for name in names if name in STARTS or names.count(name) > 1})
+    if taken:
+        raise InvalidInputError(
+            f"the name {', '.join(taken)} is taken: choose another than {', '.join(sorted(STARTS))}, a different one for each"
+        )
+    if len(names) > len(GIVEN_COLOURS):
+        raise InvalidInputError(
+            f"a run compares at most {len(GIVEN_COLOURS)} starts of yours, got {len(names)}: make two runs"
+        )
+
+
+def model_path(what: str) -> Path | None:
+    """Return the path of the saved model that a text names, of a folder its only one; None if it names no model."""
+    if os.path.isdir(what):
+        stems = sorted(path.with_suffix("") for path in Path(what).glob("*.safetensors"))
+        if len(stems) != 1:
+            held = f"holds {', '.join(stem.name for stem in stems)}" if stems else "holds no saved model"
+            raise InvalidInputError(
+                f"the folder {what} {held}: give the path of one that `grasp fit` saved, or {START}"
+            )
+        return stems[0]
+    return Path(what) if what.endswith((".json", ".safetensors")) or os.path.isfile(f"{what}.json") else None
+
+
+def _start(text: str) -> InitialForceRule:
+    what = text.partition("=")[2]
+    path = model_path(what)
+    if path is not None:
+        return LearnedInitialForce.load(path)
+    if what and ":" not in what and not os.path.exists(what):
+        raise InvalidInputError(f"--start {text}: no such file or saved model is there (nor {what}.json): give {START}")
+    made = _instance(_read(text), f"--start {text}")
+    if not callable(made):
+        raise InvalidInputError(
+            f"--start {text} is no rule but of type {type(made).__name__}: a rule takes (grasp, wrench) and returns an (N, 3) force"
+        )
+    rule: Callable[..., Any] = made
+    return rule
+
+
+def _instance(made: Any, what: str) -> Any:
+    """Return the object, or of a class an instance made without arguments."""
+    if not inspect.isclass(made):
+        return made
+    try:
+        return made()
+    except Exception as error:
+        raise InvalidInputError(
+            f"{what} is a class that cannot be made without arguments ({type(error).__name__}: {str(error)[:200]}): name an "
+            "instance of it"
+        ) from error
+
+
+def _read(text: str) -> Any:
+    """Load the object that NAME=module:object or NAME=file.py:object names."""
+    place, _, attribute = text.partition("=")[2].rpartition(":")
+    if not place or not attribute:
+        raise InvalidInputError(f"--start {text} names nothing: give {START}")
+    module = _imported(place, f"--start {text}")
+    try:
+        return reduce(getattr, attribute.split("."), module)
+    except AttributeError:
+        callables = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise InvalidInputError(
+            f"--start {text}: {place} has no {attribute!r}; it has {', '.join(callables[:20]) or 'nothing that can be called'}"
+        ) from None
+
+
+def _imported(place: str, context: str) -> ModuleType:
+    """Import a module of the working directory, an installed module, or a file, which is then pickled by value."""
+    if os.getcwd() not in sys.path:  # as with `python -m`; at the end, where it hides no other module
+        sys.path.append(os.getcwd())
+    try:
+        if not place.endswith(".py"):
+            return importlib.import_module(place)
+        name = "given_" + re.sub(r"\W", "_", os.path.abspath(place))
+        spec = importlib.util.spec_from_file_location(name, place)
+        assert spec is not None
+        assert spec.loader is not None
+        module = sys.modules[name] = importlib.util.module_from_spec(spec)  # dataclasses look up their module there
+        spec.loader.exec_module(module)
+        cloudpickle.register_pickle_by_value(module)
+        return module
+    except Exception as error:
+        missing = isinstance(error, FileNotFoundError) or (
+            isinstance(error, ModuleNotFoundError) and (error.name or "") in place
+        )
+        why = f"fails with {type(error).__name__}: {str(error)[:200]}"
+        if missing:
+            why = "is not there: neither in the working directory nor installed"
+        raise InvalidInputError(f"{context}: {place} {why}; give {START}") from error

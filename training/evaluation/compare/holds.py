@@ -1,0 +1,296 @@
+"""Hold rates: episodes of the simulated hand under scenarios, controllers, hands, engines and starts, one row each.
+
+An episode depends on its scenario and seed alone, so everything compared uses the same seeds.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
+from dataclasses import asdict, dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from grasp_env.config import EnvConfig
+from grasp_env.config.randomize import OBJECT as RANDOM_OBJECT
+from grasp_env.env.env import FourFingerGrasp
+from grasp_env.errors import GraspError, GraspWarning, InvalidInputError, SimulationError
+from grasp_env.force.initial import InitialForceRule
+from grasp_env.inputs.arguments import AllFaults, choice
+from grasp_env.sim import HandKinematics, ObjectDescription
+from grasp_env.sim.engine import class_of, engine_of
+from grasp_env.sim.grasping.points import grasp_points
+from grasp_env.sim.hand.description import HANDS, HandDescription
+from training.data.episodes import episode
+from training.evaluation.compare import scenarios
+from training.evaluation.compare.scenarios import (
+    ENGINES,
+    HOLDS_OF_STARTS,
+    RANDOM_STARTS,
+    Scenario,
+    mesh_settings,
+    short_name,
+)
+from training.evaluation.results.run import SHARDS, Run, check_counts
+from training.evaluation.results.shards import map_shards
+from training.evaluation.results.table import pd, table
+
+NO_START, NOT_PLACED = "no_start", "not_placed"
+"""Failures of an episode whose grasp did not close or settle, and of one for which no pose of hand or fingers was found."""
+QUICK_EPISODES = {"env": 4, "hands": 2, "objects": 2, "transfer": 2}
+_CHUNK = 4
+"""Number of seeds in a shard."""
+_REDRAWS = 100
+_BEFORE, _IN_PLACE = 25, 1e-3
+"""Last agent steps of an episode, and drift [m], in which a cut torque counts as the cause of the loss."""
+_TIMED, _ROUNDS = 100, 3
+"""Number of agent steps whose rate is measured, and of repetitions."""
+Shard = tuple[Scenario, Sequence[int]]
+"""A scenario and some of its seeds, for a worker."""
+
+
+@dataclass(frozen=True)
+class HoldsConfig:
+    """Settings of a comparison of hold rates.
+
+    Attributes:
+        kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and disturbances), "objects" (the same with
+            objects from mesh files) or "transfer" (the same hands in both engines).
+        hands, engines, episodes, objects, seed, quick: the options of `grasp evaluate`.
+    """
+
+    kind: str = "env"
+    hands: tuple[str, ...] = ()
+    engines: tuple[str, ...] = ()
+    episodes: int = 0
+    seed: int = 0
+    quick: bool = False
+    objects: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        def hand(name: str) -> None:
+            if not os.path.isfile(name):
+                choice(name, "hand", HANDS, ", or the path of a URDF, xacro or MJCF file that exists")
+
+        with AllFaults() as check:
+            check(check_counts, self, {"episodes": 0, "seed": 0})
+            for name in self.hands:
+                check(hand, name)
+            for name in self.engines:
+                check(choice, name, "engine", ENGINES)
+        for what, names in (
+            ("hands", [short_name(name) for name in self.hands]),
+            ("objects", [mesh_settings(text)[0] for text in self.objects]),
+        ):
+            if len(set(names)) < len(names):
+                raise InvalidInputError(f"{what} need different names, got {', '.join(names)}: rename a file")
+        if self.kind in ("hands", "objects") and not self.hands:
+            raise InvalidInputError("name at least one hand, got none")
+
+    def plan(self) -> list[Scenario]:
+        """Return the scenarios."""
+        usual = {"env": 500, "hands": 100, "objects": 10, "transfer": 300}[self.kind]
+        episodes = QUICK_EPISODES[self.kind] if self.quick else self.episodes or usual
+        if self.kind == "env":
+            return scenarios.controllers_plan(episodes, self.quick)
+        if self.kind in ("hands", "objects"):
+            return scenarios.hands_plan(self.hands, self.engines or scenarios.usual_engines(), episodes, self.objects)
+        return scenarios.transfer_plan(self.hands or scenarios.PRESETS, episodes)
+
+
+def run(
+    config: HoldsConfig,
+    folder: Run | None = None,
+    plan: Sequence[Scenario] | None = None,
+    *,
+    on: str = "processes",
+    workers: int = 0,
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Play the episodes; return their rows, and the settings for run.json.
+
+    `folder` keeps finished shards, `plan` replaces the scenarios of the config; for `on` and `workers` see `map_shards`.
+    """
+    plan = config.plan() if plan is None else plan
+    for name in {ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines}:
+        class_of(engine_of(name), "simulator")  # reports a missing engine here, not in the workers
+    for name in config.hands:
+        if name not in HANDS:
+            _print_repairs(lambda name=name: HandDescription.from_file(name))
+    for text in config.objects:  # cut into convex pieces once, here
+        _print_repairs(lambda text=text: ObjectDescription(**mesh_settings(text)[1]["object"]))
+    shards: dict[str, Shard] = {}
+    for scenario in plan:
+        seeds = range(config.seed, config.seed + scenario.episodes)
+        for k in range(0, len(seeds), _CHUNK):
+            shards[f"{scenario.name}/{k:05d}"] = scenario, seeds[k : k + _CHUNK]
+    keep = folder and folder.folder / SHARDS
+    rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes")
+    about = {
+        "kind": config.kind, "settings": asdict(config), "quick": config.quick,
+        "scenarios": [asdict(scenario) for scenario in plan], "steps_per_second": _speeds(plan),
+        "map": mapped,
+    }  # fmt: skip
+    return rows, about
+
+
+def work(shard: Shard) -> pd.DataFrame:
+    """Return the rows of a shard; this runs in a worker. A seed runs in all engines before the next seed."""
+    scenario, seeds = shard
+    return table(
+        {
+            **scenario.keys, "case": scenario.case, "engine": engine, "seed": seed,
+            **trial({**scenario.settings, **ENGINES[engine]}, scenario.random_objects, seed),
+        }
+        for seed in seeds for engine in scenario.engines
+    )  # fmt: skip
+
+
+def hold_of_start(
+    scenario: str, start: str, rule: str | InitialForceRule, episodes: int, seed: int, steps: int
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the roll-outs of a scenario from a start: one episode if it is deterministic, else one for each seed."""
+    settings = {**HOLDS_OF_STARTS[scenario], "duration": steps / 50}
+    for k in range(episodes if scenario in RANDOM_STARTS else 1):
+        keys = {"case": f"hold_{scenario}", "start": start, "method": "reduced_flow", "seed": seed + k, "problem": k}
+        yield {**keys, **trial(settings, False, seed + k, rule)}
+
+
+def trial(
+    settings: dict[str, Any], random_objects: bool, seed: int, rule: str | InitialForceRule | None = None
+) -> dict[str, Any]:
+    """Play one episode in a new environment (see `settings_of`) and return its columns.
+
+    With `random_objects` the seed draws the object, too. `rule` is the start of the optimisations; None: the environment's own.
+    """
+    config, redrawn = settings_of(settings), 0
+    if random_objects:
+        item, points, redrawn = draw_object(seed, config)
+        config = config.override(object=item, contact_points=points, randomize=())
+    if rule is not None:
+        config = config.override(initial_force=rule)
+    row: dict[str, Any] = {"redrawn": redrawn, **_object(config)}
+    try:
+        with warnings.catch_warnings():
+            # about the hand's structure, for every episode; the rows show the effect
+            warnings.simplefilter("ignore", GraspWarning)
+            with closing(FourFingerGrasp(config=config)) as env:
+                infos = [step.info for step in episode(env, seed)]
+    except GraspError as error:
+        failure = NOT_PLACED if isinstance(error, InvalidInputError) else NO_START
+        return {**row, "held": False, "failure": failure, "detail": str(error), "status": None}
+    return {**row, **_object(config, infos[0]), **episode_columns(infos)}
+
+
+def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
+    """Draw the random object of a seed: shape, size, mass and friction in the ranges of `randomize`, within reach of the hand.
+
+    Returns the object, its contact points (N, 3) [m] in the object frame, and the number of objects drawn before it without a grasp.
+    None of these depends on the controller or the engine. A hand without a fixed pose is placed anew for every object: no points.
+    """
+    rng, kinematics = np.random.default_rng([seed, 0x0B1EC7]), _kinematics(config.hand)
+    drawn = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})
+    for redrawn in range(_REDRAWS):
+        item = drawn.drawn(rng).object
+        if not kinematics.hand.placed:
+            return item, np.zeros((0, 3)), 0
+        try:
+            return item, np.asarray(grasp_points(item, kinematics)[0]), redrawn
+        except GraspError:
+            continue
+    raise SimulationError(f"no grasp was found for any of {_REDRAWS} random objects of seed {seed}")
+
+
+def settings_of(settings: dict[str, Any]) -> EnvConfig:
+    """Return the environment's settings of a scenario; "hand" may be the path of a file."""
+    hand = {"hand": _hand(settings["hand"])} if "hand" in settings else {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GraspWarning)  # repairs were printed when the run began
+        return EnvConfig().override(**{**settings, **hand})
+
+
+def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the columns of an episode from the `info` of its steps. Drift, tilt and slip are given only if the object was held."""
+    last = infos[-1]
+    held = bool(last["is_success"])
+    cut = any(info["saturated"] and info["drift"] < _IN_PLACE for info in infos[-_BEFORE:])
+    kept = {
+        "drift": 1e3 * max(info["drift"] for info in infos),
+        "tilt": float(np.degrees(max(info["tilt"] for info in infos))),
+        "slip": 1e3 * last["slip_distance"],
+    }
+    columns: dict[str, tuple[Callable[[Any], Any], str]] = {
+        "force_error": (np.mean, "force_error"), "stray_force": (max, "stray_force"), "torque_margin": (min, "torque_margin"),
+        "limited": (sum, "limited"), "saturated": (np.mean, "saturated"), "iterations": (np.mean, "iterations"),
+    }  # fmt: skip
+    numbers = {name: float(how([info[key] for info in infos])) for name, (how, key) in columns.items()}
+    return {
+        "held": held,
+        "failure": None if held else "torque" if cut else str(last["fault"]),
+        "status": str(last["status"]),
+        **(kept if held else {}), **numbers,
+        "iterations": round(numbers["iterations"]), "limited": round(numbers["limited"]),
+        "overlap": 1e3 * last["overlap"], "stray_share": float(last["stray_share"]), "end_slip": 1e3 * last["slip_distance"],
+        "time": float(last["time"]), "end_drift": 1e3 * last["drift"], "end_tilt": float(np.degrees(last["tilt"])),
+        "normal_force": float(np.mean([info["measured_force"][:, 0].sum() for info in infos])),
+        "commanded_force": float(np.mean([info["commanded_force"][:, 0].sum() for info in infos])),
+        "peak_torque": float(last["peak_torque"]), "touching": int(last["touching"].sum()),
+        "contact_changes": int(last["contact_changes"]),
+        "contact_always": bool(all(info["touching"].all() for info in infos)),
+    }  # fmt: skip
+
+
+def _object(config: EnvConfig, info: dict[str, Any] | None = None) -> dict[str, Any]:
+    item, size = config.object, [*config.object.size, None, None, None][:3]
+    return {
+        "shape": info["object_shape"] if info else item.shape,
+        **dict(zip(("size_x", "size_y", "size_z"), size, strict=True)),
+        "mass": info["object_mass"] if info else item.mass,
+        "friction": info["object_friction"] if info else item.friction,
+    }
+
+
+def _print_repairs(read: Callable[[], Any]) -> None:
+    """Print the repairs made in reading a file, once; the workers read it silently.
+
+    Raises:
+        InvalidInputError: the file cannot be read.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read()
+    for warning in caught:
+        Console(stderr=True).print(f"repaired: {warning.message}", highlight=False, soft_wrap=True)
+
+
+def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
+    """Measure agent steps per second of every hand in every engine, alone in this process: the best round of its first scenario."""
+    first: dict[str, dict[str, Any]] = {}
+    for scenario in plan:
+        for engine in scenario.engines:
+            hand = f"{scenario.keys.get('hand', 'four_finger')}, {engine}"
+            first.setdefault(hand, {**scenario.settings, **ENGINES[engine]})
+    out: dict[str, float] = {}
+    for name, settings in first.items():
+        with suppress(GraspError), closing(FourFingerGrasp(config=settings_of(settings).override(randomize=()))) as env:
+            for seed in range(_ROUNDS):
+                running, begun = episode(env, seed, most=_TIMED), time.perf_counter()
+                steps = sum(1 for _ in running)
+                out[name] = max(out.get(name, 0.0), steps / (time.perf_counter() - begun))
+    return out
+
+
+@cache
+def _kinematics(hand: str | HandDescription) -> HandKinematics:
+    return HandKinematics(hand if isinstance(hand, HandDescription) else HANDS[hand]())
+
+
+@cache
+def _hand(name: str) -> str | HandDescription:
+    """Return the name of a preset hand, or the description of a hand in a file."""
+    return name if name in HANDS else HandDescription.from_file(name)

@@ -1,0 +1,306 @@
+"""Starts of the comparison, one entry of `STARTS` each: its label, its looks in charts and its maker."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from grasp_env.core import record_size
+from grasp_env.force import ForceOptimizer, ForceSolution, Objective, OfflineBasis, optimize_force, optimize_forces
+from grasp_env.force.initial import InitialForceRule, LearnedRule, call_rule
+from grasp_env.force.record import CONTACTS, FORCE
+from grasp_env.force.repair import Correction, carry_over
+from grasp_env.force.rules import RULES, CoreStart, initial_rule
+from grasp_env.force.solution import Names
+from grasp_env.grasp import Grasp, presets, wrench
+from grasp_env.inputs.arguments import Array, ContactForces, Wrench
+from policies import LearnedInitialForce
+from training.evaluation.compare.cases import HELD_OUT, scaled
+
+Start = Callable[[Grasp, Wrench, "ContactForces | None"], ContactForces]
+"""Function (grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3) [N]."""
+
+BASIS = "linear_combination"
+"""Start of the paper, with which the others are compared."""
+STORED = 10_000
+STORED_RANGE = (0.1, 20.0)
+"""Range of magnitudes of the stored solutions [N], the same as in the training of the shipped model."""
+KEPT = 0.95
+"""Share of the way from the 12-basis to the cones that is kept of a network's force outside them."""
+NEAR_PLACE, NEAR_NORMAL = 0.02, 0.95
+"""Largest distance [m], and least cosine between normals, for starts that apply near the fixed grasp only."""
+_FIXED = presets.paper_cuboid()
+
+
+class DoesNotApply(Exception):
+    """Raised by a start that does not apply to this grasp, or needs a previous solution. Such cases have no row."""
+
+
+@dataclass(frozen=True)
+class PreparedStart:
+    """Start that is ready for use.
+
+    Attributes:
+        start: function for the trials.
+        options: options of a `ForceOptimizer` with this start, for the timing; none: the optimizer gets the force.
+        compiled: True if the core computes it from the wrench alone.
+    """
+
+    start: Start
+    options: dict[str, Any]
+    compiled: bool = False
+
+    @classmethod
+    def of(cls, rule: InitialForceRule, timed: str | InitialForceRule | None = None) -> PreparedStart:
+        """Make the start of a rule that ignores the previous solution; `timed` replaces the rule in timings."""
+        return cls(lambda grasp, load, before: rule(grasp, load), {"initial": timed or rule}, timed is not None)
+
+
+class StartFactory:
+    """Maker of starts for one Phi; `given` are rules of a user by name, saved models among them."""
+
+    def __init__(self, objective: Objective, given: Mapping[str, InitialForceRule] | None = None) -> None:
+        self.objective, self.given = objective, dict(given or {})
+
+    @cached_property
+    def model(self) -> LearnedInitialForce:
+        """Shipped model."""
+        return LearnedInitialForce.pretrained()
+
+    @cached_property
+    def stored(self) -> tuple[Array, KDTree]:
+        """Optimal forces (n, N, 3) of the fixed grasp for `STORED` wrenches, and the tree of these wrenches, moments over 0.05 m."""
+        loads = wrench.sample_magnitudes(np.random.default_rng([HELD_OUT, 1 << 20]), STORED, *STORED_RANGE)
+        forces = optimize_forces(_FIXED, loads, workers=1, **vars(self.objective)).force
+        return forces, KDTree(scaled(loads))
+
+    def made(self) -> dict[str, PreparedStart]:
+        """Make every start of `STARTS`, then the package's other rules, then those of the user."""
+        named = {key: STARTS[key].make(self) for key in STARTS}
+        own = {key: self.rule(rule.make(self.objective)) for key, rule in RULES.items() if key not in named}
+        return {**named, **own, **{key: self.rule(rule) for key, rule in self.given.items()}}
+
+    def named(self, name: str) -> PreparedStart:
+        """Make a start that optimizers know by name."""
+        rule = initial_rule(name, self.objective) if name in RULES else CoreStart(name, self.objective)
+        return PreparedStart.of(rule, name)
+
+    def previous(self, correction: Correction) -> PreparedStart:
+        """Make the previous solution, corrected to the new balance as optimizers do ("tangent") or by the least change."""
+
+        def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
+            if before is None:
+                raise DoesNotApply
+            if correction == "tangent":
+                return self._after(grasp, load, before, "previous")
+            return carry_over(grasp, load, before, self.objective, correction)
+
+        return PreparedStart(start, {"initial": "previous"} if correction == "tangent" else {})
+
+    def _after(
+        self, grasp: Grasp, load: Wrench, before: ContactForces, initial: str | InitialForceRule
+    ) -> ContactForces:
+        """Return the start of an optimizer that has solved before; the paper's if it has no other."""
+        optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=initial, **vars(self.objective))
+        optimizer.previous = as_solution(grasp, before)
+        return optimizer.start(load)
+
+    def nearest(self, correction: Correction) -> PreparedStart:
+        """Make the corrected stored solution of the nearest wrench, on the fixed grasp and near it."""
+
+        def rule(grasp: Grasp, load: Wrench) -> ContactForces:
+            require_near_fixed(grasp)
+            forces, tree = self.stored
+            return carry_over(grasp, load, forces[int(tree.query(scaled(load))[1])], self.objective, correction)
+
+        return PreparedStart.of(rule)
+
+    def stepped(self, rule: InitialForceRule | str, steps: int) -> PreparedStart:
+        """Make another start followed by a few Newton steps, as a control for starts that take such steps inside.
+
+        One such step equals the tangent correction of a previous optimum, so the other starts get the same.
+        """
+        first = initial_rule(rule, self.objective) if isinstance(rule, str) else rule
+
+        def stepping(grasp: Grasp, load: Wrench) -> ContactForces:
+            options = {"initial": first(grasp, load), "max_iterations": steps, "tolerance": 1e-12}
+            return optimize_force(grasp, load, **options, **vars(self.objective)).force
+
+        return PreparedStart.of(stepping)
+
+    @property
+    def network(self) -> InitialForceRule:
+        """Network of the shipped model without any step, on the fixed grasp and near it."""
+        alone = NetworkAlone(self.model)
+
+        def rule(grasp: Grasp, load: Wrench) -> ContactForces:
+            require_near_fixed(grasp)
+            return alone(grasp, load)
+
+        return rule
+
+    def remembering(self) -> PreparedStart:
+        """Make the shipped model that starts from the previous solution instead if that has less Phi."""
+        return self.rule(type(self.model)(self.model.checkpoint, self.model.objective, True))
+
+    def rule(self, rule: InitialForceRule) -> PreparedStart:
+        """Make the start of a saved model, on grasps it supports, or of any rule."""
+        remembers = isinstance(rule, LearnedRule) and rule.remembers
+
+        def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
+            if isinstance(rule, LearnedInitialForce):
+                require_near_fixed(grasp)
+            if before is None or not remembers:
+                return call_rule(rule, rule, grasp, load.copy())
+            return self._after(grasp, load, before, rule)
+
+        return PreparedStart(start, {"initial": rule}, isinstance(rule, LearnedRule) and not remembers)
+
+
+@dataclass(frozen=True)
+class StartInfo:
+    """Description of a start.
+
+    Attributes:
+        label: name in tables.
+        short: name in charts.
+        colour: unique colour of its line.
+        make: makes the start.
+        main: True if charts of a few starts show it.
+        dashed: True if its line is dashed.
+    """
+
+    label: str
+    short: str
+    colour: str
+    make: Callable[[StartFactory], PreparedStart]
+    main: bool = False
+    dashed: bool = False
+
+
+STARTS: dict[str, StartInfo] = {
+    "single_value": StartInfo("single value", "single value", "#8a8a8b", lambda shop: shop.named("single_value")),
+    "phase_one": StartInfo(
+        "phase one, any force inside", "phase one", "#8a9a22", lambda shop: PreparedStart.of(initial_rule("phase_one", shop.objective))
+    ),
+    "lagrange": StartInfo("Lagrange", "Lagrange", "#b3852d", lambda shop: shop.named("lagrange")),
+    "linear_combination_printed": StartInfo(
+        "12-basis, as printed", "12-basis, printed", "#5fa7e9", lambda shop: shop.named("linear_combination_printed"), dashed=True
+    ),
+    "internal_force": StartInfo(
+        "one internal force (Newton's own)", "internal force", "#6b6b3f", lambda shop: shop.named("internal_force"), main=True
+    ),
+    BASIS: StartInfo("12-basis (the paper, fixed at w = 0)", "12-basis", "#2f7fd8", lambda shop: shop.named(BASIS), main=True),
+    "basis_tangent": StartInfo(
+        "12-basis, one Newton correction", "12-basis + Newton", "#1e9ca6", lambda shop: shop.stepped(BASIS, 1)
+    ),
+    "basis_newton_2": StartInfo(
+        "12-basis, two Newton corrections", "12-basis + 2 Newton", "#1a9b7c", lambda shop: shop.stepped(BASIS, 2)
+    ),
+    "basis_newton": StartInfo(
+        "12-basis, four Newton corrections", "12-basis + 4 Newton", "#5a72ca", lambda shop: shop.stepped(BASIS, 4), main=True
+    ),
+    "previous_pseudoinverse": StartInfo(
+        "previous solution, G^+", "previous, G^+", "#74b374", lambda shop: shop.previous("pseudoinverse"), dashed=True
+    ),
+    "previous_tangent": StartInfo(
+        "previous solution, tangent", "previous, tangent", "#2e9a4e", lambda shop: shop.previous("tangent"), main=True
+    ),
+    "nearest_pseudoinverse": StartInfo(
+        "nearest of 10,000 stored, G^+", "nearest, G^+", "#a293d4", lambda shop: shop.nearest("pseudoinverse"), dashed=True
+    ),
+    "nearest_tangent": StartInfo(
+        "nearest of 10,000 stored, tangent", "nearest, tangent", "#8a5fc0", lambda shop: shop.nearest("tangent"), main=True
+    ),
+    "network": StartInfo("network alone, fixed grasp", "network alone", "#b36cd0", lambda shop: PreparedStart.of(shop.network), main=True),
+    "network_newton_1": StartInfo(
+        "network, one Newton step", "network + Newton", "#c069af", lambda shop: shop.stepped(shop.network, 1)
+    ),
+    "network_newton_2": StartInfo(
+        "network, two Newton steps", "network + 2 Newton", "#8a4faa", lambda shop: shop.stepped(shop.network, 2)
+    ),
+    "learned_fixed": StartInfo("learned, fixed grasp", "learned, fixed", "#e0463e", lambda shop: shop.rule(shop.model), main=True),
+    "learned_previous": StartInfo(
+        "learned, with the previous solution", "learned + previous", "#e2489a", lambda shop: shop.remembering(),
+        main=True, dashed=True,
+    ),
+}  # fmt: skip
+"""All starts, in the order of the tables."""
+GIVEN_COLOURS = ("#aa7454", "#208dbc", "#c8528e", "#6b8b20", "#7c64e4", "#20908b", "#bc6a20", "#7f7f20")
+"""Colours of the starts of a user, in turn; their number is the most that a run compares."""
+
+
+def start_info(key: str) -> StartInfo:
+    """Return the description of a start; that of a user's start is made from its name, that of a rule from its label.
+
+    Example:
+        >>> start_info("lagrange").label, start_info("my_rule").label, start_info("my_rule").main
+        ('Lagrange', 'my rule', True)
+    """
+    if key in STARTS:
+        return STARTS[key]
+    name = RULES[key].label if key in RULES else key.replace("_", " ")
+    return StartInfo(name, name, GIVEN_COLOURS[0], lambda shop: shop.rule(shop.given[key]), main=True, dashed=True)
+
+
+def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:
+    """Return a force (N, 3) as a previous solution; starts read only the force and the frames."""
+    record = np.concatenate([np.zeros(record_size(len(force))), grasp.frames.reshape(-1)])
+    record[CONTACTS], record[FORCE : FORCE + force.size] = len(force), force.reshape(-1)
+    return ForceSolution(record, Names("carried", "previous"))
+
+
+class NetworkAlone:
+    """Start rule: the force of a network without any step. If it lies outside the cones, it is moved towards the 12-basis."""
+
+    def __init__(self, model: LearnedInitialForce) -> None:
+        self.model = model
+
+    def __call__(self, grasp: Grasp, load: Wrench) -> ContactForces:
+        """See `InitialForceRule`."""
+        raw = self.model.raw(grasp, load)
+        if grasp.cone_margin(raw) > 0.0:
+            return raw
+        safe = OfflineBasis.of(grasp, self.model.objective).combine(load)
+        inside, outside = 0.0, 1.0
+        for _ in range(40):
+            middle = 0.5 * (inside + outside)
+            good = grasp.cone_margin(safe + middle * (raw - safe)) > 0.0
+            inside, outside = (middle, outside) if good else (inside, middle)
+        return safe + KEPT * inside * (raw - safe)
+
+
+def require_near_fixed(grasp: Grasp) -> None:
+    """Raise `DoesNotApply` unless the contacts are near those of `presets.paper_cuboid()`."""
+    if (
+        grasp.n_contacts != _FIXED.n_contacts
+        or bool(np.abs(grasp.positions - _FIXED.positions).max() > NEAR_PLACE)
+        or bool((grasp.normals * _FIXED.normals).sum(axis=1).min() < NEAR_NORMAL)
+    ):
+        raise DoesNotApply
+
+
+def carry_force(old: Grasp, force: ContactForces, new: Grasp, objective: Objective) -> ContactForces:
+    """Carry a force of one grasp over to the contact frames of another.
+
+    Each contact takes the force (N, 3) [N] of the nearest old contact within 20 mm, as a vector in the object frame. A new finger gets
+    its optimum without load, u = sqrt(lambda / omega), which is strictly inside its cone, unlike zero.
+    """
+    if old is new:
+        return force
+    vectors, weights = old.to_object_frame(force), objective.weights(new.n_contacts)
+    apart = np.linalg.norm(new.positions[:, None] - old.positions, axis=2)
+    out = np.zeros((new.n_contacts, 3))
+    out[:, 0] = np.sqrt(weights[:, 1] / weights[:, 0]) / new.friction
+    for _ in range(min(apart.shape)):
+        here, there = np.unravel_index(int(apart.argmin()), apart.shape)
+        if apart[here, there] > NEAR_PLACE:
+            break
+        out[here] = new.frames[here].T @ vectors[there]
+        apart[here], apart[:, there] = np.inf, np.inf
+    return out

@@ -1,0 +1,5 @@
+"""Results of comparisons: run folders, typed tables of rows, claims about them, and the map over shards."""
+
+from training.evaluation.results.run import Run, default_name, provenance, understood
+
+__all__ = ["Run", "default_name", "provenance", "understood"]

@@ -1,0 +1,126 @@
+"""Claims as data: a name, a query on the summary of a run, a comparison and a bound."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from training.evaluation.results.columns import KEYS
+from training.evaluation.results.table import chosen, numbers, pd
+
+COMPARISONS: dict[str, tuple[Callable[[Any, Any], Any], Callable[[Any], Any]]] = {
+    "<=": (operator.le, np.max),
+    "<": (operator.lt, np.max),
+    ">=": (operator.ge, np.min),
+    ">": (operator.gt, np.min),
+    "within": (lambda value, bound: abs(value) <= bound, lambda values: values[np.abs(values).argmax()]),
+}
+"""Comparison of a measured number with the bound, and choice of the worst of several numbers."""
+VERDICTS = {False: "MISSED", None: "not measured", True: "met"}
+"""Verdicts, in the order in which they are printed."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """Bound that a number of a run should meet.
+
+    Attributes:
+        name: the claim in words.
+        query: query for rows of the run's summary, as for `pandas.DataFrame.query`. The claim must hold in each of them.
+        column: column of the summary.
+        comparison: one of `COMPARISONS`.
+        asked: the bound.
+        over: a second query. Its rows, paired by the other keys, divide the column, or are subtracted from it if `difference`.
+        difference: see `over`.
+        unit: unit of the bound.
+    """
+
+    name: str
+    query: str
+    column: str
+    comparison: str
+    asked: float
+    over: str = ""
+    difference: bool = False
+    unit: str = ""
+
+    def values(self, rows: pd.DataFrame) -> np.ndarray:
+        """Return the measured numbers, one for each row that the query selects; nan if the row, or one of its cases, has no number."""
+        mine, other = chosen(rows, self.query), chosen(rows, self.over) if self.over else None
+        if self.column not in rows.columns:
+            return np.empty(0)
+        lacking = f"{self.column.rpartition('_')[0]}_missing"
+        if lacking in rows.columns and lacking != self.column:  # percentiles ignore the cases without a number
+            known = np.where(numbers(mine, lacking) > 0, np.nan, numbers(mine, self.column))
+            mine = mine.assign(**{self.column: known})
+        if other is None:
+            return numbers(mine, self.column)
+        # pair the rows by the keys that still have several values after both queries
+        keys = [name for name in KEYS if name in rows.columns and min(mine[name].nunique(), other[name].nunique()) > 1]
+        if not keys:
+            mine, other = mine.iloc[:1], other.iloc[:1]
+        paired: Any = mine.merge(other, "left" if keys else "cross", keys or None, suffixes=("", "_over"))
+        if other.empty or paired.empty:
+            return np.empty(0)
+        value, base = numbers(paired, self.column), numbers(paired, f"{self.column}_over")
+        return value - base if self.difference else value / base
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Verdict on a claim.
+
+    Attributes:
+        claim: the claim.
+        measured: the worst number; None: this run did not measure it.
+        met: the verdict; None: not measured.
+    """
+
+    claim: Claim
+    measured: float | None
+    met: bool | None
+
+    @property
+    def asked(self) -> str:
+        """Comparison and bound, as text."""
+        return f"{self.claim.comparison} {self.claim.asked:g} {self.claim.unit}".strip()
+
+    @property
+    def found(self) -> str:
+        """Measured number, as text."""
+        return "–" if self.measured is None else f"{self.measured:.4g} {self.claim.unit}".strip()
+
+
+def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Judged]:
+    """Judge claims against the summary of a run. Missed claims come first, then those not measured, then those met.
+
+    A claim is missed if one of its rows lacks the number.
+
+    Example:
+        >>> rows = pd.DataFrame({"case": ["ball", "ball"], "start": ["paper", "network"], "iterations_median": [45.0, 4.0]})
+        >>> few = Claim("few steps", "start == 'network'", "iterations_median", "<=", 8)
+        >>> share = Claim("a tenth of the paper's", "start == 'network'", "iterations_median", "<=", 0.05, "start == 'paper'")
+        >>> [(row.claim.name, row.asked, row.found, row.met) for row in judge([few, share], rows)]
+        [("a tenth of the paper's", '<= 0.05', '0.08889', False), ('few steps', '<= 8', '4', True)]
+    """
+    judged = []
+    for claim in claims:
+        values = claim.values(rows)
+        compare, worst = COMPARISONS[claim.comparison]
+        finite = values[np.isfinite(values)]
+        met = len(finite) == len(values) and bool(np.all(compare(values, claim.asked))) if len(values) else None
+        judged.append(Judged(claim, float(worst(finite)) if len(finite) else None, met))
+    order = list(VERDICTS)
+    return sorted(judged, key=lambda row: order.index(row.met))
+
+
+def lines(judged: Sequence[Judged]) -> Iterator[str]:
+    """Yield two lines for each claim, for a terminal."""
+    for row in judged:
+        verdict = "" if row.met is None else VERDICTS[row.met]
+        measured = "not measured in this run" if row.measured is None else f"measured {row.found}"
+        yield f"{verdict:6}  {row.claim.name}\n        asked {row.asked}; {measured}"

@@ -1,0 +1,50 @@
+"""Output of sub-commands: JSON, tables and pictures."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from grasp_env.inputs.files import replacing
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def write_json(answer: dict[str, Any]) -> None:
+    """Print one object on a line of stdout. Arrays become lists; NaN and infinity, which JSON lacks, become null."""
+    sys.stdout.write(json.dumps(_plain(answer), allow_nan=False, default=str) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def make_table(title: str, *columns: str) -> Table:
+    """Return an empty table with its first column on the left; without `columns` it has two, and no header."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", show_header=bool(columns))
+    for index, column in enumerate(columns or ("", "")):
+        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
+    return table
+
+
+def save_picture(pixels: Any, path: Path) -> None:
+    """Write pixels (height, width, 3) as a .png file."""
+    from PIL import Image
+
+    made = io.BytesIO()  # writing to a file, the encoder would not tell why it failed
+    Image.fromarray(pixels).save(made, format="PNG")
+    with replacing(path) as temporary:
+        temporary.write_bytes(made.getbuffer())

@@ -1,0 +1,61 @@
+"""`grasp fit`: train an initial force."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from rich.console import Console
+
+from grasp_env.grasp.presets import PRESETS
+from training.evaluation.results.interrupts import interruptible
+from training.fit.fit_config import FitConfig
+from training.program.commands.options import left_out, one_of
+
+
+@dataclass(frozen=True)
+class Fit(FitConfig):
+    """Train a network for one grasp: wrench and friction to the initial force.
+
+    It saves the weights, and a JSON file with the model card.
+
+    To train for your own contacts, write a file to start from:
+    `grasp solve --save-grasp mine.json`
+
+    Change positions [m], normals (INTO the object) and friction in it. Then:
+    `grasp fit --grasp mine.json --out runs/fit/mine`
+
+    Attributes:
+        preset: name of the grasp.
+        grasp: JSON file of a grasp instead: at least three hard contacts, round or elliptic.
+        out: path of both files, without suffix.
+        resume: continue the interrupted training kept beside `out`, with the same settings.
+    """
+
+    preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
+    grasp: Annotated[str | None, left_out("the preset", "FILE")] = None
+    out: Path = Path("runs/fit/four_finger")
+    resume: bool = False
+
+    def execute(self) -> None:
+        """Run the command."""
+        with interruptible(orderly=False):  # until the training handles interrupts itself
+            from training.fit.one_grasp import fit
+            from training.fit.state import StateFile
+
+            settings = FitConfig(**{name: getattr(self, name) for name in FitConfig.__dataclass_fields__})
+            checkpoint = fit(settings, True, " ".join(["grasp", *sys.argv[1:]]), self.out, self.resume)
+            path = checkpoint.save(self.out)
+            StateFile(self.out, {}).remove()
+        ball, flow = (checkpoint.card["held_out_gap"][name] for name in ("ball", "ball, friction of the grasp"))
+        most = 100 * sum(ball["newton steps"][steps] for steps in ("0", "1"))
+        console = Console(highlight=False)
+        # one line; a terminal wraps it between words
+        console.print(
+            f"{path}{' (quick: a rough model)' if self.quick else ''}: on the standard ball a gap of {ball['gap']['median']:.1e} median, "
+            f"{ball['gap']['p99']:.1e} p99, {most:.0f} % certified within one Newton step; alone {flow['flow iterations']['median']:g} "
+            f"iterations of the flow median, {flow['flow iterations']['p99']:g} p99",
+            soft_wrap=not console.is_terminal,
+        )

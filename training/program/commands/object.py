@@ -1,0 +1,198 @@
+"""`grasp object`: show what a mesh file becomes, close a torn mesh, list and clear the cache of meshes."""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from rich.console import Console
+
+from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.extras import need
+from grasp_env.inputs.files import replacing
+from training.program.commands.answers import make_table, save_picture, write_json
+from training.program.commands.options import left_out, misplaced
+
+if TYPE_CHECKING:
+    from grasp_env.inputs.arguments import Array
+
+OWN = {"show": ("file", "scale", "draw", "size"), "mend": ("file", "out"), "list": (), "clear": ()}
+"""Options that apply to some actions only."""
+_NEAR = 1e-5  # share of the extent within which the centres of equal triangles lie
+
+
+@dataclass(frozen=True)
+class Object:
+    """Show what an object's mesh becomes, mend it, or list the cache.
+
+    `grasp object show mug.obj --draw mug.png`
+    `grasp object mend torn.obj`
+    `grasp object list`
+    `grasp object clear`
+
+    Attributes:
+        what: show (what a mesh file becomes), mend (close a torn mesh by MeshFix and write it), list (the cached meshes of objects and
+            hands) or clear (that cache).
+        file: show and mend: a mesh, .obj, .stl, .ply, .off, .glb or .dae.
+        scale: show: factor from the file's unit to metres, 0.001 for millimetres.
+        draw: show: .png for a picture of the mesh beside its convex pieces, each in its own colour.
+        size: show: height of the picture [pixels].
+        out: mend: .obj file to write. It is overwritten if it exists.
+        json: print one JSON object, errors too.
+    """
+
+    what: tyro.conf.Positional[Literal["show", "mend", "list", "clear"]]
+    file: Annotated[Path | None, tyro.conf.Positional, left_out("list and clear need none", "FILE")] = None
+    scale: float = 1.0
+    draw: Annotated[Path | None, left_out("no picture", "PICTURE.png")] = None
+    size: int = 640
+    out: Annotated[Path | None, left_out("beside FILE, its name with _mended.obj", "FILE")] = None
+    json: bool = False
+
+    def execute(self) -> None:
+        """Run the command."""
+        self._check()
+        need("sim")
+        action = {"show": self._show, "mend": self._mend, "list": _list, "clear": _clear}[self.what]
+        facts, page = action()
+        if self.json:
+            write_json(facts)
+            return
+        console = Console()
+        for part in page:
+            style = "yellow" if isinstance(part, str) and part.startswith("repaired") else None
+            console.print(part, style=style, highlight=False, soft_wrap=isinstance(part, str))
+
+    def _check(self) -> None:
+        """Refuse a missing file, and options of another action."""
+        if self.file is None and "file" in OWN[self.what]:
+            raise InvalidInputError(f"`grasp object {self.what}` needs a FILE: `grasp object {self.what} mug.obj`")
+        if option := misplaced(self, OWN, self.what):
+            name = f"FILE {self.file}" if option == "file" else f"--{option}"
+            where = " and ".join(f"`grasp object {what}`" for what, names in OWN.items() if option in names)
+            raise InvalidInputError(f"{name} belongs to {where}, got `grasp object {self.what}`: leave it out")
+
+    def _show(self) -> tuple[dict[str, Any], list[Any]]:
+        from grasp_env.inputs.arguments import whole
+        from grasp_env.settings import POSITIVE, real
+        from grasp_env.sim.objects.cache import folder
+        from grasp_env.sim.objects.description import check_extent
+        from grasp_env.sim.objects.mesh import load_mesh
+        from grasp_env.sim.picture.portrait import mesh_portrait
+
+        whole(self.size, "size", 16, 4096)
+        _check_suffix(self.draw, "--draw", ".png")
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            mesh = load_mesh(str(self.file), real(POSITIVE).take(self.scale, "scale"))
+        check_extent(mesh.extent, "mesh", "give --scale 0.001 if the file is in millimetres", "give another --scale")
+        if self.draw is not None:
+            save_picture(mesh_portrait(mesh, self.size), self.draw)
+        facts = {
+            "file": self.file, "faces": len(mesh.faces), "extent": mesh.extent, "volume": mesh.volume,
+            "center": mesh.center, "pieces": len(mesh.pieces), "repaired": [str(warning.message) for warning in warned],
+            "kept_in": folder() if os.access(folder(), os.W_OK) else None, "picture": self.draw,
+        }  # fmt: skip
+        return facts, _shown_page(facts)
+
+    def _mend(self) -> tuple[dict[str, Any], list[Any]]:
+        from grasp_env.sim.mesh_shape import volume
+        from grasp_env.sim.objects.reading import open_mesh, read_mesh
+        from training.program.commands.mending import as_obj, mended
+
+        assert self.file is not None
+        out, name = self._out(self.file), f"the mesh {self.file}"
+        before = read_mesh(open_mesh(self.file, name))
+        made = mended(*before, name)
+        with replacing(out) as path:
+            path.write_bytes(as_obj(made, name))
+        facts = {
+            "file": self.file, "out": out, "faces_before": len(before[1]), "faces_after": len(made.faces),
+            "faces_kept": _count_common(before[0][before[1]], made.corners[made.faces]), "parts": made.parts,
+            "parts_left_out": made.left_out, "volume": volume(made.corners, made.faces), "changes": made.changes,
+        }  # fmt: skip
+        return facts, _mended_page(facts)
+
+    def _out(self, file: Path) -> Path:
+        """Return the path of the mended mesh."""
+        _check_suffix(self.out, "--out", ".obj")
+        out = file.with_name(f"{file.stem}_mended.obj") if self.out is None else self.out
+        if self.out is None and os.path.lexists(out):
+            raise InvalidInputError(f"{out} exists: to overwrite it give --out {out}, or name another file")
+        return out
+
+
+def _check_suffix(path: Path | None, option: str, suffix: str) -> None:
+    if path is not None and path.suffix.lower() != suffix:
+        raise InvalidInputError(f"{option} {path} must end in {suffix}, the only kind that is written")
+
+
+def _shown_page(facts: dict[str, Any]) -> list[Any]:
+    table = make_table(facts["file"].name)
+    table.add_row("faces", str(facts["faces"]))
+    table.add_row("size, mm", " x ".join(f"{1e3 * side:.1f}" for side in facts["extent"]))
+    table.add_row("volume, cm^3", f"{1e6 * facts['volume']:.4g}")
+    table.add_row(
+        "centre of mass in the file, mm", " ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in facts["center"])
+    )
+    table.add_row("convex pieces", str(facts["pieces"]))
+    repaired = [f"repaired: {text}" for text in facts["repaired"]]
+    kept = f"kept in {facts['kept_in']}" if facts["kept_in"] else "not kept: the cache folder cannot be written"
+    return [table, *repaired, kept, *([] if facts["picture"] is None else [str(facts["picture"])])]
+
+
+def _mended_page(facts: dict[str, Any]) -> list[Any]:
+    table = make_table(facts["out"].name)
+    table.add_row("faces in the file", str(facts["faces_before"]))
+    table.add_row("faces now", f"{facts['faces_after']}, {facts['faces_kept']} of them as in the file")
+    table.add_row("parts", str(facts["parts"]))
+    if facts["parts_left_out"]:
+        table.add_row("parts left out, as they enclose nothing", str(facts["parts_left_out"]))
+    table.add_row("volume, in the file's unit", f"{facts['volume']:.6g}")
+    changes = [f"repaired: {text}" for text in facts["changes"]]
+    out = facts["out"]
+    return [table, *changes, str(out), f"look at it: grasp object show {out} --draw {out.with_suffix('.png')}"]
+
+
+def _list() -> tuple[dict[str, Any], list[Any]]:
+    from grasp_env.sim.objects.cache import entries, folder
+
+    found = [
+        {"name": entry.name, "use": entry.use, "bytes": entry.size, "time": entry.time, "pieces": _pieces(entry.path)}
+        for entry in entries()
+    ]
+    table = make_table(f"{len(found)} meshes, {sum(each['bytes'] for each in found) / 1e6:.1f} MB", "mesh", "use", "kB", "made", "convex pieces")  # fmt: skip
+    for each in found:
+        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(each["time"]))
+        table.add_row(each["name"], each["use"], f"{each['bytes'] / 1e3:.0f}", when, str(each["pieces"] or ""))
+    return {"folder": folder(), "meshes": found}, [table, f"in {folder()}"]
+
+
+def _pieces(path: Path) -> int | None:
+    """Return the number of convex pieces of a cache entry, reading only that array; None if it cannot be read."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return len(arrays["counts"])
+    except Exception:  # truncated, or not a cache entry
+        return None
+
+
+def _clear() -> tuple[dict[str, Any], list[Any]]:
+    from grasp_env.sim.objects.cache import clear, folder
+
+    count = clear()
+    return {"folder": folder(), "removed": count}, [f"removed {count} {'mesh' if count == 1 else 'meshes'} from {folder()}"]  # fmt: skip
+
+
+def _count_common(before: Array, after: Array) -> int:
+    """Return the number of triangles (F, 3, 3) `after` that are among those `before`, compared by their centres."""
+    grain = _NEAR * float(np.ptp(before.reshape(-1, 3), axis=0).max())
+    cells = (np.round(each.mean(axis=1) / grain).astype(np.int64).tolist() for each in (before, after))
+    known, found = ([tuple(cell) for cell in rows] for rows in cells)
+    return len(set(known) & set(found))

@@ -1,5 +1,0 @@
-"""Results of comparisons: run folders, typed tables of rows, claims about them, and the map over shards."""
-
-from training.results.run import Run, default_name, provenance, understood
-
-__all__ = ["Run", "default_name", "provenance", "understood"]

@@ -1,0 +1,129 @@
+"""Settings of `grasp rl`, which are also its options; this module imports no torch."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
+
+from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import choice, instance, number, whole
+from training.evaluation.results.run import check_counts
+
+HELD_OUT_SEED = 1_000_000
+"""First seed of the episodes that score agents; the seeds of training are at least 2**30."""
+CURVE_SEED = 2_000_000
+"""First seed of the episodes along a learning curve."""
+
+
+@dataclass(frozen=True)
+class RLConfig:
+    """Settings of a training.
+
+    Attributes:
+        algorithm: ppo or sac of stable-baselines3.
+        env: JSON of the environment's settings, as keywords of `gym.make`: {"hand": "allegro", "shape": "sphere", "size": [0.06]}. The
+            default is the cuboid under a random wrench, with the paper's start and flow.
+        action: initial_force (adjusts the solver's start; zero is the paper's) or contact_force (no solver).
+        steps: environment steps per seed, rounded up to whole updates.
+        seed: seed of everything random in training.
+        seeds: several seeds, with one sub-folder each; empty: `seed` alone.
+        envs: number of environments in parallel, in one process.
+        episodes: number of held-out episodes that score the agents.
+        curve_points: scores along the learning curve, besides the one before training.
+        curve_episodes: episodes of each such score.
+        checkpoint_every: steps between checkpoints; interrupts and the end save one, too.
+        rollout: ppo: steps between updates.
+        warmup: sac: steps with random actions before the first update.
+        buffer: sac: transitions in the replay buffer.
+        learning_rate: learning rate of Adam; 0: 1e-3 for ppo, 5e-4 for sac.
+        gamma: discount; negative: 0 for initial_force, where an action affects only the iterations of its own step, 0.97 for
+            contact_force.
+        deviation: initial standard deviation of the exploration, for actions in [-1, 1]; 0: 0.1 (0.5 N) for initial_force, 0.3 for
+            contact_force.
+        quick: a small version that ends within a minute; its report is marked as quick.
+    """
+
+    algorithm: Literal["ppo", "sac"] = "ppo"
+    action: Literal["initial_force", "contact_force"] = "initial_force"
+    env: str = "{}"
+    steps: int = 150_000
+    seed: int = 0
+    seeds: tuple[int, ...] = ()
+    envs: int = 8
+    episodes: int = 50
+    curve_points: int = 20
+    curve_episodes: int = 5
+    checkpoint_every: int = 20_000
+    rollout: int = 2048
+    warmup: int = 1000
+    buffer: int = 100_000
+    learning_rate: float = 0.0
+    gamma: float = -1.0
+    deviation: float = 0.0
+    quick: bool = False
+
+    def __post_init__(self) -> None:
+        counts = {field.name: 1 for field in fields(RLConfig) if field.type == "int"}
+        check_counts(self, counts | {"warmup": 0, "seed": 0})
+        choice(self.algorithm, "algorithm", ("ppo", "sac"))
+        choice(self.action, "action", ("initial_force", "contact_force"))
+        for seed in instance(self.seeds, tuple, "seeds"):
+            whole(seed, "seeds", 0)
+        for name in ("learning_rate", "gamma", "deviation"):
+            number(getattr(self, name), name)
+        if len(set(self.seeds)) != len(self.seeds):
+            raise InvalidInputError(f"seeds must be different integers >= 0, got {self.seeds}")
+        if not 0.0 <= self.learning_rate < 1.0 or not self.gamma < 1.0 or not 0.0 <= self.deviation <= 1.0:
+            raise InvalidInputError(
+                "learning_rate must be in [0, 1), gamma below 1, deviation in [0, 1], "
+                f"got {self.learning_rate}, {self.gamma}, {self.deviation}"
+            )
+
+    def resolved(self) -> RLConfig:
+        """Return the settings with every default filled in, and smaller counts if `quick`; the protocol is the same."""
+        force = self.action == "initial_force"
+        full = replace(
+            self,
+            seeds=tuple(self.seeds) or (self.seed,),
+            learning_rate=self.learning_rate or {"ppo": 1e-3, "sac": 5e-4}[self.algorithm],
+            gamma=self.gamma if self.gamma >= 0.0 else (0.0 if force else 0.97),
+            deviation=self.deviation or (0.1 if force else 0.3),
+        )
+        if not self.quick:
+            return full
+        steps = {"ppo": 8_192, "sac": 3_000}[self.algorithm]
+        return replace(
+            full, steps=min(full.steps, steps), seeds=full.seeds[:1], episodes=min(full.episodes, 4), curve_points=3,
+            curve_episodes=2,
+        )  # fmt: skip
+
+    @property
+    def env_settings(self) -> dict[str, Any]:
+        """Settings of the environment, as from `EnvConfig.to_dict`.
+
+        Raises:
+            InvalidInputError: `env` is not JSON, or holds invalid settings.
+        """
+        from grasp_env.config import EnvConfig  # needs the extra sim
+
+        try:
+            given = json.loads(self.env)
+        except ValueError as error:
+            raise InvalidInputError(f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}') from None
+        if "action_mode" in instance(given, dict, "env"):
+            raise InvalidInputError(
+                f"env has action_mode {given['action_mode']!r}: leave it out, action={self.action!r} sets it"
+            )
+        return EnvConfig().override(**{"disturbance": "random", **given, "action_mode": self.action}).to_dict()
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Number of fingers and joints of the hand, and sizes of observation and action."""
+        from grasp_env.config.env import as_config
+        from grasp_env.env.observation import action_size, bounds
+
+        hand = as_config(self.env_settings).hand_description
+        fingers, joints = hand.finger_count, hand.joint_count
+        shown, given = len(bounds(fingers, joints)), action_size(self.action, fingers)
+        return {"fingers": fingers, "joints": joints, "observation_size": shown, "action_size": given}
