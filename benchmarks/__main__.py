@@ -64,14 +64,14 @@ def execute(name: str, *words: str) -> None:
     import tyro
 
     from benchmarks import show
-    from benchmarks.benchmark import Options, checked, tick
+    from benchmarks.benchmark import RunOptions, checked, tick
     from training.evaluation.report.page import svg
     from training.evaluation.results import Run, default_name
 
     benchmark = import_module(f"benchmarks.{name}").BENCHMARK
     usual = replace(benchmark.settings, **benchmark.quick) if "--quick" in words else benchmark.settings
-    options = Options[type(usual)]
-    given = tyro.cli(options, prog=f"python -m benchmarks {name}", default=Options(usual), args=words)
+    options = RunOptions[type(usual)]
+    given = tyro.cli(options, prog=f"python -m benchmarks {name}", default=RunOptions(usual), args=words)
     checked(given.settings)
     kind = "env_speed" if name == "env" else name  # the kind "env" are hold rates
     before = None if given.compare is None else show.earlier(given.compare, kind)

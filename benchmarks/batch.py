@@ -28,7 +28,7 @@ KINDS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Settings:
+class BatchSettings:
     """Settings of a benchmark.
 
     Attributes:
@@ -42,7 +42,7 @@ class Settings:
     seed: int = 0
 
 
-def run(settings: Settings) -> pd.DataFrame:
+def run(settings: BatchSettings) -> pd.DataFrame:
     """Solves per second of `optimize_forces`, a row for each round; `ratio` is the time of all cores over that of one.
 
     The last row is the peak memory of the whole process, wrenches and one result included.
@@ -70,4 +70,4 @@ def run(settings: Settings) -> pd.DataFrame:
 
 
 SHOWN = ("per_second_max", "ratio_median", "solves_max", "failures_max", "mebibytes_max")
-BENCHMARK = Benchmark(run, Settings(), quick={"wrenches": 20_000}, shown=SHOWN)
+BENCHMARK = Benchmark(run, BatchSettings(), quick={"wrenches": 20_000}, shown=SHOWN)

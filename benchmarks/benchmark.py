@@ -28,7 +28,7 @@ def tick(text: str) -> None:
 
 
 @dataclass(frozen=True)
-class Effort:
+class TimingSettings:
     """Settings of a benchmark.
 
     Attributes:
@@ -72,12 +72,12 @@ class Benchmark:
     draw: Callable[[pd.DataFrame, Mapping[str, str]], Figure] | None = None
 
 
-Settings = TypeVar("Settings")
+SettingsT = TypeVar("SettingsT")
 
 
 @dataclass(frozen=True)
-class Options(Generic[Settings]):
-    """Options of a run.
+class RunOptions(Generic[SettingsT]):
+    """RunOptions of a run.
 
     Attributes:
         settings: settings of the benchmark.
@@ -88,7 +88,7 @@ class Options(Generic[Settings]):
         json: print one JSON object, also for errors.
     """
 
-    settings: tyro.conf.OmitArgPrefixes[Settings]
+    settings: tyro.conf.OmitArgPrefixes[SettingsT]
     quick: bool = False
     out: Path = Path("runs")
     name: str = ""

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.benchmark import Benchmark, Effort, tick
+from benchmarks.benchmark import Benchmark, TimingSettings, tick
 from benchmarks.core_side import ROWS
 from benchmarks.problem import problems
 from grasp_env.errors import GraspError, InvalidInputError
@@ -42,7 +42,7 @@ CALL, RATIO, FIRST = "call", "now over baseline, by rounds", "first solve of a p
 
 
 @dataclass(frozen=True)
-class Settings(Effort):
+class CoreSettings(TimingSettings):
     """Settings of a benchmark.
 
     Attributes:
@@ -53,7 +53,7 @@ class Settings(Effort):
     baseline: Path | None = None
 
 
-def run(settings: Settings, names: tuple[str, ...] = tuple(ROWS)) -> pd.DataFrame:
+def run(settings: CoreSettings, names: tuple[str, ...] = tuple(ROWS)) -> pd.DataFrame:
     """Time all rows in rounds, this checkout and the baseline in turns, never both at once.
 
     Returns:
@@ -167,7 +167,7 @@ def _slower(name: str) -> Claim:
 
 BENCHMARK = Benchmark(
     run,
-    Settings((3, 4, 5, 8, 16, 50), wrenches=400, rounds=10, passes=2),
+    CoreSettings((3, 4, 5, 8, 16, 50), wrenches=400, rounds=10, passes=2),
     quick={"wrenches": 80, "rounds": 2},
     shown=("microseconds_median", "microseconds_p99", "failed_sum", "apart_max", "ratio_median", "ratio_low", "ratio_high", "milliseconds_median"),
     claims=(

@@ -47,7 +47,7 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Settings:
+class EnvSettings:
     """Settings of a benchmark.
 
     Attributes:
@@ -63,7 +63,7 @@ class Settings:
     seed: int = 0
 
 
-def run(settings: Settings) -> pd.DataFrame:
+def run(settings: EnvSettings) -> pd.DataFrame:
     """Time steps and resets and measure memory, on one thread, without warm-up."""
     rows: list[Row] = []
     fewer = max(4, settings.rounds // 3)
@@ -222,7 +222,7 @@ _USUAL = f'case == "step" and method == "{USUAL}"'
 _GROWTH = "case == 'growth over the resets' and method == '{}'"
 BENCHMARK = Benchmark(
     run,
-    Settings(),
+    EnvSettings(),
     quick={"rounds": 4, "resets": 40, "envs": 2},
     shown=(
         "per_second_max", "microseconds_median", "ratio_median", "ratio_low", "ratio_high", "milliseconds_median", "milliseconds_p99",

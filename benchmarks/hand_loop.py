@@ -67,7 +67,7 @@ PATIENCE = 60.0
 
 
 @dataclass(frozen=True)
-class Settings:
+class HandLoopSettings:
     """Hand, rate, duration and languages of a run.
 
     Attributes:
@@ -83,7 +83,7 @@ class Settings:
     language: tuple[Literal["cpp", "python"], ...] = ("cpp", "python")
 
 
-def run(settings: Settings) -> pd.DataFrame:
+def run(settings: HandLoopSettings) -> pd.DataFrame:
     """Run the loop, and returns a row for each update, one for each message that was answered, and one of counts."""
     rows: list[dict[str, Any]] = []
     for language in settings.language:
@@ -288,7 +288,7 @@ def controller_of(shown: ModuleType, hand: HandDescription, table: Any = None, *
     """Configure the controller in Python, with the calibration of `main` in C++ unless another `table` is given."""
     limits, made = hand.torque_limits, shown.HandController()
     usual = shown.Calibration(np.outer(limits, [-1.0, 1.0]), np.tile([-UNITS, UNITS], (len(limits), 1)))
-    made.configure(hand, shown.Settings(**settings), table or usual)
+    made.configure(hand, shown.HandControllerSettings(**settings), table or usual)
     return made
 
 
@@ -351,7 +351,7 @@ _FAST = f"case == '{UPDATE}' and method == 'cpp'"
 _WHOLE = f"case == '{WHOLE}'"
 BENCHMARK = Benchmark(
     run,
-    Settings(),
+    HandLoopSettings(),
     {"seconds": 5},
     (
         "latency_median", "latency_p99", "latency_p999", "latency_max", "lost_sum", "unanswered_sum", "late_sum", "over_budget_sum",

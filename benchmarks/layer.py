@@ -96,7 +96,7 @@ CONTESTANTS = OURS | PEERS
 
 
 @dataclass(frozen=True)
-class Settings:
+class LayerSettings:
     """Settings of a benchmark.
 
     Attributes:
@@ -129,7 +129,7 @@ def one_thread() -> Iterator[None]:
             os.sched_setaffinity(0, cores)
 
 
-def run(settings: Settings) -> pd.DataFrame:
+def run(settings: LayerSettings) -> pd.DataFrame:
     """Time all layers in rounds, one after the other, and checks the answers for as many problems as the largest batch has.
 
     Returns:
@@ -163,7 +163,9 @@ def _built(contestants: dict[str, Contestant], batch: int, missing: dict[str, st
     return built
 
 
-def timed(settings: Settings, case: str, batch: int, built: dict[str, Call], data: Tensors) -> Iterator[dict[str, Any]]:
+def timed(
+    settings: LayerSettings, case: str, batch: int, built: dict[str, Call], data: Tensors
+) -> Iterator[dict[str, Any]]:
     """Rows of a case and a batch size."""
     starts = range(0, len(data["wrench"]) - batch + 1, batch)[: settings.calls]
     parts = [{name: values[k : k + batch] for name, values in data.items()} for k in starts]
@@ -265,7 +267,7 @@ def _faster(method: str, batch: int, least: float) -> Claim:
 
 BENCHMARK = Benchmark(
     run,
-    Settings(),
+    LayerSettings(),
     quick={"batches": (1, 32), "rounds": 2, "calls": 10},
     shown=(
         "microseconds_median", "microseconds_p99", "ratio_median", "ratio_low", "ratio_high", "failed_sum", "balance_max", "force_difference_max",

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.benchmark import Benchmark, Effort, tick
+from benchmarks.benchmark import Benchmark, TimingSettings, tick
 from benchmarks.problem import compiled_times, problems
 from grasp_env.force import ForceOptimizer
 from grasp_env.force.record import ITERATIONS
@@ -15,7 +15,7 @@ from training.evaluation.results.table import join, pd
 TOLERANCES = {"conic": 1e-6, "newton": 1e-8}
 
 
-def run(settings: Effort) -> pd.DataFrame:
+def run(settings: TimingSettings) -> pd.DataFrame:
     """Microseconds and iterations of compiled `conic` and `newton` calls, a row for each problem."""
     parts = []
     for count in settings.contacts:
@@ -47,7 +47,7 @@ def lines(summary: pd.DataFrame) -> Iterator[str]:
 
 BENCHMARK = Benchmark(
     run,
-    Effort((3, 4, 5, 8, 12, 16, 24, 32, 48, 64, 80, 100), wrenches=200, rounds=1, passes=20),
+    TimingSettings((3, 4, 5, 8, 12, 16, 24, 32, 48, 64, 80, 100), wrenches=200, rounds=1, passes=20),
     quick={"wrenches": 80, "passes": 4},
     shown=("microseconds_median", "iterations_median", "step_microseconds_median"),
     notes=lines,

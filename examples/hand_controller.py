@@ -34,7 +34,7 @@ class HandState:
 
 
 @dataclass(frozen=True)
-class Settings:
+class HandControllerSettings:
     """Parameters to tune for a hand and a task."""
 
     friction: float = 0.8
@@ -75,7 +75,7 @@ class HandController:
     last forces, as contacts are stale, numbers broken or no force balances; "released": the hand carries itself.
     """
 
-    def configure(self, hand: HandDescription, settings: Settings, calibration: Calibration):
+    def configure(self, hand: HandDescription, settings: HandControllerSettings, calibration: Calibration):
         """Make all objects of an update."""
         self.kinematics, self.settings, self.calibration = HandKinematics(hand), settings, calibration
         self.limits = np.minimum(self.kinematics.torque_limits, calibration.limits)

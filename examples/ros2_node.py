@@ -13,7 +13,7 @@ from dataclasses import asdict
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from hand_controller import Calibration, HandController, HandState, Settings  # the file beside this one
+from hand_controller import Calibration, HandController, HandControllerSettings, HandState  # the file beside this one
 from numpy.lib.recfunctions import structured_to_unstructured
 from rclpy.experimental import EventsExecutor  # before Kilted: rclpy.executors.SingleThreadedExecutor, which is slower
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
@@ -24,7 +24,11 @@ from sensor_msgs.msg import JointState, PointCloud2, PointField
 from grasp_env.sim import HANDS, HandDescription
 
 INPUTS = {"joint_states": JointState, "contacts": PointCloud2, "wrench": WrenchStamped}
-PARAMETERS = {"hand": "four_finger", "gravity": [0.0, 0.0, -9.81], **asdict(Settings())}  # [m/s^2], base frame
+PARAMETERS = {
+    "hand": "four_finger",
+    "gravity": [0.0, 0.0, -9.81],
+    **asdict(HandControllerSettings()),
+}  # [m/s^2], base frame
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches publishers of both reliabilities
 POINT = ("x", "y", "z", "normal_x", "normal_y", "normal_z")  # float32, as in PCL's PointNormal
 
@@ -43,7 +47,7 @@ class HandNode(LifecycleNode):
     def on_configure(self, state):
         """Make the controller."""
         hand, gravity, *rest = (self.get_parameter(name).value for name in PARAMETERS)
-        self.gravity, self.settings = np.array(gravity), Settings(*rest)
+        self.gravity, self.settings = np.array(gravity), HandControllerSettings(*rest)
         try:
             if not self.settings.rate > 0.0:
                 raise ValueError(f"rate={self.settings.rate} Hz must be above 0")

@@ -48,7 +48,7 @@ Barrier = Callable[[Numbers, Any], Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Certified:
     """The answer to a problem.
 
     Attributes:
@@ -87,7 +87,7 @@ def refer(session: Session, objectives: Sequence[str], digits: str) -> dict[str,
     made = {}
     with ProcessPoolExecutor(2) as pool:
         for name in objectives:
-            found: list[Found] = []
+            found: list[Certified] = []
             for m, answer in enumerate(pool.map(_settled, session.problems, repeat(name), repeat(digits), chunksize=4)):
                 if isinstance(answer, str):
                     raise ValueError(f"session {session.name!r}, problem {m}, {name}: {answer}")
@@ -104,7 +104,7 @@ def distance(stored: Reference, made: Reference) -> float:
     return float(np.where(made.value == stored.value, 0.0, apart).max())
 
 
-def _settled(problem: Problem, name: str, digits: str) -> Found | str:
+def _settled(problem: Problem, name: str, digits: str) -> Certified | str:
     """An answer, or what is wrong."""
     try:
         found = exact(problem, name) if digits == "exact" else package(problem, name)
@@ -115,7 +115,7 @@ def _settled(problem: Problem, name: str, digits: str) -> Found | str:
     return found if found.gap <= GAP else f"the bounds {found.lower!r} and {found.upper!r} are a gap of {found.gap:.1e}"
 
 
-def _reference(found: list[Found]) -> Reference:
+def _reference(found: list[Certified]) -> Reference:
     """The record of a session; rests are there if any problem has one."""
     names = ("value", "lower", "upper", "force", "multipliers")
     stacked = {name: np.array([getattr(each, name) for each in found]) for name in names}
@@ -124,7 +124,7 @@ def _reference(found: list[Found]) -> Reference:
     return Reference(**stacked, rest=rests if any(each.rest is not None for each in found) else None)
 
 
-def package(problem: Problem, name: str) -> Found:
+def package(problem: Problem, name: str) -> Certified:
     """The answer of `ForceOptimizer`, whose `GraspError` is raised if it refuses the problem."""
     grasp, limits = grasp_of(problem)
     method = "conic" if name == "sum" else "newton"
@@ -150,17 +150,17 @@ def package(problem: Problem, name: str) -> Found:
     return _best(problem, name, answers())
 
 
-def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, bool]]) -> Found:
+def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, bool]]) -> Certified:
     """The answer of the least gap, or the first witness that holds."""
     measure = Measure.of(problem)
-    none = best = Found(np.full(problem.matrix.shape[1], np.nan), np.zeros(6 + len(measure.bound)), -np.inf, np.inf)
+    none = best = Certified(np.full(problem.matrix.shape[1], np.nan), np.zeros(6 + len(measure.bound)), -np.inf, np.inf)
     for force, multipliers, infeasible in answers:
         if infeasible and measure.witness(multipliers) > 0.0:
             return replace(none, multipliers=multipliers, lower=np.inf)
         if infeasible or not (np.isfinite(force).all() and np.isfinite(multipliers).all()):
             continue
         lower, upper = measure.lower(name, multipliers), measure.upper(name, force, multipliers)
-        found = Found(force, multipliers, float(lower), float(upper))
+        found = Certified(force, multipliers, float(lower), float(upper))
         if found.gap < best.gap:
             best = found
         if best.gap <= 0.1 * GAP:
@@ -171,7 +171,7 @@ def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, boo
 # --- many digits
 
 
-def exact(problem: Problem, name: str) -> Found:
+def exact(problem: Problem, name: str) -> Certified:
     """The answer in `DIGITS` digits, or an `ArithmeticError`."""
     if problem.width != 3 or len(problem.limit_bound):
         raise ArithmeticError("many digits are for hard contacts without limits")
@@ -195,7 +195,7 @@ def exact(problem: Problem, name: str) -> Found:
         force = force.reshape(-1)
         lower, upper = m.lower(name, multipliers), m.upper(name, force, multipliers)
         (high, low), (first, rest) = map(split, (force, multipliers))
-    return Found(high, first, float(lower), float(upper), np.concatenate([low, rest]))
+    return Certified(high, first, float(lower), float(upper), np.concatenate([low, rest]))
 
 
 def exact_measure(problem: Problem) -> Measure:

@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 
 from grasp_env.config.randomize import RANDOMIZE, draw
-from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
+from grasp_env.config.records import (
+    AgentSettings,
+    ControllerSettings,
+    EpisodeLimits,
+    PictureSettings,
+    RewardSettings,
+    SensorSettings,
+    SolverSettings,
+)
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.inputs.arguments import AllFaults, as_array, warn
 from grasp_env.settings import (
@@ -30,7 +38,7 @@ from grasp_env.settings import (
     without_json,
     written,
 )
-from grasp_env.sim.engine import ENGINE, Engine, engine_of
+from grasp_env.sim.engine import ENGINE, EngineSettings, engine_of
 from grasp_env.sim.grasping.approach import DIRECTIONS, as_approach
 from grasp_env.sim.grasping.pads import PATCH_RADIUS, with_soft_contacts
 from grasp_env.sim.hand.description import HANDS, HandDescription
@@ -92,7 +100,7 @@ class EnvConfig(Settings):
         InvalidInputError: values out of range; the message lists all of them with their paths, such as `sensors.delay`.
 
     Example:
-        >>> config = EnvConfig(task={"name": "move", "motion": "lift"}, sensors=Sensors(delay=0.004))
+        >>> config = EnvConfig(task={"name": "move", "motion": "lift"}, sensors=SensorSettings(delay=0.004))
         >>> config.override(friction=0.8, sensors={"pose_noise": 1e-5}).sensors.delay
         0.004
         >>> as_config(config.to_json()) == config
@@ -129,16 +137,18 @@ class EnvConfig(Settings):
     gravity: tuple[float, float, float] = setting(
         (0.0, -9.81, 0.0), numbers(3), "World frame; y points up.", unit="m/s^2", random=True
     )
-    engine: Engine | None = setting(
+    engine: EngineSettings | None = setting(
         None, ENGINE, "Physics engine: its name, or its settings.", none="the default engine"
     )
-    sensors: Sensors = setting(Sensors(), record(Sensors), "Sensors of the controller.")
-    solver: Solver = setting(Solver(), record(Solver), "Force optimisation.")
-    controller: Controller = setting(Controller(), record(Controller), "Controller: from forces to torques.")
-    agent: Agent = setting(Agent(), record(Agent), "Actions and observations of an agent.")
-    reward: Reward = setting(Reward(), record(Reward), "Reward of a step.")
+    sensors: SensorSettings = setting(SensorSettings(), record(SensorSettings), "Sensors of the controller.")
+    solver: SolverSettings = setting(SolverSettings(), record(SolverSettings), "Force optimisation.")
+    controller: ControllerSettings = setting(
+        ControllerSettings(), record(ControllerSettings), "Controller: from forces to torques."
+    )
+    agent: AgentSettings = setting(AgentSettings(), record(AgentSettings), "Actions and observations of an agent.")
+    reward: RewardSettings = setting(RewardSettings(), record(RewardSettings), "Reward of a step.")
     limits: EpisodeLimits = setting(EpisodeLimits(), record(EpisodeLimits), "Limits that end an episode.")
-    pictures: Pictures = setting(Pictures(), record(Pictures), "Pictures that `render` draws.")
+    pictures: PictureSettings = setting(PictureSettings(), record(PictureSettings), "Pictures that `render` draws.")
 
     def agree(self) -> None:
         """Check rates, the length of an episode, and the settings to draw, against each other."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env.config.records import Controller, Sensors
+from grasp_env.config.records import ControllerSettings, SensorSettings
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.inputs.arguments import as_array, call_user, choice
 from grasp_env.settings import Kind, described, to_json
@@ -21,7 +21,7 @@ OBJECT: dict[str, Any] = {
 }
 """Object settings that may be drawn, with their default ranges [m], [kg], [1]."""
 SHORT = {path.partition(".")[2]: path for path in OBJECT}
-_RECORDS = {"object": ObjectDescription, "sensors": Sensors, "controller": Controller}
+_RECORDS = {"object": ObjectDescription, "sensors": SensorSettings, "controller": ControllerSettings}
 RANDOM = {
     path: about.kind for name, kind in _RECORDS.items() for path, _, about in described(kind, name) if about.random
 }

@@ -17,7 +17,7 @@ from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Kind, Settings, integer, 
 CONTROLLERS = ("optimized", "constant_squeeze", "pd")
 ACTION_MODES = ("initial_force", "contact_force", "none")
 COSTS = ("iterations", "force", "torque", "force_change")
-"""Costs of a step in the reward; each name is a weight of `Reward` and, with "reward/" before it, a term."""
+"""Costs of a step in the reward; each name is a weight of `RewardSettings` and, with "reward/" before it, a term."""
 MAX_COST = 0.9
 """Largest share of the reward for holding that the costs of a step may take."""
 WEIGHT = Range(0.0, MAX_COST)
@@ -27,11 +27,11 @@ _PIXELS = numbers(2, Range(16, 8192))
 
 
 @dataclass(frozen=True)
-class Sensors(Settings):
+class SensorSettings(Settings):
     """Measurements of the controller, their delay and their noise.
 
     Example:
-        >>> Sensors(wrench="estimated", delay=0.01).delay
+        >>> SensorSettings(wrench="estimated", delay=0.01).delay
         0.01
     """
 
@@ -58,11 +58,11 @@ class Sensors(Settings):
 
 
 @dataclass(frozen=True)
-class Solver(Settings):
+class SolverSettings(Settings):
     """Force optimisation of an agent's step; see `grasp_env.force.optimize_force`.
 
     Example:
-        >>> Solver(method="newton", initial_force="previous").method
+        >>> SolverSettings(method="newton", initial_force="previous").method
         'newton'
     """
 
@@ -94,11 +94,11 @@ class Solver(Settings):
 
 
 @dataclass(frozen=True)
-class Controller(Settings):
+class ControllerSettings(Settings):
     """Controller: from contact forces to joint torques.
 
     Example:
-        >>> Controller(kind="pd", pd_stiffness=500.0).pd_damping
+        >>> ControllerSettings(kind="pd", pd_stiffness=500.0).pd_damping
         4.0
     """
 
@@ -136,11 +136,11 @@ class Controller(Settings):
 
 
 @dataclass(frozen=True)
-class Agent(Settings):
+class AgentSettings(Settings):
     """Actions and observations of an agent.
 
     Example:
-        >>> Agent(action_mode="contact_force", action_scale=8.0).rate
+        >>> AgentSettings(action_mode="contact_force", action_scale=8.0).rate
         50
     """
 
@@ -160,16 +160,16 @@ class Agent(Settings):
 
 
 @dataclass(frozen=True)
-class Reward(Settings):
+class RewardSettings(Settings):
     """Reward of a step: `held` * (1 - c), with c the weighted sum of the costs, each from 0 to 1.
 
     The weights add up to at most `MAX_COST`, so a step with the object held always pays more than 0. Holding on therefore pays more
     than letting go for every object, hand, method and discount.
 
     Example:
-        >>> Reward(iterations=0.8, force=0.0, torque=0.0, force_change=0.0).failure_cost
+        >>> RewardSettings(iterations=0.8, force=0.0, torque=0.0, force_change=0.0).failure_cost
         0.0
-        >>> Reward(iterations=0.8)
+        >>> RewardSettings(iterations=0.8)
         Traceback (most recent call last):
         grasp_env.errors.InvalidInputError: the weights of the reward's costs (iterations 0.8, force 0.1, torque 0.1, ... at most 0.9 ...
     """
@@ -253,11 +253,11 @@ class EpisodeLimits(Settings):
 
 
 @dataclass(frozen=True)
-class Pictures(Settings):
+class PictureSettings(Settings):
     """Pictures that `render` draws.
 
     Example:
-        >>> Pictures(size=(320, 240)).size
+        >>> PictureSettings(size=(320, 240)).size
         (320, 240)
     """
 

@@ -13,7 +13,7 @@ from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceOptimizer, ForceSolution
-from grasp_env.force.initial import InitialForceRule, StartFrom, refused_start, rule_name, rule_start
+from grasp_env.force.initial import InitialForceRule, StartRequest, refused_start, rule_name, rule_start
 from grasp_env.force.objective import Objective
 from grasp_env.force.options import FLOWS
 from grasp_env.force.record import CODE, REFUSED, RESULTS
@@ -114,7 +114,7 @@ class ForceLoop:
         if rng is not None:
             noise = np.random.default_rng(int(rng.integers(2**63)))
             self._noise = None if self._core.exact else NoiseRows(noise, 3 + 3 * self.count)
-        self._start: StartFrom | None = None  # of a Python rule
+        self._start: StartRequest | None = None  # of a Python rule
         self.begin_step()
 
     @property

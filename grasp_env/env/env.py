@@ -122,7 +122,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     `observation="dict"` gives a `Dict` of the same numbers by their keys.
 
     ## Reward
-    `reward.held` * (1 - c) while the object is not lost. c is the sum of four costs, each from 0 to 1 and times its weight in `Reward`:
+    `reward.held` * (1 - c) while the object is not lost. c is the sum of four costs, each from 0 to 1 and times its weight in `RewardSettings`:
 
     - `iterations`: min(1, iterations of the method / `iteration_scale`); 1 if the contacts cannot balance the wrench.
     - `force`: 1 - s_min / s, where s is the sum of the commanded normal forces and s_min the smallest sum that balances the wrench;

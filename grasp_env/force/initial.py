@@ -36,7 +36,7 @@ class InitialForceRule(Protocol):
 
 
 @runtime_checkable
-class LearnedRule(InitialForceRule, Protocol):
+class CompiledRule(InitialForceRule, Protocol):
     """A rule whose network the core evaluates, so that start and method are one compiled call.
 
     Attributes:
@@ -55,7 +55,7 @@ class LearnedRule(InitialForceRule, Protocol):
 
 
 @dataclass(frozen=True)
-class StartFrom:
+class StartRequest:
     """The start of one call of the core.
 
     Attributes:
@@ -82,7 +82,7 @@ class StartFrom:
             record[START], record[REPLACED] = COMBINATION, 1.0
 
 
-OWN_START = StartFrom(0)
+OWN_START = StartRequest(0)
 """The start of the optimizer itself."""
 
 
@@ -147,17 +147,17 @@ def checked_initial(initial: Any) -> Any:
     return initial
 
 
-def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective) -> StartFrom:
+def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective) -> StartRequest:
     """Return the start made by a rule or by a given force (N, 3) [N]; an `InfeasibleStartError` if the rule returns none."""
     if isinstance(initial, np.ndarray | list | tuple):
-        return StartFrom(GIVEN, "given", force=_force("given", initial, grasp))
+        return StartRequest(GIVEN, "given", force=_force("given", initial, grasp))
     name, force = rule_name(initial), call_rule(initial, initial, grasp, wrench.copy())
     if call_rule(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
         # the rule's guarantees hold for its own Phi only: establish them for this one
         force = Repair(objective)(grasp, wrench, force)
     made = _force(name, force, grasp)
     replaced = not isinstance(initial, LinearCombination) and start_replaced(grasp, wrench, made)
-    return StartFrom(GIVEN, name, replaced, made)
+    return StartRequest(GIVEN, name, replaced, made)
 
 
 def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:
@@ -180,10 +180,10 @@ def names_of(initial: Any, options: Options) -> Names:
     name = "given" if isinstance(initial, np.ndarray | list | tuple) else rule_name(initial)
     if name in STARTS:
         return Names(options.method, name)
-    return Names(options.method, name).of_start(LEARNED if isinstance(initial, LearnedRule) else GIVEN, name)
+    return Names(options.method, name).of_start(LEARNED if isinstance(initial, CompiledRule) else GIVEN, name)
 
 
-def refused_start(grasp: Grasp, wrench: Wrench, start: StartFrom, touching: Any) -> InfeasibleStartError:
+def refused_start(grasp: Grasp, wrench: Wrench, start: StartRequest, touching: Any) -> InfeasibleStartError:
     """Return the error for a given force that a descent did not accept."""
     assert start.force is not None
     force = start.force if touching is None else start.force[touching]

@@ -25,9 +25,9 @@ from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.call import Call, checked_call, touching_grasp
 from grasp_env.force.initial import (
     OWN_START,
+    CompiledRule,
     Initial,
-    LearnedRule,
-    StartFrom,
+    StartRequest,
     call_rule,
     checked_initial,
     names_of,
@@ -146,7 +146,7 @@ class ForceOptimizer:
             start, remembers = PREVIOUS, True
         elif isinstance(initial, str):
             start, remembers = STARTS.index(initial), initial == "previous"
-        elif initial is not None and isinstance(initial, LearnedRule):  # a protocol is slow to compare with
+        elif initial is not None and isinstance(initial, CompiledRule):  # a protocol is slow to compare with
             start, remembers = LEARNED, bool(initial.remembers)
             try:
                 model = call_rule(initial, initial.model, grasp, options.objective)
@@ -309,7 +309,7 @@ class ForceOptimizer:
 
     def _solve_from(
         self, load: Wrench, now: Call, initial: Initial | None, optimum: float | None, trace: bool
-    ) -> tuple[ForceSolution, StartFrom]:
+    ) -> tuple[ForceSolution, StartRequest]:
         """Solve from a start of this call, or study its descent; return the start, too."""
         with AllFaults() as check:
             known = float("nan") if optimum is None else check(positive, optimum, "optimum")
@@ -399,18 +399,18 @@ class ForceOptimizer:
         given = {name: value.copy() for name, value in given.items() if value is not None}
         return replace(self.limits, **given) if self.limits is not None and given else self.limits
 
-    def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartFrom:
+    def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartRequest:
         """Return the start of a call; an `InfeasibleStartError` if a rule fails, or returns no force."""
         requested: Any = self._initial if initial is None else checked_initial(initial)
         if requested is None or self.method == "conic":
             return OWN_START
         if isinstance(requested, ForceSolution):
-            return StartFrom(PREVIOUS, before=self._checked_previous(requested))
+            return StartRequest(PREVIOUS, before=self._checked_previous(requested))
         if isinstance(requested, str):
             if initial is not None and requested in FROM_BASIS:
                 self.core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
-            return StartFrom(STARTS.index(requested))
-        if initial is None and isinstance(requested, LearnedRule):
+            return StartRequest(STARTS.index(requested))
+        if initial is None and isinstance(requested, CompiledRule):
             return OWN_START
         moved = self.grasp if all(each is None for each in now) else touching_grasp(self.grasp, now)
         start = rule_start(requested, moved, wrench, self.options.objective)
@@ -418,7 +418,7 @@ class ForceOptimizer:
             return start
         force = np.zeros((self._count, 3))
         force[now.contacts] = start.force
-        return StartFrom(start.start, start.name, start.replaced, force)
+        return StartRequest(start.start, start.name, start.replaced, force)
 
     def _checked_previous(self, previous: ForceSolution) -> ForceSolution:
         """Return a solution to start from; raise if it has no force or another number of contacts."""
@@ -443,7 +443,7 @@ class ForceOptimizer:
         return explain(solution, moved, limits)
 
     def _error(
-        self, solution: ForceSolution, wrench: ArrayLike, given: tuple[Any, ...], start: StartFrom
+        self, solution: ForceSolution, wrench: ArrayLike, given: tuple[Any, ...], start: StartRequest
     ) -> GraspError:
         """Return the error for a solution without a force."""
         code = solution.code

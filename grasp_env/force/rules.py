@@ -15,7 +15,7 @@ from grasp_env.inputs.arguments import ContactForces, Wrench, choice
 
 
 @dataclass(frozen=True)
-class CoreStart:
+class CoreRule:
     """A start of the core, as a rule.
 
     The paper names the single-value and the Lagrange start without defining them; the definitions here are ours.
@@ -34,7 +34,7 @@ class CoreStart:
     Example:
         >>> from grasp_env.grasp import presets
         >>> grasp = presets.paper_cuboid()
-        >>> grasp.cone_margin(CoreStart("single_value")(grasp, [1, 0.5, -0.6, -0.1, 0.2, 0])) > 0
+        >>> grasp.cone_margin(CoreRule("single_value")(grasp, [1, 0.5, -0.6, -0.1, 0.2, 0])) > 0
         True
     """
 
@@ -58,7 +58,7 @@ class CoreStart:
 
 
 @dataclass(frozen=True)
-class StartRule:
+class RuleEntry:
     """An entry of `RULES`.
 
     Attributes:
@@ -70,12 +70,12 @@ class StartRule:
     make: Callable[[Objective], InitialForceRule] = field(repr=False)
 
 
-RULES: dict[str, StartRule] = {
-    "linear_combination": StartRule("12-basis (the paper, fixed at w = 0)", LinearCombination),
-    "linear_combination_printed": StartRule("12-basis, as printed", partial(LinearCombination, printed=True)),
-    "single_value": StartRule("single value", partial(CoreStart, "single_value")),
-    "lagrange": StartRule("Lagrange", partial(CoreStart, "lagrange")),
-    "phase_one": StartRule("phase one, any force inside", partial(CoreStart, "phase_one")),
+RULES: dict[str, RuleEntry] = {
+    "linear_combination": RuleEntry("12-basis (the paper, fixed at w = 0)", LinearCombination),
+    "linear_combination_printed": RuleEntry("12-basis, as printed", partial(LinearCombination, printed=True)),
+    "single_value": RuleEntry("single value", partial(CoreRule, "single_value")),
+    "lagrange": RuleEntry("Lagrange", partial(CoreRule, "lagrange")),
+    "phase_one": RuleEntry("phase one, any force inside", partial(CoreRule, "phase_one")),
 }
 """Start rules by name. "previous" is not among them: `ForceOptimizer` stores the previous solution."""
 
@@ -85,6 +85,6 @@ def initial_rule(name: str, objective: Objective | None = None) -> InitialForceR
 
     Example:
         >>> initial_rule("single_value")
-        CoreStart(name='single_value', objective=Objective(force_weight=1.0, barrier_weight=0.01))
+        CoreRule(name='single_value', objective=Objective(force_weight=1.0, barrier_weight=0.01))
     """
     return RULES[choice(name, "initial-force rule", RULES)].make(as_objective(objective))

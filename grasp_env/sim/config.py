@@ -8,7 +8,7 @@ import numpy as np
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.arguments import as_array, instance, whole
-from grasp_env.sim.engine import Engine, engine_of
+from grasp_env.sim.engine import EngineSettings, engine_of
 from grasp_env.sim.hand.description import HandDescription, Vector3
 from grasp_env.sim.objects.description import ObjectDescription
 
@@ -42,13 +42,13 @@ class SceneConfig:
     object: ObjectDescription = field(default_factory=ObjectDescription)
     contact_points: tuple[Vector3, ...] = _CUBOID_POINTS
     gravity: Vector3 = (0.0, -9.81, 0.0)
-    engine: Engine = field(default_factory=engine_of)
+    engine: EngineSettings = field(default_factory=engine_of)
     substeps: int = 1
     clearance: float = 0.0
     start_angles: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        instance(self.engine, Engine, "engine")
+        instance(self.engine, EngineSettings, "engine")
         whole(self.substeps, "substeps", 1)
         object.__setattr__(self, "gravity", tuple(as_array(self.gravity, (3,), "gravity").tolist()))
         as_array(self.clearance, (), "clearance")

@@ -20,7 +20,7 @@ _MAX_SWEEPS = 100_000
 
 
 @dataclass(frozen=True)
-class Engine(Settings):
+class EngineSettings(Settings):
     """Settings of a physics engine. One file implements `Simulator` for it, another one `Painter`."""
 
     extra: ClassVar[str] = "sim"  # of `pyproject.toml`, which installs the engine
@@ -33,7 +33,7 @@ class Engine(Settings):
 
 
 @dataclass(frozen=True)
-class BulletEngine(Engine):
+class BulletEngine(EngineSettings):
     """PyBullet.
 
     Example:
@@ -68,7 +68,7 @@ def _impedance(value: Any, name: str) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class MujocoEngine(Engine):
+class MujocoEngine(EngineSettings):
     """MuJoCo, as stiff as the time step allows. Its contacts are springs; its manual describes them under `solref` and `solimp`.
 
     Example:
@@ -101,13 +101,13 @@ class MujocoEngine(Engine):
     tolerance: float = setting(1e-12, real(_POSITIVE), "Tolerance of the Newton method.")
 
 
-ENGINES: dict[str, type[Engine]] = {made.name: made for made in (BulletEngine, MujocoEngine)}
+ENGINES: dict[str, type[EngineSettings]] = {made.name: made for made in (BulletEngine, MujocoEngine)}
 """Every engine. To add one, write its settings class here and the modules that the class names."""
-ENGINE = any_of(ENGINES, Engine, ", or give its settings, BulletEngine(...) or MujocoEngine(...)")
+ENGINE = any_of(ENGINES, EngineSettings, ", or give its settings, BulletEngine(...) or MujocoEngine(...)")
 """Kind of a setting that holds an engine."""
 
 
-def engine_of(engine: Any = None, quiet: bool = False) -> Engine:
+def engine_of(engine: Any = None, quiet: bool = False) -> EngineSettings:
     """Return the settings of an engine: those given, the defaults of the named one, or the default engine's.
 
     Args:
@@ -130,7 +130,7 @@ def engine_of(engine: Any = None, quiet: bool = False) -> Engine:
     return MujocoEngine()
 
 
-def class_of(engine: Engine, role: str) -> Any:
+def class_of(engine: EngineSettings, role: str) -> Any:
     """Import and return the class of an engine's "simulator" or "painter"; raise a MissingExtraError if it is not installed."""
     module, name = getattr(engine, role)
     with need(engine.extra):

@@ -53,7 +53,7 @@ def test_a_run_is_saved_told_and_compared(tmp_path, capsys):
 
 def test_batches(monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
-    rows = batch.run(batch.Settings(wrenches=200, rounds=2))
+    rows = batch.run(batch.BatchSettings(wrenches=200, rounds=2))
     assert rows["method"].value_counts().to_dict() == dict.fromkeys(batch.KINDS, 4) | {"peak of the process": 1}
     one, both = (numbers(rows[rows["workers"] == count], "per_second") for count in (1, 2))
     np.testing.assert_allclose(numbers(rows.dropna(subset="ratio"), "ratio"), one / both)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.core import BENCHMARK, CALL, FIRST, RATIO, Settings, joined, run
+from benchmarks.core import BENCHMARK, CALL, FIRST, RATIO, CoreSettings, joined, run
 from benchmarks.core_side import ROWS
 from grasp_env.errors import GraspError, InvalidInputError
 from training.evaluation.results.claims import judge
@@ -33,7 +33,7 @@ def checkout(folder: Path, source: str = "") -> Path:
 
 def test_against_itself(tmp_path):
     old = checkout(tmp_path / "old")
-    rows = run(Settings((3,), 8, 2, 1, baseline=old), (*ROWS, "nonsense"))
+    rows = run(CoreSettings((3,), 8, 2, 1, baseline=old), (*ROWS, "nonsense"))
     assert (old / "runs").read_text() == "\n\n"  # a process a round
     found = summary(rows[rows["reason"].isna()])
     calls, ratios, first = (found[found["case"] == case] for case in (CALL, RATIO, FIRST))
@@ -79,4 +79,4 @@ def test_what_cannot_be_compared_says_why(tmp_path):
         (checkout(tmp_path / "elsewhere", import_it), InvalidInputError, "imports grasp_env from elsewhere"),
     ):
         with pytest.raises(kind, match=said):
-            run(Settings((3,), 8, 1, 1, baseline=baseline), ("newton",))
+            run(CoreSettings((3,), 8, 1, 1, baseline=baseline), ("newton",))

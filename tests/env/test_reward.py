@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from grasp_env.config.records import COSTS, MAX_COST, Reward
+from grasp_env.config.records import COSTS, MAX_COST, RewardSettings
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
@@ -18,12 +18,12 @@ share = st.floats(0.0, 1.0)
 
 
 @st.composite
-def rewards(draw: st.DrawFn) -> Reward:
+def rewards(draw: st.DrawFn) -> RewardSettings:
     """Any allowed reward, the heaviest costs included."""
     parts = np.array([draw(share) for _ in COSTS])
     total = draw(st.sampled_from([MAX_COST, 0.5, 0.0]))
     weights = parts / max(parts.sum(), 1e-9) * total
-    return Reward(
+    return RewardSettings(
         held=draw(st.floats(1e-6, 1e6)), iteration_scale=draw(st.floats(1e-6, 1e6)), failure_cost=draw(st.floats(0.0, 1e6)),
         **dict(zip(COSTS, np.minimum(weights, MAX_COST).tolist(), strict=True)),
     )  # fmt: skip
@@ -34,7 +34,7 @@ def rewards(draw: st.DrawFn) -> Reward:
     gamma=st.floats(0.0, 1.0, exclude_min=True),
 )  # fmt: skip
 def test_holding_one_step_longer_pays_more_than_letting_go_now(
-    reward: Reward, iterations: float, force: float, torque: float, change: float, gamma: float
+    reward: RewardSettings, iterations: float, force: float, torque: float, change: float, gamma: float
 ) -> None:
     held, dropped = (reward.terms(kept, iterations, (force, torque, change)) for kept in (True, False))
     now, later = sum(dropped.values()), sum(held.values()) + gamma * sum(dropped.values())

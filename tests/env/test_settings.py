@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from episodes import random_object
 
-from grasp_env.config import Controller, EnvConfig, Sensors, Solver
+from grasp_env.config import ControllerSettings, EnvConfig, SensorSettings, SolverSettings
 from grasp_env.config.env import KEYWORDS, all_settings, as_config
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.settings import described
@@ -25,7 +25,16 @@ ZERO = np.zeros(6, dtype=np.float32)
 
 def test_every_setting_has_one_description_and_accepts_its_default() -> None:
     records = {EnvConfig, *(kind for _, kind, _ in described(EnvConfig)), *TASKS.values(), *DISTURBANCES.values()}
-    assert records > {Sensors, Solver, Controller, ObjectDescription, BulletEngine, MujocoEngine, RandomWrench, Move}
+    assert records > {
+        SensorSettings,
+        SolverSettings,
+        ControllerSettings,
+        ObjectDescription,
+        BulletEngine,
+        MujocoEngine,
+        RandomWrench,
+        Move,
+    }
     for record in records:
         for item in fields(record):
             about = item.metadata["about"]
@@ -38,8 +47,8 @@ def test_every_setting_has_one_description_and_accepts_its_default() -> None:
 
 def test_records_dicts_keywords_paths_and_json_give_the_same() -> None:
     wanted = EnvConfig(
-        object=ObjectDescription("sphere", (0.08,), mass=0.15), disturbance=Impulses(force=2.0), sensors=Sensors(delay=0.004),
-        solver=Solver(method="newton"),
+        object=ObjectDescription("sphere", (0.08,), mass=0.15), disturbance=Impulses(force=2.0), sensors=SensorSettings(delay=0.004),
+        solver=SolverSettings(method="newton"),
     )  # fmt: skip
     given: dict[str, Any] = {"sensors": {"delay": 0.004}, "disturbance": {"name": "impulses", "force": 2.0}}
     paths: dict[str, Any] = {
@@ -58,7 +67,7 @@ def test_records_dicts_keywords_paths_and_json_give_the_same() -> None:
     ):
         assert (made, hash(made)) == (wanted, hash(wanted))
     changed = wanted.override(sensors={"pose_noise": 1e-5}, disturbance={"moment": 0.0}, mass=0.2)
-    assert (changed.sensors, changed.disturbance) == (Sensors(delay=0.004, pose_noise=1e-5), Impulses(2.0, 0.0))
+    assert (changed.sensors, changed.disturbance) == (SensorSettings(delay=0.004, pose_noise=1e-5), Impulses(2.0, 0.0))
     assert (changed.object.shape, changed.object.mass) == ("sphere", 0.2)
     assert wanted.override(shape="cylinder").object.size == (0.1, 0.1)  # another shape has its own size
     env = FourFingerGrasp(config=wanted.override(mass=0.2).to_json(), mass=0.15)
@@ -122,7 +131,7 @@ def test_what_is_drawn_depends_on_the_seed_and_reaches_the_episode() -> None:
     assert found[0] == found[3]
     assert found[1] == found[2]
     assert all(len({row[k] for row in found}) == 2 for k in range(5))
-    assert env.config.sensors == Sensors()  # the settings stay
+    assert env.config.sensors == SensorSettings()  # the settings stay
     blind = FourFingerGrasp(randomize={"gravity": ranges["gravity"]}, sensors={"wrench": "none"}, disturbance="none")
     _, info = blind.reset(seed=1)  # it still knows the drawn gravity
     np.testing.assert_allclose(info["wrench"][:3], 0.2 * np.array(blind.episode.gravity), atol=0.05)

@@ -18,14 +18,14 @@ from gymnasium.envs.registration import EnvSpec
 from hands import gripper
 
 from grasp_env.config import (
-    Agent,
-    Controller,
+    AgentSettings,
+    ControllerSettings,
     EnvConfig,
     EpisodeLimits,
-    Pictures,
-    Reward,
-    Sensors,
-    Solver,
+    PictureSettings,
+    RewardSettings,
+    SensorSettings,
+    SolverSettings,
 )
 from grasp_env.force.initial import LinearCombination
 from grasp_env.sim import BulletEngine, HandDescription, MujocoEngine, ObjectDescription
@@ -65,12 +65,12 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "placed hand": {"hand": gripper(3, 3), "shape": "sphere", "size": 0.06, "approach": np.array([0.0, 0.0, -1.0])},
     "object after one of its settings": {"mass": 0.3, "object": ObjectDescription("sphere", (0.08,), mass=0.15, friction=0.7)},
     "all small records": {
-        "sensors": Sensors(delay=0.004, pose_noise=1e-5), "solver": Solver(tolerance=1e-5), "controller": Controller(squeeze=30.0),
-        "agent": Agent(action_mode="contact_force"), "reward": Reward(force=0.2), "limits": EpisodeLimits(duration=0.2),
-        "pictures": Pictures(size=(64, 48)), "duration": 0.3, "sensors.tactile_noise": 0.01,
+        "sensors": SensorSettings(delay=0.004, pose_noise=1e-5), "solver": SolverSettings(tolerance=1e-5), "controller": ControllerSettings(squeeze=30.0),
+        "agent": AgentSettings(action_mode="contact_force"), "reward": RewardSettings(force=0.2), "limits": EpisodeLimits(duration=0.2),
+        "pictures": PictureSettings(size=(64, 48)), "duration": 0.3, "sensors.tactile_noise": 0.01,
     },
     "records in a record": {
-        "config": EnvConfig(hand=FOUR.moved((0.0, 0.001, 0.0)), sensors=Sensors(pose_noise=1e-5), task=Payload(factor=1.5)),
+        "config": EnvConfig(hand=FOUR.moved((0.0, 0.001, 0.0)), sensors=SensorSettings(pose_noise=1e-5), task=Payload(factor=1.5)),
         "sensors": {"delay": 0.004},
     },
     "records in a dict": {"config": {"schema": 1, "hand": FOUR, "disturbance": Impulses(force=2.0)}},
@@ -135,7 +135,7 @@ def test_many_environments_and_lists_of_pictures_have_json() -> None:
         envs.close()
     single = gym.make(ID, **given)
     assert gym.make_vec(restored(single.spec), 2).num_envs == 2
-    env = gym.make(ID, render_mode="rgb_array_list", pictures=Pictures(size=(64, 48)), **given)
+    env = gym.make(ID, render_mode="rgb_array_list", pictures=PictureSettings(size=(64, 48)), **given)
     made = gym.make(restored(env.spec))
     assert made.render_mode == "rgb_array_list"
     assert made.spec == env.spec
@@ -173,7 +173,7 @@ class Breeze(RandomWrench):
 
 
 @dataclass(frozen=True)
-class BetterSensors(Sensors):
+class BetterSensors(SensorSettings):
     """A user's record of another class than the one that reads it."""
 
 
@@ -188,7 +188,7 @@ WITHOUT: list[tuple[dict[str, Any], str]] = [
     ({"hand": OwnHand(**vars(FOUR))}, r"hand is OwnHand\("),
     ({"sensors": BetterSensors()}, r"sensors is BetterSensors\("),
     ({"initial_force": LinearCombination()}, r"initial_force is LinearCombination\("),
-    ({"solver": Solver(initial_force=LinearCombination())}, r"solver.initial_force is LinearCombination\("),
+    ({"solver": SolverSettings(initial_force=LinearCombination())}, r"solver.initial_force is LinearCombination\("),
     ({"randomize": {"mass": (0.1, 0.2), "gravity": lambda rng: (0.0, -9.0, 0.0)}}, r"randomize\['gravity'\] is <function"),
     ({"config": EnvConfig(disturbance=Gusts())}, r"disturbance is Gusts\("),
     ({"config": {"schema": 1, "disturbance": Gusts()}}, r"disturbance is Gusts\("),

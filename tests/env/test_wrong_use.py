@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from engines import bullet, needs_bullet
 
-from grasp_env.config import EnvConfig, Reward
+from grasp_env.config import EnvConfig, RewardSettings
 from grasp_env.config.env import as_config
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownSettingError
@@ -32,7 +32,7 @@ CALLS: dict[str, Callable[..., Any]] = {
     "return": lambda value: disturb(lambda *_: value, TIMES, np.random.default_rng(0), EnvConfig()),
     "to_json": lambda **settings: EnvConfig().override(**settings).to_json(),
     "as_config": as_config,
-    "reward": Reward,
+    "reward": RewardSettings,
 }
 WRONG: list[tuple[str, dict[str, Any], str]] = [
     ("override", {"disturbance": "wind"}, r"unknown disturbance 'wind'.*'none'.*or give a function"),

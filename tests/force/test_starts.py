@@ -28,7 +28,7 @@ from grasp_env.force import (
 )
 from grasp_env.force.initial import LinearCombination
 from grasp_env.force.repair import CORRECTIONS, carry_over, start_replaced
-from grasp_env.force.rules import CoreStart, initial_rule
+from grasp_env.force.rules import CoreRule, initial_rule
 from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
 from grasp_env.quality import feasibility
@@ -73,7 +73,7 @@ def test_rules_that_always_have_a_start(k: int, name: str) -> None:
 
 
 def test_lagrange_starts_are_stationary() -> None:
-    rule, rng, starts, misses = CoreStart("lagrange"), np.random.default_rng(1), 0, 0
+    rule, rng, starts, misses = CoreRule("lagrange"), np.random.default_rng(1), 0, 0
     for grasp in (*GRASPS.values(), *closure_grasps(12)):
         for wrench in (np.zeros(6), *wrenches.sample_ball(rng, 3), *wrenches.sample_magnitudes(rng, 3, 1e-2, 1e3)):
             try:
@@ -266,7 +266,7 @@ def test_a_rule_gets_the_contacts_of_the_call() -> None:
 
     def rule(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
         seen.append(grasp)
-        return CoreStart("single_value")(grasp, wrench)
+        return CoreRule("single_value")(grasp, wrench)
 
     there = moved(GRASPS["cuboid, 5"], np.random.default_rng(6), 0.01)
     optimizer, touching = ForceOptimizer(GRASPS["cuboid, 5"]), np.array([True, True, True, True, False])

@@ -16,7 +16,7 @@ from force.named import NAMED
 from problems import GRASPS, PAPER_WRENCH
 
 from grasp_env import errors
-from grasp_env.config.records import Solver
+from grasp_env.config.records import SolverSettings
 from grasp_env.errors import (
     GraspError,
     InfeasibleStartError,
@@ -41,7 +41,7 @@ from grasp_env.force import (
 from grasp_env.force.initial import LinearCombination
 from grasp_env.force.options import DESCENTS, METHODS
 from grasp_env.force.repair import carry_over
-from grasp_env.force.rules import RULES, CoreStart, initial_rule
+from grasp_env.force.rules import RULES, CoreRule, initial_rule
 from grasp_env.grasp import Grasp, presets
 
 GRASP, PUSHED, SOFT = presets.paper_cuboid(), NAMED["pushed"].grasp, NAMED["soft"].grasp
@@ -77,7 +77,7 @@ def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
         (solve(limits=ForceLimits(jacobian=JAC, torque_limit=1.0)), r"jacobian must have shape \(4, 3, J\)"),
         *((solve(method="conic", **{name: odd}), name) for name, odd in (("initial", np.ones((4, 3))), ("optimum", 3.0), ("trace", True), ("step_rule", 0.1))),
         (solve(method="conic", barrier_weight=0.1), "method 'conic' has no barrier, got barrier_weight=0.1: take method='newton', or leave it out"),
-        (partial(Solver, method="conic", barrier_weight=0.1), "has no barrier, got solver.barrier_weight=0.1"),
+        (partial(SolverSettings, method="conic", barrier_weight=0.1), "has no barrier, got solver.barrier_weight=0.1"),
         (solve(criterion="max"), "belongs to method 'conic'"), (solve(step_rule=FixedStep(0.1)), "step_rule belongs to the flows, got method 'newton'"),
         *((solve(method="reduced_flow", **given), "newton or conic") for given in ({"limits": ForceLimits(max_normal=9.0)}, {"grasp": SOFT})),
         (solve(method="full_flow", grasp=Grasp.from_contacts(0.05 * RING, -RING, 0.5)), "the full flow is dense: at most 8 contacts"),
@@ -145,7 +145,7 @@ class Rule:
     name, remembers = "mine", False
 
     def __call__(self, grasp: Grasp, wrench: np.ndarray) -> Any:
-        return CoreStart("single_value")(grasp, wrench)
+        return CoreRule("single_value")(grasp, wrench)
 
 
 def ruled(**parts: object) -> Any:

@@ -17,7 +17,7 @@ from grasp_env.config.env import as_config
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.env.plan import make_plan
 from grasp_env.force.initial import LinearCombination
-from grasp_env.force.rules import CoreStart
+from grasp_env.force.rules import CoreRule
 from grasp_env.grasp import (
     Grasp,
     gravity_wrench,
@@ -175,7 +175,7 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "Repair": Call(lambda objective, **k: f.Repair(objective)(**k), {**state, "candidate": FORCE, "objective": f.Objective()}),
         "LinearCombination": Call(_started(LinearCombination), state),
-        **{name: Call(_started(partial(CoreStart, name)), state) for name in ("single_value", "lagrange", "phase_one")},
+        **{name: Call(_started(partial(CoreRule, name)), state) for name in ("single_value", "lagrange", "phase_one")},
         "FixedStep": Call(f.FixedStep, {"size": 0.3}),
         "ArmijoStep": Call(f.ArmijoStep, {"first": 0.3, "shrink": 0.5, "slope": 1e-4}),
         "AdaptiveStep": Call(f.AdaptiveStep, {"first": 0.3, "grow": 1.5, "shrink": 0.5}),

@@ -29,7 +29,7 @@ from training.fit.fit_config import FitConfig
 from training.fit.loop import WARM, optimise
 from training.fit.one_grasp import NetworkTask, fit
 from training.fit.soap import Soap
-from training.fit.state import Progress, StateFile
+from training.fit.state import FitProgress, StateFile
 from training.program.cli import main
 
 FIXED: dict[str, Any] = {"steps": 40, "samples": 4096, "hidden": (16,), "batch_size": 256}
@@ -204,7 +204,7 @@ def test_a_grasp_of_a_file_becomes_a_model(contacts, low, tmp_path, capsys):
 
 def test_a_truncated_or_changed_state_is_refused(tmp_path):
     network, settings, out = Network(9, (4,), 6, 0), {"seed": 0}, tmp_path / "model"
-    file, rng, now = StateFile(out, settings), np.random.default_rng(0), Progress(3, 1.0, 1.0, [[0.0, 0.0]])
+    file, rng, now = StateFile(out, settings), np.random.default_rng(0), FitProgress(3, 1.0, 1.0, [[0.0, 0.0]])
     file.save(network, Soap(network.parameters(), 0.1), rng, now)
     assert file.restore(network, Soap(network.parameters(), 0.1), rng) == now
     whole = file.path.read_bytes()

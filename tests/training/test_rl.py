@@ -20,7 +20,7 @@ from grasp_env.config.env import as_config
 from grasp_env.errors import GraspError
 from policies import TrainedAgent, ZeroPolicy
 from policies.agent_files import ENV_ID, checkpoints, find_checkpoint, read_meta
-from training.data.episodes import Step
+from training.data.episodes import EpisodeStep
 from training.evaluation.report import rl_page as page
 from training.evaluation.results import Run
 from training.evaluation.results.columns import TIMES
@@ -123,7 +123,7 @@ def test_the_page_is_made_of_the_rows(ppo):
 def test_an_episode_is_held_only_if_it_ends_well():
     info = {"iterations": 3, "commanded_force": np.full((4, 3), 2.0), "torque_share": 0.25, "drift": 0.004}
     info |= {"fault": "", "is_success": True}
-    first, last = Step(0.5, {**info, "drift": 0.01, "iterations": 5}, False), Step(0.25, info, True)
+    first, last = EpisodeStep(0.5, {**info, "drift": 0.01, "iterations": 5}, False), EpisodeStep(0.25, info, True)
     assert outcome([first, last]) == {
         "held": True, "failure": None, "return": 0.75, "mean_iterations": 4.0, "commanded_force": 8.0, "torque_share": 0.25,
         "drift": pytest.approx(10.0), "end_drift": pytest.approx(4.0),

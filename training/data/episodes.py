@@ -12,7 +12,7 @@ import numpy as np
 from policies.controllers import Policy
 
 
-class Step(NamedTuple):
+class EpisodeStep(NamedTuple):
     """Result of an environment step; `last` is true if it ended the episode."""
 
     reward: float
@@ -20,7 +20,9 @@ class Step(NamedTuple):
     last: bool
 
 
-def episode(env: gym.Env[Any, Any], seed: int, policy: Policy | None = None, most: int | None = None) -> Iterator[Step]:
+def episode(
+    env: gym.Env[Any, Any], seed: int, policy: Policy | None = None, most: int | None = None
+) -> Iterator[EpisodeStep]:
     """Reset the environment at once and return an iterator that steps it.
 
     Args:
@@ -33,13 +35,13 @@ def episode(env: gym.Env[Any, Any], seed: int, policy: Policy | None = None, mos
     return _steps(env, observation, policy, most)
 
 
-def _steps(env: gym.Env[Any, Any], observation: Any, policy: Policy | None, most: int | None) -> Iterator[Step]:
+def _steps(env: gym.Env[Any, Any], observation: Any, policy: Policy | None, most: int | None) -> Iterator[EpisodeStep]:
     action: Any = np.zeros(env.action_space.shape or (1,), dtype=np.float32)
     for _ in count() if most is None else range(most):
         if policy is not None:
             action, _ = policy.predict(observation, deterministic=True)
         observation, reward, terminated, truncated, info = env.step(action)
         last = bool(terminated or truncated)
-        yield Step(float(reward), info, last)
+        yield EpisodeStep(float(reward), info, last)
         if last:
             return

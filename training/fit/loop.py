@@ -19,7 +19,7 @@ from training.evaluation.results.bars import progress
 from training.evaluation.results.interrupts import interruptible
 from training.fit.fit_config import FitConfig
 from training.fit.soap import Soap
-from training.fit.state import Progress, StateFile
+from training.fit.state import FitProgress, StateFile
 
 MARKS = 20
 """Number of held-out scores, and of saved states, per training."""
@@ -47,7 +47,7 @@ class NetworkTask:
         self.config, self.module = config, module
         self._train, self._held_out = train, held_out
 
-    def done(self, now: Progress) -> float:
+    def done(self, now: FitProgress) -> float:
         """Return the completed share of the training, 0 to 1 or above."""
         return now.cpu_seconds / self.config.seconds if self.config.seconds else now.step / self.config.steps
 
@@ -81,7 +81,7 @@ def gaps(network: Network, samples: Samples) -> Tensor:
     return torch.baddbmm(goal, metric.reshape(-1, size, size), outputs, beta=-1).square().sum((1, 2))
 
 
-def optimise(task: NetworkTask, state: StateFile | None = None, resume: bool = False, words: str = "") -> Progress:
+def optimise(task: NetworkTask, state: StateFile | None = None, resume: bool = False, words: str = "") -> FitProgress:
     """Train `task.module`.
 
     Unless time decides, the result has the same bits with any number of threads, and after an interrupt and resume.
@@ -99,7 +99,7 @@ def optimise(task: NetworkTask, state: StateFile | None = None, resume: bool = F
     rng = np.random.default_rng([config.seed, 2])
     parameters = list(task.module.parameters())
     optimiser = Soap(parameters, lr=config.learning_rate)
-    now, mark = Progress(), 0.0
+    now, mark = FitProgress(), 0.0
     if state is not None and resume:
         now = state.restore(task.module, optimiser, rng)
         mark = _next_mark(task.done(now))
@@ -149,13 +149,13 @@ def _next_mark(done: float) -> float:
 
 
 @contextmanager
-def _reporting(task: NetworkTask, words: str) -> Iterator[Callable[[Progress, list[float]], None]]:
+def _reporting(task: NetworkTask, words: str) -> Iterator[Callable[[FitProgress, list[float]], None]]:
     console, seconds = Console(stderr=True, quiet=not words), task.config.seconds
     total = round(seconds) or task.config.steps
     with progress(console) as bar:
         shown = bar.add_task(f"{words}, {'seconds' if seconds else 'steps'}", total=total)
 
-        def report(now: Progress, row: list[float]) -> None:
+        def report(now: FitProgress, row: list[float]) -> None:
             ball, whole = (" ".join(f"{value:.0e}" for value in part) for part in (row[:3], row[3:]))
             note = f"gaps, median p95 p99: ball {ball}, all {whole}"
             bar.update(shown, completed=round(total * min(1.0, task.done(now))), note=note)

@@ -29,7 +29,7 @@ from training.evaluation.results.words import small
 from training.fit.fit_config import FitConfig
 from training.fit.loop import AT_ONCE, PERCENTILES, NetworkTask, Samples, optimise
 from training.fit.scores import scores
-from training.fit.state import Progress, StateFile
+from training.fit.state import FitProgress, StateFile
 
 FRICTIONS = 256
 """Number of frictions in the data."""
@@ -111,7 +111,7 @@ def fit(
     return checkpoint
 
 
-def _card(config: FitConfig, grasp: Grasp, count: int, command: str, now: Progress) -> dict[str, Any]:
+def _card(config: FitConfig, grasp: Grasp, count: int, command: str, now: FitProgress) -> dict[str, Any]:
     made, columns = provenance(), [f"{which} p{p}" for which in ("ball", "range") for p in PERCENTILES]
     named = {"preset": config.preset} if config.grasp is None else {"file": Path(config.grasp).name}
     contacts = {"positions": grasp.positions, "normals": grasp.normals, "friction": grasp.models.friction}

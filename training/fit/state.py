@@ -24,8 +24,8 @@ SPACE = 32_000_000
 
 
 @dataclass
-class Progress:
-    """Progress of a training.
+class FitProgress:
+    """FitProgress of a training.
 
     Attributes:
         step: optimisation steps taken.
@@ -78,7 +78,7 @@ class StateFile:
         return state
 
     def save(
-        self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator, now: Progress
+        self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator, now: FitProgress
     ) -> None:
         """Write everything under a temporary name, then rename it."""
         tensors = {f"weight.{name}": value.detach().numpy() for name, value in module.state_dict().items()}
@@ -96,7 +96,7 @@ class StateFile:
                 f"cannot write {self.path}, the last state is still whole: {file_fault(error, '--out')}"
             ) from None
 
-    def restore(self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator) -> Progress:
+    def restore(self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator) -> FitProgress:
         """Restore the saved weights, moments and generator.
 
         Raises:
@@ -113,7 +113,7 @@ class StateFile:
             optimiser.load_state_dict({"state": moments, "param_groups": optimiser.state_dict()["param_groups"]})
             rng.bit_generator.state = meta["rng"]
             curve = [[float(value) for value in row] for row in meta["curve"]]
-            return Progress(int(meta["step"]), float(meta["seconds"]), float(meta["cpu_seconds"]), curve)
+            return FitProgress(int(meta["step"]), float(meta["seconds"]), float(meta["cpu_seconds"]), curve)
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             raise self._damaged(error) from None
 

@@ -11,7 +11,7 @@ from grasp_env.config.env import as_config
 from grasp_env.force.initial import InitialForceRule
 from policies.agent_files import ENV_ID
 from policies.controllers import Policy
-from training.data.episodes import Step, episode
+from training.data.episodes import EpisodeStep, episode
 
 
 def score(
@@ -45,7 +45,7 @@ def score(
     return rows
 
 
-def outcome(steps: list[Step], solver: bool = True) -> dict[str, Any]:
+def outcome(steps: list[EpisodeStep], solver: bool = True) -> dict[str, Any]:
     """Return the outcome of an episode: its return, whether the object was held to the end within the task's limits, and means."""
     infos = [step.info for step in steps]
     held = bool(infos[-1]["is_success"])

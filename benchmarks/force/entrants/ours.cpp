@@ -9,7 +9,7 @@ namespace {
 constexpr double TOLERANCE = 1e-6;
 constexpr grasp::StepRule SHORT{.kind = grasp::StepRule::BARZILAI_BORWEIN, .grow = 2.0};  // the flow's best rule
 
-struct Solver {
+struct Session {
     grasp::ForceOptimizer optimizer;
     bool remembers = false;
 };
@@ -26,13 +26,13 @@ void* make(const force_problem* p, grasp::Options options, bool remembers = fals
     problem.limits = {.min_normal = numbers(p->min_normal, n), .max_normal = numbers(p->max_normal, n),
                       .jacobian = numbers(p->jacobian, 6 * n * p->joints), .torque_limit = numbers(p->torque_limit, p->joints),
                       .torque_bias = numbers(p->torque_bias, p->joints)};
-    return new Solver{grasp::ForceOptimizer(problem, options), remembers};
+    return new Session{grasp::ForceOptimizer(problem, options), remembers};
 } catch (const std::invalid_argument&) {
     return nullptr;
 }
 
 int solve(void* context, const force_problem* p, const double* start, double* force, double* multipliers, int* iterations) {
-    auto& [optimizer, remembers] = *static_cast<Solver*>(context);
+    auto& [optimizer, remembers] = *static_cast<Session*>(context);
     const int n = p->contacts;
     grasp::Request ask{.wrench = p->wrench};
     if (p->moved)
@@ -81,7 +81,7 @@ int newton(void* context, const force_problem* p, const double* start, double* f
 int flow(void* context, const force_problem* p, const double* start, double* force, double* multipliers, int* iterations) {
     return solve(context, p, start, force, multipliers, iterations);
 }
-void conic_close(void* context) { delete static_cast<Solver*>(context); }
+void conic_close(void* context) { delete static_cast<Session*>(context); }
 void newton_close(void* context) { conic_close(context); }
 void flow_close(void* context) { conic_close(context); }
 

@@ -47,9 +47,9 @@ private:
 };
 
 // The same for an agent's step.
-class Step {
+class AgentStep {
 public:
-    Step(const Controller& controller, nb::handle adjustment, nb::handle start, nb::handle given)
+    AgentStep(const Controller& controller, nb::handle adjustment, nb::handle start, nb::handle given)
         : adjustment_(adjustment), start_(start), given_(given) {
         const auto forces = [&](const Buffer& from, nb::handle object) {
             if (object.is_none()) return Doubles{};
@@ -64,7 +64,7 @@ public:
         step.force = forces(given_, given);
         if (!start.is_none()) step.start = Start::given, step.force = forces(start_, start);
     }
-    Controller::Step step;
+    Controller::StepRequest step;
 
 private:
     Buffer adjustment_, start_, given_;
@@ -78,7 +78,7 @@ nb::typed<nb::list, double> list_of(const std::vector<double>& numbers) {
 
 nb::typed<nb::list, double> act(Controller& controller, bool due, nb::handle adjustment, nb::handle start, nb::handle given) {
     if (due) {
-        const Step step(controller, adjustment, start, given);
+        const AgentStep step(controller, adjustment, start, given);
         controller.act(&step.step);
     } else {
         controller.act();

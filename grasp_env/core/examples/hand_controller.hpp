@@ -22,7 +22,7 @@ struct HandState {
 constexpr Numbers HandState::* PARTS[] = {&HandState::angles,  &HandState::rates,  &HandState::touching, &HandState::positions,
                                           &HandState::normals, &HandState::wrench, &HandState::gravity,  &HandState::age};
 
-struct Settings {
+struct HandControllerSettings {
     double friction = 0.8, rate = 1000.0;  // coefficient; [Hz] of `update`
     int iterations = 40;  // largest number of solver steps in an update
     double budget = 1e-4;  // [s] longer updates are counted
@@ -58,7 +58,7 @@ public:
     double duration = 0.0;  // [s] of the last update
     int late = 0, over_budget = 0;  // number of updates after a missed deadline; number longer than the budget
 
-    void configure(std::shared_ptr<const grasp::Tree> hand, const Settings& settings, const Calibration& calibration) {
+    void configure(std::shared_ptr<const grasp::Tree> hand, const HandControllerSettings& settings, const Calibration& calibration) {
         m_ = hand->joints(), n_ = hand->fingers(), status = inactive, jacobian_ = Numbers(3 * n_ * m_);
         hand_ = hand, s_ = settings, calibration_ = calibration, posture_.emplace(hand), now_ = HandState(m_, n_);
         torques = commands = home_ = limits_ = carry_ = spring_ = wanted_ = Numbers(m_), forces_ = pushes_ = Numbers(3 * n_);
@@ -94,7 +94,7 @@ public:
 private:
     int m_ = 0, n_ = 0;
     std::shared_ptr<const grasp::Tree> hand_;
-    Settings s_;
+    HandControllerSettings s_;
     Calibration calibration_;
     std::optional<grasp::Posture> posture_;
     std::optional<grasp::ForceOptimizer> solver_;

@@ -105,7 +105,7 @@ struct Trial {
         for (std::size_t j = 0; j < noise.size(); ++j) noise[j] = std::sin(1.7 * ticks + double(j));
         constexpr Hold KINDS[] = {Hold::optimized, Hold::optimized, Hold::squeeze, Hold::direct, Hold::place, Hold::reach};
         controller->hold = KINDS[ticks / 50 % 6];
-        Controller::Step step;
+        Controller::StepRequest step;
         if (controller->hold == Hold::direct) step.force = forces;
         else if (ticks % 3 == 0) step.adjustment = adjustment;
         const Controller::Known known{reading, wrench, noise.data(), {0.0, -9.81, 0.0}, target};

@@ -10,13 +10,13 @@ import pytest
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import ForceOptimizer, Objective, Repair, Status
 from grasp_env.force.repair import carry_over
-from grasp_env.force.rules import CoreStart
+from grasp_env.force.rules import CoreRule
 from grasp_env.grasp import presets, wrench
 from training.evaluation.compare import trial
 from training.evaluation.compare.case import Case
 from training.evaluation.compare.cases import make_cases
 from training.evaluation.compare.methods import METHODS, optimizer
-from training.evaluation.compare.starts import STARTS, DoesNotApply, PreparedStart, StartFactory
+from training.evaluation.compare.starts import STARTS, ComparedStart, DoesNotApply, StartContext
 from training.evaluation.compare.trial import FINE, TOLERANCE, trials
 from training.evaluation.results.table import chosen, numbers, table
 
@@ -25,7 +25,7 @@ PHI = Objective()
 
 @pytest.fixture(scope="module")
 def factory():
-    return StartFactory(PHI)
+    return StartContext(PHI)
 
 
 @pytest.fixture(scope="module")
@@ -107,8 +107,8 @@ def test_a_start_that_does_not_apply_has_no_row_and_one_that_fails_has_one():
         raise ValueError("many words " * 30)
 
     cases = make_cases("random_5", 12, 0)
-    more = StartFactory(PHI, {"boom": boom, "flat": lambda grasp, load: np.ones(3)}).made()
-    rows = table(trials("random_5", cases, {**more, "lagrange": PreparedStart(never, {})}, PHI))
+    more = StartContext(PHI, {"boom": boom, "flat": lambda grasp, load: np.ones(3)}).made()
+    rows = table(trials("random_5", cases, {**more, "lagrange": ComparedStart(never, {})}, PHI))
     for key in ("learned_fixed", "nearest_tangent", "previous_tangent", "network"):
         assert of(rows, key).empty
         with pytest.raises(DoesNotApply):
@@ -126,10 +126,10 @@ def test_invalid_forces_are_told_from_each_other():
     given = {
         "unbalanced": lambda grasp, load: np.tile([1.0, 0.0, 0.0], (grasp.n_contacts, 1)),
         "outside": lambda grasp, load: -(grasp.pseudoinverse @ load).reshape(-1, 3),
-        "own": lambda grasp, load: CoreStart("single_value")(grasp, load),
+        "own": lambda grasp, load: CoreRule("single_value")(grasp, load),
         "discarded": lambda grasp, load: Repair()(grasp, load, np.tile([10.0, 0.0, 0.0], (grasp.n_contacts, 1))),
     }
-    made = StartFactory(PHI, given).made()
+    made = StartContext(PHI, given).made()
     some = {key: made[key] for key in ("single_value", "linear_combination", *given)}
     cases = make_cases("ball", 5, 0)
     rows = table(trials("ball", cases, some, PHI))
@@ -158,7 +158,7 @@ def test_the_nearest_stored_solution_is_that_of_its_wrench_and_optima_are_of_the
 
 
 def test_slopes_are_differences_along_a_path():
-    grasp, start = presets.paper_cuboid(), StartFactory(PHI).named("linear_combination")
+    grasp, start = presets.paper_cuboid(), StartContext(PHI).named("linear_combination")
     loads = np.array([[1, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0.05], [0, 0, 0, 0, 0, 0.05]], float)
     cases = [Case(grasp, loads[0]), Case(grasp, loads[1], (grasp, loads[0])), Case(grasp, loads[2], (grasp, loads[0]))]
     slopes = numbers(table(trials("x", cases, {"linear_combination": start}, PHI, solved=False)), "start_slope")

@@ -21,7 +21,7 @@ from training.evaluation.compare.cases import SETS, make_cases
 from training.evaluation.compare.given import Given
 from training.evaluation.compare.holds import HOLDS_OF_STARTS, hold_of_start
 from training.evaluation.compare.methods import FLOW, METHODS, optimizer
-from training.evaluation.compare.starts import PreparedStart, StartFactory
+from training.evaluation.compare.starts import ComparedStart, StartContext
 from training.evaluation.compare.trial import TOLERANCE, trials
 from training.evaluation.results.bars import progress
 from training.evaluation.results.run import SHARDS, Run, check_counts
@@ -99,7 +99,7 @@ def run(
 def _shipped() -> pd.DataFrame:
     """Return one row about the shipped model: processor time of its training, and size of its files."""
     stem = PRETRAINED / "four_finger"
-    card = StartFactory(Objective()).model.checkpoint.card
+    card = StartContext(Objective()).model.checkpoint.card
     size = sum(path.stat().st_size for path in stem.parent.glob(f"{stem.name}.*"))
     cpu = card.get("cpu_seconds", card.get("seconds"))
     return table([{"case": MODEL, "start": "learned_fixed", "cpu_seconds": cpu, "bytes": size}])
@@ -121,7 +121,7 @@ def work(shard: Shard) -> pd.DataFrame:
     rules, made = _made(shard.given, shard.objective)
     if shard.name.startswith("holds/"):
         _, scenario, start = shard.name.split("/")
-        rule = HELD_WITH.get(start) or rules.get(start) or StartFactory(shard.objective).model
+        rule = HELD_WITH.get(start) or rules.get(start) or StartContext(shard.objective).model
         return table(hold_of_start(scenario, start, rule, config.episodes, config.seed, config.steps))
     which, starts = SETS[shard.name], _looked_at(shard.name, made, rules)
     cases = make_cases(shard.name, config.wrenches, config.seed)
@@ -130,14 +130,14 @@ def work(shard: Shard) -> pd.DataFrame:
 
 
 @cache
-def _made(given: Given, objective: Objective) -> tuple[Mapping[str, InitialForceRule], dict[str, PreparedStart]]:
+def _made(given: Given, objective: Objective) -> tuple[Mapping[str, InitialForceRule], dict[str, ComparedStart]]:
     rules = given.unpack()
-    return rules, StartFactory(objective, rules).made()
+    return rules, StartContext(objective, rules).made()
 
 
 def _looked_at(
-    name: str, made: Mapping[str, PreparedStart], given: Mapping[str, InitialForceRule]
-) -> dict[str, PreparedStart]:
+    name: str, made: Mapping[str, ComparedStart], given: Mapping[str, InitialForceRule]
+) -> dict[str, ComparedStart]:
     """Return the starts that are evaluated on a set."""
     only = SETS[name].starts
     return {key: one for key, one in made.items() if not only or key in only or key in given}
@@ -169,7 +169,7 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
     compiled = dict[tuple[str, str], np.ndarray]()
     for key, start in made.items():
 
-        def alone(k: int, start: PreparedStart = start) -> ContactForces:
+        def alone(k: int, start: ComparedStart = start) -> ContactForces:
             return start.start(cases[k].grasp, cases[k].wrench, optima[before[k]])
 
         for method in METHODS:

@@ -12,10 +12,10 @@ from scipy.spatial import KDTree
 
 from grasp_env.core import record_size
 from grasp_env.force import ForceOptimizer, ForceSolution, Objective, OfflineBasis, optimize_force, optimize_forces
-from grasp_env.force.initial import InitialForceRule, LearnedRule, call_rule
+from grasp_env.force.initial import CompiledRule, InitialForceRule, call_rule
 from grasp_env.force.record import CONTACTS, FORCE
 from grasp_env.force.repair import Correction, carry_over
-from grasp_env.force.rules import RULES, CoreStart, initial_rule
+from grasp_env.force.rules import RULES, CoreRule, initial_rule
 from grasp_env.force.solution import Names
 from grasp_env.grasp import Grasp, presets, wrench
 from grasp_env.inputs.arguments import Array, ContactForces, Wrench
@@ -42,7 +42,7 @@ class DoesNotApply(Exception):
 
 
 @dataclass(frozen=True)
-class PreparedStart:
+class ComparedStart:
     """Start that is ready for use.
 
     Attributes:
@@ -56,12 +56,12 @@ class PreparedStart:
     compiled: bool = False
 
     @classmethod
-    def of(cls, rule: InitialForceRule, timed: str | InitialForceRule | None = None) -> PreparedStart:
+    def of(cls, rule: InitialForceRule, timed: str | InitialForceRule | None = None) -> ComparedStart:
         """Make the start of a rule that ignores the previous solution; `timed` replaces the rule in timings."""
         return cls(lambda grasp, load, before: rule(grasp, load), {"initial": timed or rule}, timed is not None)
 
 
-class StartFactory:
+class StartContext:
     """Maker of starts for one Phi; `given` are rules of a user by name, saved models among them."""
 
     def __init__(self, objective: Objective, given: Mapping[str, InitialForceRule] | None = None) -> None:
@@ -79,18 +79,18 @@ class StartFactory:
         forces = optimize_forces(_FIXED, loads, workers=1, **vars(self.objective)).force
         return forces, KDTree(scaled(loads))
 
-    def made(self) -> dict[str, PreparedStart]:
+    def made(self) -> dict[str, ComparedStart]:
         """Make every start of `STARTS`, then the package's other rules, then those of the user."""
         named = {key: STARTS[key].make(self) for key in STARTS}
         own = {key: self.rule(rule.make(self.objective)) for key, rule in RULES.items() if key not in named}
         return {**named, **own, **{key: self.rule(rule) for key, rule in self.given.items()}}
 
-    def named(self, name: str) -> PreparedStart:
+    def named(self, name: str) -> ComparedStart:
         """Make a start that optimizers know by name."""
-        rule = initial_rule(name, self.objective) if name in RULES else CoreStart(name, self.objective)
-        return PreparedStart.of(rule, name)
+        rule = initial_rule(name, self.objective) if name in RULES else CoreRule(name, self.objective)
+        return ComparedStart.of(rule, name)
 
-    def previous(self, correction: Correction) -> PreparedStart:
+    def previous(self, correction: Correction) -> ComparedStart:
         """Make the previous solution, corrected to the new balance as optimizers do ("tangent") or by the least change."""
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
@@ -100,7 +100,7 @@ class StartFactory:
                 return self._after(grasp, load, before, "previous")
             return carry_over(grasp, load, before, self.objective, correction)
 
-        return PreparedStart(start, {"initial": "previous"} if correction == "tangent" else {})
+        return ComparedStart(start, {"initial": "previous"} if correction == "tangent" else {})
 
     def _after(
         self, grasp: Grasp, load: Wrench, before: ContactForces, initial: str | InitialForceRule
@@ -110,7 +110,7 @@ class StartFactory:
         optimizer.previous = as_solution(grasp, before)
         return optimizer.start(load)
 
-    def nearest(self, correction: Correction) -> PreparedStart:
+    def nearest(self, correction: Correction) -> ComparedStart:
         """Make the corrected stored solution of the nearest wrench, on the fixed grasp and near it."""
 
         def rule(grasp: Grasp, load: Wrench) -> ContactForces:
@@ -118,9 +118,9 @@ class StartFactory:
             forces, tree = self.stored
             return carry_over(grasp, load, forces[int(tree.query(scaled(load))[1])], self.objective, correction)
 
-        return PreparedStart.of(rule)
+        return ComparedStart.of(rule)
 
-    def stepped(self, rule: InitialForceRule | str, steps: int) -> PreparedStart:
+    def stepped(self, rule: InitialForceRule | str, steps: int) -> ComparedStart:
         """Make another start followed by a few Newton steps, as a control for starts that take such steps inside.
 
         One such step equals the tangent correction of a previous optimum, so the other starts get the same.
@@ -131,7 +131,7 @@ class StartFactory:
             options = {"initial": first(grasp, load), "max_iterations": steps, "tolerance": 1e-12}
             return optimize_force(grasp, load, **options, **vars(self.objective)).force
 
-        return PreparedStart.of(stepping)
+        return ComparedStart.of(stepping)
 
     @property
     def network(self) -> InitialForceRule:
@@ -144,13 +144,13 @@ class StartFactory:
 
         return rule
 
-    def remembering(self) -> PreparedStart:
+    def remembering(self) -> ComparedStart:
         """Make the shipped model that starts from the previous solution instead if that has less Phi."""
         return self.rule(type(self.model)(self.model.checkpoint, self.model.objective, True))
 
-    def rule(self, rule: InitialForceRule) -> PreparedStart:
+    def rule(self, rule: InitialForceRule) -> ComparedStart:
         """Make the start of a saved model, on grasps it supports, or of any rule."""
-        remembers = isinstance(rule, LearnedRule) and rule.remembers
+        remembers = isinstance(rule, CompiledRule) and rule.remembers
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
             if isinstance(rule, LearnedInitialForce):
@@ -159,11 +159,11 @@ class StartFactory:
                 return call_rule(rule, rule, grasp, load.copy())
             return self._after(grasp, load, before, rule)
 
-        return PreparedStart(start, {"initial": rule}, isinstance(rule, LearnedRule) and not remembers)
+        return ComparedStart(start, {"initial": rule}, isinstance(rule, CompiledRule) and not remembers)
 
 
 @dataclass(frozen=True)
-class StartInfo:
+class StartEntry:
     """Description of a start.
 
     Attributes:
@@ -178,55 +178,55 @@ class StartInfo:
     label: str
     short: str
     colour: str
-    make: Callable[[StartFactory], PreparedStart]
+    make: Callable[[StartContext], ComparedStart]
     main: bool = False
     dashed: bool = False
 
 
-STARTS: dict[str, StartInfo] = {
-    "single_value": StartInfo("single value", "single value", "#8a8a8b", lambda shop: shop.named("single_value")),
-    "phase_one": StartInfo(
-        "phase one, any force inside", "phase one", "#8a9a22", lambda shop: PreparedStart.of(initial_rule("phase_one", shop.objective))
+STARTS: dict[str, StartEntry] = {
+    "single_value": StartEntry("single value", "single value", "#8a8a8b", lambda context: context.named("single_value")),
+    "phase_one": StartEntry(
+        "phase one, any force inside", "phase one", "#8a9a22", lambda context: ComparedStart.of(initial_rule("phase_one", context.objective))
     ),
-    "lagrange": StartInfo("Lagrange", "Lagrange", "#b3852d", lambda shop: shop.named("lagrange")),
-    "linear_combination_printed": StartInfo(
-        "12-basis, as printed", "12-basis, printed", "#5fa7e9", lambda shop: shop.named("linear_combination_printed"), dashed=True
+    "lagrange": StartEntry("Lagrange", "Lagrange", "#b3852d", lambda context: context.named("lagrange")),
+    "linear_combination_printed": StartEntry(
+        "12-basis, as printed", "12-basis, printed", "#5fa7e9", lambda context: context.named("linear_combination_printed"), dashed=True
     ),
-    "internal_force": StartInfo(
-        "one internal force (Newton's own)", "internal force", "#6b6b3f", lambda shop: shop.named("internal_force"), main=True
+    "internal_force": StartEntry(
+        "one internal force (Newton's own)", "internal force", "#6b6b3f", lambda context: context.named("internal_force"), main=True
     ),
-    BASIS: StartInfo("12-basis (the paper, fixed at w = 0)", "12-basis", "#2f7fd8", lambda shop: shop.named(BASIS), main=True),
-    "basis_tangent": StartInfo(
-        "12-basis, one Newton correction", "12-basis + Newton", "#1e9ca6", lambda shop: shop.stepped(BASIS, 1)
+    BASIS: StartEntry("12-basis (the paper, fixed at w = 0)", "12-basis", "#2f7fd8", lambda context: context.named(BASIS), main=True),
+    "basis_tangent": StartEntry(
+        "12-basis, one Newton correction", "12-basis + Newton", "#1e9ca6", lambda context: context.stepped(BASIS, 1)
     ),
-    "basis_newton_2": StartInfo(
-        "12-basis, two Newton corrections", "12-basis + 2 Newton", "#1a9b7c", lambda shop: shop.stepped(BASIS, 2)
+    "basis_newton_2": StartEntry(
+        "12-basis, two Newton corrections", "12-basis + 2 Newton", "#1a9b7c", lambda context: context.stepped(BASIS, 2)
     ),
-    "basis_newton": StartInfo(
-        "12-basis, four Newton corrections", "12-basis + 4 Newton", "#5a72ca", lambda shop: shop.stepped(BASIS, 4), main=True
+    "basis_newton": StartEntry(
+        "12-basis, four Newton corrections", "12-basis + 4 Newton", "#5a72ca", lambda context: context.stepped(BASIS, 4), main=True
     ),
-    "previous_pseudoinverse": StartInfo(
-        "previous solution, G^+", "previous, G^+", "#74b374", lambda shop: shop.previous("pseudoinverse"), dashed=True
+    "previous_pseudoinverse": StartEntry(
+        "previous solution, G^+", "previous, G^+", "#74b374", lambda context: context.previous("pseudoinverse"), dashed=True
     ),
-    "previous_tangent": StartInfo(
-        "previous solution, tangent", "previous, tangent", "#2e9a4e", lambda shop: shop.previous("tangent"), main=True
+    "previous_tangent": StartEntry(
+        "previous solution, tangent", "previous, tangent", "#2e9a4e", lambda context: context.previous("tangent"), main=True
     ),
-    "nearest_pseudoinverse": StartInfo(
-        "nearest of 10,000 stored, G^+", "nearest, G^+", "#a293d4", lambda shop: shop.nearest("pseudoinverse"), dashed=True
+    "nearest_pseudoinverse": StartEntry(
+        "nearest of 10,000 stored, G^+", "nearest, G^+", "#a293d4", lambda context: context.nearest("pseudoinverse"), dashed=True
     ),
-    "nearest_tangent": StartInfo(
-        "nearest of 10,000 stored, tangent", "nearest, tangent", "#8a5fc0", lambda shop: shop.nearest("tangent"), main=True
+    "nearest_tangent": StartEntry(
+        "nearest of 10,000 stored, tangent", "nearest, tangent", "#8a5fc0", lambda context: context.nearest("tangent"), main=True
     ),
-    "network": StartInfo("network alone, fixed grasp", "network alone", "#b36cd0", lambda shop: PreparedStart.of(shop.network), main=True),
-    "network_newton_1": StartInfo(
-        "network, one Newton step", "network + Newton", "#c069af", lambda shop: shop.stepped(shop.network, 1)
+    "network": StartEntry("network alone, fixed grasp", "network alone", "#b36cd0", lambda context: ComparedStart.of(context.network), main=True),
+    "network_newton_1": StartEntry(
+        "network, one Newton step", "network + Newton", "#c069af", lambda context: context.stepped(context.network, 1)
     ),
-    "network_newton_2": StartInfo(
-        "network, two Newton steps", "network + 2 Newton", "#8a4faa", lambda shop: shop.stepped(shop.network, 2)
+    "network_newton_2": StartEntry(
+        "network, two Newton steps", "network + 2 Newton", "#8a4faa", lambda context: context.stepped(context.network, 2)
     ),
-    "learned_fixed": StartInfo("learned, fixed grasp", "learned, fixed", "#e0463e", lambda shop: shop.rule(shop.model), main=True),
-    "learned_previous": StartInfo(
-        "learned, with the previous solution", "learned + previous", "#e2489a", lambda shop: shop.remembering(),
+    "learned_fixed": StartEntry("learned, fixed grasp", "learned, fixed", "#e0463e", lambda context: context.rule(context.model), main=True),
+    "learned_previous": StartEntry(
+        "learned, with the previous solution", "learned + previous", "#e2489a", lambda context: context.remembering(),
         main=True, dashed=True,
     ),
 }  # fmt: skip
@@ -235,7 +235,7 @@ GIVEN_COLOURS = ("#aa7454", "#208dbc", "#c8528e", "#6b8b20", "#7c64e4", "#20908b
 """Colours of the starts of a user, in turn; their number is the most that a run compares."""
 
 
-def start_info(key: str) -> StartInfo:
+def start_info(key: str) -> StartEntry:
     """Return the description of a start; that of a user's start is made from its name, that of a rule from its label.
 
     Example:
@@ -245,7 +245,9 @@ def start_info(key: str) -> StartInfo:
     if key in STARTS:
         return STARTS[key]
     name = RULES[key].label if key in RULES else key.replace("_", " ")
-    return StartInfo(name, name, GIVEN_COLOURS[0], lambda shop: shop.rule(shop.given[key]), main=True, dashed=True)
+    return StartEntry(
+        name, name, GIVEN_COLOURS[0], lambda context: context.rule(context.given[key]), main=True, dashed=True
+    )
 
 
 def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:

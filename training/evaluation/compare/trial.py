@@ -26,7 +26,7 @@ from grasp_env.inputs.arguments import Array, ContactForces, as_array
 from training.evaluation.compare.case import Case
 from training.evaluation.compare.cases import scaled
 from training.evaluation.compare.methods import METHODS, optimizer
-from training.evaluation.compare.starts import BASIS, DoesNotApply, PreparedStart, carry_force
+from training.evaluation.compare.starts import BASIS, ComparedStart, DoesNotApply, carry_force
 from training.evaluation.results.words import shortened
 
 TOLERANCE = 1e-4
@@ -122,14 +122,14 @@ class Optimizers:
 
 
 def trials(
-    name: str, cases: list[Case], starts: Mapping[str, PreparedStart], objective: Objective, solved: bool = True
+    name: str, cases: list[Case], starts: Mapping[str, ComparedStart], objective: Objective, solved: bool = True
 ) -> Iterator[dict[str, Any]]:
     """Yield the rows of a set: one for each case, start and method.
 
     Args:
         name: name of the set.
         cases: cases to solve.
-        starts: see `StartFactory.made`; a start that does not apply to a case has no row there.
+        starts: see `StartContext.made`; a start that does not apply to a case has no row there.
         objective: Phi.
         solved: True if the methods run; otherwise there is one row for each case and start.
     """
@@ -174,7 +174,7 @@ def trials(
                 yield {**row, "method": method, **run}
 
 
-def attempt(made: PreparedStart, grasp: Grasp, load: Array, carried_force: ContactForces | None) -> ContactForces:
+def attempt(made: ComparedStart, grasp: Grasp, load: Array, carried_force: ContactForces | None) -> ContactForces:
     """Return the force (N, 3) [N] of a start, which may be a user's.
 
     `carried_force` (N, 3) is the optimum of the preceding case, carried over to these contacts; None if there is no preceding case.
@@ -199,7 +199,7 @@ def failure_reason(error: Exception) -> str:
     return shortened(f"{type(cause).__name__}: {cause!s}", REASON_LENGTH)
 
 
-def _paper_start(starts: Mapping[str, PreparedStart], grasp: Grasp, load: Array) -> ContactForces | None:
+def _paper_start(starts: Mapping[str, ComparedStart], grasp: Grasp, load: Array) -> ContactForces | None:
     """Return the force of the paper's start; None if the grasp has no such start."""
     try:
         return starts[BASIS].start(grasp, load, None)

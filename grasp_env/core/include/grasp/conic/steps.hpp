@@ -116,11 +116,11 @@ public:
     // The certified answer at the iterate x of a wrench of size 1: y scaled onto the boundary of its set by theta, and the force
     // [N] for a wrench of size `scale`. For any y the largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|), g
     // = G^T y, over the contacts where that is positive.
-    struct Answer {
+    struct ConicForce {
         S theta, price, bound;
         S gap() const { return select(bound > 0.0, (price - bound) / bound, S(infinity)); }
     };
-    Answer answer(const Six<S>& minus, const S& scale, Field& force) {
+    ConicForce answer(const Six<S>& minus, const S& scale, Field& force) {
         V before[6] = {}, steepest{}, squeeze{};
         for (int b = 0; b < blocks(); ++b) {
             const auto& c = cones.blocks[b];

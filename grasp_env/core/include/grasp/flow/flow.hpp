@@ -61,7 +61,7 @@ public:
             for (int b = 0; b < blocks; ++b) past[b] = step[b];
             return product;
         };
-        Progress at{.alpha = rule.first, .value = ahead(0.0)};
+        FlowProgress at{.alpha = rule.first, .value = ahead(0.0)};
         if (!(at.value < infinity)) return REFUSED;
         Proof proof(call, call.stop.tolerance);
         const auto look = [&] {
@@ -108,7 +108,7 @@ private:
     Field next_, gradient_, there_, step_, past_;
 
     // State of a descent.
-    struct Progress {
+    struct FlowProgress {
         double alpha, value;  // alpha_k; Phi at x_k
         double gained = 0.0;  // decrease of Phi by the last step
         double length = 0.0, before = 0.0, size = 0.0;  // |d_k|^2, |d_{k-1}|^2, |x_k|^2
@@ -137,8 +137,8 @@ private:
             : known(call.optimum == call.optimum), tolerance(tolerance), best{known ? call.optimum : -infinity, {}} {}
 
         bool closes(double value) const { return best.value > 0.0 && value - best.value <= tolerance * best.value; }
-        bool due(const Progress& at) const { return (at.k >= next || at.value <= goal) && at.gained <= tolerance * at.value; }
-        void take(const Bound& found, const Progress& at) {
+        bool due(const FlowProgress& at) const { return (at.k >= next || at.value <= goal) && at.gained <= tolerance * at.value; }
+        void take(const Bound& found, const FlowProgress& at) {
             if (found.value >= best.value) best = found;
             const double bound = best.value, gap = at.value - bound;
             const bool close = bound > 0.0 && gap < CLOSE * bound;
@@ -155,7 +155,7 @@ private:
     }
 
     // The first trial of alpha_k by the rule.
-    template <class Mixed, class Bend> void propose(Progress& at, Mixed&& mixed, Bend&& bend) const {
+    template <class Mixed, class Bend> void propose(FlowProgress& at, Mixed&& mixed, Bend&& bend) const {
         if (rule.kind == StepRule::BARZILAI_BORWEIN) {
             const double product = mixed();
             if (at.k > 0) at.alpha *= inverse_curvature(at.before, at.length, product, at.k);
@@ -175,7 +175,7 @@ private:
     }
 
     // Try alpha_k until Phi decreases as much as the rule requires. Return false if no step that moves x does so.
-    template <class Ahead, class Slope, class Bend> bool accept(Progress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
+    template <class Ahead, class Slope, class Bend> bool accept(FlowProgress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
         const double decrease = rule.kind == StepRule::ARMIJO ? rule.decrease * at.length : 0.0;
         double trial = rule.kind == StepRule::EXACT ? search(at, ahead, slope, bend) : infinity;
         bool accepted = trial < at.value;
@@ -207,7 +207,7 @@ private:
 
     // Phi at a point along the step where its slope is as small as the rule requires: Newton on the slope, kept in a bracket; inf:
     // not found.
-    template <class Ahead, class Slope, class Bend> double search(Progress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
+    template <class Ahead, class Slope, class Bend> double search(FlowProgress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
         double low = 0.0, high = infinity;
         for (int n = 0; n < SEARCHES; ++n) {
             ++at.trials;

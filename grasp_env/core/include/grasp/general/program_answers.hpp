@@ -4,7 +4,7 @@
 
 namespace grasp::detail {
 
-template <int D> template <class R, int T> inline double ProgramOn<D>::consider(const Engine<R, T>& engine) {
+template <int D> template <class R, int T> inline double ProgramOn<D>::consider(const Interior<R, T>& engine) {
     const auto right = [&](int k) { return in_.bound[k] / size_; };
     for (int i = 0; i < count; ++i) z_[i] = narrow(engine.at.z[i]);
     residual_ = in_.rebalance(z_, unit_);
@@ -35,7 +35,7 @@ template <int D> template <class R, int T> inline double ProgramOn<D>::consider(
     return gap();
 }
 
-template <int D> template <class R, int T> inline void ProgramOn<D>::certify(const Engine<R, T>& engine) {
+template <int D> template <class R, int T> inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
     const auto& rows = engine.rows;
     const auto& at = engine.at;
     double shares = 0.0;

@@ -12,7 +12,7 @@ namespace grasp::detail {
 template <int D> class ProgramOn {
 public:
     using Field = typename Constraints<D>::Field;
-    template <class R, int T> using Engine = InteriorPoint<R, D, T>;
+    template <class R, int T> using Interior = InteriorPoint<R, D, T>;
 
     explicit ProgramOn(const ProgramData& given)
         : count(given.count), limits(given.limits), in_(given), may_exceed_(given.elastic), internal_force_(count),
@@ -181,10 +181,10 @@ private:
         return true;
     }
     // True if the last iterate strictly inside in doubles is kept, to be mixed with the next ones.
-    template <class R, int T> static constexpr bool keeps_interior(const Engine<R, T>&) {
+    template <class R, int T> static constexpr bool keeps_interior(const Interior<R, T>&) {
         return std::is_same_v<R, DoubleDouble>;
     }
-    template <class Engine> void set_right(Engine& engine) const {
+    template <class Interior> void set_right(Interior& engine) const {
         auto& joint = engine.rows.right;
         for (int r = 0; r < engine.rows.joint; ++r) joint[r] = r < 6 ? -turned_[r] : in_.bound[engine.rows.label[r]] / size_;
         for (auto& row : engine.rows.own) row.right = row.label >= 0 ? in_.bound[row.label] / size_ : 0.0;
@@ -198,25 +198,25 @@ private:
     }
     // Set t in units of an excess above that of the start z, so that it begins at one; normal forces are bounded by a multiple of
     // those of z.
-    template <class R> void raise(Engine<R, 1>& engine, const Field& z);
-    template <class R, int T> void inside_from_start(const Engine<R, T>& engine) {
+    template <class R> void raise(Interior<R, 1>& engine, const Field& z);
+    template <class R, int T> void inside_from_start(const Interior<R, T>& engine) {
         for (int i = 0; i < count; ++i) inside_[i] = narrow(engine.at.z[i]);
         has_inside_ = true;
     }
-    template <class R, int T> void place_inside(Engine<R, T>& engine) {
+    template <class R, int T> void place_inside(Interior<R, T>& engine) {
         for (int i = 0; i < count; ++i) engine.at.z[i] = wide<R>(inside_[i]);
         place(engine, 0.0);
     }
     // Write a start. Return true if it is balanced and strictly inside all constraints.
-    template <class R, int T> bool begin(Engine<R, T>& engine);
+    template <class R, int T> bool begin(Interior<R, T>& engine);
     // Set slacks and a dual strictly inside for the z of a start: s = c + the limits' part, with balance's multipliers zero. Slacks
     // below `least` times the largest force are lifted to it. Return false if any was.
-    template <class R, int T> bool place(Engine<R, T>& engine, double least);
+    template <class R, int T> bool place(Interior<R, T>& engine, double least);
     template <int T> double engine_price(int i) const { return T == 1 ? price(i) / count : price(i); }
 
     // Balance the iterate, bring it within the limits and bound its objective; keep the best force and the best bound. Return the
     // gap.
-    template <class R, int T> double consider(const Engine<R, T>& engine);
+    template <class R, int T> double consider(const Interior<R, T>& engine);
     double gap() const {
         if (!(best_value_ < infinity)) return infinity;
         const double found = elastic() ? (best_value_ - best_bound_) / std::max(best_bound_, EXCESS_FLOOR / EXCESS_WITHIN)
@@ -228,7 +228,7 @@ private:
 
     // Dual value at the multipliers, moved towards interior ones until feasible: s = c + C^T y in the dual cones, y >= 0 for the
     // limits. For an excess: at multipliers that price t at one; what they lack of the dual cones is paid by forces up to most_.
-    template <class R, int T> void certify(const Engine<R, T>& engine);
+    template <class R, int T> void certify(const Interior<R, T>& engine);
     // Write Phi's optimum. CONVERGED requires that the returned force is balanced, inside, and has a gap within the tolerance.
     template <class R> Code write_phi(PhiRows<R, D>& engine, Code code, const Call& call, const Record& record, double* prices);
     void write(Code code, const Record& record, double* prices);

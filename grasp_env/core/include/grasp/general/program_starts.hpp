@@ -4,7 +4,7 @@
 
 namespace grasp::detail {
 
-template <int D> template <class R> inline void ProgramOn<D>::raise(Engine<R, 1>& engine, const Field& z) {
+template <int D> template <class R> inline void ProgramOn<D>::raise(Interior<R, 1>& engine, const Field& z) {
     excess_unit_ = BEGIN * excess(z) + EXCESS_FLOOR, most_ = 1.0, best_bound_ = 0.0;
     for (int i = 0; i < count; ++i) most_ = std::max(most_, price(i) * z[i][0]);
     most_ *= MOST;
@@ -18,7 +18,7 @@ template <int D> template <class R> inline void ProgramOn<D>::raise(Engine<R, 1>
     }
 }
 
-template <int D> template <class R, int T> inline bool ProgramOn<D>::begin(Engine<R, T>& engine) {
+template <int D> template <class R, int T> inline bool ProgramOn<D>::begin(Interior<R, T>& engine) {
     if (!has_internal_force_) {
         const Arena::Scope scope;
         const double nothing[6] = {};
@@ -45,7 +45,7 @@ template <int D> template <class R, int T> inline bool ProgramOn<D>::begin(Engin
     return *has_internal_force_ && slack;
 }
 
-template <int D> template <class R, int T> inline bool ProgramOn<D>::place(Engine<R, T>& engine, double least) {
+template <int D> template <class R, int T> inline bool ProgramOn<D>::place(Interior<R, T>& engine, double least) {
     auto& at = engine.at;
     const auto& rows = engine.rows;
     R largest = 0.0, product = 0.0, normal = 0.0;

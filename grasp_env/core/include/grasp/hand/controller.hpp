@@ -70,7 +70,7 @@ public:
         Target target;
     };
     // An agent's step that begins at this tick. Every member is optional.
-    struct Step {
+    struct StepRequest {
         // (K,) [N] along `settings.directions`: their sum is added to the start, which is then brought inside the cones
         Doubles adjustment{};
         Start start = Start::standard;  // where the method starts: by its own rule, or at `force` (`Start::given`)
@@ -78,7 +78,7 @@ public:
     };
     // Run one control tick, from a reading to `torques` within the motors' limits. step: set when an agent's step begins. Return
     // false, with nothing changed, if the reading is not finite or the object is farther away than `Snapshot::LOST_DISTANCE`.
-    bool tick(const Known& known, const Step* step = nullptr) {
+    bool tick(const Known& known, const StepRequest* step = nullptr) {
         const bool good = see(known);
         if (good) act(step);
         return good;
@@ -99,7 +99,7 @@ public:
         worst_ = worst();
         return true;
     }
-    void act(const Step* step = nullptr) {
+    void act(const StepRequest* step = nullptr) {
         last_force_ = force;  // copied, not swapped: Python holds a view of it
         std::fill(force.begin(), force.end(), 0.0);
         std::fill(torsion_.begin(), torsion_.end(), 0.0);
@@ -316,7 +316,7 @@ private:
 
     void forget_solution() { Record(solution.data(), tree->fingers()).summary() = {}; }
     // Write the forces of the fingers in contact into `force` and `torsion_`.
-    void find_forces(const Step* step) {
+    void find_forces(const StepRequest* step) {
         if (hold == Hold::optimized) {
             if (has_last_) lift_landed_forces();
             if (step || !has_last_ || !near_limits_ || !keep_limits(last_row_.data())) {
@@ -342,7 +342,7 @@ private:
         std::copy_n(row.torsion(), torsion_.size(), torsion_.data());
     }
     // Solve with the method on the current contacts.
-    Record by_method(const Step& step) {
+    Record by_method(const StepRequest& step) {
         Request ask{.wrench = wrench.data(), .now = contacts(), .start = step.start};
         if (step.start == Start::given) ask.force = step.force;
         if (settings.remembers && has_last_) ask.previous = last_row_.data();

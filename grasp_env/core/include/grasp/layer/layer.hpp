@@ -36,7 +36,7 @@ private:
         std::optional<ForceOptimizer> solver;
         std::vector<double> constants;  // the data that a call cannot change
     };
-    struct Answer {
+    struct LaneAnswer {
         Code code = REFUSED;
         Regime regime = Regime::none;
         double gap = infinity, iterations = 0.0;
@@ -53,7 +53,7 @@ private:
     // Solve problems `from` on, side by side. `ForceOptimizer` solves the problems that need more than an ordinary descent; the
     // lanes then refine its force, or an elastic one.
     void solve(std::ptrdiff_t from, int many, const BatchForces& to) {
-        Answer answers[W];
+        LaneAnswer answers[W];
         Mask sound{};
         int filler = -1;
         for (int lane = 0; lane < many; ++lane) {
@@ -76,7 +76,7 @@ private:
         Mask elastic{}, late{};
         for (int lane = 0; lane < many; ++lane) {
             if (!sound[lane]) continue;
-            Answer& answer = answers[lane];
+            LaneAnswer& answer = answers[lane];
             answer = {CONVERGED, Regime::optimum, get(gaps, lane), get(smooth_.iterations, lane)};
             if (close[lane] && answer.gap <= options_.tolerance && balanced[lane]) continue;
             answer = solve_with_optimizer(from + lane, lane, full_rank[lane]);
@@ -94,9 +94,9 @@ private:
             if (sound[lane]) write(lane, from + lane, answers[lane], to);
     }
     // Solve by `ForceOptimizer`; the lane continues from its answer. full_rank: true if the rank of G is 6 beyond doubt.
-    Answer solve_with_optimizer(std::ptrdiff_t k, int lane, bool full_rank) {
+    LaneAnswer solve_with_optimizer(std::ptrdiff_t k, int lane, bool full_rank) {
         const PosedProblem& posed = posed_[lane];
-        Answer answer{.code = solve_alone(k, posed_[lane])};
+        LaneAnswer answer{.code = solve_alone(k, posed_[lane])};
         const bool force = Record::has_force(answer.code);
         if (!row_.empty()) answer.iterations = Record(row_.data()).summary().iterations;
         if (force && answer.code != LIMITS_EXCEEDED) answer.gap = Record(row_.data()).gap();
@@ -112,7 +112,7 @@ private:
         }
         return answer;
     }
-    void write(int lane, std::ptrdiff_t k, const Answer& answer, const BatchForces& to) const {
+    void write(int lane, std::ptrdiff_t k, const LaneAnswer& answer, const BatchForces& to) const {
         smooth_.write(lane, to.force + 3 * count() * k, to.torsion + count() * k, to.multipliers + 6 * k);
         double* state = to.state + layer_state_size(count()) * k;
         smooth_.save(lane, state), state[layer_state_size(count()) - 1] = double(answer.regime);

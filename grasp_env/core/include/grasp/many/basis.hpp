@@ -42,7 +42,7 @@ public:
             if (!closed) return solve_alone(int(k));
             w_ = lanes.wrench_of(lane);
             lanes.cones.store(lanes.x, flat.data(), lane), newton_.cones.load(flat.data(), x);
-            const Progress at = lanes.progress(lane);
+            const DescentProgress at = lanes.progress(lane);
             store_optimum(int(k), at.value, at.bound);
         };
         run(lanes, 12, enter, leave);

@@ -51,7 +51,7 @@ public:
     }
 
     Vec6 wrench_of(int lane) const { return of(wrench, lane); }
-    Progress progress(int lane) const {
+    DescentProgress progress(int lane) const {
         return {.value = get(value, lane),
                 .bound = get(bound, lane),
                 .iterations = int(get(iterations, lane)),

@@ -19,7 +19,7 @@ template <class V, int B> class LeastExcess {
 public:
     using Field = typename Cones<V, B>::Field;
 
-    struct Found {
+    struct ExcessForce {
         bool certified;
         int iterations;
         double bound;
@@ -29,12 +29,12 @@ public:
     explicit LeastExcess(const Cones<V, B>& cones) { resize(at_, cones.blocks.size()); }
 
     // Solve from x, balanced, in the cones and outside the limits; x is overwritten.
-    Found solve(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, const Vec6& w, Field& x) {
+    ExcessForce solve(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, const Vec6& w, Field& x) {
         const int blocks = int(x.size());
         double t = BEGIN * rows.excess(x) + EXCESS_FLOOR;
         Vec6 nu{};
         begin(cones, rows, x, t);
-        Found out{false, 0, 0.0, {}};
+        ExcessForce out{false, 0, 0.0, {}};
         for (; out.iterations < MOST; ++out.iterations) {
             const auto [gap, curvature] = scale(cones, rows, x, t);
             const bool good = system.assemble(cones, x, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
@@ -44,7 +44,7 @@ public:
             const Border border = bordered(cones, system, curvature);
             const Vec6 left = system.made + w;
             // predictor: aims at zero products
-            Step step = direct(cones, rows, system, border, left, -1.0, x);
+            ExcessStep step = direct(cones, rows, system, border, left, -1.0, x);
             const double after = reached(cones, rows, x, step);
             const double part = std::clamp(after / gap, 0.0, 1.0), enough = ENOUGH * allowed(out.bound);
             const double target = std::max(std::max(part * part * part, CENTRE) * gap, enough) / (cones.count + rows.sides);
@@ -153,11 +153,11 @@ private:
 
     // The whole step for the gradients in `system` and `slope`, the gradient of t: new multipliers nu, dt, and the largest steps of
     // x and s.
-    struct Step {
+    struct ExcessStep {
         Vec6 nu;
         double dt, primal, dual;
     };
-    Step direct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const System<V, B>& system, const Border& border,
+    ExcessStep direct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const System<V, B>& system, const Border& border,
                 const Vec6& left, double slope, const Field& x) {
         V cross{};
         for (int b = 0; b < int(at_.size()); ++b) cross -= dot(at_[b].inverse * at_[b].mixed, system.gradient[b]);
@@ -192,7 +192,7 @@ private:
     }
 
     // The gap after the predictor.
-    double reached(const Cones<V, B>& cones, const LimitTerms<V, B>& rows, const Field& x, const Step& step) const {
+    double reached(const Cones<V, B>& cones, const LimitTerms<V, B>& rows, const Field& x, const ExcessStep& step) const {
         const V primal = all<V>(std::min(1.0, step.primal)), dual = all<V>(std::min(1.0, step.dual));
         V gap{};
         for (int b = 0; b < int(x.size()); ++b) {

@@ -40,7 +40,7 @@ public:
                       bool leaping = false) {
         cones.store_force(x, record.initial_force());
         const bool known = call.optimum == call.optimum;
-        Progress at{.value = cones.phi(x, rows), .bound = known ? call.optimum : -infinity, .known = known};
+        DescentProgress at{.value = cones.phi(x, rows), .bound = known ? call.optimum : -infinity, .known = known};
         if (!(at.value < infinity)) return REFUSED;
         Code code = descend(call, w, at, fraction, leaping);
         if (code == REFUSED) return REFUSED;
@@ -95,7 +95,7 @@ public:
     }
 
     // Check the claims about x on the force that is returned: balance, cones, gap.
-    Code finish(Code code, const Field& safe, const Call& call, const Vec6& w, const Progress& at, const Record& record) {
+    Code finish(Code code, const Field& safe, const Call& call, const Vec6& w, const DescentProgress& at, const Record& record) {
         Summary& s = record.summary();
         const Vec6 left = with_torsion(w);
         if (at.iterations > 0) cones.balance(x, left);  // rounding of G x + w
@@ -121,11 +121,11 @@ private:
     static constexpr double MISSED = 1e-8;  // fraction of wrench and force: largest balance residual of a given start
     Field step_, begun_, best_, centring_;
 
-    typename System<V, B>::Step find_step(const Vec6& nu, const Vec6& left, double value) {
+    typename System<V, B>::NewtonStep find_step(const Vec6& nu, const Vec6& left, double value) {
         return system.step(cones, x, nu, left, value, step_, rows);
     }
 
-    bool certified(const Call& call, double value, const Progress& at) const {
+    bool certified(const Call& call, double value, const DescentProgress& at) const {
         const double tolerance = call.stop.tolerance;
         const bool closed =
             at.known ? at.bound > 0.0 && value - at.bound <= tolerance * at.bound : By::certified(value, at.bound, tolerance);
@@ -153,9 +153,9 @@ private:
     }
 
     // Damped Newton from x. Digits are lost if forces exceed their distance to the cones by 1e4.
-    [[gnu::noinline]] Code descend(const Call& call, const Vec6& w, Progress& at, double fraction, bool leaping) {
+    [[gnu::noinline]] Code descend(const Call& call, const Vec6& w, DescentProgress& at, double fraction, bool leaping) {
         const double tolerance = call.stop.tolerance, tight = By::dual_precision(tolerance);
-        typename System<V, B>::Step step{};
+        typename System<V, B>::NewtonStep step{};
         const auto closed = [&] { return certified(call, at.value, at); };
         const auto find = [&](Code& code) {
             if (!assemble()) return Next::stop;
@@ -204,7 +204,7 @@ private:
     // Newton along the central path from x. Every step aims at the optimum of the barrier plus the largest part of the squeezing
     // price for which that optimum is within reach. So forces approach the cones as late as possible: near a curved surface steps
     // are short and the system loses digits.
-    [[gnu::cold, gnu::noinline]] Code follow_central_path(const Call& call, const Vec6& w, Progress& at) {
+    [[gnu::cold, gnu::noinline]] Code follow_central_path(const Call& call, const Vec6& w, DescentProgress& at) {
         double part = 0.0;
         Vec6 left;
         const auto find = [&](Code&) {

@@ -23,9 +23,9 @@ public:
     // Write the start that `solve` would use as a record. Return STARTED, or the reason why there is none.
     Code start() {
         clear_record();
-        const Kind kind = on_.placement.kind;
+        const ProblemKind kind = on_.placement.kind;
         const bool general_serves =
-            algorithm_for(on_.options, kind) == Algorithm::general || (kind == Kind::soft && starts_.requested() == Start::given);
+            algorithm_for(on_.options, kind) == Algorithm::general || (kind == ProblemKind::soft && starts_.requested() == Start::given);
         const Code code = general_serves ? UNDECIDED : starts_.find();
         if (code == CONVERGED) {
             const auto& x = on_.newton.x;
@@ -35,7 +35,7 @@ public:
             record_.summary().lower_bound = -infinity;
             return STARTED;
         }
-        if (code == INFEASIBLE && kind != Kind::soft) return write_proof();
+        if (code == INFEASIBLE && kind != ProblemKind::soft) return write_proof();
         if (code == REFUSED || on_.has_flow()) return code;
         const Code made = general({call_.stop.tolerance, 0});
         return made == CONVERGED || made == STALLED || made == LIMIT ? STARTED : made;
@@ -263,7 +263,7 @@ private:
     // Solve without limits into `given`. Return true if that optimum is well within the limits: such a start costs a tenth of the
     // deepest force. spent: number of steps.
     bool solve_without_limits(General& program, int limit, int& spent) {
-        if (on_.placement.kind != Kind::other || !on_.is_full_rank() || !on_.has_internal_force()) return false;
+        if (on_.placement.kind != ProblemKind::other || !on_.is_full_rank() || !on_.has_internal_force()) return false;
         auto& newton = on_.newton;
         const Contacts& now = on_.current.now;
         const Record record(newton.row.data(), now.count);

@@ -5,7 +5,7 @@
 namespace grasp::detail {
 
 // Classes of problems with an algorithm of their own.
-enum class Kind {
+enum class ProblemKind {
     hard,  // hard, elliptic and frictionless contacts
     limited,  // the same, with limits on one contact each: normal forces, joints of one finger
     soft,  // some contacts are soft, and the normal and tangential forces alone give force closure
@@ -19,17 +19,17 @@ enum class Algorithm { newton, limited, soft, flow, conic, general };
 // flow has no fallback.
 struct Plan {
     Method method;
-    Kind kind;
+    ProblemKind kind;
     Algorithm algorithm;
 };
 inline constexpr Plan PLANS[] = {
-    {Method::newton, Kind::hard, Algorithm::newton},     {Method::newton, Kind::limited, Algorithm::limited},
-    {Method::newton, Kind::soft, Algorithm::soft},       {Method::newton, Kind::other, Algorithm::general},
-    {Method::reduced_flow, Kind::hard, Algorithm::flow}, {Method::full_flow, Kind::hard, Algorithm::flow},
-    {Method::conic, Kind::hard, Algorithm::conic},       {Method::conic, Kind::limited, Algorithm::general},
-    {Method::conic, Kind::soft, Algorithm::general},     {Method::conic, Kind::other, Algorithm::general},
+    {Method::newton, ProblemKind::hard, Algorithm::newton},     {Method::newton, ProblemKind::limited, Algorithm::limited},
+    {Method::newton, ProblemKind::soft, Algorithm::soft},       {Method::newton, ProblemKind::other, Algorithm::general},
+    {Method::reduced_flow, ProblemKind::hard, Algorithm::flow}, {Method::full_flow, ProblemKind::hard, Algorithm::flow},
+    {Method::conic, ProblemKind::hard, Algorithm::conic},       {Method::conic, ProblemKind::limited, Algorithm::general},
+    {Method::conic, ProblemKind::soft, Algorithm::general},     {Method::conic, ProblemKind::other, Algorithm::general},
 };
-inline std::optional<Algorithm> algorithm_for(const Options& options, Kind kind) {
+inline std::optional<Algorithm> algorithm_for(const Options& options, ProblemKind kind) {
     for (const Plan& plan : PLANS)
         if (plan.method == options.method && plan.kind == kind)
             return plan.algorithm == Algorithm::conic && options.criterion != Criterion::sum ? Algorithm::general

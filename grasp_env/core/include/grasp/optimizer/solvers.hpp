@@ -16,7 +16,7 @@ struct Placement {
     std::uint64_t number = 0;  // counts placements
     bool home = false;  // true: the problem's own contacts and limits
     Code code = REFUSED;  // CONVERGED if the solvers can be used
-    Kind kind = Kind::hard;
+    ProblemKind kind = ProblemKind::hard;
 };
 
 // A value that is made when a placement first asks for it.
@@ -40,7 +40,7 @@ enum class Search { none, quick, thorough };
 
 // A force and its torsions; an answer with the prices of the limits. Space for all contacts.
 struct Given { std::vector<double> force, torsion; };
-struct Answer { std::vector<double> row, prices; };
+struct StoredAnswer { std::vector<double> row, prices; };
 
 template <class V, int B> class Solvers {
 public:
@@ -59,7 +59,7 @@ public:
     // A force of the caller, or the previous one, on the touching contacts. The searches for an internal force write here, too: make
     // `general()` before a force is loaded.
     Given given;
-    Answer answer, kept;  // of the current contacts; an answer to which another may be preferred
+    StoredAnswer answer, kept;  // of the current contacts; an answer to which another may be preferred
 
     // Throws std::invalid_argument.
     Solvers(const Problem& problem, const Options& options)
@@ -188,20 +188,20 @@ private:
         newton.cones.pack(current.now);
         newton.starter.tangents.load(current.now.frames.data(), current.now.count);
         placement.kind = kind();
-        if (placement.kind == Kind::soft) {
+        if (placement.kind == ProblemKind::soft) {
             place_soft();
-        } else if (placement.kind == Kind::limited) {
+        } else if (placement.kind == ProblemKind::limited) {
             limited->newton.cones = newton.cones;
             limited->newton.rows.pack(newton.cones, current.table.rows());
         }
         return CONVERGED;
     }
-    Kind kind() const {
+    ProblemKind kind() const {
         const bool soft = current.now.soft(), limited = current.limits.rows > 0;
-        if (!is_full_rank() || !current.separate || (soft && limited)) return Kind::other;
-        return soft ? Kind::soft : limited ? Kind::limited : Kind::hard;
+        if (!is_full_rank() || !current.separate || (soft && limited)) return ProblemKind::other;
+        return soft ? ProblemKind::soft : limited ? ProblemKind::limited : ProblemKind::hard;
     }
-    bool is_torsional() const { return placement.kind == Kind::soft || (placement.kind == Kind::other && current.now.soft()); }
+    bool is_torsional() const { return placement.kind == ProblemKind::soft || (placement.kind == ProblemKind::other && current.now.soft()); }
     // Set the number of contacts. Unused lanes hold a contact without effect.
     void set_count(int count) {
         if (newton.cones.count == count) return;

@@ -121,7 +121,7 @@ private:
     // Like `find_interior`; if that is undecided, find the deepest force.
     Code find_interior_or_deepest() {
         if (const Code code = find_interior(); code != UNDECIDED) return code;
-        General* program = on_.placement.kind == Kind::hard ? on_.general() : nullptr;
+        General* program = on_.placement.kind == ProblemKind::hard ? on_.general() : nullptr;
         if (!program) return UNDECIDED;
         const Deepest deep = program->deepest(call_.ask.wrench, 1e-7, on_.given.force.data(), nullptr);
         call_.twist = deep.twist;

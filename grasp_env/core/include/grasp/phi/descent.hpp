@@ -64,7 +64,7 @@ struct Call {
 };
 
 // State of a descent.
-struct Progress {
+struct DescentProgress {
     double value, bound;
     bool known = false;  // true if the bound is an optimum that the caller knows
     int iterations = 0, trials = 0;

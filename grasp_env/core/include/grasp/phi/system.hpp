@@ -75,12 +75,12 @@ public:
         return good;
     }
 
-    struct Step { S decrement, reach; };  // squared Newton decrement, 1 / (largest step inside the cones)
+    struct NewtonStep { S decrement, reach; };  // squared Newton decrement, 1 / (largest step inside the cones)
 
     // The Newton step at x, where Phi is `value`, with multipliers nu and balance residual `left`. Forces at very different depths
     // in their cones make S ill-conditioned. The step's balance residual is removed in the metric of Phi while it is large (a few
     // digits a round), then by the least-norm change.
-    template <class R> Step step(const Cones<V, B>& cones, const Field& x, const Six<S>& nu, const Six<S>& left, const S& value,
+    template <class R> NewtonStep step(const Cones<V, B>& cones, const Field& x, const Six<S>& nu, const Six<S>& left, const S& value,
                                  Field& step, R& rows) const {
         Six<S> missed = left + moved_by(cones, nu, step, rows);
         for (int round = 0; round < REFINEMENTS; ++round) {

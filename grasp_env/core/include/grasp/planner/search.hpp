@@ -91,7 +91,7 @@ inline double least_force(const std::vector<const Place*>& places, const Demand&
 class GraspSearch {
 public:
     using Choice = std::vector<int>;  // index of a place per finger
-    struct Found {
+    struct FoundPose {
         double force;
         Choice choice;
     };  // [N] in the worst case
@@ -156,13 +156,13 @@ public:
 
     // Return the best choice of each round; each round adds the multipliers of the last. No pool may be empty. picks: random
     // numbers >= 0 for the initial choices, used in turn, half of them in the first round.
-    std::vector<Found> choose(const std::vector<Choice>& picks, int rounds) {
+    std::vector<FoundPose> choose(const std::vector<Choice>& picks, int rounds) {
         constexpr int SWEEPS = 8;
         needs_.clear();
         for (auto& pool : pools)
             for (Place& place : pool) place.replies.clear();
         for (const Vec6& y : directions_) add_direction(y);
-        std::vector<Found> out;
+        std::vector<FoundPose> out;
         Choice best, choice;
         std::size_t begun = 0;
         for (int round = 0; round < rounds; ++round) {
