@@ -124,7 +124,7 @@ else
 	@if [ -f $(BUILD)/build.ninja ]; then $(NINJA); else $(EDITABLE) . --no-deps; fi
 endif
 
-FORMAT := find grasp_env/core tests/core -name '*.[ch]pp' | xargs $(BIN)/clang-format
+FORMAT := find grasp_env/core tests/core benchmarks/force -name '*.[ch]' -o -name '*.[ch]pp' | xargs $(BIN)/clang-format
 
 STUB := $(BIN)/python -m nanobind.stubgen -q -p grasp_env/core/bindings/stub.pat -m grasp_env.core._core -o
 stubs: core

@@ -1,4 +1,6 @@
-"""The tests take the core of the source tree, or another build of it: `make test CXX=clang++`, `make sanitize`."""
+"""The tests take the core of the source tree, or another build of it: `make test CXX=clang++`,
+`make sanitize`.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ import pytest
 
 
 class OtherBuild:
-    """Finds the core's modules in a build folder, before anybody else can find those of the source tree."""
+    """Finds the core's modules in a build folder, before anybody else can find those of the source
+    tree.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -23,7 +27,9 @@ class OtherBuild:
             return None
         spec = PathFinder.find_spec(name, [str(self.folder)])
         if spec is None:
-            raise ImportError(f"{self.folder} holds no {name}: run `make core` with the options of that build")
+            raise ImportError(
+                f"{self.folder} holds no {name}: run `make core` with the options of that build"
+            )
         return spec
 
 
@@ -41,5 +47,7 @@ if find_spec("pybullet") is None:  # as from CPython 3.12 on: the doctests of wh
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Warnings are errors, but for what looks like a mistake in contacts: random ones are of any size, some inside out."""
+    """Warnings are errors, but for what looks like a mistake in contacts: random ones are of any
+    size, some inside out.
+    """
     config.addinivalue_line("filterwarnings", "ignore::grasp_env.errors.GraspWarning")

@@ -1,4 +1,6 @@
-"""`python -m benchmarks NAME`, or `make bench ARGS="NAME"`: runs a benchmark, saves its rows and prints their summary."""
+"""`python -m benchmarks NAME`, or `make bench ARGS="NAME"`: runs a benchmark, saves its rows and
+prints their summary.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: words of the command line; None: those of this process.
 
     Returns:
-        0; 130 if it was interrupted; 2 after wrong input, with one line on stderr, and with --json as JSON on stdout.
+        0; 130 if it was interrupted; 2 after wrong input, with one line on stderr, and with --json
+        as JSON on stdout.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
@@ -69,20 +72,35 @@ def execute(name: str, *words: str) -> None:
     from training.evaluation.results import Run, default_name
 
     benchmark = import_module(f"benchmarks.{name}").BENCHMARK
-    usual = replace(benchmark.settings, **benchmark.quick) if "--quick" in words else benchmark.settings
+    usual = (
+        replace(benchmark.settings, **benchmark.quick) if "--quick" in words else benchmark.settings
+    )
     options = RunOptions[type(usual)]
-    given = tyro.cli(options, prog=f"python -m benchmarks {name}", default=RunOptions(usual), args=words)
+    given = tyro.cli(
+        options, prog=f"python -m benchmarks {name}", default=RunOptions(usual), args=words
+    )
     checked(given.settings)
     kind = "env_speed" if name == "env" else name  # the kind "env" are hold rates
     before = None if given.compare is None else show.earlier(given.compare, kind)
     run = Run.create(given.out, given.name or default_name(kind))
     rows = benchmark.run(given.settings)
     tick("")
-    about = {"kind": kind, "quick": given.quick, "settings": asdict(given.settings), "load": os.getloadavg()}
+    about = {
+        "kind": kind,
+        "quick": given.quick,
+        "settings": asdict(given.settings),
+        "load": os.getloadavg(),
+    }
     if benchmark.draw is not None:
         run.write_text("picture.svg", svg(benchmark.draw(rows, benchmark.words)))
-    run.save(rows, about | {"missing": show.lacking(rows), "claims": [asdict(claim) for claim in benchmark.claims]})
-    written = (show.as_json if given.json else show.as_text)(benchmark, rows, run.read_json("run.json"), before)
+    run.save(
+        rows,
+        about
+        | {"missing": show.lacking(rows), "claims": [asdict(claim) for claim in benchmark.claims]},
+    )
+    written = (show.as_json if given.json else show.as_text)(
+        benchmark, rows, run.read_json("run.json"), before
+    )
     sys.stdout.write(written if given.json else f"{written}{run.folder}\n")
 
 

@@ -43,7 +43,8 @@ class BatchSettings:
 
 
 def run(settings: BatchSettings) -> pd.DataFrame:
-    """Solves per second of `optimize_forces`, a row for each round; `ratio` is the time of all cores over that of one.
+    """Solves per second of `optimize_forces`, a row for each round; `ratio` is the time of all
+    cores over that of one.
 
     The last row is the peak memory of the whole process, wrenches and one result included.
     """
@@ -59,11 +60,17 @@ def run(settings: BatchSettings) -> pd.DataFrame:
                 begin = time.perf_counter()
                 result = optimize_forces(grasp, loads, workers=workers, **options)
                 seconds[workers] = time.perf_counter() - begin
-                rows.append({
-                    "method": kind, "workers": workers, "problem": turn, "per_second": len(loads) / seconds[workers],
-                    "ratio": None if workers == 1 else seconds[workers] / seconds[1],
-                    "solves": len(loads), "failures": int((~result.optimal).sum()),
-                })  # fmt: skip
+                rows.append(
+                    {
+                        "method": kind,
+                        "workers": workers,
+                        "problem": turn,
+                        "per_second": len(loads) / seconds[workers],
+                        "ratio": None if workers == 1 else seconds[workers] / seconds[1],
+                        "solves": len(loads),
+                        "failures": int((~result.optimal).sum()),
+                    }
+                )
                 del result
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     return table([*rows, {"method": "peak of the process", "mebibytes": peak}])

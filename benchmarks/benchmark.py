@@ -17,7 +17,12 @@ from grasp_env.inputs import ranges
 from training.evaluation.results.claims import Claim
 from training.evaluation.results.table import pd
 
-RANGES = {"contacts": (3, ranges.CONTACTS), "wrenches": (8, 10_000_000), "seed": (0, ranges.SEED), "start": (0, 1000)}
+RANGES = {
+    "contacts": (3, ranges.CONTACTS),
+    "wrenches": (8, 10_000_000),
+    "seed": (0, ranges.SEED),
+    "start": (0, 1000),
+}
 """Allowed values of settings that are whole numbers; the others take 1 to 100,000."""
 
 
@@ -34,7 +39,8 @@ class TimingSettings:
     Attributes:
         contacts: numbers of contacts.
         wrenches: problems for each number of contacts, divided among four grasps.
-        rounds: rounds in which the contestants take turns, so that a busy moment of the machine affects all alike.
+        rounds: rounds in which the contestants take turns, so that a busy moment of the machine
+            affects all alike.
         passes: passes in a round; the time of a problem is the best of rounds * passes calls.
         seed: seed of the problems.
     """
@@ -51,15 +57,16 @@ class Benchmark:
     """A benchmark, by name in `benchmarks.__main__.BENCHMARKS`.
 
     Attributes:
-        run: takes settings, returns rows with columns of `training.evaluation.results.columns`. A row with a `reason` says what
-            could not be measured, and why.
+        run: takes settings, returns rows with columns of `training.evaluation.results.columns`. A
+            row with a `reason` says what could not be measured, and why.
         settings: default settings, a dataclass whose fields are the options.
         quick: changes to them for a small version with rough numbers.
         shown: printed columns of the summary, in addition to its keys.
         claims: claims about the summary.
         words: meaning of values of the column `method`.
         notes: takes the summary, returns lines to print below it.
-        draw: takes the rows and `words`, returns a figure that is saved as picture.svg; None: no picture.
+        draw: takes the rows and `words`, returns a figure that is saved as picture.svg; None: no
+            picture.
     """
 
     run: Callable[[Any], pd.DataFrame]
@@ -103,4 +110,6 @@ def checked(settings: Any) -> None:
         least, most = RANGES.get(name, (1, 100_000))
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, int) and not least <= number <= most:
-                raise InvalidInputError(f"{name} must be at least {least}, at most {most}, got {shown(number)}")
+                raise InvalidInputError(
+                    f"{name} must be at least {least}, at most {most}, got {shown(number)}"
+                )

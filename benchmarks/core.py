@@ -1,4 +1,5 @@
-"""Comparison of this checkout with an earlier one: the same problems and calls, in short processes that take turns on one core.
+"""Comparison of this checkout with an earlier one: the same problems and calls, in short processes
+that take turns on one core.
 
 `core_side.ROWS` lists what is timed. Every process writes its rows, and this module joins them.
 """
@@ -38,7 +39,9 @@ LEVER = 0.05
 """Scale of a finger's Jacobian [m/rad]."""
 ROOM = 1.1
 """Torque limits over the largest torques of a path."""
-CALL, RATIO, FIRST = "call", "now over baseline, by rounds", "first solve of a process, newton"
+CALL = "call"
+RATIO = "now over baseline, by rounds"
+FIRST = "first solve of a process, newton"
 
 
 @dataclass(frozen=True)
@@ -46,8 +49,8 @@ class CoreSettings(TimingSettings):
     """Settings of a benchmark.
 
     Attributes:
-        baseline: folder of another checkout with a .venv (git worktree add PATH COMMIT; make -C PATH install); None: only
-            this one is timed.
+        baseline: folder of another checkout with a .venv (git worktree add PATH COMMIT; make -C
+            PATH install); None: only this one is timed.
     """
 
     baseline: Path | None = None
@@ -57,8 +60,10 @@ def run(settings: CoreSettings, names: tuple[str, ...] = tuple(ROWS)) -> pd.Data
     """Time all rows in rounds, this checkout and the baseline in turns, never both at once.
 
     Returns:
-        A row for each side, method and problem with the best of all rounds, and with two sides the difference of their objectives in
-        `apart`; a row for each round with the ratio of medians; a row for each process with its first solve and the commit in `event`; a
+        A row for each side, method and problem with the best of all rounds, and with two sides the
+        difference of their objectives in
+        `apart`; a row for each round with the ratio of medians; a row for each process with its
+        first solve and the commit in `event`; a
         row with a reason for everything that a side cannot time.
 
     Raises:
@@ -72,51 +77,87 @@ def run(settings: CoreSettings, names: tuple[str, ...] = tuple(ROWS)) -> pd.Data
     for root, python in sides.values():
         if not (root / "grasp_env").is_dir() or not python.exists():
             mend = f"git worktree add {root} COMMIT, make -C {root} install"
-            raise InvalidInputError(f"{root} is no installed checkout with a grasp_env and a {python}: {mend}")
-    parts, first = [], []
+            raise InvalidInputError(
+                f"{root} is no installed checkout with a grasp_env and a {python}: {mend}"
+            )
+    parts = []
+    first = []
     with tempfile.TemporaryDirectory() as scratch:
-        file, out = Path(scratch, "problems.npz"), Path(scratch, "rows")
+        file = Path(scratch, "problems.npz")
+        out = Path(scratch, "rows")
         for count in settings.contacts:
             tick(f"{count} contacts: problems")
             np.savez(file, **arrays(settings.seed, count, settings.wrenches))
             for turn in range(settings.rounds):
                 for side, (root, python) in sides.items():
                     tick(f"{count} contacts, round {turn + 1} of {settings.rounds}: {side}")
-                    words = [str(out), str(file), str(settings.passes), str(time.monotonic()), *names]
+                    words = [
+                        str(out),
+                        str(file),
+                        str(settings.passes),
+                        str(time.monotonic()),
+                        *names,
+                    ]
                     about, *lines = process(python, root, words)
                     taken = about["milliseconds"]
-                    first.append({"case": FIRST, "side": side, "event": commit(root), "milliseconds": taken})
+                    first.append(
+                        {"case": FIRST, "side": side, "event": commit(root), "milliseconds": taken}
+                    )
                     parts.append(pd.DataFrame(lines).assign(side=side, contacts=count, turn=turn))
-    return join([*joined(pd.concat([part.astype(object) for part in parts], ignore_index=True)), pd.DataFrame(first)])
+    return join(
+        [
+            *joined(pd.concat([part.astype(object) for part in parts], ignore_index=True)),
+            pd.DataFrame(first),
+        ]
+    )
 
 
 def arrays(seed: int, count: int, wrenches: int) -> dict[str, Any]:
-    """The problems of the other benchmarks, and a path round each grasp on which it keeps force closure."""
-    rng, out = np.random.default_rng([seed, count, 1]), {}
+    """The problems of the other benchmarks, and a path round each grasp on which it keeps force
+    closure.
+    """
+    rng = np.random.default_rng([seed, count, 1])
+    out = {}
     for group, (grasp, loads) in enumerate(problems(seed, count, wrenches)):
         angle = STEP * np.arange(len(loads))[:, None, None]
-        phase, shift, tilt = rng.uniform(0.0, 2.0 * np.pi, (count, 1)), *rng.uniform(-1.0, 1.0, (2, count, 3))
+        phase, shift, tilt = (
+            rng.uniform(0.0, 2.0 * np.pi, (count, 1)),
+            *rng.uniform(-1.0, 1.0, (2, count, 3)),
+        )
         part = 1.0  # of the way: halved until closure is kept
         while True:
             points = grasp.positions + part * SHIFT * shift * np.sin(angle + phase)
             normals = grasp.normals + part * TILT * tilt * np.cos(angle + phase)
             normals /= np.sqrt((normals**2).sum(axis=2, keepdims=True))
-            path = (Grasp.from_contacts(p, n, grasp.friction) for p, n in zip(points, normals, strict=True))
+            path = (
+                Grasp.from_contacts(p, n, grasp.friction)
+                for p, n in zip(points, normals, strict=True)
+            )
             if all(feasibility(moved, np.zeros(6)).feasible for moved in path):
                 break
             part *= 0.5
         turning = np.cos(angle[:, 0]) * loads[0] + np.sin(angle[:, 0]) * loads[1]
-        found = {"positions": grasp.positions, "normals": grasp.normals, "friction": grasp.friction, "wrenches": loads}
+        found = {
+            "positions": grasp.positions,
+            "normals": grasp.normals,
+            "friction": grasp.friction,
+            "wrenches": loads,
+        }
         found |= {"path_points": points, "path_normals": normals, "path_wrenches": turning}
         turned = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
         joints = LEVER * turned * (1.0 + 0.1 * np.sin(angle[:, :, None] + phase[:, :, None]))
-        found |= {"path_joints": joints, "torque_limit": strongest(grasp, points, normals, turning, joints)}
+        found |= {
+            "path_joints": joints,
+            "torque_limit": strongest(grasp, points, normals, turning, joints),
+        }
         out |= {f"{group}/{name}": value for name, value in found.items()}
     return out
 
 
 def strongest(grasp: Grasp, points: Array, normals: Array, wrenches: Array, joints: Array) -> Array:
-    """Return (3N,) torque limits [N m] a little above the largest torques of optimal forces along a path, so every step is feasible."""
+    """Return (3N,) torque limits [N m] a little above the largest torques of optimal forces along a
+    path, so every step is feasible.
+    """
     optimizer = ForceOptimizer(grasp)
     path = zip(wrenches, points, normals, joints, strict=True)
     torques = [
@@ -130,7 +171,9 @@ def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:
     """Run `core_side.py` in a checkout and return the lines that it wrote, or raise a `GraspError`."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     command = [str(python), "-c", SIDE.read_text(encoding="utf-8"), *words]
-    done = subprocess.run(command, cwd=root, env=kept | {"OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=root, env=kept | {"OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True
+    )
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["nothing said"])[-1]
         raise GraspError(f"the process in {root} ended: {last}")
@@ -141,27 +184,46 @@ def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:
 
 
 def joined(lines: Any) -> list[pd.DataFrame]:
-    """Join the lines of all processes: best of the rounds, differences of objectives, ratios of each round, and missing rows."""
+    """Join the lines of all processes: best of the rounds, differences of objectives, ratios of
+    each round, and missing rows.
+    """
     keys = ["contacts", "method", "problem"]
     lines = lines.reindex(columns=[*keys, "side", "turn", "microseconds", "objective", "reason"])
-    lacking = lines.loc[lines["reason"].notna(), ["contacts", "method", "side", "reason"]].drop_duplicates()
-    lines = lines[~lines["method"].isin(lacking["method"])].astype({"microseconds": float, "objective": float})
-    best = lines.groupby([*keys, "side"], sort=False, as_index=False).agg({"microseconds": "min", "objective": "last"})
+    lacking = lines.loc[
+        lines["reason"].notna(), ["contacts", "method", "side", "reason"]
+    ].drop_duplicates()
+    lines = lines[~lines["method"].isin(lacking["method"])].astype(
+        {"microseconds": float, "objective": float}
+    )
+    best = lines.groupby([*keys, "side"], sort=False, as_index=False).agg(
+        {"microseconds": "min", "objective": "last"}
+    )
     best["failed"] = best["objective"].isna()
     if "baseline" not in set(best["side"]):
         return [best.drop(columns="objective").assign(case=CALL), lacking]
     other = best.merge(best[best["side"] == "baseline"], on=keys, how="left")
     best["apart"] = (other["objective_x"] / other["objective_y"] - 1.0).abs()
     # both sides of a method in consecutive rows
-    pairs = [rows for _, rows in best.drop(columns="objective").assign(case=CALL).groupby(keys[:2], sort=False)]
-    medians = lines.pivot_table("microseconds", ["contacts", "method", "turn"], "side", "median", sort=False)
+    pairs = [
+        rows
+        for _, rows in best.drop(columns="objective")
+        .assign(case=CALL)
+        .groupby(keys[:2], sort=False)
+    ]
+    medians = lines.pivot_table(
+        "microseconds", ["contacts", "method", "turn"], "side", "median", sort=False
+    )
     ratios = (medians["now"] / medians["baseline"]).rename("ratio").reset_index()
     return [*pairs, ratios.rename(columns={"turn": "problem"}).assign(case=RATIO), lacking]
 
 
 def _slower(name: str) -> Claim:
     return Claim(
-        f"{name}: time over the baseline's", f"case == '{RATIO}' and method == '{name}'", "ratio_median", "<=", 1.05
+        f"{name}: time over the baseline's",
+        f"case == '{RATIO}' and method == '{name}'",
+        "ratio_median",
+        "<=",
+        1.05,
     )
 
 
@@ -169,10 +231,26 @@ BENCHMARK = Benchmark(
     run,
     CoreSettings((3, 4, 5, 8, 16, 50), wrenches=400, rounds=10, passes=2),
     quick={"wrenches": 80, "rounds": 2},
-    shown=("microseconds_median", "microseconds_p99", "failed_sum", "apart_max", "ratio_median", "ratio_low", "ratio_high", "milliseconds_median"),
+    shown=(
+        "microseconds_median",
+        "microseconds_p99",
+        "failed_sum",
+        "apart_max",
+        "ratio_median",
+        "ratio_low",
+        "ratio_high",
+        "milliseconds_median",
+    ),
     claims=(
         *map(_slower, ROWS),
-        Claim("first solve of a new process", f"case == '{FIRST}' and side == 'now'", "milliseconds_median", "<=", 500.0, unit="ms"),
+        Claim(
+            "first solve of a new process",
+            f"case == '{FIRST}' and side == 'now'",
+            "milliseconds_median",
+            "<=",
+            500.0,
+            unit="ms",
+        ),
     ),
     words={name: label for name, (label, _) in ROWS.items()},
-)  # fmt: skip
+)

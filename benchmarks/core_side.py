@@ -1,6 +1,8 @@
-"""One side of the benchmark `core`: `python -c <this source> OUT PROBLEMS PASSES BEGIN ROW...` in a checkout.
+"""One side of the benchmark `core`: `python -c <this source> OUT PROBLEMS PASSES BEGIN ROW...` in a
+checkout.
 
-It imports only numpy and parts of `grasp_env` that both checkouts have, and writes its rows as lines of JSON.
+It imports only numpy and parts of `grasp_env` that both checkouts have, and writes its rows as
+lines of JSON.
 """
 
 from __future__ import annotations
@@ -17,15 +19,23 @@ import numpy as np
 WARM_UP = 20
 """Call before the clock starts, for every row."""
 Case = dict[str, Any]
-"""A grasp and its problems: wrenches (n, 6), and points (n, N, 3), normals, wrenches and Jacobians (n, N, 3, J) along a smooth path."""
+"""A grasp and its problems: wrenches (n, 6), and points (n, N, 3), normals, wrenches and Jacobians
+(n, N, 3, J) along a smooth path."""
 Answers = tuple[Any, list[float]]
-"""Seconds (n,) of each call, the best of the passes, and the objectives (n,), nan where not optimal."""
+"""Seconds (n,) of each call, the best of the passes, and the objectives (n,), nan where not
+optimal."""
 
 
 def timed(
-    passes: int, call: Any, calls: list[Any], restart: Callable[[], Any] = lambda: None, wanted: str = "OPTIMAL"
+    passes: int,
+    call: Any,
+    calls: list[Any],
+    restart: Callable[[], Any] = lambda: None,
+    wanted: str = "OPTIMAL",
 ) -> Answers:
-    """`call(*calls[k])`, a solve with the reading of `.force` and `.status`; a pass begins with `restart()` and an untimed call."""
+    """`call(*calls[k])`, a solve with the reading of `.force` and `.status`; a pass begins with
+    `restart()` and an untimed call.
+    """
     solves = not hasattr(call(*calls[0]), "length")  # or makes a grasp
     for given in calls[:WARM_UP]:
         call(*given)
@@ -45,10 +55,14 @@ def timed(
         return 1e-9 * best, [grasp.length for grasp in found]
     values = [solution.objective if wanted == "OPTIMAL" else 1.0 for solution in found]
     ended = [solution.status.name == wanted for solution in found]
-    return 1e-9 * best, [value if good else np.nan for value, good in zip(values, ended, strict=True)]
+    return 1e-9 * best, [
+        value if good else np.nan for value, good in zip(values, ended, strict=True)
+    ]
 
 
-def python(case: Case, passes: int, grasp: str = "grasp", wrenches: str = "wrenches", **options: Any) -> Answers:
+def python(
+    case: Case, passes: int, grasp: str = "grasp", wrenches: str = "wrenches", **options: Any
+) -> Answers:
     """`ForceOptimizer(grasp, **options).solve(wrench)`."""
     from grasp_env.force import ForceOptimizer
 
@@ -58,11 +72,14 @@ def python(case: Case, passes: int, grasp: str = "grasp", wrenches: str = "wrenc
 
 
 def compiled(case: Case, passes: int, **options: Any) -> Answers:
-    """The compiled call alone, start and certificate included, timed in C++; its objectives are those from Python."""
+    """The compiled call alone, start and certificate included, timed in C++; its objectives are
+    those from Python.
+    """
     from grasp_env.force import ForceOptimizer
 
     solver = ForceOptimizer(case["grasp"], **options).core
-    loads, best = case["wrenches"], np.empty(len(case["wrenches"]))
+    loads = case["wrenches"]
+    best = np.empty(len(case["wrenches"]))
     records = np.zeros((len(loads), solver.size))
     solver.times(loads[:WARM_UP], 1, records[:WARM_UP], best[:WARM_UP])
     solver.times(loads, passes, records, best)
@@ -71,7 +88,12 @@ def compiled(case: Case, passes: int, **options: Any) -> Answers:
 
 def path_of(case: Case, *more: str) -> list[Any]:
     """(points, normals, wrench, ...) of each step."""
-    return list(zip(*(case[f"path_{name}"] for name in ("points", "normals", "wrenches", *more)), strict=True))
+    return list(
+        zip(
+            *(case[f"path_{name}"] for name in ("points", "normals", "wrenches", *more)),
+            strict=True,
+        )
+    )
 
 
 def moving(case: Case, passes: int, **options: Any) -> Answers:
@@ -86,13 +108,21 @@ def moving(case: Case, passes: int, **options: Any) -> Answers:
     return timed(passes, solve, path_of(case), lambda: setattr(optimizer, "previous", None))
 
 
-def within_limits(case: Case, passes: int, part: float = 1.0, wanted: str = "OPTIMAL", **options: Any) -> Answers:
-    """The same with the current Jacobian (three joints a finger), within a part of the torque limits."""
+def within_limits(
+    case: Case, passes: int, part: float = 1.0, wanted: str = "OPTIMAL", **options: Any
+) -> Answers:
+    """The same with the current Jacobian (three joints a finger), within a part of the torque
+    limits.
+    """
     from grasp_env.errors import InfeasibleWrenchError
     from grasp_env.force import ForceLimits, ForceOptimizer
 
-    limits = ForceLimits(jacobian=case["path_jacobians"][0], torque_limit=part * case["torque_limit"])
-    optimizer = ForceOptimizer(case["grasp"], limits=limits, method="newton", tolerance=1e-4, **options)
+    limits = ForceLimits(
+        jacobian=case["path_jacobians"][0], torque_limit=part * case["torque_limit"]
+    )
+    optimizer = ForceOptimizer(
+        case["grasp"], limits=limits, method="newton", tolerance=1e-4, **options
+    )
 
     def solve(points: Any, normals: Any, wrench: Any, jacobian: Any) -> Any:
         try:
@@ -100,7 +130,13 @@ def within_limits(case: Case, passes: int, part: float = 1.0, wanted: str = "OPT
         except InfeasibleWrenchError as error:
             return error.solution
 
-    return timed(passes, solve, path_of(case, "jacobians"), lambda: setattr(optimizer, "previous", None), wanted)
+    return timed(
+        passes,
+        solve,
+        path_of(case, "jacobians"),
+        lambda: setattr(optimizer, "previous", None),
+        wanted,
+    )
 
 
 def new_contacts(case: Case, passes: int, **options: Any) -> Answers:
@@ -109,7 +145,9 @@ def new_contacts(case: Case, passes: int, **options: Any) -> Answers:
     from grasp_env.grasp import Grasp
 
     def call(points: Any, normals: Any, wrench: Any) -> Any:
-        return optimize_force(Grasp.from_contacts(points, normals, case["friction"]), wrench, **options)
+        return optimize_force(
+            Grasp.from_contacts(points, normals, case["friction"]), wrench, **options
+        )
 
     return timed(passes, call, path_of(case))
 
@@ -118,21 +156,29 @@ def grasps_of(case: Case) -> list[Any]:
     """The grasps of the path."""
     from grasp_env.grasp import Grasp
 
-    return [Grasp.from_contacts(points, normals, case["friction"]) for points, normals, _ in path_of(case)]
+    return [
+        Grasp.from_contacts(points, normals, case["friction"])
+        for points, normals, _ in path_of(case)
+    ]
 
 
 def batch(case: Case, passes: int, **options: Any) -> Answers:
-    """`optimize_forces` of as many grasps as wrenches, on one core: the mean of a batch is the time of each."""
+    """`optimize_forces` of as many grasps as wrenches, on one core: the mean of a batch is the time
+    of each.
+    """
     from grasp_env.force import optimize_forces
 
-    best, loads = np.inf, case["path_wrenches"].copy()
+    best = np.inf
+    loads = case["path_wrenches"].copy()
     found: Any = None
     for _ in range(passes + 1):
         grasps = grasps_of(case)
         begin = time.perf_counter_ns()
         found = optimize_forces(grasps, loads, workers=1, **options)
         best = min(best, time.perf_counter_ns() - begin)
-    return np.full(len(loads), 1e-9 * best / len(loads)), np.where(found.optimal, found.objective, np.nan).tolist()
+    return np.full(len(loads), 1e-9 * best / len(loads)), np.where(
+        found.optimal, found.objective, np.nan
+    ).tolist()
 
 
 def constructor(case: Case, passes: int, **options: Any) -> Answers:
@@ -152,37 +198,96 @@ def constructor(case: Case, passes: int, **options: Any) -> Answers:
 def making(case: Case, passes: int, name: str, third: Any) -> Answers:
     """A constructor of `Grasp` along the path."""
     path = zip(case["path_points"], case["path_normals"], strict=True)
-    return timed(passes, getattr(type(case["grasp"]), name), [(*contacts, third) for contacts in path])
+    return timed(
+        passes, getattr(type(case["grasp"]), name), [(*contacts, third) for contacts in path]
+    )
 
 
 ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
-    "newton": ("Newton on Phi to 1e-8, compiled call", lambda *given: compiled(*given, method="newton", tolerance=1e-8)),
-    "newton_python": ("the same, ForceOptimizer.solve from Python", lambda *given: python(*given, method="newton", tolerance=1e-8)),
-    "newton_default": ("the same to 1e-4, the default", lambda *given: python(*given, method="newton", tolerance=1e-4)),
+    "newton": (
+        "Newton on Phi to 1e-8, compiled call",
+        lambda *given: compiled(*given, method="newton", tolerance=1e-8),
+    ),
+    "newton_python": (
+        "the same, ForceOptimizer.solve from Python",
+        lambda *given: python(*given, method="newton", tolerance=1e-8),
+    ),
+    "newton_default": (
+        "the same to 1e-4, the default",
+        lambda *given: python(*given, method="newton", tolerance=1e-4),
+    ),
     "newton_previous": (
         "ForceOptimizer.solve to 1e-8, initial='previous', wrenches on a smooth path",
-        lambda *given: python(*given, wrenches="path_wrenches", method="newton", tolerance=1e-8, initial="previous"),
+        lambda *given: python(
+            *given, wrenches="path_wrenches", method="newton", tolerance=1e-8, initial="previous"
+        ),
     ),
-    "conic": ("conic to 1e-6, compiled call", lambda *given: compiled(*given, method="conic", tolerance=1e-6)),
-    "conic_python": ("the same, ForceOptimizer.solve from Python", lambda *given: python(*given, method="conic", tolerance=1e-6)),
-    "moving_newton": ("current contacts to certified force by newton to 1e-4, no history, from Python", moving),
-    "moving_newton_previous": ("the same from the previous solution", lambda *given: moving(*given, initial="previous")),
-    "moving_limits": ("current contacts and Jacobian within torque limits, newton to 1e-4, from Python", within_limits),
-    "moving_limits_previous": ("the same from the previous solution", lambda *given: within_limits(*given, initial="previous")),
+    "conic": (
+        "conic to 1e-6, compiled call",
+        lambda *given: compiled(*given, method="conic", tolerance=1e-6),
+    ),
+    "conic_python": (
+        "the same, ForceOptimizer.solve from Python",
+        lambda *given: python(*given, method="conic", tolerance=1e-6),
+    ),
+    "moving_newton": (
+        "current contacts to certified force by newton to 1e-4, no history, from Python",
+        moving,
+    ),
+    "moving_newton_previous": (
+        "the same from the previous solution",
+        lambda *given: moving(*given, initial="previous"),
+    ),
+    "moving_limits": (
+        "current contacts and Jacobian within torque limits, newton to 1e-4, from Python",
+        within_limits,
+    ),
+    "moving_limits_previous": (
+        "the same from the previous solution",
+        lambda *given: within_limits(*given, initial="previous"),
+    ),
     "moving_limits_infeasible": (
-        "the same where no force keeps the limits, with the error", lambda *given: within_limits(*given, part=0.05, wanted="INFEASIBLE")
+        "the same where no force keeps the limits, with the error",
+        lambda *given: within_limits(*given, part=0.05, wanted="INFEASIBLE"),
     ),
-    "new_contacts_newton": ("Grasp.from_contacts and optimize_force, newton to 1e-4", lambda *given: new_contacts(*given, method="newton")),
-    "new_contacts_conic": ("the same, conic to 1e-6", lambda *given: new_contacts(*given, method="conic")),
-    "batch_grasps_newton": ("optimize_forces of as many grasps as wrenches on one core, newton", lambda *given: batch(*given, method="newton")),
+    "new_contacts_newton": (
+        "Grasp.from_contacts and optimize_force, newton to 1e-4",
+        lambda *given: new_contacts(*given, method="newton"),
+    ),
+    "new_contacts_conic": (
+        "the same, conic to 1e-6",
+        lambda *given: new_contacts(*given, method="conic"),
+    ),
+    "batch_grasps_newton": (
+        "optimize_forces of as many grasps as wrenches on one core, newton",
+        lambda *given: batch(*given, method="newton"),
+    ),
     "batch_grasps_conic": ("the same, conic", lambda *given: batch(*given, method="conic")),
-    "constructor": ("ForceOptimizer(grasp, method='newton') of a new grasp", lambda *given: constructor(*given, method="newton")),
-    "from_contacts": ("Grasp.from_contacts", lambda case, passes: making(case, passes, "from_contacts", case["friction"])),
-    "unchecked": ("Grasp.unchecked", lambda case, passes: making(case, passes, "unchecked", case["grasp"].models)),
-    "flow": ("the paper's flow, ForceOptimizer.solve", lambda *given: python(*given, method="reduced_flow")),
-    "soft": ("soft contacts, newton to 1e-4, ForceOptimizer.solve", lambda *given: python(*given, grasp="soft", method="newton", tolerance=1e-4)),
-    "max": ("least largest normal force, conic to 1e-6, ForceOptimizer.solve", lambda *given: python(*given, method="conic", criterion="max")),
-}  # fmt: skip
+    "constructor": (
+        "ForceOptimizer(grasp, method='newton') of a new grasp",
+        lambda *given: constructor(*given, method="newton"),
+    ),
+    "from_contacts": (
+        "Grasp.from_contacts",
+        lambda case, passes: making(case, passes, "from_contacts", case["friction"]),
+    ),
+    "unchecked": (
+        "Grasp.unchecked",
+        lambda case, passes: making(case, passes, "unchecked", case["grasp"].models),
+    ),
+    "flow": (
+        "the paper's flow, ForceOptimizer.solve",
+        lambda *given: python(*given, method="reduced_flow"),
+    ),
+    "soft": (
+        "soft contacts, newton to 1e-4, ForceOptimizer.solve",
+        lambda *given: python(*given, grasp="soft", method="newton", tolerance=1e-4),
+    ),
+    "max": (
+        "least largest normal force, conic to 1e-6, ForceOptimizer.solve",
+        lambda *given: python(*given, method="conic", criterion="max"),
+    ),
+}
 """Timed calls by label, each a function of a case and the number of passes."""
 
 
@@ -192,17 +297,25 @@ def cases(path: str) -> Iterator[Case]:
 
     arrays = np.load(path)
     for group in sorted({name.partition("/")[0] for name in arrays.files}):
-        case: Case = {name.partition("/")[2]: arrays[name] for name in arrays.files if name.startswith(f"{group}/")}
+        case: Case = {
+            name.partition("/")[2]: arrays[name]
+            for name in arrays.files
+            if name.startswith(f"{group}/")
+        }
         case["path_jacobians"] = jacobians(case["path_joints"])
         contacts = case["positions"], case["normals"], case["friction"]
         case["grasp"] = Grasp.from_contacts(*contacts)
         gamma = 0.1 * case["friction"] * case["grasp"].length
-        case["soft"] = Grasp.from_contacts(*contacts, contact_model="soft", torsional_friction=gamma)
+        case["soft"] = Grasp.from_contacts(
+            *contacts, contact_model="soft", torsional_friction=gamma
+        )
         yield case
 
 
 def jacobians(joints: Any) -> Any:
-    """(n, N, 3, 3 N) of fingers with three joints each, of which only their own (n, N, 3, 3) move them."""
+    """(n, N, 3, 3 N) of fingers with three joints each, of which only their own (n, N, 3, 3) move
+    them.
+    """
     steps, count = joints.shape[:2]
     made = np.zeros((steps, count, 3, count, 3))
     for finger in range(count):
@@ -220,24 +333,40 @@ def lines(problems: str, passes: int, names: tuple[str, ...]) -> Iterator[dict[s
             yield {"method": name, "reason": f"{type(error).__name__}: {error}"}
             continue
         seconds, values = (np.concatenate(part) for part in zip(*found, strict=True))
-        for problem, (taken, value) in enumerate(zip(seconds.tolist(), values.tolist(), strict=True)):
+        for problem, (taken, value) in enumerate(
+            zip(seconds.tolist(), values.tolist(), strict=True)
+        ):
             objective = value if np.isfinite(value) else None
-            yield {"method": name, "problem": problem, "microseconds": 1e6 * taken, "objective": objective}
+            yield {
+                "method": name,
+                "problem": problem,
+                "microseconds": 1e6 * taken,
+                "objective": objective,
+            }
 
 
 def main(out: str, problems: str, passes: str, begin: str, *names: str) -> None:
-    """Time all rows; report first the imported package and the time of the first solve after `begin` (CLOCK_MONOTONIC [s])."""
+    """Time all rows; report first the imported package and the time of the first solve after
+    `begin` (CLOCK_MONOTONIC [s]).
+    """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     import grasp_env
     from grasp_env.force import optimize_force
     from grasp_env.grasp import presets
 
-    force = optimize_force(presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0], method="newton").force
+    force = optimize_force(
+        presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0], method="newton"
+    ).force
     first = 1e3 * (time.monotonic() - float(begin)) if np.isfinite(force).all() else None
-    about = {"root": os.path.dirname(os.path.dirname(os.path.abspath(grasp_env.__file__))), "milliseconds": first}
+    about = {
+        "root": os.path.dirname(os.path.dirname(os.path.abspath(grasp_env.__file__))),
+        "milliseconds": first,
+    }
     with open(out, "w", encoding="utf-8") as file:
-        file.writelines(json.dumps(line) + "\n" for line in (about, *lines(problems, int(passes), names)))
+        file.writelines(
+            json.dumps(line) + "\n" for line in (about, *lines(problems, int(passes), names))
+        )
 
 
 if __name__ == "__main__":

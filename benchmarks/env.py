@@ -1,4 +1,6 @@
-"""Comparison of the environment with the bare PyBullet calls of the same episode: steps per second, resets, memory."""
+"""Comparison of the environment with the bare PyBullet calls of the same episode: steps per second,
+resets, memory.
+"""
 
 from __future__ import annotations
 
@@ -69,9 +71,13 @@ def run(settings: EnvSettings) -> pd.DataFrame:
     fewer = max(4, settings.rounds // 3)
     for name, options in EPISODES.items():
         tick(f"steps: {name}")
-        rows += steps_beside_bare(name, options, settings.seed, settings.rounds if name == USUAL else fewer)
+        rows += steps_beside_bare(
+            name, options, settings.seed, settings.rounds if name == USUAL else fewer
+        )
     tick("steps through gym.make")
-    rows += steps_beside_bare(f"{USUAL}, gym.make", {}, settings.seed, settings.rounds, wrapped=True)
+    rows += steps_beside_bare(
+        f"{USUAL}, gym.make", {}, settings.seed, settings.rounds, wrapped=True
+    )
     for name, options in RESETS.items():
         tick(f"resets: {name}")
         rows += reset_times(name, options, settings.seed, max(20, settings.resets // 4))
@@ -85,14 +91,21 @@ def make(options: dict[str, Any], wrapped: bool = False) -> Any:
     """An environment; `initial_force="learned"` is the shipped network."""
     if options.get("initial_force") == "learned":
         options = {**options, "initial_force": LearnedInitialForce.pretrained()}
-    return gym.make("grasp_env:FourFingerGrasp-v0", **options) if wrapped else FourFingerGrasp(**options)
+    return (
+        gym.make("grasp_env:FourFingerGrasp-v0", **options)
+        if wrapped
+        else FourFingerGrasp(**options)
+    )
 
 
-def steps_beside_bare(name: str, options: dict[str, Any], seed: int, rounds: int, wrapped: bool = False) -> list[Row]:
+def steps_beside_bare(
+    name: str, options: dict[str, Any], seed: int, rounds: int, wrapped: bool = False
+) -> list[Row]:
     """Return microseconds of an agent step and of its PyBullet calls alone, measured in turns.
 
-    The bare loop repeats the recorded episode: the same torques and wrenches from the same state, and the same readings, so it has
-    the same contacts. A check requires the same final pose, bit by bit.
+    The bare loop repeats the recorded episode: the same torques and wrenches from the same state,
+    and the same readings, so it has the same contacts. A check requires the same final pose, bit by
+    bit.
     """
     env = make(options, wrapped)
     try:
@@ -110,10 +123,15 @@ def steps_beside_bare(name: str, options: dict[str, Any], seed: int, rounds: int
             env.reset(seed=seed)
             bare = 1e-3 * bare_loop(inner, recorded) / STEPS
             if _pose(inner) != pose:
-                raise AssertionError("the bare loop went another way than the environment: an unfair comparison")
+                raise AssertionError(
+                    "the bare loop went another way than the environment: an unfair comparison"
+                )
             row = {"method": name, "problem": turn - 1}
-            ratio, rate = ours / bare, 1e6 / ours
-            rows.append({**row, "case": "step", "microseconds": ours, "per_second": rate, "ratio": ratio})
+            ratio = ours / bare
+            rate = 1e6 / ours
+            rows.append(
+                {**row, "case": "step", "microseconds": ours, "per_second": rate, "ratio": ratio}
+            )
             rows.append({**row, "case": "bare PyBullet calls of the step", "microseconds": bare})
         return rows[2:]  # the first turn is warm-up
     finally:
@@ -147,7 +165,9 @@ def bare_loop(env: FourFingerGrasp, recorded: Recorded) -> int:
     simulator = env.scene.simulator
     world, client = simulator.world, simulator.client.number
     hand, body, joints = world.hand, world.object, world.joints
-    mode, frame, origin = bullet.TORQUE_CONTROL, bullet.LINK_FRAME, (0.0, 0.0, 0.0)
+    mode = bullet.TORQUE_CONTROL
+    frame = bullet.LINK_FRAME
+    origin = (0.0, 0.0, 0.0)
     clock, total = time.perf_counter_ns, 0
     for torques, wrench in recorded:
         begin = clock()
@@ -180,7 +200,9 @@ def reset_times(name: str, options: dict[str, Any], seed: int, count: int) -> li
 
 
 def memory_of(name: str, options: dict[str, Any], resets: int, envs: int) -> list[Row]:
-    """Measure resident memory in a separate process: of an environment, and its growth over `resets` resets."""
+    """Measure resident memory in a separate process: of an environment, and its growth over
+    `resets` resets.
+    """
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         found = pool.submit(weigh, options, resets, envs).result()
     return [{"case": case, "method": name, "mebibytes": value} for case, value in found.items()]
@@ -188,7 +210,8 @@ def memory_of(name: str, options: dict[str, Any], resets: int, envs: int) -> lis
 
 def weigh(options: dict[str, Any], resets: int, envs: int) -> dict[str, float]:
     """Return the memory of this process by purpose [MiB]."""
-    warm = make(options)  # code and the first reset's caches belong to the process, not to an environment
+    # code and the first reset's caches belong to the process, not to an environment
+    warm = make(options)
     for k in range(max(20, resets // 10)):
         warm.reset(seed=k)
     first = _resident()
@@ -200,15 +223,22 @@ def weigh(options: dict[str, Any], resets: int, envs: int) -> dict[str, float]:
         env.reset(seed=k)
         env.step(np.zeros(env.action_space.shape, dtype=np.float32))
     all_of_it = _resident()
-    per_env, growth = (all_of_it - before) / envs, before - first
-    found = {"memory of an environment": per_env, "growth over the resets": growth, "memory in all": all_of_it}
+    per_env = (all_of_it - before) / envs
+    growth = before - first
+    found = {
+        "memory of an environment": per_env,
+        "growth over the resets": growth,
+        "memory in all": all_of_it,
+    }
     for env in (warm, *made):
         env.close()
     return found
 
 
 def _pose(env: FourFingerGrasp) -> tuple[Any, ...]:
-    return bullet.getBasePositionAndOrientation(env.scene.simulator.world.object, env.scene.simulator.client.number)
+    return bullet.getBasePositionAndOrientation(
+        env.scene.simulator.world.object, env.scene.simulator.client.number
+    )
 
 
 def _resident() -> float:
@@ -225,16 +255,69 @@ BENCHMARK = Benchmark(
     EnvSettings(),
     quick={"rounds": 4, "resets": 40, "envs": 2},
     shown=(
-        "per_second_max", "microseconds_median", "ratio_median", "ratio_low", "ratio_high", "milliseconds_median", "milliseconds_p99",
+        "per_second_max",
+        "microseconds_median",
+        "ratio_median",
+        "ratio_low",
+        "ratio_high",
+        "milliseconds_median",
+        "milliseconds_p99",
         "mebibytes_max",
     ),
     claims=(
-        Claim("agent steps per second on one core, paper's pipeline, best episode", _USUAL, "per_second_max", ">=", 1000.0),
-        Claim("cost of a step over the bare PyBullet calls, median of pairs", _USUAL, "ratio_median", "<=", 1.25),
-        Claim("reset, same object shape, median", "case == 'reset' and method != 'new shape'", "milliseconds_median", "<", 5.0, unit="ms"),
-        Claim("reset, new object shape, median", "case == 'reset' and method == 'new shape'", "milliseconds_median", "<", 40.0, unit="ms"),
-        Claim("memory per environment", "case == 'memory of an environment'", "mebibytes_max", "<", 60.0, unit="MiB"),
-        Claim("growth over the resets, same object", _GROWTH.format("same object"), "mebibytes_max", "<", 1.0, unit="MiB"),
-        Claim("growth over the resets, new shapes", _GROWTH.format("new shape"), "mebibytes_max", "<", 1.0, unit="MiB"),
+        Claim(
+            "agent steps per second on one core, paper's pipeline, best episode",
+            _USUAL,
+            "per_second_max",
+            ">=",
+            1000.0,
+        ),
+        Claim(
+            "cost of a step over the bare PyBullet calls, median of pairs",
+            _USUAL,
+            "ratio_median",
+            "<=",
+            1.25,
+        ),
+        Claim(
+            "reset, same object shape, median",
+            "case == 'reset' and method != 'new shape'",
+            "milliseconds_median",
+            "<",
+            5.0,
+            unit="ms",
+        ),
+        Claim(
+            "reset, new object shape, median",
+            "case == 'reset' and method == 'new shape'",
+            "milliseconds_median",
+            "<",
+            40.0,
+            unit="ms",
+        ),
+        Claim(
+            "memory per environment",
+            "case == 'memory of an environment'",
+            "mebibytes_max",
+            "<",
+            60.0,
+            unit="MiB",
+        ),
+        Claim(
+            "growth over the resets, same object",
+            _GROWTH.format("same object"),
+            "mebibytes_max",
+            "<",
+            1.0,
+            unit="MiB",
+        ),
+        Claim(
+            "growth over the resets, new shapes",
+            _GROWTH.format("new shape"),
+            "mebibytes_max",
+            "<",
+            1.0,
+            unit="MiB",
+        ),
     ),
-)  # fmt: skip
+)

@@ -1,7 +1,9 @@
-"""The controllers of `examples/hand_controller` in a separate process, in real time with a simulated hand that holds an object.
+"""The controllers of `examples/hand_controller` in a separate process, in real time with a
+simulated hand that holds an object.
 
-The hand runs in this process: MuJoCo steps at the rate, sends the messages of a hand, and converts the answers to torques. The contacts of each
-finger in turn are cut for a while, and messages stop now and then.
+The hand runs in this process: MuJoCo steps at the rate, sends the messages of a hand, and converts
+the answers to torques. The contacts of each finger in turn are cut for a while, and messages stop
+now and then.
 
 The file is long because the hand, both controllers and their protocol of messages belong together.
 """
@@ -84,19 +86,28 @@ class HandLoopSettings:
 
 
 def run(settings: HandLoopSettings) -> pd.DataFrame:
-    """Run the loop, and returns a row for each update, one for each message that was answered, and one of counts."""
+    """Run the loop, and returns a row for each update, one for each message that was answered, and
+    one of counts.
+    """
     rows: list[dict[str, Any]] = []
     for language in settings.language:
         told = measure(settings.hand, settings.rate, settings.seconds, language)
         keys = {"hand": settings.hand, "method": language}
         for case, times in ((UPDATE, told.durations), (TRIP, told.trips.values())):
-            rows += [{**keys, "case": case, "problem": k, "latency": 1e6 * value} for k, value in enumerate(times)]
+            rows += [
+                {**keys, "case": case, "problem": k, "latency": 1e6 * value}
+                for k, value in enumerate(times)
+            ]
         rows.append({**keys, "case": WHOLE, "problem": 0, **told.counts})
     return table(rows)
 
 
-def measure(name: str, rate: int, seconds: float, language: str, program: Path | None = None) -> Loop:
-    """One run of the loop; program: the compiled example, else it is built. A controller that fails is a `SimulationError`."""
+def measure(
+    name: str, rate: int, seconds: float, language: str, program: Path | None = None
+) -> Loop:
+    """One run of the loop; program: the compiled example, else it is built. A controller that fails
+    is a `SimulationError`.
+    """
     hand = SimulatedHand(name, rate)
     mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     process: Any = None
@@ -105,11 +116,19 @@ def measure(name: str, rate: int, seconds: float, language: str, program: Path |
             folder = Path(scratch)
             if language == "python":
                 given = other, hand.hand, float(rate), hand.friction
-                process = multiprocessing.get_context("spawn").Process(target=serve, args=given, daemon=True)
+                process = multiprocessing.get_context("spawn").Process(
+                    target=serve, args=given, daemon=True
+                )
                 process.start()
             else:
                 file = hand.scene.kinematics.export(folder / "hand")
-                words = [program or build(folder), str(other.fileno()), file, str(rate), f"{hand.friction:.17g}"]
+                words = [
+                    program or build(folder),
+                    str(other.fileno()),
+                    file,
+                    str(rate),
+                    f"{hand.friction:.17g}",
+                ]
                 process = subprocess.Popen(words, pass_fds=[other.fileno()])
             other.close()
             loop = Loop(hand, mine, rate)
@@ -150,30 +169,45 @@ class SimulatedHand:
         self.scene.advance((commands / UNITS * self.limits).tolist(), None)
 
     def state(self, cut: int) -> Array:
-        """Return the numbers of a `HandState`; `cut` is a finger without a reported contact, -1 for none."""
+        """Return the numbers of a `HandState`; `cut` is a finger without a reported contact, -1 for
+        none.
+        """
         seen = self.scene.look()
         touching = seen.touching.copy()
         if cut >= 0:
             touching[cut] = 0.0
         load = np.array(self.body.wrench(self.scene.core, self.target, self.scene.gravity))
-        force, moment = seen.rotation @ load[:3], seen.rotation @ load[3:]
-        return np.concatenate([
-            seen.angles, seen.rates, touching, seen.touch.ravel(), (seen.normals @ seen.rotation.T).ravel(), force,
-            moment + np.cross(seen.position, force), self.scene.gravity, [SENSOR_AGE],
-        ])  # fmt: skip
+        force = seen.rotation @ load[:3]
+        moment = seen.rotation @ load[3:]
+        return np.concatenate(
+            [
+                seen.angles,
+                seen.rates,
+                touching,
+                seen.touch.ravel(),
+                (seen.normals @ seen.rotation.T).ravel(),
+                force,
+                moment + np.cross(seen.position, force),
+                self.scene.gravity,
+                [SENSOR_AGE],
+            ]
+        )
 
 
 class Loop:
     """The hand's side of the loop: step, send, and receive answers until the next step is due.
 
     Attributes:
-        durations: seconds of each update, as the controller measured it. statuses: what it did, places in `STATUSES`.
+        durations: seconds of each update, as the controller measured it. statuses: what it did,
+            places in `STATUSES`.
         trips: seconds from sending a message to its answer, by its number.
         counts: of the whole run, columns of the table.
     """
 
     def __init__(self, hand: SimulatedHand, channel: socket.socket, rate: int) -> None:
-        self.hand, self.channel, self.period = hand, channel, 1.0 / rate
+        self.hand = hand
+        self.channel = channel
+        self.period = 1.0 / rate
         self.durations: list[float] = []
         self.statuses: list[int] = []
         self.trips: dict[int, float] = {}
@@ -184,11 +218,15 @@ class Loop:
 
     def run(self, seconds: float) -> None:
         """Run for a time [s]; a controller that does not answer is a `SimulationError`."""
-        hand, fingers, drift, behind = self.hand, self.hand.hand.finger_count, 0.0, 0
+        hand = self.hand
+        fingers = self.hand.hand.finger_count
+        drift = 0.0
+        behind = 0
         self._rise()
         due = time.perf_counter()
         for k in range(round(seconds / self.period)):
-            now, due = k * self.period, due + self.period
+            now = k * self.period
+            due = due + self.period
             if not k % 1000:
                 tick(f"{now:.0f} s of {seconds} s, {drift:.3f} mm")
             hand.step(self._answer[COMMANDS : COMMANDS + len(hand.limits)])
@@ -197,15 +235,23 @@ class Loop:
                 cut = _within(now, FIRST_CUT, CUT_EVERY, CUT_FOR)
                 self._send(hand.state((cut - 1) % fingers if cut else -1))
             if time.perf_counter() > due:  # a busy machine delays the simulated hand
-                due, behind = time.perf_counter() + 0.5 * self.period, behind + 1
+                due = time.perf_counter() + 0.5 * self.period
+                behind = behind + 1
             self._take(due)
         self._take(time.perf_counter() + 0.1)
-        heard, updates = self._answer[HEARD], self._answer[UPDATES]
+        heard = self._answer[HEARD]
+        updates = self._answer[UPDATES]
         self.counts = {
-            "lost": int(len(self._sent) - heard + updates - self._came), "unanswered": len(self._sent) - self._first - len(self.trips),
-            "late": int(self._answer[LATE]), "over_budget": int(self._answer[OVER_BUDGET]), "behind": behind, "solves": int(updates),
-            "held": bool(drift < HELD), "drift": drift, "seconds": seconds,
-        }  # fmt: skip
+            "lost": int(len(self._sent) - heard + updates - self._came),
+            "unanswered": len(self._sent) - self._first - len(self.trips),
+            "late": int(self._answer[LATE]),
+            "over_budget": int(self._answer[OVER_BUDGET]),
+            "behind": behind,
+            "solves": int(updates),
+            "held": bool(drift < HELD),
+            "drift": drift,
+            "seconds": seconds,
+        }
 
     def _rise(self) -> None:
         """Carry the object until torques have risen, untimed."""
@@ -235,7 +281,8 @@ class Loop:
             if not message:
                 raise SimulationError("the controller has ended")
             self._answer = np.frombuffer(message)
-            number, self._came = int(self._answer[NUMBER]), self._came + 1
+            number = int(self._answer[NUMBER])
+            self._came = self._came + 1
             if number >= self._first:
                 self.trips.setdefault(number, came - self._sent[number])
             self.durations.append(float(self._answer[DURATION]))
@@ -254,11 +301,21 @@ def build(folder: Path) -> Path:
     """Compile the example in C++ for this processor, or raise a `SimulationError`."""
     beside = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     if (cmake := shutil.which("cmake", path=beside)) is None:
-        raise SimulationError("the controller in C++ is built with cmake, which is not there: pip install cmake")
-    core, made = ROOT / "grasp_env" / "core", folder / "build"
-    options = ["-DGRASP_EXAMPLES=ON", "-DCMAKE_BUILD_TYPE=Release", "-DCMAKE_CXX_FLAGS=-march=native"]
+        raise SimulationError(
+            "the controller in C++ is built with cmake, which is not there: pip install cmake"
+        )
+    core = ROOT / "grasp_env" / "core"
+    made = folder / "build"
+    options = [
+        "-DGRASP_EXAMPLES=ON",
+        "-DCMAKE_BUILD_TYPE=Release",
+        "-DCMAKE_CXX_FLAGS=-march=native",
+    ]
     tick("the example is compiled")
-    for words in (["-S", core, "-B", made, *options], ["--build", made, "--target", "hand_controller"]):
+    for words in (
+        ["-S", core, "-B", made, *options],
+        ["--build", made, "--target", "hand_controller"],
+    ):
         done = subprocess.run([cmake, *words], capture_output=True, text=True, check=False)
         if done.returncode:
             raise SimulationError(f"cmake fails: {done.stderr or done.stdout}")
@@ -284,10 +341,17 @@ def state_of(shown: ModuleType, numbers: Array, joints: int, fingers: int) -> An
     return shown.HandState(angles, rates, touching > 0.0, *rows, wrench, gravity, float(age[0]))
 
 
-def controller_of(shown: ModuleType, hand: HandDescription, table: Any = None, **settings: Any) -> Any:
-    """Configure the controller in Python, with the calibration of `main` in C++ unless another `table` is given."""
-    limits, made = hand.torque_limits, shown.HandController()
-    usual = shown.Calibration(np.outer(limits, [-1.0, 1.0]), np.tile([-UNITS, UNITS], (len(limits), 1)))
+def controller_of(
+    shown: ModuleType, hand: HandDescription, table: Any = None, **settings: Any
+) -> Any:
+    """Configure the controller in Python, with the calibration of `main` in C++ unless another
+    `table` is given.
+    """
+    limits = hand.torque_limits
+    made = shown.HandController()
+    usual = shown.Calibration(
+        np.outer(limits, [-1.0, 1.0]), np.tile([-UNITS, UNITS], (len(limits), 1))
+    )
     made.configure(hand, shown.HandControllerSettings(**settings), table or usual)
     return made
 
@@ -296,7 +360,11 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
     """Serve the example in Python as `main` serves the one in C++."""
     shown = example()
     controller = controller_of(shown, hand, rate=rate, friction=friction)
-    heard, updates, number, measured, last = 0, 0, 0.0, 0.0, 0.0
+    heard = 0
+    updates = 0
+    number = 0.0
+    measured = 0.0
+    last = 0.0
     state: Any = None
     channel.setblocking(False)
     gc.freeze()
@@ -306,7 +374,8 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
         newest = b""
         try:
             while message := channel.recv(1 << 16):  # the newest counts
-                newest, heard = message, heard + 1
+                newest = message
+                heard = heard + 1
             return
         except BlockingIOError:
             pass
@@ -315,7 +384,8 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
         now = time.perf_counter()
         if newest:
             row = np.frombuffer(newest)
-            number, state = row[0], state_of(shown, row[1:], hand.joint_count, hand.finger_count)
+            number = row[0]
+            state = state_of(shown, row[1:], hand.joint_count, hand.finger_count)
             measured = now - state.age
         if controller.status == "inactive":
             with suppress(ValueError):  # broken numbers: the next message
@@ -323,23 +393,42 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
             last = now - 1.0 / rate
         state.age = now - measured
         commands = controller.update(state, now - last)
-        last, updates = now, updates + 1
+        last = now
+        updates = updates + 1
         c = controller
-        told = [number, heard, updates, c.duration, c.late, c.over_budget, shown.STATUSES.index(c.status)]
+        told = [
+            number,
+            heard,
+            updates,
+            c.duration,
+            c.late,
+            c.over_budget,
+            shown.STATUSES.index(c.status),
+        ]
         with suppress(BlockingIOError, ConnectionError):
             channel.send(np.concatenate([told, commands, c.torques]).tobytes())
 
 
 def draw(rows: pd.DataFrame, words: Mapping[str, str]) -> Figure:
-    """Draw histograms of the times of updates and round trips on logarithmic axes; `words` are the names of the methods."""
+    """Draw histograms of the times of updates and round trips on logarithmic axes; `words` are the
+    names of the methods.
+    """
     figure, panel = axes(3.4)
     timed = rows.dropna(subset="latency")
     edges = np.geomspace(max(timed["latency"].min(), 1.0), 1.01 * timed["latency"].max(), 70)
     for keys, part in timed.groupby(["method", "case"], sort=False):
         method, case = map(str, keys)  # type: ignore[call-overload]
         counts, _ = np.histogram(part["latency"], edges)
-        color, style = f"C{list(words).index(method)}", "-" if case == UPDATE else ":"
-        panel.stairs(counts, edges, label=f"{words[method]}, {case}", color=color, linestyle=style, linewidth=1.4)
+        color = f"C{list(words).index(method)}"
+        style = "-" if case == UPDATE else ":"
+        panel.stairs(
+            counts,
+            edges,
+            label=f"{words[method]}, {case}",
+            color=color,
+            linestyle=style,
+            linewidth=1.4,
+        )
     panel.set(xscale="log", yscale="log", xlabel="time [us]", ylabel="how many", ylim=(0.8, None))
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_formatter(lambda value, _: f"{value:,.0f}")
@@ -354,8 +443,16 @@ BENCHMARK = Benchmark(
     HandLoopSettings(),
     {"seconds": 5},
     (
-        "latency_median", "latency_p99", "latency_p999", "latency_max", "lost_sum", "unanswered_sum", "late_sum", "over_budget_sum",
-        "behind_sum", "drift_max",
+        "latency_median",
+        "latency_p99",
+        "latency_p999",
+        "latency_max",
+        "lost_sum",
+        "unanswered_sum",
+        "late_sum",
+        "over_budget_sum",
+        "behind_sum",
+        "drift_max",
     ),
     claims=(
         Claim("update in C++, median", _FAST, "latency_median", "<=", 15.0, unit="us"),
@@ -365,4 +462,4 @@ BENCHMARK = Benchmark(
     ),
     words=LANGUAGES,
     draw=draw,
-)  # fmt: skip
+)

@@ -1,7 +1,9 @@
-"""Comparison of the force layer with other differentiable layers, forward and backward on one core: microseconds per problem, and errors.
+"""Comparison of the force layer with other differentiable layers, forward and backward on one core:
+microseconds per problem, and errors.
 
-Every problem has its own contacts, friction and wrench. Our layer takes them and returns gradients with respect to all of them. The times of
-other layers (`layer_peers.py`) start at the matrices that they need.
+Every problem has its own contacts, friction and wrench. Our layer takes them and returns gradients
+with respect to all of them. The times of other layers (`layer_peers.py`) start at the matrices that
+they need.
 """
 
 from __future__ import annotations
@@ -34,23 +36,31 @@ JOINTS = 3
 LEVER = 0.05
 """Scale of a finger's Jacobian [m/rad]."""
 ROOM = (0.8, 1.6)
-"""Range of a torque limit over the largest torque of the optimum without limits. Below 1, for a quarter of the problems, it binds."""
+"""Range of a torque limit over the largest torque of the optimum without limits.
+
+Below 1, for a quarter of the problems, it binds.
+"""
 PATCH = (0.002, 0.01)
 """Range of torsional friction [m]."""
 BALANCED = 1e-3
 """Largest residual A x + w of a valid result, relative to the largest component of w."""
 BASE = ("positions", "normals", "friction", "wrench")
-CASES = {"hard": BASE, "limits": (*BASE, "jacobian", "torque_limit"), "soft": (*BASE, "torsional_friction")}
+CASES = {
+    "hard": BASE,
+    "limits": (*BASE, "jacobian", "torque_limit"),
+    "soft": (*BASE, "torsional_friction"),
+}
 """Inputs of the layer in each case."""
 ANSWERS = "hard, answers"
 """The case in which answers are compared."""
 
 
 def draw(seed: int, count: int) -> tuple[list[Grasp], Tensors]:
-    """Random grasps with force closure, and `count` problems: all inputs of all `CASES`, wrenches in the standard ball.
+    """Random grasps with force closure, and `count` problems: all inputs of all `CASES`, wrenches
+    in the standard ball.
 
-    A finger's joints move its own contact only. Limits are drawn around the largest torque of the optimum without
-    limits, and raised until a force within them exists.
+    A finger's joints move its own contact only. Limits are drawn around the largest torque of the
+    optimum without limits, and raised until a force within them exists.
     """
     rng = np.random.default_rng([seed, CONTACTS])
     grasps = [BENCH.closed(rng, CONTACTS) for _ in range(count)]
@@ -64,8 +74,12 @@ def draw(seed: int, count: int) -> tuple[list[Grasp], Tensors]:
     for k, grasp in enumerate(grasps):
         limits[k] *= np.abs(np.einsum("nij,ni->j", joints[k], forces[k].object_force)).max()
         while True:
-            within = ForceLimits(jacobian=joints[k], torque_limit=np.full(joints.shape[3], limits[k]))
-            if optimize_forces(grasp, wrenches[k][None], method="newton", limits=within, workers=1).optimal[0]:
+            within = ForceLimits(
+                jacobian=joints[k], torque_limit=np.full(joints.shape[3], limits[k])
+            )
+            if optimize_forces(
+                grasp, wrenches[k][None], method="newton", limits=within, workers=1
+            ).optimal[0]:
                 break
             limits[k] *= 1.1
     made = {
@@ -77,7 +91,9 @@ def draw(seed: int, count: int) -> tuple[list[Grasp], Tensors]:
         "torque_limit": np.repeat(limits[:, None], CONTACTS * JOINTS, axis=1),
         "torsional_friction": rng.uniform(*PATCH, (count, CONTACTS)),
     }
-    return grasps, {name: torch.from_numpy(np.array(values, dtype=float)) for name, values in made.items()}
+    return grasps, {
+        name: torch.from_numpy(np.array(values, dtype=float)) for name, values in made.items()
+    }
 
 
 def ours(batch: int) -> Call:
@@ -117,7 +133,8 @@ class LayerSettings:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Limit torch to one thread on one core, because some layers start threads."""
-    threads, cores = torch.get_num_threads(), os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
+    threads = torch.get_num_threads()
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
     torch.set_num_threads(1)
     try:
         if cores:
@@ -130,11 +147,14 @@ def one_thread() -> Iterator[None]:
 
 
 def run(settings: LayerSettings) -> pd.DataFrame:
-    """Time all layers in rounds, one after the other, and checks the answers for as many problems as the largest batch has.
+    """Time all layers in rounds, one after the other, and checks the answers for as many problems
+    as the largest batch has.
 
     Returns:
-        A row for each case, batch, layer, round and call: `ratio` is its time over that of ours in the same round. A row for each layer and
-        problem, with the differences from ours where it minimizes Phi, and from the least sum of normal forces where it is Moreau's.
+        A row for each case, batch, layer, round and call: `ratio` is its time over that of ours in
+        the same round. A row for each layer and
+        problem, with the differences from ours where it minimizes Phi, and from the least sum of
+        normal forces where it is Moreau's.
     """
     most = max(settings.batches)
     tick(f"drawing {most} problems")
@@ -145,13 +165,21 @@ def run(settings: LayerSettings) -> pd.DataFrame:
         for batch in settings.batches:
             for case, names in CASES.items():
                 built = _built(CONTESTANTS if case == "hard" else OURS, batch, missing)
-                rows += timed(settings, case, batch, built, {name: problems[name] for name in names})
-        parts = list(compared(grasps, {name: problems[name] for name in BASE}, _built(CONTESTANTS, most, missing)))
+                rows += timed(
+                    settings, case, batch, built, {name: problems[name] for name in names}
+                )
+        parts = list(
+            compared(
+                grasps, {name: problems[name] for name in BASE}, _built(CONTESTANTS, most, missing)
+            )
+        )
     rows += [{"method": name, "reason": reason} for name, reason in missing.items()]
     return join([pd.DataFrame(rows), *parts])
 
 
-def _built(contestants: dict[str, Contestant], batch: int, missing: dict[str, str]) -> dict[str, Call]:
+def _built(
+    contestants: dict[str, Contestant], batch: int, missing: dict[str, str]
+) -> dict[str, Call]:
     built: dict[str, Call] = {}
     for name, contestant in contestants.items():
         try:
@@ -175,10 +203,21 @@ def timed(
         reference = np.empty(0)
         for name, call in built.items():
             tick(f"{case}, batch of {batch}, round {turn + 1} of {settings.rounds}: {name}")
-            took = seconds(call, cones if name in PEERS else given[name != FORWARD], name != FORWARD, settings.passes)
+            took = seconds(
+                call,
+                cones if name in PEERS else given[name != FORWARD],
+                name != FORWARD,
+                settings.passes,
+            )
             reference = took if name == LAYER else reference
             for k, each in enumerate(took):
-                row = {"case": case, "batch": batch, "method": name, "problem": k, "microseconds": 1e6 * each / batch}
+                row = {
+                    "case": case,
+                    "batch": batch,
+                    "method": name,
+                    "problem": k,
+                    "microseconds": 1e6 * each / batch,
+                }
                 yield row | {"ratio": each / reference[k] if name in PEERS else None}
 
 
@@ -212,7 +251,9 @@ def step(call: Call, given: Tensors, backward: bool) -> None:
 def compared(grasps: list[Grasp], data: Tensors, built: dict[str, Call]) -> Iterator[pd.DataFrame]:
     """Rows of the answers to all problems, as one batch."""
     cone, axes = cone_form(**data)
-    exact = optimize_forces(grasps, data["wrench"].numpy(), method="conic", tolerance=1e-10, workers=1)
+    exact = optimize_forces(
+        grasps, data["wrench"].numpy(), method="conic", tolerance=1e-10, workers=1
+    )
     least = np.array([solution.force[:, 0].sum() for solution in exact])
     known, slopes = answers(built[LAYER], data, False)
     for name, call in built.items():
@@ -223,18 +264,24 @@ def compared(grasps: list[Grasp], data: Tensors, built: dict[str, Call]) -> Iter
         parts = (force[..., None, :] * axes).sum(dim=-1) / axes.square().sum(dim=-1)
         left = (cone["matrix"] @ parts.flatten(1)[..., None])[..., 0] + cone["load"]
         balance = (left.abs().amax(dim=1) / cone["load"].abs().amax(dim=1)).numpy()
-        rows = pd.DataFrame({
-            "balance": balance, "failed": ~(balance <= BALANCED),
-            "force_excess": (parts[..., 0] * cone["cost"]).sum(dim=1).numpy() / least - 1.0,
-        })  # fmt: skip
+        rows = pd.DataFrame(
+            {
+                "balance": balance,
+                "failed": ~(balance <= BALANCED),
+                "force_excess": (parts[..., 0] * cone["cost"]).sum(dim=1).numpy() / least - 1.0,
+            }
+        )
         if CONTESTANTS[name].phi and name != LAYER:
             rows["force_difference"] = _apart(force, known).numpy()
-            rows["gradient_difference"] = torch.stack(list(map(_apart, found, slopes))).amax(dim=0).numpy()
+            rows["gradient_difference"] = (
+                torch.stack(list(map(_apart, found, slopes))).amax(dim=0).numpy()
+            )
         yield rows.assign(case=ANSWERS, batch=len(grasps), method=name, problem=rows.index)
 
 
 def answers(call: Call, data: Tensors, cone: bool) -> tuple[Any, tuple[Any, ...]]:
-    """The forces (n, N, 3) [N] in the frame of the positions, and the gradients of the sum of their squares with respect to all of `data`.
+    """The forces (n, N, 3) [N] in the frame of the positions, and the gradients of the sum of their
+    squares with respect to all of `data`.
 
     Args:
         call: a layer.
@@ -257,12 +304,16 @@ def _apart(values: Any, known: Any) -> Any:
 
 def _takes(case: str, method: str, batch: int, most: float) -> Claim:
     query = f"case == '{case}' and method == '{method}' and batch == {batch}"
-    return Claim(f"{method}, {case}, batch of {batch}", query, "microseconds_median", "<=", most, unit="us")
+    return Claim(
+        f"{method}, {case}, batch of {batch}", query, "microseconds_median", "<=", most, unit="us"
+    )
 
 
 def _faster(method: str, batch: int, least: float) -> Claim:
     query = f"case == 'hard' and method == '{method}' and batch == {batch}"
-    return Claim(f"time of {method} over ours, batch of {batch}", query, "ratio_median", ">=", least)
+    return Claim(
+        f"time of {method} over ours, batch of {batch}", query, "ratio_median", ">=", least
+    )
 
 
 BENCHMARK = Benchmark(
@@ -270,22 +321,43 @@ BENCHMARK = Benchmark(
     LayerSettings(),
     quick={"batches": (1, 32), "rounds": 2, "calls": 10},
     shown=(
-        "microseconds_median", "microseconds_p99", "ratio_median", "ratio_low", "ratio_high", "failed_sum", "balance_max", "force_difference_max",
-        "gradient_difference_median", "gradient_difference_max", "force_excess_max",
+        "microseconds_median",
+        "microseconds_p99",
+        "ratio_median",
+        "ratio_low",
+        "ratio_high",
+        "failed_sum",
+        "balance_max",
+        "force_difference_max",
+        "gradient_difference_median",
+        "gradient_difference_max",
+        "force_excess_max",
     ),
     claims=(
-        *(_takes(case, LAYER, 1000, most) for case, most in {"hard": 4.0, "limits": 8.0, "soft": 10.0}.items()),
+        *(
+            _takes(case, LAYER, 1000, most)
+            for case, most in {"hard": 4.0, "limits": 8.0, "soft": 10.0}.items()
+        ),
         _takes("hard", FORWARD, 1, 60.0),
         *(
             _faster(name, batch, least)
-            for name, asked in {"cvxpylayers": (50.0, 100.0, 200.0), "cvxpylayers_clarabel": (50.0, 100.0, 200.0), "moreau": (1.5, 15.0, 30.0)}.items()
+            for name, asked in {
+                "cvxpylayers": (50.0, 100.0, 200.0),
+                "cvxpylayers_clarabel": (50.0, 100.0, 200.0),
+                "moreau": (1.5, 15.0, 30.0),
+            }.items()
             for batch, least in zip((1, 32, 1000), asked, strict=True)
         ),
         *(
-            Claim(f"{kind}s of cvxpylayers_clarabel: difference from ours", f"case == '{ANSWERS}' and method == 'cvxpylayers_clarabel'",
-                  f"{kind}_difference_max", "<=", most)
+            Claim(
+                f"{kind}s of cvxpylayers_clarabel: difference from ours",
+                f"case == '{ANSWERS}' and method == 'cvxpylayers_clarabel'",
+                f"{kind}_difference_max",
+                "<=",
+                most,
+            )
             for kind, most in {"force": 1e-4, "gradient": 1e-3}.items()
         ),
     ),
     words={name: contestant.setting for name, contestant in CONTESTANTS.items()},
-)  # fmt: skip
+)

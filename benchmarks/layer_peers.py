@@ -1,7 +1,10 @@
-"""Differentiable layers of other packages for grasp forces, each with its best settings. A new one is an entry of `PEERS`.
+"""Differentiable layers of other packages for grasp forces, each with its best settings.
 
-They receive precomputed inputs in cone coordinates (u, o, t) as in `problem.py`: A (n, 6, 3N), w (n, 6) and the cost of each u (n, N).
-Packages are imported when a layer is made, so that this module imports without them.
+A new one is an entry of `PEERS`.
+
+They receive precomputed inputs in cone coordinates (u, o, t) as in `problem.py`: A (n, 6, 3N), w
+(n, 6) and the cost of each u (n, N). Packages are imported when a layer is made, so that this
+module imports without them.
 """
 
 from __future__ import annotations
@@ -37,7 +40,8 @@ class Contestant:
 
     Attributes:
         setting: settings, in words.
-        build: makes the layer for batches of one size, not timed; raises `ImportError` where it is not installed.
+        build: makes the layer for batches of one size, not timed; raises `ImportError` where it is
+            not installed.
         packages: what pip installs; "": ours.
         phi: True if it minimises Phi, so its results should equal ours.
     """
@@ -49,31 +53,41 @@ class Contestant:
 
 
 def cone_form(positions: Any, normals: Any, friction: Any, wrench: Any) -> tuple[Tensors, Any]:
-    """The problem A x + w = 0 in cone coordinates, with moments about the contacts' centre in units of their distance from it.
+    """The problem A x + w = 0 in cone coordinates, with moments about the contacts' centre in units
+    of their distance from it.
 
     Returns:
-        `matrix` A (..., 6, 3N), `load` w (..., 6) and `cost` 1 / friction (..., N); and (..., N, 3, 3), the force of unit x along u, o and t.
+        `matrix` A (..., 6, 3N), `load` w (..., 6) and `cost` 1 / friction (..., N); and (..., N, 3,
+        3), the force of unit x along u, o and t.
         All are differentiable with respect to all arguments.
     """
     inward = torch.nn.functional.normalize(normals, dim=-1)
     across = torch.nn.functional.one_hot(inward.detach().abs().argmin(dim=-1), 3).to(inward)
     first = torch.nn.functional.normalize(torch.linalg.cross(inward, across), dim=-1)
-    axes = torch.stack([inward / friction[..., None], first, torch.linalg.cross(inward, first)], dim=-2)
-    # another centre or unit gives equations with the same solutions, so no gradient passes through them
+    axes = torch.stack(
+        [inward / friction[..., None], first, torch.linalg.cross(inward, first)], dim=-2
+    )
+    # another centre or unit gives equations with the same solutions, so no gradient passes through
+    # them
     centre = positions.detach().mean(dim=-2, keepdim=True)
     arms = positions - centre
     unit = arms.detach().square().sum(dim=-1).mean(dim=-1).sqrt()[..., None]
     moments = torch.linalg.cross(arms[..., None, :].expand_as(axes), axes) / unit[..., None, None]
     matrix = torch.cat([axes, moments], dim=-1).flatten(-3, -2).transpose(-1, -2)
     force, moment = wrench.split(3, dim=-1)
-    load = torch.cat([force, (moment - torch.linalg.cross(centre[..., 0, :], force)) / unit], dim=-1)
+    load = torch.cat(
+        [force, (moment - torch.linalg.cross(centre[..., 0, :], force)) / unit], dim=-1
+    )
     return {"matrix": matrix, "load": load, "cost": 1.0 / friction}, axes
 
 
 def cvxpylayer(batch: int, **options: Any) -> Call:
     """Phi as a problem of cvxpy, with A and w as its parameters."""
-    cp, layers = import_module("cvxpy"), import_module("cvxpylayers.torch")
-    matrix, load, force = cp.Parameter((6, 3 * CONTACTS)), cp.Parameter(6), cp.Variable(3 * CONTACTS)
+    cp = import_module("cvxpy")
+    layers = import_module("cvxpylayers.torch")
+    matrix = cp.Parameter((6, 3 * CONTACTS))
+    load = cp.Parameter(6)
+    force = cp.Variable(3 * CONTACTS)
     phi = 0.0
     for k in range(0, 3 * CONTACTS, 3):
         height = force[k]
@@ -87,24 +101,34 @@ def cvxpylayer(batch: int, **options: Any) -> Call:
 def moreau(batch: int) -> Call:
     """The least sum of normal forces over exact cones.
 
-    With the default derivatives, cones on the variables themselves (`DirectConeSpec`) are the fastest of three forms: cones on slacks take 1.2 to
-    1.5 times as long, the dual problem 1.04 to 1.3 times. With `diff_method="exact"` the dual takes 0.9 to 0.97 times as long, a little less exact.
+    With the default derivatives, cones on the variables themselves (`DirectConeSpec`) are the
+    fastest of three forms: cones on slacks take 1.2 to 1.5 times as long, the dual problem 1.04 to
+    1.3 times. With `diff_method="exact"` the dual takes 0.9 to 0.97 times as long, a little less
+    exact.
     """
-    solver, layers = import_module("moreau"), import_module("moreau.torch")
+    solver = import_module("moreau")
+    layers = import_module("moreau.torch")
     size = 3 * CONTACTS
     each = [solver.DirectConeSpec(kind="soc", indices=[k, k + 1, k + 2]) for k in range(0, size, 3)]
     made = layers.Solver(
-        size, 6, torch.zeros(size + 1, dtype=torch.int64), torch.zeros(0, dtype=torch.int64),
-        torch.arange(0, 6 * size + 1, size), torch.arange(size).repeat(6),
+        size,
+        6,
+        torch.zeros(size + 1, dtype=torch.int64),
+        torch.zeros(0, dtype=torch.int64),
+        torch.arange(0, 6 * size + 1, size),
+        torch.arange(size).repeat(6),
         solver.Cones(num_zero_cones=6, dir_cones=each),
         solver.Settings(device="cpu", solver="ipm", batch_size=batch, enable_grad=True),
-    )  # fmt: skip
+    )
     quadratic = torch.zeros(batch, 0, dtype=torch.float64)
-    return lambda matrix, load, cost: made.solve(quadratic, matrix.flatten(1), _along_normals(cost), -load).x
+    return lambda matrix, load, cost: (
+        made.solve(quadratic, matrix.flatten(1), _along_normals(cost), -load).x
+    )
 
 
 def qplayer(batch: int) -> Call:
-    """The least sum of normal forces and half of the squared forces, over pyramids inside the cones.
+    """The least sum of normal forces and half of the squared forces, over pyramids inside the
+    cones.
 
     Without the squares the solver ends without a solution of most problems.
     """
@@ -115,7 +139,9 @@ def qplayer(batch: int) -> Call:
     squares = torch.eye(3 * CONTACTS, dtype=torch.float64)
     most = torch.zeros(len(sides), dtype=torch.float64)
     least = most - 1e20
-    return lambda matrix, load, cost: solve(squares, _along_normals(cost), matrix, -load, sides, least, most)[0]
+    return lambda matrix, load, cost: solve(
+        squares, _along_normals(cost), matrix, -load, sides, least, most
+    )[0]
 
 
 def _along_normals(cost: Any) -> Any:
@@ -123,21 +149,35 @@ def _along_normals(cost: Any) -> Any:
     return torch.nn.functional.pad(cost[..., None], (0, 2)).flatten(-2)
 
 
-_CLARABEL = {"solve_method": "Clarabel", "mode": "dense", "tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10}
+_CLARABEL = {
+    "solve_method": "Clarabel",
+    "mode": "dense",
+    "tol_gap_abs": 1e-10,
+    "tol_gap_rel": 1e-10,
+    "tol_feas": 1e-10,
+}
 _SERIAL = {"n_jobs_forward": 1, "n_jobs_backward": 1}
 PEERS = {
     "cvxpylayers": Contestant(
         "Phi by cvxpylayers with diffcp and their defaults: SCS, LSQR",
-        partial(cvxpylayer, solver_args=_SERIAL), "cvxpylayers diffcp",
+        partial(cvxpylayer, solver_args=_SERIAL),
+        "cvxpylayers diffcp",
     ),
     "cvxpylayers_clarabel": Contestant(
         "the same with the fastest settings: Clarabel to 1e-10, dense",
-        partial(cvxpylayer, solver_args=_SERIAL | _CLARABEL), "cvxpylayers diffcp clarabel",
+        partial(cvxpylayer, solver_args=_SERIAL | _CLARABEL),
+        "cvxpylayers diffcp clarabel",
     ),
     "cvxpylayers_moreau": Contestant(
-        "Phi by cvxpylayers with Moreau, to 1e-8", partial(cvxpylayer, solver="MOREAU"), "cvxpylayers moreau"
+        "Phi by cvxpylayers with Moreau, to 1e-8",
+        partial(cvxpylayer, solver="MOREAU"),
+        "cvxpylayers moreau",
     ),
-    "moreau": Contestant("conic problem by Moreau's torch layer, to 1e-8", moreau, "moreau", phi=False),
-    "qplayer": Contestant(f"pyramids of {EDGES} edges by ProxSuite's layer, to 1e-9", qplayer, "proxsuite", phi=False),
-}  # fmt: skip
+    "moreau": Contestant(
+        "conic problem by Moreau's torch layer, to 1e-8", moreau, "moreau", phi=False
+    ),
+    "qplayer": Contestant(
+        f"pyramids of {EDGES} edges by ProxSuite's layer, to 1e-9", qplayer, "proxsuite", phi=False
+    ),
+}
 """All peers by name."""

@@ -21,25 +21,42 @@ def run(settings: TimingSettings) -> pd.DataFrame:
     for count in settings.contacts:
         tick(f"{count} contacts")
         for method, tolerance in TOLERANCES.items():
-            for group, (grasp, loads) in enumerate(problems(settings.seed, count, settings.wrenches)):
+            for group, (grasp, loads) in enumerate(
+                problems(settings.seed, count, settings.wrenches)
+            ):
                 optimizer = ForceOptimizer(grasp, method=method, tolerance=tolerance)
-                seconds, records = compiled_times(optimizer, loads, settings.rounds * settings.passes)
+                seconds, records = compiled_times(
+                    optimizer, loads, settings.rounds * settings.passes
+                )
                 steps = records[:, ITERATIONS]
-                parts.append(pd.DataFrame({
-                    "method": method, "contacts": count, "group": group, "microseconds": 1e6 * seconds, "iterations": steps,
-                    "step_microseconds": 1e6 * seconds / np.maximum(steps, 1.0),
-                }))  # fmt: skip
+                parts.append(
+                    pd.DataFrame(
+                        {
+                            "method": method,
+                            "contacts": count,
+                            "group": group,
+                            "microseconds": 1e6 * seconds,
+                            "iterations": steps,
+                            "step_microseconds": 1e6 * seconds / np.maximum(steps, 1.0),
+                        }
+                    )
+                )
     return join(parts)
 
 
 def lines(summary: pd.DataFrame) -> Iterator[str]:
-    """The straight line through the medians of each method, and the slope in log-log from 16 contacts on: 1 for linear cost."""
+    """The straight line through the medians of each method, and the slope in log-log from 16
+    contacts on: 1 for linear cost.
+    """
     for method, rows in summary.groupby("method", sort=False):
-        n, us = (rows[name].to_numpy(np.float64) for name in ("contacts", "step_microseconds_median"))
+        n, us = (
+            rows[name].to_numpy(np.float64) for name in ("contacts", "step_microseconds_median")
+        )
         if len(n) < 3:
             continue
         slope, offset = np.polyfit(n, us, 1)
-        left, large = us - (slope * n + offset), n >= 16
+        left = us - (slope * n + offset)
+        large = n >= 16
         r2 = 1.0 - (left**2).sum() / ((us - us.mean()) ** 2).sum()
         power = f", log-log slope {np.polyfit(np.log(n[large]), np.log(us[large]), 1)[0]:.2f} from 16 contacts on"
         yield f"{method}: {offset:.2f} + {slope:.3f} N us for an iteration, r2 {r2:.3f}{power if large.sum() > 1 else ''}"
@@ -47,7 +64,9 @@ def lines(summary: pd.DataFrame) -> Iterator[str]:
 
 BENCHMARK = Benchmark(
     run,
-    TimingSettings((3, 4, 5, 8, 12, 16, 24, 32, 48, 64, 80, 100), wrenches=200, rounds=1, passes=20),
+    TimingSettings(
+        (3, 4, 5, 8, 12, 16, 24, 32, 48, 64, 80, 100), wrenches=200, rounds=1, passes=20
+    ),
     quick={"wrenches": 80, "passes": 4},
     shown=("microseconds_median", "iterations_median", "step_microseconds_median"),
     notes=lines,

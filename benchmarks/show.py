@@ -24,54 +24,81 @@ def lacking(rows: pd.DataFrame) -> dict[str, str]:
 
 def summarised(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the summary of the measured rows."""
-    return summary(rows.loc[rows["reason"].isna()].dropna(axis=1, how="all") if "reason" in rows else rows)
+    return summary(
+        rows.loc[rows["reason"].isna()].dropna(axis=1, how="all") if "reason" in rows else rows
+    )
 
 
 def earlier(folder: Path, kind: str) -> pd.DataFrame:
-    """Return the summary of an earlier run, or raise an `InvalidInputError` if the folder holds none of this kind."""
+    """Return the summary of an earlier run, or raise an `InvalidInputError` if the folder holds
+    none of this kind.
+    """
     if not os.path.isfile(folder / "run.json"):
-        raise InvalidInputError(f"{folder} holds no run: give the folder of an earlier run of kind {kind}")
+        raise InvalidInputError(
+            f"{folder} holds no run: give the folder of an earlier run of kind {kind}"
+        )
     with understood(folder, "run the benchmark again"):
         found = Run(folder).read_json("run.json")["kind"]
         if found != kind:
-            raise InvalidInputError(f"{folder} is a run of kind {shown(found)}: give one of kind {kind}")
+            raise InvalidInputError(
+                f"{folder} is a run of kind {shown(found)}: give one of kind {kind}"
+            )
         return summarised(Run(folder).load()[0])
 
 
 def beside(now: pd.DataFrame, before: pd.DataFrame, columns: tuple[str, ...]) -> pd.DataFrame:
-    """The times and rates of two summaries, joined by their keys: `before`, `now` and `ratio`, now over before."""
+    """The times and rates of two summaries, joined by their keys: `before`, `now` and `ratio`, now
+    over before.
+    """
     keys = [name for name in KEYS if name in now.columns and name in before.columns]
     timed = [name for name in columns if _split(name)[0] in {*TIMES} - {"ratio"}]
     known = [name for name in timed if name in now.columns and name in before.columns]
-    parts = [made.melt(keys, known, "measure", what) for made, what in ((before, "before"), (now, "now"))]
+    parts = [
+        made.melt(keys, known, "measure", what) for made, what in ((before, "before"), (now, "now"))
+    ]
     joined = parts[0].merge(parts[1], on=[*keys, "measure"]).dropna(subset=["before", "now"])
     return joined.assign(ratio=joined["now"] / joined["before"])
 
 
-def as_json(benchmark: Benchmark, rows: pd.DataFrame, about: dict[str, Any], before: pd.DataFrame | None) -> str:
+def as_json(
+    benchmark: Benchmark, rows: pd.DataFrame, about: dict[str, Any], before: pd.DataFrame | None
+) -> str:
     """Return one object with the description of the run, its summary and claims."""
     found = summarised(rows)
     claims = [
         {"claim": row.claim.name, "asked": row.asked, "measured": row.measured, "met": row.met}
         for row in judge(benchmark.claims, found)
     ]
-    tables = {"rows": found} | ({} if before is None else {"compared": beside(found, before, benchmark.shown)})
-    parts = {name: made.astype(object).where(made.notna(), None).to_dict("records") for name, made in tables.items()}
+    tables = {"rows": found} | (
+        {} if before is None else {"compared": beside(found, before, benchmark.shown)}
+    )
+    parts = {
+        name: made.astype(object).where(made.notna(), None).to_dict("records")
+        for name, made in tables.items()
+    }
     return json.dumps({**about, **parts, "claims": claims}) + "\n"
 
 
-def as_text(benchmark: Benchmark, rows: pd.DataFrame, about: dict[str, Any], before: pd.DataFrame | None) -> str:
+def as_text(
+    benchmark: Benchmark, rows: pd.DataFrame, about: dict[str, Any], before: pd.DataFrame | None
+) -> str:
     """Yield a table for each case, then notes and claims."""
     return "".join(f"{line}\n" for line in _lines(benchmark, summarised(rows), about, before))
 
 
-def _lines(benchmark: Benchmark, found: pd.DataFrame, about: dict[str, Any], before: Any) -> Iterator[str]:
+def _lines(
+    benchmark: Benchmark, found: pd.DataFrame, about: dict[str, Any], before: Any
+) -> Iterator[str]:
     if about["quick"]:
         yield "QUICK: a small version, whose numbers are rough"
-    for case, part in found.groupby("case", sort=False) if "case" in found.columns else [("", found)]:
+    for case, part in (
+        found.groupby("case", sort=False) if "case" in found.columns else [("", found)]
+    ):
         yield f"{case}\n{_table(part, [name for name in KEYS if name != 'case'], ['n', *benchmark.shown])}\n"
     yield from (
-        f"{name}: {benchmark.words[name]}" for name in found["method"].dropna().unique() if name in benchmark.words
+        f"{name}: {benchmark.words[name]}"
+        for name in found["method"].dropna().unique()
+        if name in benchmark.words
     )
     yield from (f"{name} was not measured: {reason}" for name, reason in about["missing"].items())
     yield from benchmark.notes(found)

@@ -32,13 +32,23 @@ exclude_patterns = ["results"]
 nitpicky = True
 nitpick_ignore_regex = [
     # no inventories of other projects are loaded: their names are text
-    (r"py:.*", r"(numpy|np|gymnasium|gym|pybullet|mujoco|pathlib|collections|enum|os|stable_baselines3|torch)\..*"),
+    (
+        r"py:.*",
+        r"(numpy|np|gymnasium|gym|pybullet|mujoco|pathlib|collections|enum|os|stable_baselines3|torch)\..*",
+    ),
     # `code` in a docstring becomes a link if it names something; :class: and :func: must be links
     (r"py:obj", r".*"),
 ]
 
 default_role = "py:word"
-myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath", "fieldlist"]
+myst_enable_extensions = [
+    "amsmath",
+    "attrs_inline",
+    "colon_fence",
+    "deflist",
+    "dollarmath",
+    "fieldlist",
+]
 myst_heading_anchors = 3
 myst_dmath_double_inline = True
 
@@ -50,7 +60,9 @@ autodoc_default_options = {"members": True}
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False
-napoleon_custom_sections = [("Attributes", "params_style")]  # several names may share a line, as for arguments
+napoleon_custom_sections = [
+    ("Attributes", "params_style")
+]  # several names may share a line, as for arguments
 
 html_theme = "furo"
 html_title = "Grasp forces"
@@ -64,7 +76,8 @@ html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#0b5394", "color-brand-content": "#0b5394"},
     "dark_css_variables": {"color-brand-primary": "#7db8ec", "color-brand-content": "#7db8ec"},
 }
-pygments_style, pygments_dark_style = "friendly", "github-dark"
+pygments_style = "friendly"
+pygments_dark_style = "github-dark"
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 

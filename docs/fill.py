@@ -1,12 +1,14 @@
 """Fills the tables of measurements in README.md and the pages from saved runs.
 
-python -m docs.fill                 writes every block <!-- results: NAME --> ... <!-- /results --> again
-python -m docs.fill --check         lists the blocks that differ from the saved runs; exit code 1
-python -m docs.fill --save RUN...   saves the summaries of run folders, of `grasp` or of the benchmarks
+python -m docs.fill                 writes every block <!-- results: NAME --> ... <!-- /results -->
+again python -m docs.fill --check         lists the blocks that differ from the saved runs; exit
+code 1 python -m docs.fill --save RUN...   saves the summaries of run folders, of `grasp` or of the
+benchmarks
 
-docs/results/KIND.csv is the summary of a run (columns: training/evaluation/results/columns.py), KIND.json its settings and machine, KIND.svg its picture, if it
-has one. Of the force benchmark force.csv.xz holds all rows. This module is long because it contains one short function for each table, a query on these files; `TABLES` lists
-them by the names of the blocks.
+docs/results/KIND.csv is the summary of a run (columns: training/evaluation/results/columns.py),
+KIND.json its settings and machine, KIND.svg its picture, if it has one. Of the force benchmark
+force.csv.xz holds all rows. This module is long because it contains one short function for each
+table, a query on these files; `TABLES` lists them by the names of the blocks.
 """
 
 from __future__ import annotations
@@ -31,7 +33,16 @@ from training.evaluation.report.rl_page import AGENTS, SPEEDS, place
 from training.evaluation.report.starts_page import pair
 from training.evaluation.results.claims import Judged, judge
 from training.evaluation.results.run import Run
-from training.evaluation.results.table import Rows, chosen, numbers, pd, read, summary, write, write_summary
+from training.evaluation.results.table import (
+    Rows,
+    chosen,
+    numbers,
+    pd,
+    read,
+    summary,
+    write,
+    write_summary,
+)
 from training.evaluation.results.words import number
 
 ROOT = Path(__file__).parents[1]
@@ -39,8 +50,20 @@ RESULTS = Path(__file__).parent / "results"
 FORCE = RESULTS / "force.csv.xz"
 BLOCK = re.compile(r"(<!-- results: (\w+) -->\n)(.*?)(<!-- /results -->)", re.DOTALL)
 PROVENANCE = (
-    "kind", "command", "time", "machine", "versions", "commit", "settings", "quick", "given", "claims", "unit", "tracks", "entrants",
-)  # fmt: skip
+    "kind",
+    "command",
+    "time",
+    "machine",
+    "versions",
+    "commit",
+    "settings",
+    "quick",
+    "given",
+    "claims",
+    "unit",
+    "tracks",
+    "entrants",
+)
 
 LAYERS = {
     "layer": "**ours, gradients with respect to all inputs**",
@@ -52,12 +75,23 @@ LAYERS = {
     "qplayer": "ProxSuite, pyramids",
 }
 PLAIN = {
-    "time of cvxpylayers over ours, batch of 1": ("speed-up over cvxpylayers (SCS), batch of 1", "x"),
-    "time of cvxpylayers_clarabel over ours, batch of 1": ("speed-up over cvxpylayers (Clarabel), batch of 1", "x"),
-    "all four errors: rate of the paper's pipeline minus that of constant squeeze, each at its chosen setting":
-        ("our holding rate less that of a constant-squeeze controller, with errors in friction, delay, tactile sensing and torque all present", ""),
-    "cost of a step over the bare PyBullet calls, median of pairs": ("environment step time / time of its PyBullet calls", ""),
-}  # fmt: skip
+    "time of cvxpylayers over ours, batch of 1": (
+        "speed-up over cvxpylayers (SCS), batch of 1",
+        "x",
+    ),
+    "time of cvxpylayers_clarabel over ours, batch of 1": (
+        "speed-up over cvxpylayers (Clarabel), batch of 1",
+        "x",
+    ),
+    "all four errors: rate of the paper's pipeline minus that of constant squeeze, each at its chosen setting": (
+        "our holding rate less that of a constant-squeeze controller, with errors in friction, delay, tactile sensing and torque all present",
+        "",
+    ),
+    "cost of a step over the bare PyBullet calls, median of pairs": (
+        "environment step time / time of its PyBullet calls",
+        "",
+    ),
+}
 """Plainer names of claims in the table of README.md, and the units of their numbers."""
 VERDICTS = {True: "yes", False: "**NO**", None: "not measured"}
 
@@ -72,7 +106,8 @@ def force_rows() -> tuple[Rows, dict[str, Any]]:
 def saved(kind: str) -> tuple[Rows, dict[str, Any]]:
     """Return the summary of a saved run, with its settings and machine."""
     about = json.loads((RESULTS / f"{kind}.json").read_text(encoding="utf-8"))
-    shown, means = module_of(about), read(RESULTS / f"{kind}.csv")
+    shown = module_of(about)
+    means = read(RESULTS / f"{kind}.csv")
     return getattr(shown, "derive", lambda means: means)(means), about
 
 
@@ -107,25 +142,47 @@ def reported(kind: str, make: Callable[[Rows, Rows], Rows]) -> Callable[[], str]
 
 def targets(kind: str) -> Callable[[], str]:
     """Return the claims of a saved run with their targets, missed ones first."""
-    return lambda: markdown(kind, pd.DataFrame(
-        [{"": row.claim.name, "target": row.asked, "measured": row.found, "met": VERDICTS[row.met]} for row in judged(kind)]
-    ))  # fmt: skip
+    return lambda: markdown(
+        kind,
+        pd.DataFrame(
+            [
+                {
+                    "": row.claim.name,
+                    "target": row.asked,
+                    "measured": row.found,
+                    "met": VERDICTS[row.met],
+                }
+                for row in judged(kind)
+            ]
+        ),
+    )
 
 
 def force_tracks() -> str:
     """Return the tracks of the force benchmark, from their files."""
-    return markdown(None, pd.DataFrame([
-        {"track": f"`{track.name}`", "description": track.about["about"],
-         "problems": sum(len(session.problems) for session in track.sessions), "modes": ", ".join(track.about["modes"])}
-        for track in map(load, names())
-    ]))  # fmt: skip
+    return markdown(
+        None,
+        pd.DataFrame(
+            [
+                {
+                    "track": f"`{track.name}`",
+                    "description": track.about["about"],
+                    "problems": sum(len(session.problems) for session in track.sessions),
+                    "modes": ", ".join(track.about["modes"]),
+                }
+                for track in map(load, names())
+            ]
+        ),
+    )
 
 
 def force(objective: str) -> Callable[[], str]:
     """Return the results of the force benchmark by track and mode, for one objective."""
     ours = {name for name, where in ENTRANTS.items() if where.rpartition(":")[0].endswith(".ours")}
     return lambda: markdown(
-        "force", by_track(force_rows()[0], objective, ours), "Median / 99 % in us of the problems solved to 1e-6."
+        "force",
+        by_track(force_rows()[0], objective, ours),
+        "Median / 99 % in us of the problems solved to 1e-6.",
     )
 
 
@@ -136,7 +193,9 @@ def force_entrants() -> str:
 
 def solvers() -> str:
     """Return the times of all solvers by number of contacts."""
-    return markdown("force", by_contacts(force_rows()[0]), "Median / 99 % in us, 25 random grasps each.")
+    return markdown(
+        "force", by_contacts(force_rows()[0]), "Median / 99 % in us, 25 random grasps each."
+    )
 
 
 def batch() -> str:
@@ -147,7 +206,10 @@ def batch() -> str:
     )
     made.columns = [f"{count} core{'' if count == 1 else 's'}" for count in made.columns]
     return markdown(
-        "batch", made.reindex(means["method"].unique()).reset_index(names="million certified solves per second")
+        "batch",
+        made.reindex(means["method"].unique()).reset_index(
+            names="million certified solves per second"
+        ),
     )
 
 
@@ -156,29 +218,43 @@ def step_rules() -> str:
     times = chosen(saved("reproduce")[0], "case == 'times'").set_index(["start", "rule"])
     made = [
         {"step rule, median / p99": label}
-        | {f"{start}: {name}": pair(times.loc[key, rule].to_dict(), column)
-           for column, name in (("iterations", "iterations"), ("microseconds", "compiled call, us"))
-           for key, start in (("linear_combination", "12-basis"), ("learned_fixed", "network"))}
+        | {
+            f"{start}: {name}": pair(times.loc[key, rule].to_dict(), column)
+            for column, name in (
+                ("iterations", "iterations"),
+                ("microseconds", "compiled call, us"),
+            )
+            for key, start in (("linear_combination", "12-basis"), ("learned_fixed", "network"))
+        }
         for rule, label in RULES.items()
-    ]  # fmt: skip
+    ]
     return markdown("reproduce", pd.DataFrame(made))
 
 
 def table_one() -> str:
     """Return Table I of the paper and our values on the reference grasp."""
     means = saved("reproduce")[0]
-    ours, paper = (chosen(means, f"case == '{case}'").set_index("start") for case in ("table_one", "table_one_paper"))
+    ours, paper = (
+        chosen(means, f"case == '{case}'").set_index("start")
+        for case in ("table_one", "table_one_paper")
+    )
     made = [
-        {"start": start.replace("_", " "), "sum of normal forces, paper [N]": paper.loc[start, "force_sum_median"],
-         "ours [N]": row["force_sum_median"], "steps, paper": paper.loc[start, "iterations_median"], "ours": row["iterations_median"]}
+        {
+            "start": start.replace("_", " "),
+            "sum of normal forces, paper [N]": paper.loc[start, "force_sum_median"],
+            "ours [N]": row["force_sum_median"],
+            "steps, paper": paper.loc[start, "iterations_median"],
+            "ours": row["iterations_median"],
+        }
         for start, row in ours.iterrows()
-    ]  # fmt: skip
+    ]
     return markdown("reproduce", pd.DataFrame(made))
 
 
 def rl() -> str:
     """Return agents, the paper's start, the previous solution and the learned start."""
-    means, made = chosen(saved("rl")[0], "case == 'held_out'"), []
+    means = chosen(saved("rl")[0], "case == 'held_out'")
+    made = []
     for environment in means["environment"].unique():
         here = means[means["environment"] == environment].set_index("agent")
         zero = here.loc["zero"]
@@ -186,33 +262,56 @@ def rl() -> str:
             if agent not in here.index:
                 continue
             row = here.loc[agent]
-            held = f"{row['held_sum']:.0f} of {row['held_sum'] / row['held_mean']:.0f}" if row["held_mean"] else "none"
-            saved_parts = (
-                1.0 - row[f"{name}_mean"] / zero[f"{name}_mean"] for name in ("commanded_force", "torque_share")
+            held = (
+                f"{row['held_sum']:.0f} of {row['held_sum'] / row['held_mean']:.0f}"
+                if row["held_mean"]
+                else "none"
             )
-            made.append({
-                "environment": place(environment), "policy": label, "held": held,
-                "iterations, median / p95 / p99": " / ".join(cell(row[f"iterations_{part}"]) for part in ("median", "p95", "p99")),
-                "relative to the paper": row["mean_iterations_median"] / zero["mean_iterations_median"],
-                "force / torque saved [%]": " / ".join(f"{100.0 * part:.1f}" for part in saved_parts).replace("-0.0", "0.0"),
-                "return, interquartile mean": row["return_iqm"],
-            })  # fmt: skip
+            saved_parts = (
+                1.0 - row[f"{name}_mean"] / zero[f"{name}_mean"]
+                for name in ("commanded_force", "torque_share")
+            )
+            made.append(
+                {
+                    "environment": place(environment),
+                    "policy": label,
+                    "held": held,
+                    "iterations, median / p95 / p99": " / ".join(
+                        cell(row[f"iterations_{part}"]) for part in ("median", "p95", "p99")
+                    ),
+                    "relative to the paper": row["mean_iterations_median"]
+                    / zero["mean_iterations_median"],
+                    "force / torque saved [%]": " / ".join(
+                        f"{100.0 * part:.1f}" for part in saved_parts
+                    ).replace("-0.0", "0.0"),
+                    "return, interquartile mean": row["return_iqm"],
+                }
+            )
     return markdown("rl", pd.DataFrame(made))
 
 
 def rl_speed() -> str:
     """Return steps per second and training times."""
-    means, made = saved("rl")[0], []
+    means = saved("rl")[0]
+    made = []
     for environment in chosen(means, "case == 'with training'")["environment"].unique():
         here = means[means["environment"] == environment]
         for agent, (label, _) in AGENTS.items():
             mine = here[here["agent"] == agent].set_index("case")
             if "with training" in mine.index:
-                made.append({
-                    "environment": place(environment), "agent": label,
-                    **{f"steps/s, {case}": round(mine.loc[case, "per_second_median"]) for case in SPEEDS},
-                    "longest training [s of a core]": round(mine.loc["training", "cpu_seconds_max"]),
-                })  # fmt: skip
+                made.append(
+                    {
+                        "environment": place(environment),
+                        "agent": label,
+                        **{
+                            f"steps/s, {case}": round(mine.loc[case, "per_second_median"])
+                            for case in SPEEDS
+                        },
+                        "longest training [s of a core]": round(
+                            mine.loc["training", "cpu_seconds_max"]
+                        ),
+                    }
+                )
     return markdown("rl", pd.DataFrame(made))
 
 
@@ -223,7 +322,8 @@ def layer() -> str:
     case = {"hard": "", "limits": ", within the limits of 12 joints", "soft": ", soft contacts"}
     made = means.assign(
         text=[
-            number(row["microseconds_median"]) + (f" ({row['ratio_median']:.0f}x)" if row["ratio_median"] > 0 else "")
+            number(row["microseconds_median"])
+            + (f" ({row['ratio_median']:.0f}x)" if row["ratio_median"] > 0 else "")
             for row in means.to_dict("records")
         ],
         name=[LAYERS[row["method"]] + case[row["case"]] for row in means.to_dict("records")],
@@ -231,7 +331,9 @@ def layer() -> str:
     order = made["name"].unique()
     made = made.pivot(index="name", columns="batch", values="text").reindex(order).fillna("–")
     made.columns = [f"batch of {size}" for size in made.columns]
-    agree = chosen(saved("layer")[0], "case == 'hard, answers' and method == 'cvxpylayers_clarabel'")
+    agree = chosen(
+        saved("layer")[0], "case == 'hard, answers' and method == 'cvxpylayers_clarabel'"
+    )
     note = "Forward and backward in us per problem, in brackets relative to ours, on one core, four contacts. "
     if len(agree):
         row = agree.iloc[0]
@@ -246,13 +348,13 @@ def hand_loop() -> str:
     made = [
         {"controller": names[row["method"]], "time": row["case"], "n": row["n"], **latencies(row)}
         for row in chosen(means, "case != 'run'").to_dict("records")
-    ]  # fmt: skip
+    ]
     told = [
         f"{names[row['method']]}: {row['lost_sum']:.0f} messages lost, {row['unanswered_sum']:.0f} replaced by a newer one, {row['late_sum']:.0f} updates "
         f"after a missed deadline, {row['over_budget_sum']:.0f} over budget, the simulated hand late in {row['behind_sum']:.0f} steps; "
         f"the ball moved by at most {row['drift_max']:.2f} mm."
         for row in chosen(means, "case == 'run'").to_dict("records")
-    ]  # fmt: skip
+    ]
     return markdown("hand_loop", pd.DataFrame(made), "\n".join(told))
 
 
@@ -263,23 +365,38 @@ def latencies(row: dict[str, Any]) -> dict[str, str]:
 
 
 def objects() -> str:
-    """Return the real objects that hands held under gravity, and how often they held them under the random wrench."""
+    """Return the real objects that hands held under gravity, and how often they held them under the
+    random wrench.
+    """
     means = saved("objects")[0]
-    pairs = means.pivot(index=["object", "hand", "engine"], columns="case", values=["held_sum", "n"])
+    pairs = means.pivot(
+        index=["object", "hand", "engine"], columns="case", values=["held_sum", "n"]
+    )
     made: dict[str, dict[str, str]] = {}
     for (name, hand, engine), row in pairs.iterrows():
         if engine == "bullet":
             gravity = "held" if row["held_sum", "mesh_gravity"] else "**lost**"
             random = f"{row['held_sum', 'mesh_random']:.0f} of {row['n', 'mesh_random']:.0f}"
-            made.setdefault(name, {"gravity; random wrench, in Bullet": name})[hand] = f"{gravity}; {random}"
+            made.setdefault(name, {"gravity; random wrench, in Bullet": name})[hand] = (
+                f"{gravity}; {random}"
+            )
     told = []
     for engine, found in means.groupby("engine", sort=False):
         sums = found.groupby("case")[["held_sum", "n"]].sum()
-        told.append(f"{engine}: " + ", ".join(
-            f"{label} {sums.loc[case, 'held_sum']:.0f} of {sums.loc[case, 'n']:.0f}"
-            for case, label in (("mesh_gravity", "gravity"), ("mesh_random", "random wrench"), ("mesh_six_directions", "six pushes"))
-        ))  # fmt: skip
-    note = f'All pairs, by engine (`faces`: Bullet with `mesh_contacts="faces"`). {"; ".join(told)}.'
+        told.append(
+            f"{engine}: "
+            + ", ".join(
+                f"{label} {sums.loc[case, 'held_sum']:.0f} of {sums.loc[case, 'n']:.0f}"
+                for case, label in (
+                    ("mesh_gravity", "gravity"),
+                    ("mesh_random", "random wrench"),
+                    ("mesh_six_directions", "six pushes"),
+                )
+            )
+        )
+    note = (
+        f'All pairs, by engine (`faces`: Bullet with `mesh_contacts="faces"`). {"; ".join(told)}.'
+    )
     return markdown("objects", pd.DataFrame(made.values()), note)
 
 
@@ -290,49 +407,114 @@ def overview() -> str:
         return chosen(saved(kind)[0], query).to_dict("records")[0]
 
     def varied(start: str, method: str, column: str) -> str:
-        return pair(row("starts", f"case == 'ball_frictions' and start == '{start}' and method == '{method}'"), column)
+        return pair(
+            row(
+                "starts",
+                f"case == 'ball_frictions' and start == '{start}' and method == '{method}'",
+            ),
+            column,
+        )
 
     def layer(method: str) -> dict[str, Any]:
         return row("layer", f"case == 'hard' and method == '{method}' and batch == 1000")
 
-    constant = row("reproduce", "case == 'times' and rule == 'fixed' and start == 'linear_combination'")
+    constant = row(
+        "reproduce", "case == 'times' and rule == 'fixed' and start == 'linear_combination'"
+    )
     engines = max(judged("transfer"), key=lambda one: abs(one.measured or 0.0))
     rows = [
-        *([f"conic optimum (least sum of normal forces) with certificate, 3 to 5 contacts, from {language}, median / p99", f"{fixed_contacts(method)} us",
-           f"fastest other solver (generated C): {fixed_contacts('qocogen_fast')} us"] for language, method in (("Python", "conic_python"), ("C++", "conic"))),
-        ["optimum of Phi from Python, Newton, cold start, median / p99", f"{varied('internal_force', 'newton', 'microseconds')} us",
-         f"the paper's flow from the 12-basis: {varied('linear_combination', 'reduced_flow', 'microseconds')} us"],
-        ["optimum of Phi from Python, Newton, learned start, median / p99", f"{varied('learned_fixed', 'newton', 'microseconds')} us",
-         f"the paper's flow from the learned start: {varied('learned_fixed', 'reduced_flow', 'microseconds')} us"],
-        ["iterations of the paper's flow from the 12-basis, median / p99", varied("linear_combination", "reduced_flow", "iterations"),
-         f"with a constant step: {pair(constant, 'iterations')}"],
-        ["iterations of the paper's flow from the network's prediction alone, median / p99", varied("network", "reduced_flow", "iterations"), "target: at most 3 / 15"],
-        ["optimum of Phi and its gradients in torch, batch of 1000", f"{number(layer('layer')['microseconds_median'])} us a problem",
-         f"speed-up over cvxpylayers (Clarabel): {layer('cvxpylayers_clarabel')['ratio_median']:.0f}x"],
-        ["random objects held for 4 s under a random wrench", "{held_sum:.0f} of {n}".format(**row("env", "case == 'objects' and controller == 'paper'")), "target: at least 99 %"],
-        ["largest difference of the holding rate between MuJoCo and Bullet", engines.found, f"target: {engines.asked}"],
-        *([f"**missed**: {name}", one.found + unit, f"target: {one.asked}{unit}"]
-          for kind in ("starts", "layer", "env", "env_speed") for one in judged(kind) if one.met is False
-          for name, unit in [PLAIN.get(one.claim.name, (one.claim.name, ""))]),
-    ]  # fmt: skip
-    return markdown("starts", pd.DataFrame(rows, columns=["quantity", "measured", "target or comparison"]))
+        *(
+            [
+                f"conic optimum (least sum of normal forces) with certificate, 3 to 5 contacts, from {language}, median / p99",
+                f"{fixed_contacts(method)} us",
+                f"fastest other solver (generated C): {fixed_contacts('qocogen_fast')} us",
+            ]
+            for language, method in (("Python", "conic_python"), ("C++", "conic"))
+        ),
+        [
+            "optimum of Phi from Python, Newton, cold start, median / p99",
+            f"{varied('internal_force', 'newton', 'microseconds')} us",
+            f"the paper's flow from the 12-basis: {varied('linear_combination', 'reduced_flow', 'microseconds')} us",
+        ],
+        [
+            "optimum of Phi from Python, Newton, learned start, median / p99",
+            f"{varied('learned_fixed', 'newton', 'microseconds')} us",
+            f"the paper's flow from the learned start: {varied('learned_fixed', 'reduced_flow', 'microseconds')} us",
+        ],
+        [
+            "iterations of the paper's flow from the 12-basis, median / p99",
+            varied("linear_combination", "reduced_flow", "iterations"),
+            f"with a constant step: {pair(constant, 'iterations')}",
+        ],
+        [
+            "iterations of the paper's flow from the network's prediction alone, median / p99",
+            varied("network", "reduced_flow", "iterations"),
+            "target: at most 3 / 15",
+        ],
+        [
+            "optimum of Phi and its gradients in torch, batch of 1000",
+            f"{number(layer('layer')['microseconds_median'])} us a problem",
+            f"speed-up over cvxpylayers (Clarabel): {layer('cvxpylayers_clarabel')['ratio_median']:.0f}x",
+        ],
+        [
+            "random objects held for 4 s under a random wrench",
+            "{held_sum:.0f} of {n}".format(
+                **row("env", "case == 'objects' and controller == 'paper'")
+            ),
+            "target: at least 99 %",
+        ],
+        [
+            "largest difference of the holding rate between MuJoCo and Bullet",
+            engines.found,
+            f"target: {engines.asked}",
+        ],
+        *(
+            [f"**missed**: {name}", one.found + unit, f"target: {one.asked}{unit}"]
+            for kind in ("starts", "layer", "env", "env_speed")
+            for one in judged(kind)
+            if one.met is False
+            for name, unit in [PLAIN.get(one.claim.name, (one.claim.name, ""))]
+        ),
+    ]
+    return markdown(
+        "starts", pd.DataFrame(rows, columns=["quantity", "measured", "target or comparison"])
+    )
 
 
 def fixed_contacts(method: str) -> str:
     """Return p50 / p99 [us] of an entrant on jumps of the wrench, 3 to 5 fixed contacts."""
     rows = chosen(
-        force_rows()[0], f"objective == 'sum' and case == 'jumps' and mode == 'persistent' and method == '{method}'"
+        force_rows()[0],
+        f"objective == 'sum' and case == 'jumps' and mode == 'persistent' and method == '{method}'",
     )
     return pair_of(numbers(rows, "microseconds"))
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "summary": overview, "hand_loop": hand_loop, "solvers": solvers, "force_tracks": force_tracks, "force_sum": force("sum"), "force_phi": force("phi"), "force_entrants": force_entrants, "batch": batch, "starts": reported("starts", starts_page.hardest_sets),
-    "calls": reported("starts", starts_page.all_starts), "network": reported("starts", starts_page.learned_steps), "newton_first": reported("starts", starts_page.newton_first),
-    "starts_claims": targets("starts"), "hold": reported("env", holds_page.grid), "hands": reported("hands", holds_page.grid),
-    "objects": objects, "transfer": reported("transfer", holds_page.grid), "env_speed": targets("env_speed"),
-    "step_rules": step_rules, "layer": layer, "table_one": table_one, "rl": rl, "rl_speed": rl_speed,
-}  # fmt: skip
+    "summary": overview,
+    "hand_loop": hand_loop,
+    "solvers": solvers,
+    "force_tracks": force_tracks,
+    "force_sum": force("sum"),
+    "force_phi": force("phi"),
+    "force_entrants": force_entrants,
+    "batch": batch,
+    "starts": reported("starts", starts_page.hardest_sets),
+    "calls": reported("starts", starts_page.all_starts),
+    "network": reported("starts", starts_page.learned_steps),
+    "newton_first": reported("starts", starts_page.newton_first),
+    "starts_claims": targets("starts"),
+    "hold": reported("env", holds_page.grid),
+    "hands": reported("hands", holds_page.grid),
+    "objects": objects,
+    "transfer": reported("transfer", holds_page.grid),
+    "env_speed": targets("env_speed"),
+    "step_rules": step_rules,
+    "layer": layer,
+    "table_one": table_one,
+    "rl": rl,
+    "rl_speed": rl_speed,
+}
 
 
 def save(folder: Path) -> str:
@@ -348,7 +530,9 @@ def save(folder: Path) -> str:
     with replacing(RESULTS / f"{about['kind']}.json") as target:
         kept = json.dumps({name: about[name] for name in PROVENANCE if name in about}, indent=1)
         # a path belongs to one machine
-        target.write_text(re.sub(r"(?<![\w.])/[^\s\"]*/(?=[^\s\"])", "", kept) + "\n", encoding="utf-8")
+        target.write_text(
+            re.sub(r"(?<![\w.])/[^\s\"]*/(?=[^\s\"])", "", kept) + "\n", encoding="utf-8"
+        )
     for picture in folder.glob("*.svg"):
         with replacing(RESULTS / f"{about['kind']}.svg") as target:
             target.write_bytes(picture.read_bytes())
@@ -373,7 +557,9 @@ def filled(text: str) -> tuple[str, list[str]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program, see the module."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--save", nargs="+", type=Path, default=[])
     given = parser.parse_args(arguments)
@@ -384,7 +570,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         text, changed = filled(page.read_text(encoding="utf-8"))
         differ += len(changed)
         for name in changed:
-            sys.stdout.write(f"{page.name}: {name}{' differs from docs/results' if given.check else ''}\n")
+            sys.stdout.write(
+                f"{page.name}: {name}{' differs from docs/results' if given.check else ''}\n"
+            )
         if changed and not given.check:
             with replacing(page) as target:
                 target.write_text(text, encoding="utf-8")

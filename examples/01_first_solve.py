@@ -2,9 +2,9 @@
 Solve your own contacts
 =======================
 
-Three fingertips carry a mug of 0.3 kg. The contacts come from a drawing, in millimetres and with outward normals.
-To learn: check your numbers with ``advise`` before you trust a force; it names both mistakes. In C++:
-``01_first_solve.cpp``.
+Three fingertips carry a mug of 0.3 kg. The contacts come from a drawing, in millimetres and with
+outward normals. To learn: check your numbers with ``advise`` before you trust a force; it names
+both mistakes. In C++: ``01_first_solve.cpp``.
 """
 
 import matplotlib.pyplot as plt
@@ -21,13 +21,16 @@ print("as drawn:")
 for text in advise(Grasp.from_contacts(drawing, outward, friction=0.6)):
     print(f"- {text}")
 
-grasp = Grasp.from_contacts(drawing / 1000, -outward, friction=0.6)  # metres, normals INTO the object
+# metres, normals INTO the object
+grasp = Grasp.from_contacts(drawing / 1000, -outward, friction=0.6)
 assert advise(grasp) == []
 
 weight = gravity_wrench(0.3)  # the force [N] and moment [N m] that act ON the mug
 solution = optimize_force(grasp, weight)
 solution.raise_for_status()  # raises an error unless the force is certified optimal
-print(f"\nin metres, inward: {solution.status.value}, squeezes with {solution.total_normal_force:.2f} N in all")
+print(
+    f"\nin metres, inward: {solution.status.value}, squeezes with {solution.total_normal_force:.2f} N in all"
+)
 print("contact   normal        o        t   [N]")
 for k, (normal, o, t) in enumerate(solution.force.round(3) + 0.0):
     print(f"{k:7d} {normal:8.3f} {o:8.3f} {t:8.3f}")

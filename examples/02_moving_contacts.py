@@ -2,9 +2,9 @@
 Contacts that move, at 1 kHz
 ============================
 
-Four fingers hold a cuboid that turns, and their tips roll. To learn: ``solve`` takes the current contacts and
-warm-starts from its last solution; a new grasp and solver at each tick give the same forces, many times slower. In C++:
-``02_moving_contacts.cpp``.
+Four fingers hold a cuboid that turns, and their tips roll. To learn: ``solve`` takes the current
+contacts and warm-starts from its last solution; a new grasp and solver at each tick give the same
+forces, many times slower. In C++: ``02_moving_contacts.cpp``.
 """
 
 from time import perf_counter
@@ -16,13 +16,17 @@ from grasp_env.force import ForceOptimizer, joint_torques, optimize_force
 from grasp_env.grasp import Grasp, gravity_wrench, presets
 
 nominal = presets.paper_cuboid()  # a thumb below, three fingers above; friction 0.4
-# velocities of the contact points by the joints, object frame [m]: three rows a contact, three joints a finger
+# velocities of the contact points by the joints, object frame [m]: three rows a contact, three
+# joints a finger
 jacobian = np.kron(np.eye(4), [[0.05, 0, 0], [0.01, -0.02, -0.03], [0.06, 0.05, 0.03]])
 
 
 def world(seconds):
-    """Contact points [m], inward normals and the wrench [N, N m] at this moment, all in the object's frame."""
-    roll, turn = 6 * seconds + np.arange(4), np.pi * seconds  # the tips move by a millimetre, the cuboid turns about y
+    """Contact points [m], inward normals and the wrench [N, N m] at this moment, all in the
+    object's frame.
+    """
+    roll = 6 * seconds + np.arange(4)
+    turn = np.pi * seconds  # the tips move by a millimetre, the cuboid turns about y
     points = nominal.positions + 1e-3 * np.column_stack([np.sin(roll), np.cos(roll), np.zeros(4)])
     normals = nominal.normals + 1e-2 * np.column_stack([np.sin(roll), np.zeros((4, 2))])
     rotation = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
@@ -31,7 +35,9 @@ def world(seconds):
 
 
 optimizer = ForceOptimizer(nominal, initial="previous")
-stamps, margins, torques = np.empty((1000, 3)), np.empty((1000, 4)), np.empty((1000, 12))
+stamps = np.empty((1000, 3))
+margins = np.empty((1000, 4))
+torques = np.empty((1000, 12))
 for tick in range(1000):
     points, normals, wrench = world(1e-3 * tick)
     begin = perf_counter()
@@ -40,12 +46,15 @@ for tick in range(1000):
     anew = optimize_force(Grasp.from_contacts(points, normals, 0.4), wrench)
     stamps[tick] = begin, moved, perf_counter()
     assert np.allclose(anew.force, solution.force, atol=0.1)
-    margins[tick] = 0.4 * solution.force[:, 0] - np.hypot(*solution.force[:, 1:].T)  # distance from slipping [N]
+    # distance from slipping [N]
+    margins[tick] = 0.4 * solution.force[:, 0] - np.hypot(*solution.force[:, 1:].T)
     torques[tick] = joint_torques(jacobian, solution.object_force)
 
 moving, anew = np.median(1e6 * np.diff(stamps), axis=0)
 print(f"median: contacts of the call {moving:.1f} us, all anew {anew:.1f} us")
-print(f"largest joint torque {abs(torques).max():.3f} N m, least friction margin {margins.min():.3f} N")
+print(
+    f"largest joint torque {abs(torques).max():.3f} N m, least friction margin {margins.min():.3f} N"
+)
 assert margins.min() > 0 and 3 * moving < anew
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.5), layout="constrained")

@@ -2,8 +2,9 @@
 A contact is lost and regained
 ==============================
 
-One of four fingers leaves the object for 0.2 s. To learn: ``contacts`` marks the fingers that touch in a call; the
-others have zero force, and the solver warm-starts from its last solution. In C++: ``03_lost_contact.cpp``.
+One of four fingers leaves the object for 0.2 s. To learn: ``contacts`` marks the fingers that touch
+in a call; the others have zero force, and the solver warm-starts from its last solution. In C++:
+``03_lost_contact.cpp``.
 """
 
 import matplotlib.pyplot as plt
@@ -13,9 +14,18 @@ from grasp_env.errors import InfeasibleWrenchError
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import presets
 
-optimizer = ForceOptimizer(presets.paper_cuboid(), initial="previous")  # a thumb below, three fingers above
-events = {399: "four hold", 400: "one is lost", 401: "three hold", 600: "it is back", 601: "four hold"}
-forces, iterations = np.empty((1000, 4)), np.empty(1000)
+optimizer = ForceOptimizer(
+    presets.paper_cuboid(), initial="previous"
+)  # a thumb below, three fingers above
+events = {
+    399: "four hold",
+    400: "one is lost",
+    401: "three hold",
+    600: "it is back",
+    601: "four hold",
+}
+forces = np.empty((1000, 4))
+iterations = np.empty(1000)
 for tick in range(1000):
     touching = np.array([True, True, True, not 400 <= tick < 600])
     turn = 2 * np.pi * 1e-3 * tick
@@ -24,7 +34,9 @@ for tick in range(1000):
     forces[tick], iterations[tick] = solution.force[:, 0], solution.iterations
     if tick in events:
         normal = solution.force[:, 0].round(3)
-        print(f"{tick} ms, {events[tick]:11} {solution.iterations} iterations, normal forces {normal} N")
+        print(
+            f"{tick} ms, {events[tick]:11} {solution.iterations} iterations, normal forces {normal} N"
+        )
 assert forces[500, 3] == 0 and iterations[401] <= iterations[400]
 
 two = [True, True, False, False]

@@ -2,9 +2,9 @@
 Your own start rule and your own disturbance
 ============================================
 
-Both are plain functions. To learn: a start rule takes (grasp, wrench) and returns forces, and ``Repair`` makes any
-guess feasible; a disturbance takes the times of an episode. To compare your rule with others:
-``grasp evaluate --start firm=my_rules.py:firm``.
+Both are plain functions. To learn: a start rule takes (grasp, wrench) and returns forces, and
+``Repair`` makes any guess feasible; a disturbance takes the times of an episode. To compare your
+rule with others: ``grasp evaluate --start firm=my_rules.py:firm``.
 """
 
 import gymnasium as gym
@@ -34,20 +34,26 @@ one = optimize_force(presets.paper_cuboid(), wrench, method="reduced_flow", init
 optimizer = ForceOptimizer(presets.paper_cuboid(), method="reduced_flow", initial=firm)
 same = optimizer.solve(wrench)
 paper = optimize_force(presets.paper_cuboid(), wrench, method="reduced_flow")
-print(f"iterations from {one.initial!r}: {one.iterations}; from {paper.initial!r}: {paper.iterations}")
+print(
+    f"iterations from {one.initial!r}: {one.iterations}; from {paper.initial!r}: {paper.iterations}"
+)
 assert one.initial == same.initial == "firm" and (one.force == same.force).all()
-np.testing.assert_allclose(one.force, paper.force, atol=0.1)  # the start changes the time, not the result
+# the start changes the time, not the result
+np.testing.assert_allclose(one.force, paper.force, atol=0.1)
 
 env = gym.make("grasp_env:FourFingerGrasp-v0", initial_force=firm, disturbance=quake, duration=4.0)
 observation, info = env.reset(seed=0)
-rows, done = [], False
+rows = []
+done = False
 while not done:
     observation, reward, terminated, truncated, info = env.step(np.zeros(6, dtype=np.float32))
     rows.append((info["time"], *info["wrench"][:3], 1e3 * info["drift"], info["iterations"]))
     done = terminated or truncated
 env.close()
 times, *forces, drift, iterations = np.array(rows).T
-print(f"held for {times[-1]:.2f} s; drift at most {drift.max():.3f} mm, {np.median(iterations):.0f} iterations a step")
+print(
+    f"held for {times[-1]:.2f} s; drift at most {drift.max():.3f} mm, {np.median(iterations):.0f} iterations a step"
+)
 assert not info["failure"] and np.ptp(forces) > 2
 
 fig, (top, bottom) = plt.subplots(2, 1, figsize=(8, 4.5), sharex=True, layout="constrained")

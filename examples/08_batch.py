@@ -3,8 +3,8 @@ Many wrenches, many grasps
 ==========================
 
 Sixty thousand directions of a load on one grasp, and a thousand positions of its thumb. To learn:
-``optimize_forces`` solves whole arrays, in vector registers and on all cores, with the results of single calls. In C++:
-``08_batch.cpp``.
+``optimize_forces`` solves whole arrays, in vector registers and on all cores, with the results of
+single calls. In C++: ``08_batch.cpp``.
 """
 
 from time import perf_counter
@@ -24,9 +24,13 @@ loads[:, 2] = 5 * np.sin(elevation).ravel()
 begin = perf_counter()
 batch = optimize_forces(grasp, loads, method="conic")
 took = perf_counter() - begin
-print(f"{len(batch)} wrenches on one grasp: {len(batch) / took / 1e6:.2f} million a second; {batch}")
+print(
+    f"{len(batch)} wrenches on one grasp: {len(batch) / took / 1e6:.2f} million a second; {batch}"
+)
 print(f"they take {batch.objective.mean():.3f} N on average, {batch.objective.max():.3f} N at most")
-np.testing.assert_allclose(batch[1234].force, optimize_force(grasp, loads[1234], method="conic").force, atol=1e-6)
+np.testing.assert_allclose(
+    batch[1234].force, optimize_force(grasp, loads[1234], method="conic").force, atol=1e-6
+)
 
 places = np.linspace(-0.03, 0.03, 31)  # positions of the thumb on the lower face [m]
 grasps = []

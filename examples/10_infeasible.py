@@ -2,8 +2,9 @@
 When no force exists
 ====================
 
-A block lies on three fingertips, and the hand tilts. To learn: a wrench that cannot be balanced raises an error with a
-proof, a twist: the motion that the weight drives and that no force within the friction cones resists.
+A block lies on three fingertips, and the hand tilts. To learn: a wrench that cannot be balanced
+raises an error with a proof, a twist: the motion that the weight drives and that no force within
+the friction cones resists.
 """
 
 import matplotlib.pyplot as plt
@@ -31,27 +32,47 @@ for degrees in range(0, 41, 5):
         found[degrees] = grasp.to_object_frame(solution.force)
         print(f"{degrees:2d} deg: held, {solution.cone_margin:.3f} N from slipping")
     except InfeasibleWrenchError as error:
-        twist = found[degrees] = error.solution.certificate  # velocity [m/s] and angular velocity, up to scale
+        # velocity [m/s] and angular velocity, up to scale
+        twist = found[degrees] = error.solution.certificate
         slope = np.degrees(np.arctan2(twist[2], twist[0]))
-        print(f"{degrees:2d} deg: no force; the proof slides along x, {slope:.0f} deg off the fingertips")
+        print(
+            f"{degrees:2d} deg: no force; the proof slides along x, {slope:.0f} deg off the fingertips"
+        )
         # the weight and every force within the cones drive this motion: nothing balances the weight
         velocities = (grasp.matrix.T @ twist).reshape(3, 3)  # of the contact points: normal, o, t
-        assert twist @ tilted(degrees) > 0 and (velocities[:, 0] >= 0.4 * np.hypot(*velocities[:, 1:].T) - 1e-9).all()
-assert [degrees for degrees, arrows in found.items() if arrows.shape == (6,)] == [25, 30, 35, 40]  # atan(0.4) is 21.8
+        assert (
+            twist @ tilted(degrees) > 0
+            and (velocities[:, 0] >= 0.4 * np.hypot(*velocities[:, 1:].T) - 1e-9).all()
+        )
+# atan(0.4) is 21.8
+assert [degrees for degrees, arrows in found.items() if arrows.shape == (6,)] == [25, 30, 35, 40]
 
 corners = 1e3 * np.array([[-0.04, 0.04, 0.04, -0.04, -0.04], [0, 0, 0.04, 0.04, 0]])  # x and z [mm]
 fig, axes = plt.subplots(1, 2, figsize=(8, 4.5), sharey=True, layout="constrained")
-for ax, degrees, what in zip(axes, (20, 30), ("held, by these forces", "not held: the proof"), strict=True):
-    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+for ax, degrees, what in zip(
+    axes, (20, 30), ("held, by these forces", "not held: the proof"), strict=True
+):
+    cos = np.cos(np.radians(degrees))
+    sin = np.sin(np.radians(degrees))
     turn = np.array([[cos, sin], [-sin, cos]])  # from the block's x and z to the picture
     ax.fill(*(turn @ corners), color="0.85")
     arrows = found[degrees]
     if arrows.shape == (6,):
-        starts, arrows = corners[:, :4], np.tile(arrows[[0, 2]] / np.linalg.norm(arrows), (4, 1)).T * 30
+        starts = corners[:, :4]
+        arrows = np.tile(arrows[[0, 2]] / np.linalg.norm(arrows), (4, 1)).T * 30
     else:
-        starts, arrows = 1e3 * points[:, [0, 2]].T, 10 * arrows[:, [0, 2]].T
-    ax.quiver(*(turn @ starts), *(turn @ arrows), angles="xy", scale_units="xy", scale=1, color="tab:blue")
+        starts = 1e3 * points[:, [0, 2]].T
+        arrows = 10 * arrows[:, [0, 2]].T
+    ax.quiver(
+        *(turn @ starts), *(turn @ arrows), angles="xy", scale_units="xy", scale=1, color="tab:blue"
+    )
     ax.quiver(*(turn @ [0, 20]), 0, -30, angles="xy", scale_units="xy", scale=1, color="tab:red")
-    ax.set(title=f"{degrees} deg, {what}", xlabel="x [mm]", aspect="equal", xlim=(-50, 85), ylim=(-30, 70))
+    ax.set(
+        title=f"{degrees} deg, {what}",
+        xlabel="x [mm]",
+        aspect="equal",
+        xlim=(-50, 85),
+        ylim=(-30, 70),
+    )
 axes[0].set_ylabel("z [mm]")
 plt.show()

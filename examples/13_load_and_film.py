@@ -2,10 +2,10 @@
 Load an agent, score it, film it
 ================================
 
-``grasp rl`` trains agents whose folders hold weights, normaliser and settings without pickles. To learn:
-``TrainedAgent.load`` runs an agent with numpy alone, on the observations of the environment, and serves as a model
-for stable-baselines3; the pictures of the environment, with forces and friction cones, make a film. The 2048 steps of
-this page, seconds of work, teach nothing yet.
+``grasp rl`` trains agents whose folders hold weights, normaliser and settings without pickles. To
+learn: ``TrainedAgent.load`` runs an agent with numpy alone, on the observations of the environment,
+and serves as a model for stable-baselines3; the pictures of the environment, with forces and
+friction cones, make a film. The 2048 steps of this page, seconds of work, teach nothing yet.
 """
 
 import subprocess
@@ -21,7 +21,9 @@ from stable_baselines3.common.monitor import Monitor
 from policies import TrainedAgent, ZeroPolicy
 
 # the command line's `grasp rl --steps 2048 ...`
-options = "--steps 2048 --episodes 2 --curve-points 1 --curve-episodes 1 --seeds 0 --out runs/example_rl"
+options = (
+    "--steps 2048 --episodes 2 --curve-points 1 --curve-episodes 1 --seeds 0 --out runs/example_rl"
+)
 subprocess.run([sys.executable, "-m", "training", "rl", *options.split()], check=True)
 
 agent = TrainedAgent.load("runs/example_rl/seed-0")
@@ -36,13 +38,18 @@ for name, policy in {"agent": agent, "the paper's start": ZeroPolicy()}.items():
 
 short = {"render_mode": "rgb_array", "duration": 0.6, "pictures": {"size": (320, 320)}}
 env = gym.make("grasp_env:FourFingerGrasp-v0", config=settings, **short)
-(observation, info), over, iterations, frames = env.reset(seed=1_000_000), False, [], []
+(observation, info) = env.reset(seed=1_000_000)
+over = False
+iterations = []
+frames = []
 while not over:
     observation, reward, lost, over, info = env.step(agent.predict(observation)[0])
     assert not lost, info["failure"]
     iterations.append(info["iterations"])
     frames.append(Image.fromarray(env.render()))
-frames[0].save("runs/example_rl/agent.webp", save_all=True, append_images=frames[1:], duration=20)  # [ms]
+frames[0].save(
+    "runs/example_rl/agent.webp", save_all=True, append_images=frames[1:], duration=20
+)  # [ms]
 env.close()
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.5), layout="constrained")

@@ -2,8 +2,9 @@
 The hand controller as a ROS 2 node
 ===================================
 
-A managed (lifecycle) node around ``HandController`` publishes efforts. To learn: messages, ages from time stamps, a
-clean shutdown. ``python ros2_node.py --ros-args -p hand:=allegro -p friction:=0.6 -r joint_states:=/hand/joint_states``
+A managed (lifecycle) node around ``HandController`` publishes efforts. To learn: messages, ages
+from time stamps, a clean shutdown. ``python ros2_node.py --ros-args -p hand:=allegro -p
+friction:=0.6 -r joint_states:=/hand/joint_states``
 """
 
 import signal
@@ -13,9 +14,13 @@ from dataclasses import asdict
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from hand_controller import Calibration, HandController, HandControllerSettings, HandState  # the file beside this one
+
+# the file beside this one
+from hand_controller import Calibration, HandController, HandControllerSettings, HandState
 from numpy.lib.recfunctions import structured_to_unstructured
-from rclpy.experimental import EventsExecutor  # before Kilted: rclpy.executors.SingleThreadedExecutor, which is slower
+
+# before Kilted: rclpy.executors.SingleThreadedExecutor, which is slower
+from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
@@ -29,18 +34,23 @@ PARAMETERS = {
     "gravity": [0.0, 0.0, -9.81],
     **asdict(HandControllerSettings()),
 }  # [m/s^2], base frame
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches publishers of both reliabilities
+# matches publishers of both reliabilities
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 POINT = ("x", "y", "z", "normal_x", "normal_y", "normal_z")  # float32, as in PCL's PointNormal
 
 
 class HandNode(LifecycleNode):
-    """`configure` reads parameters, `activate` needs a message on every topic, `deactivate` commands zero torque."""
+    """`configure` reads parameters, `activate` needs a message on every topic, `deactivate`
+    commands zero torque.
+    """
 
     def __init__(self):
         super().__init__("hand_controller")
         self.controller, self.newest, self.timer = HandController(), dict.fromkeys(INPUTS), None
         for topic, kind in INPUTS.items():
-            self.create_subscription(kind, topic, lambda told, topic=topic: self.newest.update({topic: told}), NEWEST)
+            self.create_subscription(
+                kind, topic, lambda told, topic=topic: self.newest.update({topic: told}), NEWEST
+            )
         self.publisher = self.create_lifecycle_publisher(JointState, "joint_commands", 1)
         self.declare_parameters("", [*PARAMETERS.items()])
 
@@ -84,7 +94,9 @@ class HandNode(LifecycleNode):
 
     def tick(self):
         """Update the controller; while messages do not fit, the age of the last state grows."""
-        before, status, self.last = self.last, self.controller.status, self.get_clock().now()
+        before = self.last
+        status = self.controller.status
+        self.last = self.get_clock().now()
         period = (self.last - before).nanoseconds * 1e-9
         try:
             self.reading = self.read()
@@ -98,33 +110,69 @@ class HandNode(LifecycleNode):
 
     def publish(self):
         """Publish efforts with the time stamp of their contacts."""
-        header, efforts = self.newest["contacts"].header, self.controller.torques.tolist()
-        self.publisher.publish(JointState(header=header, name=self.hand.joint_names, effort=efforts))
+        header = self.newest["contacts"].header
+        efforts = self.controller.torques.tolist()
+        self.publisher.publish(
+            JointState(header=header, name=self.hand.joint_names, effort=efforts)
+        )
 
     def read(self):
-        """Return the newest messages as a state, or raise ValueError; its age is that of the older stamp."""
+        """Return the newest messages as a state, or raise ValueError; its age is that of the older
+        stamp.
+        """
         if missing := [topic for topic, message in self.newest.items() if message is None]:
             raise ValueError(f"nothing came yet on {', '.join(missing)}")
         joints, contacts, wrench = self.newest.values()
         if contacts.header.frame_id != wrench.header.frame_id:
-            raise ValueError("contacts and wrench must both be in the frame of the hand's base; their frame_id differ")
-        known = dict(zip(joints.name, zip(joints.position, joints.velocity, strict=False), strict=False))
-        angles, rates = np.array(pick(self.hand.joint_names, known, "joint_states with position and velocity")).T.copy()
-        load = np.array([getattr(part, axis) for part in (wrench.wrench.force, wrench.wrench.torque) for axis in "xyz"])
-        age = max(abs((self.last - Time.from_msg(part.header.stamp)).nanoseconds) for part in (joints, contacts))
-        return HandState(angles, rates, *read_points(contacts, self.hand.finger_count), load, self.gravity, 1e-9 * age)
+            raise ValueError(
+                "contacts and wrench must both be in the frame of the hand's base; their frame_id differ"
+            )
+        known = dict(
+            zip(joints.name, zip(joints.position, joints.velocity, strict=False), strict=False)
+        )
+        angles, rates = np.array(
+            pick(self.hand.joint_names, known, "joint_states with position and velocity")
+        ).T.copy()
+        load = np.array(
+            [
+                getattr(part, axis)
+                for part in (wrench.wrench.force, wrench.wrench.torque)
+                for axis in "xyz"
+            ]
+        )
+        age = max(
+            abs((self.last - Time.from_msg(part.header.stamp)).nanoseconds)
+            for part in (joints, contacts)
+        )
+        return HandState(
+            angles,
+            rates,
+            *read_points(contacts, self.hand.finger_count),
+            load,
+            self.gravity,
+            1e-9 * age,
+        )
 
 
 def read_points(cloud, count):
-    """Return touching fingertips (count,), points (count, 3) [m] and unit normals; NaN means no contact."""
-    places = {field.name: field.offset for field in cloud.fields if field.datatype == PointField.FLOAT32}
-    offsets, number = pick(POINT, places, "float32 fields of contacts"), ">f4" if cloud.is_bigendian else "<f4"
-    layout = np.dtype({"names": POINT, "formats": [number] * 6, "offsets": offsets, "itemsize": cloud.point_step})
+    """Return touching fingertips (count,), points (count, 3) [m] and unit normals; NaN means no
+    contact.
+    """
+    places = {
+        field.name: field.offset for field in cloud.fields if field.datatype == PointField.FLOAT32
+    }
+    offsets = pick(POINT, places, "float32 fields of contacts")
+    number = ">f4" if cloud.is_bigendian else "<f4"
+    layout = np.dtype(
+        {"names": POINT, "formats": [number] * 6, "offsets": offsets, "itemsize": cloud.point_step}
+    )
     points = structured_to_unstructured(np.frombuffer(cloud.data, layout)).astype(np.float64)
     if len(points) != count:
         raise ValueError(f"contacts have {len(points)} points, {count} fingertips need one each")
     touching = np.isfinite(points).all(axis=1)
-    positions, normals = np.where(touching[:, None], points, 0.0).reshape(count, 2, 3).swapaxes(0, 1).copy()
+    positions, normals = (
+        np.where(touching[:, None], points, 0.0).reshape(count, 2, 3).swapaxes(0, 1).copy()
+    )
     return touching, positions, normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-6)
 
 
@@ -137,11 +185,13 @@ def pick(names, known, what):
 
 def main():
     """Spin until ctrl-C or SIGTERM; an active controller then commands zero torque before the end."""
-    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)  # rclpy's would close the connection first
+    # rclpy's would close the connection first
+    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
-    node, executor = HandNode(), EventsExecutor()
+    node = HandNode()
+    executor = EventsExecutor()
     executor.add_node(node)
     while not ended.is_set():
         executor.spin_once(timeout_sec=0.1)

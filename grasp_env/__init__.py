@@ -1,7 +1,9 @@
-"""Grasp-force optimisation in a simulated hand: `grasp_env.grasp`, `grasp_env.force`, and a Gymnasium environment.
+"""Grasp-force optimisation in a simulated hand: `grasp_env.grasp`, `grasp_env.force`, and a
+Gymnasium environment.
 
-Importing the package registers `FourFingerGrasp-v0` with Gymnasium, whichever of the two is imported first. The import stays
-light: it does not import Gymnasium, and PyBullet loads with the first environment.
+Importing the package registers `FourFingerGrasp-v0` with Gymnasium, whichever of the two is
+imported first. The import stays light: it does not import Gymnasium, and PyBullet loads with the
+first environment.
 """
 
 import sys
@@ -21,9 +23,11 @@ def _register() -> bool:
 
 
 class _Watch:
-    """Import hook that registers the environment once Gymnasium is imported, and then removes itself. It finds no module.
+    """Import hook that registers the environment once Gymnasium is imported, and then removes
+    itself. It finds no module.
 
-    Gymnasium has had no plugins since 1.0. Importing it here would take 30 to 100 ms, also for users of the solver alone.
+    Gymnasium has had no plugins since 1.0. Importing it here would take 30 to 100 ms, also for
+    users of the solver alone.
     """
 
     def __init__(self) -> None:

@@ -12,7 +12,8 @@ FINISH = WrapperSpec("finish", "grasp_env.env.env:finish", {})
 
 
 class GraspSpec(EnvSpec):
-    """A specification whose JSON keeps records, hands and arrays among the keywords, for `gym.make(EnvSpec.from_json(text))`.
+    """A specification whose JSON keeps records, hands and arrays among the keywords, for
+    `gym.make(EnvSpec.from_json(text))`.
 
     `EnvSpec.to_json` alone would write a record as a dict without its name.
     """
@@ -21,7 +22,8 @@ class GraspSpec(EnvSpec):
         """Return the specification as JSON.
 
         Raises:
-            TypeError: a keyword has no JSON, such as a function; Gymnasium's own specifications raise the same.
+            TypeError: a keyword has no JSON, such as a function; Gymnasium's own specifications
+                raise the same.
         """
         from grasp_env.config.env import keywords_to_json
 
@@ -34,4 +36,6 @@ class GraspSpec(EnvSpec):
 def register() -> None:
     """Enter the environment in Gymnasium's registry, unless it is there already."""
     if ENV_ID not in registry:
-        registry[ENV_ID] = GraspSpec(ENV_ID, "grasp_env.env:FourFingerGrasp", additional_wrappers=(FINISH,))
+        registry[ENV_ID] = GraspSpec(
+            ENV_ID, "grasp_env.env:FourFingerGrasp", additional_wrappers=(FINISH,)
+        )

@@ -1,7 +1,7 @@
 """All errors of the project.
 
-Every class also derives from the matching builtin, so `except ValueError` and `except KeyError` work. A message
-tells what was given, what is allowed and how to mend it.
+Every class also derives from the matching builtin, so `except ValueError` and `except KeyError`
+work. A message tells what was given, what is allowed and how to mend it.
 """
 
 from __future__ import annotations
@@ -13,14 +13,18 @@ from reprlib import Repr
 from typing import Any
 
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
-_LONG = 1000  # entries of a container that are not sorted, and bytes that are not written, for a message
+# entries of a container that are not sorted, and bytes that are not written, for a message
+_LONG = 1000
 
 
 class _ShortRepr(Repr):
     """A `Repr` whose time does not grow with what it shows."""
 
     def repr1(self, x: Any, level: int) -> str:
-        if isinstance(x, dict | set | frozenset | bytes | bytearray | memoryview) and len(x) > _LONG:
+        if (
+            isinstance(x, dict | set | frozenset | bytes | bytearray | memoryview)
+            and len(x) > _LONG
+        ):
             return f"a {type(x).__name__} of length {len(x)}"
         return super().repr1(x, level)
 
@@ -32,7 +36,9 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 200
 
 
 def shown(value: object) -> str:
-    """Return a short repr without addresses, for messages. It never fails, and takes no time however large the value is.
+    """Return a short repr without addresses, for messages.
+
+    It never fails, and takes no time however large the value is.
 
     Example:
         >>> shown([1.0, "a"]), shown(10**10_000), shown([0.0] * 1000)[-10:]
@@ -41,7 +47,8 @@ def shown(value: object) -> str:
         '<object object>'
     """
     try:
-        shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
+        shape = getattr(value, "shape", None)
+        dtype = getattr(value, "dtype", None)
         if isinstance(shape, tuple) and dtype is not None:  # an array: its numbers if they are few
             if math.prod(max(length, 1) for length in shape) > 36:
                 return f"{type(value).__name__} of shape {tuple(shape)} and type {dtype!s:.100}"
@@ -57,7 +64,8 @@ def shown(value: object) -> str:
 
 
 def alike(given: object, allowed: Iterable[str]) -> str:
-    """Return the question whether the allowed name most like the given one was meant; empty if none is like it.
+    """Return the question whether the allowed name most like the given one was meant; empty if none
+    is like it.
 
     Example:
         >>> alike("Newtn", ["conic", "newton"]), alike("simplex", ["conic", "newton"])
@@ -108,13 +116,17 @@ class UnknownNameError(GraspError, KeyError):
 
 
 class UnknownSettingError(UnknownNameError, TypeError):
-    """A keyword is not a setting. The message is that of Python's own TypeError, which other code looks for."""
+    """A keyword is not a setting.
+
+    The message is that of Python's own TypeError, which other code looks for.
+    """
 
     def __init__(self, given: str, allowed: Iterable[str] = (), likely: Iterable[str] = ()) -> None:
         """Make the message.
 
         Args:
-            given: the keyword; without `allowed` the whole message, as `gymnasium.make` raises a TypeError again.
+            given: the keyword; without `allowed` the whole message, as `gymnasium.make` raises a
+                TypeError again.
             allowed: the existing settings.
             likely: settings of other records that may be meant.
         """
@@ -144,11 +156,16 @@ class InfeasibleWrenchError(GraspError):
     """No force strictly inside the friction cones balances the wrench.
 
     Attributes:
-        solution: the `ForceSolution` with status `INFEASIBLE` and, in `certificate`, the separating twist (6,).
+        solution: the `ForceSolution` with status `INFEASIBLE` and, in `certificate`, the separating
+            twist (6,).
     """
 
-    def __init__(self, message: str, solution: Any = None, tell: Callable[[], str] | None = None) -> None:
-        """Make the error; with an empty `message` the text is `tell()`, which costs a control loop nothing until it is read."""
+    def __init__(
+        self, message: str, solution: Any = None, tell: Callable[[], str] | None = None
+    ) -> None:
+        """Make the error; with an empty `message` the text is `tell()`, which costs a control loop
+        nothing until it is read.
+        """
         super().__init__(message)
         self.solution, self._tell = solution, tell
 
@@ -161,7 +178,9 @@ class InfeasibleWrenchError(GraspError):
 
 
 class UnsupportedProblemError(GraspError):
-    """The method does not support this kind of contact, limit or option; the message names one that does."""
+    """The method does not support this kind of contact, limit or option; the message names one that
+    does.
+    """
 
 
 class InfeasibleStartError(GraspError):
@@ -169,7 +188,9 @@ class InfeasibleStartError(GraspError):
 
 
 class NotConvergedError(GraspError, RuntimeError):
-    """A solution did not reach its tolerance; besides the `message` it has the `ForceSolution`, `solution`, if there is one."""
+    """A solution did not reach its tolerance; besides the `message` it has the `ForceSolution`,
+    `solution`, if there is one.
+    """
 
     def __init__(self, message: str, solution: Any = None) -> None:
         super().__init__(message)

@@ -1,7 +1,8 @@
 """Records of settings that check themselves.
 
-A setting is described once, at its field: default, unit, accepted values, one sentence. The record's docstring, the page of all
-settings, the help of the command line and the error messages are made from this description.
+A setting is described once, at its field: default, unit, accepted values, one sentence. The
+record's docstring, the page of all settings, the help of the command line and the error messages
+are made from this description.
 
 Example:
     >>> @dataclass(frozen=True)
@@ -32,7 +33,8 @@ from grasp_env.inputs.arguments import AllFaults, as_array, as_number, choice, w
 from grasp_env.inputs.ranges import Range
 
 ANY, POSITIVE, NOT_NEGATIVE = Range(-1e9, 1e9), Range(1e-9, 1e9), Range(0.0, 1e9)
-"""Ranges of settings of which only the sign is restricted; no sensible value is larger in the units of the settings."""
+"""Ranges of settings of which only the sign is restricted; no sensible value is larger in the units
+of the settings."""
 S = TypeVar("S", bound="Settings")
 _ABOUT = "about"
 _PATH: ContextVar[str] = ContextVar("path", default="")
@@ -43,10 +45,12 @@ class Kind(NamedTuple):
     """The values that a setting accepts.
 
     Attributes:
-        take: function (value, name) that returns the value to store, or raises a `GraspError` with the name.
+        take: function (value, name) that returns the value to store, or raises a `GraspError` with
+            the name.
         text: the accepted values in words, for the page of settings.
         records: the accepted classes, if the setting is a record.
-        write: function (value, name) that returns an accepted value as JSON values, which `take` reads; None: `to_json`.
+        write: function (value, name) that returns an accepted value as JSON values, which `take`
+            reads; None: `to_json`.
     """
 
     take: Callable[[Any, str], Any]
@@ -66,11 +70,14 @@ class About(NamedTuple):
     random: bool
 
 
-def setting(default: Any, kind: Kind, doc: str, *, unit: str = "", none: str = "", random: bool = False) -> Any:
+def setting(
+    default: Any, kind: Kind, doc: str, *, unit: str = "", none: str = "", random: bool = False
+) -> Any:
     """Declare a field of a `Settings` record.
 
     Args:
-        default, kind, doc, unit: its default, the accepted values, one sentence, the unit of its numbers.
+        default, kind, doc, unit: its default, the accepted values, one sentence, the unit of its
+        numbers.
         none: the meaning of None; if empty, None is an error.
         random: True if it may be drawn at each reset.
     """
@@ -80,7 +87,9 @@ def setting(default: Any, kind: Kind, doc: str, *, unit: str = "", none: str = "
 
 @dataclass(frozen=True)
 class Settings:
-    """Base class of the records: every field is a `setting`. One error reports all faults of a record.
+    """Base class of the records: every field is a `setting`.
+
+    One error reports all faults of a record.
 
     Attributes:
         name: name of a record that is one of several, such as the disturbance "random".
@@ -93,7 +102,11 @@ class Settings:
         cls.__doc__ = inspect.cleandoc(vars(cls).get("__doc__") or "")
         # inherited fields, and those that `dataclass` has not processed yet
         known = {**getattr(cls, "__dataclass_fields__", {}), **vars(cls)}
-        abouts = {name: each.metadata.get(_ABOUT) for name, each in known.items() if isinstance(each, Field)}
+        abouts = {
+            name: each.metadata.get(_ABOUT)
+            for name, each in known.items()
+            if isinstance(each, Field)
+        }
         lines = [_sentence(name, about) for name, about in abouts.items() if about]
         if lines:
             cls.__doc__ += "\n\nAttributes:\n" + "\n".join(lines)
@@ -101,16 +114,21 @@ class Settings:
     def __post_init__(self) -> None:
         known = [(item.name, item.metadata[_ABOUT]) for item in fields(self)]
         with AllFaults() as check:
-            values = {name: check(_checked, about, getattr(self, name), name) for name, about in known}
+            values = {
+                name: check(_checked, about, getattr(self, name), name) for name, about in known
+            }
         for name, value in values.items():
             object.__setattr__(self, name, value)
         self.agree()
 
     def agree(self) -> None:
-        """Raise an error if values that are valid alone contradict each other; called after each is checked and converted."""
+        """Raise an error if values that are valid alone contradict each other; called after each is
+        checked and converted.
+        """
 
     def replaced(self: S, given: Mapping[str, Any], path: str = "") -> S:
-        """Return a copy with some settings replaced; `path` of the record, such as "sensors", is for error messages.
+        """Return a copy with some settings replaced; `path` of the record, such as "sensors", is
+        for error messages.
 
         Raises:
             UnknownSettingError: the record has no setting of that name.
@@ -127,8 +145,12 @@ class Settings:
             _PATH.reset(before)
 
 
-def described(record: type[Settings], path: str = "") -> Iterator[tuple[str, type[Settings], About]]:
-    """Yield all settings of a record (itself at a `path`) and of its nested records, in order: path, class, description."""
+def described(
+    record: type[Settings], path: str = ""
+) -> Iterator[tuple[str, type[Settings], About]]:
+    """Yield all settings of a record (itself at a `path`) and of its nested records, in order:
+    path, class, description.
+    """
     for item in fields(record):
         about = item.metadata[_ABOUT]
         here = f"{path}.{item.name}" if path else item.name
@@ -143,8 +165,14 @@ def real(within: Range = ANY) -> Kind:
     def take(value: Any, name: str) -> float:
         found = as_number(value)
         if found is None or not within.low <= found <= within.high:
-            most = f" and up to {within.high:g}" if found is not None and found > within.high >= 1e9 else ""
-            raise InvalidInputError(f"{name} must be a number {_range_text(within)}{most}, got {shown(value)}")
+            most = (
+                f" and up to {within.high:g}"
+                if found is not None and found > within.high >= 1e9
+                else ""
+            )
+            raise InvalidInputError(
+                f"{name} must be a number {_range_text(within)}{most}, got {shown(value)}"
+            )
         return found
 
     return Kind(take, _range_text(within))
@@ -155,8 +183,12 @@ def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
     return Kind(lambda value, name: whole(value, name, low, high), f"integer >= {low}")
 
 
-def one_of(names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] = lambda _: False) -> Kind:
-    """One of several names, or another value that `fits`; `instead` tells in words which, such as "a rule"."""
+def one_of(
+    names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] = lambda _: False
+) -> Kind:
+    """One of several names, or another value that `fits`; `instead` tells in words which, such as
+    "a rule".
+    """
     allowed = tuple(names)
 
     def take(value: Any, name: str) -> Any:
@@ -187,10 +219,17 @@ def record(kind: type[Settings]) -> Kind:
             )
         return value
 
-    return Kind(take, f"{kind.__name__} or dict", (kind,), lambda value, name: _written_record(value, name, kind))
+    return Kind(
+        take,
+        f"{kind.__name__} or dict",
+        (kind,),
+        lambda value, name: _written_record(value, name, kind),
+    )
 
 
-def any_of(table: Mapping[str, type[Settings]], base: type[Settings], hint: str, calls: bool = False) -> Kind:
+def any_of(
+    table: Mapping[str, type[Settings]], base: type[Settings], hint: str, calls: bool = False
+) -> Kind:
     """One of several records by name, as a dict of its name and settings, or of their base class.
 
     `hint` ends the error message about an unknown name; `calls` accepts a function, too.
@@ -199,17 +238,21 @@ def any_of(table: Mapping[str, type[Settings]], base: type[Settings], hint: str,
     def take(value: Any, name: str) -> Any:
         if isinstance(value, base) or (calls and callable(value)):
             return value
-        named, settings = value, {}
+        named = value
+        settings = {}
         if isinstance(value, dict):
             if "name" not in value:
                 raise InvalidInputError(
                     f"{name} needs a name, one of {', '.join(map(repr, table))}, got {shown(value)}"
                 )
-            named, settings = value["name"], {key: each for key, each in value.items() if key != "name"}
+            named = value["name"]
+            settings = {key: each for key, each in value.items() if key != "name"}
         return table[choice(named, name, table, hint)]().replaced(settings, name)
 
     def write(value: Any, name: str) -> Any:
-        return _written_record(value, name, table.get(value.name) if isinstance(value, Settings) else None)
+        return _written_record(
+            value, name, table.get(value.name) if isinstance(value, Settings) else None
+        )
 
     text = ", ".join(f"`{each}`" for each in table)
     more = ", or a function" if calls else ""
@@ -222,9 +265,11 @@ def placed(name: str) -> str:
 
 
 def to_json(value: Any, path: str = "") -> Any:
-    """Return settings as JSON values, as `Kind.write` gives them; a record that is one of several has its name, too.
+    """Return settings as JSON values, as `Kind.write` gives them; a record that is one of several
+    has its name, too.
 
-    Values that are not checked yet are written, too: arrays and numbers of numpy, paths, and dicts with any of these.
+    Values that are not checked yet are written, too: arrays and numbers of numpy, paths, and dicts
+    with any of these.
 
     Raises:
         InvalidInputError: a value without JSON, such as a function, at a `path`.
@@ -233,7 +278,9 @@ def to_json(value: Any, path: str = "") -> Any:
     if isinstance(value, Settings):
         named = {"name": value.name} if value.name else {}
         return named | {
-            item.name: written(item.metadata[_ABOUT].kind, getattr(value, item.name), start + item.name)
+            item.name: written(
+                item.metadata[_ABOUT].kind, getattr(value, item.name), start + item.name
+            )
             for item in fields(value)
         }
     if isinstance(value, dict):

@@ -1,4 +1,7 @@
-"""Learned initial forces, controllers and agents, and the optimum as a torch layer. torch is imported only where it is needed."""
+"""Learned initial forces, controllers and agents, and the optimum as a torch layer.
+
+torch is imported only where it is needed.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -28,5 +31,11 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
-    "GraspForceLayer", "GraspForces", "LearnedInitialForce", "Policy", "TrainedAgent", "ZeroPolicy", "grasp_force",
-]  # fmt: skip
+    "GraspForceLayer",
+    "GraspForces",
+    "LearnedInitialForce",
+    "Policy",
+    "TrainedAgent",
+    "ZeroPolicy",
+    "grasp_force",
+]

@@ -1,4 +1,6 @@
-"""`TrainedAgent`: a saved reinforcement-learning agent as a `Policy`. numpy runs its small networks, without torch."""
+"""`TrainedAgent`: a saved reinforcement-learning agent as a `Policy`. numpy runs its small
+networks, without torch.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,13 @@ NAMES = {
 class TrainedAgent:
     """An agent trained by `grasp rl`: predict(observation of the environment) -> (action, state).
 
-    Observations are normalised with the running means and variances of training, saved in the same folder. The agent requires the
-    extra "sim", but neither torch nor stable-baselines3. `evaluate_policy` of stable-baselines3 accepts it as a model.
+    Observations are normalised with the running means and variances of training, saved in the same
+    folder. The agent requires the extra "sim", but neither torch nor stable-baselines3.
+    `evaluate_policy` of stable-baselines3 accepts it as a model.
 
     Attributes:
-        meta: algorithm, action mode, steps, seed, versions, and `env_settings`, the `config` of its environment.
+        meta: algorithm, action mode, steps, seed, versions, and `env_settings`, the `config` of its
+            environment.
 
     Args:
         meta: description of the checkpoint.
@@ -55,7 +59,11 @@ class TrainedAgent:
     """
 
     def __init__(
-        self, meta: dict[str, Any], weights: dict[str, np.ndarray], normaliser: dict[str, np.ndarray], seed: int = 0
+        self,
+        meta: dict[str, Any],
+        weights: dict[str, np.ndarray],
+        normaliser: dict[str, np.ndarray],
+        seed: int = 0,
     ) -> None:
         self.meta = meta
         self._rng = generator(seed)
@@ -66,7 +74,9 @@ class TrainedAgent:
         self._squashed = meta["algorithm"] == "sac"
         layers = [name for name in weights if name.startswith(hidden) and name.endswith(".weight")]
         layers.sort(key=lambda name: int(name.split(".")[-2]))
-        self._hidden = [(weights[name].T, weights[name.removesuffix("weight") + "bias"]) for name in layers]
+        self._hidden = [
+            (weights[name].T, weights[name.removesuffix("weight") + "bias"]) for name in layers
+        ]
         self._last = weights[f"{last}.weight"].T, weights[f"{last}.bias"]
         if self._squashed:
             self._deviation: Any = weights["actor.log_std.weight"].T, weights["actor.log_std.bias"]
@@ -81,7 +91,9 @@ class TrainedAgent:
             raise ValueError(
                 f"layers of shapes {shapes} from {meta['observation_size']} to {meta['action_size']} numbers"
             )
-        if not all(np.isfinite(part).all() for layer in (*self._hidden, self._last) for part in layer):
+        if not all(
+            np.isfinite(part).all() for layer in (*self._hidden, self._last) for part in layer
+        ):
             raise ValueError("weights are not finite")
 
     def __repr__(self) -> str:
@@ -92,11 +104,13 @@ class TrainedAgent:
         """Load the newest checkpoint of a seed's folder of `grasp rl`, or a checkpoint folder.
 
         Raises:
-            ModelFileError: files are missing, truncated, changed, or for another schema, environment or observation.
+            ModelFileError: files are missing, truncated, changed, or for another schema,
+                environment or observation.
         """
         folder = find_checkpoint(folder)
         meta = read_meta(folder)
-        weights, normaliser = read_tensors(folder, meta, "policy"), read_arrays(folder, meta, "normaliser")
+        weights = read_tensors(folder, meta, "policy")
+        normaliser = read_arrays(folder, meta, "normaliser")
         try:
             return cls(meta, weights, normaliser, seed)
         except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -105,9 +119,14 @@ class TrainedAgent:
             ) from None
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Any]:
-        """Return the action(s) in [-1, 1] for one observation (size,) or several (n, size), and `state`.
+        """Return the action(s) in [-1, 1] for one observation (size,) or several (n, size), and
+        `state`.
 
         Args:
             observation: observation of the environment.
@@ -131,4 +150,6 @@ class TrainedAgent:
             log = self._deviation
             log = np.clip(x @ log[0] + log[1], -20.0, 2.0) if self._squashed else log
             action = action + np.exp(log) * self._rng.standard_normal(action.shape)
-        return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)).astype(np.float32), state
+        return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)).astype(
+            np.float32
+        ), state

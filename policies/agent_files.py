@@ -1,4 +1,6 @@
-"""Files of a reinforcement-learning agent: safetensors, npz and JSON, each with its hash. Nothing is pickled or unpickled."""
+"""Files of a reinforcement-learning agent: safetensors, npz and JSON, each with its hash. Nothing
+is pickled or unpickled.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ LARGEST_HAND = 1000
 _AGAIN = "copy the whole folder again, or train anew with `grasp rl`"
 
 
-def write_checkpoint(parent: Path, steps: int, meta: dict[str, Any], tensors: Parts, arrays: Parts) -> Path:
+def write_checkpoint(
+    parent: Path, steps: int, meta: dict[str, Any], tensors: Parts, arrays: Parts
+) -> Path:
     """Write `<parent>/step-<steps>` whole or not at all; then remove the older checkpoints.
 
     Args:
@@ -42,10 +46,14 @@ def write_checkpoint(parent: Path, steps: int, meta: dict[str, Any], tensors: Pa
         arrays: arrays by file stem, written as `<stem>.npz`.
 
     Raises:
-        ModelFileError: the disk is full or the folder cannot be written; the older checkpoints are kept.
+        ModelFileError: the disk is full or the folder cannot be written; the older checkpoints are
+            kept.
     """
     folder = parent / f"{STEM}{steps:09d}"
-    blobs = {f"{stem}.safetensors": lambda values=values: save(values) for stem, values in tensors.items()}
+    blobs = {
+        f"{stem}.safetensors": lambda values=values: save(values)
+        for stem, values in tensors.items()
+    }
     blobs |= {f"{stem}.npz": lambda values=values: _npz(values) for stem, values in arrays.items()}
     hashes = {}
     try:
@@ -81,7 +89,8 @@ def find_checkpoint(folder: str | Path) -> Path:
         ModelFileError: the folder holds no checkpoint.
     """
     folder = as_path(folder, ModelFileError, "an agent's folder")
-    if os.path.isfile(folder / META):  # unlike Path.is_file it never raises for long names or unreadable folders
+    # unlike Path.is_file it never raises for long names or unreadable folders
+    if os.path.isfile(folder / META):
         return folder
     for parent in (folder / "checkpoints", folder):
         if found := checkpoints(parent):
@@ -95,7 +104,8 @@ def read_meta(folder: Path) -> dict[str, Any]:
     """Read and check the description of a checkpoint.
 
     Raises:
-        ModelFileError: the file is missing, not JSON, changed, or for another schema, environment or observation.
+        ModelFileError: the file is missing, not JSON, changed, or for another schema, environment
+            or observation.
     """
     file = folder / META
     meta = described(file, SCHEMA, "agent", "grasp rl")
@@ -104,13 +114,22 @@ def read_meta(folder: Path) -> dict[str, Any]:
             f"agent {file} was trained on {meta.get('env_id')!r}, this version has {ENV_ID!r}: train anew"
         )
     if meta.get("action") not in ACTIONS:
-        raise ModelFileError(f"agent {file} acts as {meta.get('action')!r}; known: {', '.join(ACTIONS)}")
-    tips, joints = meta.get("fingers"), meta.get("joints")
+        raise ModelFileError(
+            f"agent {file} acts as {meta.get('action')!r}; known: {', '.join(ACTIONS)}"
+        )
+    tips = meta.get("fingers")
+    joints = meta.get("joints")
     if not (
-        isinstance(tips, int) and isinstance(joints, int) and 0 < tips < LARGEST_HAND and 0 < joints < LARGEST_HAND
+        isinstance(tips, int)
+        and isinstance(joints, int)
+        and 0 < tips < LARGEST_HAND
+        and 0 < joints < LARGEST_HAND
     ):
-        raise ModelFileError(f"agent {file} is for a hand of {tips!r} fingers and {joints!r} joints: {_AGAIN}")
-    shown, needed = len(bounds(tips, joints)), action_size(meta["action"], tips)
+        raise ModelFileError(
+            f"agent {file} is for a hand of {tips!r} fingers and {joints!r} joints: {_AGAIN}"
+        )
+    shown = len(bounds(tips, joints))
+    needed = action_size(meta["action"], tips)
     if (meta.get("observation_size"), meta.get("action_size")) != (shown, needed):
         raise ModelFileError(
             f"agent {file} goes from {meta.get('observation_size')!r} numbers to {meta.get('action_size')!r}; {ENV_ID} shows {shown} "
@@ -129,13 +148,25 @@ def read_arrays(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.n
     return _read(folder / f"{stem}.npz", meta, unpacked)
 
 
-def _read(file: Path, meta: dict[str, Any], read: Callable[[bytes], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+def _read(
+    file: Path, meta: dict[str, Any], read: Callable[[bytes], dict[str, np.ndarray]]
+) -> dict[str, np.ndarray]:
     def checked(blob: bytes) -> dict[str, np.ndarray]:
         if digest(blob) != meta["files"].get(file.name):
-            raise ModelFileError(f"agent file {file} does not match its sha256: truncated or changed; {_AGAIN}")
+            raise ModelFileError(
+                f"agent file {file} does not match its sha256: truncated or changed; {_AGAIN}"
+            )
         return read(blob)
 
-    return parsed(file, checked, ModelFileError, f"agent file {file}", "a file of arrays", f": {_AGAIN}", WEIGHTS)
+    return parsed(
+        file,
+        checked,
+        ModelFileError,
+        f"agent file {file}",
+        "a file of arrays",
+        f": {_AGAIN}",
+        WEIGHTS,
+    )
 
 
 def _npz(values: dict[str, np.ndarray]) -> bytes:

@@ -1,6 +1,9 @@
-"""Saved models: `<name>.safetensors` (weights) and `<name>.json` (description). Nothing is unpickled.
+"""Saved models: `<name>.safetensors` (weights) and `<name>.json` (description).
 
-A file may come from an untrusted source: sizes and numbers are checked before anything is allocated.
+Nothing is unpickled.
+
+A file may come from an untrusted source: sizes and numbers are checked before anything is
+allocated.
 """
 
 from __future__ import annotations
@@ -44,8 +47,16 @@ class Checkpoint:
         stem.parent.mkdir(parents=True, exist_ok=True)
         blob = save({name: np.ascontiguousarray(value) for name, value in self.tensors.items()})
         ranges = {name: list(pair) for name, pair in self.ranges.items()}
-        body = {"schema": SCHEMA, "weights": digest(blob), "numbers": self.numbers, "ranges": ranges, "card": self.card}
-        text = (json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False) + "\n").encode()
+        body = {
+            "schema": SCHEMA,
+            "weights": digest(blob),
+            "numbers": self.numbers,
+            "ranges": ranges,
+            "card": self.card,
+        }
+        text = (
+            json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False) + "\n"
+        ).encode()
         replace(_file(stem, ".safetensors"), blob)
         replace(_file(stem, ".json"), text)
         return _file(stem, ".safetensors")
@@ -58,10 +69,12 @@ class Checkpoint:
             path: either of the two files, or their common stem.
 
         Raises:
-            ModelFileError: missing, no file, too large, not JSON, another schema, changed, numbers that are not finite in float32.
+            ModelFileError: missing, no file, too large, not JSON, another schema, changed, numbers
+                that are not finite in float32.
         """
         stem = _stem(path)
-        file, about = _file(stem, ".safetensors"), _file(stem, ".json")
+        file = _file(stem, ".safetensors")
+        about = _file(stem, ".json")
         meta = described(about, SCHEMA, "model description", "grasp fit", MOST_TEXT)
 
         def tensors(blob: bytes) -> dict[str, np.ndarray]:
@@ -71,7 +84,10 @@ class Checkpoint:
                 )
             made = load(blob)
             for name, value in made.items():
-                if value.dtype not in (np.float32, np.float64) or not (np.abs(value) <= np.finfo(np.float32).max).all():
+                if (
+                    value.dtype not in (np.float32, np.float64)
+                    or not (np.abs(value) <= np.finfo(np.float32).max).all()
+                ):
                     raise ValueError(f"tensor {name[:40]!r} is not finite in float32")
             return made
 
@@ -80,8 +96,19 @@ class Checkpoint:
             return dict(meta["numbers"]), ranges, dict(meta["card"])
 
         hint = f"; {_AGAIN}"
-        found = parsed(file, tensors, ModelFileError, f"model weights {file}", "a file of weights", hint, MOST_WEIGHTS)
-        return cls(found, *understood(meta, rest, ModelFileError, f"model description {about}", "complete", hint))
+        found = parsed(
+            file,
+            tensors,
+            ModelFileError,
+            f"model weights {file}",
+            "a file of weights",
+            hint,
+            MOST_WEIGHTS,
+        )
+        return cls(
+            found,
+            *understood(meta, rest, ModelFileError, f"model description {about}", "complete", hint),
+        )
 
     def expect(self, shapes: dict[str, tuple[int, ...]]) -> None:
         """Raise `ModelFileError` unless the tensors have exactly these names and shapes."""
@@ -119,7 +146,9 @@ def described(file: Path, schema: str, what: str, command: str, most: int = TEXT
             told = f"has schema {shown(found)}, this version reads {schema!r}: train anew with `{command}`"
             raise ModelFileError(f"{what} {file} {told}")
         if meta.pop("sha256", None) != signature(meta):  # which refuses nan
-            raise ModelFileError(f"{what} {file} does not match its own sha256: it was changed{again}")
+            raise ModelFileError(
+                f"{what} {file} does not match its own sha256: it was changed{again}"
+            )
         return meta
 
     again = f"; copy all files again or train anew with `{command}`"

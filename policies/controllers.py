@@ -1,4 +1,6 @@
-"""Controllers with stable-baselines3's `predict`, so that one evaluator scores the paper, a learned start and an agent."""
+"""Controllers with stable-baselines3's `predict`, so that one evaluator scores the paper, a learned
+start and an agent.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +16,23 @@ class Policy(Protocol):
     """Protocol of `stable_baselines3.common.evaluation.evaluate_policy`: a `predict` method."""
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Any]:
         """Return the action(s) for an `observation`, and the `state` of a recurrent policy.
 
-        `episode_start` marks the environments that were reset, and `deterministic` selects the mean action instead of a random one.
+        `episode_start` marks the environments that were reset, and `deterministic` selects the mean
+        action instead of a random one.
         """
         ...
 
 
 class ZeroPolicy:
-    """Policy without adjustment of the initial force: the environment's start rule, by default the paper's.
+    """Policy without adjustment of the initial force: the environment's start rule, by default the
+    paper's.
 
     Args:
         action_size: size of an action, `env.action_space.shape[0]`.
@@ -42,7 +50,11 @@ class ZeroPolicy:
         return f"ZeroPolicy({self.action_size})"
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Any]:
         """Return zeros, one row for each environment if `observation` is batched, and `state`.
 

@@ -1,12 +1,14 @@
 """Inputs of the network: wrench and friction, normalised over two decades of magnitude.
 
-Wrenches are given in the grasp's unit frame (`Grasp.unit_frame`), in which force and moment have similar sizes for any origin and size
-of the object. The optimal force is nearly proportional to the wrench, but not near zero: below about `floor` newtons the optimal
-squeeze at zero wrench dominates. So the wrench is divided by m = sqrt(|w|^2 + floor^2), log m is a feature, and the network's output is
-multiplied by m.
+Wrenches are given in the grasp's unit frame (`Grasp.unit_frame`), in which force and moment have
+similar sizes for any origin and size of the object. The optimal force is nearly proportional to the
+wrench, but not near zero: below about `floor` newtons the optimal squeeze at zero wrench dominates.
+So the wrench is divided by m = sqrt(|w|^2 + floor^2), log m is a feature, and the network's output
+is multiplied by m.
 
-Friction cones bound the tangential magnitude of each force. A perceptron approximates the magnitude of a vector badly from its
-components. So the magnitudes of M vectors that are linear in the wrench are features, too; see `surface_pairs`.
+Friction cones bound the tangential magnitude of each force. A perceptron approximates the magnitude
+of a vector badly from its components. So the magnitudes of M vectors that are linear in the wrench
+are features, too; see `surface_pairs`.
 """
 
 from __future__ import annotations
@@ -56,21 +58,28 @@ class Features:
 
 
 def surface_pairs(grasp: Grasp, objective: Objective) -> Array:
-    """Return (4 N, 6) maps from a wrench (unit frame) to the tangential parts of two balancing forces: all along o, then all along t.
+    """Return (4 N, 6) maps from a wrench (unit frame) to the tangential parts of two balancing
+    forces: all along o, then all along t.
 
-    The two forces are linear in the wrench: the least-norm force, and the first-order change of the optimum at zero wrench, in cone coordinates.
+    The two forces are linear in the wrench: the least-norm force, and the first-order change of the
+    optimum at zero wrench, in cone coordinates.
 
     Args:
         grasp: contacts, with the friction of that optimum.
         objective: Phi.
     """
-    omega, lambda_ = objective.force_weight, objective.barrier_weight
+    omega = objective.force_weight
+    lambda_ = objective.barrier_weight
     optimum = optimize_force(grasp, np.zeros(6), force_weight=omega, barrier_weight=lambda_)
     inverse = np.zeros((3 * grasp.n_contacts, 3 * grasp.n_contacts))
     for i, block in enumerate(objective.hessian(grasp.to_cone(optimum.force))):
         inverse[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = np.linalg.inv(block)
     rows = grasp.unit_frame @ grasp.cone_matrix
-    least = grasp.models.cone_scale.reshape(-1, 1) * grasp.pseudoinverse @ np.linalg.inv(grasp.unit_frame)
+    least = (
+        grasp.models.cone_scale.reshape(-1, 1)
+        * grasp.pseudoinverse
+        @ np.linalg.inv(grasp.unit_frame)
+    )
     change = inverse @ rows.T @ np.linalg.inv(rows @ inverse @ rows.T)
     both = np.concatenate([least, change]).reshape(-1, 3, 6)
     return np.concatenate([both[:, 1], both[:, 2]])

@@ -1,8 +1,9 @@
 """Optimal grasp forces as a layer of a torch model, with gradients with respect to all inputs.
 
-The optimal force is a smooth function of contacts, friction, wrench, limits and weights. Its gradient costs one linear
-solve with the matrix of the last Newton step (implicit differentiation). The compiled core computes both on the CPU.
-Tensors on another device are copied there, and the results are copied back.
+The optimal force is a smooth function of contacts, friction, wrench, limits and weights. Its
+gradient costs one linear solve with the matrix of the last Newton step (implicit differentiation).
+The compiled core computes both on the CPU. Tensors on another device are copied there, and the
+results are copied back.
 """
 
 from __future__ import annotations
@@ -27,27 +28,33 @@ _SOLVED_ON = ("cpu", "meta")
 class GraspForces(NamedTuple):
     """Optimal forces of a batch. `force`, `torsion` and `multipliers` carry gradients.
 
-    An element without an optimum still has a finite force. Except for status 4, this elastic force is strictly inside the friction cones:
+    An element without an optimum still has a finite force. Except for status 4, this elastic force
+    is strictly inside the friction cones:
 
-    - Status 5, no force within the limits: the force is balanced. It minimises Phi with a quadratic penalty on limits that are nearly
-      reached or exceeded.
-    - Status 3, 6 and 7, no balanced force was found: the force minimises the same function plus |G f + w|^2 / (2 * 0.01 N^2). Moments are
-      divided by the contacts' spread, which is the root mean square of their distances from their centre.
+    - Status 5, no force within the limits: the force is balanced. It minimises Phi with a quadratic
+      penalty on limits that are nearly reached or exceeded.
+    - Status 3, 6 and 7, no balanced force was found: the force minimises the same function plus |G
+      f + w|^2 / (2 * 0.01 N^2). Moments are divided by the contacts' spread, which is the root mean
+      square of their distances from their centre.
     - Status 4, invalid inputs: the force is zero.
 
-    Elastic forces are solved until their steps are rounding. One that does not get there, with steps above 1e-6 of the force, has the
-    gradient zero.
+    Elastic forces are solved until their steps are rounding. One that does not get there, with
+    steps above 1e-6 of the force, has the gradient zero.
 
     Attributes:
         force: (..., N, 3) in the frame of the positions [N].
         torsion: (..., N) moment about each normal [N m]; 0 where a contact is not soft.
-        multipliers: (..., 6) Lagrange multipliers nu of the balance G f + w = 0: grad Phi = G^T nu, and d (min Phi) / d wrench = -nu.
-        status: (...) int64: 0 optimal, 1 iteration limit, 2 stalled (balanced, but the gap is above the tolerance), 3 infeasible,
-            4 invalid inputs, 5 limits exceeded, 6 all contacts at one point, 7 undecided.
+        multipliers: (..., 6) Lagrange multipliers nu of the balance G f + w = 0: grad Phi = G^T nu,
+            and d (min Phi) / d wrench = -nu.
+        status: (...) int64: 0 optimal, 1 iteration limit, 2 stalled (balanced, but the gap is above
+            the tolerance), 3 infeasible, 4 invalid inputs, 5 limits exceeded, 6 all contacts at one
+            point, 7 undecided.
         gap: (...) certified relative distance of Phi to its minimum; inf without an optimum.
-        residual: (...) largest component of G f + w, with moments divided by the contacts' spread [N].
+        residual: (...) largest component of G f + w, with moments divided by the contacts' spread
+            [N].
         iterations: (...) int64, accepted Newton steps.
-        feasible: (...) bool, True if the force balances the wrench within cones and limits: status 0, 1 or 2.
+        feasible: (...) bool, True if the force balances the wrench within cones and limits: status
+            0, 1 or 2.
     """
 
     force: Tensor
@@ -61,39 +68,63 @@ class GraspForces(NamedTuple):
 
 
 def grasp_force(
-    positions: Tensor, normals: Tensor, friction: Given, wrench: Tensor, *,
-    tangents: Tensor | None = None, torsional_friction: Given | None = None, jacobian: Tensor | None = None,
-    torque_limit: Given | None = None, torque_bias: Given | None = None, min_normal: Given | None = None, max_normal: Given | None = None,
-    force_weight: Given = 1.0, barrier_weight: Given = 0.01, start: Tensor | None = None,
-    infeasible: str = "mask", tolerance: float = 1e-10, max_iterations: int = 200, chunk: int = 512,
-) -> GraspForces:  # fmt: skip
-    """Return the force of least Phi that balances each wrench, differentiable with respect to all tensors but `start`.
+    positions: Tensor,
+    normals: Tensor,
+    friction: Given,
+    wrench: Tensor,
+    *,
+    tangents: Tensor | None = None,
+    torsional_friction: Given | None = None,
+    jacobian: Tensor | None = None,
+    torque_limit: Given | None = None,
+    torque_bias: Given | None = None,
+    min_normal: Given | None = None,
+    max_normal: Given | None = None,
+    force_weight: Given = 1.0,
+    barrier_weight: Given = 0.01,
+    start: Tensor | None = None,
+    infeasible: str = "mask",
+    tolerance: float = 1e-10,
+    max_iterations: int = 200,
+    chunk: int = 512,
+) -> GraspForces:
+    """Return the force of least Phi that balances each wrench, differentiable with respect to all
+    tensors but `start`.
 
-    Leading dimensions broadcast. All vectors are given in one frame of the caller's choice, and forces are returned in it. The result of an
-    element does not depend on other elements: it has the same bits as in a batch of one.
+    Leading dimensions broadcast. All vectors are given in one frame of the caller's choice, and
+    forces are returned in it. The result of an element does not depend on other elements: it has
+    the same bits as in a batch of one.
 
-    Outputs have the promoted dtype of all inputs that are not 0-d, but at least float32. A number or a 0-d tensor holds for all contacts
-    or joints. All tensors are on one device, and outputs and gradients are on it too.
+    Outputs have the promoted dtype of all inputs that are not 0-d, but at least float32. A number
+    or a 0-d tensor holds for all contacts or joints. All tensors are on one device, and outputs and
+    gradients are on it too.
 
-    Tangential components are along o and t. o is the projection of `tangents` on the tangent plane, and t = normal x o.
+    Tangential components are along o and t. o is the projection of `tangents` on the tangent plane,
+    and t = normal x o.
 
     Args:
         positions: (..., N, 3) contact points [m].
         normals: (..., N, 3) inward normals of any length.
-        friction: coefficients >= 0, (..., N), or (..., N, 2) along o and t; 0 is a frictionless contact. For N = 2, a shape that ends in
-            (2, 2) is read as two coefficients per contact, not as a batch of two.
-        wrench: (..., 6) external wrench ON the object [N, N m], moments about the origin: G f + w = 0.
+        friction: coefficients >= 0, (..., N), or (..., N, 2) along o and t; 0 is a frictionless
+            contact. For N = 2, a shape that ends in (2, 2) is read as two coefficients per contact,
+            not as a batch of two.
+        wrench: (..., 6) external wrench ON the object [N, N m], moments about the origin: G f + w =
+            0.
         tangents: (..., N, 3) directions that define o; None: the default frames.
-        torsional_friction: (..., N) gamma [m], abs(torsion) <= gamma * normal force; 0 is a hard contact.
-        jacobian: (..., N, 3, J) from joint speeds to velocities of the contact points, or (..., N, 6, J) with angular velocities as well.
+        torsional_friction: (..., N) gamma [m], abs(torsion) <= gamma * normal force; 0 is a hard
+            contact.
+        jacobian: (..., N, 3, J) from joint speeds to velocities of the contact points, or (..., N,
+            6, J) with angular velocities as well.
         torque_limit: (..., J) [N m]: abs(J^T f + torque_bias) <= torque_limit; inf: no limit.
         torque_bias: (..., J) joint torques that do not come from the grasp [N m].
         min_normal, max_normal: (..., N) limits of normal forces [N]; 0 and inf: none.
         force_weight, barrier_weight: (..., N) omega [-] and lambda [N^2] of Phi.
-        start: (..., N, 3) force of an earlier result, used as a warm start if it is near; its gradient is zero.
-        infeasible: what to do with elements without an optimum. "mask": return the elastic force (see `GraspForces`) with zero gradient.
-            "elastic": return it with its gradient, which is zero if the force has not converged. "raise": raise an InfeasibleWrenchError
-            that names the elements.
+        start: (..., N, 3) force of an earlier result, used as a warm start if it is near; its
+            gradient is zero.
+        infeasible: what to do with elements without an optimum. "mask": return the elastic force
+            (see `GraspForces`) with zero gradient. "elastic": return it with its gradient, which is
+            zero if the force has not converged. "raise": raise an InfeasibleWrenchError that names
+            the elements.
         tolerance: relative certified gap at which the solver stops.
         max_iterations: largest number of Newton steps.
         chunk: number of elements that a thread solves at a time; the results do not depend on it.
@@ -118,9 +149,21 @@ def grasp_force(
         tensor(True)
     """
     given = (
-        positions, normals, friction, tangents, torsional_friction, wrench, jacobian, torque_limit, torque_bias,
-        min_normal, max_normal, force_weight, barrier_weight, start,
-    )  # fmt: skip
+        positions,
+        normals,
+        friction,
+        tangents,
+        torsional_friction,
+        wrench,
+        jacobian,
+        torque_limit,
+        torque_bias,
+        min_normal,
+        max_normal,
+        force_weight,
+        barrier_weight,
+        start,
+    )
     return _forces(given, checked_settings(infeasible, tolerance, max_iterations, chunk))
 
 
@@ -145,13 +188,19 @@ def _forces(given: Sequence[Any], settings: tuple[str, float, int, int]) -> Gras
             raise_for(facts[..., 0], problems.lead)
     status, gap, residual, iterations = facts.unbind(-1)
     if dtype is not torch.float64:
-        force, torsion, multipliers, gap, residual = (a.to(dtype) for a in (force, torsion, multipliers, gap, residual))
+        force, torsion, multipliers, gap, residual = (
+            a.to(dtype) for a in (force, torsion, multipliers, gap, residual)
+        )
     feasible = status <= float(STALLED)
-    return GraspForces(force, torsion, multipliers, status.long(), gap, residual, iterations.long(), feasible)
+    return GraspForces(
+        force, torsion, multipliers, status.long(), gap, residual, iterations.long(), feasible
+    )
 
 
 class GraspForceLayer(nn.Module):
-    """`grasp_force` as a module that holds the settings. `forward` takes the tensors under the same names.
+    """`grasp_force` as a module that holds the settings.
+
+    `forward` takes the tensors under the same names.
 
     It has no parameters. Copies, pickles and workers of a DataLoader carry only the settings.
 
@@ -170,7 +219,11 @@ class GraspForceLayer(nn.Module):
     """
 
     def __init__(
-        self, infeasible: str = "mask", tolerance: float = 1e-10, max_iterations: int = 200, chunk: int = 512
+        self,
+        infeasible: str = "mask",
+        tolerance: float = 1e-10,
+        max_iterations: int = 200,
+        chunk: int = 512,
     ) -> None:
         super().__init__()
         settings = checked_settings(infeasible, tolerance, max_iterations, chunk)
@@ -187,9 +240,17 @@ class GraspForceLayer(nn.Module):
 
         Args:
             positions, normals, friction, wrench: see `grasp_force`.
-            others: keyword arguments of `grasp_force` for tensors: tangents, limits, weights, start.
+            others: keyword arguments of `grasp_force` for tensors: tangents, limits, weights,
+                start.
         """
         return grasp_force(
-            positions, normals, friction, wrench, **others, infeasible=self.infeasible, tolerance=self.tolerance,
-            max_iterations=self.max_iterations, chunk=self.chunk,
-        )  # fmt: skip
+            positions,
+            normals,
+            friction,
+            wrench,
+            **others,
+            infeasible=self.infeasible,
+            tolerance=self.tolerance,
+            max_iterations=self.max_iterations,
+            chunk=self.chunk,
+        )

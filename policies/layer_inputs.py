@@ -18,46 +18,93 @@ with need("layer"):
 MODES = ("mask", "elastic", "raise")
 """Values of `infeasible`."""
 RANKS = {
-    "positions": 2, "normals": 2, "friction": 2, "tangents": 2, "torsional_friction": 1, "wrench": 1, "jacobian": 3,
-    "torque_limit": 1, "torque_bias": 1, "min_normal": 1, "max_normal": 1, "force_weight": 1, "barrier_weight": 1, "start": 2,
-}  # fmt: skip
-"""Number of trailing dimensions of each tensor that belong to one problem. The dimensions before them are the batch."""
+    "positions": 2,
+    "normals": 2,
+    "friction": 2,
+    "tangents": 2,
+    "torsional_friction": 1,
+    "wrench": 1,
+    "jacobian": 3,
+    "torque_limit": 1,
+    "torque_bias": 1,
+    "min_normal": 1,
+    "max_normal": 1,
+    "force_weight": 1,
+    "barrier_weight": 1,
+    "start": 2,
+}
+"""Number of trailing dimensions of each tensor that belong to one problem.
+
+The dimensions before them are the batch.
+"""
 NAMES = tuple(RANKS)
 NEEDED = ("positions", "normals", "friction", "wrench", "force_weight", "barrier_weight")
 INPUTS = len(NAMES) - 1
 """Number of differentiable inputs: all but the start."""
 SCALARS = (
-    "friction", "torsional_friction", "torque_limit", "torque_bias", "min_normal", "max_normal", "force_weight", "barrier_weight",
-)  # fmt: skip
+    "friction",
+    "torsional_friction",
+    "torque_limit",
+    "torque_bias",
+    "min_normal",
+    "max_normal",
+    "force_weight",
+    "barrier_weight",
+)
 """Inputs that may be a number."""
 FLOATS = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
 
 
-def checked_settings(infeasible: str, tolerance: float, max_iterations: int, chunk: int) -> tuple[str, float, int, int]:
+def checked_settings(
+    infeasible: str, tolerance: float, max_iterations: int, chunk: int
+) -> tuple[str, float, int, int]:
     """Return the settings of a call, in the order of the operators' arguments."""
-    max_iterations, chunk = whole(max_iterations, "max_iterations", 0, ITERATIONS), whole(chunk, "chunk", 1)
-    return choice(infeasible, "infeasible", MODES), positive(tolerance, "tolerance", TOLERANCE), max_iterations, chunk
+    max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
+    chunk = whole(chunk, "chunk", 1)
+    return (
+        choice(infeasible, "infeasible", MODES),
+        positive(tolerance, "tolerance", TOLERANCE),
+        max_iterations,
+        chunk,
+    )
 
 
 def tails_of(count: int, rows: int, joints: int) -> tuple[tuple[int, ...], ...]:
     """Return the trailing dimensions of each input, those of one problem."""
-    n, n3, j = (count,), (count, 3), (joints,)
+    n = (count,)
+    n3 = (count, 3)
+    j = (joints,)
     return n3, n3, (count, 2), n3, n, (6,), (count, rows, joints), j, j, n, n, n, n, n3
 
 
 def checked_tensors(given: Sequence[Any]) -> tuple[list[Tensor | None], torch.dtype]:
-    """Return the inputs as tensors, each with the trailing dimensions of one problem, and the dtype of the results."""
-    positions, jacobian = given[0], given[6]
-    if not isinstance(positions, Tensor) or positions.ndim < 2 or not 1 <= positions.shape[-2] <= CONTACTS:
+    """Return the inputs as tensors, each with the trailing dimensions of one problem, and the dtype
+    of the results.
+    """
+    positions = given[0]
+    jacobian = given[6]
+    if (
+        not isinstance(positions, Tensor)
+        or positions.ndim < 2
+        or not 1 <= positions.shape[-2] <= CONTACTS
+    ):
         _refuse("positions", positions, f"a tensor (..., N, 3) of 1 to {CONTACTS} contacts")
     rows, joints = 3, 0
     if jacobian is not None:
-        if not isinstance(jacobian, Tensor) or jacobian.ndim < 3 or not 1 <= jacobian.shape[-1] <= JOINTS:
+        if (
+            not isinstance(jacobian, Tensor)
+            or jacobian.ndim < 3
+            or not 1 <= jacobian.shape[-1] <= JOINTS
+        ):
             _refuse("jacobian", jacobian, f"a tensor (..., N, 3 or 6, J) of 1 to {JOINTS} joints")
-        rows, joints = (6 if jacobian.shape[-2] == 6 else 3), jacobian.shape[-1]
+        rows = 6 if jacobian.shape[-2] == 6 else 3
+        joints = jacobian.shape[-1]
     if (jacobian is None) != (given[7] is None) or (jacobian is None and given[8] is not None):
-        raise InvalidInputError("torque limits need jacobian and torque_limit together; torque_bias belongs to them")
-    n, dtype = positions.shape[-2:-1], torch.float32
+        raise InvalidInputError(
+            "torque limits need jacobian and torque_limit together; torque_bias belongs to them"
+        )
+    n = positions.shape[-2:-1]
+    dtype = torch.float32
     out: list[Tensor | None] = []
     for a, tail, name in zip(given, tails_of(n[0], rows, joints), NAMES, strict=True):
         if a is None:
@@ -87,7 +134,11 @@ def checked_tensors(given: Sequence[Any]) -> tuple[list[Tensor | None], torch.dt
 
 
 def _refuse(name: str, given: Any, wanted: str) -> NoReturn:
-    shape = f" of shape {tuple(given.shape)}" if isinstance(given, Tensor) and given.numel() <= 36 else ""
+    shape = (
+        f" of shape {tuple(given.shape)}"
+        if isinstance(given, Tensor) and given.numel() <= 36
+        else ""
+    )
     raise InvalidInputError(f"{name} must be {wanted}, got {shown(given)}{shape}")
 
 
@@ -104,9 +155,15 @@ def common_device(given: Sequence[Any]) -> torch.device:
 def common_lead(tensors: Sequence[Tensor | None]) -> torch.Size:
     """Return the common leading dimensions of the tensors, in the order of `NAMES`."""
     ranks = RANKS.values()
-    leads = [a.shape[: a.ndim - rank] for a, rank in zip(tensors, ranks, strict=False) if a is not None]
+    leads = [
+        a.shape[: a.ndim - rank] for a, rank in zip(tensors, ranks, strict=False) if a is not None
+    ]
     try:
         return torch.broadcast_shapes(*leads)
     except RuntimeError:
-        told = ", ".join(f"{name} {tuple(a.shape)}" for name, a in zip(NAMES, tensors, strict=False) if a is not None)
+        told = ", ".join(
+            f"{name} {tuple(a.shape)}"
+            for name, a in zip(NAMES, tensors, strict=False)
+            if a is not None
+        )
         raise InvalidInputError(f"leading dimensions must broadcast, got {told}") from None

@@ -1,7 +1,9 @@
-"""The compiled core as operators of torch, with their rules for autograd, `torch.func` and `torch.compile`.
+"""The compiled core as operators of torch, with their rules for autograd, `torch.func` and
+`torch.compile`.
 
-The core solves and differentiates in vector registers, on `torch.get_num_threads()` threads. All internal numbers are
-float64. Tensors are on the CPU, their leading dimensions broadcast, and gradients have the shapes of the inputs.
+The core solves and differentiates in vector registers, on `torch.get_num_threads()` threads. All
+internal numbers are float64. Tensors are on the CPU, their leading dimensions broadcast, and
+gradients have the shapes of the inputs.
 """
 
 from __future__ import annotations
@@ -17,7 +19,15 @@ from grasp_env.force import record
 from grasp_env.force.many import over_parts
 from grasp_env.inputs.extras import need
 from grasp_env.inputs.ranges import CONTACTS, JOINTS
-from policies.layer_inputs import INPUTS, NAMES, NEEDED, RANKS, checked_tensors, common_lead, tails_of
+from policies.layer_inputs import (
+    INPUTS,
+    NAMES,
+    NEEDED,
+    RANKS,
+    checked_tensors,
+    common_lead,
+    tails_of,
+)
 
 with need("layer"):
     import torch
@@ -33,7 +43,8 @@ STATUS = {
 }
 """Reasons why an element has no optimum, by status."""
 Solved: TypeAlias = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
-"""Force, torsion, multipliers, facts (status, gap, residual, iterations), and the state from which the core differentiates."""
+"""Force, torsion, multipliers, facts (status, gap, residual, iterations), and the state from which
+the core differentiates."""
 _TENSORS = len(NAMES)
 _PLAIN = (Tensor, nn.Parameter)  # no derived classes
 
@@ -42,7 +53,9 @@ _PLAIN = (Tensor, nn.Parameter)  # no derived classes
 
 
 def read_in_place(given: Sequence[Any]) -> core.ForceProblems | None:
-    """Return the problems if the core can read the inputs where they are; None if torch's operators must convert them."""
+    """Return the problems if the core can read the inputs where they are; None if torch's operators
+    must convert them.
+    """
     if (
         torch.compiler.is_compiling()
         or torch._C._are_functorch_transforms_active()
@@ -65,7 +78,9 @@ def _read(tensors: Sequence[Tensor | None]) -> core.ForceProblems:
     problems = core.ForceProblems.of(tuple(arrays), CONTACTS, JOINTS)
     if problems is None:
         most = max(a.ndim for a in arrays if a is not None)
-        raise InvalidInputError(f"tensors have {most} dimensions, too many leading ones: flatten them to at most 20")
+        raise InvalidInputError(
+            f"tensors have {most} dimensions, too many leading ones: flatten them to at most 20"
+        )
     return problems
 
 
@@ -74,7 +89,9 @@ def _array(a: Tensor, types: Sequence[torch.dtype] = (torch.float64,)) -> Any:
     return (a if a.dtype in types else a.to(torch.float64)).detach().resolve_neg().numpy()
 
 
-def optima(problems: core.ForceProblems, tolerance: float, max_iterations: int, chunk: int) -> Solved:
+def optima(
+    problems: core.ForceProblems, tolerance: float, max_iterations: int, chunk: int
+) -> Solved:
     """Return the results of all problems."""
     arrays = tuple([np.empty((*problems.lead, *tail)) for tail in _result_tails(problems.contacts)])
 
@@ -91,11 +108,21 @@ def _result_tails(count: int) -> tuple[tuple[int, ...], ...]:
 
 
 def _slopes(
-    problems: core.ForceProblems, state: Tensor, losses: Sequence[Tensor | None], wanted: Sequence[bool], elastic: bool, chunk: int
-) -> list[Tensor | None]:  # fmt: skip
+    problems: core.ForceProblems,
+    state: Tensor,
+    losses: Sequence[Tensor | None],
+    wanted: Sequence[bool],
+    elastic: bool,
+    chunk: int,
+) -> list[Tensor | None]:
     """Return gradients with respect to the inputs, with the leading dimensions of the problems."""
     tails = tails_of(problems.contacts, problems.jacobian_rows, problems.joints)
-    arrays = tuple([np.empty((*problems.lead, *tail)) if w else None for w, tail in zip(wanted, tails, strict=False)])
+    arrays = tuple(
+        [
+            np.empty((*problems.lead, *tail)) if w else None
+            for w, tail in zip(wanted, tails, strict=False)
+        ]
+    )
     at = _array(state.contiguous())
     slopes = tuple([a if a is None else _array(a.contiguous()) for a in losses])
 
@@ -107,7 +134,9 @@ def _slopes(
 
 
 def _as_given(gradient: Tensor, like: Tensor) -> Tensor:
-    """Return the gradient (lead, ...) in the shape and type of the input, summed over broadcast dimensions."""
+    """Return the gradient (lead, ...) in the shape and type of the input, summed over broadcast
+    dimensions.
+    """
     if gradient.shape != like.shape:
         gradient = gradient.sum_to_size(like.shape)
     return gradient if gradient.dtype is like.dtype else gradient.to(like.dtype)
@@ -136,7 +165,8 @@ def raise_for(status: Tensor, lead: Sequence[int]) -> None:
 
 
 def _solve_impl(*args: Any) -> Solved:
-    tensors, (infeasible, *options) = args[:_TENSORS], args[_TENSORS:]
+    tensors = args[:_TENSORS]
+    (infeasible, *options) = args[_TENSORS:]
     lead = common_lead(tensors)
     out = optima(_read(tensors), *options) if lead.numel() else _solve_fake(*args)
     if infeasible == "raise":
@@ -145,16 +175,23 @@ def _solve_impl(*args: Any) -> Solved:
 
 
 def _solve_fake(*args: Any) -> Solved:
-    lead, like = common_lead(args[:_TENSORS]), args[0]
-    made = [like.new_empty((*lead, *tail), dtype=torch.float64) for tail in _result_tails(like.shape[-2])]
+    lead = common_lead(args[:_TENSORS])
+    like = args[0]
+    made = [
+        like.new_empty((*lead, *tail), dtype=torch.float64)
+        for tail in _result_tails(like.shape[-2])
+    ]
     return tuple(made)  # type: ignore[return-value]
 
 
 def _gradients_impl(*args: Any) -> list[Tensor]:
-    tensors, (state, *losses), (wanted, elastic, chunk) = args[:INPUTS], args[INPUTS:-3], args[-3:]
+    tensors = args[:INPUTS]
+    (state, *losses) = args[INPUTS:-3]
+    (wanted, elastic, chunk) = args[-3:]
     if not state.numel():
         return [a.new_zeros(a.shape) for a, w in zip(tensors, wanted, strict=True) if w]
-    positions = tensors[0].expand(*state.shape[:-1], *tensors[0].shape[-2:])  # the start may have had more dimensions
+    # the start may have had more dimensions
+    positions = tensors[0].expand(*state.shape[:-1], *tensors[0].shape[-2:])
     found = _slopes(_read([positions, *tensors[1:]]), state, losses, wanted, elastic, chunk)
     return [_as_given(g, a) for g, a in zip(found, tensors, strict=True) if g is not None]
 
@@ -164,9 +201,15 @@ def _gradients_fake(*args: Any) -> list[Tensor]:
     return [torch.empty_like(a, memory_format=torch.contiguous_format) for a in wanted]
 
 
-def _in_front(args: Sequence[Any], dims: Sequence[Any], ranks: Sequence[int], size: int) -> list[Any]:
+def _in_front(
+    args: Sequence[Any], dims: Sequence[Any], ranks: Sequence[int], size: int
+) -> list[Any]:
     """Return tensors with the dimension of `vmap` in front, and equally many leading dimensions."""
-    rank = max(a.ndim - (d is not None) - r for a, d, r in zip(args, dims, ranks, strict=True) if a is not None)
+    rank = max(
+        a.ndim - (d is not None) - r
+        for a, d, r in zip(args, dims, ranks, strict=True)
+        if a is not None
+    )
     out: list[Any] = []
     for a, d, r in zip(args, dims, ranks, strict=True):
         if a is not None:
@@ -195,19 +238,26 @@ def _gradients_vmap(info: Any, in_dims: Any, *args: Any) -> tuple[Any, Any]:
 
 def _setup(ctx: Any, inputs: Any, output: Any) -> None:
     ctx.save_for_backward(*inputs[:INPUTS], output[4])
-    ctx.elastic, ctx.chunk = inputs[_TENSORS] == "elastic", inputs[_TENSORS + 3]
+    ctx.elastic = inputs[_TENSORS] == "elastic"
+    ctx.chunk = inputs[_TENSORS + 3]
     ctx.set_materialize_grads(False)
     ctx.mark_non_differentiable(output[3], output[4])
 
 
 def _backward(ctx: Any, *losses: Any) -> tuple[Any, ...]:
     *tensors, state = ctx.saved_tensors
-    wanted = [a is not None and needed for a, needed in zip(tensors, ctx.needs_input_grad, strict=False)]
+    wanted = [
+        a is not None and needed for a, needed in zip(tensors, ctx.needs_input_grad, strict=False)
+    ]
     return (*_wanted(ctx, tensors, state, losses, wanted), None, None, None, None, None)
 
 
-def _wanted(ctx: Any, tensors: Any, state: Tensor, losses: Any, wanted: list[bool]) -> list[Tensor | None]:
-    """Return gradients with respect to the wanted inputs by the operator, which refuses a second differentiation."""
+def _wanted(
+    ctx: Any, tensors: Any, state: Tensor, losses: Any, wanted: list[bool]
+) -> list[Tensor | None]:
+    """Return gradients with respect to the wanted inputs by the operator, which refuses a second
+    differentiation.
+    """
     found = iter(_gradients(*tensors, state, *losses[:3], wanted, ctx.elastic, ctx.chunk))
     return [next(found) if w else None for w in wanted]
 
@@ -220,15 +270,19 @@ def _no_second(ctx: Any, *_: Any) -> NoReturn:
 
 _ARGUMENTS = ", ".join(f"Tensor{'' if name in NEEDED else '?'} {name}" for name in NAMES[:INPUTS])
 SOLVE = torch.library.custom_op(
-    "policies::grasp_force", _solve_impl, mutates_args=(),
+    "policies::grasp_force",
+    _solve_impl,
+    mutates_args=(),
     schema=f"({_ARGUMENTS}, Tensor? start, str infeasible, float tolerance, int max_iterations, int chunk)"
     " -> (Tensor, Tensor, Tensor, Tensor, Tensor)",
-)  # fmt: skip
+)
 GRADIENTS = torch.library.custom_op(
-    "policies::grasp_force_gradients", _gradients_impl, mutates_args=(),
+    "policies::grasp_force_gradients",
+    _gradients_impl,
+    mutates_args=(),
     schema=f"({_ARGUMENTS}, Tensor state, Tensor? d_force, Tensor? d_torsion, Tensor? d_multipliers,"
     " bool[] wanted, bool elastic, int chunk) -> Tensor[]",
-)  # fmt: skip
+)
 SOLVE.register_fake(_solve_fake)
 SOLVE.register_vmap(_solve_vmap)
 SOLVE.register_autograd(_backward, setup_context=_setup)
@@ -247,9 +301,12 @@ def _gradients(*args: Any) -> Any:
 
 
 def _call(operator: Any, function: Any, *args: Any) -> Any:
-    """Call an operator. Eager code that differentiates calls the autograd function with the same rules instead.
+    """Call an operator.
 
-    The function costs a fifth of the operator's own autograd kernel, and `torch.func.grad` supports it alone.
+    Eager code that differentiates calls the autograd function with the same rules instead.
+
+    The function costs a fifth of the operator's own autograd kernel, and `torch.func.grad` supports
+    it alone.
     """
     # an autograd function refuses forward mode
     differentiated = torch.is_grad_enabled() or forward_ad._current_level >= 0
@@ -259,27 +316,35 @@ def _call(operator: Any, function: Any, *args: Any) -> Any:
 
 
 class _SolveFunction(torch.autograd.Function):
-    forward, setup_context = staticmethod(SOLVE), staticmethod(_setup)  # type: ignore[assignment]
-    backward, vmap = staticmethod(_backward), staticmethod(_solve_vmap)  # type: ignore[assignment]
+    forward = staticmethod(SOLVE)
+    setup_context = staticmethod(_setup)  # type: ignore[assignment]
+    backward = staticmethod(_backward)
+    vmap = staticmethod(_solve_vmap)  # type: ignore[assignment]
 
 
 class _GradientsFunction(torch.autograd.Function):
     forward = staticmethod(lambda *args: tuple(GRADIENTS(*args)))  # type: ignore[assignment]
     setup_context = staticmethod(lambda ctx, inputs, output: None)  # type: ignore[assignment]
-    backward, vmap = staticmethod(_no_second), staticmethod(_gradients_vmap)  # type: ignore[assignment]
+    backward = staticmethod(_no_second)
+    vmap = staticmethod(_gradients_vmap)  # type: ignore[assignment]
 
 
 class InPlace(torch.autograd.Function):
-    """The fast path: forces of inputs that the core reads in place, without the overhead of operators and `torch.func`."""
+    """The fast path: forces of inputs that the core reads in place, without the overhead of
+    operators and `torch.func`.
+    """
 
     @staticmethod
-    def forward(ctx: Any, problems: core.ForceProblems, settings: tuple[Any, ...], *given: Any) -> Any:
+    def forward(
+        ctx: Any, problems: core.ForceProblems, settings: tuple[Any, ...], *given: Any
+    ) -> Any:
         """Return force, torsion, multipliers and facts."""
         *answers, state = optima(problems, *settings[1:])
         tensors = [a if isinstance(a, Tensor) else None for a in given[:INPUTS]]
         ctx.save_for_backward(*tensors, state)
         ctx.numbers = [None if isinstance(a, Tensor) else a for a in given[:INPUTS]]
-        ctx.elastic, ctx.chunk = settings[0] == "elastic", settings[3]
+        ctx.elastic = settings[0] == "elastic"
+        ctx.chunk = settings[3]
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(answers[3])
         return tuple(answers)
@@ -291,11 +356,18 @@ class InPlace(torch.autograd.Function):
         given = tuple([b if a is None else a for a, b in zip(tensors, ctx.numbers, strict=True)])
         wanted = ctx.needs_input_grad[2 : 2 + INPUTS]
         problems = None if torch.is_grad_enabled() else read_in_place(given)
-        if problems is None or problems.lead != state.shape[:-1]:  # the start may have had more dimensions
+        # the start may have had more dimensions
+        if problems is None or problems.lead != state.shape[:-1]:
             known, _ = checked_tensors((*given, None))
             found = _wanted(ctx, known[:-1], state, losses, list(wanted))
         else:
             found = _slopes(problems, state, losses[:3], wanted, ctx.elastic, ctx.chunk)
-        if found[2] is not None and found[2].shape[-2:] != given[2].shape[-2:]:  # one coefficient per contact
+        # one coefficient per contact
+        if found[2] is not None and found[2].shape[-2:] != given[2].shape[-2:]:
             found[2] = found[2].sum(-1)
-        return (None, None, *[g if g is None else _as_given(g, a) for g, a in zip(found, given, strict=True)], None)
+        return (
+            None,
+            None,
+            *[g if g is None else _as_given(g, a) for g, a in zip(found, given, strict=True)],
+            None,
+        )

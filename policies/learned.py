@@ -1,4 +1,6 @@
-"""`LearnedInitialForce`: a start predicted by a network, whose Phi is never above that of the method's own start."""
+"""`LearnedInitialForce`: a start predicted by a network, whose Phi is never above that of the
+method's own start.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,16 @@ from grasp_env.force.solution import LEARNED
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.grasp import as_grasp
 from grasp_env.grasp.null_space import null_space_basis
-from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_array, flag, number, positive, whole
+from grasp_env.inputs.arguments import (
+    Array,
+    ContactForces,
+    Wrench,
+    as_array,
+    flag,
+    number,
+    positive,
+    whole,
+)
 from grasp_env.inputs.files import as_path, file_fault
 from grasp_env.inputs.ranges import Range
 from policies.checkpoint import Checkpoint, replace
@@ -26,23 +37,28 @@ from policies.features import Features
 
 PRETRAINED = Path(__file__).parent / "pretrained"
 MOST_CONTACTS, MOST_DEGREE = 64, 8
-"""Largest number of contacts of a model, and largest degree of its weights as polynomials of the friction."""
-_ANY, _POSITIVE = Range(-1e15, 1e15), Range(1e-300, 1e15)
+"""Largest number of contacts of a model, and largest degree of its weights as polynomials of the
+friction."""
+_ANY = Range(-1e15, 1e15)
+_POSITIVE = Range(1e-300, 1e15)
 
 
 class LearnedInitialForce:
     """Initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
 
-    A network trained on one grasp predicts internal forces from the wrench and the friction. It also works after small movements of the
-    contacts, because its internal forces change continuously with them.
+    A network trained on one grasp predicts internal forces from the wrench and the friction. It
+    also works after small movements of the contacts, because its internal forces change
+    continuously with them.
 
-    Let a be the network's force. Let b be the method's own start: Newton's internal force, or the combination of the 12-basis for
-    the flows and for a direct call of the rule. The start is a, if its Phi is not above that of b. Otherwise it is the point of least
-    Phi on the segment from b to a. Both are evaluated in every call, so the start never has more Phi than b, at any wrench and for any
-    weights. Optimizers continue from the start in the same compiled call and certify the solution.
+    Let a be the network's force. Let b be the method's own start: Newton's internal force, or the
+    combination of the 12-basis for the flows and for a direct call of the rule. The start is a, if
+    its Phi is not above that of b. Otherwise it is the point of least Phi on the segment from b to
+    a. Both are evaluated in every call, so the start never has more Phi than b, at any wrench and
+    for any weights. Optimizers continue from the start in the same compiled call and certify the
+    solution.
 
-    The weights may be polynomials of the friction (`friction_degree` above 0). They are evaluated once for a grasp, because a grasp
-    keeps its friction between calls.
+    The weights may be polynomials of the friction (`friction_degree` above 0). They are evaluated
+    once for a grasp, because a grasp keeps its friction between calls.
 
     Args:
         checkpoint: weights, normalisation, training range and model card.
@@ -68,15 +84,22 @@ class LearnedInitialForce:
         True
     """
 
-    def __init__(self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False) -> None:
+    def __init__(
+        self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False
+    ) -> None:
         try:
             numbers = checkpoint.numbers
             sizes = list(numbers["sizes"])
             stages = whole(len(sizes), "the number of sizes", 2, core.MOST_STAGES + 1)
-            self.sizes = tuple(whole(sizes[k], f"sizes[{k}]", 1, core.WIDEST) for k in range(stages))
+            self.sizes = tuple(
+                whole(sizes[k], f"sizes[{k}]", 1, core.WIDEST) for k in range(stages)
+            )
             self.features = _features(numbers["features"])
             self.n_contacts = whole(numbers["n_contacts"], "n_contacts", 3, MOST_CONTACTS)
-            weights = (positive(numbers[name], name, _POSITIVE) for name in ("force_weight", "barrier_weight"))
+            weights = (
+                positive(numbers[name], name, _POSITIVE)
+                for name in ("force_weight", "barrier_weight")
+            )
             self._trained = Objective(*weights)
             self._degree = whole(numbers["friction_degree"], "friction_degree", 0, MOST_DEGREE)
             self._ranges = [_pair(checkpoint.ranges[name]) for name in ("magnitude", "friction")]
@@ -90,10 +113,16 @@ class LearnedInitialForce:
             raise ModelFileError(
                 f"the model is incomplete or malformed ({said}); train anew with `grasp fit`"
             ) from None
-        shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs), "pairs": (2 * n_lengths, 6)}
+        shapes: dict[str, tuple[int, ...]] = {
+            "reference": (3 * self.n_contacts, outputs),
+            "pairs": (2 * n_lengths, 6),
+        }
         for layer, (a, b) in enumerate(pairwise(self.sizes)):
             powers = self._degree + 1
-            shapes |= {f"layers.{layer}.weight": (powers, b, a), f"layers.{layer}.bias": (powers, b)}
+            shapes |= {
+                f"layers.{layer}.weight": (powers, b, a),
+                f"layers.{layer}.bias": (powers, b),
+            }
         checkpoint.expect(shapes)
         self.checkpoint = checkpoint
         self.objective = self._trained if objective is None else as_objective(objective)
@@ -110,16 +139,19 @@ class LearnedInitialForce:
 
         Args:
             path: model saved by `grasp fit`.
-            remembers: True to start from the previous solution if that is better, for control loops.
+            remembers: True to start from the previous solution if that is better, for control
+                loops.
 
         Raises:
-            ModelFileError: the files are missing, truncated, changed, of another schema, or not a model.
+            ModelFileError: the files are missing, truncated, changed, of another schema, or not a
+                model.
         """
         return LearnedInitialForce(Checkpoint.load(path), remembers=remembers)
 
     @staticmethod
     def pretrained(*, remembers: bool = False) -> LearnedInitialForce:
-        """Load the model shipped with the package, a network of 64 x 64 for the contacts of `presets.paper_cuboid()`.
+        """Load the model shipped with the package, a network of 64 x 64 for the contacts of
+        `presets.paper_cuboid()`.
 
         Args:
             remembers: see `load`.
@@ -127,7 +159,8 @@ class LearnedInitialForce:
         return LearnedInitialForce.load(PRETRAINED / "four_finger", remembers=remembers)
 
     def export(self, path: str | Path, grasp: Grasp) -> Path:
-        """Write a file for C++ programs: the model for the contacts of one grasp, and this rule's Phi.
+        """Write a file for C++ programs: the model for the contacts of one grasp, and this rule's
+        Phi.
 
         Args:
             path: path of the file, which `grasp::ModelFile::load` reads.
@@ -156,8 +189,8 @@ class LearnedInitialForce:
         """Return the start (N, 3) [N].
 
         Raises:
-            InfeasibleStartError: the model does not support these contacts, the grasp has no force closure, or the wrench
-                is not finite.
+            InfeasibleStartError: the model does not support these contacts, the grasp has no force
+                closure, or the wrench is not finite.
         """
         load = _read(wrench)
         force = start_of(self._prepare(grasp).starter, LEARNED, load, None)
@@ -166,7 +199,10 @@ class LearnedInitialForce:
         return force
 
     def with_objective(self, objective: Objective) -> LearnedInitialForce:
-        """Return the same model for another `objective`. It is rescaled, since Phi depends on forces in units of sqrt(lambda / omega)."""
+        """Return the same model for another `objective`.
+
+        It is rescaled, since Phi depends on forces in units of sqrt(lambda / omega).
+        """
         return type(self)(self.checkpoint, objective, self.remembers)
 
     def model(self, grasp: Grasp, objective: Objective) -> core.Model:
@@ -190,12 +226,14 @@ class LearnedInitialForce:
         return self._prepare(grasp).model.covers(grasp.unit_frame @ _read(wrench))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """Return the network's force (N, 3) [N] for a `grasp` and a `wrench` (6,): balanced, possibly outside the cones.
+        """Return the network's force (N, 3) [N] for a `grasp` and a `wrench` (6,): balanced,
+        possibly outside the cones.
 
         Raises:
             InfeasibleStartError: see `__call__`.
         """
-        on, load = self._prepare(grasp), _read(wrench)
+        on = self._prepare(grasp)
+        load = _read(wrench)
         if not (np.abs(load) <= core.LARGEST).all():
             raise _not_finite(load)
         coordinates = np.empty(on.internal.shape[1])
@@ -207,11 +245,15 @@ class LearnedInitialForce:
         prepared = self._prepared  # read once: threads may share a rule
         if prepared is None or prepared.grasp is not grasp:
             model, internal = self._model(as_grasp(grasp))
-            prepared = self._prepared = _Prepared(grasp, model, starter(grasp, self.objective, model), internal)
+            prepared = self._prepared = _Prepared(
+                grasp, model, starter(grasp, self.objective, model), internal
+            )
         return prepared
 
     def _model(self, grasp: Grasp) -> tuple[core.Model, Array]:
-        """Return the compiled model, and the basis of internal forces in which it predicts, (3n, 3n - 6)."""
+        """Return the compiled model, and the basis of internal forces in which it predicts, (3n, 3n
+        - 6).
+        """
         if set(grasp.models.names) != {"hard"}:
             raise InfeasibleStartError(
                 f"this model knows hard contacts, the grasp has {grasp.models.names}: use initial='linear_combination'"
@@ -222,9 +264,11 @@ class LearnedInitialForce:
                 "use initial='linear_combination', or fit a model of your grasp"
             )
         (_, largest_magnitude), (low, high) = self._ranges
-        friction, scale = float(grasp.friction.mean()), self._scale(grasp.n_contacts)
+        friction = float(grasp.friction.mean())
+        scale = self._scale(grasp.n_contacts)
         known = low <= friction <= high  # of a grasp, only the friction is checked
-        nearest = min(max(friction, low), high) if self._degree else friction  # polynomials do not extrapolate
+        # polynomials do not extrapolate
+        nearest = min(max(friction, low), high) if self._degree else friction
         model = core.Model.make(self._network(nearest), self._pairs)
         model.normalise(**asdict(self.features))
         internal = np.ascontiguousarray(null_space_basis(grasp, self._reference))
@@ -234,21 +278,30 @@ class LearnedInitialForce:
 
     def _scale(self, count: int) -> float:
         """Return sqrt(lambda / omega), averaged over the contacts, relative to that of training."""
-        weights, trained = self.objective.weights(count), self._trained.weights(count)
-        return float(np.sqrt((weights[:, 1] / weights[:, 0]).mean() * trained[0, 0] / trained[0, 1]))
+        weights = self.objective.weights(count)
+        trained = self._trained.weights(count)
+        return float(
+            np.sqrt((weights[:, 1] / weights[:, 0]).mean() * trained[0, 0] / trained[0, 1])
+        )
 
     def _network(self, friction: float) -> core.Network:
-        """Return the network of a friction, cached for the last value, because friction changes less often than contacts."""
+        """Return the network of a friction, cached for the last value, because friction changes
+        less often than contacts.
+        """
         made = self._made  # one tuple, read once: threads may share a rule
         if made is None or (made[0] != friction and self._degree):
             made = self._made = friction, core.Network.make(self.sizes, self._weights(friction))
         return made[1]
 
     def _weights(self, friction: float) -> Array:
-        """Return the weights at a friction in the core's order: for each layer the matrix (inputs, outputs), then the bias."""
+        """Return the weights at a friction in the core's order: for each layer the matrix (inputs,
+        outputs), then the bias.
+        """
         feature = (friction - self.features.friction_mean) / self.features.friction_scale
-        feature = min(max(feature, -1e3), 1e3)  # far outside the training range its powers would overflow
-        powers, parts = feature ** np.arange(self._degree + 1), list[Array]()
+        # far outside the training range its powers would overflow
+        feature = min(max(feature, -1e3), 1e3)
+        powers = feature ** np.arange(self._degree + 1)
+        parts = list[Array]()
         for layer in range(len(self.sizes) - 1):
             for name in ("weight", "bias"):
                 coefficients = self.checkpoint.tensors[f"layers.{layer}.{name}"].astype(np.float64)
@@ -263,7 +316,9 @@ class LearnedInitialForce:
 
 @dataclass(frozen=True)
 class _Prepared:
-    """Model on the contacts of one grasp; predictions are coordinates in the columns of `internal` (3N, 3N - 6)."""
+    """Model on the contacts of one grasp; predictions are coordinates in the columns of `internal`
+    (3N, 3N - 6).
+    """
 
     grasp: Grasp
     model: core.Model
@@ -274,9 +329,12 @@ class _Prepared:
 def _features(numbers: dict[str, object]) -> Features:
     """Return the saved normalisation; divisors are above 0."""
     mean = ("log_mean", "friction_mean")
-    return Features(**{
-        name: number(v, name, _ANY) if name in mean else positive(v, name, _POSITIVE) for name, v in numbers.items()
-    })  # fmt: skip
+    return Features(
+        **{
+            name: number(v, name, _ANY) if name in mean else positive(v, name, _POSITIVE)
+            for name, v in numbers.items()
+        }
+    )
 
 
 def _pair(value: Any) -> tuple[float, float]:
@@ -287,7 +345,9 @@ def _pair(value: Any) -> tuple[float, float]:
 
 
 def _not_finite(wrench: Array) -> InfeasibleStartError:
-    return InfeasibleStartError(f"a wrench needs finite numbers up to {core.LARGEST:g}, got {wrench.tolist()}")
+    return InfeasibleStartError(
+        f"a wrench needs finite numbers up to {core.LARGEST:g}, got {wrench.tolist()}"
+    )
 
 
 def _read(wrench: Any) -> Array:

@@ -25,16 +25,23 @@ def find_browser() -> str | None:
 
 
 class Browser:
-    """One tab. `requests` lists all that it asks the network for, `errors` its warnings and errors."""
+    """One tab.
+
+    `requests` lists all that it asks the network for, `errors` its warnings and errors.
+    """
 
     def __init__(self, write: int, read: int, seconds: float = 30.0) -> None:
-        self._write, self._read, self._seconds = write, read, seconds
+        self._write = write
+        self._read = read
+        self._seconds = seconds
         self._buffer, self._number, self._session = b"", 0, ""
         self._seen: set[str] = set()
         self.requests: list[str] = []
         self.errors: list[str] = []
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
 
@@ -56,7 +63,9 @@ class Browser:
         """Open a file, or an address, in a window of that size, with media features (prefers_...)."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1.0, "mobile": width < 600}
         self.call("Emulation.setDeviceMetricsOverride", **size)
-        wanted = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
+        wanted = [
+            {"name": name.replace("_", "-"), "value": value} for name, value in features.items()
+        ]
         self.call("Emulation.setEmulatedMedia", features=wanted)
         self._seen.discard("Page.loadEventFired")
         self.call("Page.navigate", url=path if isinstance(path, str) else path.absolute().as_uri())
@@ -65,7 +74,9 @@ class Browser:
 
     def value(self, expression: str) -> Any:
         """Return the value of a JavaScript expression in the page; a promise is awaited."""
-        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
@@ -91,13 +102,19 @@ class Browser:
 
     def _note(self, event: str, params: dict[str, Any]) -> None:
         self._seen.add(event)
-        if event == "Network.requestWillBeSent" and not params["request"]["url"].startswith("data:"):
+        if event == "Network.requestWillBeSent" and not params["request"]["url"].startswith(
+            "data:"
+        ):
             self.requests.append(params["request"]["url"])
         elif event == "Runtime.exceptionThrown":
             self.errors.append(params["exceptionDetails"]["text"])
         elif event == "Log.entryAdded" and params["entry"]["level"] in ("warning", "error"):
             self.errors.append(params["entry"]["text"])
-        elif event == "Runtime.consoleAPICalled" and params["type"] in ("warning", "error", "assert"):
+        elif event == "Runtime.consoleAPICalled" and params["type"] in (
+            "warning",
+            "error",
+            "assert",
+        ):
             self.errors.append(str(params["args"]))
 
 
@@ -109,21 +126,46 @@ def browser(executable: str, *, local: bool = False) -> Iterator[Browser]:
         executable: path of the browser.
         local: allow servers on 127.0.0.1, and draw WebGL in software.
     """
-    rules, graphics = "MAP * ~NOTFOUND", ["--disable-gpu"]
+    rules = "MAP * ~NOTFOUND"
+    graphics = ["--disable-gpu"]
     if local:
-        rules, graphics = f"{rules}, EXCLUDE 127.0.0.1", ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        rules = f"{rules}, EXCLUDE 127.0.0.1"
+        graphics = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     (child_read, write), (read, child_write) = os.pipe(), os.pipe()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [
-            executable, "--headless", *graphics, "--no-first-run", "--remote-debugging-pipe", "--hide-scrollbars",
-            f"--host-resolver-rules={rules}", "--disable-background-networking", "--disable-dev-shm-usage",
-            f"--user-data-dir={profile}", *(["--no-sandbox"] if os.geteuid() == 0 else []), "about:blank",
-        ]  # fmt: skip
-        # the protocol uses descriptors 3 and 4; a small process sets them and then becomes the browser
+            executable,
+            "--headless",
+            *graphics,
+            "--no-first-run",
+            "--remote-debugging-pipe",
+            "--hide-scrollbars",
+            f"--host-resolver-rules={rules}",
+            "--disable-background-networking",
+            "--disable-dev-shm-usage",
+            f"--user-data-dir={profile}",
+            *(["--no-sandbox"] if os.geteuid() == 0 else []),
+            "about:blank",
+        ]
+        # the protocol uses descriptors 3 and 4; a small process sets them and then becomes the
+        # browser
         become = "import fcntl, os, sys; a, b = (fcntl.fcntl(int(n), fcntl.F_DUPFD, 10) for n in sys.argv[1:3]); "
         become += "os.dup2(a, 3); os.dup2(b, 4); os.execv(sys.argv[3], sys.argv[3:])"
-        python = [sys.executable, "-S", "-E", "-c", become, str(child_read), str(child_write), *command]
-        quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        python = [
+            sys.executable,
+            "-S",
+            "-E",
+            "-c",
+            become,
+            str(child_read),
+            str(child_write),
+            *command,
+        ]
+        quiet = {
+            "stdin": subprocess.DEVNULL,
+            "stdout": subprocess.DEVNULL,
+            "stderr": subprocess.DEVNULL,
+        }
         with subprocess.Popen(python, pass_fds=(child_read, child_write), **quiet) as process:
             os.close(child_read)
             os.close(child_write)

@@ -18,7 +18,15 @@ except MissingExtraError as error:
     HAND_FLAGS: Any = None
     Bullet = create_body = joint_indices = Client = bullet = HAND_FLAGS
 
-__all__ = ["HAND_FLAGS", "Bullet", "Client", "bullet", "create_body", "joint_indices", "needs_bullet"]
+__all__ = [
+    "HAND_FLAGS",
+    "Bullet",
+    "Client",
+    "bullet",
+    "create_body",
+    "joint_indices",
+    "needs_bullet",
+]
 
 needs_bullet = pytest.mark.skipif(bool(missing), reason=missing)
 """Mark of a test, or of a module as `pytestmark`."""

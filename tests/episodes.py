@@ -21,7 +21,8 @@ def episode(
     env = gym.make(ENV, **settings)
     try:
         zero = np.zeros(env.action_space.shape or (), dtype=np.float32)
-        out, infos = [env.reset(seed=seed)[0]], []
+        out = [env.reset(seed=seed)[0]]
+        infos = []
         while steps is None or len(infos) < steps:
             obs, reward, terminated, truncated, info = env.step(zero if action is None else action)
             assert np.isfinite(obs).all()
@@ -36,7 +37,14 @@ def episode(
         env.close()
 
 
-def random_object(rng: np.random.Generator, shapes: Sequence[str] = SHAPES_WITHOUT_MESH) -> ObjectDescription:
+def random_object(
+    rng: np.random.Generator, shapes: Sequence[str] = SHAPES_WITHOUT_MESH
+) -> ObjectDescription:
     """An object of one of some shapes, drawn in the ranges of `randomize`."""
-    rules = {"shape": lambda rng: shapes[rng.integers(len(shapes))], "size": True, "mass": True, "friction": True}
+    rules = {
+        "shape": lambda rng: shapes[rng.integers(len(shapes))],
+        "size": True,
+        "mass": True,
+        "friction": True,
+    }
     return EnvConfig().override(randomize=rules).drawn(rng).object

@@ -12,7 +12,13 @@ from engines import HAND_FLAGS, bullet
 from grasp_env import core
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
-from grasp_env.sim import FingerDescription, HandDescription, HandKinematics, ObjectDescription, Scene
+from grasp_env.sim import (
+    FingerDescription,
+    HandDescription,
+    HandKinematics,
+    ObjectDescription,
+    Scene,
+)
 from grasp_env.sim.hand.inertia import inertia_matrix
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 from grasp_env.sim.hand.urdf import hand_urdf
@@ -28,12 +34,19 @@ def load_hand(client: int, hand: HandDescription) -> int:
         return bullet.loadURDF(path, useFixedBase=True, flags=HAND_FLAGS, physicsClientId=client)
 
 
-def scene_alone(item: ObjectDescription | None = None, fingers: int = 4) -> tuple[core.Scene, Snapshot]:
+def scene_alone(
+    item: ObjectDescription | None = None, fingers: int = 4
+) -> tuple[core.Scene, Snapshot]:
     """Return a scene of the core without a simulator, and views of its state to write into."""
     hand = HandDescription.of_fingers(
-        [FingerDescription(f"f{k}", (0.1 * k, 0.2, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)) for k in range(fingers)]
+        [
+            FingerDescription(f"f{k}", (0.1 * k, 0.2, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+            for k in range(fingers)
+        ]
     )
-    made = core.Scene.make(HandKinematics(hand).tree, (item or ObjectDescription()).surface, (0.0, -9.81, 0.0))
+    made = core.Scene.make(
+        HandKinematics(hand).tree, (item or ObjectDescription()).surface, (0.0, -9.81, 0.0)
+    )
     views = Snapshot(**made.arrays())
     views.rotation[:] = np.eye(3)
     return made, views
@@ -46,10 +59,13 @@ def controller_alone(
     sensors: core.SensorSettings | None = None,
     **options: Any,
 ) -> core.Controller:
-    """Return a control loop of such a scene, by default with Newton on soft contacts around its object."""
+    """Return a control loop of such a scene, by default with Newton on soft contacts around its
+    object."""
     angles = np.arange(fingers) * 2.0 * np.pi / fingers
     outwards = np.column_stack([np.cos(angles), 0.0 * angles, np.sin(angles)])
-    grasp = Grasp.from_contacts(0.05 * outwards, -outwards, 0.4, contact_model="soft", torsional_friction=0.01)
+    grasp = Grasp.from_contacts(
+        0.05 * outwards, -outwards, 0.4, contact_model="soft", torsional_friction=0.01
+    )
     optimizer = ForceOptimizer(options.pop("grasp", grasp), **options)
     made = settings or core.ControlSettings()
     made.reach = made.reach or [core.Spring(0.0, 0.0, 0.0)] * fingers
@@ -58,10 +74,13 @@ def controller_alone(
 
 
 def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:
-    """Return the mass matrix (M, M) from the links' masses and inertias; coupled joints load their driver."""
-    hand, (frames, origins) = kinematics.hand, kinematics.links(angles)
+    """Return the mass matrix (M, M) from the links' masses and inertias; coupled joints load their
+    driver."""
+    hand = kinematics.hand
+    (frames, origins) = kinematics.links(angles)
     numbers = {link.name: index for index, link in enumerate(hand.links)}
-    turning, total = np.zeros((hand.joint_count, 3, hand.joint_count)), np.zeros((hand.joint_count,) * 2)
+    turning = np.zeros((hand.joint_count, 3, hand.joint_count))
+    total = np.zeros((hand.joint_count,) * 2)
     for index, link in enumerate(hand.links):
         if link.parent in numbers:
             turning[index] = turning[numbers[link.parent]]
@@ -69,14 +88,17 @@ def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:
             turning[index][:, hand.drivers[index]] += (
                 (link.mimic.ratio if link.mimic else 1.0) * frames[index] @ link.axis
             )
-        moving = kinematics.link_jacobian(angles, index, origins[index] + frames[index] @ link.center)
+        moving = kinematics.link_jacobian(
+            angles, index, origins[index] + frames[index] @ link.center
+        )
         inertia = frames[index] @ inertia_matrix(link.inertia) @ frames[index].T
         total += link.mass * moving.T @ moving + turning[index].T @ inertia @ turning[index]
     return total
 
 
 def grasp_torques(scene: Scene, forces: np.ndarray) -> np.ndarray:
-    """Return torques (M,) with which the tips push with `forces` (N, 3), object frame, and carry the links' weight."""
+    """Return torques (M,) with which the tips push with `forces` (N, 3), object frame, and carry
+    the links' weight."""
     s = scene.look()
     torques = s.gravity_torques.copy()
     for finger, force in enumerate(forces @ s.rotation.T):
@@ -93,14 +115,24 @@ def numbers(scene: Scene) -> np.ndarray:
 def make_link(name: str = "a", parent: str = "palm", **fields: Any) -> Link:
     """Return a light link, by default on a joint about z."""
     given: dict[str, Any] = {
-        "origin": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0), "axis": (0.0, 0.0, 1.0), "lower": -1.0, "upper": 1.0, "torque_limit": 2.0,
-        "mass": 0.03, "center": (0.0, 0.0, 0.0), "inertia": (1e-5, 0.0, 0.0, 1e-5, 0.0, 1e-5),
-    }  # fmt: skip
+        "origin": (0.0, 0.0, 0.0),
+        "rotation": (0.0, 0.0, 0.0),
+        "axis": (0.0, 0.0, 1.0),
+        "lower": -1.0,
+        "upper": 1.0,
+        "torque_limit": 2.0,
+        "mass": 0.03,
+        "center": (0.0, 0.0, 0.0),
+        "inertia": (1e-5, 0.0, 0.0, 1e-5, 0.0, 1e-5),
+    }
     return Link(name, parent, **(given | fields))
 
 
-def gripper(fingers: int, joints: int, coupled: bool = False, torque: float = 2.0) -> HandDescription:
-    """Return fingers around a round palm that bend towards its axis; with `coupled`, the last joint of each follows the one before."""
+def gripper(
+    fingers: int, joints: int, coupled: bool = False, torque: float = 2.0
+) -> HandDescription:
+    """Return fingers around a round palm that bend towards its axis; with `coupled`, the last joint
+    of each follows the one before."""
     links: list[Link] = []
     tips: list[Fingertip] = []
     length = 0.12 / joints
@@ -111,15 +143,26 @@ def gripper(fingers: int, joints: int, coupled: bool = False, torque: float = 2.
     for finger in range(fingers):
         turn = 2.0 * np.pi * finger / fingers
         for joint in range(joints):
-            last, before = joint == joints - 1, f"f{finger}_{joint - 1}"
+            last = joint == joints - 1
+            before = f"f{finger}_{joint - 1}"
             if joint == 0:
                 origin = (0.06 * np.cos(turn), 0.06 * np.sin(turn), 0.01)
                 place = {"origin": origin, "rotation": (0.0, 0.0, turn), "lower": -0.6}
             else:
                 follows = Mimic(f"{before}_joint") if coupled and last else None
-                place = {"parent": before, "origin": (0.0, 0.0, length), "lower": 0.0, "mimic": follows}
+                place = {
+                    "parent": before,
+                    "origin": (0.0, 0.0, length),
+                    "lower": 0.0,
+                    "mimic": follows,
+                }
             links.append(
-                make_link(f"f{finger}_{joint}", collision=(bone, ball) if last else (bone,), **common, **place)
+                make_link(
+                    f"f{finger}_{joint}",
+                    collision=(bone, ball) if last else (bone,),
+                    **common,
+                    **place,
+                )
             )
         tips.append(Fingertip(f"f{finger}", links[-1].name, (0.0, 0.0, length), 0.01))
     palm = Palm(collision=(Geometry("cylinder", (0.07, 0.01)),))

@@ -1,7 +1,9 @@
-"""The hand's side of `examples/ros2_node.py`, run by an interpreter that has rclpy: starts the node, plays messages, records efforts.
+"""The hand's side of `examples/ros2_node.py`, run by an interpreter that has rclpy: starts the
+node, plays messages, records efforts.
 
-It imports nothing of this project. A task is read as JSON from stdin, and the results are written as JSON to stdout. Both processes communicate
-through shared memory only, without sockets, so no other process can take part.
+It imports nothing of this project. A task is read as JSON from stdin, and the results are written
+as JSON to stdout. Both processes communicate through shared memory only, without sockets, so no
+other process can take part.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from itertools import chain
 from typing import Any
 
 ONLY_HERE = {"FASTDDS_BUILTIN_TRANSPORTS": "SHM", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
-"""Environment in which Fast DDS opens no socket: LOCALHOST leaves UDP ports open on all interfaces."""
+"""Environment in which Fast DDS opens no socket: LOCALHOST leaves UDP ports open on all interfaces.
+"""
 ANSWER = 0.05
 """Wait for the answer to the last message of a phase [s]."""
 PATIENCE = 20.0
@@ -46,7 +49,11 @@ class Hand:
             for place, name in enumerate(names)
         ]
         self.contacts.point_step = 4 * len(names)
-        topics = {"joint_states": self.joints, "wrench": self.wrench, "contacts": self.contacts}  # contacts go last
+        topics = {
+            "joint_states": self.joints,
+            "wrench": self.wrench,
+            "contacts": self.contacts,
+        }  # contacts go last
         self.outputs = {
             topic: (self.node.create_publisher(type(message), topic, newest), message)
             for topic, message in topics.items()
@@ -81,14 +88,18 @@ class Hand:
         for part, values in (("force", phase["wrench"][:3]), ("torque", phase["wrench"][3:])):
             vector = getattr(self.wrench.wrench, part)
             vector.x, vector.y, vector.z = values
-        self.contacts.header.frame_id, self.wrench.header.frame_id = phase.get("frames", ("palm", "palm"))
+        self.contacts.header.frame_id, self.wrench.header.frame_id = phase.get(
+            "frames", ("palm", "palm")
+        )
         numbers = [*chain.from_iterable(phase["points"])]
         self.contacts.data = struct.pack(f"<{len(numbers)}f", *numbers)
-        self.contacts.width, self.contacts.height = len(phase["points"]), 1
+        self.contacts.width = len(phase["points"])
+        self.contacts.height = 1
         self.contacts.row_step = len(self.contacts.data)
 
     def play(self, phase: dict[str, Any]) -> dict[str, Any]:
-        """Publish a phase's messages for its `seconds` at its `rate` [Hz], but for topics that are `silent`.
+        """Publish a phase's messages for its `seconds` at its `rate` [Hz], but for topics that are
+        `silent`.
 
         A `transition` of the node comes first; contacts are stamped `ahead` of time [s].
         """
@@ -110,8 +121,11 @@ class Hand:
             due += 1.0 / phase["rate"]
             self.spin(due)
         self.spin(due + ANSWER)
-        effort = None if self.last is None else dict(zip(self.last.name, self.last.effort, strict=True))
-        seen, self.seen = self.seen, []
+        effort = (
+            None if self.last is None else dict(zip(self.last.name, self.last.effort, strict=True))
+        )
+        seen = self.seen
+        self.seen = []
         return {"effort": effort, "sent": sent, "seen": seen}
 
     def spin(self, until: float) -> None:
@@ -124,7 +138,8 @@ def main() -> None:
     """Play a task: the `command` of the node, and its phases."""
     task = json.load(sys.stdin)
     os.environ.update(ONLY_HERE)
-    hand, found = Hand(), dict[str, Any]()
+    hand = Hand()
+    found = dict[str, Any]()
     with subprocess.Popen(task["command"], stdout=sys.stderr) as process:
         try:
             found["configured"] = hand.change("configure")

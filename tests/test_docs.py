@@ -1,4 +1,5 @@
-"""The site, which `make docs` builds, loads nothing from elsewhere, fits every window, and its reference is complete."""
+"""The site, which `make docs` builds, loads nothing from elsewhere, fits every window, and its
+reference is complete."""
 
 from __future__ import annotations
 
@@ -22,7 +23,13 @@ from grasp_env.task.disturbance import DISTURBANCES
 from grasp_env.task.tasks import TASKS
 
 ROOT = Path(__file__).parents[1]
-MODULES = (*(f"grasp_env.{room}" for room in ("grasp", "force", "quality", "sim", "env", "task", "config")), "policies")
+MODULES = (
+    *(
+        f"grasp_env.{room}"
+        for room in ("grasp", "force", "quality", "sim", "env", "task", "config")
+    ),
+    "policies",
+)
 PUBLIC = [f"{module}.{name}" for module in MODULES for name in import_module(module).__all__]
 WHOLE = ("grasp_env.errors", "grasp_env.grasp.presets", "grasp_env.grasp.wrench")
 """Modules without __all__: all their own classes and functions are public."""
@@ -34,14 +41,22 @@ SHOWN_BY = {
     "grasp_env.force.Status": "grasp_env.force.optimize_force",
     "policies.GraspForces": "policies.grasp_force",
     **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.Task" for kind in TASKS.values()},
-    **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.DisturbanceSettings" for kind in DISTURBANCES.values()},
+    **{
+        f"grasp_env.task.{kind.__name__}": "grasp_env.task.DisturbanceSettings"
+        for kind in DISTURBANCES.values()
+    },
     "grasp_env.grasp.load_grasp": "grasp_env.grasp.save_grasp",
     **{
-        f"grasp_env.grasp.presets.{name}": "grasp_env.grasp.presets.preset" for name in ("tripod", "five_finger_cuboid")
+        f"grasp_env.grasp.presets.{name}": "grasp_env.grasp.presets.preset"
+        for name in ("tripod", "five_finger_cuboid")
     },
-    **{f"grasp_env.force.{name}": "grasp_env.force.FixedStep" for name in ("ArmijoStep", "ExactStep")},
+    **{
+        f"grasp_env.force.{name}": "grasp_env.force.FixedStep"
+        for name in ("ArmijoStep", "ExactStep")
+    },
 }
-"""Results, by the call that returns them, records, by their base, and variants, by the first: its example shows them."""
+"""Results, by the call that returns them, records, by their base, and variants, by the first: its
+example shows them."""
 NO_EXAMPLE = {
     "policies.Policy": "a protocol",
 }
@@ -49,7 +64,11 @@ NO_EXAMPLE = {
 
 def own(module: str) -> list[str]:
     """Return the public classes and functions that a module defines."""
-    found = {name: value for name, value in vars(import_module(module)).items() if not name.startswith("_")}
+    found = {
+        name: value
+        for name, value in vars(import_module(module)).items()
+        if not name.startswith("_")
+    }
     kinds = (inspect.isroutine, inspect.isclass)
     return [
         f"{module}.{name}"
@@ -83,7 +102,11 @@ def test_every_public_name_has_an_entry(site: Path) -> None:
 
 def documented(value: Any) -> str:
     """Return the docstring of its own, no inherited one."""
-    return inspect.cleandoc(vars(value).get("__doc__") or "") if inspect.isclass(value) else inspect.getdoc(value) or ""
+    return (
+        inspect.cleandoc(vars(value).get("__doc__") or "")
+        if inspect.isclass(value)
+        else inspect.getdoc(value) or ""
+    )
 
 
 def members(value: type) -> Iterator[tuple[str, Any]]:
@@ -112,9 +135,15 @@ def test_it_is_documented(name: str) -> None:
     text = documented(value)
     assert re.match(r".{15,}?[.:]\s", text + "\n", re.DOTALL), f"{name}: no summary"
     if inspect.isroutine(value):
-        assert set(takes(value)) <= words(text), f"{name}: {set(takes(value)) - words(text)} not documented"
+        assert set(takes(value)) <= words(text), (
+            f"{name}: {set(takes(value)) - words(text)} not documented"
+        )
         return
-    fields = [field.name for field in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+    fields = (
+        [field.name for field in dataclasses.fields(value)]
+        if dataclasses.is_dataclass(value)
+        else []
+    )
     fields += getattr(value, "_fields", ())
     constructor = vars(value).get("__init__")
     if inspect.isfunction(constructor) and not getattr(value, "_is_protocol", False):
@@ -129,7 +158,9 @@ def test_it_is_documented(name: str) -> None:
         assert not missing, f"{name}.{member}: {missing} not documented"
 
 
-CONSTANTS = [name for name in PUBLIC if not (inspect.isclass(thing(name)) or inspect.isroutine(thing(name)))]
+CONSTANTS = [
+    name for name in PUBLIC if not (inspect.isclass(thing(name)) or inspect.isroutine(thing(name)))
+]
 
 
 @pytest.mark.site
@@ -138,7 +169,10 @@ def test_every_constant_is_explained(site: Path) -> None:
     for name in CONSTANTS:
         if inspect.ismodule(thing(name)):
             continue
-        found = [re.search(rf'id="{re.escape(name)}".*?<dd>(.*?)</dd>', page, re.DOTALL) for page in text.values()]
+        found = [
+            re.search(rf'id="{re.escape(name)}".*?<dd>(.*?)</dd>', page, re.DOTALL)
+            for page in text.values()
+        ]
         said = next(re.sub(r"<[^>]+>", "", match.group(1)).strip() for match in found if match)
         assert len(said) > 15, name
         assert "Built-in" not in said, name
@@ -164,7 +198,9 @@ def test_every_public_name_has_an_example_that_runs() -> None:
     rooms = re.search(r"^testpaths = (.*)$", settings, re.MULTILINE)
     assert rooms is not None
     assert "--doctest-modules" in settings
-    assert {f'"{name.partition(".")[0]}"' for name in PUBLIC} <= set(re.findall(r'"\w+"', rooms.group(1)))
+    assert {f'"{name.partition(".")[0]}"' for name in PUBLIC} <= set(
+        re.findall(r'"\w+"', rooms.group(1))
+    )
 
 
 @pytest.mark.site
@@ -175,7 +211,10 @@ def test_it_fits_every_window_draws_formulas_finds_and_asks_for_nothing(site: Pa
             tab.show(site / page, width, 800, prefers_color_scheme=scheme)
             assert tab.value("document.documentElement.scrollWidth") <= width, (page, width)
             colour = tab.value("getComputedStyle(document.body).backgroundColor")
-            assert (sum(map(int, re.findall(r"\d+", colour)[:3])) < 200) == (scheme == "dark"), (page, colour)
+            assert (sum(map(int, re.findall(r"\d+", colour)[:3])) < 200) == (scheme == "dark"), (
+                page,
+                colour,
+            )
         tab.show(site / "mathematics.html", 1280, 800)
         assert tab.value("document.querySelectorAll('math').length") > 20
         heights = "[...document.querySelectorAll('.formula math')].map(m => m.getBoundingClientRect().height)"

@@ -1,4 +1,5 @@
-"""Every file of `examples/` is short, says what it shows in the form that the gallery reads, and runs to its end."""
+"""Every file of `examples/` is short, says what it shows in the form that the gallery reads, and
+runs to its end."""
 
 from __future__ import annotations
 
@@ -21,10 +22,14 @@ MOST_LINES = {True: 95, False: 175}
 SECONDS = 300
 """Largest time of one example."""
 LONG = ("12_", "13_", "14_", "15_")
-"""Examples that train or slide for half a minute: the site (`make docs`) runs them too, so that they are slow here."""
+"""Examples that train or slide for half a minute: the site (`make docs`) runs them too, so that
+they are slow here."""
 each = pytest.mark.parametrize(
     "path",
-    [pytest.param(path, marks=pytest.mark.slow) if path.name.startswith(LONG) else path for path in EXAMPLES],
+    [
+        pytest.param(path, marks=pytest.mark.slow) if path.name.startswith(LONG) else path
+        for path in EXAMPLES
+    ],
     ids=lambda path: path.stem,
 )
 whatever = pytest.mark.parametrize("path", ALL, ids=lambda path: path.stem)
@@ -57,7 +62,12 @@ def test_an_example_uses_what_everybody_may(path: Path) -> None:
     own = {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
     names = {node.attr for node in nodes if isinstance(node, ast.Attribute)} - own
     names |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
-    names |= {alias.name for node in nodes if isinstance(node, ast.Import | ast.ImportFrom) for alias in node.names}
+    names |= {
+        alias.name
+        for node in nodes
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for alias in node.names
+    }
     assert not [name for name in names if re.search(r"(^|\.)_", name)]
     assert path not in EXAMPLES or any(isinstance(node, ast.Assert) for node in nodes)
 
@@ -65,7 +75,9 @@ def test_an_example_uses_what_everybody_may(path: Path) -> None:
 @each
 def test_an_example_runs(path: Path, tmp_path: Path) -> None:
     """In another folder, without a display; a warning is an error."""
-    plain = {name: value for name, value in os.environ.items() if name not in ("LD_PRELOAD", "DISPLAY")}
+    plain = {
+        name: value for name, value in os.environ.items() if name not in ("LD_PRELOAD", "DISPLAY")
+    }
     done = subprocess.run(
         [sys.executable, "-W", "error", path],
         cwd=tmp_path,

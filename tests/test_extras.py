@@ -45,10 +45,18 @@ class Finder(PathFinder):
         return None if name in {names} else PathFinder.find_spec(name, path, target)
 sys.meta_path[sys.meta_path.index(PathFinder)] = Finder
 """
-    return subprocess.run([sys.executable, "-c", start + script], cwd=ROOT, timeout=120, capture_output=True, text=True)
+    return subprocess.run(
+        [sys.executable, "-c", start + script],
+        cwd=ROOT,
+        timeout=120,
+        capture_output=True,
+        text=True,
+    )
 
 
-ENGINE, OTHER_PYTHONS = ("pybullet", ">= '3.12'") if sys.version_info < (3, 12) else ("mujoco", "< '3.12'")
+ENGINE, OTHER_PYTHONS = (
+    ("pybullet", ">= '3.12'") if sys.version_info < (3, 12) else ("mujoco", "< '3.12'")
+)
 """Engine of the extra `sim` on this CPython, and the marker of the engine on others."""
 OTHER_MACHINES = f"platform_machine {'==' if EXTRAS['sim'].count('coacd') else '!='} 'aarch64'"
 NOT_IN_ALL = {"cvxpy", "mend", "ray", "video"}
@@ -61,9 +69,18 @@ def test_the_table_is_what_pip_installs() -> None:
     assert solver == {"numpy", "scipy", "safetensors"}
     homes = packages_distributions()
     for extra, modules in EXTRAS.items():
-        asked = _names([one for one in OPTIONAL[extra] if not re.search(f"{OTHER_PYTHONS}|{OTHER_MACHINES}", one)])
-        # in no list of packages are a single compiled file and what is not installed: they bear their distribution's name
-        found = [{home.lower().replace("_", "-") for home in homes.get(name, [name])} for name in modules]
+        asked = _names(
+            [
+                one
+                for one in OPTIONAL[extra]
+                if not re.search(f"{OTHER_PYTHONS}|{OTHER_MACHINES}", one)
+            ]
+        )
+        # in no list of packages are a single compiled file and what is not installed: they bear
+        # their distribution's name
+        found = [
+            {home.lower().replace("_", "-") for home in homes.get(name, [name])} for name in modules
+        ]
         assert all(some & asked for some in found)  # MuJoCo is one module of several distributions
         assert asked <= solver.union(*found)  # an extra may ask for a later numpy
     assert _brought("all") == {"all", *EXTRAS} - NOT_IN_ALL
@@ -71,7 +88,10 @@ def test_the_table_is_what_pip_installs() -> None:
     assert _brought("live") == {"live", "sim", "cli"}
 
 
-@pytest.mark.parametrize("page", ["README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))])  # fmt: skip
+@pytest.mark.parametrize(
+    "page",
+    ["README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))],
+)
 def test_pages_install_extras_that_exist_and_torch_for_the_cpu_first(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
     for command in re.finditer(r"pip install [^`\n]*\[(.*?)\]", text):
@@ -103,7 +123,9 @@ for statement, extra in {IMPORTS}.items():
         if (type(error).__name__, str(error)) != ("MissingExtraError", wanted):
             print(statement, repr(error))
 """
-    done = _without(("pybullet", "mujoco", "trimesh", *EXTRAS["train"]), script)  # gym.make needs gymnasium itself
+    done = _without(
+        ("pybullet", "mujoco", "trimesh", *EXTRAS["train"]), script
+    )  # gym.make needs gymnasium itself
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
@@ -112,7 +134,10 @@ def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Non
 
     for name in EXTRAS["video"]:
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(MissingExtraError, match=r'needs imageio_ffmpeg, moviepy: pip install "grasp-force\[video\]"'):
+    with pytest.raises(
+        MissingExtraError,
+        match=r'needs imageio_ffmpeg, moviepy: pip install "grasp-force\[video\]"',
+    ):
         record(tmp_path / "hand.mp4")
 
 
@@ -148,7 +173,8 @@ for words, extras in {COMMANDS}.items():
 
 def test_the_program_itself_names_its_extra() -> None:
     done = _without(
-        EXTRAS["cli"], "from training.program.cli import main; sys.exit(main(['solve', '--wrench', *'100000']))"
+        EXTRAS["cli"],
+        "from training.program.cli import main; sys.exit(main(['solve', '--wrench', *'100000']))",
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == 'grasp: this needs rich, tyro: pip install "grasp-force[cli]"\n'
@@ -166,8 +192,9 @@ def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_where_pybullet_has_no_wheel_mujoco_comes_instead_and_is_recommended() -> None:
     engines = [one for one in OPTIONAL["sim"] if re.match("pybullet|mujoco", one)]
     assert [re.sub(r">=[\d.]+", "", one) for one in engines] == [
-        "pybullet; python_version < '3.12'", "mujoco; python_version >= '3.12'"
-    ]  # fmt: skip
+        "pybullet; python_version < '3.12'",
+        "mujoco; python_version >= '3.12'",
+    ]
     script = """
 import gymnasium
 from grasp_env.errors import MissingExtraError
@@ -178,7 +205,9 @@ except MissingExtraError as error:
 """
     done = _without(("pybullet",), script)
     told = (
-        "CPython 3.10 and 3.11 only, and this is" if sys.version_info >= (3, 12) else "this needs pybullet: pip install"
+        "CPython 3.10 and 3.11 only, and this is"
+        if sys.version_info >= (3, 12)
+        else "this needs pybullet: pip install"
     )
     assert told in done.stdout
     assert done.stderr == ""

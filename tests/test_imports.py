@@ -1,4 +1,5 @@
-"""One direction: benchmarks -> training -> policies -> grasp_env; the solver needs neither simulator, gymnasium nor torch."""
+"""One direction: benchmarks -> training -> policies -> grasp_env; the solver needs neither
+simulator, gymnasium nor torch."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SOLVER = {"numpy", "scipy", "grasp_env"}
-"""All that `grasp_env.grasp`, `grasp_env.force` and `grasp_env.quality` may import besides the standard library."""
+"""All that `grasp_env.grasp`, `grasp_env.force` and `grasp_env.quality` may import besides the
+standard library."""
 
 
 @cache
@@ -29,12 +31,16 @@ def _imports(path: Path) -> set[str]:
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            base = ".".join([*package[: len(package) + 1 - node.level], *([node.module] if node.module else [])])
+            base = ".".join(
+                [*package[: len(package) + 1 - node.level], *([node.module] if node.module else [])]
+            )
             start = base if node.level else str(node.module)
             names.update(f"{start}.{alias.name}" for alias in node.names)
             names.add(start)
         elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "import_module":
-            names.update(str(argument.value) for argument in node.args if isinstance(argument, ast.Constant))
+            names.update(
+                str(argument.value) for argument in node.args if isinstance(argument, ast.Constant)
+            )
     return names
 
 
@@ -56,7 +62,9 @@ ABOVE = {
 
 @pytest.mark.parametrize("package", ABOVE)
 def test_packages_never_import_upwards(package: str) -> None:
-    guilty = {str(path.relative_to(ROOT)): _roots(path) & ABOVE[package] for path in _files(package)}
+    guilty = {
+        str(path.relative_to(ROOT)): _roots(path) & ABOVE[package] for path in _files(package)
+    }
     assert {path: roots for path, roots in guilty.items() if roots} == {}
 
 
@@ -80,7 +88,18 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "config": {"errors", "inputs", "settings", "force", "sim", "task"},
         "_spec": {"config"},
         "control": {"errors", "core", "inputs", "grasp", "force", "sim", "task", "config"},
-        "env": {"_spec", "errors", "core", "inputs", "grasp", "force", "sim", "task", "config", "control"},
+        "env": {
+            "_spec",
+            "errors",
+            "core",
+            "inputs",
+            "grasp",
+            "force",
+            "sim",
+            "task",
+            "config",
+            "control",
+        },
     },
     "training": {
         "data": set(),
@@ -98,18 +117,26 @@ DOORS = ("", "__main__")
 def _modules(package: str) -> dict[str, Path]:
     """Return the files of a package by module name."""
     found = {path.relative_to(ROOT).with_suffix("").parts: path for path in _files(package)}
-    return {".".join(parts[:-1] if parts[-1] == "__init__" else parts): path for parts, path in found.items()}
+    return {
+        ".".join(parts[:-1] if parts[-1] == "__init__" else parts): path
+        for parts, path in found.items()
+    }
 
 
 def _arrows(package: str) -> dict[str, set[str]]:
-    """Return the modules of a package that each of its modules imports, also in functions; `from room import module` means the module."""
+    """Return the modules of a package that each of its modules imports, also in functions; `from
+    room import module` means the module."""
     modules = _modules(package)
     out = {}
     for name, path in modules.items():
         asked = _imports(path) & set(modules)
         deeper = {one for one in asked if any(other.startswith(f"{one}.") for other in asked)}
-        direct = {str(node.module) for node in ast.walk(_tree(path)) if isinstance(node, ast.ImportFrom)
-                  and any(f"{node.module}.{alias.name}" not in modules for alias in node.names)}  # fmt: skip
+        direct = {
+            str(node.module)
+            for node in ast.walk(_tree(path))
+            if isinstance(node, ast.ImportFrom)
+            and any(f"{node.module}.{alias.name}" not in modules for alias in node.names)
+        }
         out[name] = asked - (deeper - direct) - {name}
     return out
 
@@ -127,7 +154,9 @@ def test_rooms_look_one_way(package: str) -> None:
             continue
         assert room in rooms, f"{name} lies in no room"
         found[room] |= {target.split(".")[1] for target in targets if target.count(".")} - {room}
-    assert {room: others - rooms[room] for room, others in found.items() if others - rooms[room]} == {}
+    assert {
+        room: others - rooms[room] for room, others in found.items() if others - rooms[room]
+    } == {}
     assert found == rooms, "an arrow that nothing needs any more"
 
 
@@ -141,21 +170,30 @@ def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
 
 
 def test_pybullet_is_imported_in_one_file() -> None:
-    users = {str(path.relative_to(ROOT)) for part in ("grasp_env", "policies", "training", "benchmarks") for path in _files(part)
-             if _roots(path) & {"pybullet", "pybullet_data", "pybullet_utils"}}  # fmt: skip
+    users = {
+        str(path.relative_to(ROOT))
+        for part in ("grasp_env", "policies", "training", "benchmarks")
+        for path in _files(part)
+        if _roots(path) & {"pybullet", "pybullet_data", "pybullet_utils"}
+    }
     assert users == {str(Path("grasp_env", "sim", "client.py"))}
 
 
 def _run(script: str) -> None:
     """Run a script in a fresh interpreter; warnings are errors."""
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", script], cwd=ROOT, timeout=120, capture_output=True, text=True
+        [sys.executable, "-W", "error", "-c", script],
+        cwd=ROOT,
+        timeout=120,
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(
-    "imports", ["grasp_env, gymnasium", "gymnasium, grasp_env", "gymnasium.envs.registration, grasp_env"]
+    "imports",
+    ["grasp_env, gymnasium", "gymnasium, grasp_env", "gymnasium.envs.registration, grasp_env"],
 )
 def test_the_environment_is_registered_whatever_is_imported_first(imports: str) -> None:
     _run(f"""
@@ -166,7 +204,8 @@ assert not [finder for finder in sys.meta_path if type(finder).__module__ == "gr
 
 
 def test_hard_contacts_and_learned_starts_need_numpy_only() -> None:
-    """A control loop waits for nothing else before its first force: other packages cannot be imported here."""
+    """A control loop waits for nothing else before its first force: other packages cannot be
+    imported here."""
     _run("""
 import sys
 for name in ("scipy", "torch", "gymnasium", "pybullet", "matplotlib"):

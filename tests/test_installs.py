@@ -1,4 +1,5 @@
-"""Each extra brings what the pages promise of it, with the size that they tell: `make slow ARGS=tests/test_installs.py`, ten minutes."""
+"""Each extra brings what the pages promise of it, with the size that they tell: `make slow
+ARGS=tests/test_installs.py`, ten minutes."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from test_setup import SIZES
 
 ROOT = Path(__file__).parents[1]
 TORCH = "torch==2.13.0"
-"""Installed first: resolved together with other packages, a newer build with gigabytes of CUDA may come."""
+"""Installed first: resolved together with other packages, a newer build with gigabytes of CUDA may
+come."""
 SOLVE = "grasp solve --wrench 1 0.5 -0.6 -0.1 0.2 0"
 HAND = "import gymnasium as gym; env = gym.make('grasp_env:FourFingerGrasp-v0'{}); env.reset(seed=0); env.step(env.action_space.sample()); env.close()"
 PICTURE = (
@@ -49,7 +51,10 @@ EXTRAS: dict[str, list[str]] = {
 @pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    subprocess.run([sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", folder, ROOT], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", folder, ROOT],
+        check=True,
+    )
     (found,) = folder.glob("*.whl")
     return found
 
@@ -61,11 +66,20 @@ def megabytes(folder: Path) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("extra", EXTRAS)
 def test_an_extra_brings_what_it_promises(extra: str, wheel: Path, tmp_path: Path) -> None:
-    venv, extras = tmp_path / "venv", extra.split(",") if extra else []
+    venv = tmp_path / "venv"
+    extras = extra.split(",") if extra else []
     home = {"PATH": f"{venv / 'bin'}:{os.environ['PATH']}", "HOME": str(tmp_path)}
 
     def run(command: str) -> None:
-        done = subprocess.run(command, shell=True, cwd=tmp_path, env=home, capture_output=True, text=True, timeout=1800)
+        done = subprocess.run(
+            command,
+            shell=True,
+            cwd=tmp_path,
+            env=home,
+            capture_output=True,
+            text=True,
+            timeout=1800,
+        )
         assert done.returncode == 0, (command, done.stdout[-2000:], done.stderr[-3000:])
 
     subprocess.run([sys.executable, "-m", "venv", venv], check=True)
@@ -79,5 +93,7 @@ def test_an_extra_brings_what_it_promises(extra: str, wheel: Path, tmp_path: Pat
     added = megabytes(venv) - before
     for command in EXTRAS[extra]:
         run(command)
-    if sys.version_info[:2] == (3, 11) and not [*venv.rglob("nvidia")]:  # as the sizes were measured
+    if sys.version_info[:2] == (3, 11) and not [
+        *venv.rglob("nvidia")
+    ]:  # as the sizes were measured
         assert added == pytest.approx(sum(SIZES[name] for name in extras), rel=0.1, abs=10.0)

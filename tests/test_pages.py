@@ -1,4 +1,5 @@
-"""The README and the pages of docs/ are true: their Python runs, their commands, options and targets exist, their files are there."""
+"""The README and the pages of docs/ are true: their Python runs, their commands, options and
+targets exist, their files are there."""
 
 from __future__ import annotations
 
@@ -29,7 +30,9 @@ every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.re
 
 def blocks(page: Path, language: str) -> list[str]:
     """Return the code blocks of a language on a page."""
-    return [code for kind, code in BLOCK.findall(page.read_text(encoding="utf-8")) if kind == language]
+    return [
+        code for kind, code in BLOCK.findall(page.read_text(encoding="utf-8")) if kind == language
+    ]
 
 
 def commands(page: Path, program: str) -> Iterator[list[str]]:
@@ -46,7 +49,9 @@ def commands(page: Path, program: str) -> Iterator[list[str]]:
 @every_page
 def test_python_blocks_run(page):
     code = blocks(page, "python")
-    assert all(part.startswith(">>>") and part.endswith("\n\n") for part in code), "a block that no test would run"
+    assert all(part.startswith(">>>") and part.endswith("\n\n") for part in code), (
+        "a block that no test would run"
+    )
     result = doctest.testfile(str(page), module_relative=False, optionflags=OPTIONFLAGS)
     assert (result.attempted > 0) == bool(code)
     assert result.failed == 0
@@ -98,6 +103,10 @@ def test_grasp_commands_and_their_options_exist(page):
 def test_files_exist(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#:\s]+)(?:#[\w-]+)?\)", re.sub(BLOCK, "", text)):
-        made = target.startswith("gallery/")  # when the site is built, which is strict about such links
-        assert made or (page.parent / target).exists() or (page.parent / f"{target}.md").exists(), target
+        made = target.startswith(
+            "gallery/"
+        )  # when the site is built, which is strict about such links
+        assert made or (page.parent / target).exists() or (page.parent / f"{target}.md").exists(), (
+            target
+        )
     assert not re.search(r"\b(MINUTES|TODO)\b", text)  # nothing left to fill in

@@ -52,7 +52,9 @@ def hidden_names(folder: Path) -> list[str]:
 
 
 def test_readers_find_whole_files_while_threads_and_processes_write(tmp_path: Path) -> None:
-    path, found, failed = tmp_path / "shared.txt", set[str](), list[BaseException]()
+    path = tmp_path / "shared.txt"
+    found = set[str]()
+    failed = list[BaseException]()
     write(path, "z" * 100_000)
 
     def repeat(letter: str) -> None:
@@ -69,7 +71,11 @@ def test_readers_find_whole_files_while_threads_and_processes_write(tmp_path: Pa
     ):
         for thread in threads:
             thread.start()
-        while any(thread.is_alive() for thread in threads) or first.poll() is None or second.poll() is None:
+        while (
+            any(thread.is_alive() for thread in threads)
+            or first.poll() is None
+            or second.poll() is None
+        ):
             text = path.read_text()
             assert len(text) == 100_000
             assert len(set(text)) == 1
@@ -81,15 +87,20 @@ def test_readers_find_whole_files_while_threads_and_processes_write(tmp_path: Pa
 
 
 @pytest.mark.parametrize("suffix", [".json", ".npz", ".mp4"])
-def test_what_a_killed_process_left_is_removed_after_a_day_and_nothing_else(tmp_path: Path, suffix: str) -> None:
+def test_what_a_killed_process_left_is_removed_after_a_day_and_nothing_else(
+    tmp_path: Path, suffix: str
+) -> None:
     path = tmp_path / f"a{suffix}"
-    with start([sys.executable, "-c", SLEEPER, str(path)], stdout=subprocess.PIPE, text=True) as process:
+    with start(
+        [sys.executable, "-c", SLEEPER, str(path)], stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         left = Path(process.stdout.readline().strip())
         process.send_signal(signal.SIGKILL)
         process.wait()
     assert (left.parent, left.suffix, left.read_text()) == (tmp_path, suffix, "half")
-    folder, others = left.with_name(f"{left.name}.step-1"), [tmp_path / name for name in (".a.json", "a.bak", ".git")]
+    folder = left.with_name(f"{left.name}.step-1")
+    others = [tmp_path / name for name in (".a.json", "a.bak", ".git")]
     folder.mkdir()
     (folder / "part").write_text("half")
     for other in others:
@@ -113,7 +124,8 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
 
 
 def test_a_block_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
-    path, folder = tmp_path / "a.json", tmp_path / "folder"
+    path = tmp_path / "a.json"
+    folder = tmp_path / "folder"
     write(path, "old")
     folder.mkdir()
     (folder / "file").write_text("old")
@@ -128,8 +140,11 @@ def test_a_block_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
     assert hidden_names(tmp_path) == []
 
 
-def test_content_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, done = tmp_path / "a.json", list[tuple[str, str]]()
+def test_content_is_on_the_disk_before_it_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.json"
+    done = list[tuple[str, str]]()
     sync, replace = os.fsync, os.replace
 
     def synced(handle: int) -> None:
@@ -172,13 +187,15 @@ def test_long_names_keep_their_suffix(tmp_path: Path) -> None:
 def test_links_stay_and_pipes_are_written_to(tmp_path: Path) -> None:
     """A device, such as /dev/stdout, must not become a file: root could do that."""
     (tmp_path / "deep").mkdir()
-    link, target = tmp_path / "link.json", tmp_path / "deep/target.json"
+    link = tmp_path / "link.json"
+    target = tmp_path / "deep/target.json"
     link.symlink_to("deep/target.json")
     for text in ("new", "newer"):
         write(link, text)
         assert link.is_symlink()
         assert target.read_text() == text
-    pipe, got = tmp_path / "pipe", list[str]()
+    pipe = tmp_path / "pipe"
+    got = list[str]()
     os.mkfifo(pipe)
     reader = threading.Thread(target=lambda: got.append(pipe.read_text()), daemon=True)
     reader.start()
@@ -204,7 +221,10 @@ def test_a_write_that_the_system_cuts_leaves_the_old_file(tmp_path: Path) -> Non
     words = [sys.executable, "-c", LIMITED, "solve", "--save-grasp", str(path)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
-    assert done.stderr == f"grasp: cannot write grasp file {path}: File too large; choose another path\n"
+    assert (
+        done.stderr
+        == f"grasp: cannot write grasp file {path}: File too large; choose another path\n"
+    )
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["my.json"]
 
@@ -236,13 +256,18 @@ def full(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_commands_say_that_the_disk_is_full_and_how_to_mend_it(
-    words: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: str,
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(words.split()) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("grasp: ")]
     assert re.fullmatch(
-        rf"grasp: (cannot write grasp file )?{name}: No space left on device; .*choose another path", line
+        rf"grasp: (cannot write grasp file )?{name}: No space left on device; .*choose another path",
+        line,
     )
     assert os.listdir(tmp_path) == []
 

@@ -21,7 +21,10 @@ def test_no_table_differs_from_its_saved_run(capsys):
 
 
 def test_every_table_stands_on_a_page():
-    pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")))
+    pages = "".join(
+        page.read_text(encoding="utf-8")
+        for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md"))
+    )
     assert [name for name in TABLES if f"<!-- results: {name} -->" not in pages] == []
     assert fill.BLOCK.findall(pages)
     assert all("| --- |" in block for _, _, block, _ in fill.BLOCK.findall(pages))
@@ -29,8 +32,13 @@ def test_every_table_stands_on_a_page():
 
 def test_saved_runs_are_full_ones_whose_columns_are_documented():
     for file in RESULTS.glob("*.json"):
-        kept = next(each for each in (file.with_suffix(".csv"), file.with_suffix(".csv.xz")) if each.exists())
-        about, means = json.loads(file.read_text(encoding="utf-8")), read(kept)
+        kept = next(
+            each
+            for each in (file.with_suffix(".csv"), file.with_suffix(".csv.xz"))
+            if each.exists()
+        )
+        about = json.loads(file.read_text(encoding="utf-8"))
+        means = read(kept)
         assert about["kind"] == file.stem
         assert "--quick" not in about["command"]
         assert len(about["commit"]) >= 7, f"{file.stem} does not say which commit was measured"
@@ -53,12 +61,19 @@ def test_a_run_is_kept_as_its_summary_and_quick_ones_are_refused(tmp_path, monke
     monkeypatch.setattr(fill, "RESULTS", tmp_path / "results")
     folder = Run.create(tmp_path, "run")
     rows = table([{"case": "a", "held": True}, {"case": "a", "held": False}])
-    folder.save(rows, {"kind": "env", "settings": {"hands": ["/home/me/robots/hand.urdf", "allegro"]}})
+    folder.save(
+        rows, {"kind": "env", "settings": {"hands": ["/home/me/robots/hand.urdf", "allegro"]}}
+    )
     assert fill.save(folder.folder) == "env"
     kept = json.loads((tmp_path / "results" / "env.json").read_text())
     assert {*kept} <= {*PROVENANCE}
-    assert kept["settings"]["hands"] == ["hand.urdf", "allegro"]  # a path says something about one machine only
-    assert read(tmp_path / "results" / "env.csv")[["n", "held_sum"]].to_numpy().tolist() == [[2, 1.0]]
+    assert kept["settings"]["hands"] == [
+        "hand.urdf",
+        "allegro",
+    ]  # a path says something about one machine only
+    assert read(tmp_path / "results" / "env.csv")[["n", "held_sum"]].to_numpy().tolist() == [
+        [2, 1.0]
+    ]
     quick = Run.create(tmp_path, "quick")
     quick.save(rows, {"kind": "env", "quick": True})
     with pytest.raises(SystemExit, match="quick run"):

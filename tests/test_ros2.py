@@ -26,7 +26,9 @@ SIDE = Path(__file__).with_name("ros2_side.py")
 PYTHON = os.environ.get("GRASP_ROS_PYTHON") or (sys.executable if find_spec("rclpy") else None)
 PATIENCE = 120.0
 """Time of a run in addition to its phases [s]."""
-RATE, FRICTION, GRAVITY = 500.0, 0.6, (0.0, -9.81, 0.0)
+RATE = 500.0
+FRICTION = 0.6
+GRAVITY = (0.0, -9.81, 0.0)
 WEIGHT = (0.0, -1.5, 0.0, 0.0, 0.0, 0.0)
 """Wrench that the fingers balance [N, N m]."""
 TIMES = {"stale": 0.1, "grace": 0.6, "fade": 0.1}
@@ -37,10 +39,15 @@ KINEMATICS = HandKinematics(HAND)
 
 
 def contacts() -> np.ndarray:
-    """(N, 6) positions and normals of contacts between the thumb and the fingers, float32 as they are sent."""
+    """(N, 6) positions and normals of contacts between the thumb and the fingers, float32 as they
+    are sent."""
     tips = KINEMATICS.tips(KINEMATICS.home)
     normals = np.sign(tips.mean(axis=0) - tips) * [0.0, 0.0, 1.0]
-    return np.hstack([tips + KINEMATICS.tip_radii[:, None] * normals, normals]).astype(np.float32).astype(np.float64)
+    return (
+        np.hstack([tips + KINEMATICS.tip_radii[:, None] * normals, normals])
+        .astype(np.float32)
+        .astype(np.float64)
+    )
 
 
 POINTS = contacts()
@@ -58,17 +65,27 @@ def phase(seconds: float = 0.7, **changes: Any) -> dict[str, Any]:
 
 
 def play(python: str, phases: list[dict[str, Any]], **parameters: Any) -> dict[str, Any]:
-    """Start the node with parameters and play phases to it; return what `ros2_side.main` found, and the node's output as "log"."""
+    """Start the node with parameters and play phases to it; return what `ros2_side.main` found, and
+    the node's output as "log"."""
     command = [python, str(ROOT / "examples/ros2_node.py"), "--ros-args"]
     command += [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
     with tempfile.TemporaryDirectory() as folder:
         domain = str(1 + os.getpid() % 100)
-        given = {**os.environ, "PYTHONPATH": str(ROOT), "ROS_DOMAIN_ID": domain, "ROS_LOG_DIR": folder}
+        given = {
+            **os.environ,
+            "PYTHONPATH": str(ROOT),
+            "ROS_DOMAIN_ID": domain,
+            "ROS_LOG_DIR": folder,
+        }
         pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-        with subprocess.Popen([python, SIDE], env=given, text=True, start_new_session=True, **pipes) as process:
+        with subprocess.Popen(
+            [python, SIDE], env=given, text=True, start_new_session=True, **pipes
+        ) as process:
             try:
                 seconds = PATIENCE + sum(phase["seconds"] for phase in phases)
-                told, log = process.communicate(json.dumps({"command": command, "phases": phases}), timeout=seconds)
+                told, log = process.communicate(
+                    json.dumps({"command": command, "phases": phases}), timeout=seconds
+                )
             finally:
                 if process.poll() is None:  # the node is in its session, too
                     os.killpg(process.pid, signal.SIGKILL)
@@ -76,13 +93,17 @@ def play(python: str, phases: list[dict[str, Any]], **parameters: Any) -> dict[s
     return {**json.loads(told), "log": log}
 
 
-@pytest.mark.skipif(PYTHON is None, reason="GRASP_ROS_PYTHON must name a Python with rclpy: see docs/hardware.md")
+@pytest.mark.skipif(
+    PYTHON is None, reason="GRASP_ROS_PYTHON must name a Python with rclpy: see docs/hardware.md"
+)
 def test_the_node_commands_what_its_controller_does() -> None:
-    """Messages in any order of joints; lost and late contacts, a message that does not fit; a life cycle with an end."""
+    """Messages in any order of joints; lost and late contacts, a message that does not fit; a life
+    cycle with an end."""
     lost = POINTS.copy()
     lost[1] = np.nan
     mixed = {
-        name: [*values[::-1], extra] for (name, values), extra in zip(JOINTS.items(), ("elbow", 9.0, 9.0), strict=True)
+        name: [*values[::-1], extra]
+        for (name, values), extra in zip(JOINTS.items(), ("elbow", 9.0, 9.0), strict=True)
     }
     pushed = [0.4, -1.0, 0.2, 0.0, 0.01, 0.0]
     phases = {
@@ -103,7 +124,12 @@ def test_the_node_commands_what_its_controller_does() -> None:
         "active again": phase(wrench=pushed, transition="activate"),
     }
     told = play(str(PYTHON), list(phases.values()), **PARAMETERS)
-    assert [told[name] for name in ("configured", "early", "activated", "code")] == [True, False, True, 0]
+    assert [told[name] for name in ("configured", "early", "activated", "code")] == [
+        True,
+        False,
+        True,
+        0,
+    ]
     assert told["end"] == [0.0] * HAND.joint_count, "ctrl-C while it is active"
     sent = {stamp for played in told["phases"] for stamp in played["sent"]}
     answered = {*told["phases"][0]["seen"][1:]}
@@ -111,16 +137,26 @@ def test_the_node_commands_what_its_controller_does() -> None:
     assert len(answered) > 50
     efforts = {name: played["effort"] for name, played in zip(phases, told["phases"], strict=True)}
 
-    shown, table = example(), np.outer(HAND.torque_limits, [-1.0, 1.0])
+    shown = example()
+    table = np.outer(HAND.torque_limits, [-1.0, 1.0])
     controller = shown.HandController()
-    controller.configure(HAND, shown.Settings(rate=RATE, friction=FRICTION, **TIMES), shown.Calibration(table, table))
+    controller.configure(
+        HAND, shown.Settings(rate=RATE, friction=FRICTION, **TIMES), shown.Calibration(table, table)
+    )
 
-    def torques(points: np.ndarray, wrench: Any, age: float = 0.0, count: int = 1000) -> dict[str, float]:
+    def torques(
+        points: np.ndarray, wrench: Any, age: float = 0.0, count: int = 1000
+    ) -> dict[str, float]:
         touching = np.isfinite(points).all(axis=1)
         state = shown.HandState(
-            KINEMATICS.home, np.zeros(HAND.joint_count), touching, *np.nan_to_num(points).reshape(-1, 2, 3).swapaxes(0, 1).copy(),
-            np.array(wrench), np.array(GRAVITY), age,
-        )  # fmt: skip
+            KINEMATICS.home,
+            np.zeros(HAND.joint_count),
+            touching,
+            *np.nan_to_num(points).reshape(-1, 2, 3).swapaxes(0, 1).copy(),
+            np.array(wrench),
+            np.array(GRAVITY),
+            age,
+        )
         if controller.status == "inactive":
             controller.activate(state)
         for _ in range(count):
@@ -135,18 +171,31 @@ def test_the_node_commands_what_its_controller_does() -> None:
     released = torques(POINTS, pushed, age=1.0)
     assert controller.status == "released"
     expected |= dict.fromkeys(
-        ["no contacts", "there again", "there once more", "of all", "from now"], expected["back, pushed, other order"]
+        ["no contacts", "there again", "there once more", "of all", "from now"],
+        expected["back, pushed, other order"],
     )
     expected |= dict.fromkeys(
-        ["none for long", "no joint states for long", "of three fingers", "from the future", "two frames"], released
+        [
+            "none for long",
+            "no joint states for long",
+            "of three fingers",
+            "from the future",
+            "two frames",
+        ],
+        released,
     )
-    expected |= {"deactivated": dict.fromkeys(HAND.joint_names, 0.0), "active again": expected["of all"]}
+    expected |= {
+        "deactivated": dict.fromkeys(HAND.joint_names, 0.0),
+        "active again": expected["of all"],
+    }
     for name, effort in efforts.items():
         assert effort == pytest.approx(expected[name], abs=1e-5), name
-    different = np.array([list(values.values()) for values in (*list(expected.values())[:3], released)])
-    assert np.abs(different[:, None] - different).max(axis=2)[~np.eye(4, dtype=bool)].min() > 0.01, (
-        "or nothing was tested"
+    different = np.array(
+        [list(values.values()) for values in (*list(expected.values())[:3], released)]
     )
+    assert (
+        np.abs(different[:, None] - different).max(axis=2)[~np.eye(4, dtype=bool)].min() > 0.01
+    ), "or nothing was tested"
     for said in (
         "cannot activate: nothing came yet on joint_states, contacts, wrench",
         "holding, was released",

@@ -15,7 +15,10 @@ from grasp_env.inputs.extras import EXTRAS
 
 ROOT = Path(__file__).parents[1]
 SIZES = {
-    name: int(disk) for name, disk in re.findall(r"(\w+)=(\d+)/\d+", (ROOT / "Makefile").read_text(encoding="utf-8"))
+    name: int(disk)
+    for name, disk in re.findall(
+        r"(\w+)=(\d+)/\d+", (ROOT / "Makefile").read_text(encoding="utf-8")
+    )
 }
 """Size of each extra on disk [MB]."""
 EVERYTHING = "all bench dev docs mend"
@@ -23,7 +26,9 @@ EVERYTHING = "all bench dev docs mend"
 
 def asked(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """Return what make would run in a folder like the root, whatever make runs these tests."""
-    env = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    env = {
+        name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))
+    }
     command = ["make", "--dry-run", "--file", str(ROOT / "Makefile"), *words]
     return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, timeout=60)
 
@@ -80,12 +85,16 @@ def test_what_is_installed_is_completed(
 def test_extras_that_do_not_exist_are_named(folder: Path) -> None:
     done = asked(folder, "install", "EXTRAS=sim,viedo")
     assert done.returncode == 2
-    assert "There is no extra viedo: EXTRAS is a list, with commas, of cli sim mujoco" in done.stderr
+    assert (
+        "There is no extra viedo: EXTRAS is a list, with commas, of cli sim mujoco" in done.stderr
+    )
 
 
 def test_the_sizes_are_those_of_the_pages() -> None:
     assert {*SIZES} == {"bare", *EXTRAS, "all", "bench", "docs", "dev"}
-    readme, page = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/start_here.md"))
+    readme, page = (
+        (ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/start_here.md")
+    )
     for text in (readme, page):
         assert size(*EVERYTHING.split()) in text
         assert size("sim") in text

@@ -1,4 +1,5 @@
-"""Wheels in dist/ install and solve in an empty environment without a compiler, with the same results at every level."""
+"""Wheels in dist/ install and solve in an empty environment without a compiler, with the same
+results at every level."""
 
 from __future__ import annotations
 
@@ -50,7 +51,9 @@ def _python_of(wheel: Path) -> str:
 def _levels(folder: Path) -> list[str]:
     """Return the builds that this processor runs; [""] if there is only one."""
     held = sorted(path.name for path in (folder / CORE).glob("x86-64-v*"))
-    return [name for name in held if int(name[-1]) <= _builds.processor_level(folder / CORE)] or [""]
+    return [name for name in held if int(name[-1]) <= _builds.processor_level(folder / CORE)] or [
+        ""
+    ]
 
 
 @pytest.fixture
@@ -59,12 +62,21 @@ def unpacked(wheel: Path, tmp_path: Path) -> Path:
     return tmp_path / "unpacked"
 
 
-def test_solves_in_an_empty_environment_without_a_compiler(wheel: Path, unpacked: Path, tmp_path: Path) -> None:
+def test_solves_in_an_empty_environment_without_a_compiler(
+    wheel: Path, unpacked: Path, tmp_path: Path
+) -> None:
     python = tmp_path / "empty/bin/python"
-    subprocess.run([_python_of(wheel), "-m", "venv", str(tmp_path / "empty")], check=True, timeout=120)
+    subprocess.run(
+        [_python_of(wheel), "-m", "venv", str(tmp_path / "empty")], check=True, timeout=120
+    )
     install = [str(python), "-m", "pip", "install", "-q", "--only-binary", ":all:", str(wheel)]
     subprocess.run(install, check=True, timeout=300, env={"PATH": "", "HOME": os.environ["HOME"]})
-    options: dict[str, Any] = {"cwd": tmp_path, "timeout": 120, "capture_output": True, "text": True}
+    options: dict[str, Any] = {
+        "cwd": tmp_path,
+        "timeout": 120,
+        "capture_output": True,
+        "text": True,
+    }
 
     def solved(env: dict[str, str]) -> list[Any]:
         done = subprocess.run([str(python), "-c", SOLVE], env=env, **options)
@@ -96,5 +108,7 @@ def test_named_problems_have_their_outcomes_at_every_level(wheel: Path, unpacked
         tests = ["tests/force/test_named.py", "tests/golden", "-k", "not environment"]
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests]
         environment = {**os.environ, "GRASP_CORE_BUILD": str(unpacked / CORE / level)}
-        done = subprocess.run(command, cwd=ROOT, env=environment, timeout=600, capture_output=True, text=True)
+        done = subprocess.run(
+            command, cwd=ROOT, env=environment, timeout=600, capture_output=True, text=True
+        )
         assert done.returncode == 0, (level, done.stdout[-2000:])

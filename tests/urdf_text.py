@@ -16,7 +16,8 @@ def solid(shape: str, xyz: str = "0 0 0", role: str = "collision") -> str:
 
 
 def small(finger: str, palm: str = "", more: str = "") -> str:
-    """Return a palm and a finger on the joint `bend` about y, with more elements inside and after them."""
+    """Return a palm and a finger on the joint `bend` about y, with more elements inside and after
+    them."""
     return (
         f'<robot name="small"><link name="palm">{palm}</link><joint name="bend" type="revolute"><parent link="palm"/>'
         '<child link="finger"/><axis xyz="0 2 0"/><limit lower="-1" upper="1" effort="2"/></joint>'
@@ -34,9 +35,17 @@ def xacro_hand(before: str = "", name: str = "own") -> str:
     return text.replace("</robot>", f'<xacro:attribute name="name" value="{name}"/></robot>')
 
 
-def link(name: str, size: float = 0.04, mass: float = 0.03, moment: float | None = None, place: str = "0 0 0") -> str:
-    """Return a box of 2 cm by 2 cm, `size` [m] long along x, of `mass` [kg]; its inertia is the box's or `moment` [kg m^2] about each axis."""
-    along, across = mass * 8e-4 / 12.0, mass * (size**2 + 4e-4) / 12.0
+def link(
+    name: str,
+    size: float = 0.04,
+    mass: float = 0.03,
+    moment: float | None = None,
+    place: str = "0 0 0",
+) -> str:
+    """Return a box of 2 cm by 2 cm, `size` [m] long along x, of `mass` [kg]; its inertia is the
+    box's or `moment` [kg m^2] about each axis."""
+    along = mass * 8e-4 / 12.0
+    across = mass * (size**2 + 4e-4) / 12.0
     inertia = (along, across) if moment is None else (moment, moment)
     box = solid(f'<box size="{size} 0.02 0.02"/>', f"{0.5 * size} 0 0")
     return (
@@ -66,10 +75,17 @@ def joint(
 
 
 def finger(
-    name: str, palm: str, place: str, size: float = 0.04, mass: float = 0.03, moment: float | None = None, **joints: Any
+    name: str,
+    palm: str,
+    place: str,
+    size: float = 0.04,
+    mass: float = 0.03,
+    moment: float | None = None,
+    **joints: Any,
 ) -> str:
     """Return a finger of two links, `name`1 and `name`2, with the joints `name`a and `name`b."""
-    first, second = f"{name}1", f"{name}2"
+    first = f"{name}1"
+    second = f"{name}2"
     text = joint(f"{name}a", palm, first, place, **joints) + link(first, size, mass, moment)
     return text + joint(f"{name}b", first, second, **joints) + link(second, size, mass, moment)
 
@@ -90,8 +106,11 @@ def robot(text: str) -> str:
 def read(
     folder: Path, text: str, fingertips: Any = None, name: str = "hand.urdf", **options: Any
 ) -> tuple[HandDescription, str]:
-    """Read a file, or links and joints, by default without rotors; return the hand and its warning, "" for none."""
-    (folder / name).write_text(robot(text) if text.startswith(("<link", "<joint")) else text, encoding="utf-8")
+    """Read a file, or links and joints, by default without rotors; return the hand and its warning,
+    "" for none."""
+    (folder / name).write_text(
+        robot(text) if text.startswith(("<link", "<joint")) else text, encoding="utf-8"
+    )
     return read_file(folder / name, fingertips=fingertips, **{"rotor_inertia": 0.0, **options})
 
 

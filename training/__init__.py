@@ -1,1 +1,3 @@
-"""Training of learned starts (`fit`) and agents (`rl`), their evaluation, and the program `grasp` (`program`)."""
+"""Training of learned starts (`fit`) and agents (`rl`), their evaluation, and the program `grasp`
+(`program`).
+"""

@@ -34,7 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     beside = f"entrants beside it: {', '.join(ENTRANTS)}; default: all"
     add("--against", nargs="*", default=list(ENTRANTS), metavar="NAME", help=beside)
     add("--tracks", nargs="+", default=[], metavar="TRACK")
-    add("--quick", action="store_true", help="a few problems of each session, once: rough numbers within a minute")
+    add(
+        "--quick",
+        action="store_true",
+        help="a few problems of each session, once: rough numbers within a minute",
+    )
     add("--out", type=Path, default=Path("runs"))
     add("--name", default="")
     checks = "check the files of the tracks and their references; with --solver what that solves of them instead, without timing"
@@ -50,7 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add = command("generate", _generate, seeds)
     add("tracks", nargs="*", default=[], metavar="TRACK")
     add("--seed", type=int, default=0)
-    add = command("record", _record, "write hands.json anew, from hands by name or file; needs the simulator")
+    add = command(
+        "record", _record, "write hands.json anew, from hands by name or file; needs the simulator"
+    )
     add("hands", nargs="+", metavar="HAND")
     given = parser.parse_args(arguments)
     try:
@@ -74,16 +80,23 @@ def _run(given: Any) -> int:
     from training.evaluation.results import Run, default_name
     from training.evaluation.results.table import table
 
-    tracks, chosen = _tracks(given), entrants([*given.solver, *given.against])
+    tracks = _tracks(given)
+    chosen = entrants([*given.solver, *given.against])
     run = Run.create(given.out, given.name or default_name("force"))
-    before, effort = unit(), QUICK if given.quick else Effort()
+    before = unit()
+    effort = QUICK if given.quick else Effort()
     found, told = measured(tracks, chosen, effort, tick)
     rows = table(found)
     tick("")
     about = {
-        "kind": "force", "quick": given.quick, "settings": asdict(effort), "unit": min(before, unit()), "load": os.getloadavg(),
-        "tracks": {track.name: track.about["sha256"] for track in tracks}, "entrants": told,
-    }  # fmt: skip
+        "kind": "force",
+        "quick": given.quick,
+        "settings": asdict(effort),
+        "unit": min(before, unit()),
+        "load": os.getloadavg(),
+        "tracks": {track.name: track.about["sha256"] for track in tracks},
+        "entrants": told,
+    }
     run.save(rows, about)
     run.write_text("profiles.svg", svg(profiles(rows)))
     sys.stdout.write("\n".join([*lines(rows, about["unit"]), f"{run.folder}\n"]))
@@ -105,9 +118,14 @@ def _validate(given: Any) -> int:
     faults = []
     for track in tracks:
         faults += check(track)
-        if track.name in TRACKS and generate(track.name, track.about["seed"]).digest() != track.about["sha256"]:
+        if (
+            track.name in TRACKS
+            and generate(track.name, track.about["seed"]).digest() != track.about["sha256"]
+        ):
             faults.append(f"{track.name}: seed {track.about['seed']} gives other problems here")
-        sys.stdout.write(f"{track.name}: {sum(len(session.problems) for session in track.sessions)} problems\n")
+        sys.stdout.write(
+            f"{track.name}: {sum(len(session.problems) for session in track.sessions)} problems\n"
+        )
     sys.stdout.write("".join(f"{fault}\n" for fault in faults) or "all references hold\n")
     return int(bool(faults))
 
@@ -122,9 +140,15 @@ def _report(given: Any) -> int:
             loaded.append(Run.open(folder).load())
     rows, about = loaded[-1]
     sys.stdout.write("\n".join([*lines(rows, about["unit"]), ""]))
-    other = [name for name, digest in about["tracks"].items() if loaded[0][1]["tracks"].get(name, digest) != digest]
+    other = [
+        name
+        for name, digest in about["tracks"].items()
+        if loaded[0][1]["tracks"].get(name, digest) != digest
+    ]
     if other:
-        raise ValueError(f"the runs are of different problems: {', '.join(other)}; compare runs of the same --sets")
+        raise ValueError(
+            f"the runs are of different problems: {', '.join(other)}; compare runs of the same --sets"
+        )
     if len(loaded) > 1:
         sys.stdout.write(
             f"{given.runs[-1]} beside {given.runs[0]}, us\n{beside(rows, loaded[0][0]).to_string(index=False)}\n"
@@ -138,14 +162,17 @@ def _references(given: Any) -> int:
 
     worst = 0.0
     for track in _tracks(given):
-        apart, digits = [0.0], track.about.get("digits", "double")
+        apart = [0.0]
+        digits = track.about.get("digits", "double")
         for session in track.sessions:
             if lacking := set(track.about["objectives"]) - set(session.references):
                 raise ValueError(
                     f"{track.name}, session {session.name!r} stores no references of {', '.join(sorted(lacking))}"
                 )
             made = refer(session, track.about["objectives"], digits)
-            apart += [distance(session.references[name], reference) for name, reference in made.items()]
+            apart += [
+                distance(session.references[name], reference) for name, reference in made.items()
+            ]
         worst = max(worst, *apart)
         sys.stdout.write(
             f"{track.name}: the optima differ from the stored ones by at most {max(apart):.1e} of themselves\n"
@@ -167,11 +194,15 @@ def _generate(given: Any) -> int:
             raise ValueError(f"no track {name!r}: there are {', '.join(TRACKS)}")
         track = generate(name, given.seed)
         sessions = [
-            replace(session, references=refer(session, track.about["objectives"], track.about["digits"]))
+            replace(
+                session, references=refer(session, track.about["objectives"], track.about["digits"])
+            )
             for session in track.sessions
         ]
         save(replace(track, sessions=sessions), given.sets)
-        sys.stdout.write(f"{given.sets / name}.npz: {sum(len(session.problems) for session in sessions)} problems\n")
+        sys.stdout.write(
+            f"{given.sets / name}.npz: {sum(len(session.problems) for session in sessions)} problems\n"
+        )
     return 0
 
 

@@ -1,11 +1,12 @@
 """Bounds and proofs from a force, multipliers or a witness, computed from the problem alone.
 
-`Measure` holds every formula, for NumPy's floats and for object arrays of mpmath's numbers, which `references.py` gives it. Forces and
-moments are compared in N: moments are taken about the centre of the contacts that touch and divided by their root mean square distance
-from it.
+`Measure` holds every formula, for NumPy's floats and for object arrays of mpmath's numbers, which
+`references.py` gives it. Forces and moments are compared in N: moments are taken about the centre
+of the contacts that touch and divided by their root mean square distance from it.
 
-The multipliers are (nu, p), those of balance (6,) and the prices of the limits (L,) >= 0. The gradient of an objective is
-G^T nu - B^T p plus a part that the cones carry, and d objective / d wrench = -nu. This module needs numpy only.
+The multipliers are (nu, p), those of balance (6,) and the prices of the limits (L,) >= 0. The
+gradient of an objective is G^T nu - B^T p plus a part that the cones carry, and d objective / d
+wrench = -nu. This module needs numpy only.
 """
 
 from __future__ import annotations
@@ -28,10 +29,12 @@ ROUNDING = 1e-15
 
 
 def least(low: Numbers, high: Numbers, weight: Any) -> tuple[Numbers, Numbers, Numbers]:
-    """The least over a cone of (low p + high q) / 2 + weight (2 / (p + q) + 1 / p + 1 / q), with p = u + s and q = u - s.
+    """The least over a cone of (low p + high q) / 2 + weight (2 / (p + q) + 1 / p + 1 / q), with p
+    = u + s and q = u - s.
 
-    At a fixed ratio r = q / p the least over p is 2 sqrt(weight c1 c2), c1 = (low + high r) / 2, c2 = 1 + 1 / r + 2 / (1 + r). Over r it
-    is stationary where r^2 ((1 + r)^2 + 2) = k ((1 + r)^2 + 2 r^2), k = low / high.
+    At a fixed ratio r = q / p the least over p is 2 sqrt(weight c1 c2), c1 = (low + high r) / 2, c2
+    = 1 + 1 / r + 2 / (1 + r). Over r it is stationary where r^2 ((1 + r)^2 + 2) = k ((1 + r)^2 + 2
+    r^2), k = low / high.
 
     Args:
         low: (N,) >= 0, high: (N,) >= low; both with the price of u in them.
@@ -49,9 +52,12 @@ def least(low: Numbers, high: Numbers, weight: Any) -> tuple[Numbers, Numbers, N
     for _ in range(6):  # Newton's steps: from 1e-3 to 1e-60
         q = 1 + r
         wide = q * q + 2
-        r = r - (r * r * wide - k * (q * q + 2 * r * r)) / (2 * r * wide + 2 * r * r * q - k * (2 * q + 4 * r))
+        r = r - (r * r * wide - k * (q * q + 2 * r * r)) / (
+            2 * r * wide + 2 * r * r * q - k * (2 * q + 4 * r)
+        )
         r = np.maximum(r, tiny)
-    c1, c2 = (low / r + high) / 2, 1 + r + 2 * r / (1 + r)  # the one divided by r, the other times r
+    c1 = (low / r + high) / 2
+    c2 = 1 + r + 2 * r / (1 + r)  # the one divided by r, the other times r
     return 2 * np.sqrt(weight * c1 * c2), np.sqrt(weight * c2 / np.maximum(c1, tiny)) / r, r
 
 
@@ -86,27 +92,42 @@ class Measure:
 
     @classmethod
     def of(
-        cls, problem: Problem, number: Callable[[Any], Numbers] = np.asarray, frames: Numbers | None = None
+        cls,
+        problem: Problem,
+        number: Callable[[Any], Numbers] = np.asarray,
+        frames: Numbers | None = None,
     ) -> Measure:
-        """Return the measure of a problem, in the numbers that `number` makes of arrays; `frames` replace those of the problem."""
+        """Return the measure of a problem, in the numbers that `number` makes of arrays; `frames`
+        replace those of the problem.
+        """
         n, k = problem.n_contacts, problem.width
         touching = np.ones(n, dtype=bool) if problem.touching is None else problem.touching
         spin = np.zeros(n) if problem.torsional_friction is None else problem.torsional_friction
-        positions, wrench = number(problem.positions), number(problem.wrench)
+        positions = number(problem.positions)
+        wrench = number(problem.wrench)
         centre = positions[touching].sum(axis=0) / int(touching.sum())
         arms = positions - centre
         length = np.sqrt((arms[touching] ** 2).sum(axis=0).sum() / int(touching.sum()))
-        columns = (number(problem.frames) if frames is None else frames).transpose(0, 2, 1)  # one column a row
+        # one column a row
+        columns = (number(problem.frames) if frames is None else frames).transpose(0, 2, 1)
         matrix = np.concatenate([columns, np.cross(arms[:, None] / length, columns)], axis=2)
         if k == 4:
             turning = np.concatenate([0 * columns[:, :1], columns[:, :1] / length], axis=2)
             matrix = np.concatenate([matrix, turning], axis=1)
         return cls(
-            problem, matrix.transpose(2, 0, 1) * touching[:, None],
+            problem,
+            matrix.transpose(2, 0, 1) * touching[:, None],
             np.concatenate([wrench[:3], (wrench[3:] - np.cross(centre, wrench[:3])) / length]),
-            number(problem.friction), number(spin), number(problem.limit_matrix.reshape(-1, n, k)), number(problem.limit_bound),
-            number(problem.limit_size), touching, centre, length, number(BARRIER_WEIGHT)[()],
-        )  # fmt: skip
+            number(problem.friction),
+            number(spin),
+            number(problem.limit_matrix.reshape(-1, n, k)),
+            number(problem.limit_bound),
+            number(problem.limit_size),
+            touching,
+            centre,
+            length,
+            number(BARRIER_WEIGHT)[()],
+        )
 
     def twist(self, nu: Numbers) -> Numbers:
         """Multipliers nu (6,) about the origin as those about the centre [N per N]."""
@@ -122,11 +143,14 @@ class Measure:
         return 3 * self.friction if name == "phi" else 1 + 0 * self.friction
 
     def objective(self, name: str, force: Numbers) -> Any:
-        """Return the objective at a force (N k,) [N]; `phi` is +inf unless the force is strictly inside every cone."""
+        """Return the objective at a force (N k,) [N]; `phi` is +inf unless the force is strictly
+        inside every cone.
+        """
         f = force.reshape(len(self.friction), -1)[self.touching]
         if name == "sum":
             return f[:, 0].sum()
-        u, s = self.friction[self.touching] * f[:, 0], np.sqrt(f[:, 1] ** 2 + f[:, 2] ** 2)
+        u = self.friction[self.touching] * f[:, 0]
+        s = np.sqrt(f[:, 1] ** 2 + f[:, 2] ** 2)
         if not ((u > 0) & (u > s)).all():
             return np.inf
         return (3 * u + self.weight * (1 / u + 2 * u / ((u - s) * (u + s)))).sum()
@@ -140,7 +164,9 @@ class Measure:
         return (self.rows.reshape(len(self.bound), len(force)) * force).sum(axis=1) - self.bound
 
     def inside(self, force: Numbers) -> Numbers:
-        """Return the force with normal forces raised into the cones, and without components that a contact cannot transmit."""
+        """Return the force with normal forces raised into the cones, and without components that a
+        contact cannot transmit.
+        """
         f = force.reshape(len(self.friction), -1) * self.touching[:, None]
         s = np.sqrt(f[:, 1] ** 2 + f[:, 2] ** 2)
         f[:, 0] = np.maximum(f[:, 0], s / self.friction)
@@ -150,17 +176,25 @@ class Measure:
         return f.reshape(-1)
 
     def upper(self, name: str, force: Numbers, multipliers: Numbers) -> Any:
-        """Return an upper bound of the optimum from a force that may violate balance, cones and limits a little.
+        """Return an upper bound of the optimum from a force that may violate balance, cones and
+        limits a little.
 
-        Normal forces are raised into the cones first. Then the residuals of balance and limits are added at the prices of the multipliers,
-        each component with its absolute value. By convexity this is a bound if the multipliers are optimal.
+        Normal forces are raised into the cones first. Then the residuals of balance and limits are
+        added at the prices of the multipliers, each component with its absolute value. By convexity
+        this is a bound if the multipliers are optimal.
         """
         f = self.inside(force) if name == "sum" else force
         cost = np.abs(self.twist(multipliers[:6])) @ np.abs(self.missed(f))
-        return self.objective(name, f) + cost + (np.abs(multipliers[6:]) * np.maximum(self.over(f), 0)).sum()
+        return (
+            self.objective(name, f)
+            + cost
+            + (np.abs(multipliers[6:]) * np.maximum(self.over(f), 0)).sum()
+        )
 
     def pull(self, twist: Numbers, prices: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-        """G^T v - B^T p of each contact: along the normal, tangential, and the least price of a newton that outweighs both, (N,) each."""
+        """G^T v - B^T p of each contact: along the normal, tangential, and the least price of a
+        newton that outweighs both, (N,) each.
+        """
         g = np.einsum("rnk,r->nk", self.matrix, twist) - np.einsum("lnk,l->nk", self.rows, prices)
         sideways = np.sqrt(g[:, 1] ** 2 + g[:, 2] ** 2)
         spin = self.spin * np.abs(g[:, 3]) if g.shape[1] == 4 else 0 * sideways
@@ -169,74 +203,101 @@ class Measure:
     def lower(self, name: str, multipliers: Numbers) -> Any:
         """Return a lower bound of the optimum from any multipliers (6 + L,).
 
-        It is the least of the Lagrangian over the cones. With a = price - G^T nu + B^T p, the Lagrangian is a . f - nu . w - p . b and the
-        barrier of `phi`. It has a least value where a_n >= friction hypot(a_o, a_t) + torsional_friction abs(a_tau) at every contact: the
-        multipliers are multiplied by the largest theta <= 1 for which that holds. The price of a newton of normal force is 1, or
-        3 friction for `phi`, whose barrier adds its own least value (`least`).
+        It is the least of the Lagrangian over the cones. With a = price - G^T nu + B^T p, the
+        Lagrangian is a . f - nu . w - p . b and the barrier of `phi`. It has a least value where
+        a_n >= friction hypot(a_o, a_t) + torsional_friction abs(a_tau) at every contact: the
+        multipliers are multiplied by the largest theta <= 1 for which that holds. The price of a
+        newton of normal force is 1, or 3 friction for `phi`, whose barrier adds its own least value
+        (`least`).
         """
-        twist, prices, cost = self.twist(multipliers[:6]), np.maximum(multipliers[6:], 0), self.price(name)
+        twist = self.twist(multipliers[:6])
+        prices = np.maximum(multipliers[6:], 0)
+        cost = self.price(name)
         along, sideways, need = self.pull(twist, prices)
         most = (need / cost)[self.touching].max()
         theta = 1 / most if most > 1 else most * 0 + 1
         bound = -(theta * (twist @ self.load + (prices * self.bound).sum()))
         if name == "phi":
             mu = self.friction
-            low, high = (cost - theta * need) / mu, (cost - theta * along) / mu + theta * sideways
-            bound += least(np.maximum(low, 0)[self.touching], high[self.touching], self.weight)[0].sum()
+            low = (cost - theta * need) / mu
+            high = (cost - theta * along) / mu + theta * sideways
+            bound += least(np.maximum(low, 0)[self.touching], high[self.touching], self.weight)[
+                0
+            ].sum()
         return bound
 
     def balance(self, force: Array) -> float:
-        """Return the relative residual of balance of a force (N k,): the largest |component| of G f + w over that of the wrench.
+        """Return the relative residual of balance of a force (N k,): the largest |component| of G f
+        + w over that of the wrench.
 
-        Without a wrench it is relative to the largest |component| of the force, torsion divided by the length.
+        Without a wrench it is relative to the largest |component| of the force, torsion divided by
+        the length.
         """
         size = np.abs(self.load).max() or np.abs(self._in_newtons(force)).max()
         return _part(np.abs(self.missed(force)).max(), size)
 
     def violation(self, force: Array) -> float:
-        """Return the distance of a force (N k,) from the cones, relative to the largest |normal force|; 0 inside.
+        """Return the distance of a force (N k,) from the cones, relative to the largest |normal
+        force|; 0 inside.
 
-        It is the largest of hypot(o, t) - friction * normal, -normal, and abs(torsion) / torsional_friction - normal over contacts that touch,
-        and of |components| of the others. Torsion that a contact cannot transmit is divided by the length.
+        It is the largest of hypot(o, t) - friction * normal, -normal, and abs(torsion) /
+        torsional_friction - normal over contacts that touch, and of |components| of the others.
+        Torsion that a contact cannot transmit is divided by the length.
         """
         f = self._in_newtons(force)
         normal = f[:, 0]
         outside = np.maximum(np.hypot(f[:, 1], f[:, 2]) - self.friction * normal, -normal)
         if f.shape[1] == 4:
-            spins, torsion = self.spin > 0.0, np.abs(f[:, 3])
+            spins = self.spin > 0.0
+            torsion = np.abs(f[:, 3])
             lever = np.where(spins, self.spin, 1.0) / self.length
             outside = np.maximum(outside, np.where(spins, torsion / lever - normal, torsion))
         outside = np.where(self.touching, outside, np.abs(f).max(axis=1))
         return _part(max(outside.max(), 0.0), np.abs(normal).max())
 
     def excess(self, force: Array) -> float:
-        """Return the largest excess of a limit by a force (N k,), as a part of that limit; 0 within all."""
+        """Return the largest excess of a limit by a force (N k,), as a part of that limit; 0 within
+        all.
+        """
         return float((self.over(force) / self.size).max(initial=0.0))
 
     def witness(self, multipliers: Array) -> float:
-        """Return the margin by which multipliers (v, p) prove that no force exists; <= 0 without proof, at most 1.
+        """Return the margin by which multipliers (v, p) prove that no force exists; <= 0 without
+        proof, at most 1.
 
-        Where G^T v + B^T p is in the dual cone of every contact, a force would give 0 <= f . (G^T v + B^T p) <= p . b - v . w. The result is
-        v . w - p . b over |v| |w| + p . |b|, with moments in the units of this module, so it does not depend on the scale of
-        (v, p). If a contact is outside its dual cone, `ROUNDING` included, its normal force could gain that distance. It is subtracted,
-        times the largest normal force: that contact's limit, or `REACH` times the wrench (or the largest least normal force, if that is
-        larger) for all contacts without a limit together. So the proof is complete where every contact has a limit or lies inside its dual
-        cone, and else holds up to that total of normal forces.
+        Where G^T v + B^T p is in the dual cone of every contact, a force would give 0 <= f . (G^T v
+        + B^T p) <= p . b - v . w. The result is v . w - p . b over |v| |w| + p . |b|, with moments
+        in the units of this module, so it does not depend on the scale of (v, p). If a contact is
+        outside its dual cone, `ROUNDING` included, its normal force could gain that distance. It is
+        subtracted, times the largest normal force: that contact's limit, or `REACH` times the
+        wrench (or the largest least normal force, if that is larger) for all contacts without a
+        limit together. So the proof is complete where every contact has a limit or lies inside its
+        dual cone, and else holds up to that total of normal forces.
         """
         if not np.isfinite(multipliers).all():
             return -np.inf
-        twist, prices = self.twist(multipliers[:6]), np.maximum(multipliers[6:], 0.0)
-        length, load = float(np.linalg.norm(twist)), float(np.linalg.norm(self.load))
+        twist = self.twist(multipliers[:6])
+        prices = np.maximum(multipliers[6:], 0.0)
+        length = float(np.linalg.norm(twist))
+        load = float(np.linalg.norm(self.load))
         sizes = (1.0 + self.friction + self.spin / self.length) * (
             length + np.einsum("lnk,l->n", np.abs(self.rows), prices)
         )
         gained = np.maximum(self.pull(-twist, prices)[2] + ROUNDING * sizes, 0.0) * self.touching
-        least, most = self.problem.min_normal, self.problem.max_normal
+        least = self.problem.min_normal
+        most = self.problem.max_normal
         most = np.full(len(gained), np.inf) if most is None else most
-        limited, largest = np.isfinite(most), load if least is None else max(load, least.max())
-        repair = gained[limited] @ most[limited] + REACH * largest * gained[~limited].max(initial=0.0)
+        limited = np.isfinite(most)
+        largest = load if least is None else max(load, least.max())
+        repair = gained[limited] @ most[limited] + REACH * largest * gained[~limited].max(
+            initial=0.0
+        )
         size = length * load + prices @ np.abs(self.bound)
-        return float((twist @ self.load - prices @ self.bound - repair) / size) - ROUNDING if size > 0.0 else 0.0
+        return (
+            float((twist @ self.load - prices @ self.bound - repair) / size) - ROUNDING
+            if size > 0.0
+            else 0.0
+        )
 
     def _in_newtons(self, force: Array) -> Array:
         """The force (N, k) with torsion divided by the length."""

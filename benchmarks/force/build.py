@@ -15,7 +15,9 @@ BUILD = Path(__file__).parents[2] / "build/force"
 
 
 def compiler(variable: str, *names: str) -> str:
-    """The path of a compiler: that of an environment variable, or the first of these; a `RuntimeError` if there is none."""
+    """The path of a compiler: that of an environment variable, or the first of these; a
+    `RuntimeError` if there is none.
+    """
     each = (os.environ.get(variable), *names)
     found = next((found for name in each if name and (found := shutil.which(name))), None)
     if found is None:
@@ -24,10 +26,18 @@ def compiler(variable: str, *names: str) -> str:
 
 
 def library(
-    name: str, sources: Sequence[Path], flags: Sequence[str], depends: Sequence[Path] = (), cpp: bool = False
+    name: str,
+    sources: Sequence[Path],
+    flags: Sequence[str],
+    depends: Sequence[Path] = (),
+    cpp: bool = False,
 ) -> Path:
-    """Return a shared library of sources in `BUILD`, compiled if it does not exist, or raise a `RuntimeError`."""
-    command = compiler("CXX", "g++", "clang++", "c++") if cpp else compiler("CC", "gcc", "clang", "cc")
+    """Return a shared library of sources in `BUILD`, compiled if it does not exist, or raise a
+    `RuntimeError`.
+    """
+    command = (
+        compiler("CXX", "g++", "clang++", "c++") if cpp else compiler("CC", "gcc", "clang", "cc")
+    )
     texts = (command, *flags, *(path.read_text(encoding="utf-8") for path in (*sources, *depends)))
     words = [command, *flags, "-fPIC", "-shared", *map(str, sources), "-o"]
     return made(name, "\0".join(texts).encode(), lambda part: execute([*words, str(part)]))

@@ -1,4 +1,6 @@
-"""Validation of stored references: bounds and witnesses are computed anew from the problems, forces and multipliers."""
+"""Validation of stored references: bounds and witnesses are computed anew from the problems, forces
+and multipliers.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +14,11 @@ from benchmarks.force.problems import Problem, Reference, Session, Track
 from benchmarks.force.references import DIGITS, GAP, exact_measure, numbers
 
 AGREEMENT = 1e-8
-"""Largest relative distance of the optimum from the objective of the force, and from the optimum by another solver."""
+"""Largest relative distance of the optimum from the objective of the force, and from the optimum by
+another solver."""
 ROUNDING = 1e-11
-"""Relative change of a bound that is computed anew: sums in another order round differently, and large internal forces amplify it."""
+"""Relative change of a bound that is computed anew: sums in another order round differently, and
+large internal forces amplify it."""
 
 
 def check(track: Track) -> list[str]:
@@ -38,7 +42,9 @@ def _complaints(session: Session, objectives: Sequence[str]) -> Iterator[str]:
             yield f"{name}: {len(reference.value)} references of {len(problems)} problems"
             continue
         for m, problem in enumerate(problems):
-            yield from (f"problem {m}, {name}: {wrong}" for wrong in _wrong(problem, name, reference, m))
+            yield from (
+                f"problem {m}, {name}: {wrong}" for wrong in _wrong(problem, name, reference, m)
+            )
 
 
 def _wrong(problem: Problem, name: str, reference: Reference, m: int) -> Iterator[str]:
@@ -68,15 +74,19 @@ def _wrong(problem: Problem, name: str, reference: Reference, m: int) -> Iterato
             yield f"{what} is {abs(distance) / value:.1e} of the optimum, more than {most:g}"
 
 
-def _measured(problem: Problem, name: str, reference: Reference, m: int) -> tuple[float, float, float]:
+def _measured(
+    problem: Problem, name: str, reference: Reference, m: int
+) -> tuple[float, float, float]:
     """Lower bound, upper bound and objective of a reference, in many digits if it has them."""
-    force, multipliers = reference.force[m], reference.multipliers[m]
+    force = reference.force[m]
+    multipliers = reference.multipliers[m]
     with mp.workdps(DIGITS):
         if reference.rest is None or not reference.rest[m].any():
             measure = Measure.of(problem)
         else:
             measure = exact_measure(problem)
             low, rest = np.split(reference.rest[m], [len(force)])
-            force, multipliers = numbers(force) + numbers(low), numbers(multipliers) + numbers(rest)
+            force = numbers(force) + numbers(low)
+            multipliers = numbers(multipliers) + numbers(rest)
         bounds = measure.lower(name, multipliers), measure.upper(name, force, multipliers)
         return float(bounds[0]), float(bounds[1]), float(measure.objective(name, force))

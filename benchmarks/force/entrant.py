@@ -11,7 +11,8 @@ import numpy as np
 from benchmarks.force.problems import Array, Problem
 
 Answer = Any
-"""force (N k,) or (N, k); or (force, multipliers); or (force, multipliers, status), with status one of `STATUSES`."""
+"""force (N k,) or (N, k); or (force, multipliers); or (force, multipliers, status), with status one
+of `STATUSES`."""
 STATUSES = ("solved", "failed", "infeasible")
 """In the order of the C function's return values; any other value is a failure."""
 
@@ -24,7 +25,8 @@ class Task:
         track: its name.
         objective: "sum" or "phi".
         mode: one of `problems.MODES`.
-        first: the first problem: its contacts, friction and limits are those of every problem that has not `moved`.
+        first: the first problem: its contacts, friction and limits are those of every problem that
+            has not `moved`.
     """
 
     track: str
@@ -36,9 +38,11 @@ class Task:
 class Entrant(Protocol):
     """A solver.
 
-    Besides these, an entrant may have `objectives` (both by default), `division` ("closed", the default, "learned" or "open"), `note`
-    (settings, for people), `training_seconds` (of a learned one), `iterations` (of the last solve), `solve_many(problems) -> list of
-    answers`, which is timed besides in mode persistent, and `compiled() -> Compiled`, with which it is called and timed in C.
+    Besides these, an entrant may have `objectives` (both by default), `division` ("closed", the
+    default, "learned" or "open"), `note` (settings, for people), `training_seconds` (of a learned
+    one), `iterations` (of the last solve), `solve_many(problems) -> list of answers`, which is
+    timed besides in mode persistent, and `compiled() -> Compiled`, with which it is called and
+    timed in C.
     """
 
     name: str
@@ -47,7 +51,8 @@ class Entrant(Protocol):
         """Prepare for a session.
 
         Raises:
-            NotImplementedError: the entrant does not support such problems; the message gives the reason.
+            NotImplementedError: the entrant does not support such problems; the message gives the
+                reason.
             ImportError, RuntimeError: the entrant cannot run on this machine.
         """
 
@@ -64,9 +69,21 @@ class CProblem(ctypes.Structure):
     """`force_problem` of force.h."""
 
     _pointers = (
-        "positions", "frames", "normals", "friction", "torsional_friction", "min_normal", "max_normal", "jacobian", "torque_limit",
-        "torque_bias", "wrench", "matrix", "limit_matrix", "limit_bound",
-    )  # fmt: skip
+        "positions",
+        "frames",
+        "normals",
+        "friction",
+        "torsional_friction",
+        "min_normal",
+        "max_normal",
+        "jacobian",
+        "torque_limit",
+        "torque_bias",
+        "wrench",
+        "matrix",
+        "limit_matrix",
+        "limit_bound",
+    )
     _fields_ = (
         *((name, ctypes.c_int) for name in ("contacts", "width", "joints", "limits", "moved")),
         ("touching", ctypes.c_ulonglong),
@@ -78,9 +95,13 @@ class CProblem(ctypes.Structure):
         """Return a view of a problem, which must outlive the view."""
         touching = np.ones(problem.n_contacts) if problem.touching is None else problem.touching
         made = cls(
-            problem.n_contacts, problem.width, 0 if problem.torque_limit is None else len(problem.torque_limit),
-            len(problem.limit_bound), problem.moved, sum(1 << i for i in np.flatnonzero(touching).tolist()),
-        )  # fmt: skip
+            problem.n_contacts,
+            problem.width,
+            0 if problem.torque_limit is None else len(problem.torque_limit),
+            len(problem.limit_bound),
+            problem.moved,
+            sum(1 << i for i in np.flatnonzero(touching).tolist()),
+        )
         for name in cls._pointers:
             array = getattr(problem, name)
             setattr(made, name, None if array is None or not array.size else array.ctypes.data)
@@ -107,7 +128,9 @@ class Compiled:
 
 
 class Library:
-    """`FILE.so:FUNCTION` as an entrant: FUNCTION, and FUNCTION_setup and FUNCTION_close where they exist."""
+    """`FILE.so:FUNCTION` as an entrant: FUNCTION, and FUNCTION_setup and FUNCTION_close where they
+    exist.
+    """
 
     note = "a shared library, timed in C"
 
@@ -121,7 +144,9 @@ class Library:
         """Find the functions in a library."""
         self._library = ctypes.CDLL(path)
         self._solve = self._address(function)
-        self._setup, self._close = (self._address(f"{function}_{which}", missing=0) for which in ("setup", "close"))
+        self._setup, self._close = (
+            self._address(f"{function}_{which}", missing=0) for which in ("setup", "close")
+        )
 
     def setup(self, task: Task) -> None:
         """Call FUNCTION_setup; null means that the problems are not supported."""
@@ -142,10 +167,12 @@ class Library:
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         """One call from Python."""
-        force, steps = np.zeros(problem.matrix.shape[1]), ctypes.c_int()
+        force = np.zeros(problem.matrix.shape[1])
+        steps = ctypes.c_int()
         multipliers = np.zeros(6 + len(problem.limit_bound))
         call = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 6)(self._solve)
-        given, view = None if start is None else start.ctypes.data, CProblem.of(problem)
+        given = None if start is None else start.ctypes.data
+        view = CProblem.of(problem)
         written = force.ctypes.data, multipliers.ctypes.data, ctypes.addressof(steps)
         status = call(self._context, ctypes.addressof(view), given, *written)
         self.iterations = steps.value

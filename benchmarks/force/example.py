@@ -7,7 +7,8 @@ from scipy.optimize import minimize
 class Mine:
     """`python -m benchmarks.force run --solver benchmarks/force/example.py:Mine`."""
 
-    name, objectives = "mine", ("sum",)
+    name = "mine"
+    objectives = ("sum",)
 
     def setup(self, task):
         """Prepare a session: check that the problems are supported."""
@@ -17,22 +18,34 @@ class Mine:
 
     def solve(self, problem, start=None):
         """The force (3N,) along normal, o and t of each contact."""
-        matrix, friction, each = problem.matrix, problem.friction, np.arange(problem.n_contacts)
+        matrix = problem.matrix
+        friction = problem.friction
+        each = np.arange(problem.n_contacts)
 
         def cones(f):
             return friction * f[::3] - np.sqrt(f[1::3] ** 2 + f[2::3] ** 2 + 1e-16)
 
         def cones_jacobian(f):
-            made, size = np.zeros((len(each), len(each), 3)), np.sqrt(f[1::3] ** 2 + f[2::3] ** 2 + 1e-16)
+            made = np.zeros((len(each), len(each), 3))
+            size = np.sqrt(f[1::3] ** 2 + f[2::3] ** 2 + 1e-16)
             made[each, each] = np.stack([friction, -f[1::3] / size, -f[2::3] / size], axis=1)
             return made.reshape(len(each), -1)
 
         f = -np.linalg.pinv(matrix) @ problem.wrench if start is None else np.array(start)
         f[::3] = np.maximum(f[::3], 1.1 * np.hypot(f[1::3], f[2::3]) / friction)
-        balance = {"type": "eq", "fun": lambda f: matrix @ f + problem.wrench, "jac": lambda f: matrix}
+        balance = {
+            "type": "eq",
+            "fun": lambda f: matrix @ f + problem.wrench,
+            "jac": lambda f: matrix,
+        }
         inside = {"type": "ineq", "fun": cones, "jac": cones_jacobian}
         found = minimize(
-            lambda f: (self.cost @ f, self.cost), f, jac=True, method="SLSQP", constraints=[balance, inside], options={"ftol": 1e-8, "maxiter": 300}
-        )  # fmt: skip
+            lambda f: (self.cost @ f, self.cost),
+            f,
+            jac=True,
+            method="SLSQP",
+            constraints=[balance, inside],
+            options={"ftol": 1e-8, "maxiter": 300},
+        )
         self.iterations = found.nit
         return found.x, None, "solved" if found.success else "failed"

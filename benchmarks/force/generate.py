@@ -1,6 +1,9 @@
-"""The tracks, each generated from a seed. A new track is a function of a random generator and an entry of `TRACKS`.
+"""The tracks, each generated from a seed.
 
-Numbers are drawn, then rounded to `DIGITS` significant digits, so that a seed gives the same bytes with other libraries and machines.
+A new track is a function of a random generator and an entry of `TRACKS`.
+
+Numbers are drawn, then rounded to `DIGITS` significant digits, so that a seed gives the same bytes
+with other libraries and machines.
 """
 
 from __future__ import annotations
@@ -30,13 +33,15 @@ LOAD = (2.0, 0.05)
 TICK = 0.002
 """Time between the problems of a path [s]."""
 CLEAR = 1e-3
-"""Least margin (`feasibility`) of a feasible problem, and of an infeasible one with the opposite sign."""
+"""Least margin (`feasibility`) of a feasible problem, and of an infeasible one with the opposite
+sign."""
 Arrays = dict[str, Any]
 Made = Iterator[tuple[str, Arrays]]
 
 
 def contacts(positions: Array, normals: Array, friction: Array | float) -> Arrays:
-    """The arrays of contacts (..., N, 3): o is the projection of e_x on the tangent plane, of e_y where abs(n_x) > 0.9.
+    """The arrays of contacts (..., N, 3): o is the projection of e_x on the tangent plane, of e_y
+    where abs(n_x) > 0.9.
 
     It is the rule of `grasp_env.grasp.contact_frames`, in sums whose order no processor changes.
     """
@@ -48,12 +53,18 @@ def contacts(positions: Array, normals: Array, friction: Array | float) -> Array
     o = o / np.sqrt(o[..., :1] * o[..., :1] + o[..., 1:2] * o[..., 1:2] + o[..., 2:] * o[..., 2:])
     t = n[..., [1, 2, 0]] * o[..., [2, 0, 1]] - n[..., [2, 0, 1]] * o[..., [1, 2, 0]]
     frames = np.stack([n, o, t], axis=-1)
-    return {"positions": short(positions), "frames": frames, "friction": short(np.broadcast_to(friction, n.shape[:-1]))}
+    return {
+        "positions": short(positions),
+        "frames": frames,
+        "friction": short(np.broadcast_to(friction, n.shape[:-1])),
+    }
 
 
 def arrays_of(grasp: Grasp) -> Arrays:
     """The arrays of one grasp."""
-    return fixed(contacts(np.array(grasp.positions), np.array(grasp.normals), np.array(grasp.friction)))
+    return fixed(
+        contacts(np.array(grasp.positions), np.array(grasp.normals), np.array(grasp.friction))
+    )
 
 
 def fixed(arrays: Arrays) -> Arrays:
@@ -71,14 +82,17 @@ def ball(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
     parts = rng.standard_normal((count, 2, 3))
     parts /= np.sqrt((parts**2).sum(axis=2, keepdims=True))
     return short(
-        (parts * rng.random((count, 2, 1)) ** (1.0 / 3.0) * size * np.array(LOAD)[None, :, None]).reshape(count, 6)
+        (
+            parts * rng.random((count, 2, 1)) ** (1.0 / 3.0) * size * np.array(LOAD)[None, :, None]
+        ).reshape(count, 6)
     )
 
 
 def wave(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
     """(count, 6) wrenches along a smooth path: four sines of 0.3 to 3 Hz in every component."""
     time = TICK * np.arange(count)[:, None, None]
-    rate, phase = rng.uniform(0.3, 3.0, (6, 4)), rng.uniform(0.0, 2.0 * np.pi, (6, 4))
+    rate = rng.uniform(0.3, 3.0, (6, 4))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (6, 4))
     sines = np.sin(2.0 * np.pi * rate * time + phase) * rng.standard_normal((6, 4))
     return short(0.35 * size * sines.sum(axis=2) * np.repeat(LOAD, 3))
 
@@ -87,7 +101,10 @@ def cold(rng: np.random.Generator) -> Made:
     """Seven grasps of each size, in turn."""
     for n, preset in PRESETS.items():
         grasps = [arrays_of(preset()), *(arrays_of(GRASPS.closed(rng, n)) for _ in range(6))]
-        yield f"{n}", moving([grasps[k % len(grasps)] for k in range(70)]) | {"wrench": ball(rng, 70)}
+        yield (
+            f"{n}",
+            moving([grasps[k % len(grasps)] for k in range(70)]) | {"wrench": ball(rng, 70)},
+        )
 
 
 def smooth(rng: np.random.Generator) -> Made:
@@ -99,7 +116,9 @@ def smooth(rng: np.random.Generator) -> Made:
 def jumps(rng: np.random.Generator) -> Made:
     """Known grasps whose wrench jumps towards another one."""
     for n, preset in PRESETS.items():
-        path, aims, shares = [ball(rng, 1)[0]], ball(rng, 99), rng.choice([0.1, 0.5, 1.0], 99)
+        path = [ball(rng, 1)[0]]
+        aims = ball(rng, 99)
+        shares = rng.choice([0.1, 0.5, 1.0], 99)
         for aim, share in zip(aims, shares, strict=True):
             path.append(path[-1] + share * (aim - path[-1]))
         yield f"{n}", arrays_of(preset()) | {"wrench": short(path)}
@@ -108,12 +127,16 @@ def jumps(rng: np.random.Generator) -> Made:
 def roll(rng: np.random.Generator) -> Made:
     """Contacts that move by up to 5 mm, over a surface of 30 mm radius."""
     for n in PRESETS:
-        grasp, count = GRASPS.closed(rng, n), 100
+        grasp = GRASPS.closed(rng, n)
+        count = 100
         time = TICK * np.arange(count)[:, None, None]
-        rate, phase = rng.uniform(0.5, 3.0, (n, 2)), rng.uniform(0.0, 2.0 * np.pi, (n, 2))
+        rate = rng.uniform(0.5, 3.0, (n, 2))
+        phase = rng.uniform(0.0, 2.0 * np.pi, (n, 2))
         moved = 0.0035 * np.sin(2.0 * np.pi * rate * time + phase)  # (count, N, 2) along o and t
         steps = np.einsum("nak,mnk->mna", grasp.frames[:, :, 1:], moved)
-        moving_contacts = contacts(grasp.positions + steps, grasp.normals - steps / 0.03, grasp.friction)
+        moving_contacts = contacts(
+            grasp.positions + steps, grasp.normals - steps / 0.03, grasp.friction
+        )
         yield f"{n}", moving_contacts | {"wrench": wave(rng, count)}
 
 
@@ -132,24 +155,35 @@ def lost(rng: np.random.Generator) -> Made:
 def random(rng: np.random.Generator) -> Made:
     """A new grasp for every problem."""
     for n in range(3, 17):
-        yield f"{n}", moving([arrays_of(GRASPS.closed(rng, n)) for _ in range(25)]) | {"wrench": ball(rng, 25)}
+        yield (
+            f"{n}",
+            moving([arrays_of(GRASPS.closed(rng, n)) for _ in range(25)])
+            | {"wrench": ball(rng, 25)},
+        )
 
 
 def hands(rng: np.random.Generator) -> Made:
     """A hand's contacts with the object's weight and a random wrench."""
     for name, hand in recorded():
-        yield name, arrays_of(grasp_of_hand(hand)) | {"wrench": short(weight(hand) + ball(rng, 15, 0.5))}
+        yield (
+            name,
+            arrays_of(grasp_of_hand(hand)) | {"wrench": short(weight(hand) + ball(rng, 15, 0.5))},
+        )
 
 
 def own(rng: np.random.Generator) -> Made:
-    """Loads of 0.3 to 0.95 of the largest that the motors carry in their direction: limits bind at many."""
+    """Loads of 0.3 to 0.95 of the largest that the motors carry in their direction: limits bind at
+    many.
+    """
     for name, hand in recorded():
         if not shares_joints(hand["jacobian"]):
             yield name, _limited(rng, hand, 20)
 
 
 def shared(rng: np.random.Generator) -> Made:
-    """One motor for each pair of joints of the two last fingers, where a hand has none that fingers share."""
+    """One motor for each pair of joints of the two last fingers, where a hand has none that fingers
+    share.
+    """
     for name, hand in recorded():
         yield name, _limited(rng, hand if shares_joints(hand["jacobian"]) else coupled(hand), 15)
 
@@ -159,18 +193,26 @@ def soft(rng: np.random.Generator) -> Made:
     for n in (2, 2, 2, 2, 3, 3):
         angles = np.arange(n) * 2.0 * np.pi / n + rng.uniform(-0.15, 0.15, n)
         outward = np.stack([np.cos(angles), np.sin(angles), rng.uniform(-0.15, 0.15, n)], axis=1)
-        half, gamma = rng.uniform(0.02, 0.04), short(rng.uniform(0.002, 0.008, n))
-        arrays = fixed(contacts(half * outward, -outward, rng.uniform(0.4, 0.9)) | {"torsional_friction": gamma})
+        half = rng.uniform(0.02, 0.04)
+        gamma = short(rng.uniform(0.002, 0.008, n))
+        arrays = fixed(
+            contacts(half * outward, -outward, rng.uniform(0.4, 0.9))
+            | {"torsional_friction": gamma}
+        )
         loads = [w for w in ball(rng, 200, 0.5) if _depth(arrays, w) > CLEAR]
         yield f"{n}, {1000 * half:.0f} mm, {len(loads)}", arrays | {"wrench": np.array(loads[:30])}
 
 
 def infeasible(rng: np.random.Generator) -> Made:
-    """Contacts without force closure, motors that are too weak, and soft pinches that may not be squeezed enough."""
+    """Contacts without force closure, motors that are too weak, and soft pinches that may not be
+    squeezed enough.
+    """
     for n in (3, 4, 5):
-        each, loads = [], []
+        each = []
+        loads = []
         while len(each) < 25:
-            grasp, load = GRASPS.draw(rng, n), ball(rng, 1)[0]
+            grasp = GRASPS.draw(rng, n)
+            load = ball(rng, 1)[0]
             if feasibility(grasp, load).margin < -CLEAR:
                 each.append(arrays_of(grasp))
                 loads.append(load)
@@ -188,13 +230,18 @@ def infeasible(rng: np.random.Generator) -> Made:
 
 
 def hard(rng: np.random.Generator) -> Made:
-    """Clustered contacts, grasps next to losing closure, objects and loads of all sizes, little friction."""
+    """Clustered contacts, grasps next to losing closure, objects and loads of all sizes, little
+    friction.
+    """
     for n in (3, 4, 5, 6):
-        powers, loads = (2, 2, 3, 3, 4, 4), ball(rng, 24)
+        powers = (2, 2, 3, 3, 4, 4)
+        loads = ball(rng, 24)
         each = [_clustered(rng, n, 10.0 ** (-power - 2)) for power in powers]
         each += [_next_to_losing_closure(rng, n, 10.0**-power) for power in powers]
         for k in range(12, 18):
-            length, size, grasp = 10.0 ** rng.uniform(-2.0, 2.0), 10.0 ** rng.uniform(-5.0, 5.0), GRASPS.closed(rng, n)
+            length = 10.0 ** rng.uniform(-2.0, 2.0)
+            size = 10.0 ** rng.uniform(-5.0, 5.0)
+            grasp = GRASPS.closed(rng, n)
             each.append(fixed(contacts(length * grasp.positions, grasp.normals, grasp.friction)))
             loads[k] *= size * np.repeat([1.0, length], 3)
         each += [_slippery(rng, n, 0.05) for _ in range(6)]
@@ -223,21 +270,36 @@ class Recipes:
 PATH = ("persistent", "warm")
 TRACKS = {
     "cold": Recipes(cold, "the solver is set up for every problem; 3 to 5 contacts", ("cold",)),
-    "smooth": Recipes(smooth, "the wrench follows a smooth path at 500 Hz; the contacts are fixed", PATH),
+    "smooth": Recipes(
+        smooth, "the wrench follows a smooth path at 500 Hz; the contacts are fixed", PATH
+    ),
     "jumps": Recipes(jumps, "the wrench jumps by 10, 50 or 100 % of the way to another one", PATH),
     "roll": Recipes(roll, "contacts roll by up to 5 mm while the wrench follows a path", PATH),
     "lost": Recipes(lost, "a contact is lost for ten problems, and regained", PATH),
     "random": Recipes(random, "other contacts in every problem, 3 to 16 of them"),
     "hands": Recipes(hands, "contacts of seven real hands that hold an object"),
-    "own": Recipes(own, "real hands within their torque limits; each joint moves one finger", objectives=("sum",)),
-    "shared": Recipes(shared, "real hands within their torque limits; some joints move two fingers", objectives=("sum",)),
-    "soft": Recipes(soft, "pinches by two or three soft fingertips", objectives=("sum",)),
-    "infeasible": Recipes(infeasible, "no force exists, and the answer is a proof", objectives=("sum",)),
-    "hard": Recipes(
-        hard, "contacts 1e-4 to 1e-6 m apart, closure lost by 1e-2 to 1e-4 less friction, friction from 0.05, all sizes", digits="exact"
+    "own": Recipes(
+        own,
+        "real hands within their torque limits; each joint moves one finger",
+        objectives=("sum",),
     ),
-}  # fmt: skip
-"""Tracks in the order of the reports; a track's place is part of its seed, so new ones go to the end."""
+    "shared": Recipes(
+        shared,
+        "real hands within their torque limits; some joints move two fingers",
+        objectives=("sum",),
+    ),
+    "soft": Recipes(soft, "pinches by two or three soft fingertips", objectives=("sum",)),
+    "infeasible": Recipes(
+        infeasible, "no force exists, and the answer is a proof", objectives=("sum",)
+    ),
+    "hard": Recipes(
+        hard,
+        "contacts 1e-4 to 1e-6 m apart, closure lost by 1e-2 to 1e-4 less friction, friction from 0.05, all sizes",
+        digits="exact",
+    ),
+}
+"""Tracks in the order of the reports; a track's place is part of its seed, so new ones go to the
+end."""
 
 
 def generate(name: str, seed: int) -> Track:
@@ -250,18 +312,27 @@ def generate(name: str, seed: int) -> Track:
         label = f"{label} ({len(sessions) + 1})" if label in sessions else label
         sessions[label] = Session(label, arrays, {})
     about = {
-        "place": place, "seed": seed, "about": recipe.text, "modes": recipe.modes, "objectives": recipe.objectives, "digits": recipe.digits,
+        "place": place,
+        "seed": seed,
+        "about": recipe.text,
+        "modes": recipe.modes,
+        "objectives": recipe.objectives,
+        "digits": recipe.digits,
         "made": f"python -m benchmarks.force generate --seed {seed} {name}",
-    }  # fmt: skip
+    }
     return Track(name, [*sessions.values()], about)
 
 
 def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arrays:
-    """A hand's contacts and torque limits, with loads of 0.3 to 0.95 of the largest in their direction."""
+    """A hand's contacts and torque limits, with loads of 0.3 to 0.95 of the largest in their
+    direction.
+    """
     grasp = grasp_of_hand(hand)
     limits = {name: short(hand[name])[None] for name in ("jacobian", "torque_limit", "torque_bias")}
     arrays = arrays_of(grasp) | limits | {"wrench": ball(rng, count)}
-    return arrays | {"wrench": short(arrays["wrench"] * (_most(arrays) * rng.uniform(0.3, 0.95, count))[:, None])}
+    return arrays | {
+        "wrench": short(arrays["wrench"] * (_most(arrays) * rng.uniform(0.3, 0.95, count))[:, None])
+    }
 
 
 def _most(arrays: Arrays) -> Array:
@@ -270,7 +341,8 @@ def _most(arrays: Arrays) -> Array:
     for wrench in arrays["wrench"]:
         low, high = 0.0, 1.0
         while _depth(arrays, high * wrench) > 0.0 and high < 1e6:
-            low, high = high, 4.0 * high
+            low = high
+            high = 4.0 * high
         while high - low > 0.02 * high:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if _depth(arrays, middle * wrench) > 0.0 else (low, middle)
@@ -289,7 +361,9 @@ def _depth(arrays: Arrays, wrench: Array) -> float:
 def _closes_without(grasp: Grasp, contact: int) -> bool:
     kept = np.arange(grasp.n_contacts) != contact
     try:
-        return GRASPS.closes(Grasp.from_contacts(grasp.positions[kept], grasp.normals[kept], grasp.friction[kept]))
+        return GRASPS.closes(
+            Grasp.from_contacts(grasp.positions[kept], grasp.normals[kept], grasp.friction[kept])
+        )
     except GraspError:
         return False
 
@@ -298,9 +372,11 @@ def _clustered(rng: np.random.Generator, count: int, apart: float) -> Arrays:
     """A grasp that closes with its last contact so far [m] from the first; of three contacts any."""
     while True:
         grasp = GRASPS.closed(rng, count)
-        places, normals = np.array(grasp.positions), np.array(grasp.normals)
+        places = np.array(grasp.positions)
+        normals = np.array(grasp.normals)
         if count > 3:
-            places[-1], normals[-1] = places[0] + apart * grasp.frames[0, :, 1], normals[0]
+            places[-1] = places[0] + apart * grasp.frames[0, :, 1]
+            normals[-1] = normals[0]
         arrays = fixed(contacts(places, normals, grasp.friction))
         if _depth(arrays, np.zeros(6)) > CLEAR:
             return arrays
@@ -322,7 +398,8 @@ def _slippery(rng: np.random.Generator, count: int, friction: float) -> Arrays:
 def _next_to_losing_closure(rng: np.random.Generator, count: int, above: float) -> Arrays:
     """A grasp whose friction is by so much, relatively, above the least with which it closes."""
     while True:
-        grasp, (low, high) = GRASPS.closed(rng, count), (1e-3, 1.0)
+        grasp = GRASPS.closed(rng, count)
+        (low, high) = (1e-3, 1.0)
 
         def closes(friction: float, grasp: Grasp = grasp) -> bool:
             return feasibility(grasp.with_friction(friction), np.zeros(6)).margin > 0.0

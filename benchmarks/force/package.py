@@ -16,13 +16,18 @@ LIMITS = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
 
 
 def grasp_of(problem: Problem) -> tuple[Grasp, ForceLimits | None]:
-    """The contacts of a problem, all of which touch, and its limits. Their frames are those of the files, up to rounding."""
+    """The contacts of a problem, all of which touch, and its limits.
+
+    Their frames are those of the files, up to rounding.
+    """
     soft: dict[str, Any] = {}
     if (gamma := problem.torsional_friction) is not None:
         models = ["soft" if each > 0.0 else "hard" for each in gamma]
         soft = {"contact_model": models, "torsional_friction": np.where(gamma > 0.0, gamma, 1.0)}
     grasp = Grasp.from_contacts(problem.positions, problem.normals, problem.friction, **soft)
-    given: dict[str, np.ndarray] = {name: value for name in LIMITS if (value := getattr(problem, name)) is not None}
+    given: dict[str, np.ndarray] = {
+        name: value for name in LIMITS if (value := getattr(problem, name)) is not None
+    }
     return grasp, ForceLimits(**given) if given else None
 
 

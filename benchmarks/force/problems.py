@@ -1,13 +1,17 @@
 """The problems of the benchmark, and the files that hold them.
 
-Balance a wrench w with the forces of N contacts, f = (normal, o, t[, torsion]) of each in its own frame:
+Balance a wrench w with the forces of N contacts, f = (normal, o, t[, torsion]) of each in its own
+frame:
 
-    G f + w = 0,   hypot(o, t) <= friction * normal,   abs(torsion) <= torsional_friction * normal,   B f <= b
+    G f + w = 0,   hypot(o, t) <= friction * normal,   abs(torsion) <= torsional_friction * normal,
+    B f <= b
 
-Objectives: `sum` is the sum of the normal forces [N]. `phi` is the paper's, sum_i 3 u + lambda (1 / u + 2 u / (u^2 - o^2 - t^2)) with
-u = friction * normal and lambda = `BARRIER_WEIGHT`; it is defined for contacts without torsion and limits.
+Objectives: `sum` is the sum of the normal forces [N]. `phi` is the paper's, sum_i 3 u + lambda (1 /
+u + 2 u / (u^2 - o^2 - t^2)) with u = friction * normal and lambda = `BARRIER_WEIGHT`; it is defined
+for contacts without torsion and limits.
 
-A track is a file NAME.npz with NAME.json beside it. It consists of sessions: problems of one structure in their order.
+A track is a file NAME.npz with NAME.json beside it. It consists of sessions: problems of one
+structure in their order.
 """
 
 from __future__ import annotations
@@ -31,7 +35,8 @@ BARRIER_WEIGHT = 0.01
 """lambda of `phi` [N^2]."""
 OBJECTIVES = ("sum", "phi")
 MODES = ("cold", "persistent", "warm")
-"""cold: `setup` is timed with every solve. persistent: `setup` once for a session, untimed. warm: the same, and `start` is the last force."""
+"""cold: `setup` is timed with every solve. persistent: `setup` once for a session, untimed. warm:
+the same, and `start` is the last force."""
 SETS = Path(__file__).with_name("sets")
 FIELDS = {
     "positions": "(M, N, 3) m, contact points",
@@ -46,7 +51,8 @@ FIELDS = {
     "torque_limit": "(M, J) N m, abs(J^T f + torque_bias) <= torque_limit",
     "torque_bias": "(M, J) N m",
 }
-"""The arrays of a session, M problems of N contacts and J joints; what does not change has a first dimension of 1. The frame is the object's."""
+"""The arrays of a session, M problems of N contacts and J joints; what does not change has a first
+dimension of 1. The frame is the object's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +60,14 @@ class Problem:
     """Problem that a solver receives; arrays are read-only.
 
     Attributes:
-        positions, frames, friction, wrench, touching, torsional_friction, min_normal, max_normal, jacobian, torque_limit, torque_bias:
-            as in `FIELDS` without M; None where a track has none.
+        positions, frames, friction, wrench, touching, torsional_friction, min_normal, max_normal,
+            jacobian, torque_limit, torque_bias: as in `FIELDS` without M; None where a track has
+            none.
         normals: (N, 3) inward unit normals, the first columns of the frames.
-        matrix: G (6, N k), k numbers per contact, moments about the origin; the columns of contacts that do not touch are zero.
-        limit_matrix: B (L, N k): least normal forces > 0, largest normal forces, then each limited joint's upper and lower torque; L may
-            be 0. Rows are zero at contacts that do not touch.
+        matrix: G (6, N k), k numbers per contact, moments about the origin; the columns of contacts
+            that do not touch are zero.
+        limit_matrix: B (L, N k): least normal forces > 0, largest normal forces, then each limited
+            joint's upper and lower torque; L may be 0. Rows are zero at contacts that do not touch.
         limit_bound: b (L,) [N, N m].
         limit_size: (L,) the limit that a row stands for [N, N m].
         moved: something besides the wrench differs from the first problem of the session.
@@ -86,7 +94,9 @@ class Problem:
     def __post_init__(self) -> None:
         self._keep(vars(self))
         rows, bound, size = self._limits()
-        self._keep({"normals": self.frames[:, :, 0], "matrix": self._matrix(), "limit_matrix": rows})
+        self._keep(
+            {"normals": self.frames[:, :, 0], "matrix": self._matrix(), "limit_matrix": rows}
+        )
         self._keep({"limit_bound": bound, "limit_size": size})
 
     def _keep(self, arrays: dict[str, Any]) -> None:
@@ -124,7 +134,9 @@ class Problem:
     def _limits(self) -> tuple[Array, Array, Array]:
         n, k = self.n_contacts, self.width
         touching = np.ones(n, dtype=bool) if self.touching is None else self.touching
-        rows, bound, size = [], [], []
+        rows = []
+        bound = []
+        size = []
         for sign, limits in ((-1.0, self.min_normal), (1.0, self.max_normal)):
             for i, limit in enumerate(() if limits is None else limits):
                 if 0.0 < limit < np.inf:
@@ -134,7 +146,9 @@ class Problem:
                     bound.append(sign * limit if touching[i] or sign > 0.0 else 0.0)
                     size.append(limit)
         if self.jacobian is not None and self.torque_limit is not None:
-            bias = np.zeros(len(self.torque_limit)) if self.torque_bias is None else self.torque_bias
+            bias = (
+                np.zeros(len(self.torque_limit)) if self.torque_bias is None else self.torque_bias
+            )
             levers = np.einsum("nab,naj->nbj", self.frames, self.jacobian[:, :3])
             if k == 4:
                 about = np.einsum("na,naj->nj", self.frames[:, :, 0], self.jacobian[:, 3:])
@@ -145,7 +159,11 @@ class Problem:
                     rows.append(sign * levers[:, :, j])
                     bound.append(limit - sign * bias[j])
                     size.append(limit)
-        return np.array(rows).reshape(-1, n * k), np.array(bound, dtype=float), np.array(size, dtype=float)
+        return (
+            np.array(rows).reshape(-1, n * k),
+            np.array(bound, dtype=float),
+            np.array(size, dtype=float),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,9 +175,10 @@ class Reference:
         lower, upper: (M,) dual and primal bound.
         force: (M, N k) an optimal force; nan where none exists.
         multipliers: (M, 6 + L) those of balance and limits; the witness where no force exists.
-        rest: rounding errors of force and multipliers (M, N k + 6 + L) of references in many digits (zero if doubles sufficed),
-            else None.
-        other: (M,) the optimum by another solver, in the published files: Clarabel's, or in track `hard` one in the six multipliers.
+        rest: rounding errors of force and multipliers (M, N k + 6 + L) of references in many digits
+            (zero if doubles sufficed), else None.
+        other: (M,) the optimum by another solver, in the published files: Clarabel's, or in track
+            `hard` one in the six multipliers.
     """
 
     value: Array
@@ -193,11 +212,19 @@ class Session:
     def made(self) -> list[Problem]:
         """Return copies of the problems."""
         count = len(self.arrays["wrench"])
-        each = {name: np.broadcast_to(array, (count, *array.shape[1:])) for name, array in self.arrays.items()}
+        each = {
+            name: np.broadcast_to(array, (count, *array.shape[1:]))
+            for name, array in self.arrays.items()
+        }
         made = []
         for m in range(count):
-            moved = any(name != "wrench" and not np.array_equal(array[m], array[0]) for name, array in each.items())
-            made.append(Problem(**{name: np.array(array[m]) for name, array in each.items()}, moved=moved))
+            moved = any(
+                name != "wrench" and not np.array_equal(array[m], array[0])
+                for name, array in each.items()
+            )
+            made.append(
+                Problem(**{name: np.array(array[m]) for name, array in each.items()}, moved=moved)
+            )
         return made
 
 
@@ -221,13 +248,20 @@ class Track:
         for session in self.sessions:
             for name in sorted(session.arrays):
                 array = np.ascontiguousarray(session.arrays[name])
-                parts += [f"{session.name}/{name} {array.dtype.str} {array.shape}\n".encode(), array.tobytes()]
+                parts += [
+                    f"{session.name}/{name} {array.dtype.str} {array.shape}\n".encode(),
+                    array.tobytes(),
+                ]
         return digest(*parts)
 
 
 def names(folder: Path = SETS) -> list[str]:
     """The tracks of a folder, in their order."""
-    found = {path.stem: _description(path) for path in folder.glob("*.json") if path.with_suffix(".npz").exists()}
+    found = {
+        path.stem: _description(path)
+        for path in folder.glob("*.json")
+        if path.with_suffix(".npz").exists()
+    }
     if not found:
         raise ValueError(
             f"{folder} holds no track: NAME.npz with NAME.json beside it; make them with `python -m benchmarks.force generate`"
@@ -236,7 +270,9 @@ def names(folder: Path = SETS) -> list[str]:
 
 
 def load(name: str, folder: Path = SETS) -> Track:
-    """A track from its files, or a `ValueError` if there is none, or they are of another version or do not fit their SHA-256."""
+    """A track from its files, or a `ValueError` if there is none, or they are of another version or
+    do not fit their SHA-256.
+    """
     path = folder / f"{name}.npz"
     if not path.is_file():
         raise ValueError(f"no track {name!r} in {folder}: it holds {', '.join(names(folder))}")
@@ -260,10 +296,18 @@ def load(name: str, folder: Path = SETS) -> Track:
                 arrays[where[0]] = array
             else:
                 references.setdefault(where[0], {})[where[1]] = array
-        track = Track(name, [
-            Session(label, arrays, {objective: Reference(**each) for objective, each in references.items()})
-            for label, (arrays, references) in sessions.items()
-        ], about)  # fmt: skip
+        track = Track(
+            name,
+            [
+                Session(
+                    label,
+                    arrays,
+                    {objective: Reference(**each) for objective, each in references.items()},
+                )
+                for label, (arrays, references) in sessions.items()
+            ],
+            about,
+        )
         if track.digest() != about["sha256"]:
             told = f"their SHA-256 is {track.digest()}, expected {about['sha256']}"
             raise ValueError(f"it does not hold the problems of {name}.json: {told}")

@@ -1,7 +1,8 @@
-"""Contacts of real hands that hold objects, recorded after a reset of the environment: the source of the tracks with hands.
+"""Contacts of real hands that hold objects, recorded after a reset of the environment: the source
+of the tracks with hands.
 
-`python -m benchmarks.force record HAND...` writes hands.json again, where HAND is a built-in hand or a file. It needs the
-simulator and the files; the tracks are made from hands.json alone.
+`python -m benchmarks.force record HAND...` writes hands.json again, where HAND is a built-in hand
+or a file. It needs the simulator and the files; the tracks are made from hands.json alone.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ DIGITS = 9
 
 
 def write(hands: Sequence[str]) -> None:
-    """Write contacts, friction, Jacobian, torque limits and gravity torques of each hand around each object, in the object frame."""
+    """Write contacts, friction, Jacobian, torque limits and gravity torques of each hand around
+    each object, in the object frame.
+    """
     import gymnasium as gym
 
     from grasp_env.errors import GraspError
@@ -41,7 +44,12 @@ def write(hands: Sequence[str]) -> None:
             env = gym.make("grasp_env:FourFingerGrasp-v0", hand=hand, disturbance="none", **thing)
             try:
                 env.reset(seed=0)
-                seen = {"hand": Path(name).stem, "shape": shape, "mass": MASS, **_seen(env.unwrapped)}
+                seen = {
+                    "hand": Path(name).stem,
+                    "shape": shape,
+                    "mass": MASS,
+                    **_seen(env.unwrapped),
+                }
                 made.append(json.dumps(seen))
             except GraspError as error:
                 print(f"{name}, {shape}: {error}")
@@ -54,7 +62,10 @@ def write(hands: Sequence[str]) -> None:
 def recorded() -> list[tuple[str, dict[str, Any]]]:
     """Names and fields of all records."""
     return [
-        (f"{each['hand']}, {each['shape']}", {k: np.array(v) if isinstance(v, list) else v for k, v in each.items()})
+        (
+            f"{each['hand']}, {each['shape']}",
+            {k: np.array(v) if isinstance(v, list) else v for k, v in each.items()},
+        )
         for each in json.loads(FILE.read_text(encoding="utf-8"))
     ]
 
@@ -84,26 +95,38 @@ def coupled(hand: dict[str, Any]) -> dict[str, Any]:
     for a, b in pairs:
         joined[b, a] = 1.0
     joined = np.delete(joined, [b for _, b in pairs], axis=1)
-    return hand | {name: hand[name] @ joined for name in ("jacobian", "torque_bias", "torque_limit")}
+    return hand | {
+        name: hand[name] @ joined for name in ("jacobian", "torque_bias", "torque_limit")
+    }
 
 
 def _seen(env: Any) -> dict[str, Any]:
     scene = env.scene
-    seen, kinematics = scene.look(), scene.kinematics
+    seen = scene.look()
+    kinematics = scene.kinematics
     touching = np.flatnonzero(seen.touching)
     to_object = seen.rotation.T
     jacobian = np.zeros((len(touching), 6, len(seen.angles)))
     for k, finger in enumerate(touching.tolist()):
         jacobian[k, :3] = to_object @ kinematics.jacobian(seen.angles, finger, seen.touch[finger])
-    moves = np.abs(jacobian).max(axis=(0, 1)) > 0.0  # coupled joints are in the column of their motor
+    # coupled joints are in the column of their motor
+    moves = np.abs(jacobian).max(axis=(0, 1)) > 0.0
     arrays = {
-        "positions": seen.points[touching], "normals": seen.normals[touching], "jacobian": jacobian[:, :, moves],
-        "torque_limit": kinematics.torque_limits[moves], "torque_bias": seen.gravity_torques[moves], "gravity": to_object @ scene.gravity,
-    }  # fmt: skip
-    return {"friction": FRICTION} | {name: short(array, DIGITS).tolist() for name, array in arrays.items()}
+        "positions": seen.points[touching],
+        "normals": seen.normals[touching],
+        "jacobian": jacobian[:, :, moves],
+        "torque_limit": kinematics.torque_limits[moves],
+        "torque_bias": seen.gravity_torques[moves],
+        "gravity": to_object @ scene.gravity,
+    }
+    return {"friction": FRICTION} | {
+        name: short(array, DIGITS).tolist() for name, array in arrays.items()
+    }
 
 
 def short(values: Any, digits: int) -> Array:
     """Round values to a number of significant digits."""
     array = np.asarray(values, dtype=float)
-    return np.array([float(f"{value:.{digits - 1}e}") for value in array.ravel().tolist()]).reshape(array.shape)
+    return np.array([float(f"{value:.{digits - 1}e}") for value in array.ravel().tolist()]).reshape(
+        array.shape
+    )

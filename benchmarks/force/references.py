@@ -1,16 +1,18 @@
 """References of the tracks, made from the problems: `refer`.
 
-A reference is a force with multipliers that prove it optimal, or a witness that no force exists. `Measure` computes the bounds from
-the problem alone, so the proof holds whoever found the numbers. The package finds them: conic for `sum`, newton for `phi`. In a track
-of many digits, and where doubles leave too large a gap, `exact` goes on from the package's force with mpmath.
+A reference is a force with multipliers that prove it optimal, or a witness that no force exists.
+`Measure` computes the bounds from the problem alone, so the proof holds whoever found the numbers.
+The package finds them: conic for `sum`, newton for `phi`. In a track of many digits, and where
+doubles leave too large a gap, `exact` goes on from the package's force with mpmath.
 
-`exact` solves hard contacts without limits in cone coordinates x = (u, o, t), u = friction * normal. It minimises
+`exact` solves hard contacts without limits in cone coordinates x = (u, o, t), u = friction *
+normal. It minimises
 
     phi     3 sum u + lambda sum (1 / u + 2 u / det x)
     sum     c . x - weight sum log det x,   weight -> 0
 
-over balance A x = b, with det x = u^2 - o^2 - t^2, by damped Newton steps. For `sum` it follows the minimisers as the weight falls,
-until the gap 2 N weight is `EXACT_GAP` of the optimum.
+over balance A x = b, with det x = u^2 - o^2 - t^2, by damped Newton steps. For `sum` it follows the
+minimisers as the weight falls, until the gap 2 N weight is `EXACT_GAP` of the optimum.
 """
 
 from __future__ import annotations
@@ -34,17 +36,20 @@ from grasp_env.force import ForceOptimizer
 GAP = 1e-9
 """Largest (upper - lower) / upper."""
 TOLERANCES = (1e-13, 1e-12, 1e-11, 1e-10, 1e-9)
-"""Tolerances that the package is given one after the other, until the gap is a tenth of `GAP`; the best answer counts."""
+"""Tolerances that the package is given one after the other, until the gap is a tenth of `GAP`; the
+best answer counts."""
 DIGITS = 100
 """Digits of `exact`. The Hessian of a barrier spans up to twice the digits of the gap."""
 EXACT_GAP, CLOSE, CONVERGED = mp.mpf("1e-18"), mp.mpf("0.1"), mp.mpf("1e-20")
-"""Relative gap of `sum`; Newton decrements, in units of the weight, of the last step for a weight and of the last step of all."""
+"""Relative gap of `sum`; Newton decrements, in units of the weight, of the last step for a weight
+and of the last step of all."""
 STEPS, HALVINGS = 300, 200
 """Most Newton steps for a weight, which takes 1 to 20, and most halvings of one."""
 
 FLIP = np.array([1, -1, -1], dtype=object)
 Barrier = Callable[[Numbers, Any], Any]
-"""Gradient (N, 3) and Hessian (N, 3, 3) of a barrier as a function of x and its weight; None outside the cones."""
+"""Gradient (N, 3) and Hessian (N, 3, 3) of a barrier as a function of x and its weight; None
+outside the cones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,18 +82,22 @@ class Certified:
 
 
 def refer(session: Session, objectives: Sequence[str], digits: str) -> dict[str, Reference]:
-    """The references of a session's problems, by objective; a `ValueError` names a problem that is not settled.
+    """The references of a session's problems, by objective; a `ValueError` names a problem that is
+    not settled.
 
     Args:
         session: its references are not read.
         objectives: of the track.
-        digits: "double": by the package, and by `exact` where that is not enough; "exact": all by `exact`.
+        digits: "double": by the package, and by `exact` where that is not enough; "exact": all by
+            `exact`.
     """
     made = {}
     with ProcessPoolExecutor(2) as pool:
         for name in objectives:
             found: list[Certified] = []
-            for m, answer in enumerate(pool.map(_settled, session.problems, repeat(name), repeat(digits), chunksize=4)):
+            for m, answer in enumerate(
+                pool.map(_settled, session.problems, repeat(name), repeat(digits), chunksize=4)
+            ):
                 if isinstance(answer, str):
                     raise ValueError(f"session {session.name!r}, problem {m}, {name}: {answer}")
                 found.append(answer)
@@ -97,7 +106,9 @@ def refer(session: Session, objectives: Sequence[str], digits: str) -> dict[str,
 
 
 def distance(stored: Reference, made: Reference) -> float:
-    """Return the largest relative difference of the optima; inf if they disagree on whether a force exists."""
+    """Return the largest relative difference of the optima; inf if they disagree on whether a force
+    exists.
+    """
     with np.errstate(invalid="ignore"):
         apart = np.abs(made.value - stored.value) / stored.value
     apart = np.where(np.isnan(apart), np.inf, apart)
@@ -112,7 +123,11 @@ def _settled(problem: Problem, name: str, digits: str) -> Certified | str:
             found = exact(problem, name)
     except (GraspError, ArithmeticError) as error:
         return str(error)
-    return found if found.gap <= GAP else f"the bounds {found.lower!r} and {found.upper!r} are a gap of {found.gap:.1e}"
+    return (
+        found
+        if found.gap <= GAP
+        else f"the bounds {found.lower!r} and {found.upper!r} are a gap of {found.gap:.1e}"
+    )
 
 
 def _reference(found: list[Certified]) -> Reference:
@@ -121,7 +136,9 @@ def _reference(found: list[Certified]) -> Reference:
     stacked = {name: np.array([getattr(each, name) for each in found]) for name in names}
     none = np.zeros(len(found[0].force) + len(found[0].multipliers))
     rests = np.stack([none if each.rest is None else each.rest for each in found])
-    return Reference(**stacked, rest=rests if any(each.rest is not None for each in found) else None)
+    return Reference(
+        **stacked, rest=rests if any(each.rest is not None for each in found) else None
+    )
 
 
 def package(problem: Problem, name: str) -> Certified:
@@ -153,13 +170,16 @@ def package(problem: Problem, name: str) -> Certified:
 def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, bool]]) -> Certified:
     """The answer of the least gap, or the first witness that holds."""
     measure = Measure.of(problem)
-    none = best = Certified(np.full(problem.matrix.shape[1], np.nan), np.zeros(6 + len(measure.bound)), -np.inf, np.inf)
+    none = best = Certified(
+        np.full(problem.matrix.shape[1], np.nan), np.zeros(6 + len(measure.bound)), -np.inf, np.inf
+    )
     for force, multipliers, infeasible in answers:
         if infeasible and measure.witness(multipliers) > 0.0:
             return replace(none, multipliers=multipliers, lower=np.inf)
         if infeasible or not (np.isfinite(force).all() and np.isfinite(multipliers).all()):
             continue
-        lower, upper = measure.lower(name, multipliers), measure.upper(name, force, multipliers)
+        lower = measure.lower(name, multipliers)
+        upper = measure.upper(name, force, multipliers)
         found = Certified(force, multipliers, float(lower), float(upper))
         if found.gap < best.gap:
             best = found
@@ -181,7 +201,8 @@ def exact(problem: Problem, name: str) -> Certified:
     with mp.workdps(DIGITS):
         m = exact_measure(problem)
         kept = np.flatnonzero(m.touching)
-        mu, count = m.friction[kept], len(kept)
+        mu = m.friction[kept]
+        count = len(kept)
         matrix = m.matrix[:, kept]  # A: a copy
         matrix[:, :, 0] /= mu
         costs = numbers(np.zeros((count, 3)))
@@ -189,11 +210,13 @@ def exact(problem: Problem, name: str) -> Certified:
         x = numbers(start).reshape(-1, 3)[kept]
         x[:, 0] *= mu
         x, nu = _optimum(name, matrix, -m.load, costs, x, m.weight)
-        force, multipliers = numbers(np.zeros((len(m.friction), 3))), m.about_origin(nu)
+        force = numbers(np.zeros((len(m.friction), 3)))
+        multipliers = m.about_origin(nu)
         force[kept] = x
         force[kept, 0] /= mu
         force = force.reshape(-1)
-        lower, upper = m.lower(name, multipliers), m.upper(name, force, multipliers)
+        lower = m.lower(name, multipliers)
+        upper = m.upper(name, force, multipliers)
         (high, low), (first, rest) = map(split, (force, multipliers))
     return Certified(high, first, float(lower), float(upper), np.concatenate([low, rest]))
 
@@ -201,7 +224,8 @@ def exact(problem: Problem, name: str) -> Certified:
 def exact_measure(problem: Problem) -> Measure:
     """The measure in numbers of mpmath. The doubles of a problem define it without their rounding.
 
-    n is the first column of a frame at unit length, o the second column at unit length across n, t = n x o.
+    n is the first column of a frame at unit length, o the second column at unit length across n, t
+    = n x o.
     """
     normal, along = (numbers(problem.frames[:, :, k]) for k in (0, 1))
     normal = normal / _norm(normal)
@@ -232,11 +256,18 @@ def _norm(vectors: Numbers) -> Numbers:
 def _optimum(
     name: str, matrix: Numbers, target: Numbers, costs: Numbers, x: Numbers, weight: Any
 ) -> tuple[Numbers, Numbers]:
-    """Return the optimal x and nu over A x = target, from an x strictly inside the cones that balances in doubles."""
+    """Return the optimal x and nu over A x = target, from an x strictly inside the cones that
+    balances in doubles.
+    """
     if _phi(x, weight) is None:
         raise ArithmeticError("the package found no force strictly inside the cones")
     for _ in range(2):  # add what doubles miss of balance; twice, because a step rounds
-        x = x + _step(matrix, _phi(x, weight)[1], 0 * x, target - np.einsum("rnk,nk->r", matrix, x))[0]
+        x = (
+            x
+            + _step(matrix, _phi(x, weight)[1], 0 * x, target - np.einsum("rnk,nk->r", matrix, x))[
+                0
+            ]
+        )
     value = (costs * x).sum()
     if name == "phi":
         return _minimised(_phi, matrix, costs, x, weight, CONVERGED * value)
@@ -245,14 +276,17 @@ def _optimum(
         x, _ = _minimised(_log, matrix, costs, x, weight, CLOSE * weight)
         gradient, hessian = _log(x, weight)
         tangent, _ = _step(matrix, hessian, gradient * 9 / 10, 0 * target)
-        x, weight = x + _halved(tangent, lambda move, x=x: _log(x + move, 1) is not None), weight / 10
+        x = x + _halved(tangent, lambda move, x=x: _log(x + move, 1) is not None)
+        weight = weight / 10
     return _minimised(_log, matrix, costs, x, weight, CONVERGED * weight)
 
 
 def _minimised(
     barrier: Barrier, matrix: Numbers, costs: Numbers, x: Numbers, weight: Any, close: Any
 ) -> tuple[Numbers, Numbers]:
-    """The minimiser of `costs . x + barrier(x, weight)` from a balanced x inside the cones, and nu with gradient = A^T nu.
+    """The minimiser of `costs .
+
+    x + barrier(x, weight)` from a balanced x inside the cones, and nu with gradient = A^T nu.
 
     The step whose squared Newton decrement is at most `close` is the last one.
     """
@@ -264,7 +298,9 @@ def _minimised(
 
         def good(move: Numbers, x: Numbers = x, slope: Numbers = slope, near: bool = near) -> bool:
             there = barrier(x + move, weight)
-            return there is not None and (near or 4 * ((costs + there[0]) * move).sum() <= -(slope * move).sum())
+            return there is not None and (
+                near or 4 * ((costs + there[0]) * move).sum() <= -(slope * move).sum()
+            )
 
         x = x + _halved(move, good)
         if near:
@@ -281,11 +317,14 @@ def _halved(move: Numbers, good: Callable[[Numbers], bool]) -> Numbers:
     raise ArithmeticError("no step leads down inside the cones")
 
 
-def _step(matrix: Numbers, hessian: Numbers, right: Numbers, missed: Numbers) -> tuple[Numbers, Numbers]:
+def _step(
+    matrix: Numbers, hessian: Numbers, right: Numbers, missed: Numbers
+) -> tuple[Numbers, Numbers]:
     """Return dx (N, 3) and nu (6,) with hessian dx - A^T nu = right and A dx = missed."""
     inverse = np.stack([numbers(mp.inverse(mp.matrix(each.tolist())).tolist()) for each in hessian])
     back = np.einsum("rnk,nkl->rnl", matrix, inverse)
-    square, lack = np.einsum("rnk,snk->rs", back, matrix), missed - np.einsum("rnk,nk->r", back, right)
+    square = np.einsum("rnk,snk->rs", back, matrix)
+    lack = missed - np.einsum("rnk,nk->r", back, right)
     nu = numbers([*mp.lu_solve(mp.matrix(square.tolist()), mp.matrix(lack.tolist()))])
     return np.einsum("nkl,nl->nk", inverse, right + np.einsum("rnk,r->nk", matrix, nu)), nu
 
@@ -297,18 +336,26 @@ def _log(x: Numbers, weight: Any) -> Any:
     if not ((x[:, 0] > 0) & (det[:, 0] > 0)).all():
         return None
     half = flipped / det
-    return -2 * weight * half, weight * (4 * _outer(half, half) - 2 * np.diag(FLIP) / det[:, :, None])
+    return -2 * weight * half, weight * (
+        4 * _outer(half, half) - 2 * np.diag(FLIP) / det[:, :, None]
+    )
 
 
 def _phi(x: Numbers, weight: Any) -> Any:
     """The same of weight sum (1 / u + 2 u / det x)."""
-    flipped, up = x * FLIP, np.array([1, 0, 0], dtype=object) + 0 * x
-    det, u = (x * flipped).sum(axis=1)[:, None], x[:, :1]
+    flipped = x * FLIP
+    up = np.array([1, 0, 0], dtype=object) + 0 * x
+    det = (x * flipped).sum(axis=1)[:, None]
+    u = x[:, :1]
     if not ((u > 0) & (det > 0)).all():
         return None
     gradient = up * (2 / det - 1 / u**2) - 4 * u * flipped / det**2
     both = _outer(up, flipped) + _outer(flipped, up) + u[:, :, None] * np.diag(FLIP)
-    hessian = _outer(up, 2 * up / u**3) - 4 * both / det[:, :, None] ** 2 + _outer(flipped, 16 * u * flipped / det**3)
+    hessian = (
+        _outer(up, 2 * up / u**3)
+        - 4 * both / det[:, :, None] ** 2
+        + _outer(flipped, 16 * u * flipped / det**3)
+    )
     return weight * gradient, weight * hessian
 
 

@@ -30,9 +30,12 @@ def standings(rows: Rows) -> Rows:
     """Return one row for each entrant in each cell and language, the least mean first.
 
     Returns:
-        n, solved_coarse, solved, proved, wrong: numbers of problems; p50, p99, max [us] over the solved ones; mean [us], the geometric mean
-        shifted by `SHIFT` with `PENALTY` for failures; p50_ratio and p99_ratio to the best entrant of the cell and language with their
-        bootstrap intervals (_low, _high); first: the metrics (success, p50, p99) in which no other entrant is better, ties included.
+        n, solved_coarse, solved, proved, wrong: numbers of problems; p50, p99, max [us] over the
+        solved ones; mean [us], the geometric mean
+        shifted by `SHIFT` with `PENALTY` for failures; p50_ratio and p99_ratio to the best entrant
+        of the cell and language with their
+        bootstrap intervals (_low, _high); first: the metrics (success, p50, p99) in which no other
+        entrant is better, ties included.
     """
     ran = _ran(rows)
     out = []
@@ -45,22 +48,45 @@ def standings(rows: Rows) -> Rows:
             best = min(whole, key=lambda row, name=name: row[name])["method"] if most else ""
             for row in made:
                 ratio, low, high = (
-                    _ratio(times[row["method"]], times[best], percent) if most and row["solved"] else (np.nan,) * 3
+                    _ratio(times[row["method"]], times[best], percent)
+                    if most and row["solved"]
+                    else (np.nan,) * 3
                 )
                 row |= {f"{name}_ratio": ratio, f"{name}_low": low, f"{name}_high": high}
         for row in made:
             good = row["solved"] == most
-            won = {"success": good, "p50": good and row["p50_low"] <= 1.0, "p99": good and row["p99_low"] <= 1.0}
+            won = {
+                "success": good,
+                "p50": good and row["p50_low"] <= 1.0,
+                "p99": good and row["p99_low"] <= 1.0,
+            }
             row["first"] = ", ".join(name for name, yes in won.items() if yes)
             out.append(dict(zip([*CELL, "language"], key, strict=True)) | row)
     made = pd.DataFrame(out).sort_values("mean", kind="stable")
-    order = {column: {value: k for k, value in enumerate(ran[column].unique())} for column in [*CELL, "language"]}
-    return made.sort_values(list(order), kind="stable", key=lambda series: series.map(order[str(series.name)]))
+    order = {
+        column: {value: k for k, value in enumerate(ran[column].unique())}
+        for column in [*CELL, "language"]
+    }
+    return made.sort_values(
+        list(order), kind="stable", key=lambda series: series.map(order[str(series.name)])
+    )
 
 
 def lines(rows: Rows, unit: float) -> Iterator[str]:
     """Yield the standings as text, a table for each cell."""
-    shown = ["division", "n", *COUNTS, "p50", "p99", "max", "mean", "units", "p50_ratio", "many", "first"]
+    shown = [
+        "division",
+        "n",
+        *COUNTS,
+        "p50",
+        "p99",
+        "max",
+        "mean",
+        "units",
+        "p50_ratio",
+        "many",
+        "first",
+    ]
     made = standings(rows).assign(units=lambda table: table["p50"] / unit)
     for key, cell in made.groupby(CELL, sort=False):
         yield ", ".join(key)
@@ -71,46 +97,71 @@ def lines(rows: Rows, unit: float) -> Iterator[str]:
 
 
 def answers(rows: Rows) -> Iterator[str]:
-    """Yield the numbers of correct results of each entrant, its errors, and the tracks that it does not enter."""
+    """Yield the numbers of correct results of each entrant, its errors, and the tracks that it does
+    not enter.
+    """
     ran = _ran(rows)
     groups = ran.groupby(["method", "objective", "case", "mode"], sort=False)
     if len(ran):
-        yield groups[COUNTS].sum().assign(n=groups.size()).sort_index(level="method", sort_remaining=False).to_string()
+        yield (
+            groups[COUNTS]
+            .sum()
+            .assign(n=groups.size())
+            .sort_index(level="method", sort_remaining=False)
+            .to_string()
+        )
     failed = ran[ran["status"] == "failed"]
     for method, part in failed.groupby("method", sort=False):
         said = part["detail"].dropna().tolist() if "detail" in part else []
         where = "; ".join(
-            f"{case}, session {event}" for case, event in part[["case", "event"]].drop_duplicates().to_numpy()[:6]
+            f"{case}, session {event}"
+            for case, event in part[["case", "event"]].drop_duplicates().to_numpy()[:6]
         )
         yield f"{method} failed {len(part)} times ({where}){f': {said[0]}' if len(said) else ''}"
     yield from _absent(rows)
 
 
 def beside(rows: Rows, earlier: Rows) -> Rows:
-    """Return the medians of two runs by entrant and cell: `before`, `now`, their ratio and its interval; `tie` if it contains 1."""
+    """Return the medians of two runs by entrant and cell: `before`, `now`, their ratio and its
+    interval; `tie` if it contains 1.
+    """
     out = []
     before = dict(iter(_ran(earlier).groupby([*CELL, "language", "method"])))
     for key, part in _ran(rows).groupby([*CELL, "language", "method"], sort=False):
         if key in before:
-            now, then = _by_problem(part), _by_problem(before[key])
+            now = _by_problem(part)
+            then = _by_problem(before[key])
             ratio, low, high = _ratio(now, then, 50.0)
-            out.append(dict(zip([*CELL, "language", "method"], key, strict=True)) | {
-                "before": np.nanmedian(list(then.values())), "now": np.nanmedian(list(now.values())), "ratio": ratio, "low": low, "high": high,
-                "tie": low <= 1.0 <= high,
-            })  # fmt: skip
+            out.append(
+                dict(zip([*CELL, "language", "method"], key, strict=True))
+                | {
+                    "before": np.nanmedian(list(then.values())),
+                    "now": np.nanmedian(list(now.values())),
+                    "ratio": ratio,
+                    "low": low,
+                    "high": high,
+                    "tie": low <= 1.0 <= high,
+                }
+            )
     return pd.DataFrame(out)
 
 
 def by_track(rows: Rows, objective: str, ours: set[str]) -> Rows:
-    """Return a row for each track and mode: ours and the fastest other entrant of the closed division, p50 / p99 [us], in C and from Python."""
+    """Return a row for each track and mode: ours and the fastest other entrant of the closed
+    division, p50 / p99 [us], in C and from Python.
+    """
     ran = _ran(rows[rows["division"].ne("learned").fillna(True)])
     out = []
-    for (case, mode), cell in ran[ran["objective"] == objective].groupby(["case", "mode"], sort=False):
+    for (case, mode), cell in ran[ran["objective"] == objective].groupby(
+        ["case", "mode"], sort=False
+    ):
         line = {"track": case, "mode": mode}
         for language in ("C", "Python"):
             made = _standings(cell[cell["language"] == language])
             for label, mine in (("ours", True), ("fastest other", False)):
-                line[f"{label}, {language}"] = _fastest([row for row in made if (row["method"] in ours) == mine])
+                line[f"{label}, {language}"] = _fastest(
+                    [row for row in made if (row["method"] in ours) == mine]
+                )
         out.append(line)
     return pd.DataFrame(out)
 
@@ -123,32 +174,50 @@ def by_entrant(rows: Rows, told: dict[str, Any]) -> Rows:
         row = _standing(method, part)
         seconds = told.get(str(method), {}).get("training_seconds")
         division = row["division"] + (f", trained {number(seconds)} s" if seconds else "")
-        out.append({
-            "objective": objective, "entrant": method, "division": division, "solved": f"{row['solved']} of {row['n']}",
-            "to 1e-4": row["solved_coarse"], "proved": row["proved"], "wrong": row["wrong"], "tracks": part["case"].nunique(),
-            "settings": told.get(str(method), {}).get("note", ""),
-        })  # fmt: skip
+        out.append(
+            {
+                "objective": objective,
+                "entrant": method,
+                "division": division,
+                "solved": f"{row['solved']} of {row['n']}",
+                "to 1e-4": row["solved_coarse"],
+                "proved": row["proved"],
+                "wrong": row["wrong"],
+                "tracks": part["case"].nunique(),
+                "settings": told.get(str(method), {}).get("note", ""),
+            }
+        )
     return pd.DataFrame(out)
 
 
 def by_contacts(rows: Rows) -> Rows:
-    """Return p50 / p99 [us] by the number of contacts for `sum` on the track `random`, of each entrant that solves it."""
+    """Return p50 / p99 [us] by the number of contacts for `sum` on the track `random`, of each
+    entrant that solves it.
+    """
     ran = _ran(rows)
     ran = ran[(ran["case"] == "random") & (ran["objective"] == "sum")]
     ran = ran[ran.groupby("method")["solved"].transform("mean") > 0.9]
     ran = ran[ran["solved"].astype(bool)]
     cells = ran.groupby(["language", "method", "event"], sort=False)
-    made: Rows = pd.Series({key: pair_of(numbers(part, "microseconds")) for key, part in cells}).unstack()
+    made: Rows = pd.Series(
+        {key: pair_of(numbers(part, "microseconds")) for key, part in cells}
+    ).unstack()
     order = ran.groupby("method")["microseconds"].median()
     shown = [event for event in ("3", "4", "5", "6", "8", "12", "16") if event in made.columns]
-    made = made[shown].rename(columns=lambda n: f"N = {n}").reset_index(names=["called from", "entrant"])
-    return made.sort_values("entrant", key=lambda names: names.map(order), kind="stable").sort_values(
-        "called from", kind="stable"
+    made = (
+        made[shown]
+        .rename(columns=lambda n: f"N = {n}")
+        .reset_index(names=["called from", "entrant"])
     )
+    return made.sort_values(
+        "entrant", key=lambda names: names.map(order), kind="stable"
+    ).sort_values("called from", kind="stable")
 
 
 def profiles(rows: Rows) -> Figure:
-    """Draw profiles of Dolan and More (2002): the share of problems solved within a factor of the best, in time and in iterations."""
+    """Draw profiles of Dolan and More (2002): the share of problems solved within a factor of the
+    best, in time and in iterations.
+    """
     ran = _ran(rows)
     objectives = list(ran["objective"].unique())
     figure = Figure(figsize=(9.0, 3.6 * max(len(objectives), 1)), layout="constrained")
@@ -160,14 +229,27 @@ def profiles(rows: Rows) -> Figure:
             within = np.geomspace(1.0, 10.0**most, POINTS)
             for language, part in of.groupby("language", sort=False):
                 style, called = ("--", " (C)") if language == "C" else ("-", "")
-                for name, (factor, share) in profile(part if column == "microseconds" else of, column).items():
+                for name, (factor, share) in profile(
+                    part if column == "microseconds" else of, column
+                ).items():
                     if name in part["method"].unique():
-                        reached = np.append(0.0, share)[np.searchsorted(factor, within * (1.0 + 1e-12), side="right")]
-                        ax.plot(within, reached, style, label=f"{name}{called}", color=colours[name])
-            ax.set(xscale="log", xlim=(1.0, within[-1]), ylim=(0.0, 1.02), title=f"{objective}: {column}")
+                        reached = np.append(0.0, share)[
+                            np.searchsorted(factor, within * (1.0 + 1e-12), side="right")
+                        ]
+                        ax.plot(
+                            within, reached, style, label=f"{name}{called}", color=colours[name]
+                        )
+            ax.set(
+                xscale="log",
+                xlim=(1.0, within[-1]),
+                ylim=(0.0, 1.02),
+                title=f"{objective}: {column}",
+            )
             decades(ax.xaxis, 0, most)
             ax.set_xlabel(
-                "factor of the best in C or from Python" if column == "microseconds" else "factor of the best"
+                "factor of the best in C or from Python"
+                if column == "microseconds"
+                else "factor of the best"
             )
         row[0].set_ylabel("share of the problems solved")
         row[1].legend(fontsize=7.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
@@ -175,19 +257,27 @@ def profiles(rows: Rows) -> Figure:
 
 
 def profile(rows: Rows, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return by entrant the factors of the best and the share of all problems solved within them; tracks not entered are not solved."""
+    """Return by entrant the factors of the best and the share of all problems solved within them;
+    tracks not entered are not solved.
+    """
     ran = _ran(rows)
     if column not in ran:
         return {}
     keys = [*CELL, "event", "problem"]
     cost = np.where(ran["solved"].astype(bool), numbers(ran, column), np.nan)
-    table = ran.assign(cost=cost).pivot_table(index=keys, columns="method", values="cost", dropna=False, observed=True)
+    table = ran.assign(cost=cost).pivot_table(
+        index=keys, columns="method", values="cost", dropna=False, observed=True
+    )
     if column == "iterations":
         table = table.clip(lower=1.0)
     factors = table.div(table.min(axis=1), axis=0)
     total = len(ran[keys].drop_duplicates())
     each = {str(name): np.sort(factors[name].dropna().to_numpy()) for name in factors.columns}
-    return {name: (found, np.arange(1, len(found) + 1) / total) for name, found in each.items() if len(found)}
+    return {
+        name: (found, np.arange(1, len(found) + 1) / total)
+        for name, found in each.items()
+        if len(found)
+    }
 
 
 def _ran(rows: Rows) -> Rows:
@@ -197,12 +287,16 @@ def _ran(rows: Rows) -> Rows:
 
 def _absent(rows: Rows) -> Iterator[str]:
     if "reason" in rows:
-        for (name, reason), part in rows[rows["reason"].notna()].groupby(["method", "reason"], sort=False):
+        for (name, reason), part in rows[rows["reason"].notna()].groupby(
+            ["method", "reason"], sort=False
+        ):
             yield f"{name} did not enter {', '.join(part['case'].unique())}: {reason}"
 
 
 def _fastest(made: list[dict[str, Any]]) -> str:
-    """Return p50 / p99 of the fastest entrant that solves most problems, with its name and its number of failures."""
+    """Return p50 / p99 of the fastest entrant that solves most problems, with its name and its
+    number of failures.
+    """
     most = max((row["solved"] for row in made), default=0)
     if not most:
         return "–"
@@ -230,18 +324,35 @@ def _standing(name: Any, part: Rows) -> dict[str, Any]:
     many = numbers(part, "many_microseconds") if "many_microseconds" in part else np.array([np.nan])
     return {
         "many": float(np.nanmedian(many)) if np.isfinite(many).any() else np.nan,
-        "method": str(name), "division": part["division"].iloc[0], "n": len(part), **counts, "p50": p50, "p99": p99, "max": most, "mean": mean,
-    }  # fmt: skip
+        "method": str(name),
+        "division": part["division"].iloc[0],
+        "n": len(part),
+        **counts,
+        "p50": p50,
+        "p99": p99,
+        "max": most,
+        "mean": mean,
+    }
 
 
 def _by_problem(part: Rows) -> dict[Any, float]:
     """Return the times of the solved problems."""
     solved = part[part["solved"].astype(bool)]
-    return dict(zip(zip(solved["event"], solved["problem"], strict=True), numbers(solved, "microseconds"), strict=True))
+    return dict(
+        zip(
+            zip(solved["event"], solved["problem"], strict=True),
+            numbers(solved, "microseconds"),
+            strict=True,
+        )
+    )
 
 
-def _ratio(mine: dict[Any, float], other: dict[Any, float], percent: float) -> tuple[float, float, float]:
-    """Return the ratio of percentiles on the problems that both solve, with its paired bootstrap interval."""
+def _ratio(
+    mine: dict[Any, float], other: dict[Any, float], percent: float
+) -> tuple[float, float, float]:
+    """Return the ratio of percentiles on the problems that both solve, with its paired bootstrap
+    interval.
+    """
     both = [key for key in mine if key in other]
     if not both:
         return np.nan, np.nan, np.nan

@@ -35,10 +35,12 @@ class Effort:
     """Amount of timing.
 
     Attributes:
-        rounds: rounds in which the entrants take turns, with one or more passes each, so that a busy moment affects all alike.
+        rounds: rounds in which the entrants take turns, with one or more passes each, so that a
+            busy moment affects all alike.
         seconds: time for further passes of an entrant in a round.
         passes: largest number of passes in a round.
-        sessions, problems: largest numbers of sessions of a track and of problems of a session; None: all.
+        sessions, problems: largest numbers of sessions of a track and of problems of a session;
+        None: all.
     """
 
     rounds: int = 2
@@ -50,7 +52,8 @@ class Effort:
 
 QUICK = Effort(rounds=1, seconds=0.02, passes=3, sessions=3, problems=4)
 SAME = 1e-9
-"""Largest difference of equal results of two passes, relative to the largest force; they are scored once."""
+"""Largest difference of equal results of two passes, relative to the largest force; they are scored
+once."""
 
 
 class Timed:
@@ -70,9 +73,14 @@ class Timed:
     """
 
     def __init__(self, solver: Any, task: Task, problems: list[Problem]) -> None:
-        self.solver, self.task, self.problems = solver, task, problems
+        self.solver = solver
+        self.task = task
+        self.problems = problems
         self.answers: list[list[Parts]] = [[] for _ in problems]
-        self.iterations, self.seconds = np.full(len(problems), np.nan), np.full(len(problems), np.inf)
+        self.iterations, self.seconds = (
+            np.full(len(problems), np.nan),
+            np.full(len(problems), np.inf),
+        )
         self.calls = 0
         self.many: tuple[list[Parts], float] | None = None
         self._pass = self._in_python
@@ -101,8 +109,12 @@ class Timed:
             kept.append(answer)
 
     def _in_python(self) -> None:
-        solve, setup, clock = self.solver.solve, self.solver.setup, time.perf_counter_ns
-        cold, warm, start = self.task.mode == "cold", self.task.mode == "warm", None
+        solve = self.solver.solve
+        setup = self.solver.setup
+        clock = time.perf_counter_ns
+        cold = self.task.mode == "cold"
+        warm = self.task.mode == "warm"
+        start = None
         for m in range(-1, len(self.problems)):  # first the last one, untimed, as in timer.c
             problem = self.problems[m]
             task = replace(self.task, first=problem) if cold else self.task
@@ -119,34 +131,62 @@ class Timed:
                 continue
             self.seconds[m] = min(self.seconds[m], taken)
             made = parts_of(problem, answer)
-            start = made.force.copy() if warm and made.force is not None and made.status == "solved" else None
+            start = (
+                made.force.copy()
+                if warm and made.force is not None and made.status == "solved"
+                else None
+            )
             self._keep(m, made, getattr(self.solver, "iterations", np.nan))
 
     def _in_c(self) -> None:
-        compiled, n, first = self.solver.compiled(), len(self.problems), self.problems[0]
+        compiled = self.solver.compiled()
+        n = len(self.problems)
+        first = self.problems[0]
         views = (CProblem * n)(*map(CProblem.of, self.problems))
         forces, multipliers = (
-            np.full((n, size), np.nan) for size in (first.matrix.shape[1], 6 + len(first.limit_bound))
+            np.full((n, size), np.nan)
+            for size in (first.matrix.shape[1], 6 + len(first.limit_bound))
         )
-        statuses, iterations, seconds = np.zeros(n, np.int32), np.full(n, -1, np.int32), np.empty(n)
+        statuses = np.zeros(n, np.int32)
+        iterations = np.full(n, -1, np.int32)
+        seconds = np.empty(n)
         cold = self.task.mode == "cold"
         timer().force_times(
-            *(ctypes.c_void_p(at or None) for at in (compiled.solve, compiled.context, compiled.setup * cold, compiled.close * cold)),
-            self.task.objective.encode(), views, n, int(self.task.mode == "warm"),
-            *(ctypes.c_void_p(array.ctypes.data) for array in (forces, multipliers, statuses, iterations, seconds)),
-        )  # fmt: skip
+            *(
+                ctypes.c_void_p(at or None)
+                for at in (
+                    compiled.solve,
+                    compiled.context,
+                    compiled.setup * cold,
+                    compiled.close * cold,
+                )
+            ),
+            self.task.objective.encode(),
+            views,
+            n,
+            int(self.task.mode == "warm"),
+            *(
+                ctypes.c_void_p(array.ctypes.data)
+                for array in (forces, multipliers, statuses, iterations, seconds)
+            ),
+        )
         self.seconds = np.minimum(self.seconds, seconds)
         for m, problem in enumerate(self.problems):
             prices = None if np.isnan(multipliers[m]).any() else multipliers[m]
             steps = np.nan if iterations[m] < 0 else float(iterations[m])
-            self._keep(m, parts_of(problem, (forces[m], prices, status_of(int(statuses[m])))), steps)
+            self._keep(
+                m, parts_of(problem, (forces[m], prices, status_of(int(statuses[m])))), steps
+            )
 
     def _all_at_once(self) -> None:
         began = time.perf_counter()
         try:
             answers = self.solver.solve_many(self.problems)
             taken = (time.perf_counter() - began) / len(self.problems)
-            made = [parts_of(problem, answer) for problem, answer in zip(self.problems, answers, strict=True)]
+            made = [
+                parts_of(problem, answer)
+                for problem, answer in zip(self.problems, answers, strict=True)
+            ]
         except Exception:  # such as NotImplementedError: this batch is not supported
             return
         self.many = made, min(taken, self.many[1] if self.many else np.inf)
@@ -176,7 +216,9 @@ class Empty:
 
 
 def entrants(chosen: Sequence[str]) -> dict[str, Callable[[], Entrant]]:
-    """Entrants by name: those of `ENTRANTS`, FILE.py:CLASS, or FILE.so:FUNCTION; others are a `ValueError`."""
+    """Entrants by name: those of `ENTRANTS`, FILE.py:CLASS, or FILE.so:FUNCTION; others are a
+    `ValueError`.
+    """
     made: dict[str, Callable[[], Any]] = {}
     for spec in chosen:
         where, _, what = ENTRANTS.get(spec, spec).rpartition(":")
@@ -193,7 +235,9 @@ def entrants(chosen: Sequence[str]) -> dict[str, Callable[[], Entrant]]:
             make = getattr(_module(where), what, None)
             if make is None:
                 raise ValueError(f"{where} has no {what}: give FILE.py:CLASS")
-            if lacking := [each for each in ("setup", "solve") if not callable(getattr(make, each, None))]:
+            if lacking := [
+                each for each in ("setup", "solve") if not callable(getattr(make, each, None))
+            ]:
                 raise ValueError(
                     f"{spec} has no {' and no '.join(lacking)}: see Entrant in benchmarks/force/entrant.py"
                 )
@@ -215,12 +259,17 @@ def measured(
     """Time the entrants on the tracks.
 
     Returns:
-        A row for each entrant, objective, mode and problem, and one with a `reason` if an entrant does not take part in a track;
+        A row for each entrant, objective, mode and problem, and one with a `reason` if an entrant
+        does not take part in a track;
         and the notes of the entrants.
     """
     rows: Rows = []
     told: dict[str, dict[str, Any]] = {}
-    cells = ((track, *each) for track in tracks for each in product(track.about["objectives"], track.about["modes"]))
+    cells = (
+        (track, *each)
+        for track in tracks
+        for each in product(track.about["objectives"], track.about["modes"])
+    )
     for track, objective, mode in cells:
         key = {"case": track.name, "objective": objective, "mode": mode}
         sessions = track.sessions[: effort.sessions]
@@ -233,7 +282,9 @@ def measured(
                 ready[name] = []
                 for session in sessions:
                     problems = session.made()[: effort.problems]
-                    ready[name].append(Timed(make(), Task(track.name, objective, mode, problems[0]), problems))
+                    ready[name].append(
+                        Timed(make(), Task(track.name, objective, mode, problems[0]), problems)
+                    )
             except Exception as error:  # other entrants continue
                 del ready[name]
                 known = isinstance(error, ImportError | NotImplementedError)
@@ -243,19 +294,24 @@ def measured(
         for name, each in ready.items():
             solver = each[0].solver
             told[name] = {
-                which: getattr(solver, which) for which in ("note", "training_seconds") if hasattr(solver, which)
+                which: getattr(solver, which)
+                for which in ("note", "training_seconds")
+                if hasattr(solver, which)
             }
             key |= {
-                "method": name, "division": getattr(solver, "division", "closed"),
+                "method": name,
+                "division": getattr(solver, "division", "closed"),
                 "language": "C" if hasattr(solver, "compiled") else "Python",
-            }  # fmt: skip
+            }
             for session, timed in zip(sessions, each, strict=True):
                 rows += [key | row for row in _scored(session, timed)]
     return rows, told
 
 
 def unit() -> float:
-    """Return the unit for comparing machines: median of 30 cold solves of the README's first problem by SciPy's SLSQP [us]."""
+    """Return the unit for comparing machines: median of 30 cold solves of the README's first
+    problem by SciPy's SLSQP [us].
+    """
     slsqp = entrants(["slsqp"])["slsqp"]()
     problem = problem_of(presets.paper_cuboid(), [1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
     times = []
@@ -295,12 +351,20 @@ def _scored(session: Session, timed: Timed) -> Iterator[dict[str, Any]]:
     for m, (problem, answers) in enumerate(zip(session.problems, timed.answers, strict=False)):
         found = [score(problem, objective, best[m], answer) for answer in answers]
         row = {
-            "event": session.name, "problem": m, "microseconds": 1e6 * timed.seconds[m], "iterations": timed.iterations[m],
+            "event": session.name,
+            "problem": m,
+            "microseconds": 1e6 * timed.seconds[m],
+            "iterations": timed.iterations[m],
             "calls": timed.calls,
-        }  # fmt: skip
-        if timed.many is not None and score(problem, objective, best[m], timed.many[0][m])["solved"]:
+        }
+        if (
+            timed.many is not None
+            and score(problem, objective, best[m], timed.many[0][m])["solved"]
+        ):
             row["many_microseconds"] = 1e6 * timed.many[1]
-        yield row | min(found, key=lambda each: (each["solved"], each["solved_coarse"], each["proved"]))
+        yield row | min(
+            found, key=lambda each: (each["solved"], each["solved_coarse"], each["proved"])
+        )
 
 
 def _module(where: str) -> Any:
@@ -312,7 +376,8 @@ def _module(where: str) -> Any:
     spec = importlib.util.spec_from_file_location(f"entrant_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look for it there
+    # dataclasses look for it there
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
     sys.path.append(str(path.parent))
     spec.loader.exec_module(module)
     return module

@@ -18,10 +18,18 @@ ROOMS = ("grasp_env", "policies", "training")
 
 
 class Word(PyXRefRole):
-    """Default role. A word without a page stays text, without a warning, because most backticks are code."""
+    """Default role.
+
+    A word without a page stays text, without a warning, because most backticks are code.
+    """
 
     def process_link(
-        self, env: BuildEnvironment, refnode: nodes.Element, has_explicit_title: bool, title: str, target: str
+        self,
+        env: BuildEnvironment,
+        refnode: nodes.Element,
+        has_explicit_title: bool,
+        title: str,
+        target: str,
     ) -> tuple[str, str]:
         """Treat the word as a reference to any Python object; a class may be in any module."""
         refnode["reftype"] = "obj"
@@ -64,7 +72,10 @@ def mend(_app: Sphinx, what: str, name: str, value: Any, _options: Any, lines: l
     if what == "data":
         lines[:] = constant_docs(name.rpartition(".")[2], value)
     if what in ("data", "attribute", "property"):
-        lines[:0] = ["..", ""]  # a comment: text before a colon in the first line would be taken as the type
+        lines[:0] = [
+            "..",
+            "",
+        ]  # a comment: text before a colon in the first line would be taken as the type
     if any(line.startswith("## ") for line in lines):
         lines[:] = from_markdown(lines)
     for k, line in enumerate(lines):
@@ -72,17 +83,31 @@ def mend(_app: Sphinx, what: str, name: str, value: Any, _options: Any, lines: l
             lines[k] = line.replace("|", r"\|")  # |x| is an absolute value
 
 
-def skip(_app: Sphinx, _what: str, _name: str, value: Any, _skipped: bool, _options: Any) -> bool | None:
+def skip(
+    _app: Sphinx, _what: str, _name: str, value: Any, _skipped: bool, _options: Any
+) -> bool | None:
     """Skip the fields of a NamedTuple, which are documented under `Attributes`."""
     said = getattr(value, "__doc__", None) or ""
     return True if said.startswith("Alias for field number") else None
 
 
-def add_examples(app: Sphinx, what: str, name: str, _value: Any, _options: Any, lines: list[str]) -> None:
+def add_examples(
+    app: Sphinx, what: str, name: str, _value: Any, _options: Any, lines: list[str]
+) -> None:
     """Add the gallery's programs that use a class or function, as pictures below it."""
     found = app.srcdir / "gallery" / "backreferences" / f"{name}.examples"
-    if what in ("class", "function") and found.is_file() and found.read_text(encoding="utf-8").strip():
-        lines += ["", f".. minigallery:: {name}", "   :add-heading: In the gallery", "   :heading-level: ^", ""]
+    if (
+        what in ("class", "function")
+        and found.is_file()
+        and found.read_text(encoding="utf-8").strip()
+    ):
+        lines += [
+            "",
+            f".. minigallery:: {name}",
+            "   :add-heading: In the gallery",
+            "   :heading-level: ^",
+            "",
+        ]
 
 
 def strip_blocks(_app: Sphinx, doctree: nodes.document) -> None:

@@ -27,7 +27,9 @@ def help_of(*words: str) -> str:
             main([*words, "--help"])
         except SystemExit as stopped:
             if stopped.code:
-                raise RuntimeError(f"grasp {' '.join(words)} --help ended with {stopped.code}") from None
+                raise RuntimeError(
+                    f"grasp {' '.join(words)} --help ended with {stopped.code}"
+                ) from None
     return text.getvalue().strip()
 
 

@@ -1,4 +1,6 @@
-"""Directive `all-settings`: tables of every setting of the environment, made of the records while the site is built."""
+"""Directive `all-settings`: tables of every setting of the environment, made of the records while
+the site is built.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +39,11 @@ def tables() -> Iterator[tuple[str, str]]:
         default = about.none or "none" if about.default is None else plainly(about.default)
         words = (about.doc, default, about.kind.text)
         cells = [text.replace("|", "\\|").replace("\n", " ") for text in words]
-        unit, keyword = about.unit and f" [{about.unit}]", f", keyword `{plain[path]}`" if path in plain else ""
-        groups.setdefault((group, record), []).append(f"| {' | '.join([f'`{last}`{unit}{keyword}', *cells])} |")
+        unit = about.unit and f" [{about.unit}]"
+        keyword = f", keyword `{plain[path]}`" if path in plain else ""
+        groups.setdefault((group, record), []).append(
+            f"| {' | '.join([f'`{last}`{unit}{keyword}', *cells])} |"
+        )
     for (group, record), lines in groups.items():
         named = f", {record.name}" if record.name else ""
         title = f"{group}{named}: {record.__name__}" if group else "EnvConfig"
@@ -53,9 +58,13 @@ class AllSettings(SphinxDirective):
         return [self._section(title, text) for title, text in tables()]
 
     def _section(self, title: str, text: str) -> nodes.section:
-        section = nodes.section("", nodes.title("", title), ids=[nodes.make_id(f"settings-{title}")])
+        section = nodes.section(
+            "", nodes.title("", title), ids=[nodes.make_id(f"settings-{title}")]
+        )
         self.state.document.note_explicit_target(section, section)
-        self.state.nested_parse(StringList(text.split("\n"), source="settings"), self.content_offset, section)
+        self.state.nested_parse(
+            StringList(text.split("\n"), source="settings"), self.content_offset, section
+        )
         return section
 
 

@@ -60,7 +60,8 @@ KEYWORDS = {
     "action_mode": "agent.action_mode",
     "observation": "agent.observation",
 }
-"""The plain keywords of `gym.make`, besides the fields of `EnvConfig`, and the setting that each one sets."""
+"""The plain keywords of `gym.make`, besides the fields of `EnvConfig`, and the setting that each
+one sets."""
 _MAX_TICKS = 1_000_000
 """Largest number of control ticks of an episode; its plan takes 0.7 kB per tick."""
 
@@ -84,7 +85,9 @@ _HANDS = one_of(
     lambda value: isinstance(value, HandDescription),
 )
 HAND = Kind(
-    lambda value, name: hand_of(value, name) if isinstance(value, dict) else _HANDS.take(value, name),
+    lambda value, name: (
+        hand_of(value, name) if isinstance(value, dict) else _HANDS.take(value, name)
+    ),
     f"{_HANDS.text}, or the dict of its fields",
     write=_written_hand,
 )
@@ -93,11 +96,14 @@ HAND = Kind(
 
 @dataclass(frozen=True)
 class EnvConfig(Settings):
-    """Settings of `FourFingerGrasp-v0`. Every field is a keyword of `gym.make`, as a record or as a dict of its settings.
+    """Settings of `FourFingerGrasp-v0`.
+
+    Every field is a keyword of `gym.make`, as a record or as a dict of its settings.
 
     Raises:
         UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
-        InvalidInputError: values out of range; the message lists all of them with their paths, such as `sensors.delay`.
+        InvalidInputError: values out of range; the message lists all of them with their paths, such
+            as `sensors.delay`.
 
     Example:
         >>> config = EnvConfig(task={"name": "move", "motion": "lift"}, sensors=SensorSettings(delay=0.004))
@@ -108,56 +114,86 @@ class EnvConfig(Settings):
     """
 
     hand: str | HandDescription = setting(
-        "four_finger", HAND, "The hand. If it is not `placed`, `place_hand` puts it around the object."
+        "four_finger",
+        HAND,
+        "The hand. If it is not `placed`, `place_hand` puts it around the object.",
     )
     object: ObjectDescription = setting(
-        ObjectDescription(), record(ObjectDescription),
+        ObjectDescription(),
+        record(ObjectDescription),
         "The object to hold. Two fingers need soft contacts: if `torsional_friction` is missing, that of pads of 12 mm radius is assumed, "
         "with a warning.",
-    )  # fmt: skip
+    )
     approach: str | tuple[float, float, float] | None = setting(
-        None, Kind(as_approach, f"{', '.join(f'`{name}`' for name in DIRECTIONS)}, or 3 numbers"),
-        "Direction from the palm to the object, world frame, for a hand that is placed around it; met within 30 degrees.", none="any",
-    )  # fmt: skip
+        None,
+        Kind(as_approach, f"{', '.join(f'`{name}`' for name in DIRECTIONS)}, or 3 numbers"),
+        "Direction from the palm to the object, world frame, for a hand that is placed around it; met within 30 degrees.",
+        none="any",
+    )
     contact_points: tuple[tuple[float, float, float], ...] = setting(
-        (), Kind(_contact_points, "(N, 3)"),
-        "Contact points of the tips on the object's surface, object frame, in the hand's order; (): chosen automatically.", unit="m",
-    )  # fmt: skip
+        (),
+        Kind(_contact_points, "(N, 3)"),
+        "Contact points of the tips on the object's surface, object frame, in the hand's order; (): chosen automatically.",
+        unit="m",
+    )
     randomize: tuple[tuple[str, Any], ...] = setting(
-        (), RANDOMIZE,
+        (),
+        RANDOMIZE,
         "Settings drawn at each reset: names of the object's settings, or a dict from the path of a setting to its (low, high) or to a "
         "function of the episode's generator.",
-    )  # fmt: skip
+    )
     task: Task = setting(Hold(), TASK, "Task of an episode.")
     disturbance: Disturbance | None = setting(
-        None, DISTURBANCE,
+        None,
+        DISTURBANCE,
         "Disturbance of the object, besides gravity: a record, its name, or any function f(times, rng, settings), see "
-        "`grasp_env.task.Disturbance`.", none="the task's own",
-    )  # fmt: skip
+        "`grasp_env.task.Disturbance`.",
+        none="the task's own",
+    )
     gravity: tuple[float, float, float] = setting(
         (0.0, -9.81, 0.0), numbers(3), "World frame; y points up.", unit="m/s^2", random=True
     )
     engine: EngineSettings | None = setting(
         None, ENGINE, "Physics engine: its name, or its settings.", none="the default engine"
     )
-    sensors: SensorSettings = setting(SensorSettings(), record(SensorSettings), "Sensors of the controller.")
-    solver: SolverSettings = setting(SolverSettings(), record(SolverSettings), "Force optimisation.")
+    sensors: SensorSettings = setting(
+        SensorSettings(), record(SensorSettings), "Sensors of the controller."
+    )
+    solver: SolverSettings = setting(
+        SolverSettings(), record(SolverSettings), "Force optimisation."
+    )
     controller: ControllerSettings = setting(
         ControllerSettings(), record(ControllerSettings), "Controller: from forces to torques."
     )
-    agent: AgentSettings = setting(AgentSettings(), record(AgentSettings), "Actions and observations of an agent.")
+    agent: AgentSettings = setting(
+        AgentSettings(), record(AgentSettings), "Actions and observations of an agent."
+    )
     reward: RewardSettings = setting(RewardSettings(), record(RewardSettings), "Reward of a step.")
-    limits: EpisodeLimits = setting(EpisodeLimits(), record(EpisodeLimits), "Limits that end an episode.")
-    pictures: PictureSettings = setting(PictureSettings(), record(PictureSettings), "Pictures that `render` draws.")
+    limits: EpisodeLimits = setting(
+        EpisodeLimits(), record(EpisodeLimits), "Limits that end an episode."
+    )
+    pictures: PictureSettings = setting(
+        PictureSettings(), record(PictureSettings), "Pictures that `render` draws."
+    )
 
     def agree(self) -> None:
         """Check rates, the length of an episode, and the settings to draw, against each other."""
-        engine, drawn = engine_of(self.engine, quiet=True), dict(self.randomize)
-        rates = ("agent.rate", self.agent.rate), ("controller.rate", self.controller.rate), ("engine.rate", engine.rate)
+        engine = engine_of(self.engine, quiet=True)
+        drawn = dict(self.randomize)
+        rates = (
+            ("agent.rate", self.agent.rate),
+            ("controller.rate", self.controller.rate),
+            ("engine.rate", engine.rate),
+        )
         for (slow, low), (fast, high) in pairwise(rates):
             if high < low or high % low:
-                raise InvalidInputError(f"{fast} must be a multiple of {slow}, got {high} and {low}")
-        for name, seconds in (("limits.duration", self.limits.duration or 0.0), ("sensors.delay", self.sensors.delay)):
+                raise InvalidInputError(
+                    f"{fast} must be a multiple of {slow}, got {high} and {low}"
+                )
+        for name, seconds in (
+            ("limits.duration", self.limits.duration or 0.0),
+            ("sensors.delay", self.sensors.delay),
+        ):
             if seconds * self.controller.rate > _MAX_TICKS:
                 raise InvalidInputError(
                     f"{name} must be at most {_MAX_TICKS / self.controller.rate:g} s, {_MAX_TICKS} control ticks, got "
@@ -173,7 +209,9 @@ class EnvConfig(Settings):
                 "contact_points belong to one shape and size: leave them out if these are randomised"
             )
         if self.approach is not None and (self.contact_points or self.hand_description.placed):
-            given = "contact_points are given" if self.contact_points else "the hand is placed already"
+            given = (
+                "contact_points are given" if self.contact_points else "the hand is placed already"
+            )
             raise InvalidInputError(
                 f"approach={shown(self.approach)} is for a hand that is put around the object, and {given}: leave one of them out"
             )
@@ -186,8 +224,8 @@ class EnvConfig(Settings):
         """Return a copy with some settings replaced.
 
         Args:
-            **settings: fields, keywords of `KEYWORDS`, or paths, `**{"sensors.delay": 0.01}`. A dict changes some settings of a record;
-                with a "name" it makes a new one.
+            **settings: fields, keywords of `KEYWORDS`, or paths, `**{"sensors.delay": 0.01}`. A
+                dict changes some settings of a record; with a "name" it makes a new one.
 
         Raises:
             UnknownSettingError: no setting of that name.
@@ -202,7 +240,11 @@ class EnvConfig(Settings):
                 raise UnknownSettingError(name, (*kinds, *KEYWORDS), _similar(name))
             if inner:
                 parts.setdefault(place, {})[inner] = value
-            elif isinstance(value, dict) and "name" not in value and isinstance(getattr(self, place), Settings):
+            elif (
+                isinstance(value, dict)
+                and "name" not in value
+                and isinstance(getattr(self, place), Settings)
+            ):
                 parts.setdefault(place, {}).update(value)
             else:
                 whole[place] = value
@@ -221,14 +263,17 @@ class EnvConfig(Settings):
         return replace(self, **whole | made)
 
     def resolved(self) -> EnvConfig:
-        """Return a copy with defaults filled in: those of the task, the default engine, and soft contacts for two fingers.
+        """Return a copy with defaults filled in: those of the task, the default engine, and soft
+        contacts for two fingers.
 
         Warns:
             GraspWarning: the torsional friction assumed for two fingers.
         """
         task, limits = self.task, self.limits
         own = {
-            name: getattr(task, name) for name in ("duration", "max_drift", "max_tilt") if getattr(limits, name) is None
+            name: getattr(task, name)
+            for name in ("duration", "max_drift", "max_tilt")
+            if getattr(limits, name) is None
         }
         disturbance = task.disturbance if self.disturbance is None else self.disturbance
         item = with_soft_contacts(self.object, self.hand_description)
@@ -239,11 +284,16 @@ class EnvConfig(Settings):
                 "object={'torsional_friction': ...}"
             )
         return replace(
-            self, engine=engine_of(self.engine), object=item, disturbance=disturbance, limits=replace(limits, **own)
+            self,
+            engine=engine_of(self.engine),
+            object=item,
+            disturbance=disturbance,
+            limits=replace(limits, **own),
         )
 
     def drawn(self, rng: np.random.Generator) -> EnvConfig:
-        """Return the settings of one episode: a copy with the randomised settings drawn from its generator.
+        """Return the settings of one episode: a copy with the randomised settings drawn from its
+        generator.
 
         Raises:
             GraspError: a function fails, or returns an invalid value.
@@ -262,10 +312,12 @@ class EnvConfig(Settings):
         return self.hand if isinstance(self.hand, HandDescription) else HANDS[self.hand]()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all settings as JSON values, with the version of the schema; `as_config` reads them.
+        """Return all settings as JSON values, with the version of the schema; `as_config` reads
+        them.
 
         Raises:
-            InvalidInputError: a function, a start rule, or a record of your own class; these have no JSON.
+            InvalidInputError: a function, a start rule, or a record of your own class; these have
+                no JSON.
         """
         return {"schema": SCHEMA, **to_json(self)}
 
@@ -275,10 +327,12 @@ class EnvConfig(Settings):
 
 
 def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
-    """Return a record, or its `to_dict()` or `to_json()`, as a record; missing settings, and None, have the defaults.
+    """Return a record, or its `to_dict()` or `to_json()`, as a record; missing settings, and None,
+    have the defaults.
 
     Raises:
-        InvalidInputError: not settings, no schema or another one than this version reads, or invalid values.
+        InvalidInputError: not settings, no schema or another one than this version reads, or
+            invalid values.
         UnknownSettingError: no setting of that name.
 
     Example:
@@ -300,18 +354,24 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
         )
     if schema != SCHEMA:
         newer = "written by a newer version: install that one" if schema > SCHEMA else "too old"
-        raise InvalidInputError(f"config has schema {schema}, this version reads {SCHEMA}: it is {newer}")
-    return EnvConfig().override(**{str(name): value for name, value in given.items() if name != "schema"})
+        raise InvalidInputError(
+            f"config has schema {schema}, this version reads {SCHEMA}: it is {newer}"
+        )
+    return EnvConfig().override(
+        **{str(name): value for name, value in given.items() if name != "schema"}
+    )
 
 
 def keywords_to_json(given: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Return keywords of `gym.make` as JSON values that it accepts as well, and the reasons why some stay as they are.
+    """Return keywords of `gym.make` as JSON values that it accepts as well, and the reasons why
+    some stay as they are.
 
-    Records come first: as a dict, a record would otherwise undo a keyword of one of its settings that stands before it. A keyword that
-    is no setting stays as it is.
+    Records come first: as a dict, a record would otherwise undo a keyword of one of its settings
+    that stands before it. A keyword that is no setting stays as it is.
     """
     kinds = {item.name: all_settings()[item.name].kind for item in fields(EnvConfig)}
-    made, faults = dict[str, Any](), list[str]()
+    made = dict[str, Any]()
+    faults = list[str]()
     for name, value in sorted(given.items(), key=lambda item: not isinstance(item[1], Settings)):
         made[name] = value
         try:
@@ -335,7 +395,8 @@ def _config_to_json(value: Any) -> tuple[Any, list[str]]:
 
 @cache
 def all_settings() -> dict[str, About]:
-    """Return the description of every setting by its path, in order: "hand", "object", "object.shape", ....
+    """Return the description of every setting by its path, in order: "hand", "object",
+    "object.shape", ....
 
     If settings of several records share a path, such as "disturbance.force", the first is kept.
 
@@ -351,7 +412,9 @@ def all_settings() -> dict[str, About]:
 
 
 def _similar(name: str) -> list[str]:
-    """Return settings with names similar to an unknown one: with the same last part, or else with a similar path."""
+    """Return settings with names similar to an unknown one: with the same last part, or else with a
+    similar path.
+    """
     words = {path.replace(".", "_"): path for path in (*all_settings(), *KEYWORDS)}
     same = [path for path in all_settings() if path.rpartition(".")[2] == name]
     return same or [words[found] for found in get_close_matches(name, words, 3, 0.6)]

@@ -21,16 +21,29 @@ OBJECT: dict[str, Any] = {
 }
 """Object settings that may be drawn, with their default ranges [m], [kg], [1]."""
 SHORT = {path.partition(".")[2]: path for path in OBJECT}
-_RECORDS = {"object": ObjectDescription, "sensors": SensorSettings, "controller": ControllerSettings}
+_RECORDS = {
+    "object": ObjectDescription,
+    "sensors": SensorSettings,
+    "controller": ControllerSettings,
+}
 RANDOM = {
-    path: about.kind for name, kind in _RECORDS.items() for path, _, about in described(kind, name) if about.random
+    path: about.kind
+    for name, kind in _RECORDS.items()
+    for path, _, about in described(kind, name)
+    if about.random
 }
 """Settings that may be drawn at a reset, and their kinds; gravity may be drawn, too."""
 ALLOWED = (*SHORT, *RANDOM, "gravity")
 
 
 def _checked_rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
-    given = list(value.items()) if isinstance(value, dict) else [value] if isinstance(value, str) else value
+    given = (
+        list(value.items())
+        if isinstance(value, dict)
+        else [value]
+        if isinstance(value, str)
+        else value
+    )
     if not isinstance(given, list | tuple):
         raise InvalidInputError(
             f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"
@@ -58,13 +71,17 @@ def _checked_rule(path: str, rule: Any) -> Any:
     for bound in (low, high):
         RANDOM[path].take(bound, path)
     if not low <= high or (path == "object.size" and low <= 0.0):
-        raise InvalidInputError(f"randomize[{path!r}] must be (low, high) with low <= high, got {(low, high)}")
+        raise InvalidInputError(
+            f"randomize[{path!r}] must be (low, high) with low <= high, got {(low, high)}"
+        )
     return low, high
 
 
 def _written_rules(value: Any, name: str) -> Any:
     """Return checked rules as a dict from paths, and any other value as it is given."""
-    pairs = isinstance(value, tuple) and all(isinstance(each, tuple) and len(each) == 2 for each in value)
+    pairs = isinstance(value, tuple) and all(
+        isinstance(each, tuple) and len(each) == 2 for each in value
+    )
     given = dict(value) if pairs else value
     if not isinstance(given, dict):
         return to_json(given, name)
@@ -76,9 +93,11 @@ RANDOMIZE = Kind(_checked_rules, "names, or dict from paths", write=_written_rul
 
 
 def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict[str, Any]:
-    """Draw the settings of an episode by path: the numbers of an object of a `shape` first, then the others in the order of the rules.
+    """Draw the settings of an episode by path: the numbers of an object of a `shape` first, then
+    the others in the order of the rules.
 
-    If one number of the object is drawn, all are drawn, used or not. The later draws then do not depend on which ones are used.
+    If one number of the object is drawn, all are drawn, used or not. The later draws then do not
+    depend on which ones are used.
 
     Raises:
         GraspError: a function fails, or returns an invalid value.
@@ -87,7 +106,11 @@ def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict
     if rules.keys() & OBJECT.keys():
         ranges = OBJECT | {path: rule for path, rule in rules.items() if not callable(rule)}
         if shape != "mesh":
-            drawn = _draw_one("object.shape", rules["object.shape"], rng) if "object.shape" in rules else shape
+            drawn = (
+                _draw_one("object.shape", rules["object.shape"], rng)
+                if "object.shape" in rules
+                else shape
+            )
             drawn = choice(drawn, "object.shape", SHAPES)
             low, high = ranges["object.size"]
             sides = rng.uniform(low, high, 3).tolist()[: len(SIZES[drawn])]
@@ -99,7 +122,11 @@ def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict
             if path in rules:
                 found[path] = value
     for path in dict.fromkeys((*OBJECT, *rules)):
-        if path in rules and path != "object.shape" and (path not in OBJECT or callable(rules[path])):
+        if (
+            path in rules
+            and path != "object.shape"
+            and (path not in OBJECT or callable(rules[path]))
+        ):
             found[path] = _draw_one(path, rules[path], rng)
     return found
 
@@ -109,4 +136,9 @@ def _draw_one(path: str, rule: Any, rng: np.random.Generator) -> Any:
         return SHAPES_WITHOUT_MESH[int(rng.integers(len(SHAPES_WITHOUT_MESH)))]
     if not callable(rule):
         return rng.uniform(*rule)
-    return call_user(rule, rng, what=f"randomize[{path!r}]", takes="it takes a numpy generator and returns the setting")
+    return call_user(
+        rule,
+        rng,
+        what=f"randomize[{path!r}]",
+        takes="it takes a numpy generator and returns the setting",
+    )

@@ -1,4 +1,6 @@
-"""The small records of `EnvConfig`: sensors, solver, controller, agent, reward, episode limits, pictures."""
+"""The small records of `EnvConfig`: sensors, solver, controller, agent, reward, episode limits,
+pictures.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +14,23 @@ from grasp_env.force.options import METHODS
 from grasp_env.force.rules import RULES
 from grasp_env.inputs import ranges
 from grasp_env.inputs.ranges import Range
-from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Kind, Settings, integer, numbers, one_of, real, setting
+from grasp_env.settings import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Kind,
+    Settings,
+    integer,
+    numbers,
+    one_of,
+    real,
+    setting,
+)
 
 CONTROLLERS = ("optimized", "constant_squeeze", "pd")
 ACTION_MODES = ("initial_force", "contact_force", "none")
 COSTS = ("iterations", "force", "torque", "force_change")
-"""Costs of a step in the reward; each name is a weight of `RewardSettings` and, with "reward/" before it, a term."""
+"""Costs of a step in the reward; each name is a weight of `RewardSettings` and, with "reward/"
+before it, a term."""
 MAX_COST = 0.9
 """Largest share of the reward for holding that the costs of a step may take."""
 WEIGHT = Range(0.0, MAX_COST)
@@ -36,24 +49,37 @@ class SensorSettings(Settings):
     """
 
     wrench: str = setting(
-        "measured", one_of(("measured", "estimated", "none")),
+        "measured",
+        one_of(("measured", "estimated", "none")),
         "Source of the external wrench: measured, estimated from the object's motion and the mean contact forces of a tick, or none, "
         "which leaves pose feedback alone. The hand always knows gravity for its own weight.",
-    )  # fmt: skip
+    )
     wrench_delay: int = setting(0, integer(0), "Delay of the measured wrench in control ticks.")
     estimator_time: float = setting(
-        0.005, real(POSITIVE), "Time constant of the estimate, against tactile noise; its lag lets light objects drift.",
+        0.005,
+        real(POSITIVE),
+        "Time constant of the estimate, against tactile noise; its lag lets light objects drift.",
         unit="s",
-    )  # fmt: skip
+    )
     delay: float = setting(
-        0.0, real(NOT_NEGATIVE), "Delay of all measurements, rounded up to control ticks.",
-        unit="s", random=True,
-    )  # fmt: skip
+        0.0,
+        real(NOT_NEGATIVE),
+        "Delay of all measurements, rounded up to control ticks.",
+        unit="s",
+        random=True,
+    )
     tactile_noise: float = setting(
-        0.0, real(NOT_NEGATIVE), "Relative standard deviation of each measured contact force's components.", random=True
+        0.0,
+        real(NOT_NEGATIVE),
+        "Relative standard deviation of each measured contact force's components.",
+        random=True,
     )
     pose_noise: float = setting(
-        0.0, real(NOT_NEGATIVE), "Standard deviation of the measured object position, per axis.", unit="m", random=True
+        0.0,
+        real(NOT_NEGATIVE),
+        "Standard deviation of the measured object position, per axis.",
+        unit="m",
+        random=True,
     )
 
 
@@ -68,20 +94,30 @@ class SolverSettings(Settings):
 
     method: str = setting("reduced_flow", one_of(METHODS), "Method of the optimisation.")
     initial_force: str | InitialForceRule = setting(
-        "linear_combination", one_of((*RULES, "previous"), "a rule(grasp, wrench) -> (N, 3) forces [N]", callable),
+        "linear_combination",
+        one_of((*RULES, "previous"), "a rule(grasp, wrench) -> (N, 3) forces [N]", callable),
         "Start rule: its name, or any function.",
-    )  # fmt: skip
+    )
     force_weight: float = setting(
-        1.0, real(ranges.FORCE_WEIGHT), "Weight of the forces in Phi, and of the normal forces under `conic`."
+        1.0,
+        real(ranges.FORCE_WEIGHT),
+        "Weight of the forces in Phi, and of the normal forces under `conic`.",
     )
     barrier_weight: float = setting(
-        Objective.barrier_weight, real(ranges.BARRIER_WEIGHT), "Weight of the barrier in Phi: a larger one keeps the forces further from slipping. `conic` has no barrier.", unit="N^2"
-    )  # fmt: skip
+        Objective.barrier_weight,
+        real(ranges.BARRIER_WEIGHT),
+        "Weight of the barrier in Phi: a larger one keeps the forces further from slipping. `conic` has no barrier.",
+        unit="N^2",
+    )
     tolerance: float = setting(
-        1e-4, real(ranges.TOLERANCE), "Relative gap to the certified bound at which the optimisation ends."
+        1e-4,
+        real(ranges.TOLERANCE),
+        "Relative gap to the certified bound at which the optimisation ends.",
     )
     max_iterations: int = setting(
-        5000, integer(0), "Largest number of iterations of one optimisation, such as real time allows."
+        5000,
+        integer(0),
+        "Largest number of iterations of one optimisation, such as real time allows.",
     )
 
     def agree(self) -> None:
@@ -103,36 +139,60 @@ class ControllerSettings(Settings):
     """
 
     kind: str = setting(
-        "optimized", one_of(CONTROLLERS),
+        "optimized",
+        one_of(CONTROLLERS),
         "Optimised forces as in the paper; a constant internal force plus the least-norm balance; or springs that hold the tips in place.",
-    )  # fmt: skip
-    rate: int = setting(250, integer(1), "Control ticks per second; a multiple of `agent.rate`.", unit="Hz")
+    )
+    rate: int = setting(
+        250, integer(1), "Control ticks per second; a multiple of `agent.rate`.", unit="Hz"
+    )
     position_bandwidth: float = setting(
-        30.0, real(POSITIVE), "Bandwidth of the feedback of the object's position, critically damped; limited to 0.3 / `sensors.delay`.",
+        30.0,
+        real(POSITIVE),
+        "Bandwidth of the feedback of the object's position, critically damped; limited to 0.3 / `sensors.delay`.",
         unit="rad/s",
-    )  # fmt: skip
-    rotation_bandwidth: float = setting(60.0, real(POSITIVE), "The same for its orientation.", unit="rad/s")
+    )
+    rotation_bandwidth: float = setting(
+        60.0, real(POSITIVE), "The same for its orientation.", unit="rad/s"
+    )
     friction_margin: float = setting(
-        0.85, real(POSITIVE), "Factor on the assumed friction that the solver may use, so that force errors cause no slip."
-    )  # fmt: skip
+        0.85,
+        real(POSITIVE),
+        "Factor on the assumed friction that the solver may use, so that force errors cause no slip.",
+    )
     friction_error: float = setting(
-        0.0, real(Range(-1.0 + 1e-9, 1e9)), "Relative error of the friction that the controller assumes; 0.25 is a quarter too much.",
+        0.0,
+        real(Range(-1.0 + 1e-9, 1e9)),
+        "Relative error of the friction that the controller assumes; 0.25 is a quarter too much.",
         random=True,
-    )  # fmt: skip
+    )
     force_rate: float = setting(
-        1000.0, real(POSITIVE), "Largest rate of change of the internal force; balance is restored at once.", unit="N/s"
+        1000.0,
+        real(POSITIVE),
+        "Largest rate of change of the internal force; balance is restored at once.",
+        unit="N/s",
     )
     force_noise: float = setting(
-        0.0, real(NOT_NEGATIVE), "Relative standard deviation of the delivered torques.", random=True
+        0.0,
+        real(NOT_NEGATIVE),
+        "Relative standard deviation of the delivered torques.",
+        random=True,
     )
     motor_strength: float = setting(
         1.0, real(POSITIVE), "Delivered torque as a share of the commanded one.", random=True
     )
     squeeze: float = setting(
-        40.0, real(POSITIVE), "Total normal force of the controllers that do not optimise.", unit="N"
+        40.0,
+        real(POSITIVE),
+        "Total normal force of the controllers that do not optimise.",
+        unit="N",
     )
-    pd_stiffness: float = setting(800.0, real(POSITIVE), "Stiffness of each tip under `pd`.", unit="N/m")
-    pd_damping: float = setting(4.0, real(NOT_NEGATIVE), "Damping of each tip under `pd`.", unit="N s/m")
+    pd_stiffness: float = setting(
+        800.0, real(POSITIVE), "Stiffness of each tip under `pd`.", unit="N/m"
+    )
+    pd_damping: float = setting(
+        4.0, real(NOT_NEGATIVE), "Damping of each tip under `pd`.", unit="N s/m"
+    )
 
 
 @dataclass(frozen=True)
@@ -151,7 +211,9 @@ class AgentSettings(Settings):
         "Action: an adjustment of the solver's start, the contact forces, or ignored.",
     )
     action_scale: float = setting(5.0, real(POSITIVE), "Force at action 1.", unit="N")
-    observation: str = setting("vector", one_of(("vector", "dict")), "One vector, or a dict of named parts.")
+    observation: str = setting(
+        "vector", one_of(("vector", "dict")), "One vector, or a dict of named parts."
+    )
     info: str = setting(
         "all",
         one_of(("all", "numbers")),
@@ -163,44 +225,56 @@ class AgentSettings(Settings):
 class RewardSettings(Settings):
     """Reward of a step: `held` * (1 - c), with c the weighted sum of the costs, each from 0 to 1.
 
-    The weights add up to at most `MAX_COST`, so a step with the object held always pays more than 0. Holding on therefore pays more
-    than letting go for every object, hand, method and discount.
+    The weights add up to at most `MAX_COST`, so a step with the object held always pays more than
+    0. Holding on therefore pays more than letting go for every object, hand, method and discount.
 
     Example:
         >>> RewardSettings(iterations=0.8, force=0.0, torque=0.0, force_change=0.0).failure_cost
         0.0
         >>> RewardSettings(iterations=0.8)
         Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: the weights of the reward's costs (iterations 0.8, force 0.1, torque 0.1, ... at most 0.9 ...
+        grasp_env.errors.InvalidInputError: the weights of the reward's costs (iterations 0.8, force
+            0.1, torque 0.1, ... at most 0.9 ...
     """
 
-    held: float = setting(1.0, real(POSITIVE), "Reward of a step with the object held, before the costs.")
+    held: float = setting(
+        1.0, real(POSITIVE), "Reward of a step with the object held, before the costs."
+    )
     iterations: float = setting(
         0.5,
         real(WEIGHT),
         "Weight of the method's iterations as a share of `iteration_scale`; rewards starts near the optimum.",
     )
     force: float = setting(
-        0.1, real(WEIGHT),
+        0.1,
+        real(WEIGHT),
         "Weight of the share of the commanded normal forces above the least that balances the wrench; rewards a light grip.",
-    )  # fmt: skip
-    torque: float = setting(
-        0.1, real(WEIGHT),
-        "Weight of the step's largest torque as a share of its limit; rewards distance from saturated motors.",
-    )  # fmt: skip
-    force_change: float = setting(
-        0.1, real(WEIGHT),
-        "Weight of the change of the commanded forces in the step, as a share of the forces before and after; rewards calm fingers.",
-    )  # fmt: skip
-    iteration_scale: float = setting(
-        200.0, real(POSITIVE), "Number of iterations that costs the whole weight; more cost the same."
     )
-    failure_cost: float = setting(0.0, real(NOT_NEGATIVE), "Cost of the step in which the object is lost.")
+    torque: float = setting(
+        0.1,
+        real(WEIGHT),
+        "Weight of the step's largest torque as a share of its limit; rewards distance from saturated motors.",
+    )
+    force_change: float = setting(
+        0.1,
+        real(WEIGHT),
+        "Weight of the change of the commanded forces in the step, as a share of the forces before and after; rewards calm fingers.",
+    )
+    iteration_scale: float = setting(
+        200.0,
+        real(POSITIVE),
+        "Number of iterations that costs the whole weight; more cost the same.",
+    )
+    failure_cost: float = setting(
+        0.0, real(NOT_NEGATIVE), "Cost of the step in which the object is lost."
+    )
 
     def agree(self) -> None:
         """Raise an error if the costs could exceed the reward for holding."""
         if not sum(weights := [getattr(self, name) for name in COSTS]) <= MAX_COST + ROUNDING:
-            listed = ", ".join(f"{name} {weight:g}" for name, weight in zip(COSTS, weights, strict=True))
+            listed = ", ".join(
+                f"{name} {weight:g}" for name, weight in zip(COSTS, weights, strict=True)
+            )
             raise InvalidInputError(
                 f"the weights of the reward's costs ({listed}) add up to {sum(weights):g}, allowed is at most {MAX_COST:g}, so that "
                 "holding the object always pays: lower one of them"
@@ -211,7 +285,9 @@ class RewardSettings(Settings):
 
         `iterations` are the method's, `costs` the others of `COSTS` in their order, 0 to 1.
         """
-        shares = (min(1.0, iterations / self.iteration_scale), *costs) if held else (0.0,) * len(COSTS)
+        shares = (
+            (min(1.0, iterations / self.iteration_scale), *costs) if held else (0.0,) * len(COSTS)
+        )
         paid = self.held if held else 0.0 - self.failure_cost
         charged = {
             f"reward/{name}": 0.0 - self.held * getattr(self, name) * share
@@ -222,34 +298,49 @@ class RewardSettings(Settings):
 
 @dataclass(frozen=True)
 class EpisodeLimits(Settings):
-    """Limits that end an episode. The last three only decide on success: an episode that exceeds one of them goes on.
+    """Limits that end an episode.
+
+    The last three only decide on success: an episode that exceeds one of them goes on.
 
     Example:
         >>> EpisodeLimits(duration=1.0).max_contact_gap
         0.1
     """
 
-    duration: float | None = setting(None, real(POSITIVE), "Time until truncation.", unit="s", none="the task's own")
+    duration: float | None = setting(
+        None, real(POSITIVE), "Time until truncation.", unit="s", none="the task's own"
+    )
     max_drift: float | None = setting(
-        None, real(POSITIVE), "Distance from the wanted position at which the object counts as lost, usually 0.02 m.", unit="m",
+        None,
+        real(POSITIVE),
+        "Distance from the wanted position at which the object counts as lost, usually 0.02 m.",
+        unit="m",
         none="the task's own",
-    )  # fmt: skip
+    )
     max_tilt: float | None = setting(
-        None, real(POSITIVE), "Angle from the wanted orientation at which the object counts as lost, usually 0.35 rad.", unit="rad", none="the task's own"
-    )  # fmt: skip
+        None,
+        real(POSITIVE),
+        "Angle from the wanted orientation at which the object counts as lost, usually 0.35 rad.",
+        unit="rad",
+        none="the task's own",
+    )
     max_contact_gap: float = setting(
         0.1, real(POSITIVE), "Time without force closure before the grasp counts as lost.", unit="s"
     )
     max_slide: float = setting(
-        3e-3, real(NOT_NEGATIVE), "Distance that a touching fingertip may have slid on the object.", unit="m"
+        3e-3,
+        real(NOT_NEGATIVE),
+        "Distance that a touching fingertip may have slid on the object.",
+        unit="m",
     )
     max_overlap: float = setting(
         5e-4, real(NOT_NEGATIVE), "Largest penetration of a fingertip into the object.", unit="m"
     )
     max_stray: float = setting(
-        0.1, real(NOT_NEGATIVE),
+        0.1,
+        real(NOT_NEGATIVE),
         "Largest force on the object by parts other than fingertips, as a share of the load: external force and weight, at least the weight.",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -268,7 +359,12 @@ class PictureSettings(Settings):
         unit="pixels",
     )
     force: float | None = setting(
-        None, real(POSITIVE), "Largest force that a picture has room for; it sets the scale of the arrows.", unit="N",
+        None,
+        real(POSITIVE),
+        "Largest force that a picture has room for; it sets the scale of the arrows.",
+        unit="N",
         none="the largest of the plans of all episodes so far",
-    )  # fmt: skip
-    moment: float | None = setting(None, real(POSITIVE), "The same for moments.", unit="N m", none="as of `force`")
+    )
+    moment: float | None = setting(
+        None, real(POSITIVE), "The same for moments.", unit="N m", none="as of `force`"
+    )

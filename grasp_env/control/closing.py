@@ -11,19 +11,25 @@ from grasp_env.task.motion import resting_target
 
 CLOSING_TIME, SETTLING_TIME = 4.0, 0.6
 """Longest times [s] until every finger touches, and until the hand carries the weight at rest."""
-_STILL, _PLACED = 2e-3, 3e-5  # speed [m/s] and distance [m] below which the object is at rest in its place
+# speed [m/s] and distance [m] below which the object is at rest in its place
+_STILL, _PLACED = 2e-3, 3e-5
 _QUIET, _SETTLED = 8, 4  # control ticks in a row at rest: of the fingers, of the object
-_SLOW, _ENERGY = 0.1, 1e-5  # joint speed [rad/s] and kinetic energy [J] below which the fingers are at rest
+# joint speed [rad/s] and kinetic energy [J] below which the fingers are at rest
+_SLOW, _ENERGY = 0.1, 1e-5
 _WEIGHT_ERROR = 0.01
 _NEAR, _LOST = 1e-3, 5e-3  # [m] from its place: accepted at the end of the settling; lost
 _AT_LIMIT = 1.0 - 1e-6  # share of a torque limit that counts as the limit
 _END, _STRAY = 5e-3, 0.05  # angle from a joint's limit [rad]; force of links on the object [N]
-_JIG_BANDWIDTH = 100.0  # [rad/s] bandwidth of the critically damped jig that holds the object until the hand does
-_LIGHT, _LOADED = 0.1, 0.3  # [kg]: lighter objects would be pushed around in the jig, so they get the second mass there
+# [rad/s] bandwidth of the critically damped jig that holds the object until the hand does
+_JIG_BANDWIDTH = 100.0
+# [kg]: lighter objects would be pushed around in the jig, so they get the second mass there
+_LIGHT, _LOADED = 0.1, 0.3
 
 
 def close_hand(scene: Scene, loop: ForceLoop) -> None:
-    """Bring all tips into contact while a jig holds the object; a `SimulationError` if a finger does not arrive in time."""
+    """Bring all tips into contact while a jig holds the object; a `SimulationError` if a finger
+    does not arrive in time.
+    """
     loop.begin(scene)
     mass = scene.config.object.mass
     if mass < _LIGHT:
@@ -36,7 +42,8 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
 
 
 def _close(scene: Scene, loop: ForceLoop) -> None:
-    target, quiet = resting_target(1)[0], 0
+    target = resting_target(1)[0]
+    quiet = 0
     jig = critically_damped(scene.config.object, _JIG_BANDWIDTH, _JIG_BANDWIDTH)
     for _ in range(round(CLOSING_TIME / loop.dt)):
         torques = loop.reach(scene.gravity, target)
@@ -53,7 +60,9 @@ def _close(scene: Scene, loop: ForceLoop) -> None:
 
 
 def _slow(scene: Scene) -> bool:
-    """Return True if the fingers are nearly at rest, by speed and by energy: heavy moving fingers would carry the object away."""
+    """Return True if the fingers are nearly at rest, by speed and by energy: heavy moving fingers
+    would carry the object away.
+    """
     rates = scene.look().rates
     if not np.abs(rates).max() < _SLOW:
         return False
@@ -61,9 +70,12 @@ def _slow(scene: Scene) -> bool:
 
 
 def take_over(scene: Scene, loop: ForceLoop) -> None:
-    """Remove the jig and let the force loop carry the weight until everything is at rest; a `SimulationError` if it does not."""
+    """Remove the jig and let the force loop carry the weight until everything is at rest; a
+    `SimulationError` if it does not.
+    """
     loop.reset()
-    target, quiet = resting_target(1)[0], 0
+    target = resting_target(1)[0]
+    quiet = 0
     every = round(loop.config.controller.rate / loop.config.agent.rate)
     weight = scene.config.object.mass * scene.gravity
     scale = float(np.linalg.norm(weight))
@@ -76,8 +88,14 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         scene.advance(torques, None)
         snapshot = scene.look()
         total = snapshot.rotation @ snapshot.forces.sum(axis=0)
-        error = float(np.linalg.norm(total + weight)) / (scale or max(float(np.abs(snapshot.forces).sum()), 1e-9))
-        still = np.abs(snapshot.linear).max() < _STILL and snapshot.touching.all() and error < _WEIGHT_ERROR
+        error = float(np.linalg.norm(total + weight)) / (
+            scale or max(float(np.abs(snapshot.forces).sum()), 1e-9)
+        )
+        still = (
+            np.abs(snapshot.linear).max() < _STILL
+            and snapshot.touching.all()
+            and error < _WEIGHT_ERROR
+        )
         away = np.abs(snapshot.position).max()
         # fingers that cannot push in every direction leave the object slightly off its place
         quiet = quiet + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
@@ -90,31 +108,45 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         f"{loop.friction:.3g}, the object has {scene.config.object.friction:.3g}: lower friction_margin or friction_error, raise "
         "barrier_weight or squeeze, or make the object lighter"
     )
-    raise SimulationError(f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, loop, friction, True)}")
+    raise SimulationError(
+        f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, loop, friction, True)}"
+    )
 
 
 def _causes(scene: Scene, loop: ForceLoop, otherwise: str, settling: bool) -> str:
-    """Return the likely causes of a failed grasp, with advice: torque limits, joint ranges, links in contact, gaps."""
-    snapshot, hand, kinematics = scene.look(), scene.config.hand, scene.kinematics
-    names, causes = [hand.palm.name, *(link.name for link in hand.links)], []
+    """Return the likely causes of a failed grasp, with advice: torque limits, joint ranges, links
+    in contact, gaps.
+    """
+    snapshot = scene.look()
+    hand = scene.config.hand
+    kinematics = scene.kinematics
+    names = [hand.palm.name, *(link.name for link in hand.links)]
+    causes = []
     weak = np.flatnonzero(np.abs(loop.torques) >= _AT_LIMIT * kinematics.torque_limits)
     if loop.effort.saturated and len(weak):
-        listed = ", ".join(f"{hand.joint_names[j]} ({kinematics.torque_limits[j]:g} N m)" for j in weak)
+        listed = ", ".join(
+            f"{hand.joint_names[j]} ({kinematics.torque_limits[j]:g} N m)" for j in weak
+        )
         causes.append(
             f"joints at their torque limits: {listed}. No force within them carries the object where it is: raise torque_limit, make "
             "the object lighter or rougher, or grasp it elsewhere"
         )
-    pairs = [f"{names[first + 1]} and {names[second + 1]}" for first, second in scene.simulator.self_contacts()]
+    pairs = [
+        f"{names[first + 1]} and {names[second + 1]}"
+        for first, second in scene.simulator.self_contacts()
+    ]
     if pairs:
         causes.append(
             f"links push each other: {', '.join(pairs)}. Give contact_points or a home posture that keep them apart"
         )
     span = kinematics.upper - kinematics.lower
-    near = np.minimum(snapshot.angles - kinematics.lower, kinematics.upper - snapshot.angles) < np.minimum(
-        _END, 0.01 * span
-    )
+    near = np.minimum(
+        snapshot.angles - kinematics.lower, kinematics.upper - snapshot.angles
+    ) < np.minimum(_END, 0.01 * span)
     if near.any():
-        listed = ", ".join(f"{hand.joint_names[j]} ({snapshot.angles[j]:.3f})" for j in np.flatnonzero(near))
+        listed = ", ".join(
+            f"{hand.joint_names[j]} ({snapshot.angles[j]:.3f})" for j in np.flatnonzero(near)
+        )
         causes.append(
             f"joints at the ends of their ranges: {listed}. Give contact_points or a home posture away from these"
         )
@@ -126,7 +158,8 @@ def _causes(scene: Scene, loop: ForceLoop, otherwise: str, settling: bool) -> st
         return otherwise
     if not snapshot.touching.all():
         listed = ", ".join(
-            f"{hand.finger_names[i]} ({1e3 * snapshot.gaps[i]:.2f} mm)" for i in np.flatnonzero(snapshot.touching == 0)
+            f"{hand.finger_names[i]} ({1e3 * snapshot.gaps[i]:.2f} mm)"
+            for i in np.flatnonzero(snapshot.touching == 0)
         )
         causes.append(
             f"fingers that do not touch, with their gaps: {listed}. Give contact_points that they reach unhindered"

@@ -1,4 +1,6 @@
-"""The force loop: contacts and wrench in, joint torques out, at the control rate; optimised once per agent step."""
+"""The force loop: contacts and wrench in, joint torques out, at the control rate; optimised once
+per agent step.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,13 @@ from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceOptimizer, ForceSolution
-from grasp_env.force.initial import InitialForceRule, StartRequest, refused_start, rule_name, rule_start
+from grasp_env.force.initial import (
+    InitialForceRule,
+    StartRequest,
+    refused_start,
+    rule_name,
+    rule_start,
+)
 from grasp_env.force.objective import Objective
 from grasp_env.force.options import FLOWS
 from grasp_env.force.record import CODE, REFUSED, RESULTS
@@ -28,17 +36,21 @@ from grasp_env.sim.scene import Scene
 from grasp_env.sim.snapshot import Snapshot
 
 FOLLOW_ITERATIONS = 200
-"""Largest number of iterations at the control ticks between two agent steps; Newton takes 1 to 15."""
+"""Largest number of iterations at the control ticks between two agent steps; Newton takes 1 to 15.
+"""
 RELEASE = 2
 """Control ticks without force after which a finger no longer counts as in contact."""
 REACH_STIFFNESS, REACH_FORCE, REACH_LIMIT = 60.0, 0.3, 1.0
-"""Stiffness [N/m] of a finger that reaches for its place, its force against the object [N], its largest force on the way [N]."""
+"""Stiffness [N/m] of a finger that reaches for its place, its force against the object [N], its
+largest force on the way [N]."""
 POSTURE_STIFFNESS, POSTURE_DAMPING = 0.01, 0.001
-"""Stiffness [N m/rad] and damping [N m s/rad] that draw the joints of a redundant hand to their rest posture."""
+"""Stiffness [N m/rad] and damping [N m s/rad] that draw the joints of a redundant hand to their
+rest posture."""
 REACH_MASS = 0.03
 """Mass [kg] of the lightest tip for which reaching is critically damped."""
 MAX_STIFFNESS, MAX_DAMPING = 0.5, 1.0
-"""Largest stiffness * dt^2 / mass and damping * dt / mass; sampled control of a light link diverges from 4 and from 2 on."""
+"""Largest stiffness * dt^2 / mass and damping * dt / mass; sampled control of a light link diverges
+from 4 and from 2 on."""
 MAX_BANDWIDTH = 0.3
 """Largest bandwidth times delay; critically damped feedback oscillates from 0.65 on."""
 
@@ -46,24 +58,29 @@ MAX_BANDWIDTH = 0.3
 class ForceLoop:
     """Optimises the contact forces at every agent step and holds the object in between.
 
-    One compiled call is one control tick, from a reading to joint torques. At an agent's step the configured method solves from its
-    start. At the other ticks Newton (conic after conic) continues from the last command. Both use the current contacts of the
-    fingers that touch; the other fingers reach for their places. If the motors cannot produce a force, Newton within their limits
-    follows. If the contacts cannot balance the wrench, the forces inside the cones with the smallest imbalance are commanded.
+    One compiled call is one control tick, from a reading to joint torques. At an agent's step the
+    configured method solves from its start. At the other ticks Newton (conic after conic) continues
+    from the last command. Both use the current contacts of the fingers that touch; the other
+    fingers reach for their places. If the motors cannot produce a force, Newton within their limits
+    follows. If the contacts cannot balance the wrench, the forces inside the cones with the
+    smallest imbalance are commanded.
 
     Attributes:
         optimizer: the method, made for the planned contacts of all fingers.
         seen: the scene as the controller measures it.
         wrench: (6,) wrench that the forces balance [N, N m], object frame.
         torques: (M,) commanded joint torques [N m].
-        force: (N, 3) commanded contact forces [N], contact frames; frames: (N, 3, 3) columns (n, o, t), object frame.
-        friction, torsional_friction: coefficients that the solver assumes; the latter in metres, above 0 contacts are soft.
+        force: (N, 3) commanded contact forces [N], contact frames; frames: (N, 3, 3) columns (n, o,
+            t), object frame.
+        friction, torsional_friction: coefficients that the solver assumes; the latter in metres,
+        above 0 contacts are soft.
     """
 
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
         self.config = config
         self.initial_force = initial_force
-        # no start is an error of a user's rule, but normal for a named rule while the grasp is being lost
+        # no start is an error of a user's rule, but normal for a named rule while the grasp is
+        # being lost
         named = (InfeasibleStartError,) if isinstance(initial_force, str) else ()
         self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *named)
         self.dt = 1.0 / config.controller.rate
@@ -73,40 +90,63 @@ class ForceLoop:
         return f"ForceLoop({self.config.solver.method} from {rule_name(self.initial_force)})"
 
     def begin(self, scene: Scene) -> None:
-        """Prepare everything that depends on the object and the grasp; a `GraspError` if the planned contacts cannot hold an object."""
-        item, hand, config = scene.config.object, scene.config.hand, self.config
+        """Prepare everything that depends on the object and the grasp; a `GraspError` if the
+        planned contacts cannot hold an object.
+        """
+        item = scene.config.object
+        hand = scene.config.hand
+        config = self.config
         self.count = hand.finger_count
         self.scene = scene
-        believed = hand.tip_friction * (1.0 + config.controller.friction_error) * config.controller.friction_margin
-        self.friction, self.torsional_friction = item.friction * believed, item.torsional_friction * believed
-        points, normals = np.array(scene.config.contact_points), scene.config.contact_normals
+        believed = (
+            hand.tip_friction
+            * (1.0 + config.controller.friction_error)
+            * config.controller.friction_margin
+        )
+        self.friction = item.friction * believed
+        self.torsional_friction = item.torsional_friction * believed
+        points = np.array(scene.config.contact_points)
+        normals = scene.config.contact_normals
         grasp = self.grasp(points, normals)
         self.optimizer = make_optimizer(grasp, config, self.initial_force)
         settings = control_settings(config, item, scene.kinematics)
         settings.remembers = self.optimizer.remembers
         # soft tips on one line have an internal force more
-        settings.directions = reference_basis(grasp)[:, : adjustment_size(self.count)].reshape(-1).tolist()
-        self._core = core.Controller.make(scene.core, self.optimizer.core, settings, sensor_settings(config))
+        settings.directions = (
+            reference_basis(grasp)[:, : adjustment_size(self.count)].reshape(-1).tolist()
+        )
+        self._core = core.Controller.make(
+            scene.core, self.optimizer.core, settings, sensor_settings(config)
+        )
         self._settling = True  # until the hand holds the object
         arrays = self._core.arrays()
         self.wrench, self.force, self.frames, self.torques, self._row = (
             arrays[name] for name in ("wrench", "force", "frames", "torques", "solution")
         )
-        # joints that the tips leave free stay in the planned posture: a far home posture would draw them to their limits
+        # joints that the tips leave free stay in the planned posture: a far home posture would draw
+        # them to their limits
         arrays["home"][:] = scene.config.start_angles or hand.home
         arrays["goals"][:] = points
         arrays["inwards"][:] = normals
-        arrays["depths"][:] = config.controller.squeeze / self.count / config.controller.pd_stiffness
+        arrays["depths"][:] = (
+            config.controller.squeeze / self.count / config.controller.pd_stiffness
+        )
         self._noise = None
         self.reset()
 
     def grasp(self, points: Array, normals: Array) -> Grasp:
-        """Return the grasp of contacts (N, 3) [m] with inward unit normals (N, 3), object frame, and the assumed friction."""
+        """Return the grasp of contacts (N, 3) [m] with inward unit normals (N, 3), object frame,
+        and the assumed friction.
+        """
         soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
-        return Grasp.from_contacts(points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {})
+        return Grasp.from_contacts(
+            points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {}
+        )
 
     def reset(self, rng: np.random.Generator | None = None) -> None:
-        """Forget the episode; `rng` gives the seed of the noise in one draw, whatever the settings (None: keep the current noise)."""
+        """Forget the episode; `rng` gives the seed of the noise in one draw, whatever the settings
+        (None: keep the current noise).
+        """
         self.scene.look()
         self._core.reset()
         self.settling = self._settling
@@ -119,7 +159,9 @@ class ForceLoop:
 
     @property
     def settling(self) -> bool:
-        """True until the hand has taken over the object; until then every controller uses optimised forces and exact sensors."""
+        """True until the hand has taken over the object; until then every controller uses optimised
+        forces and exact sensors.
+        """
         return self._settling
 
     @settling.setter
@@ -133,10 +175,13 @@ class ForceLoop:
 
     @property
     def solution(self) -> ForceSolution | None:
-        """The method's last solution; None before the first one, after a solve without a force, and for controllers without a solver."""
+        """The method's last solution; None before the first one, after a solve without a force, and
+        for controllers without a solver.
+        """
         if self._core.code not in RESULTS:
             return None
-        row, rule = self._row.copy(), self._start
+        row = self._row.copy()
+        rule = self._start
         if rule is not None:
             rule.mark(row)
         return ForceSolution(row, self.optimizer.names)
@@ -156,7 +201,9 @@ class ForceLoop:
     def fingers(self) -> Indices:
         """Numbers (n,) of the fingers in contact, as far as the controller knows."""
         mask = self._core.mask
-        return np.array([finger for finger in range(self.count) if mask >> finger & 1], dtype=np.int64)
+        return np.array(
+            [finger for finger in range(self.count) if mask >> finger & 1], dtype=np.int64
+        )
 
     def begin_step(self) -> None:
         """Begin an agent's step: reset `effort`."""
@@ -168,7 +215,9 @@ class ForceLoop:
         return self._core.effort
 
     def costs(self) -> tuple[float, float, float]:
-        """Return force, torque and change of force since `begin_step`, as costs from 0 to 1; see `core.Costs`."""
+        """Return force, torque and change of force since `begin_step`, as costs from 0 to 1; see
+        `core.Costs`.
+        """
         found = self._core.costs()
         return found.force, found.torque, found.change
 
@@ -189,17 +238,22 @@ class ForceLoop:
         adjustment: Array | None = None,
         given: Array | None = None,
     ) -> list[float]:
-        """Run one control tick: read the scene, find the forces, and return the joint torques (M,) [N m] that produce them.
+        """Run one control tick: read the scene, find the forces, and return the joint torques (M,)
+        [N m] that produce them.
 
         Args:
-            external: (6,) external wrench [N, N m], object frame, as a perfect sensor would measure it.
+            external: (6,) external wrench [N, N m], object frame, as a perfect sensor would measure
+                it.
             gravity: (3,) gravity that the controller assumes [m/s^2], world frame.
             target: (19,) wanted motion, see `env.plan.Plan`.
             due: True at the first tick of an agent's step.
-            adjustment: (max(3N - 6, 1),) [N] along internal forces of the planned contacts, added to the start, which is then repaired.
+            adjustment: (max(3N - 6, 1),) [N] along internal forces of the planned contacts, added
+                to the start, which is then repaired.
             given: (N, 3) forces to command instead of optimised ones [N], contact frames.
         """
-        core, noise, reading = self._core, self._noise, self.scene.new_reading()
+        core = self._core
+        noise = self._noise
+        reading = self.scene.new_reading()
         if given is not None and self._held != Hold.direct:
             self._hold(Hold.direct)
         row = None if noise is None else noise()
@@ -215,7 +269,9 @@ class ForceLoop:
         """Run the tick of a method with a Python start rule, on the contacts as they are measured."""
         touching = self.fingers
         try:
-            grasp = Grasp.from_contacts(self.seen.points[touching], self.seen.normals[touching], self.friction)
+            grasp = Grasp.from_contacts(
+                self.seen.points[touching], self.seen.normals[touching], self.friction
+            )
             start = rule_start(self.optimizer.initial, grasp, self.wrench, self.optimizer.objective)
         except self._lost_closure:  # the method reports this from its own start
             self._start = None
@@ -229,19 +285,27 @@ class ForceLoop:
         return torques
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
-        """Set the state of the hand at rest, before the first tick: contacts, frames, measured forces as the commanded ones."""
-        self._core.see(None, external, gravity, target, None if self._noise is None else self._noise())
+        """Set the state of the hand at rest, before the first tick: contacts, frames, measured
+        forces as the commanded ones.
+        """
+        self._core.see(
+            None, external, gravity, target, None if self._noise is None else self._noise()
+        )
         self._core.rest()
         self._core.rewind()
 
     def reach(self, gravity: Array, target: Array) -> list[float]:
-        """Return the joint torques (M,) [N m] of the next control tick, with which all fingers reach for their places."""
+        """Return the joint torques (M,) [N m] of the next control tick, with which all fingers
+        reach for their places.
+        """
         self._hold(Hold.reach)
         return self.tick(np.zeros(6), gravity, target, False)
 
 
 def adjustment_size(tips: int) -> int:
-    """Return the number of internal forces along which an agent adjusts the start, for a hand with a given number of tips."""
+    """Return the number of internal forces along which an agent adjusts the start, for a hand with
+    a given number of tips.
+    """
     return max(3 * tips - 6, 1)
 
 
@@ -249,24 +313,39 @@ HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Ho
 """The behaviour of the fingers in contact under each kind of controller."""
 
 
-def make_optimizer(grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule) -> ForceOptimizer:
-    """Return the method of the settings for contacts near those of `grasp`; on soft contacts, which the flows do not support, Newton."""
-    soft, method, initial = grasp.contacts.soft, config.solver.method, initial_force
+def make_optimizer(
+    grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule
+) -> ForceOptimizer:
+    """Return the method of the settings for contacts near those of `grasp`; on soft contacts, which
+    the flows do not support, Newton.
+    """
+    soft = grasp.contacts.soft
+    method = config.solver.method
+    initial = initial_force
     if soft and method in FLOWS:
         method = "newton"
     if method == "conic" or (soft and initial != "previous"):
         initial = None
     elif isinstance(initial, str) and initial in RULES and initial != "linear_combination":
         # made for the contacts of each call, not for the planned ones
-        initial = initial_rule(initial, Objective(config.solver.force_weight, config.solver.barrier_weight))
+        initial = initial_rule(
+            initial, Objective(config.solver.force_weight, config.solver.barrier_weight)
+        )
     barrier = None if method == "conic" else config.solver.barrier_weight
     return ForceOptimizer(
-        grasp, method=method, initial=initial, force_weight=config.solver.force_weight, barrier_weight=barrier,
-        tolerance=config.solver.tolerance, max_iterations=config.solver.max_iterations,
-    )  # fmt: skip
+        grasp,
+        method=method,
+        initial=initial,
+        force_weight=config.solver.force_weight,
+        barrier_weight=barrier,
+        tolerance=config.solver.tolerance,
+        max_iterations=config.solver.max_iterations,
+    )
 
 
-def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: HandKinematics) -> core.ControlSettings:
+def control_settings(
+    config: EnvConfig, item: ObjectDescription, kinematics: HandKinematics
+) -> core.ControlSettings:
     """Return the controller's settings: the object without its payload, and all gains."""
     tips, joints = kinematics.mobility(kinematics.home)
     dt = 1.0 / config.controller.rate
@@ -274,7 +353,11 @@ def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: Han
     made.body = believed_body(config, item)
     made.reach = [
         stable_spring(
-            REACH_STIFFNESS, 2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / each)), REACH_LIMIT, each, dt
+            REACH_STIFFNESS,
+            2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / each)),
+            REACH_LIMIT,
+            each,
+            dt,
         )
         for each in tips
     ]
@@ -291,7 +374,9 @@ def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: Han
         for each in joints
     ]
     made.set_follow(
-        config.solver.tolerance, min(config.solver.max_iterations, FOLLOW_ITERATIONS), config.solver.method == "conic"
+        config.solver.tolerance,
+        min(config.solver.max_iterations, FOLLOW_ITERATIONS),
+        config.solver.method == "conic",
     )
     made.squeeze = config.controller.squeeze
     made.most_change = config.controller.force_rate / config.controller.rate
@@ -299,21 +384,31 @@ def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: Han
     return made
 
 
-def stable_spring(stiffness: float, damping: float, limit: float, mobility: float, dt: float) -> core.Spring:
-    """Return a spring and damper for a given mobility [1/kg], [1/(kg m^2)], soft enough to be stable when sampled every `dt` [s]."""
+def stable_spring(
+    stiffness: float, damping: float, limit: float, mobility: float, dt: float
+) -> core.Spring:
+    """Return a spring and damper for a given mobility [1/kg], [1/(kg m^2)], soft enough to be
+    stable when sampled every `dt` [s].
+    """
     if not mobility > 0.0:
         return core.Spring(0.0, 0.0, limit)
     return core.Spring(
-        min(stiffness, MAX_STIFFNESS / (mobility * dt**2)), min(damping, MAX_DAMPING / (mobility * dt)), limit
+        min(stiffness, MAX_STIFFNESS / (mobility * dt**2)),
+        min(damping, MAX_DAMPING / (mobility * dt)),
+        limit,
     )
 
 
 def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:
-    """Return the object with its pose feedback, critically damped and no faster than the delay of the sensors allows."""
+    """Return the object with its pose feedback, critically damped and no faster than the delay of
+    the sensors allows.
+    """
     late = late_ticks(config) / config.controller.rate
     most = MAX_BANDWIDTH / late if late > 0.0 else np.inf
     return critically_damped(
-        item, min(config.controller.position_bandwidth, most), min(config.controller.rotation_bandwidth, most)
+        item,
+        min(config.controller.position_bandwidth, most),
+        min(config.controller.rotation_bandwidth, most),
     )
 
 
@@ -321,6 +416,8 @@ def critically_damped(item: ObjectDescription, push: float, turn: float) -> core
     """Return an object with pose feedback of two bandwidths [rad/s]."""
     made = core.Body()
     made.mass, made.inertia = item.mass, item.inertia_matrix.reshape(-1).tolist()
-    made.position_gain, made.position_damping = item.mass * push**2, 2.0 * item.mass * push
-    made.rotation_gain, made.rotation_damping = turn**2, 2.0 * turn
+    made.position_gain = item.mass * push**2
+    made.position_damping = 2.0 * item.mass * push
+    made.rotation_gain = turn**2
+    made.rotation_damping = 2.0 * turn
     return made

@@ -1,4 +1,6 @@
-"""The part of the contact forces that no motor can produce: the structure of the fingers carries it."""
+"""The part of the contact forces that no motor can produce: the structure of the fingers carries
+it.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,12 @@ from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
 from grasp_env.sim.snapshot import Snapshot
 
 MAX_CARRIED = 0.65
-"""Largest share of a finger's force that its structure may carry without a warning. In 34 grasps by five hands (Dex3, Linker O7, Ability,
-BrainCo, iCub) the engines agreed below it: Bullet held 26 of 32 trials, MuJoCo 27. Above it Bullet held 30 of 104, MuJoCo 69."""
+"""Largest share of a finger's force that its structure may carry without a warning.
+
+In 34 grasps by five hands (Dex3, Linker O7, Ability,
+BrainCo, iCub) the engines agreed below it: Bullet held 26 of 32 trials, MuJoCo 27. Above it Bullet
+held 30 of 104, MuJoCo 69.
+"""
 
 
 class FingerStructure(NamedTuple):
@@ -23,19 +29,27 @@ class FingerStructure(NamedTuple):
 
     Attributes:
         components: (N,) number of a finger's three force components that its motors can produce.
-        share: (N,) share of a finger's force that its structure carries, root mean square over the loads; 0 if the motors can
-            produce all forces.
+        share: (N,) share of a finger's force that its structure carries, root mean square over the
+            loads; 0 if the motors can produce all forces.
     """
 
     components: Indices
     share: Array
 
     def warning(self, names: Sequence[str]) -> str:
-        """Return a warning about fingers, by name, whose structure carries more than `MAX_CARRIED`; empty if there are none."""
+        """Return a warning about fingers, by name, whose structure carries more than `MAX_CARRIED`;
+        empty if there are none.
+        """
         listed = ", ".join(
             f"{share:.0%} of the force of {name!r} "
-            + (f"(motors make {made} of 3 components)" if made < 3 else "(other fingers share its motors)")
-            for name, made, share in zip(names, self.components.tolist(), self.share.tolist(), strict=True)
+            + (
+                f"(motors make {made} of 3 components)"
+                if made < 3
+                else "(other fingers share its motors)"
+            )
+            for name, made, share in zip(
+                names, self.components.tolist(), self.share.tolist(), strict=True
+            )
             if share > MAX_CARRIED
         )
         return listed and (
@@ -45,23 +59,31 @@ class FingerStructure(NamedTuple):
         )
 
 
-def finger_structure(snapshot: Snapshot, kinematics: HandKinematics, grasp: Grasp, wrenches: Array) -> FingerStructure:
-    """Return the shares of the forces that motors produce and that structure carries, in the current posture.
+def finger_structure(
+    snapshot: Snapshot, kinematics: HandKinematics, grasp: Grasp, wrenches: Array
+) -> FingerStructure:
+    """Return the shares of the forces that motors produce and that structure carries, in the
+    current posture.
 
-    Contact forces f take the motor torques J^T f. J is the Jacobian of all contacts, with coupled joints and motors that several
-    fingers share. The part of f in the null space of J^T takes no torque, and no torque changes it. `wrenches` (K, 6) are loads on
-    the object [N, N m], object frame. Those that the contacts cannot balance are ignored.
+    Contact forces f take the motor torques J^T f. J is the Jacobian of all contacts, with coupled
+    joints and motors that several fingers share. The part of f in the null space of J^T takes no
+    torque, and no torque changes it. `wrenches` (K, 6) are loads on the object [N, N m], object
+    frame. Those that the contacts cannot balance are ignored.
     """
-    count, motors, turn = len(snapshot.points), kinematics.motors, snapshot.rotation
+    count = len(snapshot.points)
+    motors = kinematics.motors
+    turn = snapshot.rotation
     jacobian = kinematics.statics(snapshot.angles, snapshot.touch)[0][:, :, motors]
     span = motor_force_basis(jacobian.reshape(3 * count, len(motors)))
     if span.shape[1] == 3 * count:
         return FingerStructure(np.full(count, 3), np.zeros(count))
-    components: Indices = np.array([motor_force_basis(part).shape[1] for part in jacobian], dtype=np.int64)
-    found = optimize_forces(grasp, wrenches, workers=1).force
-    forces = np.einsum("nij,mnj->mni", turn @ grasp.frames, found[np.isfinite(found).all(axis=(1, 2))]).reshape(
-        -1, 3 * count
+    components: Indices = np.array(
+        [motor_force_basis(part).shape[1] for part in jacobian], dtype=np.int64
     )
+    found = optimize_forces(grasp, wrenches, workers=1).force
+    forces = np.einsum(
+        "nij,mnj->mni", turn @ grasp.frames, found[np.isfinite(found).all(axis=(1, 2))]
+    ).reshape(-1, 3 * count)
     carried = forces - forces @ span @ span.T
     parts = [(part.reshape(-1, count, 3) ** 2).sum(axis=(0, 2)) for part in (carried, forces)]
     share = np.sqrt(parts[0] / np.maximum(parts[1], np.finfo(float).tiny))

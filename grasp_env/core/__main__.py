@@ -9,7 +9,9 @@ from pathlib import Path
 
 def main() -> None:
     """Print a folder."""
-    parser = argparse.ArgumentParser(prog="python -m grasp_env.core", description="Print a folder of the C++ core.")
+    parser = argparse.ArgumentParser(
+        prog="python -m grasp_env.core", description="Print a folder of the C++ core."
+    )
     group = parser.add_mutually_exclusive_group(required=True)
     folder = Path(__file__).resolve().parent
     for option, path, text in (

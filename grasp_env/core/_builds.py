@@ -1,4 +1,6 @@
-"""Choice of the core's build: a wheel for x86-64 holds one folder per processor level, any other install a single build."""
+"""Choice of the core's build: a wheel for x86-64 holds one folder per processor level, any other
+install a single build.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +14,19 @@ _HERE = Path(__file__).parent
 
 
 def processor_level(here: Path) -> int:
-    """Return the level of x86-64, 1 to 4, that processor and system support (`bindings/wheel/processor.cpp`)."""
+    """Return the level of x86-64, 1 to 4, that processor and system support
+    (`bindings/wheel/processor.cpp`).
+    """
     return ctypes.CDLL(str(here / "processor.so")).grasp_processor_level()
 
 
 def folders(here: Path = _HERE) -> list[str]:
-    """Return the folders to search for `_core` in addition to the package's own: that of the highest level that this processor runs.
+    """Return the folders to search for `_core` in addition to the package's own: that of the
+    highest level that this processor runs.
 
     Raises:
-        ImportError: the wheel holds no build for this processor, or not the one that the variable selects.
+        ImportError: the wheel holds no build for this processor, or not the one that the variable
+            selects.
     """
     available = sorted(path.name for path in here.glob("x86-64-v*"))
     if not available:

@@ -1,4 +1,6 @@
-"""Annotations of an environment's pictures: forces, cones, the wrench to balance, the state of the episode; all at one scale."""
+"""Annotations of an environment's pictures: forces, cones, the wrench to balance, the state of the
+episode; all at one scale.
+"""
 
 from __future__ import annotations
 
@@ -36,21 +38,35 @@ DISTURBANCES = {
 }
 """Words for disturbances with unclear names."""
 
-PALETTE = np.array([(0.85, 0.33, 0.24), (0.20, 0.50, 0.80), (0.95, 0.69, 0.20), (0.27, 0.65, 0.42), (0.55, 0.40, 0.75),
-                    (0.35, 0.70, 0.75), (0.80, 0.45, 0.60), (0.50, 0.55, 0.30)])  # fmt: skip
-"""Colours of the fingers of a hand of one colour: red, green and blue in [0, 1]; they repeat after eight."""
+PALETTE = np.array(
+    [
+        (0.85, 0.33, 0.24),
+        (0.20, 0.50, 0.80),
+        (0.95, 0.69, 0.20),
+        (0.27, 0.65, 0.42),
+        (0.55, 0.40, 0.75),
+        (0.35, 0.70, 0.75),
+        (0.80, 0.45, 0.60),
+        (0.50, 0.55, 0.30),
+    ]
+)
+"""Colours of the fingers of a hand of one colour: red, green and blue in [0, 1]; they repeat after
+eight."""
 
 LEAST_FORCE, LEAST_MOMENT = 0.1, 0.02
-"""Smallest force [N] and moment [N m] that set the scale, so that rounding errors are not drawn as long arrows."""
+"""Smallest force [N] and moment [N m] that set the scale, so that rounding errors are not drawn as
+long arrows."""
 
 _ALIKE = 0.1  # largest difference between colours that count as equal
 
 
 class Annotator:
-    """Makes the annotations of the pictures of one environment, with its `resolved` settings and the hand in its scene.
+    """Makes the annotations of the pictures of one environment, with its `resolved` settings and
+    the hand in its scene.
 
-    The scales follow from the largest force and moment in the plan of an episode, known at reset. They stay constant within an episode.
-    A later episode with larger forces makes them smaller; they never grow. `pictures.force` and `pictures.moment` fix them.
+    The scales follow from the largest force and moment in the plan of an episode, known at reset.
+    They stay constant within an episode. A later episode with larger forces makes them smaller;
+    they never grow. `pictures.force` and `pictures.moment` fix them.
     """
 
     def __init__(self, config: EnvConfig, hand: HandDescription) -> None:
@@ -62,17 +78,32 @@ class Annotator:
         self._scale = self._turn = np.inf
 
     def expect(self, plan: Plan, scene: Scene, friction: float) -> None:
-        """Adapt the scales to the largest arrows of an episode, for the friction coefficient that the controller assumes."""
-        config, wrenches = self._config, _wrenches(plan, scene)
-        pull, moment = (float(np.linalg.norm(part, axis=1).max()) for part in (wrenches[:, :3], wrenches[:, 3:]))
-        force = config.pictures.force or max(_largest(config, scene, wrenches, friction), WRENCH_STRETCH * pull)
+        """Adapt the scales to the largest arrows of an episode, for the friction coefficient that
+        the controller assumes.
+        """
+        config = self._config
+        wrenches = _wrenches(plan, scene)
+        pull, moment = (
+            float(np.linalg.norm(part, axis=1).max()) for part in (wrenches[:, :3], wrenches[:, 3:])
+        )
+        force = config.pictures.force or max(
+            _largest(config, scene, wrenches, friction), WRENCH_STRETCH * pull
+        )
         self._scale = min(self._scale, LONGEST / max(force, LEAST_FORCE))
-        self._turn = min(self._turn, LONGEST_TURN / max(config.pictures.moment or moment, LEAST_MOMENT))
+        self._turn = min(
+            self._turn, LONGEST_TURN / max(config.pictures.moment or moment, LEAST_MOMENT)
+        )
 
-    def __call__(self, loop: ForceLoop, scene: Scene, time: float, outcome: Outcome, failure: str) -> Annotation:
-        """Return the annotation of the current picture, `time` [s] after the reset; `failure` is "" while the object is held."""
-        snapshot, solution = scene.look(), loop.solution
-        to_world, count = snapshot.rotation, len(loop.force)
+    def __call__(
+        self, loop: ForceLoop, scene: Scene, time: float, outcome: Outcome, failure: str
+    ) -> Annotation:
+        """Return the annotation of the current picture, `time` [s] after the reset; `failure` is ""
+        while the object is held.
+        """
+        snapshot = scene.look()
+        solution = loop.solution
+        to_world = snapshot.rotation
+        count = len(loop.force)
         return Annotation(
             points=snapshot.touch,
             normals=snapshot.normals @ to_world.T,
@@ -107,7 +138,9 @@ def title(config: EnvConfig) -> str:
     """
     name = name_of(config.disturbance)
     disturbance = DISTURBANCES.get(name, name).strip("_").replace("_", " ")
-    what = [each for each in (config.task.caption.format_map(vars(config.task)), disturbance) if each]
+    what = [
+        each for each in (config.task.caption.format_map(vars(config.task)), disturbance) if each
+    ]
     return f"{config.task.name.replace('_', ' ')}{': ' if what else ''}{', '.join(what)}"
 
 
@@ -115,7 +148,9 @@ def _wrenches(plan: Plan, scene: Scene) -> Array:
     """Return the wrenches (T, 6) to balance while the object follows its target, upright."""
     item = scene.config.object
     mass = (item.mass * plan.mass_factor)[:, None]
-    force = plan.wrench[:, :3] + plan.push + mass * (plan.gravity - plan.target[:, LINEAR_ACCELERATION])
+    force = (
+        plan.wrench[:, :3] + plan.push + mass * (plan.gravity - plan.target[:, LINEAR_ACCELERATION])
+    )
     moment = plan.wrench[:, 3:] - plan.target[:, ANGULAR_ACCELERATION] @ item.inertia_matrix.T
     return np.hstack([force, moment])
 
@@ -133,7 +168,10 @@ def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) 
     try:
         grasp = Grasp.from_contacts(points, scene.config.contact_normals, friction)
         solution = optimize_force(
-            grasp, wrenches[worst], force_weight=config.solver.force_weight, barrier_weight=config.solver.barrier_weight
+            grasp,
+            wrenches[worst],
+            force_weight=config.solver.force_weight,
+            barrier_weight=config.solver.barrier_weight,
         )
         return float(np.linalg.norm(solution.force, axis=1).max())
     except GraspError:  # two fingers, which need torsion: each holds half of the wrench by friction

@@ -1,6 +1,7 @@
 """`FourFingerGrasp-v0`: a simulated hand with grasp forces that are optimised at every step.
 
-It contains the environment, whose class docstring is its manual, and what `gym.make` calls to complete it.
+It contains the environment, whose class docstring is its manual, and what `gym.make` calls to
+complete it.
 """
 
 from __future__ import annotations
@@ -45,60 +46,68 @@ NO_COSTS = (0.0, 0.0, 0.0)
 
 
 class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
-    """Simulated hand whose fingers hold an object against wrenches, or move it along a given motion.
+    """Simulated hand whose fingers hold an object against wrenches, or move it along a given
+    motion.
 
     ## Step
-    The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster (see `EnvConfig`). A control tick reads the
-    contacts from the simulator and builds the grasp matrix G from the fingers that touch. The wrench to balance is the external wrench
-    plus gravity plus pose feedback, minus the wrench that accelerates the object along its target motion. The ticks differ in how they
-    find the forces:
+    The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster (see
+    `EnvConfig`). A control tick reads the contacts from the simulator and builds the grasp matrix G
+    from the fingers that touch. The wrench to balance is the external wrench plus gravity plus pose
+    feedback, minus the wrench that accelerates the object along its target motion. The ticks differ
+    in how they find the forces:
 
-    - First tick of a step: the initial force comes from the start rule (by default the paper's linear combination of 12 offline optima)
-      plus the action. The method optimises it: by default the reduced gradient flow, on soft contacts Newton, because the flows do
-      not support them.
-    - Other ticks: Newton, or the conic solver if `method` is "conic", re-optimises the forces. Newton starts from the last command.
-      `info["followed"]` counts the iterations.
+    - First tick of a step: the initial force comes from the start rule (by default the paper's
+      linear combination of 12 offline optima) plus the action. The method optimises it: by default
+      the reduced gradient flow, on soft contacts Newton, because the flows do not support them.
+    - Other ticks: Newton, or the conic solver if `method` is "conic", re-optimises the forces.
+      Newton starts from the last command. `info["followed"]` counts the iterations.
 
-    The forces become joint torques. A finger without contact reaches for its place. When a finger slips off or lands, the forces of all
-    others change at the next tick. They restore balance at once. Any further change of a force component is limited to
-    `controller.force_rate` [N/s], unless the torque limits require more.
+    The forces become joint torques. A finger without contact reaches for its place. When a finger
+    slips off or lands, the forces of all others change at the next tick. They restore balance at
+    once. Any further change of a force component is limited to `controller.force_rate` [N/s],
+    unless the torque limits require more.
 
-    Torques stay within the motors' limits, reduced by the torques that carry the links' weight. If a force needs more, Newton within the
-    limits continues from it in the same control tick (`info["limited"]` counts its iterations). There are two fallbacks; in both the
-    episode goes on:
+    Torques stay within the motors' limits, reduced by the torques that carry the links' weight. If
+    a force needs more, Newton within the limits continues from it in the same control tick
+    (`info["limited"]` counts its iterations). There are two fallbacks; in both the episode goes on:
 
-    - No force inside the friction cones balances the wrench: the forces inside the cones with the smallest imbalance are commanded.
-    - Such forces exist, but none within the torque limits: the one that exceeds the limits least is commanded, and its torques are
-      clipped to the limits (`info["saturated"]`).
+    - No force inside the friction cones balances the wrench: the forces inside the cones with the
+      smallest imbalance are commanded.
+    - Such forces exist, but none within the torque limits: the one that exceeds the limits least is
+      commanded, and its torques are clipped to the limits (`info["saturated"]`).
 
-    A finger with fewer than three motors (missing or coupled joints) can actively control only the force components that its motors can
-    produce. Its rigid links and joints carry the remaining components passively. The controller does not set these passive forces; the
-    physics engine does.
+    A finger with fewer than three motors (missing or coupled joints) can actively control only the
+    force components that its motors can produce. Its rigid links and joints carry the remaining
+    components passively. The controller does not set these passive forces; the physics engine does.
 
-    The grasp is simulated: the fingers close on a supported object, and the support is then removed. At the start of an episode the
-    contact forces balance the weight within 1 %. If `HandDescription.placed` is False and no `contact_points` are given, the environment
-    first searches for a pose of the palm from which the hand can hold the object.
+    The grasp is simulated: the fingers close on a supported object, and the support is then
+    removed. At the start of an episode the contact forces balance the weight within 1 %. If
+    `HandDescription.placed` is False and no `contact_points` are given, the environment first
+    searches for a pose of the palm from which the hand can hold the object.
 
     ## Tasks
-    `Hold()` against `disturbance`, `Move(motion)`, `Payload()` (the mass grows), `SixDirections()` (pushes of 10 N/kg).
-    A disturbance is a record such as `RandomWrench()`, its name, or any function f(times, rng, settings) -> (T, 6) wrenches [N, N m], one
-    for each control tick; see `grasp_env.task.Disturbance`.
+    `Hold()` against `disturbance`, `Move(motion)`, `Payload()` (the mass grows), `SixDirections()`
+    (pushes of 10 N/kg). A disturbance is a record such as `RandomWrench()`, its name, or any
+    function f(times, rng, settings) -> (T, 6) wrenches [N, N m], one for each control tick; see
+    `grasp_env.task.Disturbance`.
 
     ## Action space
     `Box(-1, 1, float32)`, clipped; `agent.action_mode` gives its meaning and shape:
 
-    - "initial_force" (3N - 6,): an adjustment of the initial force along internal forces (null-space coordinates, times
-      `action_scale` newtons). The six directions of the four-finger hand are squeezes along the lines between two contacts
-      (thumb-middle, thumb-left, thumb-right, middle-left, middle-right, left-right), orthonormalised. They move
-      continuously with the contacts; with fewer contacts they are projected. The solver searches the segment from the start rule's
-      force to the adjusted force, and starts from the point with the smallest Phi. With the zero action this is the rule's own
-      force, by default the paper's start.
-    - "contact_force" (3N,): the contact forces themselves, without a solver: per finger normal in [0, 2 `action_scale`], o and t in
-      +-`action_scale`.
+    - "initial_force" (3N - 6,): an adjustment of the initial force along internal forces
+      (null-space coordinates, times `action_scale` newtons). The six directions of the four-finger
+      hand are squeezes along the lines between two contacts (thumb-middle, thumb-left, thumb-right,
+      middle-left, middle-right, left-right), orthonormalised. They move continuously with the
+      contacts; with fewer contacts they are projected. The solver searches the segment from the
+      start rule's force to the adjusted force, and starts from the point with the smallest Phi.
+      With the zero action this is the rule's own force, by default the paper's start.
+    - "contact_force" (3N,): the contact forces themselves, without a solver: per finger normal in
+      [0, 2 `action_scale`], o and t in +-`action_scale`.
     - "none" (1,): ignored.
 
-    `gym.make` warns if "initial_force" leaves an agent nothing to improve: with controllers that do not optimise, with `conic`,
-    which has no start, and with Newton, whose iteration count hardly depends on the start.
+    `gym.make` warns if "initial_force" leaves an agent nothing to improve: with controllers that do
+    not optimise, with `conic`, which has no start, and with Newton, whose iteration count hardly
+    depends on the start.
 
     ## Observation space
     `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:
@@ -122,32 +131,39 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     `observation="dict"` gives a `Dict` of the same numbers by their keys.
 
     ## Reward
-    `reward.held` * (1 - c) while the object is not lost. c is the sum of four costs, each from 0 to 1 and times its weight in `RewardSettings`:
+    `reward.held` * (1 - c) while the object is not lost. c is the sum of four costs, each from 0 to
+    1 and times its weight in `RewardSettings`:
 
-    - `iterations`: min(1, iterations of the method / `iteration_scale`); 1 if the contacts cannot balance the wrench.
-    - `force`: 1 - s_min / s, where s is the sum of the commanded normal forces and s_min the smallest sum that balances the wrench;
-      1 if no forces balance it.
+    - `iterations`: min(1, iterations of the method / `iteration_scale`); 1 if the contacts cannot
+      balance the wrench.
+    - `force`: 1 - s_min / s, where s is the sum of the commanded normal forces and s_min the
+      smallest sum that balances the wrench; 1 if no forces balance it.
     - `torque`: the largest |torque| / limit of a joint in the step.
-    - `force_change`: sum |f - f0| / sum (|f| + |f0|) over the components of the commanded forces f after and f0 before the step.
+    - `force_change`: sum |f - f0| / sum (|f| + |f0|) over the components of the commanded forces f
+      after and f0 before the step.
 
-    The weights add up to at most 0.9, so every step in which the object is not lost pays more than 0. The step that loses the object
-    pays -`failure_cost`, by default 0. The terms `info["reward/held"]`, `info["reward/iterations"]`, ... add up to the reward.
+    The weights add up to at most 0.9, so every step in which the object is not lost pays more than
+    0. The step that loses the object pays -`failure_cost`, by default 0. The terms
+    `info["reward/held"]`, `info["reward/iterations"]`, ... add up to the reward.
 
     ## Episode end
     An episode is terminated when the object is lost. `info["failure"]` is the reason:
 
     - "dropped": it is farther from its target pose than `limits.max_drift` or `limits.max_tilt`.
     - "closure_lost": no forces balanced the wrench for longer than `limits.max_contact_gap`.
-    - "force_optimisation": the optimisation failed, for example because a user's start rule does not fit.
+    - "force_optimisation": the optimisation failed, for example because a user's start rule does
+      not fit.
     - "simulation_diverged": the simulator's state is no longer finite or the object is far away.
 
-    An episode is truncated after `limits.duration`, by default that of the task (hold 2 s, move and payload 4 s, six_directions 12 s).
+    An episode is truncated after `limits.duration`, by default that of the task (hold 2 s, move and
+    payload 4 s, six_directions 12 s).
 
-    `is_success` is stricter than "not lost". Since reset no fingertip may have slid on the object by more than `limits.max_slide` or
-    penetrated it by more than `limits.max_overlap`, and the force of other parts of the hand on the object may not have exceeded
-    `limits.max_stray` as a fraction of the load. The load is |external force + weight|, but at least the weight. `info["fault"]` is the
-    first reason why the object does not count as held, "" if it does: the `failure`, "drifted" (beyond the task's own limits), "slid",
-    "overlap" or "stray_force".
+    `is_success` is stricter than "not lost". Since reset no fingertip may have slid on the object
+    by more than `limits.max_slide` or penetrated it by more than `limits.max_overlap`, and the
+    force of other parts of the hand on the object may not have exceeded `limits.max_stray` as a
+    fraction of the load. The load is |external force + weight|, but at least the weight.
+    `info["fault"]` is the first reason why the object does not count as held, "" if it does: the
+    `failure`, "drifted" (beyond the task's own limits), "slid", "overlap" or "stray_force".
 
     ## Info
     Every reset and step returns the same keys:
@@ -184,10 +200,12 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | `failure`, `fault`, `is_success` | | str, str, bool | see "Episode end" |
     | `reward/held`, ... | | 1 | terms of the reward |
 
-    `agent={"info": "numbers"}` leaves the strings out and makes arrays of all numbers, for readers such as torchrl's.
+    `agent={"info": "numbers"}` leaves the strings out and makes arrays of all numbers, for readers
+    such as torchrl's.
 
-    `force_closure` is tested only where forces are optimised. It is always True with the controllers "constant_squeeze" and "pd" and with
-    the action mode "contact_force". "pd" commands no forces: its `commanded_force` and the force terms are 0.
+    `force_closure` is tested only where forces are optimised. It is always True with the
+    controllers "constant_squeeze" and "pd" and with the action mode "contact_force". "pd" commands
+    no forces: its `commanded_force` and the force terms are 0.
 
     ## Reset options
     `options={"wrench": (6,)}` replaces the episode's external wrench by a constant one [N, N m].
@@ -195,8 +213,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     Args:
         render_mode: None, "rgb_array" or "human" (needs a display).
         config: all settings, an `EnvConfig` or its dict or JSON; None: the defaults.
-        **settings: changes to `config`: fields of `EnvConfig`, each as a record or a dict of its settings, and the plain keywords `shape`,
-            `size`, `mass`, `friction`, `method`, `initial_force`, `duration`, `action_mode` and `observation`.
+        **settings: changes to `config`: fields of `EnvConfig`, each as a record or a dict of its
+            settings, and the plain keywords `shape`, `size`, `mass`, `friction`, `method`,
+            `initial_force`, `duration`, `action_mode` and `observation`.
 
     Attributes:
         config: the settings, resolved.
@@ -205,7 +224,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     Raises:
         UnknownNameError: an unknown task, shape, ...; the message lists the known ones.
         UnknownSettingError: an unknown keyword; also a TypeError.
-        InvalidInputError: a value out of range, contacts off the surface or out of reach, a mesh that cannot be closed.
+        InvalidInputError: a value out of range, contacts off the surface or out of reach, a mesh
+            that cannot be closed.
         SimulationError: the hand cannot hold the object, or there is no display for a window.
 
     Example:
@@ -221,7 +241,10 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
 
     def __init__(
-        self, render_mode: str | None = None, config: EnvConfig | dict[str, Any] | str | None = None, **settings: Any
+        self,
+        render_mode: str | None = None,
+        config: EnvConfig | dict[str, Any] | str | None = None,
+        **settings: Any,
     ) -> None:
         EzPickle.__init__(self, render_mode, config, **settings)
         if render_mode is not None:
@@ -239,7 +262,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         vector = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
         self._as_dict = config.agent.observation == "dict"
         parts: dict[str, gym.Space[Any]] = {
-            block.key: gym.spaces.Box(-block.bound, block.bound, (block.size,)) for block in self._observer.fields
+            block.key: gym.spaces.Box(-block.bound, block.bound, (block.size,))
+            for block in self._observer.fields
         }
         self.observation_space = gym.spaces.Dict(parts) if self._as_dict else vector
         self._action_shape = (action_size(config.agent.action_mode, tips),)
@@ -249,11 +273,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         assert limits.duration is not None
         assert limits.max_drift is not None
         assert limits.max_tilt is not None
-        self._max_drift, self._max_tilt, self._max_time_without_closure = (
-            limits.max_drift,
-            limits.max_tilt,
-            limits.max_contact_gap,
-        )
+        self._max_drift = limits.max_drift
+        self._max_tilt = limits.max_tilt
+        self._max_time_without_closure = limits.max_contact_gap
         self._step_limit = max(1, round(limits.duration * config.agent.rate))
         self._camera: Camera | None = None
         self._window: Painter | None = None
@@ -264,8 +286,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def __repr__(self) -> str:
         return f"FourFingerGrasp({self.config.task.name}, {name_of(self.config.disturbance)}, {self._loop!r})"
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Return to the settled grasp, with a new disturbance, and a new object if randomised; see the class.
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Return to the settled grasp, with a new disturbance, and a new object if randomised; see
+        the class.
 
         A closed environment opens again.
 
@@ -286,7 +311,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self.episode = episode = stage.episode
         self._nominal_gravity = np.array(episode.gravity)
         self._measured_wrench = episode.sensors.wrench == "measured"
-        self._strength, self._noise = episode.controller.motor_strength, episode.controller.force_noise
+        self._strength = episode.controller.motor_strength
+        self._noise = episode.controller.force_noise
         plan = make_plan(episode, self.np_random, scene.config.object.mass)
         if constant is not None:
             plan = replace(plan, wrench=np.tile(constant, (len(plan), 1)))
@@ -314,7 +340,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         )
         self._tick, self._time_without_closure = 0, 0.0
         self._failure, self._ended, self._started = "", False, True
-        self._plan_acts = self._gravity_differs or self._mass_differs or self._world_pushes is not None
+        self._plan_acts = (
+            self._gravity_differs or self._mass_differs or self._world_pushes is not None
+        )
         self._imperfect_motors = self._noise or self._strength != 1.0
         external, _ = self._apply_plan(scene, 0)
         self._observer.watch(scene.look(), self._loop)
@@ -337,7 +365,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         if not self._started:
             raise SimulationError("step before reset: call reset() first")
         if self._ended:
-            raise SimulationError(f"the episode ended ({self._failure or 'time is up'}): call reset()")
+            raise SimulationError(
+                f"the episode ended ({self._failure or 'time is up'}): call reset()"
+            )
         numbers = self._checked(action)
         try:
             self._simulate(scene, numbers)
@@ -347,7 +377,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             self._failure = "simulation_diverged"
         except GraspError:
             self._failure = "force_optimisation"
-        loop, held = self._loop, not self._failure
+        loop = self._loop
+        held = not self._failure
         iterations = loop.effort.iterations if loop.closure else math.inf
         terms = self.config.reward.terms(held, iterations, loop.costs() if held else NO_COSTS)
         truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step
@@ -360,7 +391,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def render(self) -> NDArray[np.uint8] | None:
         """Return an (H, W, 3) picture in "rgb_array" mode; update the window in "human" mode.
 
-        Without a `render_mode` it returns None with Gymnasium's warning, in every state of the environment.
+        Without a `render_mode` it returns None with Gymnasium's warning, in every state of the
+        environment.
 
         Raises:
             SimulationError: the environment is closed.
@@ -374,7 +406,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         scene = self._stage_or_raise().scene
         annotation = self._annotation(scene)
         if self.render_mode == "human" and annotation is not None:
-            window: Painter = self._window or class_of(scene.config.engine, "painter").of_scene(scene)
+            window: Painter = self._window or class_of(scene.config.engine, "painter").of_scene(
+                scene
+            )
             window.show(annotation)
             self._window = window
         if self.render_mode != "rgb_array":
@@ -382,7 +416,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         if self._camera is None:
             width, height = self.config.pictures.size
             margin, footer = room(width, height)
-            self._camera = Camera(scene, CameraConfig(width, height, margin=margin, footer=footer, arrows=LONGEST))
+            self._camera = Camera(
+                scene, CameraConfig(width, height, margin=margin, footer=footer, arrows=LONGEST)
+            )
         return self._camera.capture(annotation)
 
     @property
@@ -392,10 +428,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The specification that `gym.make` used; its `max_episode_steps` follows from `limits.duration`.
+        """The specification that `gym.make` used; its `max_episode_steps` follows from
+        `limits.duration`.
 
-        Its keywords are JSON values, except those without JSON, such as functions. `gym.make(EnvSpec.from_json(spec.to_json()))` makes the
-        same environment again.
+        Its keywords are JSON values, except those without JSON, such as functions.
+        `gym.make(EnvSpec.from_json(spec.to_json()))` makes the same environment again.
         """
         return self._spec
 
@@ -409,10 +446,14 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return GraspSpec(**{**fitting, "max_episode_steps": self._step_limit})
 
     def truncate_after(self, steps: int) -> None:
-        """Truncate episodes after a given number of agent steps from the next reset on, as `max_episode_steps` of `gym.make` does."""
+        """Truncate episodes after a given number of agent steps from the next reset on, as
+        `max_episode_steps` of `gym.make` does.
+        """
         if steps == self._step_limit:
             return
-        self.config = self.config.override(duration=whole(steps, "max_episode_steps", 1) / self.config.agent.rate)
+        self.config = self.config.override(
+            duration=whole(steps, "max_episode_steps", 1) / self.config.agent.rate
+        )
         self._stage_or_raise().config = self._stage_or_raise().episode = self.config
         self._step_limit = steps
         if self._spec is not None:
@@ -435,16 +476,25 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             agent.action_mode == "initial_force" and any(numbers) and loop.count > 2
         ):  # the one squeeze of two soft contacts is not adjusted
             adjustment = agent.action_scale * np.array(numbers)
-        assumed_gravity, acts = scene.gravity if self._measured_wrench else self._nominal_gravity, self._plan_acts
+        assumed_gravity = scene.gravity if self._measured_wrench else self._nominal_gravity
+        acts = self._plan_acts
         for k in range(self._ticks_per_step):
             tick = min(self._tick, self._last_row)
-            external, push = self._apply_plan(scene, tick) if acts else (self._wrenches[tick], self._pushes[tick])
+            external, push = (
+                self._apply_plan(scene, tick)
+                if acts
+                else (self._wrenches[tick], self._pushes[tick])
+            )
             if acts:
                 assumed_gravity = self._assumed_gravity(scene)
-            torques = loop.tick(external, assumed_gravity, self._targets[tick], k == 0, adjustment, given)
+            torques = loop.tick(
+                external, assumed_gravity, self._targets[tick], k == 0, adjustment, given
+            )
             scene.advance(self._delivered(torques) if self._imperfect_motors else torques, push)
             self._tick += 1
-            self._time_without_closure = 0.0 if loop.closure else self._time_without_closure + loop.dt
+            self._time_without_closure = (
+                0.0 if loop.closure else self._time_without_closure + loop.dt
+            )
 
     def _delivered(self, torques: list[float]) -> list[float]:
         """Apply motor strength and noise to the commanded torques, then clip to the torque limits."""
@@ -452,13 +502,18 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
 
     def _apply_plan(self, scene: Scene, tick: int) -> tuple[Array, list[float] | None]:
-        """Apply the plan of a tick; return the external wrench (6,), object frame, and the same for the simulator, None if zero."""
+        """Apply the plan of a tick; return the external wrench (6,), object frame, and the same for
+        the simulator, None if zero.
+        """
         plan = self._plan
         if self._gravity_differs:
             scene.set_gravity(plan.gravity[tick])
-        if self._mass_differs and (tick == 0 or plan.mass_factor[tick] != plan.mass_factor[tick - 1]):
+        if self._mass_differs and (
+            tick == 0 or plan.mass_factor[tick] != plan.mass_factor[tick - 1]
+        ):
             scene.change_object(self._mass * float(plan.mass_factor[tick]))
-        external, push = self._wrenches[tick], self._pushes[tick]
+        external = self._wrenches[tick]
+        push = self._pushes[tick]
         if self._world_pushes is not None:
             external = external.copy()
             external[:3] += scene.look().rotation.T @ self._world_pushes[tick]
@@ -466,7 +521,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return external, push
 
     def _assumed_gravity(self, scene: Scene) -> Array:
-        """Return the gravity (3,) [m/s^2] that the controller assumes: the true one if wrenches are measured, else the nominal one."""
+        """Return the gravity (3,) [m/s^2] that the controller assumes: the true one if wrenches are
+        measured, else the nominal one.
+        """
         return scene.gravity if self._measured_wrench else self._nominal_gravity
 
     def _failure_cause(self) -> str:
@@ -486,13 +543,20 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return "stray_force" if outcome.stray_share > limits.max_stray else ""
 
     def _checked(self, action: NDArray[np.float32]) -> list[float]:
-        values, plain, fault = action, type(action) is np.ndarray and action.dtype.kind == "f", ""
+        values = action
+        plain = type(action) is np.ndarray and action.dtype.kind == "f"
+        fault = ""
         if not (plain and action.itemsize <= 8):
             try:
                 with np.errstate(all="ignore"):  # numbers too large for a double become infinite
-                    values = np.asarray(action, np.float64) if plain else as_array(action, None, "it", finite=False)
+                    values = (
+                        np.asarray(action, np.float64)
+                        if plain
+                        else as_array(action, None, "it", finite=False)
+                    )
             except InvalidInputError as error:  # not numbers
-                values, fault = np.empty(0), f" ({error})"
+                values = np.empty(0)
+                fault = f" ({error})"
         # plain Python: faster than numpy for six numbers
         numbers = values.tolist() if values.shape == self._action_shape else ()
         if not numbers or not all(map(math.isfinite, numbers)):
@@ -504,7 +568,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return [min(max(number, -1.0), 1.0) for number in numbers]
 
     def _forces(self, numbers: Array) -> Array:
-        """Return the forces (N, 3) of an action in mode "contact_force": normal in [0, 2 action_scale], tangential in +-action_scale."""
+        """Return the forces (N, 3) of an action in mode "contact_force": normal in [0, 2
+        action_scale], tangential in +-action_scale.
+        """
         scale = self.config.agent.action_scale
         forces = scale * numbers.reshape(-1, 3)
         forces[:, 0] += scale
@@ -539,16 +605,24 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         }
         if self.config.agent.info == "all":
             return info
-        return {name: np.asarray(value) for name, value in info.items() if not isinstance(value, str)}
+        return {
+            name: np.asarray(value) for name, value in info.items() if not isinstance(value, str)
+        }
 
     def _annotation(self, scene: Scene) -> Annotation | None:
-        """Return the annotation of a picture; None before the first reset and after the simulation diverged."""
+        """Return the annotation of a picture; None before the first reset and after the simulation
+        diverged.
+        """
         if not self._started or self._failure == "simulation_diverged":
             return None
-        return self._annotator(self._loop, scene, self._tick * self._loop.dt, self._outcome, self._failure)
+        return self._annotator(
+            self._loop, scene, self._tick * self._loop.dt, self._outcome, self._failure
+        )
 
     def _report_structure(self, scene: Scene, plan: Plan) -> None:
-        """Compute the fraction of the fingers' forces that no motor can produce under the plan's loads; warn once if it is large."""
+        """Compute the fraction of the fingers' forces that no motor can produce under the plan's
+        loads; warn once if it is large.
+        """
         snapshot = scene.look()
         gravity = plan.gravity[:: self._ticks_per_step]
         loads = plan.wrench[:: self._ticks_per_step].copy()
@@ -566,11 +640,15 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return self._stage
 
     def _new_stage(self) -> Stage:
-        return Stage(self.config, self._loop, self.render_mode == "human", self.render_mode is not None)
+        return Stage(
+            self.config, self._loop, self.render_mode == "human", self.render_mode is not None
+        )
 
 
 def why_idle(config: EnvConfig) -> str:
-    """Return the reason why adjusting the initial force changes nothing; empty if it does, or if actions are ignored on purpose."""
+    """Return the reason why adjusting the initial force changes nothing; empty if it does, or if
+    actions are ignored on purpose.
+    """
     if config.agent.action_mode != "initial_force":
         return ""
     if config.controller.kind != "optimized":
@@ -578,7 +656,9 @@ def why_idle(config: EnvConfig) -> str:
     if config.solver.method == "conic":
         return "method='conic' has no start"
     if config.object.torsional_friction > 0.0:
-        return "on soft contacts Newton optimises, whose iteration count hardly depends on the start"
+        return (
+            "on soft contacts Newton optimises, whose iteration count hardly depends on the start"
+        )
     if config.solver.method == "newton":
         return "the iteration count of method='newton' hardly depends on the start"
     return ""
@@ -587,7 +667,8 @@ def why_idle(config: EnvConfig) -> str:
 def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     """Complete an environment with Gymnasium's wrappers: `gym.make` calls this last.
 
-    `max_episode_steps` sets the length of an episode, shorter or longer than the task's. Warn if actions change nothing.
+    `max_episode_steps` sets the length of an episode, shorter or longer than the task's. Warn if
+    actions change nothing.
     """
     made, layer = env.unwrapped, env
     if not isinstance(made, FourFingerGrasp):
@@ -599,7 +680,8 @@ def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         )
     while isinstance(layer, gym.Wrapper):
         if isinstance(layer, gym.wrappers.TimeLimit):
-            made.truncate_after(layer._max_episode_steps)  # `layer.spec` has it, too, but keeps the old settings
+            # `layer.spec` has it, too, but keeps the old settings
+            made.truncate_after(layer._max_episode_steps)
         layer = layer.env
     if made.spec is not None:  # `gym.make` of this specification completes the environment, too
         made.spec = replace(made.spec, additional_wrappers=(FINISH,))

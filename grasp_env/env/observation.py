@@ -1,4 +1,6 @@
-"""The layout of the observation: key, name, size, unit, frame, bound. A test compares the docstring of the environment with it."""
+"""The layout of the observation: key, name, size, unit, frame, bound. A test compares the docstring
+of the environment with it.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,22 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
         Field("moment", "wrench to balance: moment", 3, "N m", "object", 20.0),
         Field("position", "object position minus the wanted one", 3, "m", "world", 1.0),
         Field("orientation", "object orientation against the wanted one", 3, "rad", "world", 3.2),
-        Field("linear_velocity", "object linear velocity minus the wanted one", 3, "m/s", "world", 10.0),
-        Field("angular_velocity", "object angular velocity minus the wanted one", 3, "rad/s", "world", 50.0),
+        Field(
+            "linear_velocity",
+            "object linear velocity minus the wanted one",
+            3,
+            "m/s",
+            "world",
+            10.0,
+        ),
+        Field(
+            "angular_velocity",
+            "object angular velocity minus the wanted one",
+            3,
+            "rad/s",
+            "world",
+            50.0,
+        ),
         Field("contact_points", "contact point", 3 * tips, "m", "object", 0.5),
         Field("normals", "inward normal", 3 * tips, "1", "object", 1.0),
         Field("commanded_force", "commanded force (normal, o, t)", 3 * tips, "N", "contact", 500.0),
@@ -45,14 +61,18 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
 
 
 def action_size(mode: str, tips: int) -> int:
-    """Return the size of an action in mode "initial_force", "contact_force" or "none" for a hand with a given number of tips."""
+    """Return the size of an action in mode "initial_force", "contact_force" or "none" for a hand
+    with a given number of tips.
+    """
     return {"initial_force": adjustment_size(tips), "contact_force": 3 * tips, "none": 1}[mode]
 
 
 def bounds(tips: int, joints: int) -> NDArray[np.float32]:
     """Return the bound of each entry; observations are clipped to +-bound."""
     blocks = fields(tips, joints)
-    return np.repeat([block.bound for block in blocks], [block.size for block in blocks]).astype(np.float32)
+    return np.repeat([block.bound for block in blocks], [block.size for block in blocks]).astype(
+        np.float32
+    )
 
 
 class Observer:
@@ -71,15 +91,27 @@ class Observer:
 
     def named(self, vector: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
         """Return the blocks of an observation (size,) by their keys."""
-        return {block.key: part for block, part in zip(self.fields, np.split(vector, self._ends), strict=True)}
+        return {
+            block.key: part
+            for block, part in zip(self.fields, np.split(vector, self._ends), strict=True)
+        }
 
     def watch(self, snapshot: Snapshot, loop: ForceLoop) -> None:
-        """Select the arrays to observe, in the order of `fields`: views that each reading and each tick overwrite."""
+        """Select the arrays to observe, in the order of `fields`: views that each reading and each
+        tick overwrite.
+        """
         self._loop = loop
         parts = (
-            loop.wrench, self.error, snapshot.points, snapshot.normals, loop.force, self.measured, snapshot.touching,
-            snapshot.angles, np.array([loop.friction]),
-        )  # fmt: skip
+            loop.wrench,
+            self.error,
+            snapshot.points,
+            snapshot.normals,
+            loop.force,
+            self.measured,
+            snapshot.touching,
+            snapshot.angles,
+            np.array([loop.friction]),
+        )
         self._gather = Gather(list(parts), self.bound)
 
     def __call__(self, target: Array) -> tuple[NDArray[np.float32], Outcome]:

@@ -34,15 +34,25 @@ class Plan:
 
 
 def make_plan(config: EnvConfig, rng: np.random.Generator, mass: float) -> Plan:
-    """Make the plan of one episode of `resolved` settings, T = round(limits.duration * controller.rate) + 1 rows, for an object of a mass [kg].
+    """Make the plan of one episode of `resolved` settings, T = round(limits.duration *
+    controller.rate) + 1 rows, for an object of a mass [kg].
 
-    It draws once from the generator. A seed gives the same disturbance for every duration: a longer episode extends a shorter one. (Only
-    the desired motion of "move" depends on the duration, as it ends at rest.)
+    It draws once from the generator. A seed gives the same disturbance for every duration: a longer
+    episode extends a shorter one. (Only the desired motion of "move" depends on the duration, as it
+    ends at rest.)
     """
-    own, limits, tick = np.random.default_rng(int(rng.integers(2**63))), config.limits, 1.0 / config.controller.rate
+    own = np.random.default_rng(int(rng.integers(2**63)))
+    limits = config.limits
+    tick = 1.0 / config.controller.rate
     assert limits.duration is not None
     assert config.disturbance is not None
     times = np.arange(round(limits.duration * config.controller.rate) + 1) / config.controller.rate
     wrench, gravity = disturb(config.disturbance, times, own, config)
     task = config.task
-    return Plan(wrench, task.push(times, tick, mass), gravity, task.target(times, tick), task.mass_factor(times))
+    return Plan(
+        wrench,
+        task.push(times, tick, mass),
+        gravity,
+        task.target(times, tick),
+        task.mass_factor(times),
+    )

@@ -25,9 +25,10 @@ REDRAWS = 20
 class Stage:
     """One scene, and the object that the hand holds in it.
 
-    While shape and size stay the same, the fingers close only once. The state "closed", in which they just touch, is kept, and every
-    mass and friction settles from there. Another shape is built and closed anew. In both cases an episode starts from the same bits,
-    whatever came before. A `GraspError` tells that the hand cannot reach or hold the object.
+    While shape and size stay the same, the fingers close only once. The state "closed", in which
+    they just touch, is kept, and every mass and friction settles from there. Another shape is built
+    and closed anew. In both cases an episode starts from the same bits, whatever came before. A
+    `GraspError` tells that the hand cannot reach or hold the object.
 
     Attributes:
         episode: the settings of the episode, including drawn ones.
@@ -58,7 +59,9 @@ class Stage:
         return self._scene
 
     def set(self, rng: np.random.Generator) -> None:
-        """Let the hand hold the object of the next episode at rest, with randomised settings drawn from `rng`, `REDRAWS` times at most."""
+        """Let the hand hold the object of the next episode at rest, with randomised settings drawn
+        from `rng`, `REDRAWS` times at most.
+        """
         scene = self.scene
         if not self.config.randomize:
             scene.set_gravity(np.array(self.config.gravity))
@@ -86,8 +89,11 @@ class Stage:
         raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
 
     def _hold(self, item: ObjectDescription) -> None:
-        """Let the hand hold an object: from its place for the first object or, if it is not `placed`, from one for this object."""
-        first, failures = self._nominal is None, list[GraspError]()
+        """Let the hand hold an object: from its place for the first object or, if it is not
+        `placed`, from one for this object.
+        """
+        first = self._nominal is None
+        failures = list[GraspError]()
         for place in self._places(item):
             try:
                 self.kinematics = place()
@@ -114,19 +120,25 @@ class Stage:
             yield lambda: nominal
             touching = set(nominal.hand.finger_names)  # observations keep their shape
             tips = tuple(tip for tip in hand.fingertips if tip.name in touching)
-            hand, least = replace(hand, fingertips=tips), len(touching)
+            hand = replace(hand, fingertips=tips)
+            least = len(touching)
         elif self._fixed:
             yield lambda: HandKinematics(hand)
         side = self.config.approach
         for seed in range(0 if self._fixed else PLACINGS):
-            yield lambda seed=seed: HandKinematics(place_hand(hand, item, seed=seed, least=least, approach=side))
+            yield lambda seed=seed: HandKinematics(
+                place_hand(hand, item, seed=seed, least=least, approach=side)
+            )
 
     def _scene_config(self, item: ObjectDescription) -> SceneConfig:
-        config, engine = self.config, engine_of(self.config.engine)
-        points, start = config.contact_points, ()
+        config = self.config
+        engine = engine_of(self.config.engine)
+        points = config.contact_points
+        start = ()
         if not points:
             plan = plan_grasp(item, self.kinematics)
-            points, start = tuple((x, y, z) for x, y, z in plan.points.tolist()), tuple(plan.start.tolist())
+            points = tuple((x, y, z) for x, y, z in plan.points.tolist())
+            start = tuple(plan.start.tolist())
         return SceneConfig(
             hand=self.kinematics.hand,
             object=item,

@@ -1,6 +1,7 @@
 """Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem.
 
-The compiled core runs all methods and makes all starts but the user's own. `grasp_env.quality` measures how well contacts can hold.
+The compiled core runs all methods and makes all starts but the user's own. `grasp_env.quality`
+measures how well contacts can hold.
 """
 
 from grasp_env.force.basis import OfflineBasis
@@ -12,11 +13,31 @@ from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
 from grasp_env.force.repair import Repair
 from grasp_env.force.solution import ForceSolution, Status
-from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep
+from grasp_env.force.step_size import (
+    AdaptiveStep,
+    ArmijoStep,
+    BarzilaiBorweinStep,
+    ExactStep,
+    FixedStep,
+)
 from grasp_env.force.torques import joint_torques
 
 __all__ = [
-    "AdaptiveStep", "ArmijoStep", "BarzilaiBorweinStep", "ExactStep", "FixedStep", "ForceLimits", "ForceOptimizer",
-    "ForceSolution", "ForceSolutions", "Objective", "OfflineBasis", "Repair", "Status", "description_matrix",
-    "joint_torques", "optimize_force", "optimize_forces",
-]  # fmt: skip
+    "AdaptiveStep",
+    "ArmijoStep",
+    "BarzilaiBorweinStep",
+    "ExactStep",
+    "FixedStep",
+    "ForceLimits",
+    "ForceOptimizer",
+    "ForceSolution",
+    "ForceSolutions",
+    "Objective",
+    "OfflineBasis",
+    "Repair",
+    "Status",
+    "description_matrix",
+    "joint_torques",
+    "optimize_force",
+    "optimize_forces",
+]

@@ -20,12 +20,15 @@ from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_wrench, 
 
 @dataclass(frozen=True, eq=False)
 class OfflineBasis:
-    """The 12-basis of a grasp: argmin Phi for +e_1..+e_6, -e_1..-e_6 (1 N or 1 N m each) and for w = 0 (paper, Sec. III).
+    """The 12-basis of a grasp: argmin Phi for +e_1..+e_6, -e_1..-e_6 (1 N or 1 N m each) and for w
+    = 0 (paper, Sec. III).
 
-    It exists for every grasp with force closure. Its forces are balanced for that grasp only; if contacts move, use `moved_to`.
+    It exists for every grasp with force closure. Its forces are balanced for that grasp only; if
+    contacts move, use `moved_to`.
 
     Attributes:
-        cone_divisor: (N, 3) `grasp.models.cone_divisor`. The grasp itself is not stored, so a cached basis does not keep it alive.
+        cone_divisor: (N, 3) `grasp.models.cone_divisor`. The grasp itself is not stored, so a
+            cached basis does not keep it alive.
         objective: the Phi of the optima.
         cone_forces: (13, 3N) the optima in cone coordinates: 12 unit wrenches, then zero wrench.
 
@@ -44,10 +47,12 @@ class OfflineBasis:
     def compute(
         cls, grasp: Grasp, objective: Objective | None = None, warm: OfflineBasis | None = None
     ) -> OfflineBasis:
-        """Solve the 13 problems (Newton, relative gap 1e-10), from a `warm` basis of a nearby grasp if there is one; `objective` None: the defaults.
+        """Solve the 13 problems (Newton, relative gap 1e-10), from a `warm` basis of a nearby grasp
+        if there is one; `objective` None: the defaults.
 
         Raises:
-            InfeasibleStartError: the grasp has no force closure, so some unit wrenches have no force; or Newton does not converge.
+            InfeasibleStartError: the grasp has no force closure, so some unit wrenches have no
+                force; or Newton does not converge.
         """
         objective = as_objective(objective)
         if warm is not None:
@@ -82,9 +87,11 @@ class OfflineBasis:
         return list(_CACHE.get(as_grasp(grasp), {}).values())
 
     def moved_to(self, grasp: Grasp) -> OfflineBasis:
-        """Return the basis of a nearby grasp: each optimum is carried over by the tangent correction and optimised again.
+        """Return the basis of a nearby grasp: each optimum is carried over by the tangent
+        correction and optimised again.
 
-        A cached basis of `grasp` is returned unchanged, so a return to that grasp gives bitwise the same basis.
+        A cached basis of `grasp` is returned unchanged, so a return to that grasp gives bitwise the
+        same basis.
         """
         return self._cached(grasp, self.objective, self)
 
@@ -106,10 +113,13 @@ class OfflineBasis:
         return self.cone_forces[12].reshape(-1, 3) / self.cone_divisor
 
     def combine(self, wrench: Wrench, printed: bool = False) -> ContactForces:
-        """Return the non-negative combination sum E_k f_k (N, 3) [N] with w = sum E_k (+-e_k) (Eqs. 33 and 34).
+        """Return the non-negative combination sum E_k f_k (N, 3) [N] with w = sum E_k (+-e_k) (Eqs.
 
-        The printed combination is zero for a zero `wrench`, where P is singular. Unless `printed`, max(0, 1 - sum E_k) times `rest`
-        is added. The result is balanced by linearity and strictly inside the cones by convexity.
+        33 and 34).
+
+        The printed combination is zero for a zero `wrench`, where P is singular. Unless `printed`,
+        max(0, 1 - sum E_k) times `rest` is added. The result is balanced by linearity and strictly
+        inside the cones by convexity.
         """
         x = np.empty(self.cone_forces.shape[1])
         core.combine(self.cone_forces, as_wrench(wrench), flag(printed, "printed"), x)
@@ -122,7 +132,9 @@ def core_contacts(grasp: Grasp, objective: Objective) -> core.Contacts:
     Raises:
         RankDeficientGraspError: rank(G) < 6.
     """
-    omega, lam, contacts = as_objective(objective).force_weight, objective.barrier_weight, as_grasp(grasp).contacts
+    omega = as_objective(objective).force_weight
+    lam = objective.barrier_weight
+    contacts = as_grasp(grasp).contacts
     uniform = type(omega) is float and type(lam) is float
     given = (omega, lam) if uniform else (objective.weights(contacts.count),)
     try:
@@ -132,8 +144,12 @@ def core_contacts(grasp: Grasp, objective: Objective) -> core.Contacts:
         raise rank_error(min(grasp.rank, 5), contacts.count, hint) from None
 
 
-def starter(grasp: Grasp, objective: Objective, model: core.Model | None = None) -> core.ForceOptimizer:
-    """Return a compiled optimizer whose start is the combination of the grasp's 12-basis, the fallback of repairs and predictions."""
+def starter(
+    grasp: Grasp, objective: Objective, model: core.Model | None = None
+) -> core.ForceOptimizer:
+    """Return a compiled optimizer whose start is the combination of the grasp's 12-basis, the
+    fallback of repairs and predictions.
+    """
     basis = OfflineBasis.of(grasp, objective)
     made = _compiled(grasp, objective, start=COMBINATION, model=model)
     made.set_basis(basis.cone_forces)
@@ -143,7 +159,9 @@ def starter(grasp: Grasp, objective: Objective, model: core.Model | None = None)
 def start_of(
     optimizer: core.ForceOptimizer, start: int, wrench: Wrench, force: ContactForces | None
 ) -> ContactForces | None:
-    """Return the start (N, 3) [N] of a `starter`, by its index in `STARTS`, or None if it has none; some take a force (N, 3) [N]."""
+    """Return the start (N, 3) [N] of a `starter`, by its index in `STARTS`, or None if it has none;
+    some take a force (N, 3) [N].
+    """
     made: Any = optimizer.start(wrench, None, core.Request(start=start, force=force))
     return made.initial_force.copy() if made.code == STARTED else None
 

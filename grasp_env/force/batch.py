@@ -19,26 +19,34 @@ from grasp_env.inputs.arguments import Array, choice
 
 
 def optimize_forces(
-    grasps: Grasp | Sequence[Grasp], wrenches: ArrayLike, *, workers: int | None = None, **options: Any
+    grasps: Grasp | Sequence[Grasp],
+    wrenches: ArrayLike,
+    *,
+    workers: int | None = None,
+    **options: Any,
 ) -> ForceSolutions:
     """Optimise the grasp forces for many wrenches, on one grasp or on one grasp each.
 
-    Newton and `conic` on hard contacts solve several problems at once in the vector registers. Everything else runs problem by
-    problem in the core, unless the start rule is a Python function. Each problem has the status of a single call, and an objective
-    that agrees within the tolerance. In the registers sums are taken in another order, so a solve may end a step earlier or later;
+    Newton and `conic` on hard contacts solve several problems at once in the vector registers.
+    Everything else runs problem by problem in the core, unless the start rule is a Python function.
+    Each problem has the status of a single call, and an objective that agrees within the tolerance.
+    In the registers sums are taken in another order, so a solve may end a step earlier or later;
     its force then differs by as much as the tolerance leaves open. No result depends on `workers`.
 
     Args:
         grasps: one grasp for all wrenches, or M grasps with equal numbers of contacts.
         wrenches: (M, 6) external wrenches on the object [N, N m], in the frame of the positions.
-        workers: number of threads, 1 to 1024; None: one per processor core. The core releases the GIL.
-        options: the keywords of `ForceOptimizer`, with its defaults; a batch has no previous solution.
+        workers: number of threads, 1 to 1024; None: one per processor core. The core releases the
+            GIL.
+        options: the keywords of `ForceOptimizer`, with its defaults; a batch has no previous
+            solution.
 
     Returns:
         All solutions. A wrench that no force balances has the status INFEASIBLE; nothing is raised.
 
     Raises:
-        InvalidInputError: wrong shapes, numbers that are not finite, grasps with different numbers of contacts.
+        InvalidInputError: wrong shapes, numbers that are not finite, grasps with different numbers
+            of contacts.
 
     Example:
         >>> import numpy as np
@@ -53,7 +61,9 @@ def optimize_forces(
         choice(name, "option", known)
     initial = options.get("initial")
     if isinstance(initial, ForceSolution) or (isinstance(initial, str) and initial == "previous"):
-        raise InvalidInputError("a batch has no previous solution: leave initial out, or give a rule")
+        raise InvalidInputError(
+            "a batch has no previous solution: leave initial out, or give a rule"
+        )
     if isinstance(grasps, Grasp):
         return solve_many(ForceOptimizer(grasps, **options), loads, threads)
     if not isinstance(grasps, list | tuple):
@@ -63,20 +73,28 @@ def optimize_forces(
 
 def _checked_grasps(grasps: list[Any], loads: Array) -> list[Grasp]:
     if len(grasps) != len(loads):
-        raise InvalidInputError(f"as many grasps as wrenches are needed, got {len(grasps)} and {len(loads)}")
+        raise InvalidInputError(
+            f"as many grasps as wrenches are needed, got {len(grasps)} and {len(loads)}"
+        )
     if not grasps:
         raise InvalidInputError("at least one grasp is needed to know the number of contacts")
     if set(map(type, grasps)) != {Grasp}:
         for k, grasp in enumerate(grasps):
             if not isinstance(grasp, Grasp):
-                raise InvalidInputError(f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}")
+                raise InvalidInputError(
+                    f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}"
+                )
     sizes = {grasp.contacts.count for grasp in grasps}
     if len(sizes) > 1:
-        raise InvalidInputError(f"grasps of one number of contacts are needed in a batch, got {sorted(sizes)}")
+        raise InvalidInputError(
+            f"grasps of one number of contacts are needed in a batch, got {sorted(sizes)}"
+        )
     return grasps
 
 
-def _many_grasps(grasps: list[Grasp], loads: Array, threads: int, options: dict[str, Any]) -> ForceSolutions:
+def _many_grasps(
+    grasps: list[Grasp], loads: Array, threads: int, options: dict[str, Any]
+) -> ForceSolutions:
     first = ForceOptimizer(grasps[0], **options)
     records = np.empty((len(loads), first.core.size))
     solve = _compiled_grasps(first, options.get("initial"))
@@ -85,7 +103,8 @@ def _many_grasps(grasps: list[Grasp], loads: Array, threads: int, options: dict[
         keys = np.fromiter(map(id, grasps), np.int64, len(grasps))
         order = np.argsort(keys, kind="stable")  # the problems of each grasp follow each other
         news = np.flatnonzero(np.diff(keys[order], prepend=0))
-        begins, distinct = np.append(news, len(grasps)), [grasps[k].contacts for k in order[news].tolist()]
+        begins = np.append(news, len(grasps))
+        distinct = [grasps[k].contacts for k in order[news].tolist()]
 
         def work(part: slice) -> None:
             mine = order[begins[part.start] : begins[part.stop]]
@@ -106,9 +125,11 @@ def _compiled_grasps(
 ) -> Callable[[list[core.Contacts], Array, Array, Array], None] | None:
     """Return the core's solver for many grasps, or None if it does not support the options.
 
-    Its arguments are the contacts, the index at which the problems of each begin, their wrenches and their records.
+    Its arguments are the contacts, the index at which the problems of each begin, their wrenches
+    and their records.
     """
-    options, count = optimizer.options, optimizer.grasp.n_contacts
+    options = optimizer.options
+    count = optimizer.grasp.n_contacts
     first = initial is None or (isinstance(initial, str) and initial == "internal_force")
     if optimizer.limits is not None or not first:
         return None
@@ -125,4 +146,5 @@ def _compiled_grasps(
 
 
 GRASPS = 512
-"""Number of grasps per call of the core; fixed, so that the results do not depend on the number of threads."""
+"""Number of grasps per call of the core; fixed, so that the results do not depend on the number of
+threads."""

@@ -15,7 +15,9 @@ from grasp_env.inputs.arguments import AllFaults, as_array
 
 
 class Call(NamedTuple):
-    """Arrays of a call in the order of the core's arguments, or None for the optimizer's own; see `ForceOptimizer.solve`."""
+    """Arrays of a call in the order of the core's arguments, or None for the optimizer's own; see
+    `ForceOptimizer.solve`.
+    """
 
     positions: Any
     normals: Any
@@ -35,8 +37,11 @@ def checked_call(
     torque_bias: Any = None,
     contacts: Any = None,
 ) -> Call:
-    """Check the arguments of a call of `ForceOptimizer.solve` on its contacts, and on limits whose Jacobian has the shape (N, *motions)."""
-    n, joints = grasp.n_contacts, motions[1]
+    """Check the arguments of a call of `ForceOptimizer.solve` on its contacts, and on limits whose
+    Jacobian has the shape (N, *motions).
+    """
+    n = grasp.n_contacts
+    joints = motions[1]
 
     def array(value: Any, shape: tuple[int | None, ...], name: str, **options: Any) -> Any:
         return None if value is None else as_array(value, shape, name, copy=False, **options)
@@ -46,9 +51,13 @@ def checked_call(
             return None
         checked = checked_jacobian(jacobian, n, touch)
         if checked.shape[2] != joints:
-            raise InvalidInputError(f"jacobian must be that of {joints} joints, got shape {checked.shape}")
+            raise InvalidInputError(
+                f"jacobian must be that of {joints} joints, got shape {checked.shape}"
+            )
         if joints and checked.shape[1:] != motions:
-            raise InvalidInputError(f"jacobian must have the shape {(n, *motions)} of the limits', got {checked.shape}")
+            raise InvalidInputError(
+                f"jacobian must have the shape {(n, *motions)} of the limits', got {checked.shape}"
+            )
         return checked
 
     with AllFaults() as check:
@@ -70,7 +79,9 @@ def _mask(contacts: Any, count: int) -> Any:
     except Exception:  # numpy's own: rows of different lengths, arrays that refuse
         given = np.asarray(None)
     if np.ma.is_masked(contacts):
-        raise InvalidInputError(f"contacts must be true or false each, none of them masked, got {shown(contacts)}")
+        raise InvalidInputError(
+            f"contacts must be true or false each, none of them masked, got {shown(contacts)}"
+        )
     if given.shape == (count,) and given.dtype.kind in "biuf" and count <= 64:
         mask = np.ascontiguousarray(given, dtype=bool)
         if given.dtype.kind == "b" or (mask == given).all():
@@ -81,7 +92,9 @@ def _mask(contacts: Any, count: int) -> Any:
 
 
 def touching_grasp(grasp: Grasp, call: Call) -> Grasp:
-    """Return the touching contacts of a call as a grasp; a `RankDeficientGraspError` if no contact touches."""
+    """Return the touching contacts of a call as a grasp; a `RankDeficientGraspError` if no contact
+    touches.
+    """
     positions, normals, friction, _, _, mask = call
     if mask is not None and not mask.any():
         raise rank_error(0, 0)

@@ -1,7 +1,8 @@
 """The description matrix P and cone coordinates (paper, Eqs. 4, 5 and 18).
 
-P_i = [[u, 0, o], [0, u, t], [o, t, u]] with u = mu * normal; P_i > 0 exactly when the force lies strictly inside the
-friction cone sqrt(o^2 + t^2) < mu * normal. Eigenvalues: u, u + s, u - s with s = sqrt(o^2 + t^2).
+P_i = [[u, 0, o], [0, u, t], [o, t, u]] with u = mu * normal; P_i > 0 exactly when the force lies
+strictly inside the friction cone sqrt(o^2 + t^2) < mu * normal. Eigenvalues: u, u + s, u - s with s
+= sqrt(o^2 + t^2).
 
 | paper | here |
 |---|---|
@@ -25,7 +26,9 @@ METRIC = np.array([3.0, 2.0, 2.0])
 
 
 def description_matrix(force: ContactForces, friction: Array) -> Array:
-    """Return P, the (3N, 3N) block-diagonal description matrix of `force` (N, 3) [N] (Eqs. 4 and 5); `friction` is a number or (N,).
+    """Return P, the (3N, 3N) block-diagonal description matrix of `force` (N, 3) [N] (Eqs.
+
+    4 and 5); `friction` is a number or (N,).
 
     Example:
         >>> description_matrix(np.array([[10.0, 1.0, 2.0]]), np.array([0.4]))
@@ -44,9 +47,13 @@ def _forces(force: ContactForces, friction: Array) -> Array:
     """Return (N, 3) cone coordinates (u, o, t) of forces in round cones."""
     x = as_array(force, (None, 3), "force", ranges.SIZE)
     if not 1 <= len(x) <= ranges.CONTACTS:
-        raise InvalidInputError(f"force must be that of 1 to {ranges.CONTACTS} contacts, got shape {x.shape}")
+        raise InvalidInputError(
+            f"force must be that of 1 to {ranges.CONTACTS} contacts, got shape {x.shape}"
+        )
     mu = as_array(friction, None, "friction", ranges.Range(0.0, ranges.FRICTION.high))
     if mu.shape not in ((), (len(x),)):
-        raise InvalidInputError(f"friction must be a number or one per contact, ({len(x)},), got shape {mu.shape}")
+        raise InvalidInputError(
+            f"friction must be a number or one per contact, ({len(x)},), got shape {mu.shape}"
+        )
     x[:, 0] *= mu
     return x

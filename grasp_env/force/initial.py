@@ -1,4 +1,6 @@
-"""Initial-force rules: callables rule(grasp, wrench) -> (N, 3) force, balanced and strictly inside the friction cones."""
+"""Initial-force rules: callables rule(grasp, wrench) -> (N, 3) force, balanced and strictly inside
+the friction cones.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +19,27 @@ from grasp_env.force.record import REPLACED, START
 from grasp_env.force.repair import Repair, start_replaced
 from grasp_env.force.solution import COMBINATION, GIVEN, LEARNED, STARTS, ForceSolution, Names
 from grasp_env.grasp.grasp import Grasp
-from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_array, as_wrench, call_user, choice
+from grasp_env.inputs.arguments import (
+    Array,
+    ContactForces,
+    Wrench,
+    as_array,
+    as_wrench,
+    call_user,
+    choice,
+)
 
 BALANCE_TOLERANCE = 1e-8
-"""Largest imbalance of a given start, relative to its force and wrench; above it, the error reports the imbalance."""
+"""Largest imbalance of a given start, relative to its force and wrench; above it, the error reports
+the imbalance."""
 
 
 class InitialForceRule(Protocol):
-    """An initial-force rule: rule(grasp, wrench) -> force (N, 3) [N], balanced and strictly inside the cones.
+    """An initial-force rule: rule(grasp, wrench) -> force (N, 3) [N], balanced and strictly inside
+    the cones.
 
-    Any function with this signature will do. It receives the `Grasp` and the external wrench (6,) [N, N m], and raises
-    `InfeasibleStartError` if it finds no such force.
+    Any function with this signature will do. It receives the `Grasp` and the external wrench (6,)
+    [N, N m], and raises `InfeasibleStartError` if it finds no such force.
     """
 
     def __call__(self, grasp: Grasp, wrench: Wrench, /) -> ContactForces:
@@ -40,7 +52,8 @@ class CompiledRule(InitialForceRule, Protocol):
     """A rule whose network the core evaluates, so that start and method are one compiled call.
 
     Attributes:
-        remembers: True if a call starts from the previous solution when that has a smaller Phi than the prediction.
+        remembers: True if a call starts from the previous solution when that has a smaller Phi than
+            the prediction.
     """
 
     remembers: bool
@@ -74,7 +87,9 @@ class StartRequest:
 
     def request(self, optimum: float = float("nan"), trace: Array | None = None) -> core.Request:
         """Return the request of the core; see `ForceOptimizer.solve` for `optimum` and `trace`."""
-        return core.Request(start=self.start, force=self.force, previous=self.before, optimum=optimum, trace=trace)
+        return core.Request(
+            start=self.start, force=self.force, previous=self.before, optimum=optimum, trace=trace
+        )
 
     def mark(self, record: Array) -> None:
         """Note in the record of a solution if the paper's combination replaced a rule's force."""
@@ -95,8 +110,12 @@ def rule_name(rule: Any) -> str:
 
 
 def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
-    """Call a user's rule; any failure becomes an `InfeasibleStartError`, whose `__cause__` is the rule's own error."""
-    takes = "a rule takes (grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
+    """Call a user's rule; any failure becomes an `InfeasibleStartError`, whose `__cause__` is the
+    rule's own error.
+    """
+    takes = (
+        "a rule takes (grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
+    )
     what = f"initial-force rule {rule_name(rule)!r}"
     return call_user(function, *given, what=what, takes=takes, fault=InfeasibleStartError)
 
@@ -105,8 +124,8 @@ def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
 class LinearCombination:
     """The paper's start: non-negative combination of the 12 offline optima (Sec. III, Eqs. 32-34).
 
-    The printed combination is zero at w = 0, where P is singular. Therefore max(0, 1 - sum E_k) times the optimum at w = 0 is
-    added.
+    The printed combination is zero at w = 0, where P is singular. Therefore max(0, 1 - sum E_k)
+    times the optimum at w = 0 is added.
 
     Attributes:
         objective: the Phi whose optima are combined.
@@ -137,7 +156,11 @@ class LinearCombination:
 def checked_initial(initial: Any) -> Any:
     """Return a checked `initial` argument with names as plain text."""
     if isinstance(initial, str):
-        hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in initial else ""
+        hint = (
+            "; a learned start is an object: policies.LearnedInitialForce.pretrained()"
+            if "learn" in initial
+            else ""
+        )
         return choice(initial, "initial-force rule", NAMES, hint)
     given = initial is None or isinstance(initial, ForceSolution | np.ndarray | list | tuple)
     if not given and (isinstance(initial, type) or not callable(initial)):
@@ -148,10 +171,13 @@ def checked_initial(initial: Any) -> Any:
 
 
 def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective) -> StartRequest:
-    """Return the start made by a rule or by a given force (N, 3) [N]; an `InfeasibleStartError` if the rule returns none."""
+    """Return the start made by a rule or by a given force (N, 3) [N]; an `InfeasibleStartError` if
+    the rule returns none.
+    """
     if isinstance(initial, np.ndarray | list | tuple):
         return StartRequest(GIVEN, "given", force=_force("given", initial, grasp))
-    name, force = rule_name(initial), call_rule(initial, initial, grasp, wrench.copy())
+    name = rule_name(initial)
+    force = call_rule(initial, initial, grasp, wrench.copy())
     if call_rule(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
         # the rule's guarantees hold for its own Phi only: establish them for this one
         force = Repair(objective)(grasp, wrench, force)
@@ -180,10 +206,14 @@ def names_of(initial: Any, options: Options) -> Names:
     name = "given" if isinstance(initial, np.ndarray | list | tuple) else rule_name(initial)
     if name in STARTS:
         return Names(options.method, name)
-    return Names(options.method, name).of_start(LEARNED if isinstance(initial, CompiledRule) else GIVEN, name)
+    return Names(options.method, name).of_start(
+        LEARNED if isinstance(initial, CompiledRule) else GIVEN, name
+    )
 
 
-def refused_start(grasp: Grasp, wrench: Wrench, start: StartRequest, touching: Any) -> InfeasibleStartError:
+def refused_start(
+    grasp: Grasp, wrench: Wrench, start: StartRequest, touching: Any
+) -> InfeasibleStartError:
     """Return the error for a given force that a descent did not accept."""
     assert start.force is not None
     force = start.force if touching is None else start.force[touching]

@@ -1,7 +1,7 @@
 """Limits on a grasp's forces besides friction: least and largest normal forces, and joint torques.
 
-abs(J^T f + tau_0) <= tau_max is the effort limit of Han, Trinkle, Li 2000 and Lippiello, Siciliano, Villani 2013. All
-limits are linear in the forces; `ForceLimits.rows` returns them as A f <= b.
+abs(J^T f + tau_0) <= tau_max is the effort limit of Han, Trinkle, Li 2000 and Lippiello, Siciliano,
+Villani 2013. All limits are linear in the forces; `ForceLimits.rows` returns them as A f <= b.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ class LimitArrays(NamedTuple):
     Attributes:
         min_normal: (N,) [N].
         max_normal: (N,) [N], inf where unlimited.
-        jacobian: (N, 6, J), with zero angular rows if only (N, 3, J) was given; J = 0 without torque limits.
+        jacobian: (N, 6, J), with zero angular rows if only (N, 3, J) was given; J = 0 without
+            torque limits.
         torque_limit: (J,) [N m], inf where unlimited.
         torque_bias: (J,) tau_0 [N m].
     """
@@ -72,17 +73,19 @@ class ForceLimits:
 
     Attributes:
         min_normal: least normal force [N], 0 to 1e6; one for all contacts or (N,).
-        max_normal: largest normal force [N], above `min_normal`, 1e-12 to 1e12; one or (N,); inf: no limit.
-        jacobian: (N, 3, J) or (3N, J), joint speeds -> velocities of the contact points, in the frame of the contacts' positions;
-            (N, 6, J) with the fingertips' angular velocities in rows 3 to 5, for soft contacts. As in `joint_torques`.
-        torque_limit: largest absolute joint torque [N m], 1e-12 to 1e12; one for all joints or (J,); inf: no limit. It needs
-            `jacobian`, and `jacobian` needs it.
-        torque_bias: (J,) tau_0 [N m], torques that the motors supply in addition to J^T f, for example to hold up the links; None: zero.
-            The limit is on abs(J^T f + tau_0).
+        max_normal: largest normal force [N], above `min_normal`, 1e-12 to 1e12; one or (N,); inf:
+            no limit.
+        jacobian: (N, 3, J) or (3N, J), joint speeds -> velocities of the contact points, in the
+            frame of the contacts' positions; (N, 6, J) with the fingertips' angular velocities in
+            rows 3 to 5, for soft contacts. As in `joint_torques`.
+        torque_limit: largest absolute joint torque [N m], 1e-12 to 1e12; one for all joints or
+            (J,); inf: no limit. It needs `jacobian`, and `jacobian` needs it.
+        torque_bias: (J,) tau_0 [N m], torques that the motors supply in addition to J^T f, for
+            example to hold up the links; None: zero. The limit is on abs(J^T f + tau_0).
 
     Raises:
-        InvalidInputError: a limit out of range, min_normal >= max_normal, shapes that do not match, or only one of jacobian and
-            torque_limit.
+        InvalidInputError: a limit out of range, min_normal >= max_normal, shapes that do not match,
+            or only one of jacobian and torque_limit.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -101,7 +104,9 @@ class ForceLimits:
 
     def __post_init__(self) -> None:
         with AllFaults() as check:
-            least = check(_bound, self.min_normal, "min_normal", "contact", ranges.LEAST_NORMAL_FORCE)
+            least = check(
+                _bound, self.min_normal, "min_normal", "contact", ranges.LEAST_NORMAL_FORCE
+            )
             most = check(_bound, self.max_normal, "max_normal", "contact", ranges.NORMAL_FORCE)
         _check_order(np.atleast_1d(least), np.atleast_1d(most))
         arrays: dict[str, Array] = {"min_normal": least, "max_normal": most}
@@ -146,13 +151,17 @@ class ForceLimits:
                 )
             return np.broadcast_to(value, (n_contacts,)).copy()
 
-        least, most, nothing = of_each("min_normal"), of_each("max_normal"), np.zeros(0)
+        least = of_each("min_normal")
+        most = of_each("max_normal")
+        nothing = np.zeros(0)
         if self.jacobian is None:
             return LimitArrays(least, most, np.zeros((n_contacts, 6, 0)), nothing, nothing)
         given = checked_jacobian(self.jacobian, n_contacts)
         jac = np.zeros((n_contacts, 6, given.shape[2]))
         jac[:, : given.shape[1]] = given
-        return LimitArrays(least, most, jac, np.array(self.torque_limit), np.array(self.torque_bias))
+        return LimitArrays(
+            least, most, jac, np.array(self.torque_limit), np.array(self.torque_bias)
+        )
 
     @property
     def joints(self) -> int:
@@ -160,16 +169,23 @@ class ForceLimits:
         return 0 if self.jacobian is None else np.asarray(self.jacobian).shape[2]
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
-        """Return (M,) descriptions of the finite limits of `n_contacts` contacts, in the order of `rows`."""
+        """Return (M,) descriptions of the finite limits of `n_contacts` contacts, in the order of
+        `rows`.
+        """
         least, most, _, limit, _ = self.checked(n_contacts)
-        out = [f"contact {k}: normal >= {least[k]:g} N" for k in np.flatnonzero((least > 0.0) & np.isfinite(least))]
+        out = [
+            f"contact {k}: normal >= {least[k]:g} N"
+            for k in np.flatnonzero((least > 0.0) & np.isfinite(least))
+        ]
         out += [f"contact {k}: normal <= {most[k]:g} N" for k in np.flatnonzero(np.isfinite(most))]
         for j in np.flatnonzero(np.isfinite(limit)):
             out += [f"joint {j}: torque {word}{limit[j]:g} N m" for word in ("<= ", ">= -")]
         return tuple(out)
 
     def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
-        """Return the distances from the limits of `force` (N, 3) [N] and `torsion` (N,) [N m] (None: zero) on the contacts of `grasp`."""
+        """Return the distances from the limits of `force` (N, 3) [N] and `torsion` (N,) [N m]
+        (None: zero) on the contacts of `grasp`.
+        """
         least, most, jac, limit, bias = self.checked(as_grasp(grasp).n_contacts)
         forces = _with_torsion(grasp, force, torsion)
         torque = np.einsum("nij,ni->j", _in_contact_frames(grasp, jac), forces) + bias
@@ -182,8 +198,9 @@ class ForceLimits:
     def rows(self, grasp: Grasp) -> LimitRows:
         """Return all finite limits as A f <= b in force coordinates, not cone coordinates.
 
-        The order is: least normal forces above 0 (the cone implies 0), largest normal forces, then the upper and the lower torque
-        limit of each joint. Columns of components that a contact does not transmit are zero.
+        The order is: least normal forces above 0 (the cone implies 0), largest normal forces, then
+        the upper and the lower torque limit of each joint. Columns of components that a contact
+        does not transmit are zero.
 
         Args:
             grasp: the contacts.
@@ -195,8 +212,12 @@ class ForceLimits:
         least, most, jac, limit, bias = self.checked(count)
         labels = self.labels(count)
         capacity = 2 * (count + len(limit))
-        matrix, bound, of_rows = np.empty((capacity, count, 4)), np.empty(capacity), np.empty(capacity)
-        made = core.limit_rows((least, most, _in_contact_frames(grasp, jac), limit, bias), matrix, bound, of_rows)
+        matrix = np.empty((capacity, count, 4))
+        bound = np.empty(capacity)
+        of_rows = np.empty(capacity)
+        made = core.limit_rows(
+            (least, most, _in_contact_frames(grasp, jac), limit, bias), matrix, bound, of_rows
+        )
         assert made == len(labels)
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.transmitted
@@ -205,14 +226,23 @@ class ForceLimits:
         return LimitRows(rows, bound[:made].copy(), labels)
 
     def violations(
-        self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9
+        self,
+        grasp: Grasp,
+        force: ArrayLike,
+        torsion: ArrayLike | None = None,
+        tolerance: float = 1e-9,
     ) -> list[str]:
-        """Return one message for each limit that `force` and `torsion` on `grasp`, see `slack`, exceed by more than `tolerance` [N, N m]."""
+        """Return one message for each limit that `force` and `torsion` on `grasp`, see `slack`,
+        exceed by more than `tolerance` [N, N m].
+        """
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
         forces = _with_torsion(grasp, force, torsion)
         excess = matrix @ forces.reshape(-1) - bound
-        return [f"{labels[k]} is exceeded by {excess[k]:.3g}" for k in np.flatnonzero(excess > tolerance)]
+        return [
+            f"{labels[k]} is exceeded by {excess[k]:.3g}"
+            for k in np.flatnonzero(excess > tolerance)
+        ]
 
 
 def as_limits(value: object) -> ForceLimits | None:
@@ -221,7 +251,9 @@ def as_limits(value: object) -> ForceLimits | None:
 
 
 def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...] | None:
-    """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`, each None if it was not given; None without limits."""
+    """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`, each
+    None if it was not given; None without limits.
+    """
     if limits is None:
         return None
     arrays: Any = vars(limits)  # arrays after __post_init__
@@ -237,7 +269,9 @@ def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...]
 
 
 def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:
-    """Return (N, 4, J) from (N, 6, J): velocity along (normal, o, t) and angular velocity about the normal."""
+    """Return (N, 4, J) from (N, 6, J): velocity along (normal, o, t) and angular velocity about the
+    normal.
+    """
     turned = np.einsum("nik,nij->nkj", grasp.frames, jacobian[:, :3])
     about = np.einsum("ni,nij->nj", grasp.normals, jacobian[:, 3:])
     return np.concatenate([turned, about[:, None]], axis=1)
@@ -246,12 +280,18 @@ def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:
 def _with_torsion(grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None) -> Array:
     """Return (N, 4): normal, o, t, torsion."""
     forces = as_array(force, (grasp.n_contacts, 3), "force", ranges.SIZE)
-    torsions = np.zeros(len(forces)) if torsion is None else as_array(torsion, (len(forces),), "torsion", ranges.SIZE)
+    torsions = (
+        np.zeros(len(forces))
+        if torsion is None
+        else as_array(torsion, (len(forces),), "torsion", ranges.SIZE)
+    )
     return np.column_stack([forces, torsions])
 
 
 def _bound(value: ArrayLike, name: str, of: str, within: ranges.Range) -> Array:
-    """Return a number or a vector of limits; inf means no limit, except for `min_normal`, the only limit whose range starts at 0."""
+    """Return a number or a vector of limits; inf means no limit, except for `min_normal`, the only
+    limit whose range starts at 0.
+    """
     unlimited = within.low > 0.0
     try:
         array = as_array(value, None, name, finite=False)

@@ -18,7 +18,8 @@ from grasp_env.inputs.arguments import AllFaults, Array, as_array, checked_size,
 
 
 class ForceSolutions(Sequence[ForceSolution]):
-    """Solutions of a batch: arrays over M problems; `solutions[k]` is the k-th as a `ForceSolution`.
+    """Solutions of a batch: arrays over M problems; `solutions[k]` is the k-th as a
+    `ForceSolution`.
 
     Attributes:
         records: (M, K) one row of numbers per problem, see `record.py`.
@@ -79,7 +80,9 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def codes(self) -> NDArray[np.int_]:
-        """(M,) 0 optimal, 1 iteration limit, 2 stalled, 3 infeasible, 5 limits exceeded, 7 undecided: keys of `STATUSES`."""
+        """(M,) 0 optimal, 1 iteration limit, 2 stalled, 3 infeasible, 5 limits exceeded, 7
+        undecided: keys of `STATUSES`.
+        """
         return self.records[:, at.CODE].astype(int)
 
     @property
@@ -94,7 +97,9 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def objective(self) -> Array:
-        """(M,) Phi, or the sum or maximum of force_weight times normal force [N]; inf without a force."""
+        """(M,) Phi, or the sum or maximum of force_weight times normal force [N]; inf without a
+        force.
+        """
         return self.records[:, at.OBJECTIVE]
 
     @property
@@ -134,8 +139,14 @@ class ForceSolutions(Sequence[ForceSolution]):
 def checked_batch(wrenches: ArrayLike, workers: int | None) -> tuple[Array, int]:
     """Return the checked wrenches (M, 6) and the number of threads."""
     with AllFaults() as check:
-        loads = check(lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches"))
-        threads = (os.cpu_count() or 1) if workers is None else check(whole, workers, "workers", 1, ranges.WORKERS)
+        loads = check(
+            lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches")
+        )
+        threads = (
+            (os.cpu_count() or 1)
+            if workers is None
+            else check(whole, workers, "workers", 1, ranges.WORKERS)
+        )
     return loads, threads
 
 
@@ -143,7 +154,12 @@ def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:
     """Solve for all wrenches (M, 6) on the contacts of an optimizer, independently of each other."""
     records = np.empty((len(loads), optimizer.core.size))
     if optimizer.core_finds_start:
-        over_parts(lambda part: optimizer.core.solve_many(loads[part], records[part]), len(loads), CHUNK, threads)
+        over_parts(
+            lambda part: optimizer.core.solve_many(loads[part], records[part]),
+            len(loads),
+            CHUNK,
+            threads,
+        )
     else:
         for load, record in zip(loads, records, strict=True):
             optimizer.forget()
@@ -152,7 +168,9 @@ def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:
 
 
 def solve_one(optimizer: Any, load: Array, record: Array) -> None:
-    """Solve one problem into its row; an infeasible or undecided problem becomes a row without a force."""
+    """Solve one problem into its row; an infeasible or undecided problem becomes a row without a
+    force.
+    """
     try:
         record[:] = optimizer.solve(load)._record
     except (InfeasibleWrenchError, NotConvergedError) as error:
@@ -160,17 +178,23 @@ def solve_one(optimizer: Any, load: Array, record: Array) -> None:
         if found is None:
             record[:] = 0.0
             record[at.CODE], record[at.OBJECTIVE], record[at.BOUND] = at.UNDECIDED, np.inf, -np.inf
-            record[at.CONTACTS], record[at.WRENCH : at.WRENCH + 6] = optimizer.grasp.n_contacts, load
+            record[at.CONTACTS], record[at.WRENCH : at.WRENCH + 6] = (
+                optimizer.grasp.n_contacts,
+                load,
+            )
         else:
             record[:] = found._record
 
 
 CHUNK = 4096
-"""Number of problems per call of the core; fixed, so that the results do not depend on the number of threads."""
+"""Number of problems per call of the core; fixed, so that the results do not depend on the number
+of threads."""
 
 
 def over_parts(work: Callable[[slice], None], count: int, size: int, threads: int) -> None:
-    """Call work(part) for slices of `size` out of `count` on several threads; an error or interrupt stops all after their slice."""
+    """Call work(part) for slices of `size` out of `count` on several threads; an error or interrupt
+    stops all after their slice.
+    """
     if count <= size:
         if count:
             work(slice(0, count))

@@ -1,4 +1,6 @@
-"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound, computed by the core (`phi.hpp`)."""
+"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound, computed by the core
+(`phi.hpp`).
+"""
 
 from __future__ import annotations
 
@@ -18,15 +20,19 @@ Weight = float | Sequence[float]
 
 @dataclass(frozen=True)
 class Objective:
-    """The paper's objective (Eqs. 10, 27-31) with W_p = omega I and W_i = lambda I, or omega_i I, lambda_i I per contact.
+    """The paper's objective (Eqs.
+
+    10, 27-31) with W_p = omega I and W_i = lambda I, or omega_i I, lambda_i I per contact.
 
     Per contact, in cone coordinates (u, o, t) and with s^2 = o^2 + t^2:
-    3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29 print W_p.)
+    3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29
+    print W_p.)
 
     Attributes:
-        force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per contact.
-        barrier_weight: lambda, the weight of the barrier at the cones, in N^2 when force_weight is 1, 1e-16 to 1e6; a scalar, or one
-            value per contact.
+        force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per
+            contact.
+        barrier_weight: lambda, the weight of the barrier at the cones, in N^2 when force_weight is
+            1, 1e-16 to 1e6; a scalar, or one value per contact.
 
     Raises:
         InvalidInputError: weights that are not numbers, or out of range.
@@ -60,7 +66,8 @@ class Objective:
         return out
 
     def value(self, x: Array) -> float:
-        """Return Phi at flat cone coordinates `x` (3N,); +inf on the cones, outside them, and for nan.
+        """Return Phi at flat cone coordinates `x` (3N,); +inf on the cones, outside them, and for
+        nan.
 
         Example:
             >>> round(Objective(1.0, 0.01).value(np.array([0.5, 0.0, 0.0])), 12)
@@ -70,37 +77,44 @@ class Objective:
         return core.phi(rows, self.weights(len(rows)))
 
     def gradient(self, x: Array) -> Array:
-        """Return the gradient of Phi, (3N,), at flat cone coordinates `x` strictly inside the cones."""
+        """Return the gradient of Phi, (3N,), at flat cone coordinates `x` strictly inside the
+        cones.
+        """
         rows = _contacts(x, inside=True)
         out = np.empty_like(rows)
         core.phi_gradient(rows, self.weights(len(rows)), out)
         return out.reshape(-1)
 
     def hessian(self, x: Array) -> Array:
-        """Return the diagonal blocks (N, 3, 3) of the Hessian of Phi at flat cone coordinates `x` strictly inside the cones."""
+        """Return the diagonal blocks (N, 3, 3) of the Hessian of Phi at flat cone coordinates `x`
+        strictly inside the cones.
+        """
         rows = _contacts(x, inside=True)
         out = np.empty((len(rows), 3, 3))
         core.phi_hessian(rows, self.weights(len(rows)), out)
         return out
 
     def lower_bound(self, multipliers: Array, cone_matrix: Array, wrench: Array) -> float:
-        """Return the dual value at multipliers nu (6,): no force that balances `wrench` (6,) has a smaller Phi; -inf if they give no bound.
+        """Return the dual value at multipliers nu (6,): no force that balances `wrench` (6,) has a
+        smaller Phi; -inf if they give no bound.
 
         At the optimum grad Phi = G^T nu, with G in cone coordinates, `cone_matrix` (6, 3N).
         """
-        nu, load = (
-            as_array(multipliers, (6,), "multipliers", ranges.SIZE),
-            as_array(wrench, (6,), "wrench", ranges.SIZE),
-        )
+        nu = as_array(multipliers, (6,), "multipliers", ranges.SIZE)
+        load = as_array(wrench, (6,), "wrench", ranges.SIZE)
         y = _contacts(as_array(cone_matrix, (6, None), "cone_matrix", ranges.SIZE).T @ nu)
         return core.phi_lower_bound(y, self.weights(len(y))) - float(nu @ load)
 
 
 def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
-    """Return flat cone coordinates as (N, 3); with `inside`, raise if they are not strictly inside the cones."""
+    """Return flat cone coordinates as (N, 3); with `inside`, raise if they are not strictly inside
+    the cones.
+    """
     given = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
     if given.size % 3 or not 1 <= given.size // 3 <= ranges.SIDE_BY_SIDE:
-        raise InvalidInputError(f"x must have shape (3N,) for at least one contact, got {given.shape}")
+        raise InvalidInputError(
+            f"x must have shape (3N,) for at least one contact, got {given.shape}"
+        )
     rows = given.reshape(-1, 3)
     if inside and not (rows[:, 0] * (1.0 - 1e-15) > np.hypot(rows[:, 1], rows[:, 2])).all():
         raise InvalidInputError(
@@ -113,7 +127,9 @@ def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
 
 def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:
     """Return a weight within its range, or one per contact as a tuple."""
-    if not isinstance(value, list | tuple | range) and not (isinstance(value, np.ndarray) and value.ndim):
+    if not isinstance(value, list | tuple | range) and not (
+        isinstance(value, np.ndarray) and value.ndim
+    ):
         return positive(value, name, within)
     each = as_array(value, (None,), name).tolist()
     with AllFaults() as check:

@@ -1,6 +1,7 @@
 """`ForceOptimizer`, for repeated calls, and `optimize_force`, for a single call.
 
-Longer than most modules: the class documents every argument, and its parts share the private state of a call.
+Longer than most modules: the class documents every argument, and its parts share the private state
+of a call.
 """
 
 from __future__ import annotations
@@ -46,7 +47,15 @@ from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.advice import warn_of_contacts, warn_of_wrench
 from grasp_env.grasp.checks import rank_error
 from grasp_env.grasp.grasp import Grasp, as_grasp
-from grasp_env.inputs.arguments import AllFaults, ContactForces, Wrench, as_wrench, flag, instance, positive
+from grasp_env.inputs.arguments import (
+    AllFaults,
+    ContactForces,
+    Wrench,
+    as_wrench,
+    flag,
+    instance,
+    positive,
+)
 
 FROM_BASIS = ("linear_combination", "linear_combination_printed", "single_value", "lagrange")
 """Starts that need the 12-basis."""
@@ -55,42 +64,55 @@ FROM_BASIS = ("linear_combination", "linear_combination_printed", "single_value"
 class ForceOptimizer:
     """Solver for repeated calls, on the contacts of the constructor or on others.
 
-    The arguments of a call (positions, normals, friction, Jacobian, torque bias, touching contacts) hold for that call only. Only
-    the last solution is kept between calls. It is a start only with `initial="previous"`, or with a learned rule whose `remembers` is
-    True and whose prediction has a larger Phi. Use each optimizer in one thread; several optimizers may run at once. The class wraps
-    the C++ class `grasp::ForceOptimizer` and adds checks and error messages.
+    The arguments of a call (positions, normals, friction, Jacobian, torque bias, touching contacts)
+    hold for that call only. Only the last solution is kept between calls. It is a start only with
+    `initial="previous"`, or with a learned rule whose `remembers` is True and whose prediction has
+    a larger Phi. Use each optimizer in one thread; several optimizers may run at once. The class
+    wraps the C++ class `grasp::ForceOptimizer` and adds checks and error messages.
 
     Args:
         grasp: the contacts. `solve` accepts others; `update` replaces them.
-        method: "newton" minimises Phi in about six steps. "full_flow" is the gradient flow exactly as the paper prints it, on dense
-            matrices, for N <= 8. "reduced_flow" is the same flow on the 3N force components only, which is much cheaper. "conic"
-            minimises the weighted normal forces, without Phi.
-        initial: the start of every call: a name, any callable rule(grasp, wrench) -> (N, 3), a force (N, 3) [N], or a
-            `ForceSolution`, for example one that you saved. The first call then starts from it, and later calls from the last
-            solution. The names are "linear_combination" (the paper's start, the default of the flows), "linear_combination_printed",
-            "single_value", "lagrange", "phase_one", "internal_force" (the default of newton) and "previous" (the last solution).
-            "conic" takes no start. If the contacts of a call have no force closure, the named start may not exist. The call then
-            searches for a force inside the cones instead ("phase_one").
-        criterion: what "conic" minimises, the "sum" or the "max" of the normal forces, each times its `force_weight`.
+        method: "newton" minimises Phi in about six steps. "full_flow" is the gradient flow exactly
+            as the paper prints it, on dense matrices, for N <= 8. "reduced_flow" is the same flow
+            on the 3N force components only, which is much cheaper. "conic" minimises the weighted
+            normal forces, without Phi.
+        initial: the start of every call: a name, any callable rule(grasp, wrench) -> (N, 3), a
+            force (N, 3) [N], or a `ForceSolution`, for example one that you saved. The first call
+            then starts from it, and later calls from the last solution. The names are
+            "linear_combination" (the paper's start, the default of the flows),
+            "linear_combination_printed", "single_value", "lagrange", "phase_one", "internal_force"
+            (the default of newton) and "previous" (the last solution). "conic" takes no start. If
+            the contacts of a call have no force closure, the named start may not exist. The call
+            then searches for a force inside the cones instead ("phase_one").
+        criterion: what "conic" minimises, the "sum" or the "max" of the normal forces, each times
+            its `force_weight`.
         limits: a `ForceLimits` on normal forces and joint torques, for "newton" and "conic".
-        force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per contact.
-        barrier_weight: lambda, the weight of the barrier at the cones, in N^2 when force_weight is 1, 1e-16 to 1e6; a scalar, or one
-            value per contact. None: 0.01. "conic" has no barrier and takes none.
-        tolerance: relative certified gap at which to stop, at most 1. None: 1e-4, or 1e-6 for "conic".
+        force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per
+            contact.
+        barrier_weight: lambda, the weight of the barrier at the cones, in N^2 when force_weight is
+            1, 1e-16 to 1e6; a scalar, or one value per contact. None: 0.01. "conic" has no barrier
+            and takes none.
+        tolerance: relative certified gap at which to stop, at most 1. None: 1e-4, or 1e-6 for
+            "conic".
         max_iterations: largest number of accepted steps, 0 to 10,000,000.
-        step_rule: the step rule of the flows: `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`. None:
-            `AdaptiveStep()`.
-        elastic: if no force satisfies the limits, return a force with status LIMITS_EXCEEDED instead of raising an error. The force
-            balances the wrench and lies inside the cones. Among these forces it has the smallest relative excess: the largest
-            excess / limit over all limits. Given enough iterations, this excess is within 1 % or 1e-6 of the smallest one, whichever
-            is larger. The solution's `objective` is the excess, and `lower_bound` bounds it.
+        step_rule: the step rule of the flows: `FixedStep`, `ArmijoStep`, `AdaptiveStep`,
+            `BarzilaiBorweinStep` or `ExactStep`. None: `AdaptiveStep()`.
+        elastic: if no force satisfies the limits, return a force with status LIMITS_EXCEEDED
+            instead of raising an error. The force balances the wrench and lies inside the cones.
+            Among these forces it has the smallest relative excess: the largest excess / limit over
+            all limits. Given enough iterations, this excess is within 1 % or 1e-6 of the smallest
+            one, whichever is larger. The solution's `objective` is the excess, and `lower_bound`
+            bounds it.
 
     Raises:
-        InvalidInputError: input of another type or shape, not finite, or out of range (`grasp_env/inputs/ranges.py`).
+        InvalidInputError: input of another type or shape, not finite, or out of range
+            (`grasp_env/inputs/ranges.py`).
         UnknownNameError: unknown method, criterion or rule.
         UnsupportedProblemError: a method that does not support these contacts, limits or options.
-        RankDeficientGraspError: a flow, and contacts that cannot balance wrenches of every direction.
-        InfeasibleStartError: the start needs the 12-basis, which these contacts do not have, or a learned rule fails.
+        RankDeficientGraspError: a flow, and contacts that cannot balance wrenches of every
+            direction.
+        InfeasibleStartError: the start needs the 12-basis, which these contacts do not have, or a
+            learned rule fails.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -123,15 +145,28 @@ class ForceOptimizer:
         step_rule: StepRule | None = None,
         elastic: bool = False,
     ) -> None:
-        settings = (method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic)
+        settings = (
+            method,
+            criterion,
+            force_weight,
+            barrier_weight,
+            tolerance,
+            max_iterations,
+            step_rule,
+            elastic,
+        )
         with AllFaults() as check:
             self.options, self._grasp = check(checked_options, *settings), check(as_grasp, grasp)
             self.limits = limits if limits is None else check(as_limits, limits)
             self._initial = initial if initial is None else check(checked_initial, initial)
         if elastic and limits is None:
-            raise InvalidInputError("elastic=True is for limits that no force satisfies: give limits")
+            raise InvalidInputError(
+                "elastic=True is for limits that no force satisfies: give limits"
+            )
         if initial is not None and self.options.method == "conic":
-            raise InvalidInputError(f"method 'conic' starts from its own centre, got initial={shown(initial)}")
+            raise InvalidInputError(
+                f"method 'conic' starts from its own centre, got initial={shown(initial)}"
+            )
         self._make()
         warn_of_contacts(grasp, self.limits)
         if isinstance(self._initial, ForceSolution):
@@ -139,32 +174,46 @@ class ForceOptimizer:
 
     def _make(self) -> None:
         """Make the compiled optimizer."""
-        grasp, options, initial = self.grasp, self.options, self._initial
+        grasp = self.grasp
+        options = self.options
+        initial = self._initial
         start, model, remembers = 0, None, False
         self.names = names_of(initial, options)
         if isinstance(initial, ForceSolution):
             start, remembers = PREVIOUS, True
         elif isinstance(initial, str):
-            start, remembers = STARTS.index(initial), initial == "previous"
-        elif initial is not None and isinstance(initial, CompiledRule):  # a protocol is slow to compare with
-            start, remembers = LEARNED, bool(initial.remembers)
+            start = STARTS.index(initial)
+            remembers = initial == "previous"
+        elif initial is not None and isinstance(
+            initial, CompiledRule
+        ):  # a protocol is slow to compare with
+            start = LEARNED
+            remembers = bool(initial.remembers)
             try:
                 model = call_rule(initial, initial.model, grasp, options.objective)
-                instance(model, core.Model, f"what initial-force rule {rule_name(initial)!r} predicts with")
+                instance(
+                    model,
+                    core.Model,
+                    f"what initial-force rule {rule_name(initial)!r} predicts with",
+                )
             except InfeasibleStartError as error:
                 if error.__cause__ is not None:  # the rule itself failed
                     raise
-                # the rule does not support these contacts: without a model the core uses its default start, and
-                # `solution.initial` names the start that was used and the one that it replaced
+                # the rule does not support these contacts: without a model the core uses its
+                # default start, and `solution.initial` names the start that was used and the one
+                # that it replaced
         # False for a user's rule or force, which `_start` evaluates in Python
-        self.core_finds_start, self.remembers = initial is None or start > 0, remembers
+        self.core_finds_start = initial is None or start > 0
+        self.remembers = remembers
         if options.flows and grasp.rank < 6:
             raise self._rank_error(grasp)
         weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
         problem = core.Problem(
             grasp.contacts,
-            (weights.force_weight, weights.barrier_weight) if plain else weights.weights(grasp.n_contacts),
+            (weights.force_weight, weights.barrier_weight)
+            if plain
+            else weights.weights(grasp.n_contacts),
             given_limits(self.limits, grasp.n_contacts),
         )
         settings = core.Options(
@@ -182,7 +231,8 @@ class ForceOptimizer:
             self.core: Any = core.ForceOptimizer(problem, settings, ForceSolution, self.names)
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
-        self._solve, self._count = self.core.solve, grasp.n_contacts
+        self._solve = self.core.solve
+        self._count = grasp.n_contacts
         if isinstance(initial, str) and initial in FROM_BASIS:
             OfflineBasis.of(grasp, options.objective)  # raises if the grasp has none
 
@@ -227,7 +277,10 @@ class ForceOptimizer:
 
     @property
     def previous(self) -> ForceSolution | None:
-        """The last solution; None before the first call and after `forget`. It is the start with `initial="previous"`."""
+        """The last solution; None before the first call and after `forget`.
+
+        It is the start with `initial="previous"`.
+        """
         return self.core.previous
 
     @previous.setter
@@ -263,28 +316,35 @@ class ForceOptimizer:
     ) -> ForceSolution:
         """Return the optimal grasp force that balances `wrench`.
 
-        Arguments that are left out have the values of the constructor. Give wrench, positions, normals and Jacobian in one frame. If
-        you leave out positions, normals or Jacobian, this must be the constructor's frame. C-contiguous float64 arrays are read
-        without a copy.
+        Arguments that are left out have the values of the constructor. Give wrench, positions,
+        normals and Jacobian in one frame. If you leave out positions, normals or Jacobian, this
+        must be the constructor's frame. C-contiguous float64 arrays are read without a copy.
 
         Args:
             wrench: (6,) external wrench on the object [N, N m], balanced as G f + wrench = 0.
             positions: (N, 3) contact points [m].
             normals: (N, 3) inward unit normals.
             friction: coefficient(s), as in `Grasp.from_contacts`.
-            jacobian: (N, 3, J) or (N, 6, J), as in `ForceLimits`; the optimizer must have torque limits.
-            torque_bias: (J,) tau_0 [N m], torques that the motors supply in addition to J^T f, as in `ForceLimits`.
-            contacts: (N,) True for contacts that touch; the force of the others is zero. None: all touch. At most 64 contacts.
+            jacobian: (N, 3, J) or (N, 6, J), as in `ForceLimits`; the optimizer must have torque
+                limits.
+            torque_bias: (J,) tau_0 [N m], torques that the motors supply in addition to J^T f, as
+                in `ForceLimits`.
+            contacts: (N,) True for contacts that touch; the force of the others is zero. None: all
+                touch. At most 64 contacts.
             initial: a start for this call only.
-            optimum: the optimal Phi, if known: the solve stops when Phi is within `tolerance` (relative) of it (for studies).
+            optimum: the optimal Phi, if known: the solve stops when Phi is within `tolerance`
+                (relative) of it (for studies).
             trace: keep Phi of every iterate in `objective_trace`.
 
         Raises:
             InvalidInputError: wrong shapes, values that are not finite or out of range.
-            InfeasibleWrenchError: no force strictly inside the cones and limits balances the wrench; the error contains the proof. Two
-                hard contacts, for example, do not balance a moment about the line through them.
-            RankDeficientGraspError: no contact touches; or a flow, and contacts that cannot balance wrenches of every direction.
-            InfeasibleStartError: the start is not balanced or not strictly inside the cones, or its rule fails.
+            InfeasibleWrenchError: no force strictly inside the cones and limits balances the
+                wrench; the error contains the proof. Two hard contacts, for example, do not balance
+                a moment about the line through them.
+            RankDeficientGraspError: no contact touches; or a flow, and contacts that cannot balance
+                wrenches of every direction.
+            InfeasibleStartError: the start is not balanced or not strictly inside the cones, or its
+                rule fails.
             NotConvergedError: neither a force nor a proof was found.
         """
         now = (positions, normals, friction, jacobian, torque_bias, contacts)
@@ -302,9 +362,12 @@ class ForceOptimizer:
     def _checked(self, wrench: ArrayLike, given: tuple[Any, ...]) -> tuple[Wrench, Call]:
         """Return the arguments of a call as checked arrays."""
         with AllFaults() as check:
-            load, now = check(as_wrench, wrench), check(self._arrays, *given)
+            load = check(as_wrench, wrench)
+            now = check(self._arrays, *given)
         if self.limits is None and (now.jacobian is not None or now.torque_bias is not None):
-            raise InvalidInputError("jacobian and torque_bias need torque limits: make the optimizer with limits")
+            raise InvalidInputError(
+                "jacobian and torque_bias need torque limits: make the optimizer with limits"
+            )
         return load, now
 
     def _solve_from(
@@ -315,7 +378,9 @@ class ForceOptimizer:
             known = float("nan") if optimum is None else check(positive, optimum, "optimum")
             check(flag, trace, "trace")
         if self.method == "conic" and (initial is not None or known == known or trace):
-            raise InvalidInputError("method 'conic' takes no start, optimum or trace: they belong to descents on Phi")
+            raise InvalidInputError(
+                "method 'conic' takes no start, optimum or trace: they belong to descents on Phi"
+            )
         start = self._start(load, now, initial)
         values = np.full(self.max_iterations + 1, np.nan) if trace else None
         solution = self._solve(load, now, start.request(known, values))
@@ -337,13 +402,20 @@ class ForceOptimizer:
         contacts: ArrayLike | None = None,
         initial: Initial | None = None,
     ) -> ContactForces:
-        """Return the initial force (N, 3) [N] of `solve`, which documents wrench, positions, normals, friction, contacts and initial.
+        """Return the initial force (N, 3) [N] of `solve`, which documents wrench, positions,
+        normals, friction, contacts and initial.
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
-            InvalidInputError, RankDeficientGraspError, InfeasibleWrenchError, InfeasibleStartError: see `solve`.
+            InvalidInputError, RankDeficientGraspError, InfeasibleWrenchError, InfeasibleStartError:
+            see `solve`.
         """
-        now = {"positions": positions, "normals": normals, "friction": friction, "contacts": contacts}
+        now = {
+            "positions": positions,
+            "normals": normals,
+            "friction": friction,
+            "contacts": contacts,
+        }
         return self._start_and_replaced(wrench, initial=initial, **now)[0]
 
     def _start_and_replaced(
@@ -352,7 +424,8 @@ class ForceOptimizer:
         """Return `start`, and True if another start replaced the requested one."""
         if self.method == "conic":
             raise UnsupportedProblemError("method 'conic' takes no initial force")
-        load, now = as_wrench(wrench), self._arrays(**given)
+        load = as_wrench(wrench)
+        now = self._arrays(**given)
         start = self._start(load, now, initial)
         made = self.core.start(load, now, start.request())
         if made.code != STARTED:
@@ -360,7 +433,9 @@ class ForceOptimizer:
         return made.initial_force.copy(), start.replaced or made.start_replaced
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
-        """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other, on `workers` threads; see `optimize_forces`."""
+        """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other, on
+        `workers` threads; see `optimize_forces`.
+        """
         return solve_many(self, *checked_batch(wrenches, workers))
 
     def update(
@@ -372,7 +447,8 @@ class ForceOptimizer:
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
     ) -> None:
-        """Replace positions, normals, friction, jacobian or torque_bias of the constructor, see `solve`; those left out stay.
+        """Replace positions, normals, friction, jacobian or torque_bias of the constructor, see
+        `solve`; those left out stay.
 
         The 12-basis is computed again if the start needs it.
 
@@ -380,18 +456,26 @@ class ForceOptimizer:
             InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer is unchanged.
         """
         now = self._arrays(positions, normals, friction, jacobian, torque_bias)
-        moved = touching_grasp(self.grasp, now) if any(each is not None for each in now[:3]) else self.grasp
+        moved = (
+            touching_grasp(self.grasp, now)
+            if any(each is not None for each in now[:3])
+            else self.grasp
+        )
         if self.options.flows and moved.rank < 6:
             raise self._rank_error(moved)
         if not self.core.update(now):
-            raise InvalidInputError("the contacts or limits are invalid: give finite numbers and inward unit normals")
+            raise InvalidInputError(
+                "the contacts or limits are invalid: give finite numbers and inward unit normals"
+            )
         self._grasp = moved
         self.limits = self._limits_of(now)
 
     def _arrays(self, *given: Any, **named: Any) -> Call:
         """Return the checked arrays of a call on these contacts and limits."""
         moved: Any = None if self.limits is None else self.limits.jacobian
-        return checked_call(self.grasp, (0, 0) if moved is None else moved.shape[1:], *given, **named)
+        return checked_call(
+            self.grasp, (0, 0) if moved is None else moved.shape[1:], *given, **named
+        )
 
     def _limits_of(self, now: Call) -> ForceLimits | None:
         """Return the limits with the Jacobian and the torque bias of a call."""
@@ -400,7 +484,9 @@ class ForceOptimizer:
         return replace(self.limits, **given) if self.limits is not None and given else self.limits
 
     def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartRequest:
-        """Return the start of a call; an `InfeasibleStartError` if a rule fails, or returns no force."""
+        """Return the start of a call; an `InfeasibleStartError` if a rule fails, or returns no
+        force.
+        """
         requested: Any = self._initial if initial is None else checked_initial(initial)
         if requested is None or self.method == "conic":
             return OWN_START
@@ -423,7 +509,9 @@ class ForceOptimizer:
     def _checked_previous(self, previous: ForceSolution) -> ForceSolution:
         """Return a solution to start from; raise if it has no force or another number of contacts."""
         if not previous.has_force:
-            raise InvalidInputError(f"previous must be a solution with a force, got status {previous.status.value}")
+            raise InvalidInputError(
+                f"previous must be a solution with a force, got status {previous.status.value}"
+            )
         if previous.n_contacts != self._count:
             raise InfeasibleStartError(
                 f"the previous solution has {previous.n_contacts} contacts, the grasp {self._count}"
@@ -443,7 +531,11 @@ class ForceOptimizer:
         return explain(solution, moved, limits)
 
     def _error(
-        self, solution: ForceSolution, wrench: ArrayLike, given: tuple[Any, ...], start: StartRequest
+        self,
+        solution: ForceSolution,
+        wrench: ArrayLike,
+        given: tuple[Any, ...],
+        start: StartRequest,
     ) -> GraspError:
         """Return the error for a solution without a force."""
         code = solution.code
@@ -483,14 +575,19 @@ class ForceOptimizer:
 
 
 def optimize_force(
-    grasp: Grasp, wrench: ArrayLike, *, optimum: float | None = None, trace: bool = False, **options: Any
+    grasp: Grasp,
+    wrench: ArrayLike,
+    *,
+    optimum: float | None = None,
+    trace: bool = False,
+    **options: Any,
 ) -> ForceSolution:
     """Return the optimal grasp force that balances a wrench: a `ForceOptimizer` for a single call.
 
     Args:
         grasp: the contacts.
-        wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N m], in the frame of the
-            contacts' positions; balanced as G f + wrench = 0.
+        wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N
+            m], in the frame of the contacts' positions; balanced as G f + wrench = 0.
         optimum, trace: see `ForceOptimizer.solve`.
         options: the keywords of `ForceOptimizer`, with its defaults.
 

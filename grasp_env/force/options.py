@@ -19,7 +19,8 @@ DESCENTS = (*FLOWS, "newton")
 METHODS = (*DESCENTS, "conic")
 """Names of all methods. `conic` takes no start."""
 CRITERIA = ("sum", "max")
-"""Objectives of `conic`: the sum or the maximum of the normal forces, each times its force_weight."""
+"""Objectives of `conic`: the sum or the maximum of the normal forces, each times its force_weight.
+"""
 MAX_ITERATIONS = 20_000
 """Default largest number of accepted steps."""
 TOLERANCE = 1e-4
@@ -30,7 +31,9 @@ CONIC_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Options:
-    """Checked settings of a `ForceOptimizer`, made by `checked_options`; see `ForceOptimizer` for their meaning."""
+    """Checked settings of a `ForceOptimizer`, made by `checked_options`; see `ForceOptimizer` for
+    their meaning.
+    """
 
     method: str
     criterion: str
@@ -47,10 +50,14 @@ class Options:
 
 
 def checked_options(*given: Any) -> Options:
-    """Return the checked keywords of an optimizer, in the order of its signature; cached, since the checks take longer than a solve."""
+    """Return the checked keywords of an optimizer, in the order of its signature; cached, since the
+    checks take longer than a solve.
+    """
     try:
         return _cached(*given)
-    except Exception:  # arguments without a hash, such as a list or a memoryview; wrong ones raise again
+    except (
+        Exception
+    ):  # arguments without a hash, such as a list or a memoryview; wrong ones raise again
         return _checked(*given)
 
 
@@ -68,14 +75,20 @@ def _checked(
         made = Options(
             check(choice, method, "method", METHODS),
             check(choice, criterion, "criterion", CRITERIA),
-            check(Objective, force_weight, Objective.barrier_weight if barrier_weight is None else barrier_weight),
+            check(
+                Objective,
+                force_weight,
+                Objective.barrier_weight if barrier_weight is None else barrier_weight,
+            ),
             check(_tolerance, tolerance, method),
             check(whole, max_iterations, "max_iterations", 0, ranges.ITERATIONS),
             check(checked_rule, step_rule),
             check(flag, elastic, "elastic"),
         )
     if made.criterion != "sum" and made.method != "conic":
-        raise UnsupportedProblemError(f"criterion {criterion!r} belongs to method 'conic', got method {made.method!r}")
+        raise UnsupportedProblemError(
+            f"criterion {criterion!r} belongs to method 'conic', got method {made.method!r}"
+        )
     if step_rule is not None and not made.flows:
         raise UnsupportedProblemError(
             f"step_rule belongs to the flows, got method {made.method!r}: take method='reduced_flow' or 'full_flow', or leave it out"

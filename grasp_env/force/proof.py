@@ -12,7 +12,8 @@ from grasp_env.inputs.arguments import Array
 NEGLIGIBLE_PRICE = 1e-6
 """Fraction of the largest price up to which a limit does not count as needed."""
 SLIPPING = 1e-3
-"""Relative distance of q_i to the surface of its dual cone up to which contact i counts as slipping."""
+"""Relative distance of q_i to the surface of its dual cone up to which contact i counts as
+slipping."""
 ROUNDING = 1e-6
 """Largest violation of a valid proof, relative to the size of its terms."""
 UNMOVED = 1e-9
@@ -22,8 +23,12 @@ MOST_NAMED = 6
 
 
 def contact_motions(grasp: Grasp, twist: Array) -> Array:
-    """Return q = G^T v, (N, 4): the velocity of each contact along normal, o and t, and its rate of turning about the normal."""
-    return np.concatenate([(twist @ grasp.matrix).reshape(-1, 3), (twist @ grasp.torsion_matrix)[:, None]], axis=1)
+    """Return q = G^T v, (N, 4): the velocity of each contact along normal, o and t, and its rate of
+    turning about the normal.
+    """
+    return np.concatenate(
+        [(twist @ grasp.matrix).reshape(-1, 3), (twist @ grasp.torsion_matrix)[:, None]], axis=1
+    )
 
 
 def least_normal_motions(grasp: Grasp, q: Array) -> Array:
@@ -38,7 +43,8 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
 
     Args:
         solution: the solution, with the twist that proves it.
-        grasp: the contacts that touch; if they are not all of the solution's, or None, the message names no contacts.
+        grasp: the contacts that touch; if they are not all of the solution's, or None, the message
+            names no contacts.
         limits: the limits of the solve.
     """
     twist = solution.certificate
@@ -53,7 +59,11 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
         )
     needed = _needed(solution, limits)
     slipping = [] if grasp is None else _slipping(solution, grasp, limits)
-    where = f" of contact{'s' * (len(slipping) > 1)} {', '.join(map(str, slipping))}" if slipping else ""
+    where = (
+        f" of contact{'s' * (len(slipping) > 1)} {', '.join(map(str, slipping))}"
+        if slipping
+        else ""
+    )
     if needed:
         cones = f" and the friction cone{'s' * (len(slipping) > 1)}{where}" if where else ""
         return (
@@ -68,8 +78,12 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
 
 
 def transmitted_matrix(grasp: Grasp) -> Array:
-    """Return G (6, 4N) of the forces and torsions that the contacts transmit; the other columns are zero."""
-    return np.concatenate([grasp.matrix * grasp.models.transmitted.reshape(-1), grasp.torsion_matrix], axis=1)
+    """Return G (6, 4N) of the forces and torsions that the contacts transmit; the other columns are
+    zero.
+    """
+    return np.concatenate(
+        [grasp.matrix * grasp.models.transmitted.reshape(-1), grasp.torsion_matrix], axis=1
+    )
 
 
 def _moves_contacts(grasp: Grasp, twist: Array) -> bool:
@@ -84,25 +98,38 @@ def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:
     if limits is None or not len(prices) or not prices.max() > 0.0:
         return []
     labels = limits.labels(solution.n_contacts)
-    order = [k for k in np.argsort(-prices, kind="stable").tolist() if prices[k] > NEGLIGIBLE_PRICE * prices.max()]
-    return [labels[k] for k in order[:MOST_NAMED]] + [f"and {len(order) - MOST_NAMED} more"] * (len(order) > MOST_NAMED)
+    order = [
+        k
+        for k in np.argsort(-prices, kind="stable").tolist()
+        if prices[k] > NEGLIGIBLE_PRICE * prices.max()
+    ]
+    return [labels[k] for k in order[:MOST_NAMED]] + [f"and {len(order) - MOST_NAMED} more"] * (
+        len(order) > MOST_NAMED
+    )
 
 
 def _slipping(solution: ForceSolution, grasp: Grasp, limits: ForceLimits | None) -> list[int]:
-    """Return the contacts that the proof needs to slip; empty if it does not hold for these contacts."""
+    """Return the contacts that the proof needs to slip; empty if it does not hold for these
+    contacts.
+    """
     twist = solution.certificate
     if twist is None or grasp.n_contacts != solution.n_contacts:
         return []
     q = contact_motions(grasp, twist)
-    size, right = np.abs(q).max(), 0.0
+    size = np.abs(q).max()
+    right = 0.0
     if limits is not None:
-        rows, prices = limits.rows(grasp), solution.limit_multipliers
+        rows = limits.rows(grasp)
+        prices = solution.limit_multipliers
         q += (prices @ rows.matrix).reshape(-1, 4)
         right = float(prices @ rows.bound)
         size = max(size, float((prices[:, None] * np.abs(rows.matrix)).max(initial=0.0)))
     least = least_normal_motions(grasp, q)
     scale = abs(right) + float(np.abs(twist * solution.wrench).sum())
-    if not ((q[:, 0] - least >= -ROUNDING * size).all() and twist @ solution.wrench - right >= -ROUNDING * scale):
+    if not (
+        (q[:, 0] - least >= -ROUNDING * size).all()
+        and twist @ solution.wrench - right >= -ROUNDING * scale
+    ):
         return []
     return [
         k

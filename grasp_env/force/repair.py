@@ -1,4 +1,6 @@
-"""Repair of a candidate force: balanced, strictly inside the cones, and never worse in Phi than a safe force, by construction."""
+"""Repair of a candidate force: balanced, strictly inside the cones, and never worse in Phi than a
+safe force, by construction.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,11 @@ CORRECTIONS: tuple[Correction, ...] = get_args(Correction)
 class Repair:
     """Move a candidate into the cones along the segment to the combination of the 12-basis.
 
-    The candidate first receives the least-norm correction -G^+ (G f + w), which leaves a balanced candidate unchanged. The result is
-    the force of least Phi on the segment from the combination, which is strictly feasible, to the corrected candidate. So it is never
-    worse than the paper's start, nor than a feasible candidate. If the combination itself has the least Phi, nothing is left of the
-    candidate; `start_replaced` detects this.
+    The candidate first receives the least-norm correction -G^+ (G f + w), which leaves a balanced
+    candidate unchanged. The result is the force of least Phi on the segment from the combination,
+    which is strictly feasible, to the corrected candidate. So it is never worse than the paper's
+    start, nor than a feasible candidate. If the combination itself has the least Phi, nothing is
+    left of the candidate; `start_replaced` detects this.
 
     Attributes:
         objective: Phi.
@@ -61,11 +64,13 @@ class Repair:
 
 
 def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
-    """True if a start equals the paper's combination, so that nothing is left of the candidate given to `Repair`.
+    """True if a start equals the paper's combination, so that nothing is left of the candidate
+    given to `Repair`.
 
-    For zero wrench the result is False: there the combination is the optimum itself, which any good start may reach. The start is
-    compared with the combination of every 12-basis cached for this `Grasp` object. `Repair` caches one; without one the comparison
-    costs nothing. Forces count as equal up to 1e-12 of the largest component.
+    For zero wrench the result is False: there the combination is the optimum itself, which any good
+    start may reach. The start is compared with the combination of every 12-basis cached for this
+    `Grasp` object. `Repair` caches one; without one the comparison costs nothing. Forces count as
+    equal up to 1e-12 of the largest component.
 
     Args:
         grasp: the contacts.
@@ -79,7 +84,8 @@ def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
         >>> [start_replaced(grasp, wrench, Repair()(grasp, wrench, guess)) for guess in guesses]
         [False, True]
     """
-    load, start = as_wrench(wrench), as_array(force, (as_grasp(grasp).n_contacts, 3), "force", ranges.SIZE)
+    load = as_wrench(wrench)
+    start = as_array(force, (as_grasp(grasp).n_contacts, 3), "force", ranges.SIZE)
     rounding = SAME_FORCE * np.abs(start).max()
     return bool(load.any()) and any(
         np.abs(basis.combine(load) - start).max() <= rounding for basis in OfflineBasis.known(grasp)
@@ -87,7 +93,11 @@ def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
 
 
 def carry_over(
-    grasp: Grasp, wrench: Wrench, previous: ContactForces, objective: Objective, correction: Correction = "tangent"
+    grasp: Grasp,
+    wrench: Wrench,
+    previous: ContactForces,
+    objective: Objective,
+    correction: Correction = "tangent",
 ) -> ContactForces:
     """Carry a previous optimum over to a new grasp and wrench, strictly inside the cones.
 
@@ -96,8 +106,9 @@ def carry_over(
         wrench: (6,) the current wrench [N, N m].
         previous: (N, 3) the previous optimum [N].
         objective: Phi.
-        correction: "pseudoinverse": the least-norm change that restores balance; "tangent": the least change in the metric of the
-            Hessian of Phi at the previous force, which follows the optimum to first order.
+        correction: "pseudoinverse": the least-norm change that restores balance; "tangent": the
+            least change in the metric of the Hessian of Phi at the previous force, which follows
+            the optimum to first order.
 
     Returns:
         (N, 3) [N], balanced and strictly inside the cones.
@@ -117,11 +128,21 @@ def carry_over(
     choice(correction, "correction", CORRECTIONS)
     wrench = as_wrench(wrench)
     before = as_array(previous, (as_grasp(grasp).n_contacts, 3), "previous", ranges.SIZE)
-    return _started(grasp, as_objective(objective), PREVIOUS if correction == "tangent" else GUESS, wrench, before)
+    return _started(
+        grasp,
+        as_objective(objective),
+        PREVIOUS if correction == "tangent" else GUESS,
+        wrench,
+        before,
+    )
 
 
-def _started(grasp: Grasp, objective: Objective, start: int, wrench: Wrench, force: ContactForces) -> ContactForces:
-    """Return a start of the core from a force (N, 3) [N] that need not be balanced or inside the cones."""
+def _started(
+    grasp: Grasp, objective: Objective, start: int, wrench: Wrench, force: ContactForces
+) -> ContactForces:
+    """Return a start of the core from a force (N, 3) [N] that need not be balanced or inside the
+    cones.
+    """
     known = _STARTERS.setdefault(grasp, {})
     if objective not in known:
         known[objective] = starter(grasp, objective)

@@ -18,14 +18,18 @@ from grasp_env.inputs.arguments import ContactForces, Wrench, choice
 class CoreRule:
     """A start of the core, as a rule.
 
-    The paper names the single-value and the Lagrange start without defining them; the definitions here are ours.
+    The paper names the single-value and the Lagrange start without defining them; the definitions
+    here are ours.
 
-    - "single_value": f_0 = -G^+ w + k f_rest with k = max(1.1 k_min, 1), where f_rest is the optimum at w = 0 and k_min the least
-      strictly feasible factor. The lower bound 1 matters for small wrenches only: there k_min vanishes and P would be singular.
-    - "lagrange": argmin (f - k n)^T W (f - k n) s.t. G f = -w, with W = diag(1, 10, 10) and n the unit normal forces. The solution
-      is affine in k, so the strictly feasible k form an interval. k = max(1.1 k_min, the mean normal force of f_rest), but at most
-      the middle of the interval. For many grasps the interval is empty.
-    - "phase_one": a force inside the cones, found by an interior-point method; it needs no force closure.
+    - "single_value": f_0 = -G^+ w + k f_rest with k = max(1.1 k_min, 1), where f_rest is the
+      optimum at w = 0 and k_min the least strictly feasible factor. The lower bound 1 matters for
+      small wrenches only: there k_min vanishes and P would be singular.
+    - "lagrange": argmin (f - k n)^T W (f - k n) s.t. G f = -w, with W = diag(1, 10, 10) and n the
+      unit normal forces. The solution is affine in k, so the strictly feasible k form an interval.
+      k = max(1.1 k_min, the mean normal force of f_rest), but at most the middle of the interval.
+      For many grasps the interval is empty.
+    - "phase_one": a force inside the cones, found by an interior-point method; it needs no force
+      closure.
 
     Attributes:
         name: one of these names, or another name in `STARTS`.
@@ -44,11 +48,15 @@ class CoreRule:
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """Return the start (N, 3) [N], or raise an `InfeasibleStartError`."""
         phi = as_objective(self.objective)
-        optimizer = ForceOptimizer(grasp, force_weight=phi.force_weight, barrier_weight=phi.barrier_weight)
+        optimizer = ForceOptimizer(
+            grasp, force_weight=phi.force_weight, barrier_weight=phi.barrier_weight
+        )
         try:
             force, replaced = optimizer._start_and_replaced(wrench, initial=self.name)
         except InfeasibleWrenchError:
-            raise InfeasibleStartError("no force strictly inside the cones balances the wrench") from None
+            raise InfeasibleStartError(
+                "no force strictly inside the cones balances the wrench"
+            ) from None
         if replaced:
             raise InfeasibleStartError(
                 f"the start {self.name!r} has no force strictly inside the friction cones for this grasp and wrench; "
@@ -72,12 +80,17 @@ class RuleEntry:
 
 RULES: dict[str, RuleEntry] = {
     "linear_combination": RuleEntry("12-basis (the paper, fixed at w = 0)", LinearCombination),
-    "linear_combination_printed": RuleEntry("12-basis, as printed", partial(LinearCombination, printed=True)),
+    "linear_combination_printed": RuleEntry(
+        "12-basis, as printed", partial(LinearCombination, printed=True)
+    ),
     "single_value": RuleEntry("single value", partial(CoreRule, "single_value")),
     "lagrange": RuleEntry("Lagrange", partial(CoreRule, "lagrange")),
     "phase_one": RuleEntry("phase one, any force inside", partial(CoreRule, "phase_one")),
 }
-"""Start rules by name. "previous" is not among them: `ForceOptimizer` stores the previous solution."""
+"""Start rules by name.
+
+"previous" is not among them: `ForceOptimizer` stores the previous solution.
+"""
 
 
 def initial_rule(name: str, objective: Objective | None = None) -> InitialForceRule:

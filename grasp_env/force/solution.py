@@ -1,4 +1,6 @@
-"""The result of a force optimisation: the force, its status, and the residuals and bounds that certify it."""
+"""The result of a force optimisation: the force, its status, and the residuals and bounds that
+certify it.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,19 @@ from grasp_env.force.record import (
 from grasp_env.inputs.arguments import Array
 
 STARTS = (
-    "standard", "internal_force", "linear_combination", "linear_combination_printed", "single_value", "lagrange", "phase_one",
-    "previous", "given", "guess", "learned", "central",
-)  # fmt: skip
+    "standard",
+    "internal_force",
+    "linear_combination",
+    "linear_combination_printed",
+    "single_value",
+    "lagrange",
+    "phase_one",
+    "previous",
+    "given",
+    "guess",
+    "learned",
+    "central",
+)
 """Names of the core's enumeration `Start`, in its order."""
 COMBINATION, PREVIOUS, GIVEN, GUESS, LEARNED = (
     STARTS.index(name) for name in ("linear_combination", "previous", "given", "guess", "learned")
@@ -85,46 +97,62 @@ class Names(NamedTuple):
     starts: tuple[str, ...] = STARTS
 
     def initial(self, record: Array) -> str:
-        """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the training range of a learned one."""
+        """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the
+        training range of a learned one.
+        """
         used = self.starts[int(record[START])]
         if record[REPLACED]:
             return f"{used} ({self.requested} was replaced)"
         return f"{used} (outside its training range)" if record[OUTSIDE] else used
 
     def of_start(self, start: int, name: str | None) -> Names:
-        """Return the names for a call with another start: an index into `STARTS`, and the name of that start for this call."""
+        """Return the names for a call with another start: an index into `STARTS`, and the name of
+        that start for this call.
+        """
         if name is None:
             return self._replace(requested=STARTS[start]) if start else self
         return self._replace(requested=name, starts=(*STARTS[:start], name, *STARTS[start + 1 :]))
 
 
 class ForceSolution(Solution):
-    """A grasp force with its certificates: a view of one record of numbers (`record.py`), read on demand.
+    """A grasp force with its certificates: a view of one record of numbers (`record.py`), read on
+    demand.
 
     Attributes:
         n_contacts: N, the number of contacts.
-        force: (N, 3) force of each finger on the object [N]: normal, o, t in the contact frame; zero for contacts that do not touch.
+        force: (N, 3) force of each finger on the object [N]: normal, o, t in the contact frame;
+            zero for contacts that do not touch.
         object_force: (N, 3) the same force along the axes of the frame of the positions [N].
         frames: (N, 3, 3) contact frames, columns (n, o, t), in the frame of the positions.
         torques: (J,) joint torques, the bias included [N m]; empty without torque limits.
         initial_force: (N, 3) the start [N].
-        torsion: (N,) torsion of each finger on the object about its normal [N m]; zero unless the contact is soft.
+        torsion: (N,) torsion of each finger on the object about its normal [N m]; zero unless the
+            contact is soft.
         wrench: (6,) the external wrench that `force` balances [N, N m].
-        multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu.
-        limit_multipliers: (M,) prices >= 0 of the limits, in the order of `ForceOptimizer.limit_labels`; with status INFEASIBLE
-            those of the proof, see `certificate`; empty for LIMITS_EXCEEDED.
+        multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d
+            objective / d wrench = -nu.
+        limit_multipliers: (M,) prices >= 0 of the limits, in the order of
+            `ForceOptimizer.limit_labels`; with status INFEASIBLE those of the proof, see
+            `certificate`; empty for LIMITS_EXCEEDED.
         has_force: False if the solve found no force; then `force` is zero.
         method: the method's name.
-        initial: the name of the start; "internal_force (NAME was replaced)" if nothing is left of the requested one.
+        initial: the name of the start; "internal_force (NAME was replaced)" if nothing is left of
+            the requested one.
         start_replaced: True if nothing is left of the requested start.
         iterations: accepted steps.
         trials: all steps tried.
-        objective: Phi of `force`; for `conic` the sum or maximum of force_weight times normal force [N]; `limit_excess` if that is > 0.
-        lower_bound: a dual bound: no balanced force has a smaller objective; -inf: unknown; the `optimum` if that was given.
-        optimality_gap: (objective - lower_bound) / lower_bound, certified; +inf without a positive bound.
-        equilibrium_residual: largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length.
-        cone_margin: min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0 strictly inside.
-        limit_excess: largest excess of a limit as a fraction of that limit; 0 within all limits. See `elastic` of `ForceOptimizer`.
+        objective: Phi of `force`; for `conic` the sum or maximum of force_weight times normal force
+            [N]; `limit_excess` if that is > 0.
+        lower_bound: a dual bound: no balanced force has a smaller objective; -inf: unknown; the
+            `optimum` if that was given.
+        optimality_gap: (objective - lower_bound) / lower_bound, certified; +inf without a positive
+            bound.
+        equilibrium_residual: largest |component| of G f + w [N], moments about the contacts'
+            centre, divided by the grasp's length.
+        cone_margin: min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0
+            strictly inside.
+        limit_excess: largest excess of a limit as a fraction of that limit; 0 within all limits.
+            See `elastic` of `ForceOptimizer`.
         objective_trace: Phi of every iterate with `trace=True`; else empty.
     """
 
@@ -147,9 +175,10 @@ class ForceSolution(Solution):
     def certificate(self) -> Array | None:
         """(6,) the proof of infeasibility with status INFEASIBLE, else None.
 
-        It is a twist v with G_i^T v in the dual cone of every contact and v . w > 0. With limits A f <= b and their prices y,
-        `limit_multipliers`, G^T v + A^T y lies in the dual cones and v . w > y . b. For a zero wrench v . w = 0: no force strictly
-        inside the cones balances itself, and the force zero has no finite Phi.
+        It is a twist v with G_i^T v in the dual cone of every contact and v . w > 0. With limits A
+        f <= b and their prices y, `limit_multipliers`, G^T v + A^T y lies in the dual cones and v .
+        w > y . b. For a zero wrench v . w = 0: no force strictly inside the cones balances itself,
+        and the force zero has no finite Phi.
         """
         return self.multipliers if self.code == INFEASIBLE else None
 
@@ -181,12 +210,16 @@ class ForceSolution(Solution):
         return self
 
     def _infeasibility(self) -> str:
-        """Describe what the solution shows of an infeasible wrench; it knows neither the grasp nor the labels of the limits."""
+        """Describe what the solution shows of an infeasible wrench; it knows neither the grasp nor
+        the labels of the limits.
+        """
         twist = self.certificate
         if twist is None:
             shown = f"The largest excess is {100.0 * self.limit_excess:.3g} % of its limit. The error of optimize_force with elastic=False"
         else:
-            shown = f"The twist is {[round(v, 6) for v in twist.tolist()]}. The error of optimize_force"
+            shown = (
+                f"The twist is {[round(v, 6) for v in twist.tolist()]}. The error of optimize_force"
+            )
         return (
             f"wrench {self.wrench.tolist()} on {self.n_contacts} contacts: {self.status.help} {shown} names the limits and the "
             "friction cones that the proof needs"

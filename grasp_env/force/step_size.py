@@ -1,8 +1,10 @@
-"""Step rules of the flows: they choose alpha so that Phi decreases and every force stays inside its friction cone.
+"""Step rules of the flows: they choose alpha so that Phi decreases and every force stays inside its
+friction cone.
 
-The paper only asks that alpha_k "guarantee the convergence of the objective function". Every rule here accepts only points
-strictly inside the cones with a smaller Phi, and shrinks the step until it finds one. After a hundred trials of one iteration the
-step shrinks by at least a half, so every search ends. A rule is data, `parameters()`. The core implements it (`flow.hpp`), and
+The paper only asks that alpha_k "guarantee the convergence of the objective function". Every rule
+here accepts only points strictly inside the cones with a smaller Phi, and shrinks the step until it
+finds one. After a hundred trials of one iteration the step shrinks by at least a half, so every
+search ends. A rule is data, `parameters()`. The core implements it (`flow.hpp`), and
 `tests/oracles/descent.py` does so once more in plain Python.
 """
 
@@ -102,7 +104,9 @@ class ArmijoStep(_Checked):
 
 @dataclass(frozen=True)
 class AdaptiveStep(_Checked):
-    """Accept the first of alpha, alpha * shrink, ... that decreases Phi inside the cones; then multiply alpha by `grow`.
+    """Accept the first of alpha, alpha * shrink, ...
+
+    that decreases Phi inside the cones; then multiply alpha by `grow`.
 
     Attributes:
         first: first trial step of every solve [N / force_weight].
@@ -129,10 +133,12 @@ class AdaptiveStep(_Checked):
 
 @dataclass(frozen=True)
 class BarzilaiBorweinStep(_Checked):
-    """Barzilai and Borwein (1988) in the metric of P: the inverse curvature along the previous step, kept monotone.
+    """Barzilai and Borwein (1988) in the metric of P: the inverse curvature along the previous
+    step, kept monotone.
 
-    With s the previous step and y the change of the projected gradient, "long" is <s, s> / <s, y> and "short" <s, y> / <y, y>.
-    "alternate" uses the long one after every second step. The first iteration tries `first`.
+    With s the previous step and y the change of the projected gradient, "long" is <s, s> / <s, y>
+    and "short" <s, y> / <y, y>. "alternate" uses the long one after every second step. The first
+    iteration tries `first`.
 
     Attributes:
         first: first trial step of every solve [N / force_weight].
@@ -155,7 +161,9 @@ class BarzilaiBorweinStep(_Checked):
 
     def parameters(self) -> Array:
         """See `StepRule`; the index of the variant replaces `grow`."""
-        return np.array([BARZILAI_BORWEIN, self.first, VARIANTS.index(self.variant), self.shrink, 0.0])
+        return np.array(
+            [BARZILAI_BORWEIN, self.first, VARIANTS.index(self.variant), self.shrink, 0.0]
+        )
 
 
 @dataclass(frozen=True)
@@ -163,8 +171,8 @@ class ExactStep(_Checked):
     """Exact line search by safeguarded Newton on the derivative of Phi along the ray.
 
     Attributes:
-        precision: fraction in (0, 1) of the slope at alpha = 0 at which the search ends. The flow needs FEWER iterations with 0.1
-            than with the exact minimum, whose directions zigzag.
+        precision: fraction in (0, 1) of the slope at alpha = 0 at which the search ends. The flow
+            needs FEWER iterations with 0.1 than with the exact minimum, whose directions zigzag.
     """
 
     precision: float = 1e-3
@@ -174,7 +182,13 @@ class ExactStep(_Checked):
         return np.array([EXACT, 1.0, 1.0, 0.5, self.precision])
 
 
-STEP_RULES: tuple[type[Any], ...] = (FixedStep, ArmijoStep, AdaptiveStep, BarzilaiBorweinStep, ExactStep)
+STEP_RULES: tuple[type[Any], ...] = (
+    FixedStep,
+    ArmijoStep,
+    AdaptiveStep,
+    BarzilaiBorweinStep,
+    ExactStep,
+)
 
 
 def checked_rule(rule: Any) -> StepRule:

@@ -11,27 +11,35 @@ from grasp_env.inputs.arguments import Array, as_array
 
 
 def joint_torques(
-    jacobian: ArrayLike, force: ArrayLike, bias: ArrayLike | None = None, *, moment: ArrayLike | None = None
+    jacobian: ArrayLike,
+    force: ArrayLike,
+    bias: ArrayLike | None = None,
+    *,
+    moment: ArrayLike | None = None,
 ) -> Array:
     """Return the joint torques with which the fingers exert `force` on the object.
 
-    By virtual work tau . qd = f . (J qd), apart from the bias. f is the force of the finger ON the object, as everywhere in this
-    package, so tau is the torque of the motors. Jacobian, force and moment are all given in one frame. In the frame of the contacts'
-    positions the force is `grasp.to_object_frame(solution.force)`.
+    By virtual work tau . qd = f . (J qd), apart from the bias. f is the force of the finger ON the
+    object, as everywhere in this package, so tau is the torque of the motors. Jacobian, force and
+    moment are all given in one frame. In the frame of the contacts' positions the force is
+    `grasp.to_object_frame(solution.force)`.
 
     Args:
-        jacobian: (N, 3, J) or (3N, J), joint speeds -> velocity of each contact point, relative to the base of the hand; (N, 6, J)
-            with the fingertip's angular velocity in rows 3 to 5. The unit is [m] for revolute joints.
+        jacobian: (N, 3, J) or (3N, J), joint speeds -> velocity of each contact point, relative to
+            the base of the hand; (N, 6, J) with the fingertip's angular velocity in rows 3 to 5.
+            The unit is [m] for revolute joints.
         force: (N, 3) contact forces [N].
-        bias: (J,) torques besides those of the grasp, such as those that carry the hand's weight [N m]; None: zero.
-        moment: (N, 3) moments of soft contacts about their contact points [N m], `solution.torsion[:, None] * grasp.normals`; needs
-            a Jacobian (N, 6, J).
+        bias: (J,) torques besides those of the grasp, such as those that carry the hand's weight [N
+            m]; None: zero.
+        moment: (N, 3) moments of soft contacts about their contact points [N m],
+            `solution.torsion[:, None] * grasp.normals`; needs a Jacobian (N, 6, J).
 
     Returns:
         (J,) torques [N m]; forces [N] for prismatic joints.
 
     Raises:
-        InvalidInputError: shapes that do not match, values that are not finite, or moments with a Jacobian (N, 3, J).
+        InvalidInputError: shapes that do not match, values that are not finite, or moments with a
+            Jacobian (N, 3, J).
 
     Example:
         >>> joint_torques([[[0.0, 0.1], [0.0, 0.0], [0.0, 0.0]]], [[2.0, 0.0, 0.0]], bias=[0.5, 0.0])
@@ -46,12 +54,17 @@ def joint_torques(
                 f"moment needs a jacobian of shape (N, 6, J), got {jac.shape}: add the fingertips' angular velocities as rows 3 to 5, "
                 "or leave moment out"
             )
-        torques += np.einsum("nij,ni->j", jac[:, 3:], as_array(moment, pushed.shape, "moment", ranges.SIZE))
+        torques += np.einsum(
+            "nij,ni->j", jac[:, 3:], as_array(moment, pushed.shape, "moment", ranges.SIZE)
+        )
     return torques if bias is None else torques + as_array(bias, torques.shape, "bias", ranges.BIAS)
 
 
-def checked_jacobian(jacobian: ArrayLike, count: int | None = None, used: np.ndarray | None = None) -> Array:
-    """Return a Jacobian as (N, 3, J) or (N, 6, J), from that shape or from (3N, J), of `count` contacts (None: any).
+def checked_jacobian(
+    jacobian: ArrayLike, count: int | None = None, used: np.ndarray | None = None
+) -> Array:
+    """Return a Jacobian as (N, 3, J) or (N, 6, J), from that shape or from (3N, J), of `count`
+    contacts (None: any).
 
     Rows of contacts that a mask `used` (N,) leaves out may hold any numbers.
     """
@@ -59,7 +72,12 @@ def checked_jacobian(jacobian: ArrayLike, count: int | None = None, used: np.nda
     shape = jac.shape
     if jac.ndim == 2 and jac.size and len(jac) % 3 == 0:
         jac = jac.reshape(-1, 3, jac.shape[1])
-    if jac.ndim != 3 or jac.shape[1] not in (3, 6) or 0 in jac.shape or count not in (None, len(jac)):
+    if (
+        jac.ndim != 3
+        or jac.shape[1] not in (3, 6)
+        or 0 in jac.shape
+        or count not in (None, len(jac))
+    ):
         n = "N" if count is None else str(count)
         flat = "3N" if count is None else str(3 * count)
         raise InvalidInputError(

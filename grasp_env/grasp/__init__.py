@@ -7,6 +7,14 @@ from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.transforms import gravity_wrench, transform_wrench, transformed, wrench_about
 
 __all__ = [
-    "Grasp", "advise", "gravity_wrench", "load_grasp", "presets", "save_grasp", "transform_wrench", "transformed",
-    "wrench", "wrench_about",
-]  # fmt: skip
+    "Grasp",
+    "advise",
+    "gravity_wrench",
+    "load_grasp",
+    "presets",
+    "save_grasp",
+    "transform_wrench",
+    "transformed",
+    "wrench",
+    "wrench_about",
+]

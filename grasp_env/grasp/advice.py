@@ -23,13 +23,16 @@ from grasp_env.inputs.arguments import Array, Wrench, as_wrench, warn
 
 
 def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) -> list[str]:
-    """Return a list of texts, one for each likely mistake in a grasp, a wrench and limits. Nothing is printed.
+    """Return a list of texts, one for each likely mistake in a grasp, a wrench and limits.
 
-    The texts report normals that point out of the object, millimetres (positions, torsional friction, Jacobian), friction above 2 or
-    in degrees, contacts that nearly coincide, and a nearly singular G. With a wrench, they also report a moment about another point
-    than the origin of the positions, and force and moment in the wrong order. With limits as well, they report torque limits hundreds
-    of times too large or too small. Each text tells what was seen, when it may be right, and what to change. `optimize_force` warns of
-    the mistakes that are near certain.
+    Nothing is printed.
+
+    The texts report normals that point out of the object, millimetres (positions, torsional
+    friction, Jacobian), friction above 2 or in degrees, contacts that nearly coincide, and a nearly
+    singular G. With a wrench, they also report a moment about another point than the origin of the
+    positions, and force and moment in the wrong order. With limits as well, they report torque
+    limits hundreds of times too large or too small. Each text tells what was seen, when it may be
+    right, and what to change. `optimize_force` warns of the mistakes that are near certain.
 
     Args:
         grasp: a valid grasp.
@@ -37,7 +40,8 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) ->
         limits: the `ForceLimits` of the solve.
 
     Raises:
-        InvalidInputError: no grasp, a wrench of another shape, or limits of another number of contacts.
+        InvalidInputError: no grasp, a wrench of another shape, or limits of another number of
+            contacts.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -45,9 +49,11 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) ->
         >>> advise(good, wrench=[0, 0, -5, 0, 0, 0])
         []
         >>> print(*advise(Grasp.from_contacts(good.positions, -good.normals, 0.5)))
-        all 3 normals point away from the centre of the contacts: normals must point INTO the object; ...
+        all 3 normals point away from the centre of the contacts: normals must point INTO the
+        object; ...
         >>> print(*advise(good, wrench=[0.1, 0, 0, 0, 0, -5]))
-        the wrench's moment of 5 N m is that of its force of 0.1 N at 50 m from contacts that span 0.04 m: ...
+        the wrench's moment of 5 N m is that of its force of 0.1 N at 50 m from contacts that span
+        0.04 m: ...
     """
     as_grasp(grasp)
     load = None if wrench is None else as_wrench(wrench)
@@ -63,7 +69,9 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) ->
 
 
 def warn_of_contacts(grasp: Grasp, limits: Any = None) -> None:
-    """Issue a `GraspWarning` about near-certain mistakes in contacts and limits, at the caller's line."""
+    """Issue a `GraspWarning` about near-certain mistakes in contacts and limits, at the caller's
+    line.
+    """
     found = all_outward(grasp) + contact_units(grasp)
     if limits is not None and limits.jacobian is not None:
         found += lever_units(limits.jacobian)
@@ -71,7 +79,9 @@ def warn_of_contacts(grasp: Grasp, limits: Any = None) -> None:
 
 
 def warn_of_wrench(grasp: Grasp, wrench: Wrench) -> None:
-    """Issue a `GraspWarning` about near-certain mistakes in a wrench (6,) float64, at the caller's line."""
+    """Issue a `GraspWarning` about near-certain mistakes in a wrench (6,) float64, at the caller's
+    line.
+    """
     _warn(frame_and_order(grasp, wrench))
 
 
@@ -87,5 +97,7 @@ def _torque_limits(grasp: Grasp, limits: Any) -> tuple[Array | None, Array | Non
         return None, None
     rows = getattr(limits, "jacobian", None)
     if not hasattr(limits, "torque_limit") or (rows is not None and len(rows) != grasp.n_contacts):
-        raise InvalidInputError(f"limits must be a ForceLimits for {grasp.n_contacts} contacts, got {limits!r:.200}")
+        raise InvalidInputError(
+            f"limits must be a ForceLimits for {grasp.n_contacts} contacts, got {limits!r:.200}"
+        )
     return rows, limits.torque_limit

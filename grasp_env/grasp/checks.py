@@ -13,7 +13,8 @@ from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import Array, as_array
 
 RANK_TOLERANCE = 1e-8
-"""Least ratio of singular values of G (moments divided by the grasp's length) that counts as rank 6."""
+"""Least ratio of singular values of G (moments divided by the grasp's length) that counts as rank
+6."""
 DEFAULT_TANGENTS = np.zeros((0, 3))
 """Tangents for the default rule."""
 
@@ -22,12 +23,16 @@ def checked_points(positions: ArrayLike) -> Array:
     """Return checked contact points (N, 3)."""
     points = as_array(positions, (None, 3), "positions")
     if len(points) > ranges.CONTACTS:
-        raise InvalidInputError(f"positions must be those of at most {ranges.CONTACTS} contacts, got {len(points)}")
+        raise InvalidInputError(
+            f"positions must be those of at most {ranges.CONTACTS} contacts, got {len(points)}"
+        )
     return points
 
 
 def normalise_normals(normals: Array) -> None:
-    """Scale normals (N, 3) to unit length in place; raise if the length of one is not within 1 % of one."""
+    """Scale normals (N, 3) to unit length in place; raise if the length of one is not within 1 % of
+    one.
+    """
     given = normals.copy()
     worst = normalise(normals)
     if worst >= 0:
@@ -38,7 +43,9 @@ def normalise_normals(normals: Array) -> None:
 
 
 def check_place(count: int, size: float, centre: Array) -> None:
-    """Raise if the contacts are too close together, too far apart, or too far from the origin; one contact may be anywhere."""
+    """Raise if the contacts are too close together, too far apart, or too far from the origin; one
+    contact may be anywhere.
+    """
     if count == 0:
         raise InvalidInputError("positions must be those of at least one contact, got none")
     if count == 1:
@@ -55,7 +62,9 @@ def check_place(count: int, size: float, centre: Array) -> None:
 
 
 def check_torsion(gamma: Array, length: float) -> None:
-    """Raise if torsional friction is implausibly large for the size of the grasp; one contact has no size."""
+    """Raise if torsional friction is implausibly large for the size of the grasp; one contact has
+    no size.
+    """
     most = ranges.TORSIONAL_LEVER * length
     if length > 0.0 and (gamma > most).any():
         raise InvalidInputError(
@@ -84,7 +93,9 @@ def rank_of(singular: np.ndarray) -> int:
 
 
 def rank_error(rank: int, count: int, hint: str = "") -> RankDeficientGraspError:
-    """Return the error for what needs contacts that can balance wrenches of every direction; it ends with `hint`."""
+    """Return the error for what needs contacts that can balance wrenches of every direction; it
+    ends with `hint`.
+    """
     return RankDeficientGraspError(
         f"rank(G) = {rank} < 6 with {count} contact{'s' * (count != 1)}: some wrenches cannot be balanced. Use at least three contacts "
         f"with friction that do not lie on one line, or two soft ones{hint}"
@@ -92,9 +103,13 @@ def rank_error(rank: int, count: int, hint: str = "") -> RankDeficientGraspError
 
 
 def checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
-    """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of unit moments."""
+    """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of
+    unit moments.
+    """
     if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
-        raise InvalidInputError("positions, normals and tangents must be finite")  # only from `unchecked`
+        raise InvalidInputError(
+            "positions, normals and tangents must be finite"
+        )  # only from `unchecked`
     u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
     if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
         raise rank_error(rank_of(s), count)

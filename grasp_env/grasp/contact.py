@@ -9,9 +9,11 @@ from grasp_env.inputs.arguments import Array
 
 
 def contact_frames(normals: Array) -> Array:
-    """Return contact frames (N, 3, 3), whose columns are (n, o, t) in object coordinates, of inward unit normals (N, 3).
+    """Return contact frames (N, 3, 3), whose columns are (n, o, t) in object coordinates, of inward
+    unit normals (N, 3).
 
-    o is the normalised projection of e_x on the tangent plane, or of e_y if |n . e_x| > 0.9; t = n x o.
+    o is the normalised projection of e_x on the tangent plane, or of e_y if |n . e_x| > 0.9; t = n
+    x o.
 
     Example:
         >>> contact_frames(np.array([[0.0, 0.0, 1.0]]))[0].T   # rows: n, o, t

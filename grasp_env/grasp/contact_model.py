@@ -1,4 +1,5 @@
-"""Contact models: the components that a contact transmits, and the scaling that makes every friction cone round.
+"""Contact models: the components that a contact transmits, and the scaling that makes every
+friction cone round.
 
 | model | transmits | limits |
 |---|---|---|
@@ -6,8 +7,9 @@
 | soft | normal, o, t, torsion about the normal | the same, and abs(torsion) <= gamma * normal (Murray, Li, Sastry 1994, Sec. 5.2) |
 | frictionless | normal | normal >= 0 |
 
-In cone coordinates x = (u, o', t'), with u = mu * normal, mu = sqrt(mu_o mu_t), o' = o mu / mu_o and t' = t mu / mu_t, every
-friction cone is u >= sqrt(o'^2 + t'^2). A frictionless contact has u = normal and o' = t' = 0.
+In cone coordinates x = (u, o', t'), with u = mu * normal, mu = sqrt(mu_o mu_t), o' = o mu / mu_o
+and t' = t mu / mu_t, every friction cone is u >= sqrt(o'^2 + t'^2). A frictionless contact has u =
+normal and o' = t' = 0.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ class ContactModels:
         friction: (N, 2) mu_o, mu_t; 0 for frictionless contacts.
         torsional_friction: (N,) gamma [m]; 0 unless soft.
         cone_scale: (N, 3) cone coordinates = cone_scale * force.
-        cone_divisor: (N, 3) force = cone coordinates / cone_divisor; inf for components that are not transmitted.
+        cone_divisor: (N, 3) force = cone coordinates / cone_divisor; inf for components that are
+            not transmitted.
     """
 
     names: tuple[str, ...]
@@ -48,9 +51,15 @@ class ContactModels:
 
     @classmethod
     def checked(
-        cls, models: str | Sequence[str], friction: ArrayLike, torsional_friction: ArrayLike | None, count: int
+        cls,
+        models: str | Sequence[str],
+        friction: ArrayLike,
+        torsional_friction: ArrayLike | None,
+        count: int,
     ) -> ContactModels:
-        """Check the models of `count` contacts; see `Grasp.from_contacts` for the arguments and errors."""
+        """Check the models of `count` contacts; see `Grasp.from_contacts` for the arguments and
+        errors.
+        """
         within = ranges.FRICTION
         if (
             isinstance(models, str)
@@ -66,10 +75,14 @@ class ContactModels:
         each = [models] * count if isinstance(models, str) else models
         if not isinstance(each, list | tuple) or len(each) != count:
             given = len(each) if isinstance(each, list | tuple) else shown(models)
-            raise InvalidInputError(f"contact_model must be one name or {count} of them, got {given}")
+            raise InvalidInputError(
+                f"contact_model must be one name or {count} of them, got {given}"
+            )
         names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in each)
         mu = _friction(friction, np.array([name != "frictionless" for name in names], dtype=bool))
-        gamma = _torsional(torsional_friction, np.array([name == "soft" for name in names], dtype=bool))
+        gamma = _torsional(
+            torsional_friction, np.array([name == "soft" for name in names], dtype=bool)
+        )
         return cls._made(names, mu, gamma)
 
     @classmethod
@@ -85,21 +98,31 @@ class ContactModels:
     def other_friction(self, friction: ArrayLike, used: np.ndarray | None = None) -> Array:
         """Return (N, 2) other coefficients for the same contacts, from a scalar, (N,) or (N, 2).
 
-        They are 0 for frictionless contacts. Those of contacts that a mask `used` (N,) leaves out may be any numbers; they become 0.
+        They are 0 for frictionless contacts. Those of contacts that a mask `used` (N,) leaves out
+        may be any numbers; they become 0.
         """
         rough = self.friction[:, 0] > 0.0
-        return _friction(friction, rough) if used is None else _friction(friction, rough & used, finite=False)
+        return (
+            _friction(friction, rough)
+            if used is None
+            else _friction(friction, rough & used, finite=False)
+        )
 
     @cached_property
     def transmitted(self) -> np.ndarray:
-        """(N, 3) bool: the force components (normal, o, t) that the contacts transmit; torsion is that of soft contacts."""
+        """(N, 3) bool: the force components (normal, o, t) that the contacts transmit; torsion is
+        that of soft contacts.
+        """
         sent = self.cone_scale > 0.0
         sent.setflags(write=False)
         return sent
 
     @cached_property
     def mean_friction(self) -> Array:
-        """(N,) sqrt(mu_o mu_t); 0 for frictionless contacts. Read-only and shared by all grasps with these models."""
+        """(N,) sqrt(mu_o mu_t); 0 for frictionless contacts.
+
+        Read-only and shared by all grasps with these models.
+        """
         mean = self.cone_scale[:, 0] * (self.friction[:, 0] > 0.0)
         mean.setflags(write=False)
         return mean
@@ -109,7 +132,15 @@ def _friction(value: ArrayLike, rough: np.ndarray, finite: bool = True) -> Array
     """Return coefficients (N, 2), checked for the contacts that are `rough` (N,), 0 for the others."""
     count = len(rough)
     shapes = (), (count,), (count, 2)
-    return _each(value, "friction", shapes, rough, ranges.FRICTION, "at every contact that is not frictionless", finite)
+    return _each(
+        value,
+        "friction",
+        shapes,
+        rough,
+        ranges.FRICTION,
+        "at every contact that is not frictionless",
+        finite,
+    )
 
 
 def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
@@ -122,7 +153,14 @@ def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
             "about 0.005 for a fingertip with a contact patch of 1 cm radius"
         )
     shapes = (), soft.shape
-    return _each(value, "torsional_friction", shapes, soft, ranges.TORSIONAL_FRICTION, "at every soft contact")
+    return _each(
+        value,
+        "torsional_friction",
+        shapes,
+        soft,
+        ranges.TORSIONAL_FRICTION,
+        "at every soft contact",
+    )
 
 
 def _each(
@@ -134,13 +172,16 @@ def _each(
     where: str,
     finite: bool = True,
 ) -> Array:
-    """Return numbers of one of some shapes in the last of them, in a range where they are `felt` (N,), else 0.
+    """Return numbers of one of some shapes in the last of them, in a range where they are `felt`
+    (N,), else 0.
 
     With `finite=False` the others may be infinite or nan.
     """
     given = as_array(value, None, name, finite=finite)
     if given.shape not in shapes:
-        raise InvalidInputError(f"{name} must have shape {' or '.join(map(str, shapes))}, got {given.shape}")
+        raise InvalidInputError(
+            f"{name} must have shape {' or '.join(map(str, shapes))}, got {given.shape}"
+        )
     rows = given[:, None] if given.ndim == 1 and len(shapes[-1]) == 2 else given
     full = np.array(np.broadcast_to(rows, shapes[-1]), order="C")
     if not ((full >= within.low) & (full <= within.high))[felt].all():

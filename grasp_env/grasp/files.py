@@ -21,7 +21,13 @@ from grasp_env.inputs.files import MEGABYTE, as_path, file_fault, read_json, rep
 
 SCHEMA = "grasp-force/grasp/1"
 """Name and version of the format."""
-UNITS = {"positions": "m", "normals": "1", "friction": "1", "torsional_friction": "m", "tangents": "1"}
+UNITS = {
+    "positions": "m",
+    "normals": "1",
+    "friction": "1",
+    "torsional_friction": "m",
+    "tangents": "1",
+}
 """Units of the keys; a file may state only these."""
 _REQUIRED = ("positions", "normals", "friction")
 _OPTIONAL = ("contact_model", "torsional_friction", "tangents")
@@ -32,8 +38,9 @@ _HEADER = ("schema", "units")
 def save_grasp(grasp: Grasp, path: str | Path) -> Path:
     """Write a grasp as JSON, atomically: to a temporary file that is then renamed; return the path.
 
-    Numbers are written with all digits. Friction is written as (N,) if every cone is round, else as (N, 2). Tangents are omitted if
-    they follow the rule of `contact_frames`. Missing folders are created, an existing file is replaced.
+    Numbers are written with all digits. Friction is written as (N,) if every cone is round, else as
+    (N, 2). Tangents are omitted if they follow the rule of `contact_frames`. Missing folders are
+    created, an existing file is replaced.
 
     Raises:
         GraspFileError: the file cannot be written.
@@ -47,7 +54,10 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
         >>> folder.cleanup()
     """
     file = as_path(path, GraspFileError, "a grasp's file")
-    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in _described(as_grasp(grasp)).items()]
+    lines = [
+        f"  {json.dumps(key)}: {json.dumps(value)}"
+        for key, value in _described(as_grasp(grasp)).items()
+    ]
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with replacing(file) as temporary:
@@ -58,13 +68,15 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
 
 
 def load_grasp(path: str | Path) -> Grasp:
-    """Read a grasp from the JSON file at `path`, whose keys are those of `Grasp.from_contacts`; see the top of this module.
+    """Read a grasp from the JSON file at `path`, whose keys are those of `Grasp.from_contacts`; see
+    the top of this module.
 
     If `schema` and `units` are given, they must be those of this version.
 
     Raises:
-        GraspFileError: the file is missing, is not JSON, has an unknown, repeated or missing key, other units, another schema, or
-            values that are not a grasp. The message names the file and the field; `__cause__` is the error of `from_contacts`.
+        GraspFileError: the file is missing, is not JSON, has an unknown, repeated or missing key,
+            other units, another schema, or values that are not a grasp. The message names the file
+            and the field; `__cause__` is the error of `from_contacts`.
     """
     file = as_path(path, GraspFileError, "a grasp's file")
     given = _read(file)
@@ -104,14 +116,24 @@ def _described(grasp: Grasp) -> dict[str, Any]:
         arguments["torsional_friction"] = models.torsional_friction.tolist()
     if not np.array_equal(Grasp.from_contacts(**arguments).frames, grasp.frames):
         arguments["tangents"] = grasp.frames[:, :, 1].tolist()
-    return {"schema": SCHEMA, "units": {key: unit for key, unit in UNITS.items() if key in arguments}, **arguments}
+    return {
+        "schema": SCHEMA,
+        "units": {key: unit for key, unit in UNITS.items() if key in arguments},
+        **arguments,
+    }
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """Return the keys and values of a file with a valid header; integers become floats, so huge ones become inf."""
-    given = read_json(file, GraspFileError, "grasp file", _MAX_BYTES, parse_int=float, object_pairs_hook=_unique)
+    """Return the keys and values of a file with a valid header; integers become floats, so huge
+    ones become inf.
+    """
+    given = read_json(
+        file, GraspFileError, "grasp file", _MAX_BYTES, parse_int=float, object_pairs_hook=_unique
+    )
     if not isinstance(given, dict):
-        raise GraspFileError(f"grasp file {file} must be one JSON object {{...}}, got {shown(given)}")
+        raise GraspFileError(
+            f"grasp file {file} must be one JSON object {{...}}, got {shown(given)}"
+        )
     if given.get("schema", SCHEMA) != SCHEMA:
         raise GraspFileError(
             f"grasp file {file} has schema {shown(given['schema'])}, this version reads {SCHEMA!r}: convert it, or leave the "

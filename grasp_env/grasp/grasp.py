@@ -57,7 +57,9 @@ class _Lazy:
 
 
 def _lazy(make: Callable[[Grasp], Any] | None = None) -> Any:
-    """Declare a lazy attribute, computed by `make`, or read from the compiled contacts if `make` is None."""
+    """Declare a lazy attribute, computed by `make`, or read from the compiled contacts if `make` is
+    None.
+    """
     return _Lazy(make)
 
 
@@ -65,22 +67,25 @@ def _lazy(make: Callable[[Grasp], Any] | None = None) -> Any:
 class Grasp:
     """Contacts with friction on a rigid object. Make one with `Grasp.from_contacts`.
 
-    Balance is G f + w = 0 (paper, Eq. 2), where w is the external wrench ON the object and f the stacked contact forces (normal, o,
-    t) of the fingers ON the object. Soft contacts add a torsion about the normal.
+    Balance is G f + w = 0 (paper, Eq. 2), where w is the external wrench ON the object and f the
+    stacked contact forces (normal, o, t) of the fingers ON the object. Soft contacts add a torsion
+    about the normal.
 
     Attributes:
         positions: (N, 3) contact points [m], object frame.
         normals: (N, 3) inward unit normals, object frame.
-        friction: (N,) Coulomb coefficients; sqrt(mu_o mu_t) for elliptic cones, 0 for frictionless contacts.
+        friction: (N,) Coulomb coefficients; sqrt(mu_o mu_t) for elliptic cones, 0 for frictionless
+            contacts.
         frames: (N, 3, 3) columns (n, o, t) in object coordinates.
         matrix: G, (6, 3N), columns (normal, o, t) per contact.
         length: root mean square distance of the contacts from their centre [m]; it scales moments.
         centre: (3,) mean of the contact points [m], object frame.
         cone_matrix: (6, 3N) G in cone coordinates x; cone_matrix @ grasp.to_cone(f) = matrix @ f.
-        models: contact models, elliptic and torsional friction, and the scaling of cone coordinates.
+        models: contact models, elliptic and torsional friction, and the scaling of cone
+            coordinates.
         torsion_matrix: (6, N) wrenches of unit torsions; zero columns unless soft.
-        unit_frame: (6, 6) matrix; unit_frame @ wrench = (force, moment about `centre` divided by `length`) [N]. These components
-            depend neither on the origin nor on the unit of length.
+        unit_frame: (6, 6) matrix; unit_frame @ wrench = (force, moment about `centre` divided by
+            `length`) [N]. These components depend neither on the origin nor on the unit of length.
     """
 
     positions: Array = field(default=_lazy())
@@ -116,19 +121,23 @@ class Grasp:
 
         Args:
             positions: (N, 3) contact points [m], object frame.
-            normals: (N, 3) unit normals pointing INTO the object, object frame; lengths within 1 % of one are made exact.
-            friction: coefficient(s), 1e-4 to 1e4: a scalar, (N,), or (N, 2) for elliptic cones (mu_o, mu_t). Ignored for
-                frictionless contacts.
-            contact_model: "hard", "soft" or "frictionless", one for all or N names; see `contact_model.py`.
-            torsional_friction: gamma [m] in abs(torsion) <= gamma * normal, 1e-15 to 1e6 and at most 1e4 times the grasp's length;
-                a scalar or (N,); for soft contacts only.
-            tangents: (N, 3) directions; o is their normalised projection on the tangent plane. None: the rule of `contact_frames`.
+            normals: (N, 3) unit normals pointing INTO the object, object frame; lengths within 1 %
+                of one are made exact.
+            friction: coefficient(s), 1e-4 to 1e4: a scalar, (N,), or (N, 2) for elliptic cones
+                (mu_o, mu_t). Ignored for frictionless contacts.
+            contact_model: "hard", "soft" or "frictionless", one for all or N names; see
+                `contact_model.py`.
+            torsional_friction: gamma [m] in abs(torsion) <= gamma * normal, 1e-15 to 1e6 and at
+                most 1e4 times the grasp's length; a scalar or (N,); for soft contacts only.
+            tangents: (N, 3) directions; o is their normalised projection on the tangent plane.
+                None: the rule of `contact_frames`.
 
         Raises:
-            InvalidInputError: wrong shapes, values that are not finite or out of range (`grasp_env/inputs/ranges.py`), normals whose length
-                is not within 1 % of one, a tangent along its normal, soft contacts without torsional friction, no contact or
-                more than 1000, a grasp smaller than 1e-9 m or larger than 1e6 m, or one farther from the origin than 1e5 times
-                its length.
+            InvalidInputError: wrong shapes, values that are not finite or out of range
+                (`grasp_env/inputs/ranges.py`), normals whose length is not within 1 % of one, a
+                tangent along its normal, soft contacts without torsional friction, no contact or
+                more than 1000, a grasp smaller than 1e-9 m or larger than 1e6 m, or one farther
+                from the origin than 1e5 times its length.
             UnknownNameError: unknown contact model.
 
         Example:
@@ -161,18 +170,23 @@ class Grasp:
         return grasp
 
     @classmethod
-    def unchecked(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array | None = None) -> Grasp:
-        """Make the same grasp as `from_contacts`, to the last bit, from trusted `positions`, `normals` and `tangents` (N, 3) and `models`.
+    def unchecked(
+        cls, positions: Array, normals: Array, models: ContactModels, tangents: Array | None = None
+    ) -> Grasp:
+        """Make the same grasp as `from_contacts`, to the last bit, from trusted `positions`,
+        `normals` and `tangents` (N, 3) and `models`.
 
-        Not checked are the number of contacts, the models, tangents that are nearly along a normal, and torsional friction against
-        the grasp's length.
+        Not checked are the number of contacts, the models, tangents that are nearly along a normal,
+        and torsional friction against the grasp's length.
 
         Raises:
             InvalidInputError: see `from_contacts`; arrays of another type than float64.
         """
         try:
             along = DEFAULT_TANGENTS if tangents is None else np.ascontiguousarray(tangents)
-            return cls._made(np.ascontiguousarray(positions), np.ascontiguousarray(normals), models, along)
+            return cls._made(
+                np.ascontiguousarray(positions), np.ascontiguousarray(normals), models, along
+            )
         except (AttributeError, TypeError) as error:
             raise InvalidInputError(
                 f"positions, normals and tangents must be C-contiguous float64 arrays (N, 3) and models those of N contacts: {error}; "
@@ -180,12 +194,18 @@ class Grasp:
             ) from None
 
     @classmethod
-    def _made(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array) -> Grasp:
-        contacts = Contacts.put(positions, normals, models.cone_scale, models.torsional_friction, tangents)
+    def _made(
+        cls, positions: Array, normals: Array, models: ContactModels, tangents: Array
+    ) -> Grasp:
+        contacts = Contacts.put(
+            positions, normals, models.cone_scale, models.torsional_friction, tangents
+        )
         grasp = cls._from_compiled(contacts, models=models)
         check_place(contacts.count, contacts.length, contacts.centre)
         if contacts.refused:  # the core has not placed them
-            raise InvalidInputError("positions must be finite and normals finite and of unit length")
+            raise InvalidInputError(
+                "positions must be finite and normals finite and of unit length"
+            )
         if contacts.rank == 0:
             raise InvalidInputError("tangents must be finite and not along normals")
         return grasp
@@ -209,7 +229,8 @@ class Grasp:
 
     @cached_property
     def pseudoinverse(self) -> Array:
-        """G^+, (3N, 6): the least-norm forces for unit wrenches; soft contacts contribute `torsion_matrix`.
+        """G^+, (3N, 6): the least-norm forces for unit wrenches; soft contacts contribute
+        `torsion_matrix`.
 
         Raises:
             RankDeficientGraspError: the rank is below 6.
@@ -219,7 +240,9 @@ class Grasp:
         transmitted = self.matrix if rough else self.matrix * models.transmitted.reshape(-1)
         if models.torsional_friction.any():
             transmitted = np.concatenate([transmitted, self.torsion_matrix], axis=1)
-        inverse = checked_pseudoinverse(transmitted, self.unit_frame, self.n_contacts)[: 3 * self.n_contacts]
+        inverse = checked_pseudoinverse(transmitted, self.unit_frame, self.n_contacts)[
+            : 3 * self.n_contacts
+        ]
         inverse.setflags(write=False)
         return inverse
 
@@ -230,16 +253,20 @@ class Grasp:
 
     @property
     def rank(self) -> int:
-        """Rank of G, with the torsions of soft contacts: below 6, the contacts cannot balance wrenches of every direction.
+        """Rank of G, with the torsions of soft contacts: below 6, the contacts cannot balance
+        wrenches of every direction.
 
-        Two hard contacts, or any on one line, have rank 5: no force of theirs turns the object about that line.
+        Two hard contacts, or any on one line, have rank 5: no force of theirs turns the object
+        about that line.
         """
         return self.contacts.rank
 
     def within_reach(self, wrench: Wrench) -> Wrench:
-        """Return a wrench (6,) [N, N m] without its part that no forces of these contacts make, whatever their signs.
+        """Return a wrench (6,) [N, N m] without its part that no forces of these contacts make,
+        whatever their signs.
 
-        With `rank` 6 nothing is left out. What is left out is orthogonal to the rest, with moments about `centre` and divided by `length`.
+        With `rank` 6 nothing is left out. What is left out is orthogonal to the rest, with moments
+        about `centre` and divided by `length`.
 
         Example:
             >>> pinch = Grasp.from_contacts([[0, 0.03, 0], [0, -0.03, 0]], [[0, -1, 0], [0, 1, 0]], 0.8)
@@ -253,7 +280,9 @@ class Grasp:
     @property
     def largest_friction(self) -> float:
         """Largest friction coefficient of any contact in any direction."""
-        given = vars(self).get("_friction")  # of hard contacts, whose `models` are made at their first use
+        given = vars(self).get(
+            "_friction"
+        )  # of hard contacts, whose `models` are made at their first use
         if type(given) is float:
             return given
         return float((self.models.friction if given is None else given).max())
@@ -264,7 +293,9 @@ class Grasp:
         return not self.contacts.soft
 
     def to_cone(self, force: ContactForces) -> Array:
-        """Return the flat cone coordinates (3N,) [N] of `force` (N, 3) [N]: (u, o, t) with u = mu * normal (VP of Eq. 18)."""
+        """Return the flat cone coordinates (3N,) [N] of `force` (N, 3) [N]: (u, o, t) with u = mu *
+        normal (VP of Eq. 18).
+        """
         return (self._rows(force, "force") * self.models.cone_scale).reshape(-1)
 
     def to_force(self, x: Array) -> ContactForces:
@@ -272,7 +303,8 @@ class Grasp:
         return self._rows(x, "x") / self.models.cone_divisor
 
     def cone_margins(self, force: ContactForces) -> Array:
-        """Return the friction-cone margins (N,) [N] of `force` (N, 3) [N]: u - sqrt(o^2 + t^2), mu * normal - |tangential| for round cones.
+        """Return the friction-cone margins (N,) [N] of `force` (N, 3) [N]: u - sqrt(o^2 + t^2), mu
+        * normal - |tangential| for round cones.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -293,14 +325,17 @@ class Grasp:
 
     @cached_property
     def null_dimension(self) -> int:
-        """Number of independent internal forces, those (N, 3) that the contacts transmit and that make no wrench without torsions.
+        """Number of independent internal forces, those (N, 3) that the contacts transmit and that
+        make no wrench without torsions.
 
-        It is the number of transmitted force components minus the rank of G on them: 3N - 6 for hard contacts, and 2 less for each
-        frictionless one. The rank is below 6 where soft contacts need their torsions to balance some wrench. Contacts on one line
-        have rank 5 and so one internal force more: two soft ones have one, the squeeze.
+        It is the number of transmitted force components minus the rank of G on them: 3N - 6 for
+        hard contacts, and 2 less for each frictionless one. The rank is below 6 where soft contacts
+        need their torsions to balance some wrench. Contacts on one line have rank 5 and so one
+        internal force more: two soft ones have one, the squeeze.
 
-        Torsions are not counted. The forces and torsions that together make no wrench have "transmitted components - 6" dimensions,
-        where a soft contact transmits 4 components: 2 for two soft contacts.
+        Torsions are not counted. The forces and torsions that together make no wrench have
+        "transmitted components - 6" dimensions, where a soft contact transmits 4 components: 2 for
+        two soft contacts.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -315,7 +350,9 @@ class Grasp:
         count = int(sent.sum())
         if self.hard and self.contacts.clear:  # the rank is 6
             return count - 6
-        return count - rank_of(np.linalg.svd(self.unit_frame @ (self.matrix * sent.reshape(-1)), compute_uv=False))
+        return count - rank_of(
+            np.linalg.svd(self.unit_frame @ (self.matrix * sent.reshape(-1)), compute_uv=False)
+        )
 
     def with_friction(self, friction: ArrayLike) -> Grasp:
         """Return the same contacts with other friction coefficients, as in `from_contacts`."""
@@ -330,25 +367,32 @@ class Grasp:
         )
 
     def wrench(self, force: ContactForces, torsion: Array | None = None) -> Wrench:
-        """Return the wrench (6,) [N, N m] of contact forces `force` (N, 3) and `torsion` (N,) on the object: G f (+ T torsion)."""
+        """Return the wrench (6,) [N, N m] of contact forces `force` (N, 3) and `torsion` (N,) on
+        the object: G f (+ T torsion).
+        """
         made = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(-1)
         return made if torsion is None else made + self._twisted(torsion)
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
-        """Return the largest |component| of G f + w [N], moments about the contacts' centre and divided by `length`.
+        """Return the largest |component| of G f + w [N], moments about the contacts' centre and
+        divided by `length`.
 
         Args:
             force: (N, 3) [N]: normal, o, t.
             wrench: (6,) external wrench [N, N m].
             torsion: (N,) torsions of soft contacts [N m]; None: zero.
         """
-        error = self.matrix @ self._rows(force, "force").reshape(-1) + as_array(wrench, (6,), "wrench", ranges.SIZE)
+        error = self.matrix @ self._rows(force, "force").reshape(-1) + as_array(
+            wrench, (6,), "wrench", ranges.SIZE
+        )
         if torsion is not None:
             error += self._twisted(torsion)
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
-        """Return vectors (N, 3) [N] along the object's axes from contact-frame forces `force` (N, 3) (normal, o, t)."""
+        """Return vectors (N, 3) [N] along the object's axes from contact-frame forces `force` (N,
+        3) (normal, o, t).
+        """
         return np.einsum("nij,nj->ni", self.frames, self._rows(force, "force"))
 
     def to_contact_frame(self, vectors: Array) -> ContactForces:
@@ -362,12 +406,16 @@ class Grasp:
         """Return checked rows (N, 3) from (N, 3) or flat (3N,)."""
         rows = as_array(value, None, name, ranges.SIZE)
         if rows.shape not in ((self.n_contacts, 3), (3 * self.n_contacts,)):
-            raise InvalidInputError(f"{name} must have shape ({self.n_contacts}, 3), got {rows.shape}")
+            raise InvalidInputError(
+                f"{name} must have shape ({self.n_contacts}, 3), got {rows.shape}"
+            )
         return rows.reshape(-1, 3)
 
 
 def as_grasp(value: object) -> Grasp:
     """Return `value` if it is a grasp, or raise an `InvalidInputError`."""
     if not isinstance(value, Grasp):
-        raise InvalidInputError(f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {shown(value)}")
+        raise InvalidInputError(
+            f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {shown(value)}"
+        )
     return value

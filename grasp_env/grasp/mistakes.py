@@ -1,7 +1,9 @@
-"""Rules that find common mistakes in contacts, limits and wrenches: wrong units, signs and frames solve as well as right ones.
+"""Rules that find common mistakes in contacts, limits and wrenches: wrong units, signs and frames
+solve as well as right ones.
 
-Rules that can be near certain take a few microseconds while they find nothing, because every `optimize_force` asks them. They read
-`Grasp.contacts`, which is faster than the attributes of a new grasp.
+Rules that can be near certain take a few microseconds while they find nothing, because every
+`optimize_force` asks them. They read `Grasp.contacts`, which is faster than the attributes of a new
+grasp.
 """
 
 from __future__ import annotations
@@ -24,11 +26,13 @@ DEGREES = 5.0
 WIDEST_PATCH = 0.1
 """Torsional friction that needs a contact patch as wide as a hand [m]."""
 FAR, VERY_FAR = 8.0, 15.0
-"""Distance of the origin from the contacts, in lengths of the grasp; no tool that is held reaches the second."""
+"""Distance of the origin from the contacts, in lengths of the grasp; no tool that is held reaches
+the second."""
 ARM = 0.4
 """Distance of the origin that can be near certain to be a mistake [m]."""
 SHORT_LEVER = 4.0
-"""Moment over force of a usual wrench, in lengths or reaches of the grasp; the reach is the length plus the origin's distance."""
+"""Moment over force of a usual wrench, in lengths or reaches of the grasp; the reach is the length
+plus the origin's distance."""
 LONG_LEVER = 20.0
 """Moment over force of a wrench that hardly pushes, in reaches."""
 PURE_MOMENT = 50.0
@@ -40,9 +44,11 @@ STRONGEST, WEAKEST = 500.0, 1.0 / 300.0
 SMALLEST_LOAD = 0.1
 """Load below which torque limits are not judged [N]."""
 LARGEST_CONDITION = 1e3
-"""Condition number of G, with moments divided by the grasp's length, above which some wrenches need very large forces."""
+"""Condition number of G, with moments divided by the grasp's length, above which some wrenches need
+very large forces."""
 SMALLEST_DISTANCE = 0.01
-"""Distance of two contacts, as a fraction of the grasp's length, below which they act like one contact."""
+"""Distance of two contacts, as a fraction of the grasp's length, below which they act like one
+contact."""
 _CONVERGED = core.codes()["converged"]
 
 
@@ -72,14 +78,17 @@ def all_outward(grasp: Grasp) -> list[Mistake]:
 
 
 def some_outward(grasp: Grasp) -> list[Mistake]:
-    """Judge normals of which some point away from the centre, if the fingers could squeeze with these turned round.
+    """Judge normals of which some point away from the centre, if the fingers could squeeze with
+    these turned round.
 
     Turning all normals round never changes force closure.
     """
-    away, models = _away(grasp), grasp.models
+    away = _away(grasp)
+    models = grasp.models
     if not away.any() or away.all() or _can_squeeze(grasp.contacts):
         return []
-    if models.transmitted.sum() - grasp.null_dimension < 6:  # forces without torsion do not balance every wrench
+    # forces without torsion do not balance every wrench
+    if models.transmitted.sum() - grasp.null_dimension < 6:
         return []
     normals = np.where(away[:, None], -grasp.normals, grasp.normals)
     given = models.cone_scale, models.torsional_friction, grasp.contacts.tangents
@@ -146,12 +155,19 @@ def lever_units(jacobian: Array) -> list[Mistake]:
 
 
 def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
-    """Judge the point about which a wrench (6,) has its moment, and the order and units of its force and moment."""
-    size, found = grasp.contacts.length, []
+    """Judge the point about which a wrench (6,) has its moment, and the order and units of its
+    force and moment.
+    """
+    size = grasp.contacts.length
+    found = []
     force, moment, turning, distance = _sizes(grasp, wrench)
     reach = size + distance
     # the force acts near the origin, which is far from the contacts
-    if distance > FAR * size and moment < SHORT_LEVER * size * force and turning > FAR * size * force:
+    if (
+        distance > FAR * size
+        and moment < SHORT_LEVER * size * force
+        and turning > FAR * size * force
+    ):
         text = (
             f"the contacts are {distance:.3g} m from the origin, but the wrench's force acts within {max(1e-3, moment / force):.2g} m of "
             "it: is its moment about another point (the centre of mass)? Give both in one frame, the moment about the origin of the "
@@ -181,16 +197,23 @@ def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
 
 
 def _sizes(grasp: Grasp, wrench: Wrench) -> tuple[float, float, float, float]:
-    """Return the magnitudes of the force [N], of the moment, of that about the contacts' centre [N m], and the centre's distance [m]."""
+    """Return the magnitudes of the force [N], of the moment, of that about the contacts' centre [N
+    m], and the centre's distance [m].
+    """
     (fx, fy, fz, mx, my, mz), (x, y, z) = wrench.tolist(), grasp.contacts.centre.tolist()
     turning = hypot(mx - (y * fz - z * fy), my - (z * fx - x * fz), mz - (x * fy - y * fx))
     return hypot(fx, fy, fz), hypot(mx, my, mz), turning, hypot(x, y, z)
 
 
-def torque_units(grasp: Grasp, wrench: Wrench, jacobian: Array, torque_limit: Array) -> list[Mistake]:
-    """Judge the units of torque limits (J,), given J^T f of the force that the wrench needs without them."""
+def torque_units(
+    grasp: Grasp, wrench: Wrench, jacobian: Array, torque_limit: Array
+) -> list[Mistake]:
+    """Judge the units of torque limits (J,), given J^T f of the force that the wrench needs without
+    them.
+    """
     force, _, turning, _ = _sizes(grasp, wrench)
-    if force * grasp.length + turning < SMALLEST_LOAD * grasp.length:  # a single contact has no length
+    # a single contact has no length
+    if force * grasp.length + turning < SMALLEST_LOAD * grasp.length:
         return []
     found: Any = core.ForceOptimizer(core.Problem(grasp.contacts)).solve(wrench)
     if not found.has_force:
@@ -256,7 +279,9 @@ def condition(grasp: Grasp) -> list[Mistake]:
 
 
 def _condition_number(grasp: Grasp, about: Array) -> float:
-    """Return the condition number of G, with moments taken about `about` (3,) [m] and divided by the grasp's length."""
+    """Return the condition number of G, with moments taken about `about` (3,) [m] and divided by
+    the grasp's length.
+    """
     matrix = grasp.matrix * grasp.models.transmitted.reshape(-1)
     whole = np.concatenate([matrix, grasp.torsion_matrix * grasp.length], axis=1)
     whole[3:] -= np.cross(about, whole[:3].T).T

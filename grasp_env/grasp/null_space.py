@@ -1,4 +1,6 @@
-"""A basis of internal forces that depends continuously on the contacts; the basis of an SVD does not."""
+"""A basis of internal forces that depends continuously on the contacts; the basis of an SVD does
+not.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +15,20 @@ from grasp_env.inputs.arguments import Array, as_array
 def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
     """Return orthonormal internal forces of `grasp`, as close as possible to `reference`.
 
-    The reference directions are projected on the null space of G and orthonormalised by their polar factor B (B^T B)^-1/2. It is a
-    smooth function of the contacts as long as the projection has full rank and `null_dimension` does not change. The computation
-    uses object-frame vectors, so it stays smooth when the tangents of `contact_frames` switch axes. The forces balance without the
+    The reference directions are projected on the null space of G and orthonormalised by their polar
+    factor B (B^T B)^-1/2. It is a smooth function of the contacts as long as the projection has
+    full rank and `null_dimension` does not change. The computation uses object-frame vectors, so it
+    stays smooth when the tangents of `contact_frames` switch axes. The forces balance without the
     torsions of soft contacts.
 
     Args:
         grasp: the grasp.
-        reference: (3N, null_dimension) object-frame vectors stacked contact by contact, the `reference_basis` of a nominal grasp;
-            None: that of `grasp` itself.
+        reference: (3N, null_dimension) object-frame vectors stacked contact by contact, the
+            `reference_basis` of a nominal grasp; None: that of `grasp` itself.
 
     Returns:
-        (3N, null_dimension) contact-frame forces (normal, o, t), stacked; G @ basis = 0, columns orthonormal. The tangential rows
+        (3N, null_dimension) contact-frame forces (normal, o, t), stacked; G @ basis = 0, columns
+        orthonormal. The tangential rows
         of frictionless contacts are zero.
 
     Raises:
@@ -41,13 +45,15 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
 
 
 def reference_basis(grasp: Grasp) -> Array:
-    """Return orthonormal object-frame internal forces (3N, null_dimension), the `reference` of `null_space_basis` for nearby grasps.
+    """Return orthonormal object-frame internal forces (3N, null_dimension), the `reference` of
+    `null_space_basis` for nearby grasps.
 
-    The columns come from squeezes along the lines between pairs of contacts (the virtual linkage of Williams and Khatib, 1993). If
-    these are not a basis of the null space (coplanar or frictionless contacts, N > 4), an orthonormal basis by the SVD of G
-    replaces them.
+    The columns come from squeezes along the lines between pairs of contacts (the virtual linkage of
+    Williams and Khatib, 1993). If these are not a basis of the null space (coplanar or frictionless
+    contacts, N > 4), an orthonormal basis by the SVD of G replaces them.
     """
-    count, dimension = as_grasp(grasp).n_contacts, grasp.null_dimension
+    count = as_grasp(grasp).n_contacts
+    dimension = grasp.null_dimension
     if dimension == 0:
         return np.zeros((3 * count, 0))
     sent = grasp.models.transmitted.reshape(-1)
@@ -58,7 +64,11 @@ def reference_basis(grasp: Grasp) -> Array:
         line = line / max(float(np.linalg.norm(line)), 1e-12)
         squeezes[3 * i : 3 * i + 3, column] = line
         squeezes[3 * j : 3 * j + 3, column] = -line
-    if sent.all() and len(pairs) == dimension and np.linalg.svd(squeezes, compute_uv=False)[-1] > 1e-2:
+    if (
+        sent.all()
+        and len(pairs) == dimension
+        and np.linalg.svd(squeezes, compute_uv=False)[-1] > 1e-2
+    ):
         return _polar(squeezes)
     found = np.zeros((3 * count, dimension))
     found[sent] = np.linalg.svd(grasp.matrix[:, sent])[2][sent.sum() - dimension :].T
@@ -70,8 +80,8 @@ def reference_basis(grasp: Grasp) -> Array:
 def _internal(grasp: Grasp, forces: Array) -> Array:
     """Return the polar factor of contact-frame `forces` (3N, K), projected on the internal forces."""
     sent = grasp.models.transmitted.reshape(-1)
-    # the right singular vectors of what G transmits, without those of zero singular values, span what is not internal: the
-    # pseudoinverse would not do, since it may need torsions
+    # the right singular vectors of what G transmits, without those of zero singular values, span
+    # what is not internal: the pseudoinverse would not do, since it may need torsions
     rows = np.linalg.svd(grasp.unit_frame @ (grasp.matrix * sent), full_matrices=False)[2]
     rows = rows[: sent.sum() - grasp.null_dimension] * sent
     candidate = forces * sent[:, None]

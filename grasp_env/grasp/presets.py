@@ -6,7 +6,8 @@ from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs.arguments import Array, choice
 
 _CONTACTS: dict[str, tuple[list[list[float]], list[list[float]], float]] = {
-    # a thumb on one z face of a 0.1 m cuboid, three fingers on the other (the paper's Sec. IV, placement ours)
+    # a thumb on one z face of a 0.1 m cuboid, three fingers on the other (the paper's Sec. IV,
+    # placement ours)
     "paper_cuboid": (
         [[0.0, 0.0, -0.05], [0.0, 0.03, 0.05], [-0.03, -0.02, 0.05], [0.03, -0.02, 0.05]],
         [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0]],
@@ -20,7 +21,13 @@ _CONTACTS: dict[str, tuple[list[list[float]], list[list[float]], float]] = {
     ),
     # a thumb against four fingers on the same cuboid
     "five_finger_cuboid": (
-        [[0.0, 0.0, -0.05], [-0.03, 0.03, 0.05], [0.03, 0.03, 0.05], [-0.03, -0.03, 0.05], [0.03, -0.03, 0.05]],
+        [
+            [0.0, 0.0, -0.05],
+            [-0.03, 0.03, 0.05],
+            [0.03, 0.03, 0.05],
+            [-0.03, -0.03, 0.05],
+            [0.03, -0.03, 0.05],
+        ],
         [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0]],
         0.4,
     ),
@@ -30,7 +37,8 @@ PRESETS = tuple(_CONTACTS)
 
 
 def preset(name: str, friction: float | Array | None = None) -> Grasp:
-    """Return the named grasp, one of `PRESETS`; `friction`, a number, (N,) or (N, 2), replaces its coefficient.
+    """Return the named grasp, one of `PRESETS`; `friction`, a number, (N,) or (N, 2), replaces its
+    coefficient.
 
     Raises:
         UnknownNameError: no preset has that name.
@@ -44,7 +52,8 @@ def preset(name: str, friction: float | Array | None = None) -> Grasp:
 
 
 def paper_cuboid(friction: float | Array | None = None) -> Grasp:
-    """Return the reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4; `friction` as in `preset`.
+    """Return the reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4;
+    `friction` as in `preset`.
 
     Example:
         >>> paper_cuboid().positions[0]

@@ -1,7 +1,9 @@
-"""Rigid changes of frame for wrenches and grasps, moments about other points, and weight as a wrench.
+"""Rigid changes of frame for wrenches and grasps, moments about other points, and weight as a
+wrench.
 
-The pose of frame B in frame A is (rotation R, translation p): the columns of R are the axes of B in A's coordinates, and p is the
-origin of B in A [m]. A point has x_A = R x_B + p. The inverse pose is (R.T, -R.T @ p).
+The pose of frame B in frame A is (rotation R, translation p): the columns of R are the axes of B in
+A's coordinates, and p is the origin of B in A [m]. A point has x_A = R x_B + p. The inverse pose is
+(R.T, -R.T @ p).
 """
 
 from __future__ import annotations
@@ -15,15 +17,18 @@ from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import Array, Wrench, as_array, as_wrenches, positive
 
 ROTATION_TOLERANCE = 1e-6
-"""Largest difference of R^T R from the identity, enough for single precision; R is then made orthonormal."""
+"""Largest difference of R^T R from the identity, enough for single precision; R is then made
+orthonormal."""
 GRAVITY: tuple[float, float, float] = (0.0, 0.0, -9.81)
 """Gravitational acceleration in a world whose z axis points up [m/s^2]."""
 
 
 def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayLike) -> Array:
-    """Express wrenches in another frame, with its axes and origin (the adjoint of Murray, Li, Sastry 1994).
+    """Express wrenches in another frame, with its axes and origin (the adjoint of Murray, Li,
+    Sastry 1994).
 
-    F_A = R F_B and m_A = R m_B + p x F_A, where m_B is about the origin of B and m_A about the origin of A.
+    F_A = R F_B and m_A = R m_B + p x F_A, where m_B is about the origin of B and m_A about the
+    origin of A.
 
     Args:
         wrench: (..., 6) force [N] and moment about the origin of B [N m], in B's coordinates.
@@ -34,7 +39,8 @@ def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayL
         (..., 6) force and moment about the origin of A, in A's coordinates.
 
     Raises:
-        InvalidInputError: wrong shapes, values that are not finite, or a matrix that is not a rotation.
+        InvalidInputError: wrong shapes, values that are not finite, or a matrix that is not a
+            rotation.
 
     Example:
         >>> transform_wrench([0, 0, -2, 0, 0, 0], np.eye(3), [0.1, 0, 0])   # a weight of 2 N hangs at x = 0.1 m
@@ -44,15 +50,21 @@ def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayL
     turn = checked_rotation(rotation)
     force_a = force @ turn.T
     return np.concatenate(
-        [force_a, moment @ turn.T + np.cross(as_array(translation, (3,), "translation", ranges.SIZE), force_a)], -1
+        [
+            force_a,
+            moment @ turn.T
+            + np.cross(as_array(translation, (3,), "translation", ranges.SIZE), force_a),
+        ],
+        -1,
     )
 
 
 def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Grasp:
     """Return the same contacts in another frame.
 
-    The tangents are rotated too, so contact forces (normal, o, t) keep their components: `transformed(grasp, R, p).wrench(f)` equals
-    `transform_wrench(grasp.wrench(f), R, p)` for every f. A force that balances w also balances the transformed w.
+    The tangents are rotated too, so contact forces (normal, o, t) keep their components:
+    `transformed(grasp, R, p).wrench(f)` equals `transform_wrench(grasp.wrench(f), R, p)` for every
+    f. A force that balances w also balances the transformed w.
 
     Args:
         grasp: contacts in frame B.
@@ -63,8 +75,8 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
         The grasp in frame A, with the same contact models and friction.
 
     Raises:
-        InvalidInputError: wrong shapes, values that are not finite, a matrix that is not a rotation, or a translation so long that
-            moments about A's origin are lost in rounding.
+        InvalidInputError: wrong shapes, values that are not finite, a matrix that is not a
+            rotation, or a translation so long that moments about A's origin are lost in rounding.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -84,32 +96,40 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
 
 
 def wrench_about(wrench: ArrayLike, point: ArrayLike) -> Array:
-    """Express `wrench` (..., 6) [N, N m] with moments about `point` (3,) [m], not the origin, along the same axes: m' = m - p x F.
+    """Express `wrench` (..., 6) [N, N m] with moments about `point` (3,) [m], not the origin, along
+    the same axes: m' = m - p x F.
 
     Example:
         >>> wrench_about([0, 0, -2, 0, 0.2, 0], [0.1, 0, 0])   # the weight has no moment about where it hangs
         array([ 0.,  0., -2.,  0.,  0.,  0.])
     """
     force, moment = _split(wrench)
-    return np.concatenate([force, moment - np.cross(as_array(point, (3,), "point", ranges.SIZE), force)], -1)
+    return np.concatenate(
+        [force, moment - np.cross(as_array(point, (3,), "point", ranges.SIZE), force)], -1
+    )
 
 
 def gravity_wrench(
-    mass: float, com: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None, gravity: ArrayLike = GRAVITY
+    mass: float,
+    com: ArrayLike = (0.0, 0.0, 0.0),
+    rotation: ArrayLike | None = None,
+    gravity: ArrayLike = GRAVITY,
 ) -> Wrench:
     """Return the weight of the object as an external wrench for `optimize_force`.
 
     Args:
         mass: mass of the object, > 0 [kg].
         com: (3,) centre of mass [m], object frame.
-        rotation: (3, 3) orientation of the object, columns are its axes in world coordinates; None: aligned with the world.
+        rotation: (3, 3) orientation of the object, columns are its axes in world coordinates; None:
+            aligned with the world.
         gravity: (3,) gravitational acceleration in world coordinates [m/s^2].
 
     Returns:
         (6,) force [N] and moment about the object origin [N m], object frame.
 
     Raises:
-        InvalidInputError: a mass <= 0, wrong shapes, values that are not finite, or a matrix that is not a rotation.
+        InvalidInputError: a mass <= 0, wrong shapes, values that are not finite, or a matrix that
+            is not a rotation.
 
     Example:
         >>> gravity_wrench(0.2, com=[0.01, 0, 0])

@@ -28,44 +28,58 @@ MAGNITUDE_LENGTH = 0.05
 
 
 def paper_path(time: ArrayLike) -> Array:
-    """Return W_ext(t) of the paper's Sec. IV.B, (6,) or (T, 6) [N, N m], at `time`, a scalar or (T,) [s]; its example ends at 2.
+    """Return W_ext(t) of the paper's Sec.
+
+    IV.B, (6,) or (T, 6) [N, N m], at `time`, a scalar or (T,) [s]; its example ends at 2.
 
     Example:
         >>> paper_path(0.0)
         array([1. , 1. , 3. , 0. , 0.2, 0. ])
     """
     t = as_array(time, None, "time", ranges.SIZE)
-    c, s = np.cos(np.pi * t), np.sin(np.pi * t)
-    c2, s2 = np.cos(0.5 * np.pi * t) ** 2, np.sin(0.5 * np.pi * t) ** 2
+    c = np.cos(np.pi * t)
+    s = np.sin(np.pi * t)
+    c2 = np.cos(0.5 * np.pi * t) ** 2
+    s2 = np.sin(0.5 * np.pi * t) ** 2
     return np.stack([c, c**2, 8.0 * c2 - 5.0, 0.2 * s, 0.2 * c, s2], axis=-1)
 
 
 def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
-    """Return |(force, moment / length)| (...,) [N] of `wrench` (..., 6) [N, N m], with a `length` [m] that converts moments to forces.
+    """Return |(force, moment / length)| (...,) [N] of `wrench` (..., 6) [N, N m], with a `length`
+    [m] that converts moments to forces.
 
     Example:
         >>> float(magnitude([3, 0, 0, 0, 0, 0.2]))
         5.0
     """
     given = as_wrenches(wrench)
-    scaled = np.concatenate([given[..., :3], given[..., 3:] / positive(length, "length", ranges.LENGTH)], axis=-1)
+    scaled = np.concatenate(
+        [given[..., :3], given[..., 3:] / positive(length, "length", ranges.LENGTH)], axis=-1
+    )
     return np.sqrt((scaled**2).sum(axis=-1))
 
 
-def sample_ball(rng: np.random.Generator, count: int, force: float = FORCE_RADIUS, moment: float = MOMENT_RADIUS):
-    """Draw (count, 6) wrenches by `rng`, forces and moments uniform in balls of radius `force` [N] and `moment` [N m].
+def sample_ball(
+    rng: np.random.Generator, count: int, force: float = FORCE_RADIUS, moment: float = MOMENT_RADIUS
+):
+    """Draw (count, 6) wrenches by `rng`, forces and moments uniform in balls of radius `force` [N]
+    and `moment` [N m].
 
     Example:
         >>> sample_ball(np.random.default_rng(0), 100).shape
         (100, 6)
     """
     _check_draw(rng, count)
-    force, moment = number(force, "force", ranges.SIZE), number(moment, "moment", ranges.SIZE)
+    force = number(force, "force", ranges.SIZE)
+    moment = number(moment, "moment", ranges.SIZE)
     return np.concatenate([_ball(rng, count) * force, _ball(rng, count) * moment], axis=1)
 
 
-def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, high: float = 20.0) -> Array:
-    """Draw (count, 6) wrenches by `rng`, directions uniform on the 6-sphere of (force, moment / 0.05 m).
+def sample_magnitudes(
+    rng: np.random.Generator, count: int, low: float = 0.1, high: float = 20.0
+) -> Array:
+    """Draw (count, 6) wrenches by `rng`, directions uniform on the 6-sphere of (force, moment /
+    0.05 m).
 
     Their `magnitude` is log-uniform from `low` to `high` [N].
 
@@ -77,7 +91,8 @@ def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, hi
         True
     """
     _check_draw(rng, count)
-    low, high = positive(low, "low", ranges.BALL), positive(high, "high", ranges.BALL)
+    low = positive(low, "low", ranges.BALL)
+    high = positive(high, "high", ranges.BALL)
     if low > high:
         raise InvalidInputError(f"low must be <= high, got {low:g} and {high:g}")
     direction = rng.standard_normal((count, 6))

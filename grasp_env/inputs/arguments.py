@@ -1,7 +1,8 @@
 """Checks of the arguments of public calls, and the array aliases.
 
-Numbers that pass are float64, finite, of the right shape and within `ranges`. Each fault is an `InvalidInputError` that names the argument,
-what was given and what is allowed. `AllFaults` collects several.
+Numbers that pass are float64, finite, of the right shape and within `ranges`. Each fault is an
+`InvalidInputError` that names the argument, what was given and what is allowed. `AllFaults`
+collects several.
 """
 
 from __future__ import annotations
@@ -45,25 +46,37 @@ def as_array(
     copy: bool = True,
     used: np.ndarray | None = None,
 ) -> Array:
-    """Return `value` as a new finite float64 array of `shape` (None: any) with numbers in a range, contiguous and aligned.
+    """Return `value` as a new finite float64 array of `shape` (None: any) with numbers in a range,
+    contiguous and aligned.
 
-    `finite=False` accepts infinities and nan; `copy=False` returns an array that needs no conversion as it is. Rows that a mask `used`
-    (N,) leaves out may hold any numbers.
+    `finite=False` accepts infinities and nan; `copy=False` returns an array that needs no
+    conversion as it is. Rows that a mask `used` (N,) leaves out may hold any numbers.
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
-        array = np.array(value, order="C") if copy or not value.flags.aligned else np.asarray(value, order="C")
+        array = (
+            np.array(value, order="C")
+            if copy or not value.flags.aligned
+            else np.asarray(value, order="C")
+        )
     else:
         array = _converted(value, shape, name)
     if shape is not None and (
-        array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True))
+        array.ndim != len(shape)
+        or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True))
     ):
         raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {array.shape}")
     checked = array if used is None else array[used]
     if finite and not all_finite(checked):
         raise InvalidInputError(f"{name} must be finite, got {shown(array)}")
-    if within is not None and checked.size and not (checked.min() >= within.low and checked.max() <= within.high):
+    if (
+        within is not None
+        and checked.size
+        and not (checked.min() >= within.low and checked.max() <= within.high)
+    ):
         worst = checked[~((checked >= within.low) & (checked <= within.high))].flat[0]
-        raise InvalidInputError(f"{name} must lie within {within}, got {worst:g}{'' if array.ndim == 0 else ' in it'}")
+        raise InvalidInputError(
+            f"{name} must lie within {within}, got {worst:g}{'' if array.ndim == 0 else ' in it'}"
+        )
     return array
 
 
@@ -71,7 +84,8 @@ def _converted(value: Any, shape: Shape | None, name: str) -> Array:
     """Return a new float64 array of anything that numpy reads as real numbers."""
     try:
         given: Any = np.asarray(value)
-        if type(value) is list and given.dtype is _FLOAT:  # the usual case: a new array that needs no conversion
+        # the usual case: a new array that needs no conversion
+        if type(value) is list and given.dtype is _FLOAT:
             return given
         if np.ma.is_masked(value):  # `asarray` reads what the mask hides
             why = "masked entries are no numbers"
@@ -80,13 +94,17 @@ def _converted(value: Any, shape: Shape | None, name: str) -> Array:
             if None not in each:
                 return np.reshape(each, given.shape)
             why = "not all of them are"
-        elif given.dtype.kind in "iuf":  # numpy would convert text and booleans, too, and complex numbers in part
+        elif (
+            given.dtype.kind in "iuf"
+        ):  # numpy would convert text and booleans, too, and complex numbers in part
             return np.array(given, dtype=np.float64, order="C")
         else:
             why = f"they are of type {given.dtype}"
     except Exception as error:  # numpy's own
         why = str(error).partition("\n")[0].rstrip(".")[:200]
-    raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {why}, got {shown(value)}")
+    raise InvalidInputError(
+        f"{name} must be numbers of shape {_text(shape)}: {why}, got {shown(value)}"
+    )
 
 
 def _text(shape: Shape | None) -> str:
@@ -100,9 +118,13 @@ def as_wrench(value: ArrayLike, name: str = "wrench") -> Wrench:
 
 
 def checked_size(wrench: Array, name: str = "wrench") -> Array:
-    """Return finite wrenches (..., 6); raise an `InvalidInputError` for components beyond 1e12 N and N m."""
+    """Return finite wrenches (..., 6); raise an `InvalidInputError` for components beyond 1e12 N
+    and N m.
+    """
     if wrench.size and np.abs(wrench).max() > LARGEST:
-        raise InvalidInputError(f"{name} must have components up to {LARGEST:g} N and N m, got {shown(wrench)}")
+        raise InvalidInputError(
+            f"{name} must have components up to {LARGEST:g} N and N m, got {shown(wrench)}"
+        )
     return wrench
 
 
@@ -117,7 +139,9 @@ def as_wrenches(value: ArrayLike) -> Array:
 
 
 def as_number(value: Any) -> float | None:
-    """Return a real number, or an array of one without axes, as a float (infinite if it is too large); None if it is neither."""
+    """Return a real number, or an array of one without axes, as a float (infinite if it is too
+    large); None if it is neither.
+    """
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if not isinstance(value, Real) or isinstance(value, bool):
@@ -146,7 +170,9 @@ def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
 
 
 def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
-    """Return an integer from `least` to `most`, or raise an `InvalidInputError`; 2.0 is not an integer."""
+    """Return an integer from `least` to `most`, or raise an `InvalidInputError`; 2.0 is not an
+    integer.
+    """
     is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not is_integer or not least <= value <= most:
         allowed = f"from {least} to {most}" if is_integer and value > most else f">= {least}"
@@ -183,7 +209,8 @@ def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> Any
 
 
 class AllFaults:
-    """Collects the faults of several checks and raises them as one error at the end of the `with` block.
+    """Collects the faults of several checks and raises them as one error at the end of the `with`
+    block.
 
     A single fault is raised as it is, several as an `InvalidInputError` with the texts of all.
     """
@@ -197,7 +224,9 @@ class AllFaults:
         return self
 
     def __call__(self, check: Callable[..., T], *given: Any, **options: Any) -> T:
-        """Return `check(*given, **options)`, or keep its fault and return None, which nobody uses as the block then raises."""
+        """Return `check(*given, **options)`, or keep its fault and return None, which nobody uses
+        as the block then raises.
+        """
         try:
             return check(*given, **options)
         except GraspError as fault:
@@ -206,34 +235,48 @@ class AllFaults:
 
     def add(self, *faults: str | GraspError) -> None:
         """Add faults that were found elsewhere: errors, or the texts of `InvalidInputError`s."""
-        self.faults += [InvalidInputError(fault) if isinstance(fault, str) else fault for fault in faults]
+        self.faults += [
+            InvalidInputError(fault) if isinstance(fault, str) else fault for fault in faults
+        ]
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if len(self.faults) == 1 and error is None:
             raise self.faults[0]
         if self.faults:
             texts = list(dict.fromkeys(map(str, self.faults)))
-            more = f"; and {len(texts) - self.MOST_TEXTS} more" if len(texts) > self.MOST_TEXTS else ""
+            more = (
+                f"; and {len(texts) - self.MOST_TEXTS} more" if len(texts) > self.MOST_TEXTS else ""
+            )
             raise InvalidInputError("; ".join(texts[: self.MOST_TEXTS]) + more) from None
 
 
 def call_user(
-    function: Callable[..., Any], *given: Any, what: str, takes: str, fault: type[GraspError] = InvalidInputError
+    function: Callable[..., Any],
+    *given: Any,
+    what: str,
+    takes: str,
+    fault: type[GraspError] = InvalidInputError,
 ) -> Any:
-    """Call a user's function; any failure becomes a `fault` that names `what` failed and what it `takes`."""
+    """Call a user's function; any failure becomes a `fault` that names `what` failed and what it
+    `takes`.
+    """
     try:
         return function(*given)
     except GraspError:
         raise
     except Exception as error:
-        raise fault(f"{what} fails with {type(error).__name__}: {str(error)[:200]}; {takes}") from error
+        raise fault(
+            f"{what} fails with {type(error).__name__}: {str(error)[:200]}; {takes}"
+        ) from error
 
 
 def warn(message: str) -> None:
     """Issue a `GraspWarning` at the line that called this package, also through Gymnasium."""
-    level, frame = 2, sys._getframe(1)
+    level = 2
+    frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(
         ("grasp_env.", "gymnasium.", "functools")
     ):
-        level, frame = level + 1, frame.f_back
+        level = level + 1
+        frame = frame.f_back
     warnings.warn(message, GraspWarning, stacklevel=level)

@@ -12,13 +12,26 @@ from grasp_env.errors import MissingExtraError
 _ENGINE = "pybullet" if sys.version_info < (3, 12) or find_spec("pybullet") else "mujoco"
 """Engine that `sim` installs: PyBullet has wheels for CPython 3.10 and 3.11 only."""
 
-_CUTTERS = ("vhacdx",) if platform.machine() == "aarch64" and not find_spec("coacd") else ("coacd", "vhacdx")
+_CUTTERS = (
+    ("vhacdx",)
+    if platform.machine() == "aarch64" and not find_spec("coacd")
+    else ("coacd", "vhacdx")
+)
 """Packages that cut meshes into convex pieces: CoACD has no wheel for Linux on ARM."""
 
 EXTRAS = {
     "cli": ("rich", "tyro"),
     "sim": (
-        "PIL", "collada", "fast_simplification", "gymnasium", "manifold3d", "networkx", "platformdirs", "trimesh", *_CUTTERS, _ENGINE,
+        "PIL",
+        "collada",
+        "fast_simplification",
+        "gymnasium",
+        "manifold3d",
+        "networkx",
+        "platformdirs",
+        "trimesh",
+        *_CUTTERS,
+        _ENGINE,
     ),
     "mujoco": ("mujoco",),
     "mend": ("pymeshfix",),
@@ -30,20 +43,26 @@ EXTRAS = {
     "ray": ("ray",),
     "video": ("imageio_ffmpeg", "moviepy"),
     "cvxpy": ("cvxpy",),
-}  # fmt: skip
+}
 """Modules that each extra installs."""
 
 
 def need(*extras: str) -> nullcontext[None]:
-    """Raise a `MissingExtraError` with the command that installs these extras, if one is missing. Call it before importing from them.
+    """Raise a `MissingExtraError` with the command that installs these extras, if one is missing.
+
+    Call it before importing from them.
 
     Example:
         >>> with need("sim"):
         ...     import gymnasium
     """
-    missing = {extra: [name for name in EXTRAS[extra] if find_spec(name) is None] for extra in extras}
+    missing = {
+        extra: [name for name in EXTRAS[extra] if find_spec(name) is None] for extra in extras
+    }
     missing = {extra: names for extra, names in missing.items() if names}
     absent = dict.fromkeys(name for names in missing.values() for name in names)
     if missing:
-        raise MissingExtraError(f'this needs {", ".join(absent)}: pip install "grasp-force[{",".join(missing)}]"')
+        raise MissingExtraError(
+            f'this needs {", ".join(absent)}: pip install "grasp-force[{",".join(missing)}]"'
+        )
     return nullcontext()

@@ -36,12 +36,15 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
     """Read a file, or a pipe such as /dev/stdin, of up to `most` bytes.
 
     Raises:
-        OSError: missing, not readable, a folder, larger than `most`, or no path; `strerror` tells which.
+        OSError: missing, not readable, a folder, larger than `most`, or no path; `strerror` tells
+            which.
     """
     try:
         with open(os.fspath(path), "rb") as file:
-            parts, left = list[bytes](), most + 1
-            while part := file.read(min(left, MEGABYTE)):  # files under /proc and pipes do not tell their size
+            parts = list[bytes]()
+            left = most + 1
+            # files under /proc and pipes do not tell their size
+            while part := file.read(min(left, MEGABYTE)):
                 parts.append(part)
                 left -= len(part)
     except (TypeError, ValueError) as error:
@@ -51,8 +54,13 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
     return b"".join(parts)
 
 
-def read_json(path: Path, error: type[GraspError], what: str, most: int = TEXT, **options: Any) -> Any:
-    """Read a JSON file in UTF-8, with or without a byte order mark; see `parsed`. `options` are those of `json.loads`."""
+def read_json(
+    path: Path, error: type[GraspError], what: str, most: int = TEXT, **options: Any
+) -> Any:
+    """Read a JSON file in UTF-8, with or without a byte order mark; see `parsed`.
+
+    `options` are those of `json.loads`.
+    """
 
     def read(blob: bytes) -> Any:
         return json.loads(blob.decode("utf-8-sig"), **options)
@@ -66,18 +74,22 @@ _STAND_INS = {
         "run `git lfs pull` in its repository, or download the file itself",
     ),
     "web page": (
-        re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:<\?xml[^>]*>\s*|<!--(?:(?!-->).)*-->\s*)*<(?:!doctype\s+html|html)\b", re.I | re.S),
+        re.compile(
+            rb"(?:\xef\xbb\xbf)?\s*(?:<\?xml[^>]*>\s*|<!--(?:(?!-->).)*-->\s*)*<(?:!doctype\s+html|html)\b",
+            re.I | re.S,
+        ),
         "it was saved in place of the file, so download the file itself (on GitHub: the button Raw)",
     ),
     "gzip archive": (re.compile(rb"\x1f\x8b\x08"), "unpack it"),
-}  # fmt: skip
+}
 """First bytes of what people have in place of a file, and the remedy."""
 HEAD = 4096
 """Number of bytes in which they are looked for."""
 
 
 def stand_in(blob: bytes) -> tuple[str, str]:
-    """Return what a user has in place of a file, such as "web page", and the remedy; "" and "" if it may be the file itself.
+    """Return what a user has in place of a file, such as "web page", and the remedy; "" and "" if
+    it may be the file itself.
 
     Example:
         >>> stand_in(b"<!DOCTYPE html>")[0], stand_in(b"<robot/>")[0]
@@ -90,11 +102,19 @@ def stand_in(blob: bytes) -> tuple[str, str]:
 
 
 def parsed(
-    path: str | os.PathLike[str], read: Callable[[bytes], Any], error: type[GraspError], name: str, form: str, hint: str = "", most: int = TEXT
-) -> Any:  # fmt: skip
-    """Return `read(bytes of a file)`; any failure becomes an `error`, but errors of this project stay as they are.
+    path: str | os.PathLike[str],
+    read: Callable[[bytes], Any],
+    error: type[GraspError],
+    name: str,
+    form: str,
+    hint: str = "",
+    most: int = TEXT,
+) -> Any:
+    """Return `read(bytes of a file)`; any failure becomes an `error`, but errors of this project
+    stay as they are.
 
-    `name`, `form` and `hint` are the file's name, its expected content and the remedy, for the message.
+    `name`, `form` and `hint` are the file's name, its expected content and the remedy, for the
+    message.
     """
     try:
         blob = read_bytes(path, most)
@@ -104,7 +124,12 @@ def parsed(
 
 
 def understood(
-    blob: Any, read: Callable[[Any], Any], error: type[GraspError], name: str, form: str, hint: str = ""
+    blob: Any,
+    read: Callable[[Any], Any],
+    error: type[GraspError],
+    name: str,
+    form: str,
+    hint: str = "",
 ) -> Any:
     """Return `read(blob)` with the errors of `parsed`."""
     other, remedy = stand_in(blob) if isinstance(blob, bytes) else ("", "")
@@ -126,14 +151,17 @@ def unpacked(blob: bytes) -> dict[str, np.ndarray]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a hidden name beside `path` to write a file or a folder to, which becomes `path` at the end of the block.
+    """Give a hidden name beside `path` to write a file or a folder to, which becomes `path` at the
+    end of the block.
 
-    Readers find the old content or the new one, never a part: not after an interrupt, and not after a power cut, because the content is
-    on the disk before it gets its name. Of several writers of a file at the same time the last one stays; a folder has one writer. The
-    hidden name ends like `path`. If the block raises, it is removed and `path` is left as it was. What a killed process leaves is
-    removed by the next writer in the same folder once nobody has written to it for a day.
+    Readers find the old content or the new one, never a part: not after an interrupt, and not after
+    a power cut, because the content is on the disk before it gets its name. Of several writers of a
+    file at the same time the last one stays; a folder has one writer. The hidden name ends like
+    `path`. If the block raises, it is removed and `path` is left as it was. What a killed process
+    leaves is removed by the next writer in the same folder once nobody has written to it for a day.
 
-    A device or a pipe, such as /dev/stdout, is written to directly. A symbolic link stays, and its target is replaced.
+    A device or a pipe, such as /dev/stdout, is written to directly. A symbolic link stays, and its
+    target is replaced.
 
     Raises:
         OSError: the file cannot be written; its `filename` is `path`, not the hidden name.
@@ -152,15 +180,20 @@ def replacing(path: Path) -> Iterator[Path]:
         _sync(hidden)
         _rename(hidden, target)
     except OSError as error:
-        if error.errno is not None and (error.filename is None or str(error.filename).startswith(str(hidden))):
-            error.filename, error.filename2 = str(path), None
+        if error.errno is not None and (
+            error.filename is None or str(error.filename).startswith(str(hidden))
+        ):
+            error.filename = str(path)
+            error.filename2 = None
         raise
     finally:
         _remove(hidden)
 
 
 def _hidden(target: Path) -> Path:
-    return target.with_name(f"{_MARK}{os.urandom(4).hex()}.{target.name[-50:]}")  # names have at most 255 bytes
+    return target.with_name(
+        f"{_MARK}{os.urandom(4).hex()}.{target.name[-50:]}"
+    )  # names have at most 255 bytes
 
 
 def _sync(path: Path) -> None:
@@ -199,11 +232,13 @@ def _remove(path: Path) -> None:
 
 
 def file_fault(error: OSError, place: str = "path") -> str:
-    """Return why a file cannot be read or written, and how to mend it; `place` says what else may be chosen.
+    """Return why a file cannot be read or written, and how to mend it; `place` says what else may
+    be chosen.
 
     Example:
         >>> file_fault(OSError(28, "No space left on device"), "--out"), file_fault(OSError("the encoder failed"))
-        ('No space left on device; free some space or choose another --out', 'the encoder failed; choose another path')
+        ('No space left on device; free some space or choose another --out', 'the encoder failed;
+        choose another path')
     """
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{os.strerror(error.errno)}; free some space or choose another {place}"

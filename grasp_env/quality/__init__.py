@@ -1,6 +1,8 @@
-"""Grasp quality on the exact friction cones: which wrenches contacts can balance, and with how much force.
+"""Grasp quality on the exact friction cones: which wrenches contacts can balance, and with how much
+force.
 
-`feasibility` and `force_closure` need numpy only; the convex hulls of `epsilon` and `worst_case` need scipy.
+`feasibility` and `force_closure` need numpy only; the convex hulls of `epsilon` and `worst_case`
+need scipy.
 """
 
 from grasp_env.quality.closure import force_closure
@@ -8,4 +10,12 @@ from grasp_env.quality.feasibility import feasibility
 from grasp_env.quality.measures import epsilon, quality, singular_values
 from grasp_env.quality.worst_wrench import WrenchBall, worst_case
 
-__all__ = ["WrenchBall", "epsilon", "feasibility", "force_closure", "quality", "singular_values", "worst_case"]
+__all__ = [
+    "WrenchBall",
+    "epsilon",
+    "feasibility",
+    "force_closure",
+    "quality",
+    "singular_values",
+    "worst_case",
+]

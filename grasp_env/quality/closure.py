@@ -1,7 +1,9 @@
-"""Force closure: existence of an internal force strictly inside all friction cones, with a proof either way.
+"""Force closure: existence of an internal force strictly inside all friction cones, with a proof
+either way.
 
-If rank(G) = 6, such an internal force exists exactly if every wrench can be balanced (Murray, Li, Sastry 1994, Prop. 5.2; Nguyen
-1988). With a lower rank there is no closure. The cones are exact, not pyramids. Reversing ALL normals does not change the result.
+If rank(G) = 6, such an internal force exists exactly if every wrench can be balanced (Murray, Li,
+Sastry 1994, Prop. 5.2; Nguyen 1988). With a lower rank there is no closure. The cones are exact,
+not pyramids. Reversing ALL normals does not change the result.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from grasp_env.inputs.arguments import Array, ContactForces
 from grasp_env.quality.feasibility import deepest
 
 PROVEN = 1e-6
-"""Largest violation of the dual cones, relative to the largest G_i^T v, up to which a twist v disproves closure."""
+"""Largest violation of the dual cones, relative to the largest G_i^T v, up to which a twist v
+disproves closure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,20 +32,27 @@ class ForceClosure:
     """Result of `force_closure`. It is true if closed, and prints as one or two sentences.
 
     Attributes:
-        closed: True if the rank of G is 6 and an internal force lies strictly inside all cones and the given limits.
-        margin: the largest m such that some internal force with sum u_i = 1 - m has depth m in every cone:
-            u_i - |(o, t)_i| >= m and, for soft contacts, u_i - |torsion_i| mu_i / gamma_i >= m, with u = mu * normal. It has no
-            unit and lies between 0 (no closure) and 1 / (N + 1) (no tangential force needed, all u_i equal). With limits A f <= b,
-            the force is x / r, sum u + r = 1, r >= m and A x + m <= r b with rows of length one; m can then be negative.
-        force: (N, 3) the witness of closure: an internal force strictly inside the cones and limits [N]. The sum of mu * normal is one,
-            unless limits determine it. None if not closed.
+        closed: True if the rank of G is 6 and an internal force lies strictly inside all cones and
+            the given limits.
+        margin: the largest m such that some internal force with sum u_i = 1 - m has depth m in
+            every cone: u_i - |(o, t)_i| >= m and, for soft contacts, u_i - |torsion_i| mu_i /
+            gamma_i >= m, with u = mu * normal. It has no unit and lies between 0 (no closure) and 1
+            / (N + 1) (no tangential force needed, all u_i equal). With limits A f <= b, the force
+            is x / r, sum u + r = 1, r >= m and A x + m <= r b with rows of length one; m can then
+            be negative.
+        force: (N, 3) the witness of closure: an internal force strictly inside the cones and limits
+            [N]. The sum of mu * normal is one, unless limits determine it. None if not closed.
         torsion: (N,) torsions of this force [N m]; None if not closed.
-        twist: (6,) the witness against closure: a twist v, [linear; angular], whose largest component is one. Along v no contact force
-            inside its cone does negative work (G_i^T v is in every dual cone), and some do positive work. So v . G f > 0 for every f
-            strictly inside, and G f = 0 is impossible. If rank(G) < 6, no contact force does any work along v. None if closed.
-        error: residual of the witness. Closed: largest |component| of G f relative to sum |f|. Not closed: largest violation of the
-            dual cones, relative to the largest G_i^T v, or if rank(G) < 6, to the terms of G_i^T v. It is nan if the limits, not the cones, exclude internal forces. Then the
-            iterations converged to margin < 0, and there was no further check.
+        twist: (6,) the witness against closure: a twist v, [linear; angular], whose largest
+            component is one. Along v no contact force inside its cone does negative work (G_i^T v
+            is in every dual cone), and some do positive work. So v . G f > 0 for every f strictly
+            inside, and G f = 0 is impossible. If rank(G) < 6, no contact force does any work along
+            v. None if closed.
+        error: residual of the witness. Closed: largest |component| of G f relative to sum |f|. Not
+            closed: largest violation of the dual cones, relative to the largest G_i^T v, or if
+            rank(G) < 6, to the terms of G_i^T v. It is nan if the limits, not the cones, exclude
+            internal forces. Then the iterations converged to margin < 0, and there was no further
+            check.
         help: the result in words.
     """
 
@@ -76,7 +86,8 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
         limits: further limits on the internal force.
 
     Raises:
-        NotConvergedError: neither witness passes its check, at margins of about 1e-9. An undecided case is never reported as "no".
+        NotConvergedError: neither witness passes its check, at margins of about 1e-9. An undecided
+            case is never reported as "no".
 
     Example:
         >>> from grasp_env.grasp import Grasp, presets
@@ -85,7 +96,8 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
         (True, 0.25, array([0.667, 0.667, 0.667]))
         >>> palm = presets.paper_cuboid()
         >>> print(force_closure(Grasp.from_contacts(palm.positions, [[0, 0, 1]] * 4, 0.4)))
-        no force closure: no contact force inside its cone resists a motion of the object along the twist ...
+        no force closure: no contact force inside its cone resists a motion of the object along the
+        twist ...
     """
     as_grasp(grasp)
     limits = as_limits(limits)
@@ -99,7 +111,8 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
         # without limits the size of the force is arbitrary: normalise it
         sized = limits is not None and bool(limits.rows(grasp).bound.any())
         size = 1.0 if sized else float((grasp.models.cone_scale[:, 0] * found.force[:, 0]).sum())
-        force, torsion = found.force / size, found.torsion / size
+        force = found.force / size
+        torsion = found.torsion / size
         error = grasp.residual(force, np.zeros(6), torsion) / float(np.abs(force).sum())
         text = (
             f"force closure: the {grasp.n_contacts} contacts can squeeze with every force strictly inside its limits "
@@ -138,9 +151,12 @@ def _rank_lost(grasp: Grasp) -> ForceClosure:
 
 
 def _dual_violation(grasp: Grasp, twist: Array) -> float:
-    """Return the largest violation of the dual cones, relative to the largest G_i^T v; inf if v moves no contact."""
+    """Return the largest violation of the dual cones, relative to the largest G_i^T v; inf if v
+    moves no contact.
+    """
     q = contact_motions(grasp, twist)
-    normal, least = q[:, 0], least_normal_motions(grasp, q)
+    normal = q[:, 0]
+    least = least_normal_motions(grasp, q)
     largest = float((np.abs(normal) + least).max())
     return max(0.0, float((least - normal).max())) / largest if largest > 0.0 else float("inf")
 

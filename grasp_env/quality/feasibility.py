@@ -1,4 +1,6 @@
-"""Feasibility of a wrench: the balanced force with the largest margin, or the twist that proves that there is none."""
+"""Feasibility of a wrench: the balanced force with the largest margin, or the twist that proves
+that there is none.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,14 @@ class Feasibility:
     """Result of `feasibility`.
 
     Attributes:
-        force: (N, 3) a balanced force strictly inside the cones and limits [N]; None if infeasible. A wrench within 1e-9 of itself of
-            the boundary of what contacts and limits can balance is balanced to that accuracy.
+        force: (N, 3) a balanced force strictly inside the cones and limits [N]; None if infeasible.
+            A wrench within 1e-9 of itself of the boundary of what contacts and limits can balance
+            is balanced to that accuracy.
         torsion: (N,) torsions of soft contacts [N m]; None if infeasible.
-        certificate: (6,) a twist v with G_i^T v in every dual cone and v . w > 0, so that balance G f + w = 0 is impossible. With limits,
-            v . w > -v . G f for every force within them. For a zero wrench v . w = 0: without force closure an internal force needs
-            every contact force on the boundary of its cone. None if feasible.
+        certificate: (6,) a twist v with G_i^T v in every dual cone and v . w > 0, so that balance G
+            f + w = 0 is impossible. With limits, v . w > -v . G f for every force within them. For
+            a zero wrench v . w = 0: without force closure an internal force needs every contact
+            force on the boundary of its cone. None if feasible.
         margin: depth inside cones and limits, see `feasibility`; <= 0 if infeasible.
     """
 
@@ -44,11 +48,13 @@ class Deepest(NamedTuple):
     """Result of `deepest`.
 
     Attributes:
-        code: CONVERGED: `force` and `torsion` are strictly inside cones and limits; INFEASIBLE: no force is; others: undecided.
+        code: CONVERGED: `force` and `torsion` are strictly inside cones and limits; INFEASIBLE: no
+            force is; others: undecided.
         iterations: iterations of the interior-point method.
         margin: the margin m, see `feasibility`.
         force, torsion: (N, 3) [N] and (N,) [N m].
-        twist: (6,) the separating twist if the margin is not positive; its largest component is one.
+        twist: (6,) the separating twist if the margin is not positive; its largest component is
+            one.
     """
 
     code: int
@@ -60,10 +66,12 @@ class Deepest(NamedTuple):
 
 
 def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Feasibility:
-    """Find the balanced force with the largest margin to cones and limits, or prove that there is none.
+    """Find the balanced force with the largest margin to cones and limits, or prove that there is
+    none.
 
-    The core maximises the depth m subject to sum u + r = 1 and m <= r. Here r scales the wrench, x / r is the force, and every cone and
-    limit has at least the slack m. This problem always has a solution. If m > 0, x / r is strictly inside.
+    The core maximises the depth m subject to sum u + r = 1 and m <= r. Here r scales the wrench, x
+    / r is the force, and every cone and limit has at least the slack m. This problem always has a
+    solution. If m > 0, x / r is strictly inside.
 
     Args:
         grasp: the contacts, of any models.
@@ -71,7 +79,8 @@ def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None)
         limits: further limits.
 
     Raises:
-        NotConvergedError: neither a force nor a proof was found. An undecided case is never reported as infeasible.
+        NotConvergedError: neither a force nor a proof was found. An undecided case is never
+            reported as infeasible.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -95,5 +104,7 @@ def deepest(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> 
     n = grasp.n_contacts
     problem = core.Problem(grasp.contacts, None, given_limits(limits, n))
     solver = core.ForceOptimizer(problem)
-    force, torsion, twist = np.empty((n, 3)), np.empty(n), np.empty(6)
+    force = np.empty((n, 3))
+    torsion = np.empty(n)
+    twist = np.empty(6)
     return Deepest(*solver.deepest(wrench, force, torsion, twist), force, torsion, twist)

@@ -1,4 +1,6 @@
-"""Measures of grasp quality on the exact cones: closure margin, Ferrari and Canny's epsilon, singular values of G."""
+"""Measures of grasp quality on the exact cones: closure margin, Ferrari and Canny's epsilon,
+singular values of G.
+"""
 
 from __future__ import annotations
 
@@ -41,13 +43,15 @@ def epsilon(
 ) -> Epsilon:
     """Return bounds of Ferrari and Canny's quality (1992, "Planning optimal grasps").
 
-    Epsilon is the radius of the largest ball {w: |F|^2 + |M|^2 / length^2 <= epsilon^2}, moments about the object origin, whose
-    wrenches are balanced by forces whose sum of normals is <= 1 N (their Q_1) or whose normals are all <= 1 N (their Q_infinity). It is
-    the inverse of the least force at the worst wrench of the unit ball, see `worst_case`. It is 0 without force closure.
+    Epsilon is the radius of the largest ball {w: |F|^2 + |M|^2 / length^2 <= epsilon^2}, moments
+    about the object origin, whose wrenches are balanced by forces whose sum of normals is <= 1 N
+    (their Q_1) or whose normals are all <= 1 N (their Q_infinity). It is the inverse of the least
+    force at the worst wrench of the unit ball, see `worst_case`. It is 0 without force closure.
 
     Args:
         grasp: the contacts, of any models.
-        length: length that converts moments to forces [m]; None: `grasp.length`, or 1 m for one contact.
+        length: length that converts moments to forces [m]; None: `grasp.length`, or 1 m for one
+            contact.
         criterion: size of a force: "sum" or "max" of its normal forces.
         tolerance, starts, points, seed: see `worst_case`.
 
@@ -60,9 +64,19 @@ def epsilon(
         >>> low, high, float(abs(wrench[5]))
         (0.2500, 0.2500, 0.02)
     """
-    scale = as_grasp(grasp).length or 1.0 if length is None else positive(length, "length", ranges.LENGTH)
+    scale = (
+        as_grasp(grasp).length or 1.0
+        if length is None
+        else positive(length, "length", ranges.LENGTH)
+    )
     worst = worst_case(
-        grasp, WrenchBall(1.0, scale), criterion, tolerance=tolerance, starts=starts, points=points, seed=seed
+        grasp,
+        WrenchBall(1.0, scale),
+        criterion,
+        tolerance=tolerance,
+        starts=starts,
+        points=points,
+        seed=seed,
     )
     return Epsilon(1.0 / worst.upper, 1.0 / worst.lower, worst.wrench)
 
@@ -72,13 +86,16 @@ class GraspQuality:
     """Result of `quality`; moments about the object origin, divided by `length`.
 
     Attributes:
-        closure_margin: margin of the best internal force to the cones, 0 to 1 / (N + 1), no unit; see `ForceClosure.margin`.
+        closure_margin: margin of the best internal force to the cones, 0 to 1 / (N + 1), no unit;
+            see `ForceClosure.margin`.
         epsilon_sum: Ferrari and Canny's epsilon per newton of total normal force (1992, Q_1).
         epsilon_max: epsilon per newton of the largest normal force (Q_infinity), >= epsilon_sum.
-        min_singular_value: smallest singular value of G [N per N]. It is the smallest norm of G f over contact forces f of norm one that
-            are orthogonal to the internal forces (Li, Sastry 1988, "Task-oriented optimal grasping by multifingered robot hands"). It
-            ignores the cones.
-        isotropy: smallest over largest singular value, 0 to 1 (Kim, Oh, Yi, Suh 2001; Roa, Suarez 2015, Sec. 2.1).
+        min_singular_value: smallest singular value of G [N per N]. It is the smallest norm of G f
+            over contact forces f of norm one that are orthogonal to the internal forces (Li, Sastry
+            1988, "Task-oriented optimal grasping by multifingered robot hands"). It ignores the
+            cones.
+        isotropy: smallest over largest singular value, 0 to 1 (Kim, Oh, Yi, Suh 2001; Roa, Suarez
+            2015, Sec. 2.1).
         length: the grasp's length [m].
     """
 
@@ -91,7 +108,8 @@ class GraspQuality:
 
 
 def singular_values(grasp: Grasp, length: float | None = None) -> Array:
-    """Return the singular values (6,) of G [N per N], decreasing; moments and torsions are divided by `length` [m] (None: the grasp's).
+    """Return the singular values (6,) of G [N per N], decreasing; moments and torsions are divided
+    by `length` [m] (None: the grasp's).
 
     Components that a contact does not transmit are left out.
 
@@ -100,7 +118,11 @@ def singular_values(grasp: Grasp, length: float | None = None) -> Array:
         >>> singular_values(presets.tripod()).round(3)
         array([1.732, 1.732, 1.732, 1.732, 1.225, 1.225])
     """
-    scale = as_grasp(grasp).length or 1.0 if length is None else positive(length, "length", ranges.LENGTH)
+    scale = (
+        as_grasp(grasp).length or 1.0
+        if length is None
+        else positive(length, "length", ranges.LENGTH)
+    )
     transmitted = as_grasp(grasp).matrix * grasp.models.transmitted.reshape(-1)
     whole = np.concatenate([transmitted, grasp.torsion_matrix * scale], axis=1)
     whole[3:] /= scale
@@ -110,7 +132,8 @@ def singular_values(grasp: Grasp, length: float | None = None) -> Array:
 def quality(
     grasp: Grasp, *, tolerance: float = 0.01, starts: int = 32, points: int = 400, seed: int = 0
 ) -> GraspQuality:
-    """Return the quality measures of a grasp of any models; tolerance, starts, points and seed of both epsilons as in `worst_case`.
+    """Return the quality measures of a grasp of any models; tolerance, starts, points and seed of
+    both epsilons as in `worst_case`.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -119,7 +142,9 @@ def quality(
         (0.25, 0.29, 0.67, 0.71)
     """
     epsilons = {
-        criterion: epsilon(grasp, None, criterion, tolerance=tolerance, starts=starts, points=points, seed=seed)
+        criterion: epsilon(
+            grasp, None, criterion, tolerance=tolerance, starts=starts, points=points, seed=seed
+        )
         for criterion in CRITERIA
     }
     values = singular_values(grasp)

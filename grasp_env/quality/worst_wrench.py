@@ -1,18 +1,23 @@
 """The worst wrench of a set, on the exact cones, with a certified interval.
 
-The cost c(w) of a wrench w is the smallest size of a contact force that balances w. The size of a force is the sum or the maximum of
-its normal forces. The optimal force is one of that size. c is convex. By duality, c(w) is the maximum over twists n of -n . w / h(n).
-Here h(n) is the largest n . G f over the forces f in the cones of size <= 1; `_largest_wrenches` computes it in closed form.
+The cost c(w) of a wrench w is the smallest size of a contact force that balances w. The size of a
+force is the sum or the maximum of its normal forces. The optimal force is one of that size. c is
+convex. By duality, c(w) is the maximum over twists n of -n . w / h(n). Here h(n) is the largest n .
+G f over the forces f in the cones of size <= 1; `_largest_wrenches` computes it in closed form.
 Maximising c over a ball is a convex maximisation. The maximum is bounded from both sides:
 
-- Below, by ascent: solve the conic problem at w and take its multipliers n, for which h(n) <= 1. Replace w by the wrench of the ball
-  with the largest -n . w, and repeat. c never decreases, since c(w') >= -n . w' for every w'.
-- Above, without limits, by an inner hull: the convex hull of some wrenches G f of forces f of size <= 1. It lies inside the set of all
-  such wrenches. So c is at most the factor by which the hull must be scaled to contain the ball. The facet that is nearest to the
-  origin, relative to the ball, determines this factor. The next wrench of the hull is the one with the largest n . G f for the normal
-  n of this facet. This is repeated until the gap is closed. Zheng 2013 ("An efficient algorithm for a grasp quality measure", IEEE
-  T-RO 29(2)) does this for the quality measure epsilon.
-- Above, with limits, by an outer polytope, which contains the ball: c is convex, so its maximum over the polytope is that of a vertex.
+- Below, by ascent: solve the conic problem at w and take its multipliers n, for which h(n) <= 1.
+  Replace w by the wrench of the ball with the largest -n . w, and repeat. c never decreases, since
+  c(w') >= -n . w' for every w'.
+- Above, without limits, by an inner hull: the convex hull of some wrenches G f of forces f of size
+  <= 1. It lies inside the set of all such wrenches. So c is at most the factor by which the hull
+  must be scaled to contain the ball. The facet that is nearest to the origin, relative to the ball,
+  determines this factor. The next wrench of the hull is the one with the largest n . G f for the
+  normal n of this facet. This is repeated until the gap is closed. Zheng 2013 ("An efficient
+  algorithm for a grasp quality measure", IEEE T-RO 29(2)) does this for the quality measure
+  epsilon.
+- Above, with limits, by an outer polytope, which contains the ball: c is convex, so its maximum
+  over the polytope is that of a vertex.
 """
 
 from __future__ import annotations
@@ -46,13 +51,18 @@ from grasp_env.quality.closure import force_closure
 
 SHAPES = ("ellipsoid", "product")
 ENCLOSING = 42
-"""Number of vertices of the polyhedron around a ball of forces or of moments; the outer polytope combines the two."""
+"""Number of vertices of the polyhedron around a ball of forces or of moments; the outer polytope
+combines the two."""
 CORNERS = 4
-"""Number of corners of the polygon around a quarter circle in (|force|, |moment|), for the outer polytope of an ellipsoid."""
+"""Number of corners of the polygon around a quarter circle in (|force|, |moment|), for the outer
+polytope of an ellipsoid."""
 SHRINK = 1e-5
-"""Largest relative random shift of the inner hull's points towards the origin; it keeps the points in general position."""
+"""Largest relative random shift of the inner hull's points towards the origin; it keeps the points
+in general position."""
 JOGGLE = 1e-9
-"""Largest random shift of a coordinate by Qhull (option QJ); the points have norms of about 1. To keep the bound valid, 100 times this
+"""Largest random shift of a coordinate by Qhull (option QJ); the points have norms of about 1.
+
+To keep the bound valid, 100 times this
 shift is subtracted from every facet's distance to the origin."""
 BATCH = 8
 """Number of facets refined at once."""
@@ -65,8 +75,8 @@ class WrenchBall:
     Attributes:
         force: largest force [N], 1e-9 to 1e9.
         moment: largest moment [N m], 1e-9 to 1e9.
-        shape: "ellipsoid": |F|^2 / force^2 + |M|^2 / moment^2 <= 1, or "product": |F| <= force and |M| <= moment, the set of
-            `grasp_env.grasp.wrench.sample_ball`.
+        shape: "ellipsoid": |F|^2 / force^2 + |M|^2 / moment^2 <= 1, or "product": |F| <= force and
+            |M| <= moment, the set of `grasp_env.grasp.wrench.sample_ball`.
 
     Example:
         >>> WrenchBall(2.0, 0.05, "product").farthest(np.array([0, 0, 1, 0, 0, 1])).round(3)
@@ -94,7 +104,10 @@ class WrenchBall:
         return parts.sum(axis=1) if self.shape == "product" else np.sqrt((parts**2).sum(axis=1))
 
     def farthest(self, direction: Array) -> Wrench:
-        """Return the wrench (6,) of the ball with the largest n . w, where n is `direction` (6,)."""
+        """Return the wrench (6,) of the ball with the largest n .
+
+        w, where n is `direction` (6,).
+        """
         parts = (direction * self.radii).reshape(2, 3)
         sizes = np.sqrt((parts**2).sum(axis=1, keepdims=True))
         size = sizes if self.shape == "product" else np.sqrt((sizes**2).sum())
@@ -103,28 +116,35 @@ class WrenchBall:
     def enclosing(self) -> Array:
         """Return the vertices (V, 6) of an outer polytope, which contains the ball."""
         step = np.arange(ENCLOSING) + 0.5
-        height, turn = 1.0 - 2.0 * step / ENCLOSING, np.pi * (1.0 + np.sqrt(5.0)) * step
+        height = 1.0 - 2.0 * step / ENCLOSING
+        turn = np.pi * (1.0 + np.sqrt(5.0)) * step
         flat = np.sqrt(1.0 - height**2)
         around = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
         around /= (-ConvexHull(around).equations[:, 3]).min()
-        pairs = np.concatenate([np.repeat(around, ENCLOSING, axis=0), np.tile(around, (ENCLOSING, 1))], axis=1)
+        pairs = np.concatenate(
+            [np.repeat(around, ENCLOSING, axis=0), np.tile(around, (ENCLOSING, 1))], axis=1
+        )
         pairs *= self.radii
         if self.shape == "product":
             return pairs
         angles = np.pi / (2 * CORNERS) * (np.arange(CORNERS) + 0.5)
-        parts = np.stack([np.cos(angles), np.sin(angles)], axis=1).repeat(3, axis=1) / np.cos(np.pi / (4 * CORNERS))
+        parts = np.stack([np.cos(angles), np.sin(angles)], axis=1).repeat(3, axis=1) / np.cos(
+            np.pi / (4 * CORNERS)
+        )
         return (parts[:, None] * pairs).reshape(-1, 6)
 
 
 class WorstCase(NamedTuple):
-    """Result of `worst_case`. The cost of the worst wrench of the set lies between `lower` and `upper`, certified by duality.
+    """Result of `worst_case`.
+
+    The cost of the worst wrench of the set lies between `lower` and `upper`, certified by duality.
 
     Attributes:
         wrench: (6,) the worst wrench found [N, N m].
         lower: lower bound of the cost of `wrench` [N]; inf if no force balances this wrench.
         upper: upper bound of the cost of all wrenches of the set [N]; inf if no bound was found.
-        solution: the optimal force for `wrench`, or the proof of infeasibility (`certificate`). None if the conic solver did not
-            converge there; the bounds hold nevertheless.
+        solution: the optimal force for `wrench`, or the proof of infeasibility (`certificate`).
+            None if the conic solver did not converge there; the bounds hold nevertheless.
     """
 
     wrench: Wrench
@@ -134,13 +154,21 @@ class WorstCase(NamedTuple):
 
     @property
     def least_force(self) -> float:
-        """Cost of `wrench` [N]: the smallest sum or maximum of the normal forces, to the solver's tolerance; inf if infeasible."""
+        """Cost of `wrench` [N]: the smallest sum or maximum of the normal forces, to the solver's
+        tolerance; inf if infeasible.
+        """
         return self.lower if self.solution is None else self.solution.objective
 
     @property
     def gap(self) -> float:
         """Relative gap (upper - lower) / lower."""
-        return 0.0 if self.lower == np.inf else self.upper / self.lower - 1.0 if self.lower > 0.0 else np.inf
+        return (
+            0.0
+            if self.lower == np.inf
+            else self.upper / self.lower - 1.0
+            if self.lower > 0.0
+            else np.inf
+        )
 
 
 def worst_case(
@@ -156,25 +184,30 @@ def worst_case(
 ) -> WorstCase:
     """Find the worst wrench of a set: the one of the largest cost.
 
-    The cost of a wrench is the smallest size of a contact force that balances it. If `wrenches` is a ball and the grasp has no force
-    closure, the worst wrench has an infinite cost.
+    The cost of a wrench is the smallest size of a contact force that balances it. If `wrenches` is
+    a ball and the grasp has no force closure, the worst wrench has an infinite cost.
 
     Args:
         grasp: the contacts, of any models.
-        wrenches: (M, 6) [N, N m], or a `WrenchBall`. The result also holds for the convex hull of the wrenches, since the cost
-            is convex.
+        wrenches: (M, 6) [N, N m], or a `WrenchBall`. The result also holds for the convex hull of
+            the wrenches, since the cost is convex.
         criterion: size of a force: "sum" or "max" of its normal forces.
-        limits: further limits. For a ball, `upper` is then the largest bound over the vertices of an outer polytope. The polytope
-            contains the ball and reaches at most 10 % (product) or 12 % (ellipsoid) beyond it. `upper` is inf if no force within the
-            limits was found for some vertex.
-        tolerance: relative gap at which the refinement of the upper bound ends, not below 1e-4; without limits only.
-        starts: number of random directions in which an ascent starts, besides the twelve along the axes; at most 10,000.
-        points: number of points of the inner hull at which the refinement ends, 64 to 5000; without limits only.
+        limits: further limits. For a ball, `upper` is then the largest bound over the vertices of
+            an outer polytope. The polytope contains the ball and reaches at most 10 % (product) or
+            12 % (ellipsoid) beyond it. `upper` is inf if no force within the limits was found for
+            some vertex.
+        tolerance: relative gap at which the refinement of the upper bound ends, not below 1e-4;
+            without limits only.
+        starts: number of random directions in which an ascent starts, besides the twelve along the
+            axes; at most 10,000.
+        points: number of points of the inner hull at which the refinement ends, 64 to 5000; without
+            limits only.
         seed: seed of the random directions.
 
     Raises:
         UnknownNameError: unknown criterion.
-        NotConvergedError: force closure is undecided; for a finite set, the solver did not converge for some wrench.
+        NotConvergedError: force closure is undecided; for a finite set, the solver did not converge
+            for some wrench.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -198,7 +231,9 @@ def worst_case(
         solved = [_solved(optimizer, wrench) for wrench in listed]
         for wrench, found in zip(listed, solved, strict=True):
             if found.solution is None:
-                raise NotConvergedError(f"the conic solver found no optimal force for wrench {wrench.tolist()}")
+                raise NotConvergedError(
+                    f"the conic solver found no optimal force for wrench {wrench.tolist()}"
+                )
         worst = max(solved, key=lambda found: found.upper)
         return worst._replace(lower=max(found.lower for found in solved))
     ball = wrenches
@@ -235,7 +270,10 @@ def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
 
 
 def _ascended(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> WorstCase:
-    """Replace w by the wrench of the ball with the largest -n . w, for the multipliers n at w, until the bound stops rising."""
+    """Replace w by the wrench of the ball with the largest -n .
+
+    w, for the multipliers n at w, until the bound stops rising.
+    """
     best = _solved(optimizer, wrench)
     for _ in range(50):
         if best.lower == np.inf or best.solution is None or not best.solution.multipliers.any():
@@ -255,12 +293,19 @@ def _enclosed(
     points: int,
     rng: np.random.Generator,
 ) -> WorstCase:
-    """Refine the upper bound by a growing inner hull, for a grasp with force closure; wrenches are scaled to a unit ball."""
-    grasp, criterion = optimizer.grasp, optimizer.options.criterion
+    """Refine the upper bound by a growing inner hull, for a grasp with force closure; wrenches are
+    scaled to a unit ball.
+    """
+    grasp = optimizer.grasp
+    criterion = optimizer.options.criterion
     unit = WrenchBall(1.0, 1.0, ball.shape)
     # include the direction of the worst wrench so far
-    directions = np.concatenate([np.eye(6), rng.standard_normal((16, 6)), best.wrench[None] / ball.radii])
-    _, wrenches = _largest_wrenches(grasp, np.concatenate([directions, -directions]) / ball.radii, criterion)
+    directions = np.concatenate(
+        [np.eye(6), rng.standard_normal((16, 6)), best.wrench[None] / ball.radii]
+    )
+    _, wrenches = _largest_wrenches(
+        grasp, np.concatenate([directions, -directions]) / ball.radii, criterion
+    )
     scale = float(np.sqrt(((wrenches / ball.radii) ** 2).sum(axis=1)).max())
 
     def hull_points(wrenches: Array) -> Array:
@@ -268,11 +313,14 @@ def _enclosed(
         return scaled * (1.0 - SHRINK * rng.random((len(scaled), 1)))
 
     try:
-        hull = ConvexHull(hull_points(wrenches), incremental=True, qhull_options=f"QJ{JOGGLE} Q12 Pp")
+        hull = ConvexHull(
+            hull_points(wrenches), incremental=True, qhull_options=f"QJ{JOGGLE} Q12 Pp"
+        )
     except QhullError:  # the inner hull is too thin: no upper bound
         return best._replace(upper=np.inf)
     while True:
-        normals, distance = hull.equations[:, :6], -hull.equations[:, 6] - 100.0 * JOGGLE
+        normals = hull.equations[:, :6]
+        distance = -hull.equations[:, 6] - 100.0 * JOGGLE
         reach = unit.reach(normals)
         # the nearest facets first; distance <= 0: the origin is outside
         top = np.argsort(distance / reach)[:BATCH]
@@ -301,13 +349,18 @@ def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase)
         if upper == np.inf:
             if found.solution is not None and found.solution.certificate is not None:
                 # the twist that separates the vertex may also separate a wrench of the ball
-                best = max(best, _solved(optimizer, ball.farthest(found.solution.certificate)), key=_lower)
+                best = max(
+                    best, _solved(optimizer, ball.farthest(found.solution.certificate)), key=_lower
+                )
             break
     return best._replace(upper=upper)
 
 
 def _largest_wrenches(grasp: Grasp, directions: Array, criterion: str) -> tuple[Array, Array]:
-    """Return h(n) = max n . G f over forces of size <= 1, (K,), and the maximising wrenches G f, (K, 6), for n (K, 6)."""
+    """Return h(n) = max n .
+
+    G f over forces of size <= 1, (K,), and the maximising wrenches G f, (K, 6), for n (K, 6).
+    """
     models, count = grasp.models, grasp.n_contacts
     work = (directions @ grasp.matrix).reshape(-1, count, 3)
     tangential = work[:, :, 1:] * models.friction
@@ -318,10 +371,14 @@ def _largest_wrenches(grasp: Grasp, directions: Array, criterion: str) -> tuple[
     if criterion == "max":
         normals = np.where(best > 0.0, 1.0, 0.0)
     else:
-        normals = np.where((np.arange(count) == best.argmax(axis=1)[:, None]) & (best > 0.0), 1.0, 0.0)
+        normals = np.where(
+            (np.arange(count) == best.argmax(axis=1)[:, None]) & (best > 0.0), 1.0, 0.0
+        )
     forces = np.empty_like(work)
     forces[:, :, 0] = normals
-    forces[:, :, 1:] = (normals / np.where(length > 0.0, length, 1.0))[:, :, None] * models.friction * tangential
+    forces[:, :, 1:] = (
+        (normals / np.where(length > 0.0, length, 1.0))[:, :, None] * models.friction * tangential
+    )
     torsions = normals * models.torsional_friction * np.sign(twisting)
     wrenches = forces.reshape(-1, 3 * count) @ grasp.matrix.T + torsions @ grasp.torsion_matrix.T
     return (best * normals).sum(axis=1), wrenches

@@ -30,17 +30,22 @@ HAND_FLAGS: int = (
     | bullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT  # neighbours overlap around their joint
 )
 COUPLED_SWEEPS, MAX_SWEEPS = 100, 1000
-"""Fewest and most solver sweeps for coupled joints: with 20, links of 20 g yielded by 0.02 rad under 0.5 N m, with 100 by 1e-9."""
+"""Fewest and most solver sweeps for coupled joints: with 20, links of 20 g yielded by 0.02 rad
+under 0.5 N m, with 100 by 1e-9."""
 LONG_SWEEPS = 40
-"""Fewest solver sweeps if a finger has more than three joints: with 20, the fingers of LEAP crept along objects by up to 3 mm in 4 s."""
+"""Fewest solver sweeps if a finger has more than three joints: with 20, the fingers of LEAP crept
+along objects by up to 3 mm in 4 s."""
 STRUCTURE_SWEEPS = 800
-"""Fewest solver sweeps if a finger has fewer than three motors. Such fingers squeeze the object through their structure, where the solver
-converges slowly: iCub held a cube in 0 of 10 trials with 40 sweeps and in 10 with 400, the Ability hand a ball in 3 with 400 and in 10
-with 800."""
+"""Fewest solver sweeps if a finger has fewer than three motors.
+
+Such fingers squeeze the object through their structure, where the solver
+converges slowly: iCub held a cube in 0 of 10 trials with 40 sweeps and in 10 with 400, the Ability
+hand a ball in 3 with 400 and in 10 with 800."""
 
 
 class Bullet(Simulator):
-    """A hand around an object in its own PyBullet server; see `Simulator`, and `Scene` for the arguments.
+    """A hand around an object in its own PyBullet server; see `Simulator`, and `Scene` for the
+    arguments.
 
     Attributes:
         client: The connection.
@@ -51,7 +56,9 @@ class Bullet(Simulator):
         self.client = Client(gui)
         folder = tempfile.mkdtemp()
         self._clean = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        self._urdf = write_hand(hand if visuals or gui else hand.without_visuals(), folder, HULL_MARGIN)
+        self._urdf = write_hand(
+            hand if visuals or gui else hand.without_visuals(), folder, HULL_MARGIN
+        )
 
     def load(self, config: SceneConfig, angles: Array) -> None:
         """See `Simulator`."""
@@ -60,25 +67,35 @@ class Bullet(Simulator):
         links = [-1] * (bullet.getNumJoints(self.world.hand, physicsClientId=client) + 1)
         for link, index in enumerate(self.world.joints):
             links[index + 1] = link  # the palm is -1
-        # normal and both friction forces that Bullet reports act on the hand, as it was loaded before the object; the mean over the steps
+        # normal and both friction forces that Bullet reports act on the hand, as it was loaded
+        # before the object; the mean over the steps
         self._links = links
         self._answers = core.Answers(
-            link=3, place=6, forces=[(9, 7), (10, 11), (12, 13)], factor=-1.0 / config.substeps, first=-1, links=links
+            link=3,
+            place=6,
+            forces=[(9, 7), (10, 11), (12, 13)],
+            factor=-1.0 / config.substeps,
+            first=-1,
+            links=links,
         )
         self._kept: dict[str, tuple[int, Any]] = {}  # earlier ones went when the server was emptied
-        # `_recorded`: contacts of all steps of the last `advance`, or those saved with a state; None if the server still has them
+        # `_recorded`: contacts of all steps of the last `advance`, or those saved with a state;
+        # None if the server still has them
         self._steps, self._recorded = config.substeps, None
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """See `Simulator`."""
-        client, (hand, body, joints) = self.client.number, self.world
+        client = self.client.number
+        (hand, body, joints) = self.world
         self._recorded = () if self._steps > 1 else None
         for _ in range(self._steps):  # Bullet clears torques and wrenches after each step
             bullet.setJointMotorControlArray(
                 hand, joints, bullet.TORQUE_CONTROL, forces=torques, physicsClientId=client
             )
             if wrench is not None:
-                bullet.applyExternalForce(body, -1, wrench[:3], (0.0, 0.0, 0.0), bullet.LINK_FRAME, client)
+                bullet.applyExternalForce(
+                    body, -1, wrench[:3], (0.0, 0.0, 0.0), bullet.LINK_FRAME, client
+                )
                 bullet.applyExternalTorque(body, -1, wrench[3:], bullet.LINK_FRAME, client)
             bullet.stepSimulation(client)
             if self._recorded is not None:
@@ -86,7 +103,8 @@ class Bullet(Simulator):
 
     def read(self) -> Array:
         """See `Simulator`."""
-        client, (hand, body, joints) = self.client.number, self.world
+        client = self.client.number
+        (hand, body, joints) = self.world
         states = bullet.getJointStates(hand, joints, client)
         pose = bullet.getBasePositionAndOrientation(body, client)
         velocity = bullet.getBaseVelocity(body, client)
@@ -95,13 +113,19 @@ class Bullet(Simulator):
     def _contacts(self) -> Any:
         if self._recorded is not None:
             return self._recorded
-        return bullet.getContactPoints(self.world.hand, self.world.object, physicsClientId=self.client.number)
+        return bullet.getContactPoints(
+            self.world.hand, self.world.object, physicsClientId=self.client.number
+        )
 
     def self_contacts(self) -> list[tuple[int, int]]:
         """See `Simulator`."""
         hand, client = self.world.hand, self.client.number
         found = bullet.getContactPoints(hand, hand, physicsClientId=client) or ()
-        pairs = {tuple(sorted((self._links[row[3] + 1], self._links[row[4] + 1]))) for row in found if row[9] > 0.0}
+        pairs = {
+            tuple(sorted((self._links[row[3] + 1], self._links[row[4] + 1])))
+            for row in found
+            if row[9] > 0.0
+        }
         return sorted((first, second) for first, second in pairs)
 
     def set_gravity(self, gravity: Array) -> None:
@@ -128,8 +152,9 @@ class Bullet(Simulator):
         client, world = self.client.number, self.world
         state, self._recorded = self._kept[name]
         bullet.restoreState(stateId=state, physicsClientId=client)
-        # Bullet restores the contacts of two links to the first pair of their shapes, which may be the wrong pair. New collision proxies
-        # make the next step find the contacts anew, and its solver starts without impulses anyway. Until then the saved ones are read
+        # Bullet restores the contacts of two links to the first pair of their shapes, which may be
+        # the wrong pair. New collision proxies make the next step find the contacts anew, and its
+        # solver starts without impulses anyway. Until then the saved ones are read
         bullet.setCollisionFilterPair(world.hand, world.object, -1, -1, 1, physicsClientId=client)
 
     def close(self) -> None:
@@ -139,7 +164,9 @@ class Bullet(Simulator):
 
 
 class World(NamedTuple):
-    """Body numbers of hand and object in a PyBullet server, and the hand's joint numbers in the order of its description."""
+    """Body numbers of hand and object in a PyBullet server, and the hand's joint numbers in the
+    order of its description.
+    """
 
     hand: int
     object: int
@@ -147,11 +174,13 @@ class World(NamedTuple):
 
 
 def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray) -> World:
-    """Clear the server, then load the hand and the object: 3 ms, or 17 ms if the URDF has visual shapes.
+    """Clear the server, then load the hand and the object: 3 ms, or 17 ms if the URDF has visual
+    shapes.
 
     The signs of the friction forces that Bullet reports depend on this order.
     """
-    bullet.resetSimulation(physicsClientId=client)  # also resets gravity and the solver's parameters
+    # also resets gravity and the solver's parameters
+    bullet.resetSimulation(physicsClientId=client)
     engine = instance(config.engine, BulletEngine, "engine")
     bullet.setPhysicsEngineParameter(
         fixedTimeStep=1.0 / engine.rate,
@@ -170,7 +199,8 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     for link in range(-1, bullet.getNumJoints(hand, physicsClientId=client)):
         bullet.changeDynamics(hand, link, physicsClientId=client, **plain)
     for joint in joints:
-        # by default Bullet clips joint speeds to 100 rad/s before it solves contacts: at 250 Hz a light link then passes on 8 of 12 N m
+        # by default Bullet clips joint speeds to 100 rad/s before it solves contacts: at 250 Hz a
+        # light link then passes on 8 of 12 N m
         bullet.changeDynamics(hand, joint, maxJointVelocity=1e5, physicsClientId=client)
     for joint, angle in zip(joints, angles.tolist(), strict=True):
         bullet.resetJointState(hand, joint, angle, 0.0, physicsClientId=client)
@@ -186,21 +216,30 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
 
 
 def min_sweeps(hand: HandDescription) -> int:
-    """Return the fewest solver sweeps that a hand's fingers need, by their joints and motors; `couple` may raise the number."""
+    """Return the fewest solver sweeps that a hand's fingers need, by their joints and motors;
+    `couple` may raise the number.
+    """
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     least = 0
     for tip in hand.fingertips:
-        link, motors, joints = tip.link, set[int](), 0
+        link = tip.link
+        motors = set[int]()
+        joints = 0
         while link in numbers:
             index = numbers[link]
-            link, joints = hand.links[index].parent, joints + 1
+            link = hand.links[index].parent
+            joints = joints + 1
             motors.add(hand.drivers[index])
-        least = max(least, LONG_SWEEPS if joints > 3 else 0, STRUCTURE_SWEEPS if len(motors) < 3 else 0)
+        least = max(
+            least, LONG_SWEEPS if joints > 3 else 0, STRUCTURE_SWEEPS if len(motors) < 3 else 0
+        )
     return least
 
 
 def couple(client: int, body: int, joints: Sequence[int], hand: HandDescription) -> None:
-    """Couple joints to their drivers with gear constraints, through which the solver passes their load to the drivers."""
+    """Couple joints to their drivers with gear constraints, through which the solver passes their
+    load to the drivers.
+    """
     coupled = {index: link.mimic for index, link in enumerate(hand.links) if link.mimic is not None}
     if not coupled:
         return
@@ -209,32 +248,52 @@ def couple(client: int, body: int, joints: Sequence[int], hand: HandDescription)
     bullet.setPhysicsEngineParameter(numSolverIterations=sweeps, physicsClientId=client)
     for index, mimic in coupled.items():
         gear = bullet.createConstraint(
-            body, joints[hand.drivers[index]], body, joints[index], bullet.JOINT_GEAR, hand.links[index].axis, (0, 0, 0), (0, 0, 0),
+            body,
+            joints[hand.drivers[index]],
+            body,
+            joints[index],
+            bullet.JOINT_GEAR,
+            hand.links[index].axis,
+            (0, 0, 0),
+            (0, 0, 0),
             physicsClientId=client,
-        )  # fmt: skip
+        )
         # Bullet's target is for driver - follower / ratio
         bullet.changeConstraint(
-            gear, gearRatio=-1.0 / mimic.ratio, relativePositionTarget=-mimic.offset / mimic.ratio, erp=0.8, maxForce=1e6,
+            gear,
+            gearRatio=-1.0 / mimic.ratio,
+            relativePositionTarget=-mimic.offset / mimic.ratio,
+            erp=0.8,
+            maxForce=1e6,
             physicsClientId=client,
-        )  # fmt: skip
+        )
 
 
 def _gear_sweeps(
-    client: int, body: int, joints: Sequence[int], hand: HandDescription, coupled: Mapping[int, Mimic]
+    client: int,
+    body: int,
+    joints: Sequence[int],
+    hand: HandDescription,
+    coupled: Mapping[int, Mimic],
 ) -> int:
-    """Return the solver sweeps that reduce the error of the couplings to a millionth in the current posture.
+    """Return the solver sweeps that reduce the error of the couplings to a millionth in the current
+    posture.
 
-    The solver treats one gear after another, as if its two joints did not move each other. It therefore overshoots: by nearly the whole
-    error if a light link carries a heavy one.
+    The solver treats one gear after another, as if its two joints did not move each other. It
+    therefore overshoots: by nearly the whole error if a light link carries a heavy one.
     """
     angles = [row[0] for row in bullet.getJointStates(body, joints, client)]
     order = np.argsort(joints)  # of all of Bullet's joints, as none is fixed
-    masses = np.array(bullet.calculateMassMatrix(body, [angles[joint] for joint in order], physicsClientId=client))
+    masses = np.array(
+        bullet.calculateMassMatrix(body, [angles[joint] for joint in order], physicsClientId=client)
+    )
     mobility = np.linalg.inv(masses)
     place = {int(joint): row for row, joint in enumerate(order)}
-    rows, believed = np.zeros((len(coupled), len(joints))), np.zeros(len(coupled))
+    rows = np.zeros((len(coupled), len(joints)))
+    believed = np.zeros(len(coupled))
     for number, (index, mimic) in enumerate(coupled.items()):
-        driver, follower = place[hand.drivers[index]], place[index]
+        driver = place[hand.drivers[index]]
+        follower = place[index]
         rows[number, [driver, follower]] = 1.0, -1.0 / mimic.ratio
         believed[number] = mobility[driver, driver] + mobility[follower, follower] / mimic.ratio**2
     coupling = rows @ mobility @ rows.T

@@ -1,7 +1,8 @@
 """The only import of PyBullet, its connections, and the suppression of its output.
 
-PyBullet prints from C when it is imported and when it connects, so both happen with the standard streams turned away. The rest of the
-package uses the raw module with an explicit client number: PyBullet's wrapper class costs three times as much per call.
+PyBullet prints from C when it is imported and when it connects, so both happen with the standard
+streams turned away. The rest of the package uses the raw module with an explicit client number:
+PyBullet's wrapper class costs three times as much per call.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from grasp_env.errors import MissingExtraError, SimulationError
 def silenced() -> Iterator[None]:
     """Discard all output of C code to the standard streams while the block runs."""
     _flush()
-    sink, kept = os.open(os.devnull, os.O_WRONLY), {}
+    sink = os.open(os.devnull, os.O_WRONLY)
+    kept = {}
     try:
         for stream in (1, 2):
             with suppress(OSError):  # a process may have no standard streams
@@ -69,13 +71,17 @@ def _has_display() -> bool:
 
 
 def _disconnect(number: int) -> None:
-    """Close a connection, unless PyBullet has closed it already, as it does when its window is closed."""
+    """Close a connection, unless PyBullet has closed it already, as it does when its window is
+    closed.
+    """
     if bullet.isConnected(number):
         bullet.disconnect(number)
 
 
 class Client:
-    """One connection to a PyBullet server inside this process; raises a SimulationError without a display, or if none is left."""
+    """One connection to a PyBullet server inside this process; raises a SimulationError without a
+    display, or if none is left.
+    """
 
     def __init__(self, gui: bool = False) -> None:
         if gui and not _has_display():
@@ -97,7 +103,9 @@ class Client:
 
     @property
     def number(self) -> int:
-        """Number of the connection, the argument `physicsClientId` of PyBullet's functions; raises if the client is closed."""
+        """Number of the connection, the argument `physicsClientId` of PyBullet's functions; raises
+        if the client is closed.
+        """
         if self._number is None:
             raise SimulationError("the simulation is closed; make a new Scene from its config")
         return self._number

@@ -13,8 +13,11 @@ from grasp_env.sim.hand.description import HandDescription, Vector3
 from grasp_env.sim.objects.description import ObjectDescription
 
 _CUBOID_POINTS: tuple[Vector3, ...] = (
-    (0.0, 0.0, -0.05), (0.0, 0.03, 0.05), (-0.03, -0.02, 0.05), (0.03, -0.02, 0.05),
-)  # fmt: skip
+    (0.0, 0.0, -0.05),
+    (0.0, 0.03, 0.05),
+    (-0.03, -0.02, 0.05),
+    (0.03, -0.02, 0.05),
+)
 START_CLEARANCE = 0.003  # distance between tips and object before the fingers close [m]
 ON_SURFACE = 1e-4  # largest distance of a given contact point from the surface [m]
 
@@ -29,9 +32,11 @@ class SceneConfig:
         contact_points: Nominal contacts on the object's surface [m], (N, 3), object frame.
         gravity: Acceleration [m/s^2], world frame; y points up, away from the object to the palm.
         engine: Settings of the physics engine; see `engine_of` for the default.
-        substeps: Steps of the engine in one step of the scene, with the same torques. Contact forces are their mean.
+        substeps: Steps of the engine in one step of the scene, with the same torques. Contact
+            forces are their mean.
         clearance: Gap between tips and object at the start [m]; at 0 they touch.
-        start_angles: Joint angles at the start [rad], (M,); () for those that put the tips at `nominal_tips`.
+        start_angles: Joint angles at the start [rad], (M,); () for those that put the tips at
+            `nominal_tips`.
 
     Example:
         >>> SceneConfig(gravity=(0.0, 0.0, 0.0)).contact_normals[0]
@@ -70,13 +75,16 @@ class SceneConfig:
     @property
     def contact_normals(self) -> np.ndarray:
         """Inward unit normals at the contact points, (N, 3), object frame."""
-        return np.array([self.object.surface.nearest(point)[1] for point in np.array(self.contact_points)])
+        return np.array(
+            [self.object.surface.nearest(point)[1] for point in np.array(self.contact_points)]
+        )
 
     def nominal_tips(self) -> np.ndarray:
-        """Return the centres of the tips at the start [m], (N, 3), world frame, `clearance` away from the object.
+        """Return the centres of the tips at the start [m], (N, 3), world frame, `clearance` away
+        from the object.
 
-        Without clearance they overlap it by `engine.overlap`. From distance zero the object would fall and slip for a step, by 0.2 mm
-        at 500 Hz.
+        Without clearance they overlap it by `engine.overlap`. From distance zero the object would
+        fall and slip for a step, by 0.2 mm at 500 Hz.
         """
         radii = np.array([tip.radius for tip in self.hand.fingertips])
         away = radii + (self.clearance or -self.engine.overlap)

@@ -21,15 +21,21 @@ _MAX_SWEEPS = 100_000
 
 @dataclass(frozen=True)
 class EngineSettings(Settings):
-    """Settings of a physics engine. One file implements `Simulator` for it, another one `Painter`."""
+    """Settings of a physics engine.
+
+    One file implements `Simulator` for it, another one `Painter`.
+    """
 
     extra: ClassVar[str] = "sim"  # of `pyproject.toml`, which installs the engine
     simulator: ClassVar[tuple[str, str]] = ("", "")  # module and class
     painter: ClassVar[tuple[str, str]] = ("", "")
     overlap: ClassVar[float] = 1e-5
-    """Depth at which tips start inside the object when there is no clearance [m]; see `SceneConfig.nominal_tips`."""
+    """Depth at which tips start inside the object when there is no clearance [m]; see
+    `SceneConfig.nominal_tips`."""
 
-    rate: int = setting(250, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz")
+    rate: int = setting(
+        250, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz"
+    )
 
 
 @dataclass(frozen=True)
@@ -52,14 +58,17 @@ class BulletEngine(EngineSettings):
         "than three motors.",
     )
     mesh_contacts: str = setting(
-        "pieces", one_of(("pieces", "faces")),
+        "pieces",
+        one_of(("pieces", "faces")),
         "Collision shape of an object's mesh: its convex pieces, or its faces, which are exact and make a step 3 to 20 times as long.",
-    )  # fmt: skip
+    )
 
 
 def _impedance(value: Any, name: str) -> tuple[float, ...]:
     least, greatest, width, middle, power = as_array(value, (5,), name).tolist()
-    if not (0.0 < least <= greatest < 1.0 and width > 0.0 and 0.0 <= middle <= 1.0 and power >= 1.0):
+    if not (
+        0.0 < least <= greatest < 1.0 and width > 0.0 and 0.0 <= middle <= 1.0 and power >= 1.0
+    ):
         raise InvalidInputError(
             f"{name} must be (least, greatest, overlap [m], middle, power) with 0 < least <= greatest < 1, overlap above 0, middle "
             f"in [0, 1] and power >= 1, got {shown(value)}"
@@ -69,7 +78,9 @@ def _impedance(value: Any, name: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class MujocoEngine(EngineSettings):
-    """MuJoCo, as stiff as the time step allows. Its contacts are springs; its manual describes them under `solref` and `solimp`.
+    """MuJoCo, as stiff as the time step allows.
+
+    Its contacts are springs; its manual describes them under `solref` and `solimp`.
 
     Example:
         >>> MujocoEngine(cone="pyramidal").rate
@@ -81,37 +92,58 @@ class MujocoEngine(EngineSettings):
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.mujoco", "Mujoco")
     painter: ClassVar[tuple[str, str]] = ("grasp_env.sim.picture.mujoco", "MujocoPainter")
 
-    rate: int = setting(1000, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz")
+    rate: int = setting(
+        1000, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz"
+    )
     cone: str = setting(
-        "elliptic", one_of(("elliptic", "pyramidal")),
+        "elliptic",
+        one_of(("elliptic", "pyramidal")),
         "Friction cones; a pyramidal one is an inner approximation with four sides and slips below the given friction.",
-    )  # fmt: skip
-    impratio: float = setting(10.0, real(_POSITIVE), "Ratio of the stiffness of friction to that of the normal force.")
-    integrator: str = setting("implicitfast", one_of(("implicitfast", "implicit", "Euler")), "Integrator of MuJoCo.")
+    )
+    impratio: float = setting(
+        10.0, real(_POSITIVE), "Ratio of the stiffness of friction to that of the normal force."
+    )
+    integrator: str = setting(
+        "implicitfast", one_of(("implicitfast", "implicit", "Euler")), "Integrator of MuJoCo."
+    )
     time_constant: float = setting(
-        0.0, real(Range(0.0, 1.0)), "Time constant of overlaps; 0 for two steps, the smallest stable value.", unit="s"
+        0.0,
+        real(Range(0.0, 1.0)),
+        "Time constant of overlaps; 0 for two steps, the smallest stable value.",
+        unit="s",
     )
     damping_ratio: float = setting(1.0, real(_POSITIVE), "Damping ratio of overlaps.")
     impedance: tuple[float, ...] = setting(
-        (0.99, 0.999, 1e-4, 0.5, 2.0), Kind(_impedance, "5 numbers"),
+        (0.99, 0.999, 1e-4, 0.5, 2.0),
+        Kind(_impedance, "5 numbers"),
         "Impedance of a contact: least, greatest, overlap [m] over which it changes between them, midpoint and power.",
-    )  # fmt: skip
-    noslip_iterations: int = setting(0, integer(0, _MAX_SWEEPS), "Additional sweeps that remove the creep of friction.")
-    solver_iterations: int = setting(200, integer(1, _MAX_SWEEPS), "Largest number of Newton iterations in one step.")
+    )
+    noslip_iterations: int = setting(
+        0, integer(0, _MAX_SWEEPS), "Additional sweeps that remove the creep of friction."
+    )
+    solver_iterations: int = setting(
+        200, integer(1, _MAX_SWEEPS), "Largest number of Newton iterations in one step."
+    )
     tolerance: float = setting(1e-12, real(_POSITIVE), "Tolerance of the Newton method.")
 
 
-ENGINES: dict[str, type[EngineSettings]] = {made.name: made for made in (BulletEngine, MujocoEngine)}
+ENGINES: dict[str, type[EngineSettings]] = {
+    made.name: made for made in (BulletEngine, MujocoEngine)
+}
 """Every engine. To add one, write its settings class here and the modules that the class names."""
-ENGINE = any_of(ENGINES, EngineSettings, ", or give its settings, BulletEngine(...) or MujocoEngine(...)")
+ENGINE = any_of(
+    ENGINES, EngineSettings, ", or give its settings, BulletEngine(...) or MujocoEngine(...)"
+)
 """Kind of a setting that holds an engine."""
 
 
 def engine_of(engine: Any = None, quiet: bool = False) -> EngineSettings:
-    """Return the settings of an engine: those given, the defaults of the named one, or the default engine's.
+    """Return the settings of an engine: those given, the defaults of the named one, or the default
+    engine's.
 
     Args:
-        engine: Settings, a name in `ENGINES`, or None: PyBullet if it is installed, otherwise MuJoCo.
+        engine: Settings, a name in `ENGINES`, or None: PyBullet if it is installed, otherwise
+            MuJoCo.
         quiet: Do not log that MuJoCo is the default. Otherwise it is logged once in a process.
 
     Raises:
@@ -131,7 +163,9 @@ def engine_of(engine: Any = None, quiet: bool = False) -> EngineSettings:
 
 
 def class_of(engine: EngineSettings, role: str) -> Any:
-    """Import and return the class of an engine's "simulator" or "painter"; raise a MissingExtraError if it is not installed."""
+    """Import and return the class of an engine's "simulator" or "painter"; raise a
+    MissingExtraError if it is not installed.
+    """
     module, name = getattr(engine, role)
     with need(engine.extra):
         return getattr(import_module(module), name)
@@ -139,5 +173,10 @@ def class_of(engine: EngineSettings, role: str) -> Any:
 
 @cache
 def _log_mujoco() -> None:
-    """Log the default once in a process. It is no warning, which `python -W error` would turn into an error."""
-    logging.getLogger(__name__).warning("pybullet is not installed, so the default engine is MuJoCo")
+    """Log the default once in a process.
+
+    It is no warning, which `python -W error` would turn into an error.
+    """
+    logging.getLogger(__name__).warning(
+        "pybullet is not installed, so the default engine is MuJoCo"
+    )

@@ -1,7 +1,9 @@
-"""Mesh files of objects and of hands: the kinds that are read, their reading by trimesh, and .obj text.
+"""Mesh files of objects and of hands: the kinds that are read, their reading by trimesh, and .obj
+text.
 
-`read_files` runs in a process of its own, see `objects.reading`. Coordinates stay in the file's units and axes. This holds for a .dae, too:
-its <unit> and <up_axis> are not applied, as a hand's scale factors include the unit, see `unit_of` of `hand.files.meshes`.
+`read_files` runs in a process of its own, see `objects.reading`. Coordinates stay in the file's
+units and axes. This holds for a .dae, too: its <unit> and <up_axis> are not applied, as a hand's
+scale factors include the unit, see `unit_of` of `hand.files.meshes`.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ KINDS = {
     ".glb": 100 * MEGABYTE,
     ".dae": 40 * MEGABYTE,
 }
-"""Largest size [bytes] of each kind of file: twice that of `MAX_FACES` with normals and textures, and pictures in a .glb."""
+"""Largest size [bytes] of each kind of file: twice that of `MAX_FACES` with normals and textures,
+and pictures in a .glb."""
 EXPORT = "export it again as .obj or .stl"
 SIMPLIFY = (
     f"allowed are up to {MAX_FACES} faces; simplify it: pip install trimesh fast-simplification, then "
@@ -47,7 +50,8 @@ TOO_MUCH_MEMORY = f"needs more than {MAX_MEMORY // MEGABYTE} MB to be read; {SIM
 
 def obj_text(parts: Iterable[tuple[Array, Any]]) -> str:
     """Return an .obj, with all digits, of parts that each have corners (V, 3) and faces (F, 3)."""
-    lines, before = list[str](), 1
+    lines = list[str]()
+    before = 1
     for number, (corners, faces) in enumerate(parts):
         lines.append(f"o part{number}")
         lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in corners.tolist()]
@@ -61,9 +65,12 @@ class _FileFault(Exception):
 
 
 def read_files(kinds: Any, **files: Any) -> dict[str, Any]:
-    """Read files "file0", "file1", ..., uint8, of `kinds` such as ".obj". `apart` runs this function.
+    """Read files "file0", "file1", ..., uint8, of `kinds` such as ".obj".
 
-    Returns "corners0", (V, 3) float64 of its faces, in the file's units, and "faces0", (F, 3) int64; or "fault0", what is wrong with it.
+    `apart` runs this function.
+
+    Returns "corners0", (V, 3) float64 of its faces, in the file's units, and "faces0", (F, 3)
+    int64; or "fault0", what is wrong with it.
     """
     made = dict[str, Any]()
     for number, kind in enumerate(kinds.tolist()):
@@ -77,7 +84,9 @@ def read_files(kinds: Any, **files: Any) -> dict[str, Any]:
                 raise
             made[f"fault{number}"] = np.array(TOO_MUCH_MEMORY)
         except Exception as problem:  # each format has its own
-            made[f"fault{number}"] = np.array(f"could not be read as {kind}: {_reason(problem)}; {EXPORT}")
+            made[f"fault{number}"] = np.array(
+                f"could not be read as {kind}: {_reason(problem)}; {EXPORT}"
+            )
     return made
 
 
@@ -93,7 +102,9 @@ class _NoOtherFiles:
     """A resolver for trimesh that gives it no file besides the one that it reads."""
 
     def get(self, name: str) -> NoReturn:
-        raise _FileFault(f"refers to the file {name[:100]!r}, which is not read; export all of it as one file")
+        raise _FileFault(
+            f"refers to the file {name[:100]!r}, which is not read; export all of it as one file"
+        )
 
     __getitem__ = get
 
@@ -105,7 +116,9 @@ def _by_trimesh(blob: bytes, kind: str) -> tuple[Array, Any]:
     blob = _PLAIN[kind](blob)
     options = {"fix_texture": False} if kind == ".ply" else {"ignore_broken": False}
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.filterwarnings("error", "string or file could not be read")  # numpy would drop the rest
+        warnings.filterwarnings(
+            "error", "string or file could not be read"
+        )  # numpy would drop the rest
         mesh: Any = trimesh.load_mesh(
             io.BytesIO(blob),
             file_type=kind[1:],
@@ -122,7 +135,8 @@ def _by_trimesh(blob: bytes, kind: str) -> tuple[Array, Any]:
         if faces.min() < 0:
             raise ValueError(_NO_CORNERS)
         mesh.remove_unreferenced_vertices()
-        corners, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=np.int64)
+        corners = np.array(mesh.vertices, dtype=float)
+        faces = np.array(mesh.faces, dtype=np.int64)
     if not np.isfinite(corners).all() or np.abs(corners).max() > 1e6:  # squares would lose digits
         raise _FileFault(f"has coordinates that are not finite or above 1e6; {EXPORT}")
     return corners, faces
@@ -138,11 +152,17 @@ def _plain_obj(blob: bytes) -> bytes:
     text = b"\n" + unix_lines(blob).replace(b"\\\n", b" ")
     corners = re.findall(rb"\n[ \t]*v[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", text)
     rows = re.findall(rb"\n[ \t]*f[ \t]+(\S+[ \t]+\S+[ \t]+[^\s#][^\n#]*)", text)
-    faces = re.sub(rb"/\S*", b"", b"\nf ".join(rows))  # in 1/2/3 only the 1 is the index of a corner
+    faces = re.sub(
+        rb"/\S*", b"", b"\nf ".join(rows)
+    )  # in 1/2/3 only the 1 is the index of a corner
     if re.search(rb"(?<![0-9])0", faces):
-        raise _FileFault("has faces that count corners from 0; an .obj counts from 1, so add 1 to each")
+        raise _FileFault(
+            "has faces that count corners from 0; an .obj counts from 1, so add 1 to each"
+        )
     if b"-" in faces and re.search(rb"\n[ \t]*f[ \t](?s:.*)\n[ \t]*v[ \t]", text):
-        raise _FileFault("has corners after faces with negative indices; export it with indices from 1")
+        raise _FileFault(
+            "has corners after faces with negative indices; export it with indices from 1"
+        )
     return b"v " + b"\nv ".join(corners) + b"\nf " + faces + b"\n" if corners and rows else b""
 
 
@@ -158,10 +178,15 @@ def _plain_stl(blob: bytes) -> bytes:
 
 
 def _plain_ply(blob: bytes) -> bytes:
-    """Hide the textures of faces, as trimesh cannot read those of polygons with different numbers of corners, and check a text's length."""
+    """Hide the textures of faces, as trimesh cannot read those of polygons with different numbers
+    of corners, and check a text's length.
+    """
     head, end, body = blob.partition(b"end_header")
     if b"ascii" in head[:100]:
-        head, body = unix_lines(head), b"\n" + _whole(body, sum(map(int, re.findall(rb"\nelement \S+ ([0-9]+)", head))))
+        head, body = (
+            unix_lines(head),
+            b"\n" + _whole(body, sum(map(int, re.findall(rb"\nelement \S+ ([0-9]+)", head)))),
+        )
     return head.replace(b"texcoord", b"unused") + end + body
 
 
@@ -178,12 +203,19 @@ def _whole(text: bytes, claimed: int) -> bytes:
     """Return a text without empty lines, or raise an error if it has fewer lines than are claimed."""
     lines = [line for line in unix_lines(text).split(b"\n") if line.strip()]
     if len(lines) < claimed:
-        raise ValueError(f"it is cut short: it claims {claimed} lines of numbers but has {len(lines)}")
+        raise ValueError(
+            f"it is cut short: it claims {claimed} lines of numbers but has {len(lines)}"
+        )
     return b"\n".join(lines)
 
 
 _TRIANGLES, _STRIP = 4, 5
-_COSMETIC = ("KHR_materials", "KHR_texture", "EXT_texture", "KHR_lights")  # extensions that do not change corners
+_COSMETIC = (
+    "KHR_materials",
+    "KHR_texture",
+    "EXT_texture",
+    "KHR_lights",
+)  # extensions that do not change corners
 
 
 def _plain_glb(blob: bytes) -> bytes:
@@ -192,12 +224,21 @@ def _plain_glb(blob: bytes) -> bytes:
     tree = json.loads(blob[20:end])
     for name in tree.get("extensionsRequired", []):
         if not name.startswith(_COSMETIC):
-            raise _FileFault(f"needs the extension {name[:50]}, which is not supported; export it uncompressed")
+            raise _FileFault(
+                f"needs the extension {name[:50]}, which is not supported; export it uncompressed"
+            )
     for mesh in tree.get("meshes", []):
-        mesh["primitives"] = [part for part in mesh["primitives"] if part.get("mode", _TRIANGLES) >= _TRIANGLES]
+        mesh["primitives"] = [
+            part for part in mesh["primitives"] if part.get("mode", _TRIANGLES) >= _TRIANGLES
+        ]
         for part in mesh["primitives"]:
-            if part.get("mode", _TRIANGLES) > _STRIP or "sparse" in tree["accessors"][part["attributes"]["POSITION"]]:
-                raise _FileFault("has triangle fans or sparse corners, which are not supported; export plain triangles")
+            if (
+                part.get("mode", _TRIANGLES) > _STRIP
+                or "sparse" in tree["accessors"][part["attributes"]["POSITION"]]
+            ):
+                raise _FileFault(
+                    "has triangle fans or sparse corners, which are not supported; export plain triangles"
+                )
     for node in tree.get("nodes", []):
         node.pop("camera", None)
         if "mesh" in node and not tree["meshes"][node["mesh"]]["primitives"]:
@@ -217,13 +258,19 @@ _DECORATION = ("bind_material", "extra", "instance_camera", "instance_light")
 
 
 def _plain_dae(blob: bytes) -> bytes:
-    """Keep corners and faces: broken materials would be errors, and trimesh would split corners at normals and textures."""
+    """Keep corners and faces: broken materials would be errors, and trimesh would split corners at
+    normals and textures.
+    """
     root = read_xml(blob)
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
     for element in root.iter():
         kept = _ONLY.get(element.tag)
-        element[:] = [child for child in element if (child.tag in kept if kept else child.tag not in _DECORATION)]
+        element[:] = [
+            child
+            for child in element
+            if (child.tag in kept if kept else child.tag not in _DECORATION)
+        ]
         if element.tag in _GROUPS:
             _drop_inputs(element)
         elif element.tag == "mesh":
@@ -234,14 +281,17 @@ def _plain_dae(blob: bytes) -> bytes:
 
 
 def _drop_inputs(group: Element) -> None:
-    """Reduce a group of faces to the indices of its corners, and check what pycollada would misread."""
+    """Reduce a group of faces to the indices of its corners, and check what pycollada would
+    misread.
+    """
     inputs = group.findall("input")
     vertex = next((entry for entry in inputs if entry.get("semantic") == "VERTEX"), None)
     if vertex is None or group.find("ph") is not None:
         raise _FileFault("has faces without an input VERTEX, or with holes; triangulate it")
     if any("-" in (indices.text or "") for indices in group.iter("p")):
         raise ValueError(_NO_CORNERS)
-    # a copy of the vertex input keeps the largest offset, which tells how many indices each corner has
+    # a copy of the vertex input keeps the largest offset, which tells how many indices each corner
+    # has
     last = max((entry.get("offset", "") for entry in inputs), key=int)
     group[:] = [
         vertex,
@@ -252,7 +302,9 @@ def _drop_inputs(group: Element) -> None:
 
 
 def _drop_sources(mesh: Element) -> None:
-    """Reduce the numbers of a mesh to the coordinates of its corners, and check what pycollada would misread."""
+    """Reduce the numbers of a mesh to the coordinates of its corners, and check what pycollada
+    would misread.
+    """
     wanted = set[str]()
     for vertices in mesh.findall("vertices"):
         vertices[:] = [entry for entry in vertices if entry.get("semantic") == "POSITION"]
@@ -266,6 +318,11 @@ def _drop_sources(mesh: Element) -> None:
 
 
 _PLAIN = {
-    ".obj": _plain_obj, ".stl": _plain_stl, ".ply": _plain_ply, ".off": _plain_off, ".glb": _plain_glb, ".dae": _plain_dae,
-}  # fmt: skip
+    ".obj": _plain_obj,
+    ".stl": _plain_stl,
+    ".ply": _plain_ply,
+    ".off": _plain_off,
+    ".glb": _plain_glb,
+    ".dae": _plain_dae,
+}
 """For each kind of file, the function that reduces its bytes to what trimesh has to read."""

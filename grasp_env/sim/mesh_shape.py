@@ -1,4 +1,6 @@
-"""Geometry of meshes as arrays, for objects and hands: volume, welding, open edges, connected parts."""
+"""Geometry of meshes as arrays, for objects and hands: volume, welding, open edges, connected
+parts.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +11,14 @@ import numpy as np
 from grasp_env.inputs.arguments import Array
 
 WELD = 1e-7
-"""Distance within which corners are merged, relative to the mesh's extent. An .stl repeats each corner for each of its faces."""
+"""Distance within which corners are merged, relative to the mesh's extent.
 
-_DIRECTIONS = np.array([(x, y, z) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) for z in (-1.0, 0.0, 1.0)])
+An .stl repeats each corner for each of its faces.
+"""
+
+_DIRECTIONS = np.array(
+    [(x, y, z) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) for z in (-1.0, 0.0, 1.0)]
+)
 
 
 def extent_of(corners: Array) -> float:
@@ -21,22 +28,29 @@ def extent_of(corners: Array) -> float:
 
 def volume(corners: Array, faces: Any) -> float:
     """Return the volume of a closed mesh, negative if its faces look inward."""
-    origin = corners[faces[:1, 0]].sum(axis=0)  # any corner of the mesh: near it, fewer digits cancel
+    # any corner of the mesh: near it, fewer digits cancel
+    origin = corners[faces[:1, 0]].sum(axis=0)
     a, b, c = (corners[faces[:, k]] - origin for k in range(3))
     return float(np.einsum("fk,fk->", a, np.cross(b, c))) / 6.0
 
 
 def weld(corners: Array, faces: Any, grain: float) -> tuple[Array, Any]:
-    """Merge corners within a cell of a grid; drop faces that become lines, and corners without a face."""
+    """Merge corners within a cell of a grid; drop faces that become lines, and corners without a
+    face.
+    """
     kept, numbers = _distinct(np.round(corners / grain))
     faces = numbers[faces]
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    faces = faces[
+        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    ]
     used, faces = np.unique(faces, return_inverse=True)
     return corners[kept][used], faces.reshape(-1, 3).astype(np.int64)
 
 
 def _distinct(cells: Array) -> tuple[Any, Any]:
-    """Return first indices and inverse of the unique rows of (V, 3): five times as fast as `np.unique`, for up to 2^21 rows."""
+    """Return first indices and inverse of the unique rows of (V, 3): five times as fast as
+    `np.unique`, for up to 2^21 rows.
+    """
     key = np.zeros(len(cells), np.int64)
     for column in cells.T:
         values, number = np.unique(column, return_inverse=True)
@@ -60,7 +74,9 @@ def sides_of(faces: Any) -> Any:
 def numbered(ends: Any) -> tuple[Any, Any]:
     """Return the unordered pairs among `ends` (S, 2), each once, and the index of each row's pair."""
     ends = np.asarray(ends, np.int64)
-    low, high, count = ends.min(axis=1), ends.max(axis=1), int(ends.max(initial=0)) + 1
+    low = ends.min(axis=1)
+    high = ends.max(axis=1)
+    count = int(ends.max(initial=0)) + 1
     keys, number = np.unique(low * count + high, return_inverse=True)
     return np.column_stack(np.divmod(keys, count)), number
 
@@ -71,7 +87,9 @@ def connected_parts(faces: Any) -> list[Any]:
 
 
 def grouped(faces: Any, links: Any, of_face: Any) -> list[Any]:
-    """Return the faces of each connected part of a graph with edges `links` (E, 2); `of_face` (F,) is the node of each face."""
+    """Return the faces of each connected part of a graph with edges `links` (E, 2); `of_face` (F,)
+    is the node of each face.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -83,12 +101,16 @@ def grouped(faces: Any, links: Any, of_face: Any) -> list[Any]:
 
 
 def farthest(points: Array) -> Any:
-    """Return the indices of the points (K, 3) that are farthest along the axes and diagonals, at most 26, and the first."""
+    """Return the indices of the points (K, 3) that are farthest along the axes and diagonals, at
+    most 26, and the first.
+    """
     return np.unique((points @ _DIRECTIONS.T).argmax(axis=0))
 
 
 def reduce_hull(corners: Array, most: int, fine: float) -> Array:
-    """Choose at most `most` corners (K, 3) of a hull, the most important first, until all are within `fine` times its size of the rest."""
+    """Choose at most `most` corners (K, 3) of a hull, the most important first, until all are
+    within `fine` times its size of the rest.
+    """
     from scipy.spatial import ConvexHull
 
     if len(corners) <= most:
@@ -97,7 +119,8 @@ def reduce_hull(corners: Array, most: int, fine: float) -> Array:
     while len(chosen) < most:
         planes = ConvexHull(corners[chosen]).equations
         heights = corners @ planes[:, :3].T + planes[:, 3]
-        outside, face = heights.max(axis=1), heights.argmax(axis=1)
+        outside = heights.max(axis=1)
+        face = heights.argmax(axis=1)
         outside[chosen] = 0.0
         order = np.argsort(-outside, kind="stable")
         order = order[outside[order] > fine * np.ptp(corners, axis=0).max()]

@@ -26,20 +26,29 @@ def link_name(link: int) -> str:
 
 
 def scene_mjcf(
-    hand: HandDescription, item: ObjectDescription, gravity: Iterable[float], timestep: float, engine: MujocoEngine
+    hand: HandDescription,
+    item: ObjectDescription,
+    gravity: Iterable[float],
+    timestep: float,
+    engine: MujocoEngine,
 ) -> str:
-    """Return the MJCF of the simulated world: the hand with its palm fixed, and the free object at the origin.
+    """Return the MJCF of the simulated world: the hand with its palm fixed, and the free object at
+    the origin.
 
-    Joints have no damping, armature or motors: torques are applied directly. The object's friction coefficients have priority, and are
-    the products with the tips' friction that Bullet forms. Gravity is in [m/s^2], the time step in [s].
+    Joints have no damping, armature or motors: torques are applied directly. The object's friction
+    coefficients have priority, and are the products with the tips' friction that Bullet forms.
+    Gravity is in [m/s^2], the time step in [s].
     """
     spring = f"{engine.time_constant or 2.0 * timestep!r} {engine.damping_ratio!r}"
     soft = f'solref="{spring}" solimp="{digits(engine.impedance)}"'
-    sliding, turning = (part * hand.tip_friction for part in (item.friction, item.torsional_friction))
+    sliding, turning = (
+        part * hand.tip_friction for part in (item.friction, item.torsional_friction)
+    )
     meshes: list[str] = []
     tree = _tree(hand, lambda body: _shapes(body.collision, meshes))
     shape = "".join(
-        f'<geom {each} priority="1" friction="{sliding!r} {turning!r} 0"/>' for each in _object_shapes(item, meshes)
+        f'<geom {each} priority="1" friction="{sliding!r} {turning!r} 0"/>'
+        for each in _object_shapes(item, meshes)
     )
     return f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
 <option timestep="{timestep!r}" gravity="{digits(gravity)}" cone="{engine.cone}" impratio="{engine.impratio!r}"
@@ -53,10 +62,14 @@ def scene_mjcf(
 <equality>{"".join(_couplings(hand))}</equality></mujoco>"""
 
 
-def looks_mjcf(hand: HandDescription, item: ObjectDescription | None = None) -> tuple[str, dict[str, Geometry]]:
-    """Return the MJCF for pictures: the bodies and joints of `scene_mjcf` with their visual shapes and a light, without contacts.
+def looks_mjcf(
+    hand: HandDescription, item: ObjectDescription | None = None
+) -> tuple[str, dict[str, Geometry]]:
+    """Return the MJCF for pictures: the bodies and joints of `scene_mjcf` with their visual shapes
+    and a light, without contacts.
 
-    Also return the visual shapes of kind "mesh" by the names of the meshes that it uses but does not define.
+    Also return the visual shapes of kind "mesh" by the names of the meshes that it uses but does
+    not define.
     """
     meshes: list[str] = []
     files: dict[str, Geometry] = {}
@@ -67,7 +80,8 @@ def looks_mjcf(hand: HandDescription, item: ObjectDescription | None = None) -> 
             for shape in body.visual
         )
 
-    tree, held = _tree(hand, looks), ""
+    tree = _tree(hand, looks)
+    held = ""
     if item is not None:
         color = f'rgba="{digits((*OBJECT_COLOR, 1.0))}" group="{OBJECT_GROUP}"'
         held = _free_body(item, f"<geom {_object_look(item, meshes)} {color}/>")
@@ -88,7 +102,9 @@ def _tree(hand: HandDescription, shapes: Callable[[Link | Palm], str]) -> str:
         children.setdefault(link.parent, []).append(index)
 
     def bodies(parent: str) -> str:
-        return "".join(_body(hand.links[index], index, shapes, bodies) for index in children.get(parent, ()))
+        return "".join(
+            _body(hand.links[index], index, shapes, bodies) for index in children.get(parent, ())
+        )
 
     return f'<body name="{PALM}">{shapes(hand.palm)}{bodies(hand.palm.name)}</body>'
 
@@ -99,10 +115,16 @@ def _free_body(item: ObjectDescription, shape: str) -> str:
     return f'<body name="{OBJECT}"><freejoint/>{inertial}{shape}</body>'
 
 
-def _body(link: Link, index: int, shapes: Callable[[Link | Palm], str], bodies: Callable[[str], str]) -> str:
+def _body(
+    link: Link, index: int, shapes: Callable[[Link | Palm], str], bodies: Callable[[str], str]
+) -> str:
     ixx, ixy, ixz, iyy, iyz, izz = link.inertia
     limited = math.isfinite(link.lower)
-    ends = f'limited="true" range="{digits((link.lower, link.upper))}"' if limited else 'limited="false"'
+    ends = (
+        f'limited="true" range="{digits((link.lower, link.upper))}"'
+        if limited
+        else 'limited="false"'
+    )
     kind = "slide" if link.sliding else "hinge"
     return (
         f'<body name="{link_name(index)}" pos="{digits(link.origin)}" euler="{digits(link.rotation)}">'
@@ -117,14 +139,19 @@ def _shapes(shapes: Iterable[Geometry], meshes: list[str]) -> str:
     return "".join(_shape(shape, meshes) for shape in shapes if shape.kind != "mesh")
 
 
-def _shape(shape: Geometry, meshes: list[str], look: str = "", files: dict[str, Geometry] | None = None) -> str:
-    """Return the element of a shape, with the attributes `look`; a shape of kind "mesh" is added to `files`."""
+def _shape(
+    shape: Geometry, meshes: list[str], look: str = "", files: dict[str, Geometry] | None = None
+) -> str:
+    """Return the element of a shape, with the attributes `look`; a shape of kind "mesh" is added to
+    `files`.
+    """
     kind, size = shape.kind, shape.size
     if kind == "mesh" and files is not None:
         name = f"file{len(files)}"
         files[name], given = shape, f'mesh="{name}"'
     elif kind == "hull":
-        kind, given = "mesh", _mesh(shape.corners, meshes)
+        kind = "mesh"
+        given = _mesh(shape.corners, meshes)
     elif kind == "box":
         given = f'size="{digits(0.5 * side for side in size)}"'
     else:  # MuJoCo takes half the length of a cylinder
@@ -133,7 +160,9 @@ def _shape(shape: Geometry, meshes: list[str], look: str = "", files: dict[str, 
 
 
 def _object_shapes(item: ObjectDescription, meshes: list[str]) -> list[str]:
-    """Return type, size and orientation of the object's collision shapes: for a mesh, its convex pieces."""
+    """Return type, size and orientation of the object's collision shapes: for a mesh, its convex
+    pieces.
+    """
     if item.shape == "mesh":
         return [f'type="mesh" {_mesh(piece, meshes)} euler="0 0 0"' for piece in item.pieces]
     return [_object_look(item, meshes)]
@@ -153,9 +182,15 @@ def _object_look(item: ObjectDescription, meshes: list[str]) -> str:
 
 
 def _mesh(corners: Any, meshes: list[str], faces: Any = None) -> str:
-    """Add corners (K, 3) [m] with faces (F, 3), or their convex hull, to `meshes`; return the attribute that refers to it."""
+    """Add corners (K, 3) [m] with faces (F, 3), or their convex hull, to `meshes`; return the
+    attribute that refers to it.
+    """
     name = f"mesh{len(meshes)}"
-    drawn = "" if faces is None else f' face="{" ".join(map(str, np.ravel(faces).tolist()))}" inertia="shell"'
+    drawn = (
+        ""
+        if faces is None
+        else f' face="{" ".join(map(str, np.ravel(faces).tolist()))}" inertia="shell"'
+    )
     meshes.append(f'<mesh name="{name}" vertex="{digits(np.ravel(corners))}"{drawn}/>')
     return f'mesh="{name}"'
 
@@ -168,7 +203,9 @@ def _couplings(hand: HandDescription) -> Iterable[str]:
 
 
 def _neighbours(hand: HandDescription) -> Iterable[tuple[str, str]]:
-    """Yield pairs of bodies that do not collide: links and their parents, and links that overlap in every posture."""
+    """Yield pairs of bodies that do not collide: links and their parents, and links that overlap in
+    every posture.
+    """
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     parents = {(numbers.get(link.parent, -1), index) for index, link in enumerate(hand.links)}
     for pair in sorted(parents | set(touching_pairs(hand))):

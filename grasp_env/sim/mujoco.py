@@ -23,10 +23,13 @@ _MIN_FORCE = 1e-9
 
 
 class Mujoco(Simulator):
-    """A hand around an object in its own MuJoCo model; see `Simulator`. It has no window; pictures have a model of their own.
+    """A hand around an object in its own MuJoCo model; see `Simulator`.
+
+    It has no window; pictures have a model of their own.
 
     Attributes:
-        model, data: MuJoCo's model and data; each `load` makes new ones, and they are None after `close`.
+        model, data: MuJoCo's model and data; each `load` makes new ones, and they are None after
+        `close`.
     """
 
     def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:
@@ -47,7 +50,9 @@ class Mujoco(Simulator):
         try:
             self.model = model = mujoco.MjModel.from_xml_string(text)
         except ValueError as error:
-            raise SimulationError(f"MuJoCo cannot build hand {self._hand.name!r} with this object: {error}") from error
+            raise SimulationError(
+                f"MuJoCo cannot build hand {self._hand.name!r} with this object: {error}"
+            ) from error
         self.data = data = mujoco.MjData(model)
         joints = [model.joint(link_name(index)) for index in range(self._hand.joint_count)]
         self._angles = np.array([joint.qposadr[0] for joint in joints])
@@ -55,12 +60,16 @@ class Mujoco(Simulator):
         self._body = model.body(OBJECT).id
         self._shapes = np.flatnonzero(model.geom_bodyid == self._body)
         free = model.body_jntadr[self._body]
-        place, speed = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
+        place = int(model.jnt_qposadr[free])
+        speed = int(model.jnt_dofadr[free])
         self._place, self._turn = slice(place, place + 3), slice(place + 3, place + 7)
         self._linear, self._angular = slice(speed, speed + 3), slice(speed + 3, speed + 6)
-        links = {model.body(link_name(index)).id: float(index) for index in range(self._hand.joint_count)}
+        links = {
+            model.body(link_name(index)).id: float(index) for index in range(self._hand.joint_count)
+        }
         self._links = np.array([links.get(int(body), -1.0) for body in model.geom_bodyid])
-        self._steps, self._kept = config.substeps, {}
+        self._steps = config.substeps
+        self._kept = {}
         self._recorded: list[tuple[Array, ...]] = []  # contacts of every step of the last `advance`
         self._contacts: Array | None = np.empty(0)  # None: to be made from `_recorded`
         self._rotation = np.zeros(9)
@@ -69,11 +78,13 @@ class Mujoco(Simulator):
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """See `Simulator`."""
-        model, data = self.model, self._open_data()
+        model = self.model
+        data = self._open_data()
         data.qfrc_applied[self._rates] = torques
         if wrench is None:
             data.xfrc_applied[self._body] = 0.0
-        self._recorded, self._contacts = [], None
+        self._recorded = []
+        self._contacts = None
         for _ in range(self._steps):
             if wrench is not None:
                 turn = self._turned()
@@ -88,9 +99,17 @@ class Mujoco(Simulator):
         state, rates = data.qpos, data.qvel
         w, x, y, z = state[self._turn]
         spin = self._turned() @ rates[self._angular]
-        return np.concatenate([
-            state[self._angles], rates[self._rates], state[self._place], (x, y, z, w), rates[self._linear], spin, self._object_contacts(),
-        ])  # fmt: skip
+        return np.concatenate(
+            [
+                state[self._angles],
+                rates[self._rates],
+                state[self._place],
+                (x, y, z, w),
+                rates[self._linear],
+                spin,
+                self._object_contacts(),
+            ]
+        )
 
     def self_contacts(self) -> list[tuple[int, int]]:
         """See `Simulator`."""
@@ -144,23 +163,33 @@ class Mujoco(Simulator):
         return self.data
 
     def _turned(self) -> Array:
-        """Return the rotation from object frame to world frame, (3, 3); MuJoCo's own is that at the start of the last step."""
+        """Return the rotation from object frame to world frame, (3, 3); MuJoCo's own is that at the
+        start of the last step.
+        """
         mujoco.mju_quat2Mat(self._rotation, self.data.qpos[self._turn])
         return self._rotation.reshape(3, 3)
 
     def _record_contacts(self) -> None:
-        """Copy shapes, positions, frames and forces of all contacts, as the next step overwrites them."""
-        seen, pushes = self.data.contact, np.empty((self.data.ncon, 6))
+        """Copy shapes, positions, frames and forces of all contacts, as the next step overwrites
+        them.
+        """
+        seen = self.data.contact
+        pushes = np.empty((self.data.ncon, 6))
         for index, push in enumerate(pushes):
             mujoco.mj_contactForce(self.model, self.data, index, push)
         self._recorded.append((seen.geom.copy(), seen.pos.copy(), seen.frame.copy(), pushes))
 
     def _object_contacts(self) -> Array:
-        """Return link, position and force on the object, divided by the number of steps, of its contacts in the last `advance`, (7n,)."""
+        """Return link, position and force on the object, divided by the number of steps, of its
+        contacts in the last `advance`, (7n,).
+        """
         if self._contacts is None:
-            shapes, places, frames, pushes = (np.concatenate(parts) for parts in zip(*self._recorded, strict=True))
+            shapes, places, frames, pushes = (
+                np.concatenate(parts) for parts in zip(*self._recorded, strict=True)
+            )
             held = np.isin(shapes, self._shapes)
-            second = held[:, 1]  # the contact's frame belongs to the first shape, and the force acts on the second
+            # the contact's frame belongs to the first shape, and the force acts on the second
+            second = held[:, 1]
             mine = held.any(axis=1) & (pushes[:, 0] > _MIN_FORCE)
             shares = np.where(second, 1.0, -1.0)[:, None] / len(self._recorded) * pushes[:, :3]
             forces = np.einsum("ni,nij->nj", shares, frames.reshape(-1, 3, 3))

@@ -16,10 +16,14 @@ _WIDTH = 24  # characters of the bar
 
 
 class ProgressLine:
-    """A line on stderr that is overwritten. Nothing is written to anything but a terminal, nor within `PATIENCE`."""
+    """A line on stderr that is overwritten.
+
+    Nothing is written to anything but a terminal, nor within `PATIENCE`.
+    """
 
     def __init__(self) -> None:
-        self._begun, self._length = time.monotonic(), 0
+        self._begun = time.monotonic()
+        self._length = 0
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
 
     def __enter__(self) -> ProgressLine:
@@ -42,6 +46,8 @@ def progress_bar(items: Sequence[Item], text: str) -> Iterator[Item]:
     """Yield the items, with a progress bar on a terminal."""
     with ProgressLine() as line:
         for done, item in enumerate(items):
-            line.write(f"[{'#' * (_WIDTH * done // len(items)):{_WIDTH}}] {done} of {len(items)} {text}")
+            line.write(
+                f"[{'#' * (_WIDTH * done // len(items)):{_WIDTH}}] {done} of {len(items)} {text}"
+            )
             yield item
         line.write(f"[{'#' * _WIDTH}] {len(items)} of {len(items)} {text}")

@@ -1,4 +1,6 @@
-"""Simulated grasp: a torque-controlled hand around an object, and the state that a control loop reads."""
+"""Simulated grasp: a torque-controlled hand around an object, and the state that a control loop
+reads.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +22,18 @@ from grasp_env.sim.snapshot import Snapshot
 class Scene:
     """A hand around an object in a simulator of its own.
 
-    `look` returns views of arrays that are reused. The next reading after a `step` overwrites them: copy what you keep.
+    `look` returns views of arrays that are reused. The next reading after a `step` overwrites them:
+    copy what you keep.
 
     Args:
         config: The scene.
         gui: Open a window; needs a display.
-        visuals: Load the hand's visual shapes, which pictures need. They make loading a new object five times slower.
+        visuals: Load the hand's visual shapes, which pictures need. They make loading a new object
+            five times slower.
 
     Attributes:
-        simulator: The physics engine, for direct calls. With PyBullet it has `client`, the connection, and `world`, the ids of the bodies.
-            With MuJoCo it has `model` and `data`.
+        simulator: The physics engine, for direct calls. With PyBullet it has `client`, the
+            connection, and `world`, the ids of the bodies. With MuJoCo it has `model` and `data`.
         kinematics: Kinematics of the hand.
         core: The compiled `core.Scene`, which holds the hand, the object and the last reading.
         gravity: Current gravity [m/s^2], (3,), world frame.
@@ -46,13 +50,17 @@ class Scene:
         >>> scene.close()
     """
 
-    def __init__(self, config: SceneConfig | None = None, gui: bool = False, visuals: bool = False) -> None:
+    def __init__(
+        self, config: SceneConfig | None = None, gui: bool = False, visuals: bool = False
+    ) -> None:
         self.config = config or SceneConfig()
         self.kinematics = HandKinematics(self.config.hand)
         angles = _start_angles(self.config, self.kinematics)
         self.visuals = visuals or gui
         self._options = {"gui": gui, "visuals": visuals}
-        self.simulator: Any = class_of(self.config.engine, "simulator")(self.config.hand, **self._options)
+        self.simulator: Any = class_of(self.config.engine, "simulator")(
+            self.config.hand, **self._options
+        )
         self._build(angles)
         self.keep()
 
@@ -67,7 +75,8 @@ class Scene:
     def load(self, config: SceneConfig) -> None:
         """Load another object, grasp or hand. The engine and its settings stay as they are.
 
-        All saved states are dropped. Unlike the constructor, `load` saves no "start" state: call `keep` before the next `reset`.
+        All saved states are dropped. Unlike the constructor, `load` saves no "start" state: call
+        `keep` before the next `reset`.
 
         Args:
             config: The new scene; its engine is ignored.
@@ -75,7 +84,9 @@ class Scene:
         Raises:
             InvalidInputError: A finger cannot reach its contact; the scene is unchanged.
         """
-        kinematics = self.kinematics if config.hand == self.config.hand else HandKinematics(config.hand)
+        kinematics = (
+            self.kinematics if config.hand == self.config.hand else HandKinematics(config.hand)
+        )
         angles = _start_angles(config, kinematics)
         config = replace(config, engine=self.config.engine)
         if kinematics is not self.kinematics:
@@ -86,7 +97,10 @@ class Scene:
         self._build(angles)
 
     def change_object(self, mass: float | None = None, friction: float | None = None) -> None:
-        """Change the mass [kg] of the object (and its inertia in proportion) or its friction. `reset` does not undo the change."""
+        """Change the mass [kg] of the object (and its inertia in proportion) or its friction.
+
+        `reset` does not undo the change.
+        """
         item = self.config.object
         if mass is not None:
             inertia = item.inertia and tuple(np.multiply(item.inertia, mass / item.mass).tolist())
@@ -105,12 +119,17 @@ class Scene:
             self._core_is_current = False
 
     def keep(self, name: str = "start") -> None:
-        """Save the current state under a name, for `reset`. An earlier state of that name is replaced."""
+        """Save the current state under a name, for `reset`.
+
+        An earlier state of that name is replaced.
+        """
         self.simulator.keep(name)
         self._core_is_current = False
 
     def reset(self, name: str = "start") -> None:
-        """Restore a saved state exactly, contact forces included. Gravity and the object's mass, inertia and friction stay as they are now.
+        """Restore a saved state exactly, contact forces included.
+
+        Gravity and the object's mass, inertia and friction stay as they are now.
 
         Raises:
             UnknownNameError: No state was saved under that name.
@@ -123,8 +142,8 @@ class Scene:
 
         Args:
             torques: Joint torques [N m], (M,), clipped to the hand's limits.
-            external_wrench: Force [N] and moment about the centre of mass [N m] on the object besides gravity, (6,), object frame. None for
-                no wrench.
+            external_wrench: Force [N] and moment about the centre of mass [N m] on the object
+                besides gravity, (6,), object frame. None for no wrench.
 
         Raises:
             InvalidInputError: An array has a wrong shape or a number that is not finite.
@@ -132,16 +151,23 @@ class Scene:
         """
         limits = self.kinematics.torque_limits
         numbers = as_array(torques, (len(limits),), "torques")
-        wrench = None if external_wrench is None else as_array(external_wrench, (6,), "external_wrench").tolist()
+        wrench = (
+            None
+            if external_wrench is None
+            else as_array(external_wrench, (6,), "external_wrench").tolist()
+        )
         self.advance(np.clip(numbers, -limits, limits).tolist(), wrench)
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
-        """Step without checks, for loops: `torques` must be within the limits; `wrench` may be None."""
+        """Step without checks, for loops: `torques` must be within the limits; `wrench` may be
+        None.
+        """
         self.simulator.advance(torques, wrench)
         self._core_is_current = False
 
     def look(self) -> Snapshot:
-        """Return the current state of hand, object and contacts, and the contact forces of the last step.
+        """Return the current state of hand, object and contacts, and the contact forces of the last
+        step.
 
         Raises:
             SimulationError: The simulation diverged, or the scene is closed.
@@ -175,12 +201,17 @@ class Scene:
     def _build(self, angles: Array) -> None:
         self.simulator.load(self.config, angles)
         self.gravity = np.array(self.config.gravity, dtype=float)
-        self.core = core.Scene.make(self.kinematics.tree, self.config.object.surface, self.config.gravity)
+        self.core = core.Scene.make(
+            self.kinematics.tree, self.config.object.surface, self.config.gravity
+        )
         self._snapshot = Snapshot(**self.core.arrays())
         self._core_is_current = False
 
     def divergence_error(self, reading: Array) -> SimulationError:
-        """Return the error for a reading that `core.read` rejected. Also force the next `look` to read the simulator again."""
+        """Return the error for a reading that `core.read` rejected.
+
+        Also force the next `look` to read the simulator again.
+        """
         self._core_is_current = False
         body = reading[2 * len(self._snapshot.angles) :]
         return SimulationError(
@@ -191,4 +222,8 @@ class Scene:
 
 def _start_angles(config: SceneConfig, kinematics: HandKinematics) -> Array:
     """Return the joint angles at the start [rad], (M,)."""
-    return np.array(config.start_angles) if config.start_angles else kinematics.solve(config.nominal_tips())
+    return (
+        np.array(config.start_angles)
+        if config.start_angles
+        else kinematics.solve(config.nominal_tips())
+    )

@@ -10,8 +10,9 @@ from grasp_env.inputs.arguments import Array
 class Snapshot(NamedTuple):
     """Views of the core's struct of that name, which the next reading overwrites; N tips, M joints.
 
-    The geometry is computed from the current poses, for spherical tips and the object's surface. An engine's own contact points belong
-    to the start of the last step, and a finger that does not touch has none. Only the forces are the engine's.
+    The geometry is computed from the current poses, for spherical tips and the object's surface. An
+    engine's own contact points belong to the start of the last step, and a finger that does not
+    touch has none. Only the forces are the engine's.
     """
 
     position: Array  # (3,) centre of the object [m], world frame
@@ -26,7 +27,9 @@ class Snapshot(NamedTuple):
     slip: Array  # (N,) tangential speed of the tip relative to the object [m/s]
     touching: Array  # (N,) 1.0 if the tip carried force in the last step, else 0.0
     forces: Array  # (N, 3) measured force of each tip ON the object [N], object frame
-    stray: Array  # (1,) total force on the object [N] of other links, and of tips' links more than 5 mm from the tip's point
+    # (1,) total force on the object [N] of other links, and of tips' links more than 5 mm from the
+    # tip's point
+    stray: Array
     gravity_torques: Array  # (M,) joint torques that carry the weight of the links [N m]
     angles: Array  # (M,) joint angles [rad]
     rates: Array  # (M,) joint rates [rad/s]

@@ -8,14 +8,18 @@ from xml.etree.ElementTree import Element, TreeBuilder, XMLParser
 
 
 class _Builder(TreeBuilder):
-    """Tree of an XML file without entities of its own, a few lines of which can expand to gigabytes."""
+    """Tree of an XML file without entities of its own, a few lines of which can expand to
+    gigabytes.
+    """
 
     def doctype(self, *_: Any) -> NoReturn:
         raise ValueError("it holds a DOCTYPE; leave it out")
 
 
 def read_xml(blob: bytes) -> Element:
-    """Return the first element of an XML file without a DOCTYPE; comments before its declaration are skipped."""
+    """Return the first element of an XML file without a DOCTYPE; comments before its declaration
+    are skipped.
+    """
     if blob.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         blob = blob.decode("utf-16").encode()
     try:
@@ -24,5 +28,9 @@ def read_xml(blob: bytes) -> Element:
     except UnicodeDecodeError:  # only names and comments have such letters
         encoding = "iso-8859-1"
     parser = XMLParser(target=_Builder(), encoding=encoding)
-    parser.feed(blob[max(0, blob.find(b"<?xml")) :] if blob.lstrip().startswith((b"<?xml", b"<!--")) else blob)
+    parser.feed(
+        blob[max(0, blob.find(b"<?xml")) :]
+        if blob.lstrip().startswith((b"<?xml", b"<!--"))
+        else blob
+    )
     return parser.close()

@@ -14,6 +14,18 @@ from grasp_env.task.disturbance import (
 from grasp_env.task.tasks import Hold, Move, Payload, SixDirections, Task
 
 __all__ = [
-    "ConstantWrench", "Disturbance", "DisturbanceSettings", "Disturbed", "Hold", "Impulses", "Move",
-    "NoDisturbance", "PaperPath", "Payload", "RandomWrench", "SixDirections", "Task", "TiltingGravity",
-]  # fmt: skip
+    "ConstantWrench",
+    "Disturbance",
+    "DisturbanceSettings",
+    "Disturbed",
+    "Hold",
+    "Impulses",
+    "Move",
+    "NoDisturbance",
+    "PaperPath",
+    "Payload",
+    "RandomWrench",
+    "SixDirections",
+    "Task",
+    "TiltingGravity",
+]

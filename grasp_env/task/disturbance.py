@@ -1,6 +1,8 @@
-"""Disturbances of the object over an episode: external wrenches and tilting gravity, one row per control tick.
+"""Disturbances of the object over an episode: external wrenches and tilting gravity, one row per
+control tick.
 
-A disturbance is called as f(times, rng, settings); it is a record of `DISTURBANCES` or a user's function.
+A disturbance is called as f(times, rng, settings); it is a record of `DISTURBANCES` or a user's
+function.
 """
 
 from __future__ import annotations
@@ -47,22 +49,33 @@ class Disturbed:
 
 
 Disturbance: TypeAlias = "Callable[[Array, np.random.Generator, Any], ArrayLike | Disturbed]"
-"""Function f(times, rng, settings) -> (T, 6) wrenches [N, N m] in the object frame, or a `Disturbed`.
+"""Function f(times, rng, settings) -> (T, 6) wrenches [N, N m] in the object frame, or a
+`Disturbed`.
 
-times: (T,) times of the control ticks [s]; rng: the episode's own generator; settings: the environment's `EnvConfig`. If the order of draws
-from rng does not depend on T, a seed gives the same disturbance in a longer episode.
+times: (T,) times of the control ticks [s]; rng: the episode's own generator; settings: the
+environment's `EnvConfig`. If the order of draws from rng does not depend on T, a seed gives the
+same disturbance in a longer episode.
 """
 
 
 def name_of(disturbance: Disturbance | None) -> str:
     """Return the name of a built-in disturbance or of a function; "" if it has none."""
-    name = disturbance.name if isinstance(disturbance, DisturbanceSettings) else getattr(disturbance, "__name__", "")
+    name = (
+        disturbance.name
+        if isinstance(disturbance, DisturbanceSettings)
+        else getattr(disturbance, "__name__", "")
+    )
     return name if isinstance(name, str) else ""
 
 
-def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings: Any) -> tuple[Array, Array]:
-    """Return the external wrench (T, 6) [N, N m], object frame, and the gravity (T, 3) [m/s^2], world frame, of a disturbance."""
-    what, rows = f"the disturbance {name_of(rule) or shown(rule)}", len(times)
+def disturb(
+    rule: Disturbance, times: Array, rng: np.random.Generator, settings: Any
+) -> tuple[Array, Array]:
+    """Return the external wrench (T, 6) [N, N m], object frame, and the gravity (T, 3) [m/s^2],
+    world frame, of a disturbance.
+    """
+    what = f"the disturbance {name_of(rule) or shown(rule)}"
+    rows = len(times)
     takes = "a disturbance takes (times, rng, settings) and returns (T, 6) wrenches [N, N m], a row per tick"
     made = call_user(rule, times.copy(), rng, settings, what=what, takes=takes)
     if made is None:
@@ -70,19 +83,29 @@ def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings:
             f"what {what} returns must be (T, 6) wrenches [N, N m] or a Disturbed, got None: does it end in a return?"
         )
     acts = made if isinstance(made, Disturbed) else Disturbed(made)
-    wrench, gravity = np.zeros((rows, 6)), np.tile(settings.gravity, (rows, 1))
+    wrench = np.zeros((rows, 6))
+    gravity = np.tile(settings.gravity, (rows, 1))
     if acts.wrench is not None:
-        wrench = as_array(acts.wrench, (rows, 6), f"what {what} returns (wrench [N, N m], a row per tick)", ranges.SIZE)
+        wrench = as_array(
+            acts.wrench,
+            (rows, 6),
+            f"what {what} returns (wrench [N, N m], a row per tick)",
+            ranges.SIZE,
+        )
     if acts.gravity is not None:
         gravity = as_array(
-            acts.gravity, (rows, 3), f"what {what} returns (gravity [m/s^2], a row per tick)", ranges.SIZE
+            acts.gravity,
+            (rows, 3),
+            f"what {what} returns (gravity [m/s^2], a row per tick)",
+            ranges.SIZE,
         )
     return wrench, gravity
 
 
 @dataclass(frozen=True)
 class DisturbanceSettings(Settings):
-    """Base class of the built-in disturbances: records of their settings that are called like a user's function.
+    """Base class of the built-in disturbances: records of their settings that are called like a
+    user's function.
 
     Example:
         >>> from grasp_env.config import EnvConfig
@@ -90,7 +113,9 @@ class DisturbanceSettings(Settings):
         array([ 0.5 ,  0.25, -0.3 ])
     """
 
-    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> ArrayLike | Disturbed:
+    def __call__(
+        self, times: Array, rng: np.random.Generator, settings: Any
+    ) -> ArrayLike | Disturbed:
         """See `Disturbance`."""
         return Disturbed()
 
@@ -109,7 +134,10 @@ class ConstantWrench(DisturbanceSettings):
     name: ClassVar[str] = "constant"
 
     value: tuple[float, ...] = setting(
-        (1.0, 0.5, -0.6, -0.1, 0.2, 0.0), numbers(6), "Force and moment, object frame.", unit="N, N m"
+        (1.0, 0.5, -0.6, -0.1, 0.2, 0.0),
+        numbers(6),
+        "Force and moment, object frame.",
+        unit="N, N m",
     )
     scale: float = setting(1.0, real(), "Factor on the wrench.")
 
@@ -122,8 +150,9 @@ class ConstantWrench(DisturbanceSettings):
 class PaperPath(DisturbanceSettings):
     """The paper's W_ext(t).
 
-    Its moment about z peaks at 1 N m, which takes 153 N of normal force and 9 N m at the joints. A tenth of it takes about 1 N m, which
-    motors of a hand of this size can deliver (the simulated joints allow 12 N m).
+    Its moment about z peaks at 1 N m, which takes 153 N of normal force and 9 N m at the joints. A
+    tenth of it takes about 1 N m, which motors of a hand of this size can deliver (the simulated
+    joints allow 12 N m).
     """
 
     name: ClassVar[str] = "paper_path"
@@ -137,12 +166,18 @@ class PaperPath(DisturbanceSettings):
 
 @dataclass(frozen=True)
 class RandomWrench(DisturbanceSettings):
-    """An Ornstein-Uhlenbeck process per axis; it starts at zero, as the hand settled without a wrench."""
+    """An Ornstein-Uhlenbeck process per axis; it starts at zero, as the hand settled without a
+    wrench.
+    """
 
     name: ClassVar[str] = "random"
 
-    force: float = setting(0.6, real(NOT_NEGATIVE), "Standard deviation of the force along each axis.", unit="N")
-    moment: float = setting(0.02, real(NOT_NEGATIVE), "Standard deviation of the moment about each axis.", unit="N m")
+    force: float = setting(
+        0.6, real(NOT_NEGATIVE), "Standard deviation of the force along each axis.", unit="N"
+    )
+    moment: float = setting(
+        0.02, real(NOT_NEGATIVE), "Standard deviation of the moment about each axis.", unit="N m"
+    )
     time: float = setting(0.3, real(POSITIVE), "Correlation time.", unit="s")
 
     def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Array:
@@ -153,8 +188,11 @@ class RandomWrench(DisturbanceSettings):
         path *= math.sqrt(-math.expm1(-2.0 * decay)) * np.repeat([self.force, self.moment], 3)
         path[0] = 0.0
         keep = math.exp(-decay)
-        for column in path.T:  # scipy.signal.lfilter computes the same, but takes half a second to import
-            column[:] = list(accumulate(column.tolist(), lambda before, drawn: drawn + keep * before))
+        # scipy.signal.lfilter computes the same, but takes half a second to import
+        for column in path.T:
+            column[:] = list(
+                accumulate(column.tolist(), lambda before, drawn: drawn + keep * before)
+            )
         return path
 
 
@@ -162,14 +200,19 @@ class RandomWrench(DisturbanceSettings):
 class Impulses(DisturbanceSettings):
     """Half-sine pushes and twists in random directions, with exponential waits between them.
 
-    Each row is the mean over its tick, so an impulse of any duration delivers 2 / pi * force * time [N s]. Impulses never overlap: a wait
-    runs from the end of one to the start of the next, and starts are at least a tick apart.
+    Each row is the mean over its tick, so an impulse of any duration delivers 2 / pi * force * time
+    [N s]. Impulses never overlap: a wait runs from the end of one to the start of the next, and
+    starts are at least a tick apart.
     """
 
     name: ClassVar[str] = "impulses"
 
-    force: float = setting(5.0, real(NOT_NEGATIVE), "Peak force, in a direction uniform on the sphere.", unit="N")
-    moment: float = setting(0.1, real(NOT_NEGATIVE), "Peak moment, in another direction.", unit="N m")
+    force: float = setting(
+        5.0, real(NOT_NEGATIVE), "Peak force, in a direction uniform on the sphere.", unit="N"
+    )
+    moment: float = setting(
+        0.1, real(NOT_NEGATIVE), "Peak moment, in another direction.", unit="N m"
+    )
     time: float = setting(0.05, real(POSITIVE), "Duration of an impulse.", unit="s")
     interval: float = setting(0.5, real(POSITIVE), "Mean of the waits.", unit="s")
 
@@ -177,12 +220,18 @@ class Impulses(DisturbanceSettings):
         """See `Disturbance`."""
         tick = 1.0 / settings.controller.rate
         length = max(self.time, 1e-6 * tick)
-        steps, peaks = [np.array([-length])], [np.zeros((1, 6))]  # a first impulse of zero, which ends at time 0
-        end, reached = len(times) * tick, -length
+        steps = [np.array([-length])]
+        peaks = [np.zeros((1, 6))]  # a first impulse of zero, which ends at time 0
+        end = len(times) * tick
+        reached = -length
         while reached <= end:
             direction = rng.standard_normal((_BLOCK, 2, 3))
-            direction *= np.array([[self.force], [self.moment]]) / np.sqrt((direction**2).sum(axis=2, keepdims=True))
-            steps.append(np.maximum(length + self.interval * rng.standard_exponential(_BLOCK), tick))
+            direction *= np.array([[self.force], [self.moment]]) / np.sqrt(
+                (direction**2).sum(axis=2, keepdims=True)
+            )
+            steps.append(
+                np.maximum(length + self.interval * rng.standard_exponential(_BLOCK), tick)
+            )
             peaks.append(direction.reshape(_BLOCK, 6))
             reached += float(steps[-1].sum())
         starts = np.cumsum(np.concatenate(steps))
@@ -191,15 +240,17 @@ class Impulses(DisturbanceSettings):
         edges = np.arange(len(times) + 1) * tick
         last = np.searchsorted(starts, edges, side="right") - 1
         part = 0.5 - 0.5 * np.cos(np.pi * np.clip((edges - starts[last]) / length, 0.0, 1.0))
-        return np.ascontiguousarray(np.diff(before[last] + part[:, None] * given[last], axis=0) / tick)
+        return np.ascontiguousarray(
+            np.diff(before[last] + part[:, None] * given[last], axis=0) / tick
+        )
 
 
 @dataclass(frozen=True)
 class TiltingGravity(DisturbanceSettings):
     """Gravity swings about a random horizontal axis, as if the hand were tilted slowly.
 
-    The swing is a sinusoid that fades in over its first period, so it starts upright and at rest. The accelerations of a hand that really
-    tilts are left out.
+    The swing is a sinusoid that fades in over its first period, so it starts upright and at rest.
+    The accelerations of a hand that really tilts are left out.
     """
 
     name: ClassVar[str] = "tilting_gravity"
@@ -209,7 +260,8 @@ class TiltingGravity(DisturbanceSettings):
 
     def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Disturbed:
         """See `Disturbance`."""
-        gravity, heading = np.array(settings.gravity), 2.0 * np.pi * rng.random()
+        gravity = np.array(settings.gravity)
+        heading = 2.0 * np.pi * rng.random()
         size = float(np.sqrt((gravity**2).sum()))
         if size == 0.0:
             return Disturbed()
@@ -219,14 +271,20 @@ class TiltingGravity(DisturbanceSettings):
         sideways = np.cos(heading) * first + np.sin(heading) * np.cross(down, first)
         phase = times / max(self.period, 1.0 / settings.controller.rate)
         tilt = self.angle * blend(phase)[0] * np.sin(2.0 * np.pi * phase)
-        return Disturbed(gravity=size * (np.cos(tilt)[:, None] * down + np.sin(tilt)[:, None] * sideways))
+        return Disturbed(
+            gravity=size * (np.cos(tilt)[:, None] * down + np.sin(tilt)[:, None] * sideways)
+        )
 
 
 DISTURBANCES: dict[str, type[DisturbanceSettings]] = {
-    made.name: made for made in (NoDisturbance, ConstantWrench, PaperPath, RandomWrench, Impulses, TiltingGravity)
+    made.name: made
+    for made in (NoDisturbance, ConstantWrench, PaperPath, RandomWrench, Impulses, TiltingGravity)
 }
 """The built-in disturbances, by name."""
 DISTURBANCE = any_of(
-    DISTURBANCES, DisturbanceSettings, ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]", calls=True
-)  # fmt: skip
+    DISTURBANCES,
+    DisturbanceSettings,
+    ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]",
+    calls=True,
+)
 """Kind of a setting that holds a disturbance."""

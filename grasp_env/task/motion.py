@@ -13,22 +13,25 @@ MOTIONS: dict[str, str] = {
 }
 """The motions by name, with descriptions.
 
-During a rotation about z, the thumb at -z turns on the spot and the fingers at +z stay on their face: the built-in four-finger hand
-reaches beyond 90 degrees about z, 61 about y and 24 about x.
+During a rotation about z, the thumb at -z turns on the spot and the fingers at +z stay on their
+face: the built-in four-finger hand reaches beyond 90 degrees about z, 61 about y and 24 about x.
 """
 
 MOTION_SIZES: dict[str, float] = {"lift": 0.015, "shake": 0.015, "rotate": 0.3}
 """Default sizes [m], [m], [rad]."""
 
 TARGET_SIZE = 19
-POSITION, QUATERNION = slice(0, 3), slice(3, 7)
-LINEAR, ANGULAR = slice(7, 10), slice(10, 13)
+POSITION = slice(0, 3)
+QUATERNION = slice(3, 7)
+LINEAR = slice(7, 10)
+ANGULAR = slice(10, 13)
 LINEAR_ACCELERATION, ANGULAR_ACCELERATION = slice(13, 16), slice(16, 19)
 """Parts of a target row: [m], (x, y, z, w), [m/s], [rad/s], [m/s^2], [rad/s^2], world frame."""
 
 
 def blend(phase: Array) -> Array:
-    """Return the minimum-jerk step from 0 (phase <= 0) to 1 (phase >= 1) and its first two derivatives by phase, (3, T).
+    """Return the minimum-jerk step from 0 (phase <= 0) to 1 (phase >= 1) and its first two
+    derivatives by phase, (3, T).
 
     Example:
         >>> blend(np.array([-1.0, 0.5, 2.0]))[0]
@@ -54,13 +57,15 @@ def resting_target(ticks: int) -> Array:
 
 
 def motion_target(motion: str, times: Array, size: float, period: float) -> Array:
-    """Return the object's desired motion: one of `MOTIONS` at times (T,) [s] from 0 on, of a size [m or rad] and a period [s].
+    """Return the object's desired motion: one of `MOTIONS` at times (T,) [s] from 0 on, of a size
+    [m or rad] and a period [s].
 
-    As many whole periods as fit before `times[-1]` are done, then the object rests; if not even one fits, it is cut short.
-    A shake reaches its full size if three or more periods fit.
+    As many whole periods as fit before `times[-1]` are done, then the object rests; if not even one
+    fits, it is cut short. A shake reaches its full size if three or more periods fit.
 
     Returns:
-        (T, 19): position [m], quaternion (x, y, z, w), linear and angular velocity, linear and angular acceleration,
+        (T, 19): position [m], quaternion (x, y, z, w), linear and angular velocity, linear and
+        angular acceleration,
         world frame; the velocities and accelerations are the exact derivatives.
 
     Example:
@@ -69,7 +74,11 @@ def motion_target(motion: str, times: Array, size: float, period: float) -> Arra
     """
     target = resting_target(len(times))
     repeats = max(1.0, np.floor(times[-1] / period * (1.0 + 1e-12)))
-    path = _shake(times, period, repeats) if motion == "shake" else _there_and_back(times, period, repeats)
+    path = (
+        _shake(times, period, repeats)
+        if motion == "shake"
+        else _there_and_back(times, period, repeats)
+    )
     path *= size
     if motion == "rotate":
         target[:, QUATERNION.start + 2] = np.sin(0.5 * path[0])
@@ -83,7 +92,9 @@ def motion_target(motion: str, times: Array, size: float, period: float) -> Arra
 
 
 def _there_and_back(times: Array, period: float, repeats: float) -> Array:
-    """Return 0 to 1 in a third of each period, held, and back in the last third, with two derivatives by time: (3, T)."""
+    """Return 0 to 1 in a third of each period, held, and back in the last third, with two
+    derivatives by time: (3, T).
+    """
     phase = times / period
     phase = 3.0 * np.where(phase < repeats, phase - np.floor(phase), 0.0)
     rate = 3.0 / period
@@ -94,10 +105,15 @@ def _shake(times: Array, period: float, repeats: float) -> Array:
     """Return a unit sinusoid that fades in and out, with two derivatives by time: (3, T)."""
     fade = period * min(1.0, 0.5 * repeats)
     a, da, dda = blend(times / fade) * np.array([[1.0], [1.0 / fade], [1.0 / fade**2]])
-    b, db, ddb = blend((repeats * period - times) / fade) * np.array([[1.0], [-1.0 / fade], [1.0 / fade**2]])
-    envelope, rate, curve = a * b, da * b + a * db, dda * b + 2.0 * da * db + a * ddb
+    b, db, ddb = blend((repeats * period - times) / fade) * np.array(
+        [[1.0], [-1.0 / fade], [1.0 / fade**2]]
+    )
+    envelope = a * b
+    rate = da * b + a * db
+    curve = dda * b + 2.0 * da * db + a * ddb
     omega = 2.0 * np.pi / period
-    sine, cosine = np.sin(omega * times), np.cos(omega * times)
+    sine = np.sin(omega * times)
+    cosine = np.cos(omega * times)
     return np.stack(
         [
             envelope * sine,

@@ -16,12 +16,15 @@ from grasp_env.task.motion import MOTION_SIZES, MOTIONS, blend, motion_target, r
 PAYLOAD_RAMP = 0.1
 """Time [s] in which the mass of "payload" changes."""
 PUSH_RAMP = 0.05
-"""Time [s] in which a push of "six_directions" changes into the next, at most a quarter of `push_time`."""
+"""Time [s] in which a push of "six_directions" changes into the next, at most a quarter of
+`push_time`."""
 
 
 @dataclass(frozen=True)
 class Task(Settings):
-    """Base class of the tasks: records of their settings. A new task is a class here and an entry of `TASKS`.
+    """Base class of the tasks: records of their settings.
+
+    A new task is a class here and an entry of `TASKS`.
 
     Example:
         >>> Hold().duration, SixDirections(push_time=1.0).duration
@@ -39,7 +42,8 @@ class Task(Settings):
     max_tilt: ClassVar[float] = 0.35
     """Default angle [rad] at which the object counts as lost."""
     drift_limit: ClassVar[float] = math.inf
-    """Largest distance [m] of the object from its place for success; infinite: it only must not be lost."""
+    """Largest distance [m] of the object from its place for success; infinite: it only must not be
+    lost."""
     tilt_limit: ClassVar[float] = math.inf
     """Largest angle [rad] for success; infinite: it only must not be lost."""
     duration: ClassVar[Any] = 4.0
@@ -48,11 +52,15 @@ class Task(Settings):
     """A short description for pictures, with settings in braces."""
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
-        """Return the force (T, 3) [N] at the centre of an object of `mass` [kg], world frame, at `times` (T,) [s], `tick` [s] apart."""
+        """Return the force (T, 3) [N] at the centre of an object of `mass` [kg], world frame, at
+        `times` (T,) [s], `tick` [s] apart.
+        """
         return np.zeros((len(times), 3))
 
     def target(self, times: Array, tick: float) -> Array:
-        """Return the desired motion (T, 19) of the object, see `grasp_env.task.motion`; times and tick as in `push`."""
+        """Return the desired motion (T, 19) of the object, see `grasp_env.task.motion`; times and
+        tick as in `push`.
+        """
         return resting_target(len(times))
 
     def mass_factor(self, times: Array) -> Array:
@@ -60,7 +68,9 @@ class Task(Settings):
         return np.ones(len(times))
 
     def in_place(self, drift: float, tilt: float) -> bool:
-        """Return True if `drift` [m] from the wanted position and `tilt` [rad] from the wanted orientation are small enough for success."""
+        """Return True if `drift` [m] from the wanted position and `tilt` [rad] from the wanted
+        orientation are small enough for success.
+        """
         return bool(drift < self.drift_limit) and bool(tilt < self.tilt_limit)
 
 
@@ -82,9 +92,12 @@ class Move(Task):
 
     motion: str = setting("lift", one_of(MOTIONS), "Motion of the object.")
     size: float | None = setting(
-        None, real(POSITIVE), "Size of the motion: lift and shake in metres, rotate in radians.", unit="m or rad",
+        None,
+        real(POSITIVE),
+        "Size of the motion: lift and shake in metres, rotate in radians.",
+        unit="m or rad",
         none=f"{MOTION_SIZES['lift']:g} m, {MOTION_SIZES['rotate']:g} rad",
-    )  # fmt: skip
+    )
     period: float = setting(1.0, real(POSITIVE), "Duration of one motion.", unit="s")
 
     def target(self, times: Array, tick: float) -> Array:
@@ -110,7 +123,8 @@ class Payload(Task):
 
 @dataclass(frozen=True)
 class SixDirections(Task):
-    """Hold against pushes along +x, -x, +y, -y, +z, -z in one episode; success is to stay within 50 mm and 15 degrees.
+    """Hold against pushes along +x, -x, +y, -y, +z, -z in one episode; success is to stay within 50
+    mm and 15 degrees.
 
     DexGraspBench applies the same pushes, with a new grasp for each.
     """
@@ -121,7 +135,9 @@ class SixDirections(Task):
     max_drift = drift_limit = 0.05
     max_tilt = tilt_limit = math.radians(15.0)
 
-    push_per_mass: float = setting(10.0, real(NOT_NEGATIVE), "Force per mass of the object.", unit="N/kg")
+    push_per_mass: float = setting(
+        10.0, real(NOT_NEGATIVE), "Force per mass of the object.", unit="N/kg"
+    )
     push_time: float = setting(2.0, real(POSITIVE), "Duration of each push.", unit="s")
 
     @property
@@ -132,9 +148,11 @@ class SixDirections(Task):
     def push(self, times: Array, tick: float, mass: float) -> Array:
         """See `Task`: times [s], tick [s], mass [kg].
 
-        Each push changes into the next by a minimum-jerk ramp, as a step would need a jump of the contact forces.
+        Each push changes into the next by a minimum-jerk ramp, as a step would need a jump of the
+        contact forces.
         """
-        length, pushes = max(self.push_time, tick), np.zeros((8, 3))  # zero before the first push and after the last
+        length = max(self.push_time, tick)
+        pushes = np.zeros((8, 3))  # zero before the first push and after the last
         pushes[1:7:2] = self.push_per_mass * mass * np.eye(3)
         pushes[2:7:2] = -pushes[1:7:2]
         index = np.minimum(times / length, 6.0).astype(np.int64)

@@ -1,4 +1,5 @@
-"""`python -m benchmarks`: every benchmark is described by known columns, is saved and compared; wrong input gives one line."""
+"""`python -m benchmarks`: every benchmark is described by known columns, is saved and compared;
+wrong input gives one line."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from training.evaluation.results.table import numbers, read, summary
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[needs_bullet] if name == "env" else []) for name in BENCHMARKS]
+    "name",
+    [pytest.param(name, marks=[needs_bullet] if name == "env" else []) for name in BENCHMARKS],
 )
 def test_it_is_described_by_known_columns_and_settings(name, capsys):
     made = import_module(f"benchmarks.{name}").BENCHMARK
@@ -34,16 +36,33 @@ def test_it_is_described_by_known_columns_and_settings(name, capsys):
 
 
 def test_a_run_is_saved_told_and_compared(tmp_path, capsys):
-    words = ["scaling", "--quick", "--contacts", "3", "4", "--passes", "1", "--out", str(tmp_path), "--name"]
+    words = [
+        "scaling",
+        "--quick",
+        "--contacts",
+        "3",
+        "4",
+        "--passes",
+        "1",
+        "--out",
+        str(tmp_path),
+        "--name",
+    ]
     assert main([*words, "a"]) == 0
     told = capsys.readouterr().out
     assert told.startswith("QUICK")
     assert told.endswith(f"compare rows of one run\n{tmp_path / 'a'}\n")
     about = json.loads((tmp_path / "a/run.json").read_text())
-    assert (about["kind"], about["quick"], about["settings"]["contacts"]) == ("scaling", True, [3, 4])
+    assert (about["kind"], about["quick"], about["settings"]["contacts"]) == (
+        "scaling",
+        True,
+        [3, 4],
+    )
     assert main([*words, "b", "--compare", str(tmp_path / "a"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    before, now = (summary(read(tmp_path / name / "rows.csv"))["microseconds_median"] for name in "ab")
+    before, now = (
+        summary(read(tmp_path / name / "rows.csv"))["microseconds_median"] for name in "ab"
+    )
     assert [row["microseconds_median"] for row in found["rows"]] == now.tolist()
     ratios = [row["ratio"] for row in found["compared"] if row["measure"] == "microseconds_median"]
     assert ratios == pytest.approx((now / before).tolist())
@@ -54,7 +73,9 @@ def test_a_run_is_saved_told_and_compared(tmp_path, capsys):
 def test_batches(monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     rows = batch.run(batch.BatchSettings(wrenches=200, rounds=2))
-    assert rows["method"].value_counts().to_dict() == dict.fromkeys(batch.KINDS, 4) | {"peak of the process": 1}
+    assert rows["method"].value_counts().to_dict() == dict.fromkeys(batch.KINDS, 4) | {
+        "peak of the process": 1
+    }
     one, both = (numbers(rows[rows["workers"] == count], "per_second") for count in (1, 2))
     np.testing.assert_allclose(numbers(rows.dropna(subset="ratio"), "ratio"), one / both)
     assert {*rows["solves"].dropna()} == {200}

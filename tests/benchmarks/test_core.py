@@ -1,4 +1,5 @@
-"""Two checkouts beside each other: this one against itself, joined lines by hand, and what cannot be compared."""
+"""Two checkouts beside each other: this one against itself, joined lines by hand, and what cannot
+be compared."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ ROOT = Path(__file__).parents[2]
 
 
 def checkout(folder: Path, source: str = "") -> Path:
-    """A checkout that runs this interpreter and notes each time that it does: this one's grasp_env, or one of that source."""
+    """A checkout that runs this interpreter and notes each time that it does: this one's grasp_env,
+    or one of that source."""
     python = folder / ".venv/bin/python"
     python.parent.mkdir(parents=True)
     python.write_text(f'#!/bin/sh\necho >>"{folder}/runs"\nexec "{sys.executable}" "$@"\n')
@@ -52,22 +54,33 @@ def test_against_itself(tmp_path):
 def test_lines_are_joined():
     keys = ("side", "turn", "problem", "microseconds", "objective")
     lines = [
-        ("now", 0, 0, 2.0, 1.1), ("now", 0, 1, 4.0, None), ("baseline", 0, 0, 1.0, 1.0), ("baseline", 0, 1, 3.0, 5.0),
-        ("now", 1, 0, 3.0, 1.1), ("now", 1, 1, 1.0, None), ("baseline", 1, 0, 2.0, 1.0), ("baseline", 1, 1, 2.0, 5.0),
-    ]  # fmt: skip
+        ("now", 0, 0, 2.0, 1.1),
+        ("now", 0, 1, 4.0, None),
+        ("baseline", 0, 0, 1.0, 1.0),
+        ("baseline", 0, 1, 3.0, 5.0),
+        ("now", 1, 0, 3.0, 1.1),
+        ("now", 1, 1, 1.0, None),
+        ("baseline", 1, 0, 2.0, 1.0),
+        ("baseline", 1, 1, 2.0, 5.0),
+    ]
     given = pd.DataFrame(lines, columns=keys).assign(method="a", contacts=4)
     lost = pd.DataFrame([{"method": "b", "contacts": 4, "side": "baseline", "reason": "no b"}])
     rows = join(joined(pd.concat([given.astype(object), given[:1].assign(method="b"), lost])))
     calls = rows[rows["case"] == CALL]
     assert calls[["side", "problem", "microseconds", "failed"]].to_numpy().tolist() == [
-        ["now", 0, 2.0, False], ["now", 1, 1.0, True], ["baseline", 0, 1.0, False], ["baseline", 1, 2.0, False],
-    ]  # fmt: skip
+        ["now", 0, 2.0, False],
+        ["now", 1, 1.0, True],
+        ["baseline", 0, 1.0, False],
+        ["baseline", 1, 2.0, False],
+    ]
     assert calls["apart"].tolist() == pytest.approx([0.1, np.nan, 0.0, 0.0], nan_ok=True)
     assert rows.loc[rows["case"] == RATIO, "ratio"].tolist() == [
         1.5,
         1.0,
     ]  # medians of a round: 3 over 2, then 2 over 2
-    assert rows.loc[rows["method"] == "b", ["side", "reason"]].to_numpy().tolist() == [["baseline", "no b"]]
+    assert rows.loc[rows["method"] == "b", ["side", "reason"]].to_numpy().tolist() == [
+        ["baseline", "no b"]
+    ]
 
 
 def test_what_cannot_be_compared_says_why(tmp_path):
@@ -76,7 +89,11 @@ def test_what_cannot_be_compared_says_why(tmp_path):
     for baseline, kind, said in (
         (tmp_path / "none", InvalidInputError, r"none is no installed checkout .* make -C"),
         (ends, GraspError, "ended: no such thing"),
-        (checkout(tmp_path / "elsewhere", import_it), InvalidInputError, "imports grasp_env from elsewhere"),
+        (
+            checkout(tmp_path / "elsewhere", import_it),
+            InvalidInputError,
+            "imports grasp_env from elsewhere",
+        ),
     ):
         with pytest.raises(kind, match=said):
             run(CoreSettings((3,), 8, 1, 1, baseline=baseline), ("newton",))

@@ -13,11 +13,16 @@ env = pytest.importorskip("benchmarks.env", exc_type=MissingExtraError)
 
 def test_steps_resets_and_memory(monkeypatch):
     rows = table(env.steps_beside_bare("usual", {}, 0, 2))
-    step, bare = (rows[rows["case"] == case].reset_index() for case in ("step", "bare PyBullet calls of the step"))
+    step, bare = (
+        rows[rows["case"] == case].reset_index()
+        for case in ("step", "bare PyBullet calls of the step")
+    )
     assert step["problem"].tolist() == bare["problem"].tolist() == [0, 1]  # one more was warm-up
     assert (step["microseconds"] > bare["microseconds"]).any()
     assert step["microseconds"].between(10.0, 1e5).all()
-    assert step["ratio"].tolist() == pytest.approx((step["microseconds"] / bare["microseconds"]).tolist())
+    assert step["ratio"].tolist() == pytest.approx(
+        (step["microseconds"] / bare["microseconds"]).tolist()
+    )
     assert step["per_second"].tolist() == pytest.approx((1e6 / step["microseconds"]).tolist())
     rows = table(env.reset_times("new", {"randomize": ("mass",)}, 0, 3))
     assert rows["problem"].tolist() == [0, 1, 2]

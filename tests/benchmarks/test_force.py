@@ -21,7 +21,8 @@ from grasp_env.grasp import Grasp, presets
 
 TRACKS = names()
 LARGEST_DISTANCE = {"double": 1e-10, "exact": 3e-16}
-"""Largest relative difference between a stored optimum and one that is computed again: the gap that doubles aim at, or their last bit."""
+"""Largest relative difference between a stored optimum and one that is computed again: the gap that
+doubles aim at, or their last bit."""
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 
 
@@ -32,7 +33,8 @@ def made(wrench=WRENCH, **other) -> Problem:
 PROBLEM = made()
 MEASURE = Measure.of(PROBLEM)
 OPTIMUM = ForceOptimizer(presets.paper_cuboid(), method="conic", tolerance=1e-10).solve(WRENCH)
-FORCE, BEST = OPTIMUM.force.reshape(-1), OPTIMUM.objective
+FORCE = OPTIMUM.force.reshape(-1)
+BEST = OPTIMUM.objective
 ONE_SIDE = np.tile(np.array(presets.paper_cuboid().frames)[0], (4, 1, 1))
 """Four fingers that push the same way: they cannot push back."""
 PULLED = made([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], frames=ONE_SIDE)
@@ -45,7 +47,12 @@ def test_a_file_is_made_by_its_seed_and_its_references_hold(name):
     assert again.digest() == track.about["sha256"]
     for key in ("modes", "objectives"):
         assert again.about[key] == tuple(track.about[key])
-    assert again.about["place"] == track.about["place"] == TRACKS.index(name) == list(generate.TRACKS).index(name)
+    assert (
+        again.about["place"]
+        == track.about["place"]
+        == TRACKS.index(name)
+        == list(generate.TRACKS).index(name)
+    )
     # a part of the sessions; `validate` checks all of them
     assert check.check(replace(track, sessions=track.sessions[::4])) == []
 
@@ -69,12 +76,16 @@ def test_sessions_of_one_description_are_told_apart(tmp_path):
 def test_a_changed_file_is_refused(change, words, tmp_path):
     problems.save(load("soft"), tmp_path)
     about = json.loads((tmp_path / "soft.json").read_text())
-    (tmp_path / "soft.json").write_text(json.dumps({"schema": 1} if change is None else about | change))
+    (tmp_path / "soft.json").write_text(
+        json.dumps({"schema": 1} if change is None else about | change)
+    )
     with pytest.raises(ValueError, match=words):
         load("soft", tmp_path)
     (tmp_path / "soft.json").write_text(json.dumps(about))
     (tmp_path / "soft.npz").write_bytes((tmp_path / "soft.npz").read_bytes()[:999])
-    with pytest.raises(ValueError, match="is not a track of this version: File is not a zip file; make it again"):
+    with pytest.raises(
+        ValueError, match="is not a track of this version: File is not a zip file; make it again"
+    ):
         load("soft", tmp_path)
 
 
@@ -82,16 +93,23 @@ def one_of(name: str, session: int = 0, m: int = 1) -> tuple[problems.Track, pro
     """A track with one problem, and its session."""
     track = load(name)
     whole = track.sessions[session]
-    arrays = {field: array[m : m + 1] if len(array) > 1 else array for field, array in whole.arrays.items()}
+    arrays = {
+        field: array[m : m + 1] if len(array) > 1 else array
+        for field, array in whole.arrays.items()
+    }
     references = {
-        objective: problems.Reference(**{key: a[m : m + 1] for key, a in vars(stored).items() if a is not None})
+        objective: problems.Reference(
+            **{key: a[m : m + 1] for key, a in vars(stored).items() if a is not None}
+        )
         for objective, stored in whole.references.items()
     }
     one = problems.Session("", arrays, references)
     return replace(track, sessions=[one]), one
 
 
-@pytest.mark.parametrize("field", ["value", "lower", "upper", "other", "force", "multipliers", "rest"])
+@pytest.mark.parametrize(
+    "field", ["value", "lower", "upper", "other", "force", "multipliers", "rest"]
+)
 @pytest.mark.parametrize("name", ["roll", "own", "soft", "hard", "infeasible"])
 def test_a_falsified_reference_is_found(name, field):
     track, one = one_of(name)
@@ -101,28 +119,47 @@ def test_a_falsified_reference_is_found(name, field):
         if right is None:
             continue
         if field in ("force", "multipliers", "rest"):
-            numbers = stored.multipliers if field == "multipliers" else np.nan_to_num(stored.force, nan=1.0)
-            change = 1e-3 * np.abs(numbers).max() * np.random.default_rng(0).standard_normal(right.shape)
-            wrong = -right if right is stored.multipliers and name == "infeasible" else np.nan_to_num(right) + change
+            numbers = (
+                stored.multipliers
+                if field == "multipliers"
+                else np.nan_to_num(stored.force, nan=1.0)
+            )
+            change = (
+                1e-3 * np.abs(numbers).max() * np.random.default_rng(0).standard_normal(right.shape)
+            )
+            wrong = (
+                -right
+                if right is stored.multipliers and name == "infeasible"
+                else np.nan_to_num(right) + change
+            )
         else:
             size = {"value": 3e-9, "other": 3e-8}.get(field, 1e-10)
             wrong = np.where(np.isfinite(right), right * (1.0 + size), 1.0)
-        changed = replace(one, references=one.references | {objective: replace(stored, **{field: wrong})})
+        changed = replace(
+            one, references=one.references | {objective: replace(stored, **{field: wrong})}
+        )
         faults = check.check(replace(track, sessions=[changed]))
         assert faults, (objective, field)
         assert all(f"problem 0, {objective}: " in fault for fault in faults)
 
 
 def remake(track: problems.Track, session: problems.Session) -> None:
-    """References made anew hold, and have the stored optima; where there are many digits, also the same least Phi's force."""
-    objectives, digits = track.about["objectives"], track.about["digits"]
+    """References made anew hold, and have the stored optima; where there are many digits, also the
+    same least Phi's force."""
+    objectives = track.about["objectives"]
+    digits = track.about["digits"]
     made = references.refer(session, objectives, digits)
-    again = problems.Track(track.name, [replace(session, references=made)], {"objectives": objectives})
+    again = problems.Track(
+        track.name, [replace(session, references=made)], {"objectives": objectives}
+    )
     assert check.check(again) == []
     for objective, stored in session.references.items():
         assert references.distance(stored, made[objective]) <= LARGEST_DISTANCE[digits]
         if digits == "exact" and objective == "phi":
-            forces = [all_digits(each.force, each.rest[:, : each.force.shape[1]]) for each in (stored, made[objective])]
+            forces = [
+                all_digits(each.force, each.rest[:, : each.force.shape[1]])
+                for each in (stored, made[objective])
+            ]
             assert (np.abs(forces[1] - forces[0]).max(1) < 1e-18 * np.abs(forces[0]).max(1)).all()
 
 
@@ -161,15 +198,21 @@ def test_the_program_compares_references_with_stored_ones(tmp_path, capsys):
 
 
 def test_what_has_no_digits_is_told():
-    soft, nothing = load("soft").sessions[0].problems[0], made(np.zeros(6))
-    for problem, words in ((soft, "hard contacts without limits"), (nothing, "no wrench"), (PULLED, "no force")):
+    soft = load("soft").sessions[0].problems[0]
+    nothing = made(np.zeros(6))
+    for problem, words in (
+        (soft, "hard contacts without limits"),
+        (nothing, "no wrench"),
+        (PULLED, "no force"),
+    ):
         with pytest.raises(ArithmeticError, match=words):
             references.exact(problem, "sum")
 
 
 @pytest.mark.parametrize(("track", "session"), [("smooth", 1), ("lost", 0)])
 def test_many_digits_agree_with_the_package_s_bounds(track, session):
-    """In tracks that doubles settle, many digits give the stored optimum, also if a contact does not touch. `other` is Clarabel's."""
+    """In tracks that doubles settle, many digits give the stored optimum, also if a contact does
+    not touch. `other` is Clarabel's."""
     _, one = one_of(track, session, m=15)
     for objective, stored in one.references.items():
         found = references.exact(one.problems[0], objective)
@@ -178,7 +221,8 @@ def test_many_digits_agree_with_the_package_s_bounds(track, session):
         assert found.gap <= 1e-15
         force = all_digits(found.force, found.rest[: len(found.force)])
         with mp.workdps(references.DIGITS):
-            assert np.abs(references.exact_measure(one.problems[0]).missed(force)).max() < 1e-25  # doubles leave 1e-16
+            # doubles leave 1e-16
+            assert np.abs(references.exact_measure(one.problems[0]).missed(force)).max() < 1e-25
 
 
 def test_a_problem_holds_the_package_s_matrices():
@@ -186,15 +230,24 @@ def test_a_problem_holds_the_package_s_matrices():
     grasp = presets.paper_cuboid()
     np.testing.assert_allclose(PROBLEM.matrix, grasp.matrix, atol=1e-15)
     rng = np.random.default_rng(0)
-    jacobian, limit, bias = rng.standard_normal((4, 6, 5)), rng.uniform(1.0, 2.0, 5), 0.1 * rng.standard_normal(5)
-    soft = Grasp.from_contacts(grasp.positions, grasp.normals, 0.4, contact_model="soft", torsional_friction=0.01)
-    given = {"min_normal": np.array([0.0, 1.0, 0.5, 0.0]), "max_normal": np.array([5.0, np.inf, 4.0, 9.0])}
+    jacobian = rng.standard_normal((4, 6, 5))
+    limit = rng.uniform(1.0, 2.0, 5)
+    bias = 0.1 * rng.standard_normal(5)
+    soft = Grasp.from_contacts(
+        grasp.positions, grasp.normals, 0.4, contact_model="soft", torsional_friction=0.01
+    )
+    given = {
+        "min_normal": np.array([0.0, 1.0, 0.5, 0.0]),
+        "max_normal": np.array([5.0, np.inf, 4.0, 9.0]),
+    }
     torques = {"jacobian": jacobian, "torque_limit": limit, "torque_bias": bias}
     problem = made(torsional_friction=np.full(4, 0.01), **given, **torques)
     rows = ForceLimits(**given, **torques).rows(soft)
     np.testing.assert_allclose(problem.limit_matrix, rows.matrix, atol=1e-14)
     np.testing.assert_allclose(problem.limit_bound, rows.bound, atol=1e-14)
-    np.testing.assert_allclose(problem.matrix.reshape(6, 4, 4)[:, :, 3], soft.torsion_matrix, atol=1e-15)
+    np.testing.assert_allclose(
+        problem.matrix.reshape(6, 4, 4)[:, :, 3], soft.torsion_matrix, atol=1e-15
+    )
     lost = made(touching=np.array([True, True, False, True]), **given, **torques)
     assert lost.limit_bound[1] == 0.0  # no least normal force
     assert not np.concatenate([lost.matrix, lost.limit_matrix])[:, 6:9].any()
@@ -203,7 +256,9 @@ def test_a_problem_holds_the_package_s_matrices():
 def test_objectives_against_the_oracle():
     force = FORCE + np.tile([1.0, 0.0, 0.0], 4)
     x = presets.paper_cuboid().to_cone(force.reshape(4, 3))
-    assert MEASURE.objective("phi", force) == pytest.approx(phi(x, np.tile([1.0, 0.01], (4, 1))), rel=1e-12)
+    assert MEASURE.objective("phi", force) == pytest.approx(
+        phi(x, np.tile([1.0, 0.01], (4, 1))), rel=1e-12
+    )
     assert MEASURE.objective("sum", force) == pytest.approx(force[::3].sum(), rel=1e-14)
 
 
@@ -223,7 +278,8 @@ def test_scores_by_hand():
     slid[1] += 2.0 * PROBLEM.friction[0] * FORCE[0]
     assert score(PROBLEM, "sum", BEST, parts_of(PROBLEM, slid))["violation"] > 0.1
     soft = made(torsional_friction=np.full(4, 0.01))
-    turned = np.column_stack([FORCE.reshape(4, 3), [0.0, 0.0, 0.0, -0.03 * FORCE[9]]])  # three times what it transmits
+    # three times what it transmits
+    turned = np.column_stack([FORCE.reshape(4, 3), [0.0, 0.0, 0.0, -0.03 * FORCE[9]]])
     assert Measure.of(soft).violation(turned) == pytest.approx(2.0 * FORCE[9] / FORCE[::3].max())
     held = made(max_normal=np.full(4, 2.0))
     over = score(held, "sum", BEST, parts_of(held, FORCE))["limit_excess"]
@@ -239,7 +295,8 @@ def test_scores_by_hand():
 
 
 @pytest.mark.parametrize(
-    "answer", [None, np.full(12, np.nan), np.zeros(11), (FORCE, None, "failed"), (FORCE, None, "no"), "text"]
+    "answer",
+    [None, np.full(12, np.nan), np.zeros(11), (FORCE, None, "failed"), (FORCE, None, "no"), "text"],
 )
 def test_what_is_no_answer_has_failed(answer):
     row = score(PROBLEM, "sum", BEST, parts_of(PROBLEM, answer))
@@ -275,7 +332,11 @@ def test_negative_prices_count_as_none():
 
 def test_no_witness_against_a_feasible_wrench():
     """Random twists, and those of the optimum, never separate what a force balances."""
-    twists = [*np.random.default_rng(0).standard_normal((200, 6)), OPTIMUM.multipliers, -OPTIMUM.multipliers]
+    twists = [
+        *np.random.default_rng(0).standard_normal((200, 6)),
+        OPTIMUM.multipliers,
+        -OPTIMUM.multipliers,
+    ]
     for scale in (1e-6, 1.0, 1e6):
         measure = Measure.of(made(scale * WRENCH))
         assert max(measure.witness(twist) for twist in twists) <= 0.0
@@ -283,8 +344,11 @@ def test_no_witness_against_a_feasible_wrench():
 
 def test_bounds_bracket_every_balanced_force():
     """Forces moved along internal forces never go below the dual bound of any multipliers."""
-    rng, null = np.random.default_rng(0), np.linalg.svd(PROBLEM.matrix)[2][6:]
-    middle = ForceOptimizer(presets.paper_cuboid(), barrier_weight=1.0).solve(WRENCH).force.reshape(-1)
+    rng = np.random.default_rng(0)
+    null = np.linalg.svd(PROBLEM.matrix)[2][6:]
+    middle = (
+        ForceOptimizer(presets.paper_cuboid(), barrier_weight=1.0).solve(WRENCH).force.reshape(-1)
+    )
     for objective in ("sum", "phi"):
         forces = [middle + null.T @ rng.standard_normal(6) for _ in range(400)]
         values = [MEASURE.objective(objective, f) for f in forces if MEASURE.violation(f) <= 0.0]

@@ -1,4 +1,5 @@
-"""The benchmark of forces: both kinds of entrants, their times, the program, and the tables of known rows."""
+"""The benchmark of forces: both kinds of entrants, their times, the program, and the tables of
+known rows."""
 
 from __future__ import annotations
 
@@ -55,19 +56,31 @@ def echo(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("echo")
     source = folder / "echo.c"
     source.write_text(ECHO)
-    return build.library("echo", [source], ["-O1", "-Wall", "-Werror", f"-I{Path(run.__file__).parent}"])
+    return build.library(
+        "echo", [source], ["-O1", "-Wall", "-Werror", f"-I{Path(run.__file__).parent}"]
+    )
 
 
 def test_c_sees_the_problem_and_is_timed_in_c(echo):
     rng = np.random.default_rng(0)
-    torques = {"jacobian": rng.standard_normal((4, 6, 5)), "torque_limit": np.full(5, 2.0), "torque_bias": np.zeros(5)}
+    torques = {
+        "jacobian": rng.standard_normal((4, 6, 5)),
+        "torque_limit": np.full(5, 2.0),
+        "torque_bias": np.zeros(5),
+    }
     problem = made(touching=np.array([True, True, False, True]), moved=True, **torques)
     library = Library(str(echo), "echo")
     with pytest.raises(NotImplementedError):
         library.setup(Task("", "phi", "persistent", problem))
     library.setup(Task("", "sum", "persistent", problem))
     force, multipliers, status = library.solve(problem)
-    arrays = (problem.positions, problem.normals, problem.jacobian, problem.matrix, problem.limit_bound)
+    arrays = (
+        problem.positions,
+        problem.normals,
+        problem.jacobian,
+        problem.matrix,
+        problem.limit_bound,
+    )
     np.testing.assert_allclose(force, sum(array.sum() for array in arrays if array is not None))
     assert set(multipliers) == {0b1011 + 100.0}
     assert (status, len(multipliers)) == ("solved", 16)
@@ -83,12 +96,14 @@ def test_c_sees_the_problem_and_is_timed_in_c(echo):
 
 
 class Told:
-    """Answers with the force it was started from plus one; the clock that it is timed by goes as it says."""
+    """Answers with the force it was started from plus one; the clock that it is timed by goes as it
+    says."""
 
     name, division = "told", "learned"
 
     def __init__(self, now: list[int]) -> None:
-        self.now, self.took = now, [1, 5, 7, 9, 2, 6, 3, 8]
+        self.now = now
+        self.took = [1, 5, 7, 9, 2, 6, 3, 8]
 
     def setup(self, task):
         self.iterations = 0
@@ -112,7 +127,9 @@ def test_python_is_timed_by_the_least_of_its_passes(mode, monkeypatch):
     timed = run.Timed(Told(now), Task("", "sum", mode, each[0]), each)
     timed.passes(2)
     np.testing.assert_allclose(1e6 * timed.seconds, [5.0, 3.0, 8.0])
-    assert timed.iterations.tolist() == ([1.0] * 3 if mode == "cold" else [2.0, 3.0, 4.0])  # counted since `setup`
+    assert timed.iterations.tolist() == (
+        [1.0] * 3 if mode == "cold" else [2.0, 3.0, 4.0]
+    )  # counted since `setup`
     assert [answer.status for (answer,) in timed.answers] == ["solved", "solved", "failed"]
     assert timed.answers[2][0].message == "ZeroDivisionError: none"
     assert timed.answers[1][0].force[0] == (mode == "warm")
@@ -139,11 +156,16 @@ def test_the_answers_of_all_passes_are_scored(factor):
     optimum = problems.Reference(
         *np.full((3, 1), best.objective), best.force.reshape(1, -1), np.array([best.multipliers])
     )
-    arrays = {name: np.array([getattr(made(), name)]) for name in ("positions", "frames", "friction", "wrench")}
+    arrays = {
+        name: np.array([getattr(made(), name)])
+        for name in ("positions", "frames", "friction", "wrench")
+    }
     session = problems.Session("", arrays, {"sum": optimum})
     track = problems.Track("one", [session], {"objectives": ["sum"], "modes": ["persistent"]})
     for passes, solved in ((1, True), (2, False)):
-        rows = run.measured([track], {"once": Once}, run.Effort(rounds=1, seconds=1.0, passes=passes))[0]
+        rows = run.measured(
+            [track], {"once": Once}, run.Effort(rounds=1, seconds=1.0, passes=passes)
+        )[0]
         assert [row["solved"] for row in rows if row["method"] == "once"] == [solved]
 
 
@@ -164,7 +186,9 @@ def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
     assert entered == {("mine", "smooth"), ("conic_python", "smooth"), ("conic_python", "soft")}
     about = json.loads((tmp_path / "a/run.json").read_text())
     assert about["tracks"]["smooth"] == load("smooth").about["sha256"]
-    assert "mathdefault" not in (tmp_path / "a/profiles.svg").read_text()  # pictures hold plain text
+    assert (
+        "mathdefault" not in (tmp_path / "a/profiles.svg").read_text()
+    )  # pictures hold plain text
     assert main(["report", str(tmp_path / "a"), str(tmp_path / "a")]) == 0
     assert "before" in capsys.readouterr().out
 
@@ -174,7 +198,10 @@ def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
     [
         (["run", "--tracks", "smoth"], "no track 'smoth'"),
         (["run", "--solver", "nowhere.py:Mine"], "there is no file nowhere.py"),
-        (["run", "--solver", "benchmarks/force/example.py:np"], "has no setup and no solve: see Entrant in"),
+        (
+            ["run", "--solver", "benchmarks/force/example.py:np"],
+            "has no setup and no solve: see Entrant in",
+        ),
         (["generate", "soft", "--seed", "-1"], "the seed must be at least 0, got -1"),
         (["report", "nowhere"], "not a finished run"),
         (["validate", "--sets", "docs"], "holds no track"),
@@ -197,14 +224,18 @@ def tracks():
 def test_an_entrant_agrees_or_shows_its_failures(name, tracks, monkeypatch, tmp_path):
     """Entrants with pyramids miss the optimum, and what cannot run here is skipped with its reason."""
     if name in ("conic", "newton", "flow"):
-        pytest.skip("compiling the C++ front takes minutes: `python -m benchmarks.force validate --solver conic`")
+        pytest.skip(
+            "compiling the C++ front takes minutes: `python -m benchmarks.force validate --solver conic`"
+        )
     monkeypatch.setattr(build, "BUILD", tmp_path)
     monkeypatch.setattr("gc.collect", lambda: None)  # half of the time
     monkeypatch.setattr(qocogen.Qocogen, "flags", ("-O0",))  # a fifth of the time
     monkeypatch.setattr(qocogen.QocogenFast, "flags", ("-Ofast",))
     if name == "qocogen_fast":
         tracks = [replace(tracks[0], about=tracks[0].about | {"objectives": ["sum"]})]
-    rows, _ = run.measured(tracks, run.entrants([name]), run.Effort(rounds=1, seconds=0.0, sessions=1, problems=3))
+    rows, _ = run.measured(
+        tracks, run.entrants([name]), run.Effort(rounds=1, seconds=0.0, sessions=1, problems=3)
+    )
     rows = table(rows)
     ran = rows[(rows["method"] == name) & rows["status"].notna()]
     if ran.empty:
@@ -215,14 +246,16 @@ def test_an_entrant_agrees_or_shows_its_failures(name, tracks, monkeypatch, tmp_
         assert ran["balance"].max() < 1e-4
     else:
         assert ran["solved"].all()
-    assert np.full(9, 5e-324).max() > 0.0  # no library makes this process flush small numbers to zero
+    # no library makes this process flush small numbers to zero
+    assert np.full(9, 5e-324).max() > 0.0
 
 
 @pytest.mark.parametrize("form", [Dual, Primal])
 def test_either_form_shows_that_no_force_exists(form):
     pytest.importorskip("clarabel")
     for session in load("infeasible").sessions[::3]:  # without closure, weak motors, soft pinches
-        problem, solver = session.problems[0], Clarabel()
+        problem = session.problems[0]
+        solver = Clarabel()
         solver.form = form(problem)
         solver.build()
         force, witness, status = solver.form.answer(*solver.run(False))
@@ -237,12 +270,22 @@ def test_tables_of_known_rows():
     base = dict(zip(keys, ("smooth", "sum", "persistent", "Python", "closed", "4"), strict=True))
     rows = []
     for k in range(100):
-        common = {"problem": k, "solved_coarse": True, "proved": True, "wrong": False, "iterations": 5}
+        common = {
+            "problem": k,
+            "solved_coarse": True,
+            "proved": True,
+            "wrong": False,
+            "iterations": 5,
+        }
         time = rng.uniform(1.0, 2.0)
         rows += [
             base | common | {"method": "fast", "microseconds": time, "solved": True},
-            base | common | {"method": "same", "microseconds": time * rng.uniform(0.98, 1.03), "solved": True},
-            base | common | {"method": "slow", "microseconds": 10.0 * time, "solved": k > 0, "iterations": 50},
+            base
+            | common
+            | {"method": "same", "microseconds": time * rng.uniform(0.98, 1.03), "solved": True},
+            base
+            | common
+            | {"method": "slow", "microseconds": 10.0 * time, "solved": k > 0, "iterations": 50},
             base | common | {"method": "empty", "microseconds": 0.1, "solved": False},
         ]
     made = table(rows)
@@ -250,7 +293,11 @@ def test_tables_of_known_rows():
     assert found["solved"].to_dict() == {"fast": 100, "same": 100, "slow": 99}
     assert found.index[-1] == "slow"
     assert found.loc["slow", "p50_ratio"] == pytest.approx(10.0, rel=0.05)
-    assert found["first"].to_dict() == {"fast": "success, p50, p99", "same": found.loc["same", "first"], "slow": ""}
+    assert found["first"].to_dict() == {
+        "fast": "success, p50, p99",
+        "same": found.loc["same", "first"],
+        "slow": "",
+    }
     assert "p50" in found.loc["same", "first"]
     times = made[made["method"] == "slow"]["microseconds"].to_numpy(float)
     logs = np.log(np.append(times[1:], report.PENALTY) + 1.0)
@@ -264,7 +311,9 @@ def test_tables_of_known_rows():
     assert report.beside(made, made)["tie"].all()
     assert any("an empty call: 0.1 us" in line for line in report.lines(made, 1000.0))
     p50, p99 = np.percentile(times[1:], [50.0, 99.0])
-    (line,) = report.by_track(made[made["method"].isin(["slow", "fast"])], "sum", {"slow"}).to_dict("records")
+    (line,) = report.by_track(made[made["method"].isin(["slow", "fast"])], "sum", {"slow"}).to_dict(
+        "records"
+    )
     assert line["ours, Python"] == f"{number(p50)} / {number(p99)} (slow, 99 of 100)"
     assert line["fastest other, Python"].endswith(" (fast)")
     assert line["ours, C"] == "–"

@@ -1,4 +1,5 @@
-"""The problems and their cone coordinates by hand, other layers against our solvers, and the table of a run with known layers."""
+"""The problems and their cone coordinates by hand, other layers against our solvers, and the table
+of a run with known layers."""
 
 from __future__ import annotations
 
@@ -22,13 +23,18 @@ def problems():
 
 def test_a_part_of_the_limits_binds_and_the_layer_keeps_all(problems):
     grasps, data = problems
-    joints, limits = data["jacobian"].numpy(), data["torque_limit"].numpy()
+    joints = data["jacobian"].numpy()
+    limits = data["torque_limit"].numpy()
     free = optimize_forces(grasps, data["wrench"].numpy(), method="newton", workers=1)
-    needed = np.abs(np.einsum("knij,kni->kj", joints, [solution.object_force for solution in free])).max(axis=1)
+    needed = np.abs(
+        np.einsum("knij,kni->kj", joints, [solution.object_force for solution in free])
+    ).max(axis=1)
     assert 0.1 < (needed > limits[:, 0]).mean() < 0.5
     for k, grasp in enumerate(grasps):
         within = ForceLimits(jacobian=joints[k], torque_limit=limits[k])
-        assert optimize_forces(grasp, data["wrench"].numpy()[k][None], limits=within, workers=1).optimal.all()
+        assert optimize_forces(
+            grasp, data["wrench"].numpy()[k][None], limits=within, workers=1
+        ).optimal.all()
     # a finger's joints move its own contact
     moved = np.abs(joints).max(axis=2).reshape(COUNT, 4, 4, 3).max(axis=3)
     assert (moved[:, ~np.eye(4, dtype=bool)] == 0.0).all()
@@ -54,7 +60,8 @@ def test_another_layer_agrees_with_our_solver(name, problems):
         call = peer.build(COUNT)
     except ImportError as error:
         pytest.skip(str(error))
-    grasps, data = problems[0], {part: problems[1][part] for part in layer.BASE}
+    grasps = problems[0]
+    data = {part: problems[1][part] for part in layer.BASE}
     method = "newton" if peer.phi else "conic"
 
     def forces(wrenches):
@@ -62,18 +69,23 @@ def test_another_layer_agrees_with_our_solver(name, problems):
         solutions = optimize_forces(grasps, wrenches, method=method, workers=1, **options)
         return np.array([solution.object_force for solution in solutions])
 
-    known, wrenches = forces(data["wrench"].numpy()), data["wrench"].numpy()
+    known = forces(data["wrench"].numpy())
+    wrenches = data["wrench"].numpy()
     found, slopes = answers(call, data, True)
     assert all(torch.isfinite(slope).all() for slope in slopes)
     if name == "qplayer":  # another problem: of pyramids
-        assert (np.linalg.norm(found.sum(dim=1).numpy() + wrenches[:, :3], axis=1) < 1e-6).mean() > 0.9
+        assert (
+            np.linalg.norm(found.sum(dim=1).numpy() + wrenches[:, :3], axis=1) < 1e-6
+        ).mean() > 0.9
         return
     np.testing.assert_allclose(found, known, atol=2e-3 * np.abs(known).max())
     if name == "cvxpylayers":  # its default gradients are rough
         return
     way = np.random.default_rng(1).standard_normal((COUNT, 6)) * [1, 1, 1, 0.03, 0.03, 0.03]
     step = 1e-4
-    change = sum(sign * (forces(wrenches + sign * step * way) ** 2).sum(axis=(1, 2)) for sign in (1, -1)) / (2 * step)
+    change = sum(
+        sign * (forces(wrenches + sign * step * way) ** 2).sum(axis=(1, 2)) for sign in (1, -1)
+    ) / (2 * step)
     apart = np.abs((slopes[3].numpy() * way).sum(axis=1) - change) / np.abs(change).max()
     assert np.quantile(apart, 0.9) < 1e-2
 
@@ -95,12 +107,17 @@ def test_rows_of_known_layers(monkeypatch):
         raise ImportError("No module named 'theseus'")
 
     mine = dict.fromkeys((LAYER, FORWARD), Contestant("", lambda batch: ours))
-    peers = {"near": Contestant("", lambda batch: least_norm), "theseus": Contestant("", absent, "theseus-ai")}
+    peers = {
+        "near": Contestant("", lambda batch: least_norm),
+        "theseus": Contestant("", absent, "theseus-ai"),
+    }
     took = {LAYER: [4e-5, 2e-5], FORWARD: [1e-5, 1e-5], "near": [4e-4, 6e-4]}
     turns = {}
 
     def seconds(call, given, backward, passes):
-        name = {(1, True): LAYER, (1, False): FORWARD}.get((int("positions" in given[0]), backward), "near")
+        name = {(1, True): LAYER, (1, False): FORWARD}.get(
+            (int("positions" in given[0]), backward), "near"
+        )
         turns[name] = turns.get(name, -1) + 1
         assert passes == 7
         assert all(values.requires_grad == backward for part in given for values in part.values())

@@ -1,4 +1,5 @@
-"""Compilers and programs in C++ that the tests build: all of them in one, as the headers take most of the time."""
+"""Compilers and programs in C++ that the tests build: all of them in one, as the headers take most
+of the time."""
 
 from __future__ import annotations
 
@@ -15,22 +16,28 @@ import pytest
 from grasp_env.core import build_info
 
 ROOT = Path(__file__).parents[2]
-CORE, PROGRAMS = ROOT / "grasp_env/core", Path(__file__).parent / "programs"
+CORE = ROOT / "grasp_env/core"
+PROGRAMS = Path(__file__).parent / "programs"
 HEADERS = sorted(
-    path.relative_to(CORE / "include/grasp").as_posix() for path in (CORE / "include/grasp").rglob("*.hpp")
+    path.relative_to(CORE / "include/grasp").as_posix()
+    for path in (CORE / "include/grasp").rglob("*.hpp")
 )
 FLAGS = ["-std=c++20", "-Wall", "-Wextra", "-Wpedantic", "-Wno-psabi", "-Werror"]
 SHADOW = {"g++": "-Wshadow=local", "clang++": "-Wshadow"}
 """GCC takes a constructor's parameters for shadows of the members that they fill."""
 FLOATING = ["-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"]
-EXAMPLES = sorted(path for path in (CORE / "examples").glob("*.cpp") if re.match(r"\d\d_", path.name))
+EXAMPLES = sorted(
+    path for path in (CORE / "examples").glob("*.cpp") if re.match(r"\d\d_", path.name)
+)
 PAGES = (CORE / "README.md", ROOT / "docs/moving_contacts.md")
 SOURCES = [*EXAMPLES, *sorted(PROGRAMS.glob("*.cpp"))]
 
 
 def compiled() -> list[str | Path]:
-    """Flags with which a program takes the solvers of the module under test, which holds them for its own processor."""
-    info, folder = build_info(), ROOT / os.environ.get("GRASP_CORE_BUILD", "build/core")
+    """Flags with which a program takes the solvers of the module under test, which holds them for
+    its own processor."""
+    info = build_info()
+    folder = ROOT / os.environ.get("GRASP_CORE_BUILD", "build/core")
     processor = [flag for flag in info["flags"].split() if flag.startswith("-march")]
     return ["-DGRASP_COMPILED", *processor, folder / "solvers/libgrasp.a"]
 
@@ -45,7 +52,9 @@ def tool(name: str) -> str:
 def run(*command: str | Path, **options: object) -> subprocess.CompletedProcess[Any]:
     """Run a command in a user's environment: that of the tests may preload a sanitizer."""
     plain = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
-    return subprocess.run(command, env=plain, timeout=3000, capture_output=True, **{"text": True, **options})  # type: ignore[call-overload]
+    return subprocess.run(
+        command, env=plain, timeout=3000, capture_output=True, **{"text": True, **options}
+    )  # type: ignore[call-overload]
 
 
 def succeed(*command: str | Path) -> str:
@@ -60,19 +69,27 @@ def shown(page: Path) -> str:
 
 
 def joined() -> str:
-    """The text of one program that runs the source it is called by; each header is included once, and what pages show is compiled too."""
+    """The text of one program that runs the source it is called by; each header is included once,
+    and what pages show is compiled too."""
     parts = [CORE / "examples/hand_controller.cpp", CORE / "examples/hand_controller.hpp"]
     texts = [*(path.read_text() for path in (*SOURCES, *parts)), *map(shown, PAGES)]
-    names = sorted({name for text in texts for name in re.findall(r"#include (<.*?>)", text)} | {"<filesystem>"})
+    names = sorted(
+        {name for text in texts for name in re.findall(r"#include (<.*?>)", text)}
+        | {"<filesystem>"}
+    )
     names += [
         *(f"<grasp/{header}>" for header in HEADERS),
         f'"{PROGRAMS.parent}/bindings/counting.hpp"',
         f'"{parts[1]}"',
     ]
-    lines, choices = [f"#include {name}" for name in names], []
+    lines = [f"#include {name}" for name in names]
+    choices = []
     for path in (*SOURCES, *PAGES):
-        name, text = f"program_{path.stem}", shown(path) if path in PAGES else path.read_text()
-        text = re.sub(r'#include (<.*>|.*counting.hpp")', "", text).replace("../../../grasp_env/core", str(CORE))
+        name = f"program_{path.stem}"
+        text = shown(path) if path in PAGES else path.read_text()
+        text = re.sub(r'#include (<.*>|.*counting.hpp")', "", text).replace(
+            "../../../grasp_env/core", str(CORE)
+        )
         text = re.sub(r"\bint main\(", "int run(", text)
         if path in SOURCES:  # main returns 0 at its end, other functions do not
             text = re.sub(r"\n\}(?=\n$| catch )", "\nreturn 0; }", text)
@@ -87,10 +104,18 @@ def joined() -> str:
 
 def build(folder: Path, *flags: str | Path, compiler: str = "g++") -> Path:
     """Compile all programs; returns a folder with each by its name."""
-    source, made = folder / "programs.cpp", folder / "programs"
+    source = folder / "programs.cpp"
+    made = folder / "programs"
     made.mkdir()
     source.write_text(joined())
-    every = [*FLAGS, SHADOW[compiler], *FLOATING, "-DGRASP_SEEDED", f"-I{CORE / 'include'}", "-pthread"]
+    every = [
+        *FLAGS,
+        SHADOW[compiler],
+        *FLOATING,
+        "-DGRASP_SEEDED",
+        f"-I{CORE / 'include'}",
+        "-pthread",
+    ]
     succeed(tool(compiler), *every, source, *flags, "-o", made / "all")
     for path in SOURCES:
         (made / path.stem).symlink_to("all")
@@ -102,5 +127,6 @@ def spoiled(blob: bytes) -> list[bytes]:
     rng = np.random.default_rng(0)
     changed = [(at, 1 << int(rng.integers(8))) for at in rng.integers(0, len(blob), 50)]
     return [blob[:k] for k in (0, 7, 8, 15, 16, len(blob) // 2, len(blob) - 1)] + [
-        blob + b"0", *(blob[:at] + bytes([blob[at] ^ bit]) + blob[at + 1 :] for at, bit in changed),
-    ]  # fmt: skip
+        blob + b"0",
+        *(blob[:at] + bytes([blob[at] ^ bit]) + blob[at + 1 :] for at, bit in changed),
+    ]

@@ -1,4 +1,5 @@
-"""Problems for the tests: soft contacts and limits as the core takes them, and the same as dense rows for the oracles."""
+"""Problems for the tests: soft contacts and limits as the core takes them, and the same as dense
+rows for the oracles."""
 
 from __future__ import annotations
 
@@ -16,7 +17,16 @@ from grasp_env.force.solution import STARTS
 CODES = _core.codes()
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, EXCEEDED, UNDECIDED, STARTED = (
     CODES[name]
-    for name in ("converged", "limit", "stalled", "infeasible", "refused", "limits_exceeded", "undecided", "started")
+    for name in (
+        "converged",
+        "limit",
+        "stalled",
+        "infeasible",
+        "refused",
+        "limits_exceeded",
+        "undecided",
+        "started",
+    )
 )
 FIELDS = _core.record_fields()
 START = {name: number for number, name in enumerate(STARTS)}
@@ -40,7 +50,8 @@ class Case:
 
     Attributes:
         gamma: (N,) torsional friction [m], 0: not soft.
-        limits: arrays by the names of `ForceLimits`; the Jacobian (N, 6, J) along the axes of the positions.
+        limits: arrays by the names of `ForceLimits`; the Jacobian (N, 6, J) along the axes of the
+            positions.
     """
 
     contacts: Sample
@@ -63,35 +74,52 @@ class Case:
     @cached_property
     def torsion_divisor(self) -> np.ndarray:
         """(N,) torsion = v / divisor, abs(v) <= u."""
-        return np.where(self.soft, self.contacts.scale[:, 0] / np.where(self.soft, self.gamma, 1.0), np.inf)
+        return np.where(
+            self.soft, self.contacts.scale[:, 0] / np.where(self.soft, self.gamma, 1.0), np.inf
+        )
 
     # --- rows, of cone coordinates and the torsions v of all contacts: (..., N, 4)
 
     @cached_property
     def jacobian(self) -> np.ndarray:
         """(N, 4, J) along (normal, o, t) and about the normal."""
-        s, given = self.contacts, self.limits.get("jacobian", np.zeros((self.count, 6, 0)))
+        s = self.contacts
+        given = self.limits.get("jacobian", np.zeros((self.count, 6, 0)))
         along = np.einsum("nik,nij->nkj", s.frames, given[:, :3])
-        return np.concatenate([along, np.einsum("ni,nij->nj", s.normals, given[:, 3:])[:, None]], axis=1)
+        return np.concatenate(
+            [along, np.einsum("ni,nij->nj", s.normals, given[:, 3:])[:, None]], axis=1
+        )
 
     @cached_property
     def given_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows on cone coordinates and torsions in units of their limits, right sides, and what each limit is [N, N m]."""
-        rows, bound, limited, each = [], [], [], np.eye(self.count)[:, :, None] * [1.0, 0.0, 0.0, 0.0]
+        """Rows on cone coordinates and torsions in units of their limits, right sides, and what
+        each limit is [N, N m]."""
+        rows = []
+        bound = []
+        limited = []
+        each = np.eye(self.count)[:, :, None] * [1.0, 0.0, 0.0, 0.0]
         for name, sign in (("min_normal", -1.0), ("max_normal", 1.0)):
             for i, value in enumerate(self.limits.get(name, ())):
                 if 0.0 < value < np.inf:
                     rows.append(sign * each[i]), bound.append(sign * value), limited.append(value)
         for j, value in enumerate(self.limits.get("torque_limit", ())):
             for sign in (1.0, -1.0) if value < np.inf else ():
-                rows.append(sign * self.jacobian[:, :, j]), bound.append(value - sign * self.limits["torque_bias"][j])
+                (
+                    rows.append(sign * self.jacobian[:, :, j]),
+                    bound.append(value - sign * self.limits["torque_bias"][j]),
+                )
                 limited.append(value)
         divisor = np.column_stack([self.contacts.divisor, self.torsion_divisor])
-        return np.array(rows).reshape(-1, self.count, 4) / divisor, np.array(bound), np.array(limited)
+        return (
+            np.array(rows).reshape(-1, self.count, 4) / divisor,
+            np.array(bound),
+            np.array(limited),
+        )
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """(M,) the length of each row in (u, o, t, u - v), by which Phi divides it; 1 of one that no force changes."""
+        """(M,) the length of each row in (u, o, t, u - v), by which Phi divides it; 1 of one that
+        no force changes."""
         rows = self.given_rows[0]
         with_slack = np.concatenate([rows[..., :1] + rows[..., 3:], rows[..., 1:]], axis=2)
         found = np.sqrt((with_slack**2).sum(axis=(1, 2)))
@@ -100,13 +128,16 @@ class Case:
     @cached_property
     def balance(self) -> np.ndarray:
         """(6, N, 4) in the unit frame."""
-        s, turn = self.contacts, np.zeros((6, self.count))
+        s = self.contacts
+        turn = np.zeros((6, self.count))
         turn[3:] = s.normals.T
         return np.dstack([s.rows.reshape(6, -1, 3), s.unit @ turn / self.torsion_divisor])
 
     def flat(self, rows: np.ndarray) -> np.ndarray:
         """(M, n) of rows (M, N, 4)."""
-        return np.concatenate([rows[:, :, :3].reshape(len(rows), 3 * self.count), rows[:, self.soft, 3]], axis=1)
+        return np.concatenate(
+            [rows[:, :, :3].reshape(len(rows), 3 * self.count), rows[:, self.soft, 3]], axis=1
+        )
 
     @cached_property
     def matrix(self) -> np.ndarray:
@@ -128,13 +159,16 @@ class Case:
     @cached_property
     def terms(self) -> oracle.Terms:
         """All rows: the limits, then v <= u and -v <= u of soft contacts."""
-        which, (rows, bound, _) = np.flatnonzero(self.soft), self.own
+        which = np.flatnonzero(self.soft)
+        (rows, bound, _) = self.own
         torsion = np.zeros((2 * len(which), self.count, 4))
         for k, i in enumerate(which):
             torsion[2 * k : 2 * k + 2, i, 0], torsion[2 * k : 2 * k + 2, i, 3] = -1.0, (1.0, -1.0)
         weights = np.concatenate([self.row_weights, np.repeat(self.contacts.weights[which, 1], 2)])
         every = np.concatenate([rows, self.flat(torsion)])
-        return oracle.Terms(self.contacts.weights, every, np.append(bound, np.zeros(2 * len(which))), weights)
+        return oracle.Terms(
+            self.contacts.weights, every, np.append(bound, np.zeros(2 * len(which))), weights
+        )
 
     # --- solutions
 
@@ -160,18 +194,24 @@ class Case:
     def forces(self, row: np.ndarray, at: str = "force") -> tuple[np.ndarray, np.ndarray]:
         """Forces (3N,) and torsions (N,) of a record."""
         first = FIELDS["force"] + (3 * self.count if at == "initial" else 0)
-        return row[first : first + 3 * self.count], row[FIELDS["force"] + 6 * self.count :][: self.count]
+        return row[first : first + 3 * self.count], row[FIELDS["force"] + 6 * self.count :][
+            : self.count
+        ]
 
     def torques(self, row: np.ndarray) -> np.ndarray:
         """(J,) from the force and the torsion of a record."""
         force, torsion = self.forces(row)
         all_four = np.column_stack([force.reshape(-1, 3), torsion])
-        return np.einsum("naj,na->j", self.jacobian, all_four) + self.limits.get("torque_bias", np.zeros(0))
+        return np.einsum("naj,na->j", self.jacobian, all_four) + self.limits.get(
+            "torque_bias", np.zeros(0)
+        )
 
     def torques_and_prices(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joint torques (J,) and prices of the limits (M,) in a record."""
         rest = row[FIELDS["force"] + 16 * self.count :]
-        return np.split(rest, [self.jacobian.shape[2]])[0], np.split(rest, [self.jacobian.shape[2]])[1]
+        return np.split(rest, [self.jacobian.shape[2]])[0], np.split(
+            rest, [self.jacobian.shape[2]]
+        )[1]
 
     def excess(self, z: np.ndarray) -> float:
         """Largest excess of a limit, as a part of it."""
@@ -184,11 +224,17 @@ class Case:
         width = np.cos(np.pi / FACETS) if inside else 1.0
         facets = np.column_stack([-width * np.ones(FACETS), np.cos(angles), np.sin(angles)])
         cones = np.pad(np.kron(np.eye(self.count), facets), [(0, 0), (0, int(self.soft.sum()))])
-        return np.vstack([cones, self.terms.rows]), np.append(np.zeros(len(cones)), self.terms.bound)
+        return np.vstack([cones, self.terms.rows]), np.append(
+            np.zeros(len(cones)), self.terms.bound
+        )
 
     def solver(self, method: str = "newton", **options: object) -> insides.AnyOptimizer:
         """Solver with options of `AnyOptimizer.make`."""
-        options = {"tolerance": 1e-9, "method": METHODS[method], "criterion": int(method == "largest")} | options
+        options = {
+            "tolerance": 1e-9,
+            "method": METHODS[method],
+            "criterion": int(method == "largest"),
+        } | options
         return insides.AnyOptimizer.make(self.placement, **options, **self.limits)
 
 
@@ -201,42 +247,61 @@ def softened(s: Sample, kind: str) -> np.ndarray:
     return gamma
 
 
-def own_limits(s: Sample, seed: int, tight: float, *, full: bool = False, free: int = 0) -> dict[str, np.ndarray]:
-    """Zero to five joints a contact, none of which moves another, and limits of some normal forces; one joint moves nothing.
+def own_limits(
+    s: Sample, seed: int, tight: float, *, full: bool = False, free: int = 0
+) -> dict[str, np.ndarray]:
+    """Zero to five joints a contact, none of which moves another, and limits of some normal forces;
+    one joint moves nothing.
 
-    full: three or four joints each and no limits of normal forces, so that joints bound every force. free: contacts that nothing bounds.
+    full: three or four joints each and no limits of normal forces, so that joints bound every
+    force. free: contacts that nothing bounds.
     """
     rng = np.random.default_rng([seed, s.count])
     owner = [
-        i for i in range(free, s.count) for _ in range(int(rng.choice([3, 4] if full else [0, 1, 2, 3, 3, 3, 4, 5])))
+        i
+        for i in range(free, s.count)
+        for _ in range(int(rng.choice([3, 4] if full else [0, 1, 2, 3, 3, 3, 4, 5])))
     ]
     joints = len(owner) + 1
-    jacobian, limit = np.zeros((s.count, 6, joints)), tight * rng.uniform(0.5, 2.0, joints)
+    jacobian = np.zeros((s.count, 6, joints))
+    limit = tight * rng.uniform(0.5, 2.0, joints)
     for j, i in enumerate(owner):
         a = rng.standard_normal(3)
         jacobian[i, :3, j] = s.frames[i] @ (a / np.linalg.norm(a) * s.scale[i])
-    out = {"jacobian": jacobian, "torque_limit": limit, "torque_bias": 0.2 * limit * rng.uniform(-1.0, 1.0, joints)}
+    out = {
+        "jacobian": jacobian,
+        "torque_limit": limit,
+        "torque_bias": 0.2 * limit * rng.uniform(-1.0, 1.0, joints),
+    }
     if not full:
         chosen = rng.random((2, s.count)) < 0.3
-        out |= {"min_normal": np.where(chosen[0], 0.05, 0.0), "max_normal": np.where(chosen[1], 3.0 * tight, np.inf)}
+        out |= {
+            "min_normal": np.where(chosen[0], 0.05, 0.0),
+            "max_normal": np.where(chosen[1], 3.0 * tight, np.inf),
+        }
     return out
 
 
 def shared_limits(s: Sample, seed: int, tight: float) -> dict[str, np.ndarray]:
-    """Three joints that move and turn all contacts, one without a limit, one of the first contact, and largest normal forces."""
+    """Three joints that move and turn all contacts, one without a limit, one of the first contact,
+    and largest normal forces."""
     rng = np.random.default_rng([seed, s.count, 1])
     jacobian = 0.3 * rng.standard_normal((s.count, 6, 5)) * ([[1.0]] * 3 + [[10.0]] * 3)
     jacobian[1:, :, 4] = 0.0
     limit = tight * np.append(rng.uniform(1.0, 3.0, 3), [np.inf, 1.0])
     bias = 0.2 * tight * rng.uniform(-1.0, 1.0, 5)
     return {
-        "jacobian": jacobian, "torque_limit": limit, "torque_bias": bias, "max_normal": np.full(s.count, 5.0 * tight),
-    }  # fmt: skip
+        "jacobian": jacobian,
+        "torque_limit": limit,
+        "torque_bias": bias,
+        "max_normal": np.full(s.count, 5.0 * tight),
+    }
 
 
 @cache
 def case(count: int, kind: str, seed: int = 0, tight: float = 6.0) -> Case:
-    """Problem of a kind: hard, frictionless, thin, some soft, all soft, own limits, shared limits, or soft limits (some soft, shared limits)."""
+    """Problem of a kind: hard, frictionless, thin, some soft, all soft, own limits, shared limits,
+    or soft limits (some soft, shared limits)."""
     s = sample(count, kind if kind in ("frictionless", "thin") else "hard")
     gamma = softened(s, kind) if "soft" in kind else np.zeros(count)
     if kind == "own limits":

@@ -1,4 +1,5 @@
-"""One thread for numpy, as threads that wait for each other make small systems slow; one compilation of the programs in C++."""
+"""One thread for numpy, as threads that wait for each other make small systems slow; one
+compilation of the programs in C++."""
 
 import fcntl
 import os
@@ -19,4 +20,8 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     with (folder / "programs.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        return folder / "programs" if (folder / "programs/front").exists() else build(folder, "-O0", *compiled())
+        return (
+            folder / "programs"
+            if (folder / "programs/front").exists()
+            else build(folder, "-O0", *compiled())
+        )

@@ -81,7 +81,9 @@ class Sample:
         """(argmin Phi, multipliers in the unit frame), found once."""
         key = wrench.tobytes()
         if key not in self._minima:
-            self._minima[key] = newton.minimum(self.rest, self.rows, self.unit @ wrench, self.weights)
+            self._minima[key] = newton.minimum(
+                self.rest, self.rows, self.unit @ wrench, self.weights
+            )
         return self._minima[key]
 
     @cached_property
@@ -97,7 +99,9 @@ def random_contacts(rng: np.random.Generator, count: int) -> Sample:
     normals = -on / axes
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     scale = np.column_stack([rng.uniform(0.3, 1.0, count), rng.uniform(0.7, 1.4, (count, 2))])
-    weights = np.column_stack([rng.uniform(0.7, 1.6, count), 0.01 * 10.0 ** rng.uniform(-0.5, 0.5, count)])
+    weights = np.column_stack(
+        [rng.uniform(0.7, 1.6, count), 0.01 * 10.0 ** rng.uniform(-0.5, 0.5, count)]
+    )
     return Sample(on * axes + [0.3, -0.2, 0.1], normals, scale, weights)
 
 
@@ -109,7 +113,8 @@ def with_frictionless(sample: Sample, which: slice) -> Sample:
 
 
 def thinned(sample: Sample, thin: float) -> Sample:
-    """Contacts moved towards a line through their middle; `thin` is about the ratio of singular values of G."""
+    """Contacts moved towards a line through their middle; `thin` is about the ratio of singular
+    values of G."""
     middle = sample.positions.mean(axis=0)
     positions = (sample.positions - middle) * [1.0, thin, thin] + [0.01, 0.0, 0.0]
     return Sample(positions, sample.normals, sample.scale, sample.weights)
@@ -127,7 +132,10 @@ def has_closure(sample: Sample) -> bool:
 
 @cache
 def sample(count: int, kind: str = "hard") -> Sample:
-    """A grasp with force closure. kind: hard, frictionless (the last third; of three contacts none), thin (nearly on a line)."""
+    """A grasp with force closure.
+
+    kind: hard, frictionless (the last third; of three contacts none), thin (nearly on a line).
+    """
     rng = np.random.default_rng([count, len(kind)])
     while True:
         found = random_contacts(rng, count)
@@ -142,7 +150,9 @@ def sample(count: int, kind: str = "hard") -> Sample:
 def reference_of(s: Sample) -> np.ndarray:
     """(3N, 3N - 6) object-frame directions of internal forces."""
     internal = np.linalg.svd(s.unit @ geometry.grasp_matrix(s.positions, s.frames))[2][6:].T
-    return np.einsum("nab,nbk->nak", s.frames, internal.reshape(s.count, 3, -1)).reshape(internal.shape)
+    return np.einsum("nab,nbk->nak", s.frames, internal.reshape(s.count, 3, -1)).reshape(
+        internal.shape
+    )
 
 
 def moved(s: Sample, size: float, *seed: int) -> Sample:

@@ -1,4 +1,5 @@
-"""The compiled module refuses arrays that it cannot read as they are, and numbers that are not finite, too large or of other contacts."""
+"""The compiled module refuses arrays that it cannot read as they are, and numbers that are not
+finite, too large or of other contacts."""
 
 from __future__ import annotations
 
@@ -24,19 +25,31 @@ INTERNAL = reference_of(SAMPLE)
 PLACE = {"positions": SAMPLE.positions, "normals": SAMPLE.normals}
 STOP = {"tolerance": 1e-6, "limit": 100}
 NORMALISATION = {
-    "floor": 0.2, "smoothing": 0.05, "log_mean": 0.5, "log_scale": 1.3, "friction_mean": 0.4, "friction_scale": 0.12,
-}  # fmt: skip
+    "floor": 0.2,
+    "smoothing": 0.05,
+    "log_mean": 0.5,
+    "log_scale": 1.3,
+    "friction_mean": 0.4,
+    "friction_scale": 0.12,
+}
 LIMITS = {
-    "min_normal": np.full(COUNT, 0.1), "max_normal": np.full(COUNT, 9.0), "jacobian": np.full((COUNT, 6, 3), 0.05),
-    "torque_limit": np.ones(3), "torque_bias": np.zeros(3),
-}  # fmt: skip
+    "min_normal": np.full(COUNT, 0.1),
+    "max_normal": np.full(COUNT, 9.0),
+    "jacobian": np.full((COUNT, 6, 3), 0.05),
+    "torque_limit": np.ones(3),
+    "torque_bias": np.zeros(3),
+}
 
 
 def contacts() -> _core.Contacts:
-    return _core.Contacts.make(**PLACE, scale=SAMPLE.scale, weights=SAMPLE.weights, tangents=np.zeros((0, 3)))
+    return _core.Contacts.make(
+        **PLACE, scale=SAMPLE.scale, weights=SAMPLE.weights, tangents=np.zeros((0, 3))
+    )
 
 
-def optimizer(weights: Any = SAMPLE.weights, model: _core.Model | None = None, **limits: Any) -> _core.ForceOptimizer:
+def optimizer(
+    weights: Any = SAMPLE.weights, model: _core.Model | None = None, **limits: Any
+) -> _core.ForceOptimizer:
     problem = _core.Problem(contacts(), weights, tuple(map(limits.get, LIMITS)) if limits else None)
     names = Names("newton", "internal_force")
     return _core.ForceOptimizer(problem, _core.Options(model=model, **STOP), ForceSolution, names)
@@ -58,7 +71,8 @@ def model(placed: bool = True, **given: float) -> _core.Model:
 
 @dataclass(frozen=True)
 class Call:
-    """A call by keywords: `given` is read, and arrays of the shapes in `written` are filled; `optional` ones may be None."""
+    """A call by keywords: `given` is read, and arrays of the shapes in `written` are filled;
+    `optional` ones may be None."""
 
     run: Callable[..., object]
     given: dict[str, Any]
@@ -81,9 +95,14 @@ def solve(made: _core.ForceOptimizer, wrench: Any, **changes: Any) -> object:
 
 
 def calls() -> dict[str, Call]:
-    s, limited = SAMPLE, optimizer(**LIMITS)
+    s = SAMPLE
+    limited = optimizer(**LIMITS)
     tangents = {"tangents": s.frames[:, :, 1].copy()}
-    now = PLACE | {"friction": np.full(COUNT, 0.5), "jacobian": LIMITS["jacobian"], "torque_bias": np.zeros(3)}
+    now = PLACE | {
+        "friction": np.full(COUNT, 0.5),
+        "jacobian": LIMITS["jacobian"],
+        "torque_bias": np.zeros(3),
+    }
     many = {
         "contacts": [contacts()],
         "weights": s.weights,
@@ -94,32 +113,47 @@ def calls() -> dict[str, Call]:
     records = {"records": (3, SIZE + 9 * COUNT)}
     deepest = {"force": (COUNT, 3), "torsion": (COUNT,), "twist": (6,)}
     return {
-        "Contacts.make": Call(_core.Contacts.make, PLACE | {"scale": s.scale, "weights": s.weights} | tangents, {}),
-        "ForceOptimizer": Call(
-            optimizer, {"weights": s.weights} | LIMITS, {}, frozenset({"weights", "min_normal", "max_normal", "torque_bias"})
+        "Contacts.make": Call(
+            _core.Contacts.make, PLACE | {"scale": s.scale, "weights": s.weights} | tangents, {}
         ),
-        "solve": Call(lambda **given: solve(limited, **given), now | {"wrench": LOADS[0]}, {}, frozenset(now)),
+        "ForceOptimizer": Call(
+            optimizer,
+            {"weights": s.weights} | LIMITS,
+            {},
+            frozenset({"weights", "min_normal", "max_normal", "torque_bias"}),
+        ),
+        "solve": Call(
+            lambda **given: solve(limited, **given), now | {"wrench": LOADS[0]}, {}, frozenset(now)
+        ),
         "deepest": Call(limited.deepest, {"wrench": LOADS[0]}, deepest),
         "solve_many": Call(limited.solve_many, {"wrenches": LOADS}, {"rows": (3, limited.size)}),
         "newton_grasps": Call(_core.newton_grasps, many, records),
         "conic_grasps": Call(_core.conic_grasps, many, records),
-    }  # fmt: skip
+    }
 
 
 CALLS = calls()
 SPOILED: dict[str, Callable[[np.ndarray], object]] = {
-    "float32": lambda a: a.astype(np.float32), "integers": lambda a: a.astype(int), "big endian": lambda a: a.astype(">f8"),
-    "strided": lambda a: np.repeat(a, 2, axis=-1)[..., ::2], "an axis more": lambda a: a[None],
-    "one more": lambda a: np.concatenate([a, a[..., :1]], axis=-1), "one less": lambda a: np.ascontiguousarray(a[..., :-1]),
-    "a row less": lambda a: np.ascontiguousarray(a[:-1]), "list": lambda a: a.tolist(), "none": lambda a: None,
-    "word": lambda a: "wrench", "huge": lambda a: np.broadcast_to(np.float64(0.0), (2**31, *a.shape[1:])),
-}  # fmt: skip
+    "float32": lambda a: a.astype(np.float32),
+    "integers": lambda a: a.astype(int),
+    "big endian": lambda a: a.astype(">f8"),
+    "strided": lambda a: np.repeat(a, 2, axis=-1)[..., ::2],
+    "an axis more": lambda a: a[None],
+    "one more": lambda a: np.concatenate([a, a[..., :1]], axis=-1),
+    "one less": lambda a: np.ascontiguousarray(a[..., :-1]),
+    "a row less": lambda a: np.ascontiguousarray(a[:-1]),
+    "list": lambda a: a.tolist(),
+    "none": lambda a: None,
+    "word": lambda a: "wrench",
+    "huge": lambda a: np.broadcast_to(np.float64(0.0), (2**31, *a.shape[1:])),
+}
 
 
 @pytest.mark.parametrize("name", CALLS)
 def test_arrays_are_as_the_core_reads_them_or_refused(name: str) -> None:
     """Nothing is read wrongly, and nothing is written where an argument is refused."""
-    call, good = CALLS[name], CALLS[name].arguments()
+    call = CALLS[name]
+    good = CALLS[name].arguments()
     outcome = call.run(**good)
     assert outcome is not False
     assert outcome != REFUSED
@@ -138,7 +172,10 @@ def test_arrays_are_as_the_core_reads_them_or_refused(name: str) -> None:
                 outcome = call.run(**arguments)
             except (TypeError, ValueError):
                 outcome = False
-            assert outcome is False or (type(outcome) is int and outcome == REFUSED), (argument, way)
+            assert outcome is False or (type(outcome) is int and outcome == REFUSED), (
+                argument,
+                way,
+            )
             for other in call.written:
                 if other != argument or way == "read-only":
                     assert (arguments[other] == -7.0).all(), (argument, way)
@@ -149,7 +186,8 @@ BAD = (np.nan, np.inf, -np.inf, 1e300, -1e300)
 
 @pytest.mark.parametrize("name", ["solve_many", "newton_grasps", "conic_grasps"])
 def test_a_row_that_is_refused_leaves_the_others(name: str) -> None:
-    call, key = CALLS[name], "rows" if name == "solve_many" else "records"
+    call = CALLS[name]
+    key = "rows" if name == "solve_many" else "records"
     wanted = call.arguments()
     call.run(**wanted)
     for bad in BAD:
@@ -165,8 +203,14 @@ def made_of(**wrong: Any) -> _core.Contacts:
 
 
 WRONG: dict[str, tuple[Callable[[], object], str]] = {
-    **{f"{name} {bad}": (lambda name=name, bad=bad: made_of(**{name: PLACE[name] * 0.0 + bad}), "finite|rank")
-       for name in PLACE for bad in (*BAD, 1e160, 1e-160)},
+    **{
+        f"{name} {bad}": (
+            lambda name=name, bad=bad: made_of(**{name: PLACE[name] * 0.0 + bad}),
+            "finite|rank",
+        )
+        for name in PLACE
+        for bad in (*BAD, 1e160, 1e-160)
+    },
     "scale": (lambda: made_of(scale=SAMPLE.scale * [1.0, np.nan, 1.0]), "."),
     "no friction": (lambda: made_of(scale=SAMPLE.scale * [0.0, 1.0, 1.0]), "."),
     "weights": (lambda: made_of(weights=-SAMPLE.weights), "."),
@@ -176,11 +220,15 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
     "wide network": (lambda: _core.Network.make([8, 10**6], np.zeros(1)), "stages"),
     "no network": (lambda: _core.Network.make([], np.zeros(1)), "stages"),
     "beyond float32": (lambda: _core.Network.make([8, 6], np.full(54, 1e39)), "finite"),
-    "other pairs": (lambda: _core.Model.make(_core.Network.make([10, 6], np.zeros(66)), _core.Network.make([6, 6], np.zeros(42))),
-                    "one stage"),
+    "other pairs": (
+        lambda: _core.Model.make(
+            _core.Network.make([10, 6], np.zeros(66)), _core.Network.make([6, 6], np.zeros(42))
+        ),
+        "one stage",
+    ),
     "floor": (lambda: model(floor=0.0), "finite"),
     "log scale": (lambda: model(log_scale=np.nan), "finite"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", WRONG)

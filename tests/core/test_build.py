@@ -24,7 +24,9 @@ SANITIZED = any(flag.startswith("-fsanitize") for flag in FLAGS)
 
 
 def _python(script: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=120, capture_output=True, text=True)
+    return subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, timeout=120, capture_output=True, text=True
+    )
 
 
 def test_build_info() -> None:
@@ -35,12 +37,16 @@ def test_build_info() -> None:
     assert info["build_type"] in ("Release", "RelWithDebInfo", "Debug")
     assert ("-O3" in FLAGS) == (info["build_type"] != "Debug")
     assert {"-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"} <= set(FLAGS)
-    assert not {"-ffast-math", "-Ofast", "-ffinite-math-only"} & set(FLAGS)  # which drop the checks for NaN
+    assert not {"-ffast-math", "-Ofast", "-ffinite-math-only"} & set(
+        FLAGS
+    )  # which drop the checks for NaN
 
 
 def test_the_right_build_is_loaded() -> None:
     other = os.environ.get("GRASP_CORE_BUILD")
-    homes = [ROOT / other, ROOT / other] if other else [ROOT / "grasp_env/core", ROOT / "tests/core"]
+    homes = (
+        [ROOT / other, ROOT / other] if other else [ROOT / "grasp_env/core", ROOT / "tests/core"]
+    )
     assert [Path(str(module.__file__)).parent for module in (_core, _core_test)] == homes
     assert (other is not None and other.endswith("sanitize")) == SANITIZED
 
@@ -81,7 +87,9 @@ def test_a_wheel_takes_the_best_build_or_the_named_one(
     assert _builds.folders(tmp_path / LEVELS[0]) == []  # an install with one build
 
 
-def test_a_wheel_refuses_an_old_processor_and_an_unknown_level(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wheel_refuses_an_old_processor_and_an_unknown_level(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "x86-64-v2").mkdir()
     monkeypatch.delenv(_builds.VARIABLE, raising=False)
     monkeypatch.setattr(_builds, "processor_level", lambda here: 1)
@@ -95,13 +103,26 @@ def test_a_wheel_refuses_an_old_processor_and_an_unknown_level(tmp_path: Path, m
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="levels of x86-64")
 def test_the_level_is_what_the_compiler_finds(tmp_path: Path) -> None:
     """processor.cpp agrees with GCC's own answer and with the instruction set of this build."""
-    source, own = ROOT / "grasp_env/core/bindings/wheel/processor.cpp", tmp_path / "own.cpp"
+    source = ROOT / "grasp_env/core/bindings/wheel/processor.cpp"
+    own = tmp_path / "own.cpp"
     names = " : ".join(f'__builtin_cpu_supports("x86-64-v{k}") ? {k}' for k in (4, 3, 2))
     own.write_text(f'extern "C" int own() {{ __builtin_cpu_init(); return {names} : 1; }}')
     for one, library in ((source, "processor.so"), (own, "own.so")):
-        run(tool("g++"), "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", one, "-o", tmp_path / library)
+        run(
+            tool("g++"),
+            "-shared",
+            "-fPIC",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            one,
+            "-o",
+            tmp_path / library,
+        )
     level = _builds.processor_level(tmp_path)
-    least = {"AVX-512": 4, "AVX2": 3, "AVX": 2, "SSE4.2": 2}.get(core.build_info()["instruction_set"], 1)
+    least = {"AVX-512": 4, "AVX2": 3, "AVX": 2, "SSE4.2": 2}.get(
+        core.build_info()["instruction_set"], 1
+    )
     assert least <= level <= 4
     if (tmp_path / "own.so").exists():  # GCC 12 and later know the levels' names
         assert level == ctypes.CDLL(str(tmp_path / "own.so")).own()
@@ -109,7 +130,9 @@ def test_the_level_is_what_the_compiler_finds(tmp_path: Path) -> None:
 
 def test_stub_has_every_public_name() -> None:
     stub = ast.parse((ROOT / "grasp_env/core/_core.pyi").read_text(encoding="utf-8"))
-    described = {node.name for node in stub.body if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+    described = {
+        node.name for node in stub.body if isinstance(node, (ast.FunctionDef, ast.ClassDef))
+    }
     named = [node.target for node in stub.body if isinstance(node, ast.AnnAssign)]
     described |= {target.id for target in named if isinstance(target, ast.Name)}
     public = {name for name in dir(_core) if not name.startswith("_")}
@@ -121,7 +144,15 @@ def test_the_core_imports_no_optional_package() -> None:
     done = _python("import sys, grasp_env.core; print(*sys.modules)")
     assert done.returncode == 0, done.stderr
     loaded = {name.split(".")[0] for name in done.stdout.split()}
-    assert not loaded & {"numba", "scipy", "torch", "pybullet", "matplotlib", "policies", "training"}
+    assert not loaded & {
+        "numba",
+        "scipy",
+        "torch",
+        "pybullet",
+        "matplotlib",
+        "policies",
+        "training",
+    }
 
 
 def test_a_missing_module_names_the_command_to_run() -> None:
@@ -146,7 +177,16 @@ def test_a_build_for_another_numpy_says_how_to_build_for_all() -> None:
 
 def test_wheel_has_headers_and_data_and_no_development_files(tmp_path: Path) -> None:
     """Without the module, which CMake adds."""
-    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-Cwheel.cmake=false"]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "-q",
+        "--no-deps",
+        "--no-build-isolation",
+        "-Cwheel.cmake=false",
+    ]
     subprocess.run([*command, "-w", str(tmp_path), "."], cwd=ROOT, check=True, timeout=120)
     (wheel,) = tmp_path.glob("*.whl")
     files = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
@@ -158,4 +198,8 @@ def test_wheel_has_headers_and_data_and_no_development_files(tmp_path: Path) -> 
     }
     left_out = {name for name in sources if name.startswith("grasp_env/core/bindings/")}
     assert files == sources - left_out
-    assert {"grasp_env/core/include/grasp/version.hpp", "grasp_env/core/_core.pyi", "grasp_env/py.typed"} <= files
+    assert {
+        "grasp_env/core/include/grasp/version.hpp",
+        "grasp_env/core/_core.pyi",
+        "grasp_env/py.typed",
+    } <= files

@@ -1,4 +1,5 @@
-"""`ForceOptimizer`: learned starts, contacts and friction of a call, independence of earlier calls, no allocation."""
+"""`ForceOptimizer`: learned starts, contacts and friction of a call, independence of earlier calls,
+no allocation."""
 
 from __future__ import annotations
 
@@ -7,7 +8,20 @@ from itertools import pairwise
 import _core_test as insides
 import numpy as np
 import pytest
-from cases import CONVERGED, EXCEEDED, FIELDS, INFEASIBLE, LIMIT, REFUSED, START, STARTED, UNDECIDED, Case, at, case
+from cases import (
+    CONVERGED,
+    EXCEEDED,
+    FIELDS,
+    INFEASIBLE,
+    LIMIT,
+    REFUSED,
+    START,
+    STARTED,
+    UNDECIDED,
+    Case,
+    at,
+    case,
+)
 from oracles import network as network_oracle
 from oracles.phi import phi
 from samples import Sample, sample, wrenches
@@ -31,7 +45,9 @@ PAIRS = single(np.random.default_rng(9).standard_normal((6, 6)))
 def model(s: Sample, seed: int, size: float) -> tuple[list[int], np.ndarray, insides.Model]:
     """Sizes, weights and model of a random network."""
     shape = [8 + 3, 16, 3 * s.count - 6]
-    weights = size * np.random.default_rng(seed).standard_normal(sum((a + 1) * b for a, b in pairwise(shape)))
+    weights = size * np.random.default_rng(seed).standard_normal(
+        sum((a + 1) * b for a, b in pairwise(shape))
+    )
     weights = single(np.clip(weights, -3.4e38, 3.4e38))
     return shape, weights, insides.Model.make(shape, weights, PAIRS, null_space(s))
 
@@ -39,8 +55,11 @@ def model(s: Sample, seed: int, size: float) -> tuple[list[int], np.ndarray, ins
 @pytest.mark.parametrize("size", [0.1, 3.0, 3e38])
 @pytest.mark.parametrize("count", [3, 4, 9])
 def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size: float) -> None:
-    """For any weights it is balanced, inside and no worse than the method's own start, and Newton from it ends certified."""
-    c, told, outside = case(count, "hard"), set(), set()
+    """For any weights it is balanced, inside and no worse than the method's own start, and Newton
+    from it ends certified."""
+    c = case(count, "hard")
+    told = set()
+    outside = set()
     s = c.contacts
     for seed in range(2):
         shape, weights, trained = model(s, seed, size)
@@ -51,7 +70,8 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size:
             w = s.unit @ load
             safe = c.z(made.start(load, START["internal_force"]), "initial")
             for before in (None, previous):
-                row, (solved, _) = made.start(load, previous=before), made.solve(load, previous=before)
+                row = made.start(load, previous=before)
+                (solved, _) = made.solve(load, previous=before)
                 for start in (c.z(row, "initial"), c.z(solved, "initial")):
                     assert phi(start, s.weights) <= phi(safe, s.weights) * (1.0 + 1e-12)
                     left = np.abs(s.rows @ start + w).max()
@@ -66,12 +86,14 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size:
                     length = np.sqrt(w @ w + 0.2**2)
                     o, t = (PAIRS @ w / length).reshape(2, 3)
                     lengths = np.sqrt(o * o + t * t + 0.05**2)
-                    log, friction = (np.log(length) - 0.5) / 1.3, (0.5 - 0.4) / 0.12
+                    log = (np.log(length) - 0.5) / 1.3
+                    friction = (0.5 - 0.4) / 0.12
                     features = np.array([*(w / length), log, *lengths, friction])
                     made_up = network_oracle.network(shape, weights, features)
                     force = null_space(s) @ (length * made_up) * s.scale.reshape(-1) - s.inverse @ w
                     # on the way from the safe start to the network's force, which leaves the cones
-                    x, way = c.z(row, "initial"), force - safe
+                    x = c.z(row, "initial")
+                    way = force - safe
                     share = float((x - safe) @ way / (way @ way))
                     near = 1e-5 * share * np.abs(way).max() + 1e-12 * np.abs(safe).max()
                     np.testing.assert_allclose(x, safe + share * way, rtol=0, atol=near)
@@ -87,8 +109,12 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size:
 
 
 def test_a_good_previous_solution_is_taken_before_a_prediction() -> None:
-    """Close to the optimum nothing is left to do. Without a wrench the own start is the optimum, which counts as no replacement."""
-    c, load = case(4, "hard"), wrenches(np.random.default_rng(5), 1)[0]
+    """Close to the optimum nothing is left to do.
+
+    Without a wrench the own start is the optimum, which counts as no replacement.
+    """
+    c = case(4, "hard")
+    load = wrenches(np.random.default_rng(5), 1)[0]
     made = c.solver(tolerance=1e-4, start=START["learned"], model=model(c.contacts, 1, 3.0)[2])
     before, _ = c.solver(tolerance=1e-10).solve(1.0001 * load)
     row, _ = made.solve(load, previous=before)
@@ -98,16 +124,25 @@ def test_a_good_previous_solution_is_taken_before_a_prediction() -> None:
 
 
 ALGORITHMS = [
-    ("newton", "hard"), ("newton", "own limits"), ("newton", "shared limits"), ("newton", "some soft"), ("newton", "soft limits"),
-    ("reduced flow", "hard"), ("full flow", "hard"), ("sum", "hard"), ("sum", "soft limits"), ("largest", "hard"),
-]  # fmt: skip
+    ("newton", "hard"),
+    ("newton", "own limits"),
+    ("newton", "shared limits"),
+    ("newton", "some soft"),
+    ("newton", "soft limits"),
+    ("reduced flow", "hard"),
+    ("full flow", "hard"),
+    ("sum", "hard"),
+    ("sum", "soft limits"),
+    ("largest", "hard"),
+]
 each_algorithm = pytest.mark.parametrize(("method", "kind"), ALGORITHMS)
 
 
 @each_algorithm
 @pytest.mark.parametrize("count", [3, 4, 5])
 def test_answers_do_not_depend_on_earlier_calls(count: int, method: str, kind: str) -> None:
-    """Bit by bit, whatever the last call left in unused lanes; copies are independent, and so are the problems of a batch."""
+    """Bit by bit, whatever the last call left in unused lanes; copies are independent, and so are
+    the problems of a batch."""
     c = case(count, kind)
     load, other = wrenches(np.random.default_rng(1), 2)
     made, again = (c.solver(method, tolerance=1e-4, limit=30) for _ in range(2))
@@ -125,7 +160,9 @@ def test_answers_do_not_depend_on_earlier_calls(count: int, method: str, kind: s
         alone = copy.solve(one)[0]
         assert at(row, "code") == at(alone, "code")
         # side by side sums are taken in another order
-        np.testing.assert_allclose(c.z(row), c.z(alone), rtol=0, atol=1e-7 * np.abs(c.z(alone)).max() + 1e-300)
+        np.testing.assert_allclose(
+            c.z(row), c.z(alone), rtol=0, atol=1e-7 * np.abs(c.z(alone)).max() + 1e-300
+        )
 
 
 @each_algorithm
@@ -148,13 +185,17 @@ def test_bad_wrenches_are_refused_and_tiny_ones_are_solved(method: str, kind: st
 
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "full flow", "sum", "largest"])
 def test_a_row_without_a_force_does_not_look_like_an_optimum_of_zero(method: str) -> None:
-    """Refused wrenches, proofs, and weights of 1e300, with which every objective overflows; alone and side by side."""
-    s, load = sample(4), wrenches(np.random.default_rng(0), 1)[0]
+    """Refused wrenches, proofs, and weights of 1e300, with which every objective overflows; alone
+    and side by side."""
+    s = sample(4)
+    load = wrenches(np.random.default_rng(0), 1)[0]
     palm = Sample(s.positions, np.tile([0.0, 0.0, 1.0], (4, 1)), s.scale, s.weights)
     heavy = Sample(s.positions, s.normals, s.scale, 1e300 * s.weights)
     for contacts, wrench, codes in (
-        (s, np.full(6, np.nan), {REFUSED}), (palm, np.eye(6)[2], {INFEASIBLE}), (heavy, 1e11 * load, {REFUSED, UNDECIDED}),
-    ):  # fmt: skip
+        (s, np.full(6, np.nan), {REFUSED}),
+        (palm, np.eye(6)[2], {INFEASIBLE}),
+        (heavy, 1e11 * load, {REFUSED, UNDECIDED}),
+    ):
         made = Case(contacts, np.zeros(4)).solver(method, tolerance=1e-4)
         rows = [made.solve(wrench)[0], *made.solve_many(np.array([wrench] * 12))]
         for row in rows:
@@ -166,9 +207,14 @@ def test_a_row_without_a_force_does_not_look_like_an_optimum_of_zero(method: str
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "sum"])
 @pytest.mark.parametrize("count", [4, 9])
 def test_contacts_of_a_call(count: int, method: str) -> None:
-    """Moved contacts have the answer of a solver made for them, and the previous solution follows them in fewer steps."""
-    s, rng, saved = sample(count), np.random.default_rng(count), 0.0
-    positions, normals, load = s.positions, s.normals, wrenches(rng, 1)[0]
+    """Moved contacts have the answer of a solver made for them, and the previous solution follows
+    them in fewer steps."""
+    s = sample(count)
+    rng = np.random.default_rng(count)
+    saved = 0.0
+    positions = s.positions
+    normals = s.normals
+    load = wrenches(rng, 1)[0]
     made = case(count, "hard").solver(method, tolerance=1e-5)
     before, _ = made.solve(load)
     for _ in range(4):
@@ -182,7 +228,9 @@ def test_contacts_of_a_call(count: int, method: str) -> None:
         assert at(row, "objective") == pytest.approx(at(alone, "objective"), rel=2e-5)
         frames = there.contacts.placement.arrays["frames"]
         np.testing.assert_array_equal(row[FIELDS["force"] + 7 * count :], frames.reshape(-1))
-        follows, _ = made.solve(load, START["previous"], previous=before, positions=positions, normals=normals)
+        follows, _ = made.solve(
+            load, START["previous"], previous=before, positions=positions, normals=normals
+        )
         for each in (row, follows):
             if method == "sum":
                 certified(there, load, each, 1e-5, False)
@@ -193,7 +241,9 @@ def test_contacts_of_a_call(count: int, method: str) -> None:
     assert saved > 0.0 or method == "sum"
 
 
-@pytest.mark.skipif(not insides.counts_allocations, reason="the sanitizers have an operator new of their own")
+@pytest.mark.skipif(
+    not insides.counts_allocations, reason="the sanitizers have an operator new of their own"
+)
 @pytest.mark.parametrize("calls", [4_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
 @each_algorithm
 @pytest.mark.parametrize("count", [4, 16])
@@ -202,7 +252,9 @@ def test_nothing_is_allocated(count: int, method: str, kind: str, calls: int) ->
     assert (insides.known_allocations(0), insides.known_allocations(5)) == (0, 10)
     if method == "full flow" and count > 8:
         pytest.skip("the full flow is dense")
-    calls //= {"full flow": 200, "reduced flow": 20, "largest": 20}.get(method, 20 if "limits" in kind else 1)
+    calls //= {"full flow": 200, "reduced flow": 20, "largest": 20}.get(
+        method, 20 if "limits" in kind else 1
+    )
     loads = wrenches(np.random.default_rng(count), 24, of(kind))
     for elastic in (False, True) if "limits" in kind and method == "newton" else (False,):
         c = case(count, kind, 0, 4.0)
@@ -221,15 +273,23 @@ def test_nothing_is_allocated(count: int, method: str, kind: str, calls: int) ->
         assert made.allocations(loads, calls=calls) == 0
 
 
-@pytest.mark.skipif(not insides.counts_allocations, reason="the sanitizers have an operator new of their own")
+@pytest.mark.skipif(
+    not insides.counts_allocations, reason="the sanitizers have an operator new of their own"
+)
 @pytest.mark.parametrize("limited", [False, True])
 @pytest.mark.parametrize("gamma", [0.0, 0.01])
 @pytest.mark.parametrize("method", ["newton", "sum", "largest"])
-def test_nothing_is_allocated_over_the_edge_of_supports(method: str, gamma: float, limited: bool) -> None:
-    """Weights above the line between two of three supports and next to it, where the boundary is found and left."""
+def test_nothing_is_allocated_over_the_edge_of_supports(
+    method: str, gamma: float, limited: bool
+) -> None:
+    """Weights above the line between two of three supports and next to it, where the boundary is
+    found and left."""
     supports = np.array([[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0]])
     flat = Sample(
-        supports, np.tile([0.0, 0.0, 1.0], (3, 1)), np.tile([0.5, 1.0, 1.0], (3, 1)), np.tile([1.0, 0.01], (3, 1))
+        supports,
+        np.tile([0.0, 0.0, 1.0], (3, 1)),
+        np.tile([0.5, 1.0, 1.0], (3, 1)),
+        np.tile([1.0, 0.01], (3, 1)),
     )
     limits = {"max_normal": np.full(3, 1e3)} if limited else {}
     made = Case(flat, np.full(3, gamma), limits).solver(method, tolerance=1e-4)

@@ -1,4 +1,5 @@
-"""`ForceOptimizer`: proofs that no force exists, least excesses of limits, the least sum and maximum of the normal forces."""
+"""`ForceOptimizer`: proofs that no force exists, least excesses of limits, the least sum and
+maximum of the normal forces."""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ def tight(count: int, what: str, free: int, seed: int) -> Case:
 
 
 def least_over(c: Case, load: np.ndarray, cost: np.ndarray, *, inside: bool, elastic: bool):
-    """linprog over pyramids around or inside the cones; elastic: the last variable is the excess of balanced forces."""
+    """linprog over pyramids around or inside the cones; elastic: the last variable is the excess of
+    balanced forces."""
     facets, bound = c.pyramids(inside=inside)
     if not elastic:
         return linprog(cost, A_ub=facets, b_ub=bound, bounds=(None, None), method="highs")
@@ -46,16 +48,24 @@ def least_over(c: Case, load: np.ndarray, cost: np.ndarray, *, inside: bool, ela
     first = len(facets) - len(c.terms.rows)
     wider[first : first + len(c.own[2])] = c.own[2]
     return linprog(
-        cost, A_ub=np.column_stack([facets, -wider]), b_ub=bound, A_eq=np.column_stack([c.matrix, np.zeros(6)]),
-        b_eq=-(c.contacts.unit @ load), bounds=(None, None), method="highs",
-    )  # fmt: skip
+        cost,
+        A_ub=np.column_stack([facets, -wider]),
+        b_ub=bound,
+        A_eq=np.column_stack([c.matrix, np.zeros(6)]),
+        b_eq=-(c.contacts.unit @ load),
+        bounds=(None, None),
+        method="highs",
+    )
 
 
 @pytest.mark.parametrize(("count", "what", "free"), TIGHT)
 def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int) -> None:
-    """A twist v proves infeasibility: v . w exceeds -v . G f for every force within the limits and pyramids around the cones.
+    """A twist v proves infeasibility: v .
 
-    An elastic excess is within 1 % of the least one over pyramids, and its multipliers are a slope below it.
+    w exceeds -v . G f for every force within the limits and pyramids around the cones.
+
+    An elastic excess is within 1 % of the least one over pyramids, and its multipliers are a slope
+    below it.
     """
     proofs, exceeded, feasible = 0, 0, 0
     for k, load in enumerate(wrenches(np.random.default_rng(100 + count), 12, 2.0)):
@@ -67,7 +77,8 @@ def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int
             assert at(row, "code") != CONVERGED or c.excess(c.z(row)) == 0.0
             feasible += 1
             continue
-        twist, (_, prices) = nu_of(row), c.torques_and_prices(row)
+        twist = nu_of(row)
+        (_, prices) = c.torques_and_prices(row)
         assert np.abs(twist).max() == pytest.approx(1.0)
         assert (prices >= 0.0).all()
         np.testing.assert_array_equal(row[FIELDS["force"] : len(row) - len(prices)], 0.0)
@@ -80,14 +91,18 @@ def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int
         if at(soft, "code") != EXCEEDED:
             continue
         exceeded += 1
-        z, t, low = c.z(soft), at(soft, "limit_excess"), at(soft, "lower_bound")
+        z = c.z(soft)
+        t = at(soft, "limit_excess")
+        low = at(soft, "lower_bound")
         assert at(soft, "objective") == t == pytest.approx(c.excess(z), rel=1e-9)
         assert 0.0 < low <= t <= max(1.01 * low, low + 1e-6)
         assert np.abs(c.matrix @ z + s.unit @ load).max() < 1e-9 * np.abs(z).max()
         assert (z[0 : 3 * count : 3] > np.hypot(z[1 : 3 * count : 3], z[2 : 3 * count : 3])).all()
         last = np.append(np.zeros(len(z)), 1.0)
         # 64 facets around a cone are 0.12 % wider: they may exceed less, and by little
-        around, within = (least_over(c, load, last, inside=inside, elastic=True) for inside in (False, True))
+        around, within = (
+            least_over(c, load, last, inside=inside, elastic=True) for inside in (False, True)
+        )
         assert around.fun <= t * (1.0 + 1e-9)
         assert low == pytest.approx(around.fun, rel=0.02, abs=2e-3)
         assert low <= within.fun * (1.0 + 1e-9)
@@ -97,9 +112,14 @@ def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int
         made = c.solver(elastic=True)
         again, _ = made.solve(load)
         for scale in (1.001, 0.7, 0.1):  # on the way back within the limits
-            fresh, after = (made.solve(scale * load, *more)[0] for more in ((), (START["previous"], None, None, again)))
+            fresh, after = (
+                made.solve(scale * load, *more)[0]
+                for more in ((), (START["previous"], None, None, again))
+            )
             assert at(after, "code") == at(fresh, "code")
-            assert at(after, "limit_excess") == pytest.approx(at(fresh, "limit_excess"), rel=0.0202, abs=2e-6)
+            assert at(after, "limit_excess") == pytest.approx(
+                at(fresh, "limit_excess"), rel=0.0202, abs=2e-6
+            )
     assert proofs >= 3
     assert exceeded >= 3
     assert feasible >= (what != "own")
@@ -107,9 +127,15 @@ def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int
 
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "sum", "largest"])
 def test_fingers_that_all_push_one_way_have_proofs_or_forces(method: str) -> None:
-    """Without force closure an object pressed against the fingers is held; if it is lifted, a twist proves that none holds it."""
+    """Without force closure an object pressed against the fingers is held; if it is lifted, a twist
+    proves that none holds it."""
     base = sample(4)
-    s = Sample(base.positions, np.tile([0.0, 0.6, 0.8], (4, 1)), base.scale * 0.0 + [0.3, 1.0, 1.0], base.weights)
+    s = Sample(
+        base.positions,
+        np.tile([0.0, 0.6, 0.8], (4, 1)),
+        base.scale * 0.0 + [0.3, 1.0, 1.0],
+        base.weights,
+    )
     c = Case(s, np.zeros(4))
     made = c.solver(method, tolerance=1e-4)
     middle = s.positions.mean(axis=0)
@@ -126,7 +152,9 @@ def test_fingers_that_all_push_one_way_have_proofs_or_forces(method: str) -> Non
     assert (pull[:, 0] - np.hypot(pull[:, 1], pull[:, 2])).min() >= -1e-9
 
 
-@pytest.mark.parametrize(("count", "kind"), [(3, "hard"), (9, "hard"), (8, "frictionless"), (6, "thin")])
+@pytest.mark.parametrize(
+    ("count", "kind"), [(3, "hard"), (9, "hard"), (8, "frictionless"), (6, "thin")]
+)
 def test_iterations_of_the_least_sum_are_the_oracles(count: int, kind: str) -> None:
     c = case(count, kind)
     s = c.contacts
@@ -145,10 +173,14 @@ def test_iterations_of_the_least_sum_are_the_oracles(count: int, kind: str) -> N
             assert (at(row, "code"), at(row, "iterations")) == (LIMIT, k + 1)
             force, _ = c.forces(row)
             near = 1e-8 * np.abs(force).max()
-            np.testing.assert_allclose(force, size * point.x / s.divisor.reshape(-1), rtol=0, atol=near)
+            np.testing.assert_allclose(
+                force, size * point.x / s.divisor.reshape(-1), rtol=0, atol=near
+            )
             # y of the record is scaled onto the boundary of its set
             bound, nu = conic.certified_bound(program, point.y)
-            np.testing.assert_allclose(nu_of(row), s.unit.T @ nu, rtol=0, atol=1e-7 * np.abs(s.unit.T @ nu).max())
+            np.testing.assert_allclose(
+                nu_of(row), s.unit.T @ nu, rtol=0, atol=1e-7 * np.abs(s.unit.T @ nu).max()
+            )
             assert at(row, "lower_bound") == pytest.approx(size * bound, rel=1e-7, abs=near)
             seen.append(force)
         assert all(  # every iteration moved
@@ -157,12 +189,17 @@ def test_iterations_of_the_least_sum_are_the_oracles(count: int, kind: str) -> N
 
 
 def certified(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, largest: bool) -> None:
-    """Check a record: balanced, within cones and limits, with a bound that weak duality proves from multipliers and prices."""
-    s, z = c.contacts, c.z(row)
-    w, omega = s.unit @ load, s.weights[:, 0]
+    """Check a record: balanced, within cones and limits, with a bound that weak duality proves from
+    multipliers and prices."""
+    s = c.contacts
+    z = c.z(row)
+    w = s.unit @ load
+    omega = s.weights[:, 0]
     weighed = omega * c.forces(row)[0][0::3]
     assert at(row, "code") == CONVERGED
-    assert at(row, "objective") == pytest.approx(weighed.max() if largest else weighed.sum(), rel=1e-9)
+    assert at(row, "objective") == pytest.approx(
+        weighed.max() if largest else weighed.sum(), rel=1e-9
+    )
     size = np.abs(z).max() + np.abs(w).max()
     near = 1e-13 if c.terms.rows.size == 0 and not largest else 1e-9
     assert np.abs(c.matrix @ z + w).max() <= near * c.count * size
@@ -176,7 +213,8 @@ def certified(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, larg
     each = pull[: 3 * c.count].reshape(-1, 3)
     need = (each[:, 0] + np.hypot(each[:, 1], each[:, 2]) + turn) * s.divisor[:, 0] / omega
     most = np.maximum(need, 0.0).sum() if largest else need.max()
-    value, low = -nu_of(row) @ load - price @ c.own[1], at(row, "lower_bound")
+    value = -nu_of(row) @ load - price @ c.own[1]
+    low = at(row, "lower_bound")
     assert most <= 1.0 + 1e-6
     assert low <= max(0.0, value / max(1.0, most)) * (1.0 + 1e-5) + 1e-12
     assert low <= at(row, "objective") <= low * (1.0 + tolerance * (1.0 + 1e-9)) + 1e-300
@@ -186,17 +224,23 @@ def certified(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, larg
 @pytest.mark.parametrize("count", COUNTS)
 def test_the_least_sum_is_certified(count: int, kind: str) -> None:
     # three contacts nearly on a line have hardly any internal force
-    c, rng = case(count, "hard" if (count, kind) == (3, "thin") else kind), np.random.default_rng(count)
+    c = case(count, "hard" if (count, kind) == (3, "thin") else kind)
+    rng = np.random.default_rng(count)
     for size in (1e-6, 1.0, 1e4):
         load = wrenches(rng, 1, size)[0]
         certified(c, load, c.solver("sum", tolerance=1e-6).solve(load)[0], 1e-6, False)
 
 
 @pytest.mark.parametrize("method", ["sum", "largest"])
-@pytest.mark.parametrize("kind", ["some soft", "own limits", "shared limits", "soft limits", "hard"])
+@pytest.mark.parametrize(
+    "kind", ["some soft", "own limits", "shared limits", "soft limits", "hard"]
+)
 @pytest.mark.parametrize("count", [4, 9])
-def test_least_forces_are_certified_or_proven_not_to_exist(count: int, kind: str, method: str) -> None:
-    c, found = case(count, kind), 0
+def test_least_forces_are_certified_or_proven_not_to_exist(
+    count: int, kind: str, method: str
+) -> None:
+    c = case(count, kind)
+    found = 0
     for load in wrenches(np.random.default_rng(count), 4, of(kind)):
         row, _ = c.solver(method, tolerance=1e-8).solve(load)
         if at(row, "code") == INFEASIBLE:

@@ -1,4 +1,5 @@
-"""Contact frames, G and its inverse at every condition number, and what counts as rank 6, with torsion and without."""
+"""Contact frames, G and its inverse at every condition number, and what counts as rank 6, with
+torsion and without."""
 
 from __future__ import annotations
 
@@ -19,7 +20,10 @@ def directions() -> np.ndarray:
     """Uniform, the six axes, and both sides of the switch of the tangents; unit length to rounding."""
     rng = np.random.default_rng(0)
     sides = [
-        (s * x, a) for x in SWITCH + np.array([-1e-9, 0.0, 1e-9]) for s in (1.0, -1.0) for a in rng.uniform(0, 6.3, 5)
+        (s * x, a)
+        for x in SWITCH + np.array([-1e-9, 0.0, 1e-9])
+        for s in (1.0, -1.0)
+        for a in rng.uniform(0, 6.3, 5)
     ]
     around = [[x, np.sqrt(1 - x * x) * np.cos(a), np.sqrt(1 - x * x) * np.sin(a)] for x, a in sides]
     every = np.concatenate([rng.standard_normal((60, 3)), np.eye(3), -np.eye(3), around])
@@ -41,23 +45,31 @@ def test_frames_are_the_written_rule(close: float | None) -> None:
 
 
 def check(s: Sample, tolerance: float) -> None:
-    """Compare all arrays of placed contacts with the oracle; `tolerance` of G^+ is relative to its largest entry."""
+    """Compare all arrays of placed contacts with the oracle; `tolerance` of G^+ is relative to its
+    largest entry."""
     found = s.placement.arrays
     assert s.placement.verdict == GOOD
     size = 1.0 + np.abs(s.positions).max()
     np.testing.assert_allclose(found["frames"], s.frames, atol=4e-15)
-    np.testing.assert_allclose(found["matrix"], oracle.grasp_matrix(s.positions, s.frames), atol=8e-15 * size)
+    np.testing.assert_allclose(
+        found["matrix"], oracle.grasp_matrix(s.positions, s.frames), atol=8e-15 * size
+    )
     np.testing.assert_allclose(found["cone_matrix"], s.cone_matrix, atol=3e-14 * size)
     np.testing.assert_array_equal(found["divisor"], s.divisor)
     # moments about the centre, divided by the length: positions far away have fewer digits left
-    np.testing.assert_allclose(found["rows"], s.rows, rtol=0, atol=1e-14 * np.abs(s.unit).max() * size)
-    inverse, basis = found["inverse"], found["orthonormal"]
+    np.testing.assert_allclose(
+        found["rows"], s.rows, rtol=0, atol=1e-14 * np.abs(s.unit).max() * size
+    )
+    inverse = found["inverse"]
+    basis = found["orthonormal"]
     np.testing.assert_allclose(inverse, s.inverse, rtol=0, atol=tolerance * np.abs(s.inverse).max())
     near = tolerance * max(1.0, np.abs(inverse).max())
     np.testing.assert_allclose(found["rows"] @ inverse, np.eye(6), rtol=0, atol=near)
     np.testing.assert_allclose(basis @ basis.T, np.eye(6), atol=tolerance)
     of_force = found["rows"] * np.where(np.isfinite(s.divisor), s.divisor, 0.0).reshape(-1)
-    np.testing.assert_allclose(of_force @ basis.T @ basis, of_force, rtol=0, atol=tolerance * np.abs(of_force).max())
+    np.testing.assert_allclose(
+        of_force @ basis.T @ basis, of_force, rtol=0, atol=tolerance * np.abs(of_force).max()
+    )
 
 
 @pytest.mark.parametrize("kind", ["hard", "frictionless"])
@@ -88,20 +100,30 @@ def first(s: Sample, keep: int) -> Sample:
 def test_rank_lost() -> None:
     five = random_contacts(np.random.default_rng(1), 5)
     lost = [nearly_on_a_line(count, thin) for count in (3, 9) for thin in (0.0, 1e-9)]
-    lost += [first(five, 1), first(five, 2), with_frictionless(five, slice(None))]  # the last has rank 5
+    # the last has rank 5
+    lost += [first(five, 1), first(five, 2), with_frictionless(five, slice(None))]
     assert {s.placement.verdict for s in lost} == {RANK_LOST}
 
 
 @pytest.mark.parametrize(
     ("off", "verdict"),
-    [(1e-7, GOOD), (9e-3, GOOD), (-9e-3, GOOD), (0.011, REFUSED), (-0.011, REFUSED), (np.nan, REFUSED)],
+    [
+        (1e-7, GOOD),
+        (9e-3, GOOD),
+        (-9e-3, GOOD),
+        (0.011, REFUSED),
+        (-0.011, REFUSED),
+        (np.nan, REFUSED),
+    ],
 )
 def test_normals_have_unit_length(off: float, verdict: int) -> None:
     s = sample(4)
     made = insides.place(s.positions, s.normals * (1.0 + off), s.scale, s.weights)
     assert made.verdict == verdict
     if verdict == GOOD:
-        np.testing.assert_allclose(np.linalg.norm(made.arrays["frames"][:, :, 0], axis=1), 1.0, atol=4e-16)
+        np.testing.assert_allclose(
+            np.linalg.norm(made.arrays["frames"][:, :, 0], axis=1), 1.0, atol=4e-16
+        )
 
 
 @pytest.mark.parametrize("far", [0.0, 1e3])
@@ -110,15 +132,20 @@ def test_neither_origin_nor_size_matters(far: float) -> None:
     for size in (1e-3, 1e3):
         moved = insides.place(size * s.positions + far * size, s.normals, s.scale, s.weights)
         wanted = s.placement.arrays["rows"]  # up to the digits of positions that the distance takes
-        np.testing.assert_allclose(moved.arrays["rows"], wanted, rtol=0, atol=1e-13 * (1.0 + 30.0 * far))
+        np.testing.assert_allclose(
+            moved.arrays["rows"], wanted, rtol=0, atol=1e-13 * (1.0 + 30.0 * far)
+        )
 
 
 def test_cones_are_round_and_of_slope_one() -> None:
     """(o / mu_o)^2 + (t / mu_t)^2 <= n^2 becomes |(o, t)| <= u, with u = sqrt(mu_o mu_t) n."""
-    friction, scale = np.array([[0.4, 0.4], [0.2, 0.9], [0.0, 0.5]]), np.empty((3, 3))
+    friction = np.array([[0.4, 0.4], [0.2, 0.9], [0.0, 0.5]])
+    scale = np.empty((3, 3))
     _core.cone_scale(friction, scale)
     mean = np.sqrt(0.2 * 0.9)
-    np.testing.assert_allclose(scale, [[0.4, 1, 1], [mean, mean / 0.2, mean / 0.9], [1, 0, 0]], rtol=4 * EPS)
+    np.testing.assert_allclose(
+        scale, [[0.4, 1, 1], [mean, mean / 0.2, mean / 0.9], [1, 0, 0]], rtol=4 * EPS
+    )
 
 
 # --- soft contacts
@@ -126,7 +153,8 @@ def test_cones_are_round_and_of_slope_one() -> None:
 
 def soft(s: Sample, which: list[int]) -> tuple[insides.Placement, float]:
     """Contacts of which some transmit torsion, and the ratio of singular values with it."""
-    gamma, turns = np.zeros(s.count), np.zeros((6, len(which)))
+    gamma = np.zeros(s.count)
+    turns = np.zeros((6, len(which)))
     gamma[which], turns[3:] = 0.01, s.normals[which].T
     forces = oracle.grasp_matrix(s.positions, s.frames) * (s.scale > 0.0).reshape(-1)
     ratio = oracle.rank_ratio(s.unit @ np.column_stack([forces, turns]))
@@ -135,15 +163,21 @@ def soft(s: Sample, which: list[int]) -> tuple[insides.Placement, float]:
 
 def test_torsion_makes_up_for_rank_that_forces_lack() -> None:
     five = random_contacts(np.random.default_rng(8), 5)
-    two, smooth = first(five, 2), with_frictionless(five, slice(None))
+    two = first(five, 2)
+    smooth = with_frictionless(five, slice(None))
     line = np.array([[0.0, 0.0, -0.02], [0.0, 0.0, 0.02]])
     across = Sample(
         line, np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), two.scale, two.weights
     )  # cannot turn about the line
     for s, which, verdict in (
-        (sample(5), [0, 3], GOOD), (two, [0, 1], NEEDS_TORSION), (two, [1], NEEDS_TORSION), (two, [], RANK_LOST),
-        (across, [0, 1], RANK_LOST), (first(five, 1), [0], RANK_LOST), (smooth, list(range(5)), NEEDS_TORSION),
-    ):  # fmt: skip
+        (sample(5), [0, 3], GOOD),
+        (two, [0, 1], NEEDS_TORSION),
+        (two, [1], NEEDS_TORSION),
+        (two, [], RANK_LOST),
+        (across, [0, 1], RANK_LOST),
+        (first(five, 1), [0], RANK_LOST),
+        (smooth, list(range(5)), NEEDS_TORSION),
+    ):
         made, ratio = soft(s, which)
         assert (made.verdict, ratio > 1e-8) == (verdict, verdict != RANK_LOST)
         if verdict != RANK_LOST:
@@ -155,6 +189,8 @@ def test_a_doubtful_rank_with_torsion_is_left_to_the_singular_values() -> None:
     for lean in 10.0 ** np.arange(-12.0, 0.0, 0.25):
         normals = np.array([[1.0, 0.0, lean], [-1.0, 0.0, lean]]) / np.hypot(1.0, lean)
         line = np.array([[0.3, 0.1, -0.02], [0.3, 0.1, 0.02]])
-        made, ratio = soft(Sample(line, normals, np.tile([0.5, 1.0, 1.0], (2, 1)), np.ones((2, 2))), [0, 1])
+        made, ratio = soft(
+            Sample(line, normals, np.tile([0.5, 1.0, 1.0], (2, 1)), np.ones((2, 2))), [0, 1]
+        )
         if not 0.9e-8 < ratio < 1.1e-8:
             assert made.verdict == (NEEDS_TORSION if ratio > 1e-8 else RANK_LOST), ratio

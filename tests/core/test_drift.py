@@ -13,20 +13,46 @@ CORE = ROOT / "grasp_env/core"
 FRONT = ("optimizer.hpp", "problem.hpp", "record.hpp")
 PLACES = {
     "bound": [*(CORE / "bindings").glob("*.[ch]pp"), ROOT / "grasp_env/force/solution.py"],
-    "in the stub or a list of names": [CORE / "_core.pyi", ROOT / "grasp_env/force/solution.py", ROOT / "grasp_env/force/options.py"],
-    "on a page": [CORE / "README.md", ROOT / "grasp_env/force/solution.py", ROOT / "docs/choosing.md"],
-}  # fmt: skip
+    "in the stub or a list of names": [
+        CORE / "_core.pyi",
+        ROOT / "grasp_env/force/solution.py",
+        ROOT / "grasp_env/force/options.py",
+    ],
+    "on a page": [
+        CORE / "README.md",
+        ROOT / "grasp_env/force/solution.py",
+        ROOT / "docs/choosing.md",
+    ],
+}
 IN_PYTHON = {
-    "Options.limit": "max_iterations", "Options.step_rule": "rule", "Problem.limits": "min_normal", "Request.previous": "before",
-    "ForceOptimizer.forget": "previous", "Code.LIMIT": "iteration_limit", "Summary.residual": "equilibrium_residual",
-    "Summary.margin": "cone_margin", "Summary.replaced": "start_replaced", "Record.prices": "limit_multipliers",
-}  # fmt: skip
+    "Options.limit": "max_iterations",
+    "Options.step_rule": "rule",
+    "Problem.limits": "min_normal",
+    "Request.previous": "before",
+    "ForceOptimizer.forget": "previous",
+    "Code.LIMIT": "iteration_limit",
+    "Summary.residual": "equilibrium_residual",
+    "Summary.margin": "cone_margin",
+    "Summary.replaced": "start_replaced",
+    "Record.prices": "limit_multipliers",
+}
 """Names that differ in Python."""
 CPP_ALONE = {
-    "Options.gap", "Changes.empty", "Request.now", "Summary.joints", "Summary.limits", "Record.has_force", "Record.summary",  # attributes do it
-    "Record.clear", "Record.refute",  # which write records
-    "Start.standard", "Start.guess", "Start.central", "Request.adjustment", "Code.RANK_LOST",  # None, `Repair`, the environment, an error
-}  # fmt: skip
+    "Options.gap",
+    "Changes.empty",
+    "Request.now",
+    "Summary.joints",
+    "Summary.limits",
+    "Record.has_force",
+    "Record.summary",  # attributes do it
+    "Record.clear",
+    "Record.refute",  # which write records
+    "Start.standard",
+    "Start.guess",
+    "Start.central",
+    "Request.adjustment",
+    "Code.RANK_LOST",  # None, `Repair`, the environment, an error
+}
 """Names that Python lacks."""
 
 
@@ -36,7 +62,9 @@ def names() -> tuple[str, ...]:
     found = set()
     for header in FRONT:
         text = re.sub(r"\s*//.*", "", (CORE / "include/grasp" / header).read_text())
-        for kind, name, body in re.findall(r"\n(enum class|enum|struct|class) (\w+)[^;{]*\{(.*?)\n\};", text, re.S):
+        for kind, name, body in re.findall(
+            r"\n(enum class|enum|struct|class) (\w+)[^;{]*\{(.*?)\n\};", text, re.S
+        ):
             public = body.partition("public:")[2] if kind == "class" else body
             for line in public.partition("private:")[0].splitlines():
                 if re.match(r" {4}\w", line):  # not what stands inside of a function
@@ -49,7 +77,11 @@ def members(line: str) -> list[str]:
     if call := re.search(r"(\w+)\(", re.sub(r"[{=].*", "", line)):
         return [call[1]]
     plain = re.sub(r"<[^<>]*>|\{[^{}]*\}| = [^,;]*", "", line)
-    return [part.split()[-1] for part in re.split(r"[,;]", plain) if part.split() and part.split()[-1].isidentifier()]
+    return [
+        part.split()[-1]
+        for part in re.split(r"[,;]", plain)
+        if part.split() and part.split()[-1].isidentifier()
+    ]
 
 
 @cache
@@ -61,7 +93,9 @@ def words(place: str) -> frozenset[str]:
 def test_every_public_name_is(place: str) -> None:
     def known(name: str) -> bool:
         member = name.split(".")[1]
-        return name in CPP_ALONE or bool({member, member.lower(), IN_PYTHON.get(name, member)} & words(place))
+        return name in CPP_ALONE or bool(
+            {member, member.lower(), IN_PYTHON.get(name, member)} & words(place)
+        )
 
     missing = [name for name in names() if not known(name)]
     assert not missing, f"not {place}: bind and describe them, or add them to CPP_ALONE"
@@ -69,8 +103,14 @@ def test_every_public_name_is(place: str) -> None:
 
 def test_the_lists_hold_existing_names_only() -> None:
     assert set(IN_PYTHON) | CPP_ALONE <= set(names())
-    assert {"ForceOptimizer.solve", "Options.elastic", "Changes.friction", "Summary.margin", "Method.conic"} <= set(
-        names()
-    )
+    assert {
+        "ForceOptimizer.solve",
+        "Options.elastic",
+        "Changes.friction",
+        "Summary.margin",
+        "Method.conic",
+    } <= set(names())
     assert members("    Doubles jerk{}, snap{};") == ["jerk", "snap"]  # a new name is found
-    assert members("    std::span<const double, 6> wrench() const { return wrench_; }") == ["wrench"]
+    assert members("    std::span<const double, 6> wrench() const { return wrench_; }") == [
+        "wrench"
+    ]

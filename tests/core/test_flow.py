@@ -1,4 +1,5 @@
-"""The flows in every form: iterates of the plain flow, every step rule, certificates, and where they stop."""
+"""The flows in every form: iterates of the plain flow, every step rule, certificates, and where
+they stop."""
 
 from __future__ import annotations
 
@@ -21,16 +22,22 @@ RULES = STEP_RULES | {"fixed": FixedStep(0.003)}
 
 
 def flow(
-    s: Sample, rule: StepRule | np.ndarray | None = None, form: str = "reduced",
-    tolerance: float = 1e-4, limit: int = 20_000,
-):  # fmt: skip
+    s: Sample,
+    rule: StepRule | np.ndarray | None = None,
+    form: str = "reduced",
+    tolerance: float = 1e-4,
+    limit: int = 20_000,
+):
     """Return solve(wrench, force, optimum, traced) -> (row, trace)."""
-    numbers = rule if isinstance(rule, np.ndarray) else np.array((rule or AdaptiveStep()).parameters())
+    numbers = (
+        rule if isinstance(rule, np.ndarray) else np.array((rule or AdaptiveStep()).parameters())
+    )
     if form == "paper":  # for studies alone
         contacts = _core.Contacts.make(s.positions, s.normals, s.scale, s.weights, np.zeros((0, 3)))
 
         def alone(wrench: np.ndarray, force: np.ndarray, optimum: float = np.nan, traced: int = 0):
-            row, trace = np.zeros(_core.record_size(s.count)), np.full(traced, -1.0)
+            row = np.zeros(_core.record_size(s.count))
+            trace = np.full(traced, -1.0)
             given = np.ascontiguousarray(force.reshape(-1, 3))
             options = _core.Options(step_rule=numbers, tolerance=tolerance, limit=limit)
             request = _core.Request(force=given, optimum=optimum, trace=trace)
@@ -38,7 +45,9 @@ def flow(
             return row, trace
 
         return alone
-    made = Case(s, np.zeros(s.count)).solver(f"{form} flow", tolerance=tolerance, limit=limit, rule=numbers)
+    made = Case(s, np.zeros(s.count)).solver(
+        f"{form} flow", tolerance=tolerance, limit=limit, rule=numbers
+    )
 
     def solve(wrench: np.ndarray, force: np.ndarray, optimum: float = np.nan, traced: int = 0):
         return made.solve(wrench, START["given"], force=force, optimum=optimum, traced=traced)
@@ -47,7 +56,8 @@ def flow(
 
 
 def starts(s: Sample) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(wrench, force (3N,), its cone coordinates): the optimum and as much squeeze again, many steps away from it."""
+    """(wrench, force (3N,), its cone coordinates): the optimum and as much squeeze again, many
+    steps away from it."""
     wrench = wrenches(np.random.default_rng([s.count, 0]), 1)[0]
     x = s.minimum(wrench)[0] + 2.0 * s.rest
     x = x - s.inverse @ (s.rows @ x + s.unit @ wrench)
@@ -55,17 +65,26 @@ def starts(s: Sample) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 CASES = [
-    *((n, "hard", form, "adaptive") for n, form in product((3, 4, 5), ("full", "paper", "reduced"))),
-    *((n, "frictionless", form, "adaptive") for n, form in product((7,), ("full", "paper", "reduced"))),
+    *(
+        (n, "hard", form, "adaptive")
+        for n, form in product((3, 4, 5), ("full", "paper", "reduced"))
+    ),
+    *(
+        (n, "frictionless", form, "adaptive")
+        for n, form in product((7,), ("full", "paper", "reduced"))
+    ),
     *((11, "hard", form, "adaptive") for form in ("paper", "reduced")),
     *((n, "hard", "reduced", rule) for n, rule in product((4, 9), RULES)),
 ]
 
 
 @pytest.mark.parametrize(("count", "kind", "form", "rule"), CASES)
-def test_every_form_and_rule_gives_the_iterates_of_the_plain_flow(count: int, kind: str, form: str, rule: str) -> None:
+def test_every_form_and_rule_gives_the_iterates_of_the_plain_flow(
+    count: int, kind: str, form: str, rule: str
+) -> None:
     """Growing and rejected steps; few enough that no decision depends on rounding."""
-    s, many = sample(count, kind), 20 if rule == "adaptive" else 12
+    s = sample(count, kind)
+    many = 20 if rule == "adaptive" else 12
     wrench, force, x = starts(s)
     descent, iterates = followed(x, reduced_flow.landscape(s.rows, s.weights), RULES[rule], many)
     # a line search amplifies what rounding leaves of the direction
@@ -74,7 +93,9 @@ def test_every_form_and_rule_gives_the_iterates_of_the_plain_flow(count: int, ki
         row, trace = flow(s, RULES[rule], form, 1e-300, k)(wrench, force, traced=many + 1)
         assert (at(row, "code"), at(row, "iterations")) == (LIMIT, k)
         found = row[FIELDS["force"] :][: 3 * count] * s.scale.reshape(-1)
-        np.testing.assert_allclose(found, iterates[k], rtol=0, atol=near * np.abs(iterates[k]).max())
+        np.testing.assert_allclose(
+            found, iterates[k], rtol=0, atol=near * np.abs(iterates[k]).max()
+        )
         np.testing.assert_allclose(trace[: k + 1], descent.values[: k + 1], rtol=near)
         assert (trace[k + 1 :] == -1.0).all()
         assert at(row, "objective") == trace[k]
@@ -84,11 +105,16 @@ def test_every_form_and_rule_gives_the_iterates_of_the_plain_flow(count: int, ki
 @pytest.mark.parametrize(
     ("count", "kind", "rule", "tolerance"),
     [
-        *((n, kind, "short", 1e-5) for n, kind in ((3, "hard"), (8, "frictionless"), (9, "hard"), (50, "hard"))),
+        *(
+            (n, kind, "short", 1e-5)
+            for n, kind in ((3, "hard"), (8, "frictionless"), (9, "hard"), (50, "hard"))
+        ),
         *((4, "hard", rule, 1e-6) for rule in RULES),
     ],
 )
-def test_the_flow_finds_the_optimum_of_the_oracle(count: int, kind: str, rule: str, tolerance: float) -> None:
+def test_the_flow_finds_the_optimum_of_the_oracle(
+    count: int, kind: str, rule: str, tolerance: float
+) -> None:
     s = sample(count, kind)
     wrench, force, _ = starts(s)
     least = phi(s.minimum(wrench)[0], s.weights)
@@ -111,19 +137,26 @@ def test_a_known_optimum_ends_it_at_the_first_iterate_near_enough(form: str) -> 
 
 
 def test_no_rule_hangs() -> None:
-    """Extreme numbers, also those that `step_size.py` refuses: every search ends, and what converged is certified."""
+    """Extreme numbers, also those that `step_size.py` refuses: every search ends, and what
+    converged is certified."""
     s = sample(4)
     wrench, force, _ = starts(s)
     numbers = [
-        *([kind, first, grow, shrink, 0.999 if kind == 1 else 0.0]
-          for kind in range(4) for shrink in (1.0 - 2.0**-53, 1e-300) for first in (1e-300, 1e300, np.inf, np.nan)
-          for grow in (1.0, 1e300)),
+        *(
+            [kind, first, grow, shrink, 0.999 if kind == 1 else 0.0]
+            for kind in range(4)
+            for shrink in (1.0 - 2.0**-53, 1e-300)
+            for first in (1e-300, 1e300, np.inf, np.nan)
+            for grow in (1.0, 1e300)
+        ),
         *([4.0, 1.0, 1.0, 0.5, precision] for precision in (1e-300, 0.999, np.nan)),
-    ]  # fmt: skip
+    ]
     for each in numbers:
         row, _ = flow(s, np.array(each, float), "reduced", 1e-9, 30)(wrench, force)
         assert at(row, "code") in (CONVERGED, LIMIT, STALLED)
-        assert at(row, "code") != CONVERGED or at(row, "objective") <= at(row, "lower_bound") * (1.0 + 1e-9)
+        assert at(row, "code") != CONVERGED or at(row, "objective") <= at(row, "lower_bound") * (
+            1.0 + 1e-9
+        )
 
 
 @pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
@@ -143,7 +176,8 @@ def test_it_stalls_where_floating_point_ends_and_gets_away_from_the_apex(rule: S
 
 @pytest.mark.parametrize("count", [4, 12])
 def test_contacts_that_hardly_span_the_wrenches(count: int) -> None:
-    """A second Cholesky pass makes the rows orthonormal, so that iterates stay balanced: else Phi would fall below its least."""
+    """A second Cholesky pass makes the rows orthonormal, so that iterates stay balanced: else Phi
+    would fall below its least."""
     s = sample(count, "thin")
     wrench, force, _ = starts(s)
     _, trace = flow(s, None, "reduced", 1e-12, 300)(wrench, force, traced=301)

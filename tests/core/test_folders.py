@@ -1,4 +1,5 @@
-"""The folders of the C++ core look one way: math, contacts, Phi, its terms, the solvers, the optimizer, and what stands on it."""
+"""The folders of the C++ core look one way: math, contacts, Phi, its terms, the solvers, the
+optimizer, and what stands on it."""
 
 from __future__ import annotations
 
@@ -29,7 +30,10 @@ ROOMS: dict[str, set[str]] = {
     "hand": {"detail", "math", "contacts", "phi", "problem.hpp", "optimizer.hpp"},
     "planner": {"hand"},
 }
-"""Folders and public headers of the core, the lowest first, and those that each includes. Headers outside the folders are public."""
+"""Folders and public headers of the core, the lowest first, and those that each includes.
+
+Headers outside the folders are public.
+"""
 
 
 def _room(header: str) -> str:
@@ -39,7 +43,9 @@ def _room(header: str) -> str:
 def _arrows() -> dict[str, set[str]]:
     """Return the headers that each header includes, as paths below `grasp/`."""
     return {
-        str(path.relative_to(HEADERS)): set(re.findall(r"#include <grasp/([^>]+)>", path.read_text(encoding="utf-8")))
+        str(path.relative_to(HEADERS)): set(
+            re.findall(r"#include <grasp/([^>]+)>", path.read_text(encoding="utf-8"))
+        )
         for path in HEADERS.rglob("*.hpp")
     }
 
@@ -50,9 +56,13 @@ def test_folders_look_one_way() -> None:
         assert [other for other in below if order.index(other) >= order.index(room)] == [], room
     found = {room: set[str]() for room in ROOMS}
     for header, included in _arrows().items():
-        assert _room(header) in ROOMS, f"{header} lies in no folder of the table: a private header belongs to a folder"
+        assert _room(header) in ROOMS, (
+            f"{header} lies in no folder of the table: a private header belongs to a folder"
+        )
         found[_room(header)] |= {_room(other) for other in included} - {_room(header)}
-    assert {room: others - ROOMS[room] for room, others in found.items() if others - ROOMS[room]} == {}
+    assert {
+        room: others - ROOMS[room] for room, others in found.items() if others - ROOMS[room]
+    } == {}
     assert found == ROOMS, "an arrow that nothing needs any more"
 
 
@@ -72,7 +82,9 @@ LONG = {"hand/controller.hpp"}
 
 def test_no_file_is_long() -> None:
     core = HEADERS.parents[1]
-    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in core.rglob("*.[ch]pp")}
+    lengths = {
+        path: len(path.read_text(encoding="utf-8").splitlines()) for path in core.rglob("*.[ch]pp")
+    }
     long = {str(path) for path, length in lengths.items() if length > LONGEST}
     assert {path for path in long if not path.endswith(tuple(LONG))} == set()
     assert len(long) == len(LONG), "a file that is no longer long"

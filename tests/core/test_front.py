@@ -1,4 +1,5 @@
-"""optimizer.hpp has the results of the Python package, reports what is wrong, and allocates nothing where it solves."""
+"""optimizer.hpp has the results of the Python package, reports what is wrong, and allocates nothing
+where it solves."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from grasp_env.force.solution import STARTS
 from grasp_env.grasp import Grasp, presets
 from policies import LearnedInitialForce
 
-WRENCH, PRESS = [1, 0.5, -0.6, -0.1, 0.2, 0], [0.1, 0, -5, 0, 0, 0]
+WRENCH = [1, 0.5, -0.6, -0.1, 0.2, 0]
+PRESS = [0.1, 0, -5, 0, 0, 0]
 CODES = core.codes()
 
 
@@ -26,23 +28,34 @@ def said(programs: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     model = LearnedInitialForce.pretrained().export(
         tmp_path_factory.mktemp("front") / "four.model", presets.paper_cuboid()
     )
-    return dict(line.split(": ", 1) for line in succeed(programs / "front", model, "300").splitlines())
+    return dict(
+        line.split(": ", 1) for line in succeed(programs / "front", model, "300").splitlines()
+    )
 
 
 def numbers(line: str) -> dict[str, Any]:
     """A solution for four contacts, from a line."""
     code, start, replaced, objective, excess, *rest = map(float, line.split())
     return {
-        "code": code, "start": STARTS[int(start)], "replaced": replaced, "objective": objective, "excess": excess,
-        "force": np.reshape(rest[:12], (4, 3)), "torsion": np.array(rest[12:16]), "torques": np.array(rest[16:]),
-    }  # fmt: skip
+        "code": code,
+        "start": STARTS[int(start)],
+        "replaced": replaced,
+        "objective": objective,
+        "excess": excess,
+        "force": np.reshape(rest[:12], (4, 3)),
+        "torsion": np.array(rest[12:16]),
+        "torques": np.array(rest[16:]),
+    }
 
 
 CUBOID = presets.paper_cuboid()
 SOFT = Grasp.from_contacts(
-    CUBOID.positions, CUBOID.normals, [0.5, 0.5, 0.7, 0.5], contact_model=["soft", "hard", "soft", "soft"],
+    CUBOID.positions,
+    CUBOID.normals,
+    [0.5, 0.5, 0.7, 0.5],
+    contact_model=["soft", "hard", "soft", "soft"],
     torsional_friction=[0.02, 0, 0.01, 0.01],
-)  # fmt: skip
+)
 K = np.arange(96)
 SHARED = np.where(K // 4 % 6 < 3, 0.01 * (K * 7 % 5 - 2), 0.5 * (K * 3 % 4 - 1)).reshape(4, 6, 4)
 """Jacobian of four joints that all fingers share and that also turn the tips."""
@@ -62,7 +75,8 @@ CASES: dict[str, tuple[Grasp, list[float], dict[str, Any]]] = {
 def test_results_are_those_of_python(said: dict[str, str], name: str) -> None:
     """The same solution from the same start, or an equally good one where Phi is flat."""
     grasp, wrench, options = CASES[name]
-    python, found = optimize_force(grasp, wrench, **options), numbers(said[name])
+    python = optimize_force(grasp, wrench, **options)
+    found = numbers(said[name])
     rel, close = (2e-9, 2e-4) if "tolerance" in options else (2e-4, 0.05)
     assert found["code"] == python._record[0]
     assert found["objective"] == pytest.approx(python.objective, rel=rel)
@@ -74,10 +88,16 @@ def test_results_are_those_of_python(said: dict[str, str], name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "start", "replaced"),
-    [("given", "given", 0), ("again", "previous", 0), ("forgotten", "internal_force", 0), ("no model", "internal_force", 1)],
-)  # fmt: skip
+    [
+        ("given", "given", 0),
+        ("again", "previous", 0),
+        ("forgotten", "internal_force", 0),
+        ("no model", "internal_force", 1),
+    ],
+)
 def test_where_calls_begin(said: dict[str, str], name: str, start: str, replaced: int) -> None:
-    found, expected = numbers(said[name]), numbers(said["newton"])
+    found = numbers(said[name])
+    expected = numbers(said["newton"])
     assert (found["start"], found["replaced"], found["code"]) == (start, replaced, expected["code"])
     assert found["objective"] == pytest.approx(expected["objective"], rel=2e-9)
 
@@ -85,12 +105,19 @@ def test_where_calls_begin(said: dict[str, str], name: str, start: str, replaced
 @pytest.mark.parametrize(
     ("one", "other"),
     [
-        ("moved", "made there"), ("updated there", "made there"), ("as before", "limited"), ("copied", "limited"),
-        ("not updated", "limited"), ("after", "limited"), ("of many", "newton"),
+        ("moved", "made there"),
+        ("updated there", "made there"),
+        ("as before", "limited"),
+        ("copied", "limited"),
+        ("not updated", "limited"),
+        ("after", "limited"),
+        ("of many", "newton"),
         ("three touch, one broken", "three touch"),
     ],
-)  # fmt: skip
-def test_what_a_call_is_given_holds_for_it_alone(said: dict[str, str], one: str, other: str) -> None:
+)
+def test_what_a_call_is_given_holds_for_it_alone(
+    said: dict[str, str], one: str, other: str
+) -> None:
     """To the last printed digit; and a copy is an independent solver."""
     assert said[one] == said[other]
     assert said["moved"] != said["limited"]
@@ -98,7 +125,9 @@ def test_what_a_call_is_given_holds_for_it_alone(said: dict[str, str], one: str,
 
 def test_records_without_a_force_have_a_code_and_hold_zeros(said: dict[str, str]) -> None:
     """An exclamation mark would mean that a number is left."""
-    refused, infeasible, rank_lost = (str(CODES[name]) for name in ("refused", "infeasible", "rank_lost"))
+    refused, infeasible, rank_lost = (
+        str(CODES[name]) for name in ("refused", "infeasible", "rank_lost")
+    )
     for what in ("numbers", "sizes", "starts"):
         assert set(said[what].split()) == {refused}
     assert set(said["rank"].split()) == {rank_lost}
@@ -146,14 +175,20 @@ def test_setup_names_what_is_wrong(said: dict[str, str], setup: str, words: str)
 
 
 def test_calls_allocate_nothing(said: dict[str, str]) -> None:
-    """All algorithms with all starts, contacts of the call and some of them, and refused calls between."""
-    counted = {name.removeprefix("allocations of "): line for name, line in said.items() if name.startswith("alloc")}
+    """All algorithms with all starts, contacts of the call and some of them, and refused calls
+    between."""
+    counted = {
+        name.removeprefix("allocations of "): line
+        for name, line in said.items()
+        if name.startswith("alloc")
+    }
     assert not counted.pop("set-up").startswith("0,")  # the counter works
     assert (len(counted), set(counted.values())) == (17, {"0, wrong: 0"})
 
 
 def test_a_model_comes_back_from_its_file(tmp_path: Path) -> None:
-    rule, grasp = LearnedInitialForce.pretrained(), presets.paper_cuboid()
+    rule = LearnedInitialForce.pretrained()
+    grasp = presets.paper_cuboid()
     blob = rule.export(tmp_path / "model", grasp).read_bytes()
     model = core.Model.load(blob)
     assert model is not None

@@ -1,4 +1,7 @@
-"""Control ticks of a hand without a simulator allocate nothing, stay finite and repeat. Also run under the sanitizers."""
+"""Control ticks of a hand without a simulator allocate nothing, stay finite and repeat.
+
+Also run under the sanitizers.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,13 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_control_ticks_allocate_nothing_and_repeat_bit_by_bit(case: str) -> None:
-    """Forces that are optimised, adjusted and bounded, fingers that come and go, and all other ways to hold."""
+    """Forces that are optimised, adjusted and bounded, fingers that come and go, and all other ways
+    to hold."""
     found = insides.ticks(900, *CASES[case])
     allocated, total, _, changes, peak = found
     assert allocated == 0
     assert np.isfinite(total)
-    assert peak == pytest.approx(CASES[case][4], rel=1e-9)  # springs take all that the motors have left, and no more
+    # springs take all that the motors have left, and no more
+    assert peak == pytest.approx(CASES[case][4], rel=1e-9)
     assert changes > 5
     assert insides.ticks(900, *CASES[case]) == found

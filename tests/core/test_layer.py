@@ -1,4 +1,5 @@
-"""Batches of problems for differentiable layers: optima of the front, exact gradients, independent problems, no NaN."""
+"""Batches of problems for differentiable layers: optima of the front, exact gradients, independent
+problems, no NaN."""
 
 from __future__ import annotations
 
@@ -13,22 +14,45 @@ from grasp_env.force import ForceLimits, optimize_force
 from grasp_env.grasp import Grasp, presets
 
 NAMES = (
-    "positions", "normals", "friction", "tangents", "torsion", "wrench", "jacobian", "torque_limit", "torque_bias", "min_normal",
-    "max_normal", "force_weight", "barrier_weight",
-)  # fmt: skip
+    "positions",
+    "normals",
+    "friction",
+    "tangents",
+    "torsion",
+    "wrench",
+    "jacobian",
+    "torque_limit",
+    "torque_bias",
+    "min_normal",
+    "max_normal",
+    "force_weight",
+    "barrier_weight",
+)
 KINDS = (
-    "hard", "elliptic", "soft", "own", "shared", "normal", "soft shared normal", "own tight", "soft own tight", "adrift",
+    "hard",
+    "elliptic",
+    "soft",
+    "own",
+    "shared",
+    "normal",
+    "soft shared normal",
+    "own tight",
+    "soft own tight",
+    "adrift",
     "adrift own soft",
-)  # fmt: skip
-"""own, shared: torque limits of one finger or of several; tight: no force keeps them; adrift: contacts that cannot balance the wrench."""
-OPTIMAL, REFUSED = 0, _core.codes()["refused"]
+)
+"""own, shared: torque limits of one finger or of several; tight: no force keeps them; adrift:
+contacts that cannot balance the wrench."""
+OPTIMAL = 0
+REFUSED = _core.codes()["refused"]
 Batch = dict[str, np.ndarray | None]
 
 
 @cache
 def batch(kind: str, size: int = 19) -> Batch:
     """Problems near the paper's grasp, each with its own contacts."""
-    rng, near = np.random.default_rng([size, *kind.encode()]), presets.paper_cuboid()
+    rng = np.random.default_rng([size, *kind.encode()])
+    near = presets.paper_cuboid()
     made: Batch = dict.fromkeys(NAMES)
     made["positions"] = near.positions + rng.normal(size=(size, 4, 3)) * 5e-3
     made["normals"] = near.normals + rng.normal(size=(size, 4, 3)) * 0.05
@@ -36,13 +60,18 @@ def batch(kind: str, size: int = 19) -> Batch:
     made["wrench"] = rng.normal(size=(size, 6)) * [1, 1, 1, 0.03, 0.03, 0.03]
     made["force_weight"], made["barrier_weight"] = np.full((size, 4), 1.3), np.full((size, 4), 0.01)
     if "elliptic" in kind:
-        made["friction"], made["tangents"] = rng.uniform(0.3, 0.7, (size, 4, 2)), rng.normal(size=(size, 4, 3))
+        made["friction"], made["tangents"] = (
+            rng.uniform(0.3, 0.7, (size, 4, 2)),
+            rng.normal(size=(size, 4, 3)),
+        )
     if "soft" in kind:
         made["torsion"] = rng.uniform(0.002, 0.01, (size, 4))
     if "own" in kind or "shared" in kind:
         jacobian = np.zeros((size, 4, 6 if "soft" in kind else 3, 12))
         for i in range(4):
-            jacobian[:, i, :, 3 * i : 3 * i + 3] = rng.normal(size=(*jacobian.shape[:1], jacobian.shape[2], 3)) * 0.05
+            jacobian[:, i, :, 3 * i : 3 * i + 3] = (
+                rng.normal(size=(*jacobian.shape[:1], jacobian.shape[2], 3)) * 0.05
+            )
         if "shared" in kind:
             jacobian += rng.normal(size=jacobian.shape) * 0.01
         made["jacobian"], made["torque_bias"] = jacobian, rng.normal(size=(size, 12)) * 0.01
@@ -50,7 +79,9 @@ def batch(kind: str, size: int = 19) -> Batch:
     if "normal" in kind:
         made["min_normal"], made["max_normal"] = np.full((size, 4), 0.2), np.full((size, 4), 6.0)
     if "adrift" in kind:  # all of them push up, and so does the load
-        made["normals"] = np.tile([0.1, 0.0, 1.0], (size, 4, 1)) + rng.normal(size=(size, 4, 3)) * 0.05
+        made["normals"] = (
+            np.tile([0.1, 0.0, 1.0], (size, 4, 1)) + rng.normal(size=(size, 4, 3)) * 0.05
+        )
         made["wrench"][:, 2] = 1.0 + np.abs(made["wrench"][:, 2])
     return made
 
@@ -81,7 +112,9 @@ def read(given: Batch, *start: np.ndarray | None) -> _core.ForceProblems:
     return problems
 
 
-def differentiated(given: Batch, state: np.ndarray, by: tuple[np.ndarray, ...], elastic: bool = True) -> Batch:
+def differentiated(
+    given: Batch, state: np.ndarray, by: tuple[np.ndarray, ...], elastic: bool = True
+) -> Batch:
     made = mapped(given, lambda each: np.full(each.shape, np.nan))
     read(given).differentiate((0, len(state)), state, tuple(by), elastic, tuple(made.values()))
     return made
@@ -90,14 +123,20 @@ def differentiated(given: Batch, state: np.ndarray, by: tuple[np.ndarray, ...], 
 def loss(kind: str, answer: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
     """Derivatives by force, torsion and multipliers of a random linear loss of each problem."""
     rng = np.random.default_rng([7, len(kind)])
-    return tuple(rng.normal(size=each.shape) * per for each, per in zip(answer[1:4], (1.0, 100.0, 1.0), strict=True))
+    return tuple(
+        rng.normal(size=each.shape) * per
+        for each, per in zip(answer[1:4], (1.0, 100.0, 1.0), strict=True)
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradients_are_central_differences_of_the_answers(kind: str) -> None:
-    given, rng = rows(batch(kind), slice(0, 8)), np.random.default_rng(3)
+    given = rows(batch(kind), slice(0, 8))
+    rng = np.random.default_rng(3)
     answer = solved(given)
-    assert (answer[4][:, 0] == OPTIMAL).all() == (kind.split()[0] != "adrift" and "tight" not in kind)
+    assert (answer[4][:, 0] == OPTIMAL).all() == (
+        kind.split()[0] != "adrift" and "tight" not in kind
+    )
     by = loss(kind, answer)
     made = differentiated(given, answer[0], by)
     size = sum(np.abs(b * a).sum() for b, a in zip(by, answer[1:4], strict=True))
@@ -109,22 +148,31 @@ def test_gradients_are_central_differences_of_the_answers(kind: str) -> None:
     for name, each in given.items():
         if each is None:
             continue
-        found, step = made[name], 1e-5 * np.abs(each).max()
+        found = made[name]
+        step = 1e-5 * np.abs(each).max()
         assert found is not None
         assert np.isfinite(found).all()
         # a zero of a Jacobian stays zero: else its row would touch another contact
         direction = rng.normal(size=each.shape) * (each != 0.0)
-        ahead, back, twice, far = (value(given | {name: each + k * step * direction}) for k in (1.0, -1.0, 2.0, -2.0))
+        ahead, back, twice, far = (
+            value(given | {name: each + k * step * direction}) for k in (1.0, -1.0, 2.0, -2.0)
+        )
         expected = (8.0 * (ahead - back) - (twice - far)) / (12.0 * step)
         flat = (found * direction).reshape(len(found), -1)
-        # differences lose the last digits of the answers over the step; elastic forces beside very stiff limits have fewer
+        # differences lose the last digits of the answers over the step; elastic forces beside very
+        # stiff limits have fewer
         rounding = 1e-12 if "tight" in kind else 1e-13
         np.testing.assert_allclose(
-            flat.sum(1), expected, rtol=2e-6, atol=rounding * size / step + 1e-6 * np.abs(flat).sum(1).max()
+            flat.sum(1),
+            expected,
+            rtol=2e-6,
+            atol=rounding * size / step + 1e-6 * np.abs(flat).sum(1).max(),
         )
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if "tight" not in kind and "adrift" not in kind])
+@pytest.mark.parametrize(
+    "kind", [kind for kind in KINDS if "tight" not in kind and "adrift" not in kind]
+)
 def test_an_optimum_is_that_of_the_front(kind: str) -> None:
     given = batch(kind)
     _, force, torsion, multipliers, facts = solved(given)
@@ -133,20 +181,32 @@ def test_an_optimum_is_that_of_the_front(kind: str) -> None:
     assert (facts[:, 2] < 1e-13 * np.abs(force).max()).all()
     for k in range(0, len(force), 6):
         one = mapped(given, lambda each, k=k: each[k])
-        soft = {} if one["torsion"] is None else {"contact_model": "soft", "torsional_friction": one["torsion"]}
+        soft = (
+            {}
+            if one["torsion"] is None
+            else {"contact_model": "soft", "torsional_friction": one["torsion"]}
+        )
         normals = one["normals"] / np.linalg.norm(one["normals"], axis=1, keepdims=True)
-        grasp = Grasp.from_contacts(one["positions"], normals, one["friction"], tangents=one["tangents"], **soft)
+        grasp = Grasp.from_contacts(
+            one["positions"], normals, one["friction"], tangents=one["tangents"], **soft
+        )
         limits = {
             name: one[name]
             for name in ("jacobian", "torque_limit", "torque_bias", "min_normal", "max_normal")
             if one[name] is not None
         }
         found = optimize_force(
-            grasp, one["wrench"], tolerance=1e-13, force_weight=1.3, limits=ForceLimits(**limits) if limits else None
+            grasp,
+            one["wrench"],
+            tolerance=1e-13,
+            force_weight=1.3,
+            limits=ForceLimits(**limits) if limits else None,
         )
         # the square root of a gap of 1e-13
         np.testing.assert_allclose(force[k], found.object_force, atol=1e-6 * np.abs(force[k]).max())
-        np.testing.assert_allclose(torsion[k], found.torsion, atol=1e-6 * np.abs(force[k]).max() * 0.01)
+        np.testing.assert_allclose(
+            torsion[k], found.torsion, atol=1e-6 * np.abs(force[k]).max() * 0.01
+        )
         np.testing.assert_allclose(
             multipliers[k], found.multipliers, rtol=1e-4, atol=1e-5 * np.abs(multipliers[k]).max()
         )
@@ -154,18 +214,23 @@ def test_an_optimum_is_that_of_the_front(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["hard", "soft shared normal", "soft own tight", "adrift"])
 def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind: str) -> None:
-    given, other = batch(kind), batch(kind, 3)
+    given = batch(kind)
+    other = batch(kind, 3)
     mixed = {
         name: None if each is None else np.concatenate([each, other[name]])  # type: ignore[list-item]
         for name, each in given.items()
     }
-    bad, wrench = np.array(mixed["positions"]), np.array(mixed["wrench"])
+    bad = np.array(mixed["positions"])
+    wrench = np.array(mixed["wrench"])
     bad[5], wrench[11] = np.nan, 1e11
     mixed |= {"positions": bad, "wrench": wrench}
     answer = solved(mixed)
     by = loss(kind, answer)
     gradients = differentiated(mixed, answer[0], by)
-    assert all(np.isfinite(each).all() for each in (*answer[:4], *(g for g in gradients.values() if g is not None)))
+    assert all(
+        np.isfinite(each).all()
+        for each in (*answer[:4], *(g for g in gradients.values() if g is not None))
+    )
     assert answer[4][5, 0] == REFUSED
     assert not answer[1][5].any()
     for k in range(len(wrench)):
@@ -174,7 +239,11 @@ def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind: str) -> None:
         for a, b in zip(answer, alone, strict=True):
             assert (a[k : k + 1] == b).all()
         found = differentiated(one, alone[0], tuple(each[k : k + 1] for each in by))
-        assert all((gradients[name][k] == each[0]).all() for name, each in found.items() if each is not None)
+        assert all(
+            (gradients[name][k] == each[0]).all()
+            for name, each in found.items()
+            if each is not None
+        )
 
 
 @pytest.mark.parametrize("kind", ["own tight", "adrift", "adrift own soft"])
@@ -191,20 +260,29 @@ def test_masked_problems_have_no_gradient_and_their_forces_stay_inside(kind: str
     )
     unit = given["normals"] / np.linalg.norm(given["normals"], axis=2, keepdims=True)
     normal = (force * unit).sum(2)
-    assert (np.linalg.norm(force - normal[:, :, None] * unit, axis=2) < given["friction"][:, :, 0] * normal).all()
+    assert (
+        np.linalg.norm(force - normal[:, :, None] * unit, axis=2)
+        < given["friction"][:, :, 0] * normal
+    ).all()
     if kind == "own tight":
         made = np.concatenate([force.sum(1), np.cross(given["positions"], force).sum(1)], 1)
         assert np.abs(made + given["wrench"]).max() < 1e-12 * np.abs(force).max()
 
 
 def test_problems_are_read_in_any_layout() -> None:
-    """Rows that all problems share, numbers, one coefficient a contact, float32, other strides, several leading dimensions."""
+    """Rows that all problems share, numbers, one coefficient a contact, float32, other strides,
+    several leading dimensions."""
     given = batch("hard", 20)
-    plain, double = solved(given), mapped(given, lambda each: each.astype(np.float32).astype(np.float64))
-    shared = given | {name: None if given[name] is None else given[name][0] for name in NAMES if name != "wrench"}
+    plain = solved(given)
+    double = mapped(given, lambda each: each.astype(np.float32).astype(np.float64))
+    shared = given | {
+        name: None if given[name] is None else given[name][0] for name in NAMES if name != "wrench"
+    }
     shared |= {"friction": shared["friction"][:, 0], "force_weight": 1.3, "barrier_weight": 0.01}
     spread = mapped(given, lambda each: np.stack([each[0]] * 20)) | {"wrench": given["wrench"]}
-    turned = given | {name: np.asfortranarray(given[name]) for name in ("positions", "friction", "wrench")}
+    turned = given | {
+        name: np.asfortranarray(given[name]) for name in ("positions", "friction", "wrench")
+    }
     turned["normals"] = np.repeat(given["normals"], 2, axis=0)[::2]
     folded = mapped(given, lambda each: each.reshape(4, 5, *each.shape[1:]))
     crossed = shared | {"wrench": given["wrench"].reshape(4, 5, 6), "normals": given["normals"][:5]}
@@ -213,8 +291,12 @@ def test_problems_are_read_in_any_layout() -> None:
     assert (read(given).lead, read(folded).lead, read(crossed).lead) == ((20,), (4, 5), (4, 5))
     assert (read(given).float32, read(single).float32) == (False, True)
     for one, wanted in (
-        (shared, solved(spread)), (turned, plain), (single, solved(double)), (folded, plain), (crossed, solved(every)),
-    ):  # fmt: skip
+        (shared, solved(spread)),
+        (turned, plain),
+        (single, solved(double)),
+        (folded, plain),
+        (crossed, solved(every)),
+    ):
         for a, b in zip(solved(one), wanted, strict=True):
             assert (a.reshape(b.shape) == b).all()
 
@@ -244,13 +326,26 @@ def test_wrong_problems_are_not_read(wrong: dict[str, object]) -> None:
 
 
 def test_arrays_to_write_are_checked() -> None:
-    problems, count = read(batch("hard", 2)), 4
-    shapes = ((2, count, 3), (2, count), (2, 6), (2, _core.LAYER_FACTS), (2, _core.layer_state_size(count)))
+    problems = read(batch("hard", 2))
+    count = 4
+    shapes = (
+        (2, count, 3),
+        (2, count),
+        (2, 6),
+        (2, _core.LAYER_FACTS),
+        (2, _core.layer_state_size(count)),
+    )
     arrays = [np.zeros(shape) for shape in shapes]
     for k, right in enumerate(arrays):
         read_only = right.copy()
         read_only.flags.writeable = False
-        for bad in (right[:1], right.astype(np.float32), np.broadcast_to(right[:1], shapes[k]), None, read_only):
+        for bad in (
+            right[:1],
+            right.astype(np.float32),
+            np.broadcast_to(right[:1], shapes[k]),
+            None,
+            read_only,
+        ):
             with pytest.raises(TypeError, match="expected C-contiguous"):
                 problems.solve((0, 2), (1e-10, 300), (*arrays[:k], bad, *arrays[k + 1 :]))
     for start, stop in ((-1, 1), (0, 3), (2, 1)):

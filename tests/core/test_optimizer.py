@@ -1,6 +1,8 @@
-"""`ForceOptimizer` against plain oracles: optima of Phi, Newton steps, bounds, the 12-basis and starts.
+"""`ForceOptimizer` against plain oracles: optima of Phi, Newton steps, bounds, the 12-basis and
+starts.
 
-One table of kinds of problems serves all tests. Everything that a record claims is computed again by code that shares nothing with the core.
+One table of kinds of problems serves all tests. Everything that a record claims is computed again
+by code that shares nothing with the core.
 """
 
 from __future__ import annotations
@@ -26,25 +28,33 @@ def of(kind: str) -> float:
     return 0.7 if "limits" in kind else 3.0
 
 
-def check(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, least: float | None = None) -> None:
-    """Check a record of a least Phi: certificate, balance, torques. least: the oracle's optimum, exact to rounding."""
-    s, z = c.contacts, c.z(row)
+def check(
+    c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, least: float | None = None
+) -> None:
+    """Check a record of a least Phi: certificate, balance, torques. least: the oracle's optimum,
+    exact to rounding."""
+    s = c.contacts
+    z = c.z(row)
     w = s.unit @ load
-    value, bound = c.value(z), at(row, "lower_bound")
+    value = c.value(z)
+    bound = at(row, "lower_bound")
     assert at(row, "code") == CONVERGED
     assert at(row, "margin") > 0.0
     assert at(row, "limit_excess") == 0.0
     assert at(row, "objective") == pytest.approx(value, rel=1e-9)  # before balance was restored
     assert 0.0 < bound <= value * (1.0 + 1e-11)
     assert value - bound <= tolerance * bound * (1.0 + 1e-6) + 1e-13 * value
-    left, size = np.abs(c.matrix @ z + w).max(), np.abs(z).max() + np.abs(w).max()
+    left = np.abs(c.matrix @ z + w).max()
+    size = np.abs(z).max() + np.abs(w).max()
     more = 1e-12 * bool(len(c.terms.rows))
     assert left <= (1e-13 * c.count + more) * size
     assert at(row, "residual") == pytest.approx(left, abs=(1e-14 * c.count + more) * size)
     np.testing.assert_array_equal(row[FIELDS["wrench"] :][:6], load)
     np.testing.assert_array_equal(c.forces(row)[1][~c.soft], 0.0)
     (torques, prices), wanted = c.torques_and_prices(row), c.torques(row)
-    np.testing.assert_allclose(torques, wanted, rtol=0, atol=1e-13 * (1.0 + np.abs(wanted).max(initial=0.0)))
+    np.testing.assert_allclose(
+        torques, wanted, rtol=0, atol=1e-13 * (1.0 + np.abs(wanted).max(initial=0.0))
+    )
     assert (prices >= 0.0).all()
     if least is not None:
         # the last bound may come from dual_near, 2e-5 of the tolerance above the least
@@ -55,10 +65,12 @@ def check(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, least: f
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("count", COUNTS)
 def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
-    """Start from nothing, from its own optimum, from that of a nearby wrench, from a given force and from a guess."""
+    """Start from nothing, from its own optimum, from that of a nearby wrench, from a given force
+    and from a guess."""
     if count > 9 and kind not in HARD:
         pytest.skip("the general program is not made of registers")
-    rng, found = np.random.default_rng(count), 0
+    rng = np.random.default_rng(count)
+    found = 0
     sizes = (1e-3, 1.0, 30.0) if kind in HARD and count < 50 else (of(kind),)
     for seed, load in enumerate(wrenches(rng, max(len(sizes), 3 if "limits" in kind else 1))):
         c = case(count, kind, seed % 2)
@@ -66,7 +78,9 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
         best = c.minimum(load)
         if best is None:
             continue
-        least, tolerance, found = c.value(best), 1e-10 if kind in HARD else 1e-9, found + 1
+        least = c.value(best)
+        tolerance = 1e-10 if kind in HARD else 1e-9
+        found = found + 1
         hard = c.contacts.minimum(load)[0] / c.contacts.divisor.reshape(-1)
         made = c.solver(tolerance=tolerance, limit=500)
         row, _ = made.solve(load)
@@ -76,16 +90,21 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
         guess, _ = made.solve(load, START["guess"], force=1.1 * hard + 0.01)
         for each in (row, *others, given, guess):
             check(c, load, each, tolerance, least)
-        if kind in HARD:  # Phi is flat: a gap of 1e-10 is a distance of its root over the least curvature
+        # Phi is flat: a gap of 1e-10 is a distance of its root over the least curvature
+        if kind in HARD:
             np.testing.assert_allclose(c.z(row), best, rtol=0, atol=3e-4 * np.abs(best).max())
             known = lower_bound(nu_of(row), c.contacts.cone_matrix, load, c.contacts.weights)
             assert known == pytest.approx(least, rel=1e-6)
         else:  # the conditions of the optimum, with the prices of the limits as they are given
-            s, price, z = c.contacts, c.torques_and_prices(row)[1] * c.sizes, c.z(row)
+            s = c.contacts
+            price = c.torques_and_prices(row)[1] * c.sizes
+            z = c.z(row)
             torsion = oracle.Terms(s.weights, *(a[len(price) :] for a in c.terms[1:]))
             pull = c.matrix.T @ np.linalg.solve(s.unit.T, nu_of(row))
             slope = oracle.derivatives(z, torsion)[0] + c.own[0].T @ price - pull
-            np.testing.assert_allclose(slope, 0.0, atol=2e-3 * np.abs(gradient(z[: 3 * count], s.weights)).max())
+            np.testing.assert_allclose(
+                slope, 0.0, atol=2e-3 * np.abs(gradient(z[: 3 * count], s.weights)).max()
+            )
     assert found
 
 
@@ -107,18 +126,29 @@ def test_steps_are_the_oracles(count: int, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", [*HARD, "some soft", "all soft"])
 @pytest.mark.parametrize("count", SOME)
-def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(count: int, kind: str) -> None:
+def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(
+    count: int, kind: str
+) -> None:
     """The correction is the least change in the Hessian of Phi, torsions included."""
     c = case(count, kind)
-    load, soft = wrenches(np.random.default_rng(count), 1, 5.0)[0], int(c.soft.any())
+    load = wrenches(np.random.default_rng(count), 1, 5.0)[0]
+    soft = int(c.soft.any())
     before, _ = c.solver(tolerance=1e-10).solve(load)
     for now in (1.01 * load, load + 0.02 * np.abs(load).max() * np.array([1, 0, 0, 0.05, 0, 0.05])):
-        z, row = c.z(before), c.solver(limit=soft).solve(now, START["previous"], previous=before)[0]
-        # from an optimum that is the Newton step, which soft contacts take: it has the last digits of the optimum besides
+        z = c.z(before)
+        row = c.solver(limit=soft).solve(now, START["previous"], previous=before)[0]
+        # from an optimum that is the Newton step, which soft contacts take: it has the last digits
+        # of the optimum besides
         step, _ = oracle.newton_step(z, c.matrix, c.contacts.unit @ now, c.terms)
         if not soft:
-            step = newton.tangent_correction(z, c.matrix, c.contacts.unit @ now, c.contacts.weights) - z
-        assert at(row, "code") in (LIMIT, CONVERGED)  # the optimum itself, of a large force that grows
+            step = (
+                newton.tangent_correction(z, c.matrix, c.contacts.unit @ now, c.contacts.weights)
+                - z
+            )
+        assert at(row, "code") in (
+            LIMIT,
+            CONVERGED,
+        )  # the optimum itself, of a large force that grows
         assert (at(row, "start"), at(row, "replaced")) == (START["previous"], 0.0)
         assert at(row, "iterations") == soft
         np.testing.assert_allclose(c.z(row), z + step, rtol=0, atol=1e-5 * np.abs(step).max())
@@ -127,7 +157,8 @@ def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(count:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bound_is_one_far_from_the_optimum(kind: str) -> None:
     """Newton is stopped after each number of steps."""
-    c, load = case(5, kind), wrenches(np.random.default_rng(2), 1, 0.1 * of(kind))[0]
+    c = case(5, kind)
+    load = wrenches(np.random.default_rng(2), 1, 0.1 * of(kind))[0]
     best = c.minimum(load)
     assert best is not None
     rows = [c.solver(tolerance=1e-15, limit=k).solve(load)[0] for k in range(12)]
@@ -143,7 +174,10 @@ def test_a_bound_is_one_far_from_the_optimum(kind: str) -> None:
 def test_small_and_large_forces_and_barriers(barrier: float) -> None:
     count = 5
     base = sample(count)
-    c = Case(Sample(base.positions, base.normals, base.scale, base.weights * [1.0, 100.0 * barrier]), np.zeros(count))
+    c = Case(
+        Sample(base.positions, base.normals, base.scale, base.weights * [1.0, 100.0 * barrier]),
+        np.zeros(count),
+    )
     made = c.solver(tolerance=1e-6, limit=2000)
     for size in 10.0 ** np.arange(-9.0, 7.0, 3.0):
         load = wrenches(np.random.default_rng(count), 1, size)[0]
@@ -152,7 +186,8 @@ def test_small_and_large_forces_and_barriers(barrier: float) -> None:
 
 def test_the_basis_is_that_of_the_oracle() -> None:
     c = case(4, "frictionless")
-    s, made = c.contacts, c.solver()
+    s = c.contacts
+    made = c.solver()
     gap, basis = made.make_basis()
     assert 0.0 <= gap <= 1e-9
     for k, wanted in enumerate(s.basis):
@@ -160,10 +195,19 @@ def test_the_basis_is_that_of_the_oracle() -> None:
         np.testing.assert_allclose(basis[k], wanted, rtol=0, atol=1e-3 * np.abs(wanted).max())
         load = [*np.eye(6), *-np.eye(6), np.zeros(6)][k]
         left = s.rows @ basis[k] + s.unit @ load
-        assert np.abs(left).max() <= 1e-13 * s.count * (np.abs(basis[k]).max() + np.abs(s.unit @ load).max())
+        assert np.abs(left).max() <= 1e-13 * s.count * (
+            np.abs(basis[k]).max() + np.abs(s.unit @ load).max()
+        )
 
 
-STARTS = ("internal_force", "linear_combination", "linear_combination_printed", "single_value", "lagrange", "phase_one")
+STARTS = (
+    "internal_force",
+    "linear_combination",
+    "linear_combination_printed",
+    "single_value",
+    "lagrange",
+    "phase_one",
+)
 
 
 @pytest.mark.parametrize("name", STARTS)
@@ -173,7 +217,8 @@ def test_starts_are_balanced_and_inside(count: int, name: str) -> None:
     s = c.contacts
     made = c.solver(start=START[name])
     for load in wrenches(np.random.default_rng(count), 2, 2.0):
-        w, row = s.unit @ load, made.start(load, START[name])
+        w = s.unit @ load
+        row = made.start(load, START[name])
         x = c.z(row, "initial")
         size = np.abs(x).max() + np.abs(w).max()
         assert at(row, "code") == STARTED
@@ -197,21 +242,30 @@ def test_starts_are_balanced_and_inside(count: int, name: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_given_start_is_one_or_refused(kind: str) -> None:
-    """A given force must be balanced and strictly inside; a useless guess or previous solution is replaced."""
+    """A given force must be balanced and strictly inside; a useless guess or previous solution is
+    replaced."""
     c = case(4, kind)
-    load = next(load for load in wrenches(np.random.default_rng(4), 9, of(kind)) if c.minimum(load) is not None)
+    load = next(
+        load
+        for load in wrenches(np.random.default_rng(4), 9, of(kind))
+        if c.minimum(load) is not None
+    )
     made = c.solver(tolerance=1e-8)
     row, _ = made.solve(load)
     check(c, load, row, 1e-8)
     force, torsion = c.forces(row)
     given, _ = made.solve(load, START["given"], force=force, torsion=torsion)
     assert (at(given, "start"), at(given, "replaced")) == (START["given"], 0.0)
-    np.testing.assert_allclose(c.forces(given, "initial")[0], force, rtol=0, atol=1e-9 * np.abs(force).max())
+    np.testing.assert_allclose(
+        c.forces(given, "initial")[0], force, rtol=0, atol=1e-9 * np.abs(force).max()
+    )
     unbalanced = force.copy()
     unbalanced[0] += 1e-5 * np.abs(force).max()
     none = (np.full(12, np.nan), -force, np.zeros(12), 1e13 * force)
     for bad in (*none, unbalanced, 1.001 * force, force[:9]):
-        assert at(made.solve(load, START["given"], force=bad, torsion=torsion)[0], "code") == REFUSED
+        assert (
+            at(made.solve(load, START["given"], force=bad, torsion=torsion)[0], "code") == REFUSED
+        )
     for number in (np.nan, 1.0) if kind == "all soft" else ():
         bad = np.where(np.arange(4) == 1, number, torsion)
         assert at(made.solve(load, START["given"], force=force, torsion=bad)[0], "code") == REFUSED
@@ -227,32 +281,43 @@ def test_a_given_start_is_one_or_refused(kind: str) -> None:
 
 @pytest.mark.parametrize("count", SOME)
 def test_a_guess_is_balanced_and_the_best_on_the_way(count: int) -> None:
-    c, rng, used = case(count, "hard"), np.random.default_rng(count), set()
+    c = case(count, "hard")
+    rng = np.random.default_rng(count)
+    used = set()
     s = c.contacts
     made = c.solver()
     for size in (1e-3, 0.3, 10.0):
         load = wrenches(rng, 1, 2.0)[0]
-        w, best = s.unit @ load, s.minimum(load)[0]
+        w = s.unit @ load
+        best = s.minimum(load)[0]
         guess = best * (1.0 + size * rng.standard_normal(3 * count))
-        row, plain = made.start(load, START["guess"], force=guess / s.divisor.reshape(-1)), made.start(load)
-        x, safe = c.z(row, "initial"), c.z(plain, "initial")
+        row = made.start(load, START["guess"], force=guess / s.divisor.reshape(-1))
+        plain = made.start(load)
+        x = c.z(row, "initial")
+        safe = c.z(plain, "initial")
         moved = guess - s.inverse @ (s.rows @ guess + w)
         used.add(at(row, "replaced"))
         assert phi(x, s.weights) <= min(phi(safe, s.weights), phi(moved, s.weights)) * (1.0 + 1e-12)
         assert np.abs(s.rows @ x + w).max() <= 1e-12 * count * (np.abs(x).max() + np.abs(w).max())
         share = float((x - safe) @ (moved - safe) / ((moved - safe) @ (moved - safe)))
-        np.testing.assert_allclose(x, safe + share * (moved - safe), rtol=0, atol=1e-9 * np.abs(moved).max())
+        np.testing.assert_allclose(
+            x, safe + share * (moved - safe), rtol=0, atol=1e-9 * np.abs(moved).max()
+        )
     assert 0.0 in used
 
 
 @pytest.mark.parametrize("count", SOME)
 def test_the_combination_follows_moved_contacts(count: int) -> None:
-    """The tangent correction carries it; it is replaced where that leaves the cones or more than doubles Phi."""
-    c, replaced = case(count, "hard"), set()
-    s, made = c.contacts, c.solver(start=START["linear_combination"], limit=0)
+    """The tangent correction carries it; it is replaced where that leaves the cones or more than
+    doubles Phi."""
+    c = case(count, "hard")
+    replaced = set()
+    s = c.contacts
+    made = c.solver(start=START["linear_combination"], limit=0)
     for seed, w in enumerate(wrenches(np.random.default_rng(count), 5)):
         for size in (1e-3, 0.03, 0.1, 0.3, 2.0):
-            there, combined = moved(s, size, seed), newton.combine(s.basis, w)
+            there = moved(s, size, seed)
+            combined = newton.combine(s.basis, w)
             turned = turned_forces(combined, s.frames, there.frames, s.divisor, s.scale)
             wanted = newton.tangent_correction(turned, there.rows, there.unit @ w, s.weights)
             grown = phi(wanted, s.weights) / phi(combined, s.weights)
@@ -262,5 +327,7 @@ def test_the_combination_follows_moved_contacts(count: int) -> None:
             assert at(row, "replaced") == (not grown <= 2.0)
             replaced.add(at(row, "replaced"))
             if grown <= 2.0:
-                np.testing.assert_allclose(c.z(row, "initial"), wanted, rtol=0, atol=1e-4 * np.abs(wanted).max())
+                np.testing.assert_allclose(
+                    c.z(row, "initial"), wanted, rtol=0, atol=1e-4 * np.abs(wanted).max()
+                )
     assert replaced == {0.0, 1.0}

@@ -1,4 +1,5 @@
-"""Programs in C++: random bytes, threads, and the examples, which print the numbers of their twins in Python; pages compile with them."""
+"""Programs in C++: random bytes, threads, and the examples, which print the numbers of their twins
+in Python; pages compile with them."""
 
 from __future__ import annotations
 
@@ -16,8 +17,12 @@ from policies import LearnedInitialForce
 
 SEED = os.environ.get("GRASP_TRIAL_SEED", "0")
 SANITIZED = [
-    "-O1", "-g1", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all", "-D_GLIBCXX_ASSERTIONS",
-]  # fmt: skip
+    "-O1",
+    "-g1",
+    "-fsanitize=address,undefined,float-cast-overflow",
+    "-fno-sanitize-recover=all",
+    "-D_GLIBCXX_ASSERTIONS",
+]
 NUMBER = re.compile(r"-?\b\d+\.?\d*")
 LINES, MOST_LINES = 60, 165
 
@@ -68,7 +73,9 @@ def test_eight_threads_under_the_thread_sanitizer(tmp_path: Path) -> None:
 # --- examples and pages
 
 
-@pytest.mark.parametrize("path", sorted((CORE / "examples").glob("*.[ch]pp")), ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path", sorted((CORE / "examples").glob("*.[ch]pp")), ids=lambda path: path.name
+)
 def test_an_example_is_short_and_has_a_twin(path: Path) -> None:
     lines = path.read_text().splitlines()
     assert len(lines) < LINES if path in EXAMPLES else len(lines) <= MOST_LINES
@@ -83,7 +90,8 @@ def words(line: str) -> str:
 
 @pytest.mark.parametrize("name", [path.stem for path in EXAMPLES])
 def test_twins_print_the_same(name: str, programs: Path, tmp_path: Path) -> None:
-    """Line by line and in the same order, except for times and for lines that Python alone prints; a wrong file is named."""
+    """Line by line and in the same order, except for times and for lines that Python alone prints;
+    a wrong file is named."""
     arguments = [model(tmp_path)] if "learned" in name else []
     python = iter(succeed(sys.executable, ROOT / f"examples/{name}.py").splitlines())
     compared = 0
@@ -94,7 +102,9 @@ def test_twins_print_the_same(name: str, programs: Path, tmp_path: Path) -> None
         assert twin is not None, line
         for mine, other in zip(NUMBER.findall(line), NUMBER.findall(twin), strict=True):
             # the last digit that is printed may be rounded either way
-            assert float(mine) == pytest.approx(float(other), abs=1.1 * 10.0 ** -len(mine.partition(".")[2])), line
+            assert float(mine) == pytest.approx(
+                float(other), abs=1.1 * 10.0 ** -len(mine.partition(".")[2])
+            ), line
             compared += 1
     assert compared > 0
     for wrong in (["missing.model"], [__file__], []) if arguments else ():

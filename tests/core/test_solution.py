@@ -13,7 +13,8 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.force import ForceSolution
 from grasp_env.force.solution import Names
 
-PLACES, CODES = record_fields(), codes()
+PLACES = record_fields()
+CODES = codes()
 FORCE = PLACES["force"]
 NAMES = Names("newton", "previous")
 
@@ -38,12 +39,17 @@ def test_arrays_are_views_of_the_record(count: int, joints: int, limits: int) ->
     numbers = row(count, joints, limits)[FORCE:]
     assert solution.n_contacts == count
     shapes = {
-        "force": (count, 3), "initial_force": (count, 3), "torsion": (count,), "frames": (count, 3, 3), "torques": (joints,),
+        "force": (count, 3),
+        "initial_force": (count, 3),
+        "torsion": (count,),
+        "frames": (count, 3, 3),
+        "torques": (joints,),
         "limit_multipliers": (limits,),
-    }  # fmt: skip
+    }
     at = 0
     for name, shape in shapes.items():
-        view, size = getattr(solution, name), int(np.prod(shape))
+        view = getattr(solution, name)
+        size = int(np.prod(shape))
         np.testing.assert_array_equal(view, numbers[at : at + size].reshape(shape))
         assert not view.flags.writeable
         assert view.dtype == np.float64
@@ -55,18 +61,33 @@ def test_arrays_are_views_of_the_record(count: int, joints: int, limits: int) ->
 
 def test_the_summary_is_read_off() -> None:
     said = {
-        "iterations": 3, "trials": 5, "objective": 7.5, "lower_bound": 7.25, "residual": 1e-9, "margin": 0.5,
-        "limit_excess": 0.125, "replaced": 1,
-    }  # fmt: skip
+        "iterations": 3,
+        "trials": 5,
+        "objective": 7.5,
+        "lower_bound": 7.25,
+        "residual": 1e-9,
+        "margin": 0.5,
+        "limit_excess": 0.125,
+        "replaced": 1,
+    }
     numbers = row(**said)
-    numbers[PLACES["wrench"] :][:6], numbers[PLACES["multipliers"] :][:6] = np.arange(6), 10.0 + np.arange(6)
+    numbers[PLACES["wrench"] :][:6], numbers[PLACES["multipliers"] :][:6] = (
+        np.arange(6),
+        10.0 + np.arange(6),
+    )
     solution = ForceSolution(numbers, NAMES)
-    names = {"residual": "equilibrium_residual", "margin": "cone_margin", "replaced": "start_replaced"}
+    names = {
+        "residual": "equilibrium_residual",
+        "margin": "cone_margin",
+        "replaced": "start_replaced",
+    }
     assert {name: getattr(solution, names.get(name, name)) for name in said} == said
     assert type(solution.iterations) is type(solution.trials) is int
     np.testing.assert_array_equal(solution.wrench, np.arange(6))
     np.testing.assert_array_equal(solution.multipliers, 10.0 + np.arange(6))
-    expected = np.einsum("nij,nj->ni", solution.frames, solution.force)  # along the axes of the positions
+    expected = np.einsum(
+        "nij,nj->ni", solution.frames, solution.force
+    )  # along the axes of the positions
     np.testing.assert_allclose(solution.object_force, expected, rtol=1e-14, atol=1e-15)
 
 
@@ -79,11 +100,15 @@ def test_a_proof_has_prices_and_an_excess_has_none(code: str) -> None:
 
 
 def test_views_keep_the_record_alive_and_nothing_leaks() -> None:
-    record, trace = row(4, 2, 4), np.zeros(3)
+    record = row(4, 2, 4)
+    trace = np.zeros(3)
     before = sys.getrefcount(record), sys.getrefcount(trace)
     for _ in range(100):
         solution = ForceSolution(record, NAMES, trace)
-        views = [getattr(solution, name) for name in ("force", "torsion", "frames", "torques", "limit_multipliers")]
+        views = [
+            getattr(solution, name)
+            for name in ("force", "torsion", "frames", "torques", "limit_multipliers")
+        ]
         assert solution.objective_trace is not None
         del solution
         np.testing.assert_array_equal(views[0].reshape(-1), FORCE + np.arange(12.0))
@@ -95,14 +120,25 @@ def test_views_keep_the_record_alive_and_nothing_leaks() -> None:
 @pytest.mark.parametrize(
     "record",
     [
-        None, list(row()), np.zeros(FORCE - 1), row()[:-1], np.append(row(), 0.0), row().astype(np.float32),
+        None,
+        list(row()),
+        np.zeros(FORCE - 1),
+        row()[:-1],
+        np.append(row(), 0.0),
+        row().astype(np.float32),
         np.repeat(row(), 2)[::2],
-        *(row(code=CODES[name]) for name in ("refused", "rank_lost")),  # a call that has no answer is no solution
-        *(row(code=code) for code in (0.5, -1.0, np.nan, 99.0)), row(iterations=np.nan), row(start=99.0),
-        *(np.where(np.arange(len(row())) == PLACES[name], number, row())
-          for name, number in (("contacts", 5.0), ("joints", 1e300), ("limits", -1.0))),
+        *(
+            row(code=CODES[name]) for name in ("refused", "rank_lost")
+        ),  # a call that has no answer is no solution
+        *(row(code=code) for code in (0.5, -1.0, np.nan, 99.0)),
+        row(iterations=np.nan),
+        row(start=99.0),
+        *(
+            np.where(np.arange(len(row())) == PLACES[name], number, row())
+            for name, number in (("contacts", 5.0), ("joints", 1e300), ("limits", -1.0))
+        ),
     ],
-)  # fmt: skip
+)
 def test_only_records_are_taken(record: object) -> None:
     with pytest.raises(
         InvalidInputError,
@@ -115,5 +151,13 @@ def test_pickled_whole() -> None:
     solution = ForceSolution(row(4, 12, 24), NAMES, np.ones(2))
     again = pickle.loads(pickle.dumps(solution))
     assert type(again) is ForceSolution
-    for name in ("_record", "method", "initial", "objective_trace", "frames", "torques", "limit_multipliers"):
+    for name in (
+        "_record",
+        "method",
+        "initial",
+        "objective_trace",
+        "frames",
+        "torques",
+        "limit_multipliers",
+    ):
         np.testing.assert_array_equal(getattr(again, name), getattr(solution, name))

@@ -1,4 +1,5 @@
-"""Other people's code: Gymnasium's wrappers and checker, stable-baselines3's checker, torchrl, videos."""
+"""Other people's code: Gymnasium's wrappers and checker, stable-baselines3's checker, torchrl,
+videos."""
 
 from __future__ import annotations
 
@@ -33,7 +34,11 @@ class Headless(FourFingerGrasp):
     "settings",
     [
         {"render_mode": "rgb_array", "pictures": {"size": (64, 48)}, "disturbance": "random"},
-        {"randomize": ("shape", "size", "mass", "friction"), "observation": "dict", "action_mode": "contact_force"},
+        {
+            "randomize": ("shape", "size", "mass", "friction"),
+            "observation": "dict",
+            "action_mode": "contact_force",
+        },
     ],
     ids=["pictures", "dict"],
 )
@@ -58,7 +63,9 @@ def test_a_picture_without_a_render_mode_is_a_warning_in_every_state() -> None:
         return str(caught[0].message)
 
     expected = warned(lambda: gym.make("CartPole-v1").unwrapped.render())
-    assert warned(bare.render) == expected.replace("CartPole-v1", "FourFingerGrasp-v0")  # before the first reset
+    assert warned(bare.render) == expected.replace(
+        "CartPole-v1", "FourFingerGrasp-v0"
+    )  # before the first reset
     with pytest.raises(ResetNeeded):
         env.render()
     env.reset(seed=0)
@@ -94,7 +101,9 @@ def test_a_window_is_drawn_at_every_reset_and_step(monkeypatch: pytest.MonkeyPat
     shown: list[Any] = []
     window = SimpleNamespace(of_scene=lambda scene: SimpleNamespace(show=shown.append))
     monkeypatch.setattr("grasp_env.env.env.class_of", lambda engine, role: window)
-    monkeypatch.setattr(FourFingerGrasp, "_new_stage", lambda env: Stage(env.config, env._loop, False, True))
+    monkeypatch.setattr(
+        FourFingerGrasp, "_new_stage", lambda env: Stage(env.config, env._loop, False, True)
+    )
     env = FourFingerGrasp(render_mode="human", **SMALL)
     assert env.render() is None
     assert not shown  # nothing is known of an episode yet

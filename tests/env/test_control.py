@@ -1,4 +1,5 @@
-"""The force loop: what it balances, the torques it makes, and what happens when fingers slip off and land."""
+"""The force loop: what it balances, the torques it makes, and what happens when fingers slip off
+and land."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ from grasp_env.task.motion import motion_target, resting_target
 ITEM = ObjectDescription(size=(0.06, 0.1, 0.14), mass=0.3)
 KINEMATICS = HandKinematics(HandDescription.four_finger())
 GRAVITY = np.array([0.0, -9.81, 0.0])
-REST, NO_WRENCH = resting_target(1)[0], np.zeros(6)
+REST = resting_target(1)[0]
+NO_WRENCH = np.zeros(6)
 
 
 def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0)) -> core.Scene:
@@ -37,7 +39,9 @@ def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0
 def controller(scene: core.Scene) -> core.Controller:
     """A control loop with the default gains."""
     config = EnvConfig()
-    return controller_alone(scene, 4, control_settings(config, ITEM, KINEMATICS), sensor_settings(config))
+    return controller_alone(
+        scene, 4, control_settings(config, ITEM, KINEMATICS), sensor_settings(config)
+    )
 
 
 def pose_error(scene: core.Scene, target: np.ndarray) -> np.ndarray:
@@ -56,7 +60,8 @@ def balanced(scene: core.Scene, target: np.ndarray = REST) -> np.ndarray:
 
 def test_pose_error_against_scipy() -> None:
     """Position, orientation and velocities against the target's; small turns keep their digits."""
-    rng, target = np.random.default_rng(0), motion_target("rotate", np.linspace(0.0, 1.0, 51), 0.3, 1.0)[10]
+    rng = np.random.default_rng(0)
+    target = motion_target("rotate", np.linspace(0.0, 1.0, 51), 0.3, 1.0)[10]
     wanted = Rotation.from_quat(target[3:7])
     for size in (0.0, 1e-12, 1e-8, 1e-6, *[1.5] * 6):
         turn = size * rng.uniform(-0.6, 0.6, 3)
@@ -70,7 +75,8 @@ def test_pose_error_against_scipy() -> None:
 
 
 def test_inertial_wrench_of_a_moving_target() -> None:
-    """On the target the grasp must give what its motion needs: d(m v)/dt and dL/dt, here by differences."""
+    """On the target the grasp must give what its motion needs: d(m v)/dt and dL/dt, here by
+    differences."""
     inertia, step = ITEM.inertia_matrix, 1e-4
 
     def rotation(t: float) -> Rotation:
@@ -92,9 +98,15 @@ def test_inertial_wrench_of_a_moving_target() -> None:
 
     for t in (0.3, 1.1, 2.0):
         target = np.concatenate(
-            [place(t), rotation(t).as_quat(), slope(place, t), angular(t), (place(t + 1e-3) - 2 * place(t) + place(t - 1e-3)) / 1e-6,
-             slope(angular, t)]
-        )  # fmt: skip
+            [
+                place(t),
+                rotation(t).as_quat(),
+                slope(place, t),
+                angular(t),
+                (place(t + 1e-3) - 2 * place(t) + place(t - 1e-3)) / 1e-6,
+                slope(angular, t),
+            ]
+        )
         s = state(place(t), rotation(t).as_rotvec(), target[7:10], target[10:13])
         turned = rotation(t).as_matrix()
         force = turned.T @ (0.3 * (GRAVITY - target[13:16]))
@@ -103,29 +115,39 @@ def test_inertial_wrench_of_a_moving_target() -> None:
 
 
 class Trial:
-    """An episode of at most `steps` in which the tips of some fingers are pulled off the object with 8 N at some control ticks."""
+    """An episode of at most `steps` in which the tips of some fingers are pulled off the object
+    with 8 N at some control ticks."""
 
-    def __init__(self, pulled: tuple[int, ...], ticks: Sequence[int], steps: int = 100, **settings: Any) -> None:
+    def __init__(
+        self, pulled: tuple[int, ...], ticks: Sequence[int], steps: int = 100, **settings: Any
+    ) -> None:
         env = FourFingerGrasp(disturbance="none", **settings)
         env.reset(seed=0)
         scene, loop = env.scene, env._loop
-        self.ticks: list[dict[str, Any]] = []  # what the loop knew and commanded, and the fingers that really touch
+        # what the loop knew and commanded, and the fingers that really touch
+        self.ticks: list[dict[str, Any]] = []
         self.infos: list[dict[str, Any]] = []
         self.friction = loop.friction
         advance = scene.advance
 
         def pull(torques: list[float], wrench: list[float] | None) -> None:
-            s, frames = scene.look(), loop.frames
+            s = scene.look()
+            frames = loop.frames
             matrix = np.zeros((6, 12))
             for finger in loop.fingers:
                 skew = np.cross(np.eye(3), s.points[finger])  # skew @ f = p x f
                 matrix[:3, 3 * finger : 3 * finger + 3] = frames[finger]
                 matrix[3:, 3 * finger : 3 * finger + 3] = skew @ frames[finger]
             missing = matrix @ loop.force.reshape(-1) + loop.wrench
-            self.ticks.append({
-                "fingers": loop.fingers.tolist(), "touching": s.touching > 0, "force": loop.force.copy(), "closure": loop.closure,
-                "missing": np.abs(missing).max(),
-            })  # fmt: skip
+            self.ticks.append(
+                {
+                    "fingers": loop.fingers.tolist(),
+                    "touching": s.touching > 0,
+                    "force": loop.force.copy(),
+                    "closure": loop.closure,
+                    "missing": np.abs(missing).max(),
+                }
+            )
             if len(self.ticks) <= 5:
                 expected = grasp_torques(scene, np.einsum("nij,nj->ni", frames, loop.force))
                 np.testing.assert_allclose(torques, expected, atol=1e-9)
@@ -134,9 +156,13 @@ class Trial:
                     link = scene.simulator.world.joints[int(scene.kinematics.tip_links[finger])]
                     away = -8.0 * (s.rotation @ s.normals[finger])
                     bullet.applyExternalForce(
-                        scene.simulator.world.hand, link, away.tolist(), s.tips[finger].tolist(), bullet.WORLD_FRAME,
+                        scene.simulator.world.hand,
+                        link,
+                        away.tolist(),
+                        s.tips[finger].tolist(),
+                        bullet.WORLD_FRAME,
                         scene.simulator.client.number,
-                    )  # fmt: skip
+                    )
             advance(torques, wrench)
 
         scene.advance = pull  # type: ignore[method-assign]
@@ -158,8 +184,12 @@ def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finge
     assert [info["contacts"] for info in trial.infos[:10]] == [4] * 10
     for tick in alone:
         assert tick["closure"]
-        np.testing.assert_array_equal(tick["force"][finger], 0.0)  # no command for a finger that touches nothing
-        inside = trial.friction * tick["force"][:, 0] - np.hypot(tick["force"][:, 1], tick["force"][:, 2])
+        np.testing.assert_array_equal(
+            tick["force"][finger], 0.0
+        )  # no command for a finger that touches nothing
+        inside = trial.friction * tick["force"][:, 0] - np.hypot(
+            tick["force"][:, 1], tick["force"][:, 2]
+        )
         assert (inside[others] > 0.0).all()
     assert np.percentile([tick["missing"] for tick in alone], 95) < 1e-8  # balance over the three
     for info in trial.infos:
@@ -168,7 +198,8 @@ def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finge
     assert max(info["drift"] for info in trial.infos) < 5e-3
     lost = next(k for k, tick in enumerate(trial.ticks) if not tick["touching"][finger])
     noticed = next(k for k, tick in enumerate(trial.ticks) if finger not in tick["fingers"])
-    assert lost <= noticed <= lost + RELEASE + 1  # not at the next agent step, nor at the first tick without force
+    # not at the next agent step, nor at the first tick without force
+    assert lost <= noticed <= lost + RELEASE + 1
     last = trial.infos[-1]
     assert last["touching"].all()
     assert (last["contacts"], last["failure"], last["contact_changes"] >= 2) == (4, "", True)
@@ -181,11 +212,17 @@ def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finge
 def test_without_force_closure_the_episode_ends_with_that_cause() -> None:
     trial = Trial((1, 2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
     last = trial.infos[-1]
-    assert (last["failure"], last["is_success"], last["force_closure"]) == ("closure_lost", False, False)
+    assert (last["failure"], last["is_success"], last["force_closure"]) == (
+        "closure_lost",
+        False,
+        False,
+    )
     assert (last["contacts"] <= 1, last["status"] in ("none", "failed")) == (True, True)
     lost = [info["force_closure"] for info in trial.infos].index(False)
     assert 5 <= len(trial.infos) - lost <= 7  # max_contact_gap = 0.1 s, at 50 Hz
-    assert all(info["iterations"] == 0 for info in trial.infos[lost + 1 :])  # the first lost it after its optimisation
+    assert all(
+        info["iterations"] == 0 for info in trial.infos[lost + 1 :]
+    )  # the first lost it after its optimisation
     for info in trial.infos[lost:]:  # the last forces are kept, inside their cones
         force = info["commanded_force"]
         assert (np.hypot(force[:, 1], force[:, 2]) <= 0.4 * force[:, 0] + 1e-9).all()
@@ -193,9 +230,11 @@ def test_without_force_closure_the_episode_ends_with_that_cause() -> None:
 
 @needs_bullet
 def test_two_opposite_fingers_hold_until_the_others_are_back() -> None:
-    """The wrench is within their reach: no moment about the line through them. Agent's steps, whose flow does not solve it, are no gaps."""
+    """The wrench is within their reach: no moment about the line through them. Agent's steps, whose
+    flow does not solve it, are no gaps."""
     trial = Trial((2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
-    last, alone = trial.infos[-1], [tick for tick in trial.ticks if tick["fingers"] == [0, 1]]
+    last = trial.infos[-1]
+    alone = [tick for tick in trial.ticks if tick["fingers"] == [0, 1]]
     assert (last["contacts"], last["failure"], last["force_closure"]) == (4, "", True)
     assert len(alone) > 150
     assert np.mean([tick["closure"] for tick in alone]) > 0.99
@@ -205,12 +244,15 @@ def test_two_opposite_fingers_hold_until_the_others_are_back() -> None:
 
 @needs_bullet
 def test_gaps_of_force_closure_are_survived_each_on_its_own() -> None:
-    """Without gravity two fingers are pulled off twice and come back; the gaps together are longer than one may be.
+    """Without gravity two fingers are pulled off twice and come back; the gaps together are longer
+    than one may be.
 
     The line through the other two leaves their cones.
     """
     limits = {"duration": 4.0, "max_contact_gap": 0.3, "max_drift": 0.05}
-    trial = Trial((1, 2), [*range(51, 54), *range(401, 404)], 200, gravity=(0.0, 0.0, 0.0), limits=limits)
+    trial = Trial(
+        (1, 2), [*range(51, 54), *range(401, 404)], 200, gravity=(0.0, 0.0, 0.0), limits=limits
+    )
     last = trial.infos[-1]
     assert (last["contacts"], last["failure"], last["force_closure"]) == (4, "", True)
     assert sum(not tick["closure"] for tick in trial.ticks) > 0.3 * 250

@@ -1,4 +1,5 @@
-"""Disturbances: the process against scipy, the momentum of impulses, tilting gravity, functions of a user."""
+"""Disturbances: the process against scipy, the momentum of impulses, tilting gravity, functions of
+a user."""
 
 from __future__ import annotations
 
@@ -25,7 +26,9 @@ def test_the_random_wrench_is_an_ornstein_uhlenbeck_process() -> None:
     noise = rng(3).standard_normal((500, 6)) * np.sqrt(1.0 - keep**2) * np.repeat([0.6, 0.02], 3)
     noise[0] = 0.0
     made = RandomWrench(time=75.0 * TICK)(np.arange(500) * TICK, rng(3), EnvConfig())
-    np.testing.assert_allclose(made, lfilter([1.0], [1.0, -keep], noise, axis=0), rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        made, lfilter([1.0], [1.0, -keep], noise, axis=0), rtol=1e-12, atol=1e-13
+    )
 
 
 @pytest.mark.parametrize("length", [0.1, 0.0005])
@@ -33,13 +36,17 @@ def test_impulses_deliver_their_momentum_however_short(length: float) -> None:
     wrench = Impulses(2.0, 0.05, length, 0.4)(np.arange(25_000) * TICK, rng(1), EnvConfig())
     assert np.linalg.norm(wrench[:, :3], axis=1).max() <= 2.0 + 1e-9
     assert np.linalg.norm(wrench[:, 3:], axis=1).max() <= 0.05 + 1e-9
-    # runs of rows that are not zero are impulses, as long as none starts within the tick after another
+    # runs of rows that are not zero are impulses, as long as none starts within the tick after
+    # another
     change = np.diff(np.concatenate([[False], wrench.any(axis=1), [False]]).astype(int))
-    first, last = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
+    first = np.flatnonzero(change == 1)
+    last = np.flatnonzero(change == -1)
     given = np.array([wrench[a:b].sum(axis=0) * TICK for a, b in zip(first, last, strict=True)])
     sizes = np.linalg.norm(given[:, :3], axis=1)
     assert np.median(sizes) == pytest.approx(2.0 / np.pi * 2.0 * length, rel=1e-9)
-    assert np.median(np.linalg.norm(given[:, 3:], axis=1)) == pytest.approx(2.0 / np.pi * 0.05 * length, rel=1e-9)
+    assert np.median(np.linalg.norm(given[:, 3:], axis=1)) == pytest.approx(
+        2.0 / np.pi * 0.05 * length, rel=1e-9
+    )
     # 100 s at a mean of 0.4 s + length: about 230 of them; 4 sigma of a renewal count
     assert len(first) == pytest.approx(100.0 / (0.4 + length), rel=4.0 / np.sqrt(200))
     direction = given[:, :3] / sizes[:, None]
@@ -47,22 +54,30 @@ def test_impulses_deliver_their_momentum_however_short(length: float) -> None:
 
 
 def test_impulses_with_waits_below_a_tick_start_a_tick_apart() -> None:
-    """So no row holds more than the momentum of one impulse, and most rows hold that of exactly one."""
-    wrench = Impulses(2.0, 0.05, 0.1 * TICK, 0.3 * TICK)(np.arange(5000) * TICK, rng(2), EnvConfig())
+    """So no row holds more than the momentum of one impulse, and most rows hold that of exactly
+    one."""
+    wrench = Impulses(2.0, 0.05, 0.1 * TICK, 0.3 * TICK)(
+        np.arange(5000) * TICK, rng(2), EnvConfig()
+    )
     for part, peak in ((wrench[:, :3], 2.0), (wrench[:, 3:], 0.05)):
-        rows, whole = np.linalg.norm(part, axis=1), 2.0 / np.pi * peak * 0.1
+        rows = np.linalg.norm(part, axis=1)
+        whole = 2.0 / np.pi * peak * 0.1
         assert rows.max() <= whole * (1.0 + 1e-9)  # sums of 5000 impulses are rounded
         assert np.median(rows) == pytest.approx(whole, rel=1e-9)
 
 
 def test_waits_below_a_tick_are_not_lengthened_after_a_long_impulse() -> None:
-    """An impulse of 5 ticks and a mean wait of 0.3 ticks: one in 5.3 ticks. Rows within one impulse share its direction."""
-    wrench = Impulses(2.0, 0.05, 5.0 * TICK, 0.3 * TICK)(np.arange(5000) * TICK, rng(2), EnvConfig())
+    """An impulse of 5 ticks and a mean wait of 0.3 ticks: one in 5.3 ticks. Rows within one impulse
+    share its direction."""
+    wrench = Impulses(2.0, 0.05, 5.0 * TICK, 0.3 * TICK)(
+        np.arange(5000) * TICK, rng(2), EnvConfig()
+    )
     direction = wrench[:, :3] / np.maximum(np.linalg.norm(wrench[:, :3], axis=1), 1e-300)[:, None]
     # at least two rows lie within an impulse, and one that two impulses share follows
     same = (direction[1:] * direction[:-1]).sum(axis=1) > 1.0 - 1e-12
     count = np.count_nonzero(same[1:] & ~same[:-1]) + same[0]
-    # waits of a standard deviation of 0.3 ticks: 4 sigma of their number, and one impulse at the end
+    # waits of a standard deviation of 0.3 ticks: 4 sigma of their number, and one impulse at the
+    # end
     assert count == pytest.approx(5000 / 5.3, abs=4.0 * np.sqrt(5000 / 5.3) * 0.3 / 5.3 + 1.0)
 
 

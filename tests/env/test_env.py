@@ -21,13 +21,18 @@ DOC = FourFingerGrasp.__doc__ or ""
 
 def test_observation_table_matches_docstring_and_space() -> None:
     rows = [line.strip() for line in DOC.splitlines()]
-    env, table, index = FourFingerGrasp(), [], 0
-    low, high = env.observation_space.low, env.observation_space.high
+    env = FourFingerGrasp()
+    table = []
+    index = 0
+    low = env.observation_space.low
+    high = env.observation_space.high
     env.close()
     for block in observation.fields():
         after = index + block.size
         where = f"{index}" if block.size == 1 else f"{index}-{after - 1}"
-        table.append(f"| {where} | `{block.key}` | {block.name} | {block.unit} | {block.frame} | {block.bound:g} |")
+        table.append(
+            f"| {where} | `{block.key}` | {block.name} | {block.unit} | {block.frame} | {block.bound:g} |"
+        )
         np.testing.assert_array_equal(high[index:after], np.float32(block.bound))
         index = after
     start = rows.index(table[0])
@@ -40,29 +45,45 @@ def test_observation_table_matches_docstring_and_space() -> None:
 
 def test_observation_and_info_are_the_state_of_the_scene() -> None:
     """At reset and after some steps; a dict has the same numbers."""
-    env, other = FourFingerGrasp(disturbance="random", observation="dict"), FourFingerGrasp(disturbance="random")
+    env = FourFingerGrasp(disturbance="random", observation="dict")
+    other = FourFingerGrasp(disturbance="random")
     assert {field.key for field in observation.fields()} == set(env.observation_space.keys())
     (parts, info), vector = env.reset(seed=1), other.reset(seed=1)[0]
     for step in range(8):
         s = env.scene.look()
         assert env.observation_space.contains(parts)
-        np.testing.assert_array_equal(np.concatenate([parts[field.key] for field in observation.fields()]), vector)
+        np.testing.assert_array_equal(
+            np.concatenate([parts[field.key] for field in observation.fields()]), vector
+        )
         for name, known in {
-            "force": info["wrench"][:3], "moment": info["wrench"][3:], "position": s.position, "linear_velocity": s.linear,
-            "angular_velocity": s.angular, "contact_points": s.points, "normals": s.normals,
-            "commanded_force": info["commanded_force"], "measured_force": info["measured_force"], "touching": s.touching,
-            "joint_angles": s.angles, "friction": 0.85 * 0.4,
-        }.items():  # fmt: skip
+            "force": info["wrench"][:3],
+            "moment": info["wrench"][3:],
+            "position": s.position,
+            "linear_velocity": s.linear,
+            "angular_velocity": s.angular,
+            "contact_points": s.points,
+            "normals": s.normals,
+            "commanded_force": info["commanded_force"],
+            "measured_force": info["measured_force"],
+            "touching": s.touching,
+            "joint_angles": s.angles,
+            "friction": 0.85 * 0.4,
+        }.items():
             np.testing.assert_allclose(parts[name], np.ravel(known), rtol=1e-6, err_msg=name)
         # the normal component of the measured force, and its size, do not depend on the tangents
-        normal, size = np.einsum("nk,nk->n", s.normals, s.forces), np.linalg.norm(s.forces, axis=1)
+        normal = np.einsum("nk,nk->n", s.normals, s.forces)
+        size = np.linalg.norm(s.forces, axis=1)
         np.testing.assert_allclose(info["measured_force"][:, 0], normal, rtol=1e-9)
         np.testing.assert_allclose(np.linalg.norm(info["measured_force"], axis=1), size, rtol=1e-9)
         assert info["time"] == pytest.approx(step / 50)
         if step == 0:  # the grasp that holds, within 1 % of the weight
             total = s.rotation @ s.forces.sum(axis=0)
             np.testing.assert_allclose(total, [0.0, 0.2 * 9.81, 0.0], atol=0.01 * 0.2 * 9.81)
-            assert (info["contacts"], info["force_closure"], info["contact_changes"]) == (4, True, 0)
+            assert (info["contacts"], info["force_closure"], info["contact_changes"]) == (
+                4,
+                True,
+                0,
+            )
             assert (info["status"], info["failure"]) == ("none", "")
         (parts, _, _, _, info), vector = env.step(ZERO), other.step(ZERO)[0]
     env.close()
@@ -70,14 +91,17 @@ def test_observation_and_info_are_the_state_of_the_scene() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings", [{}, {"controller.kind": "pd"}, {"action_mode": "contact_force"}, {"agent.info": "numbers"}], ids=str
+    "settings",
+    [{}, {"controller.kind": "pd"}, {"action_mode": "contact_force"}, {"agent.info": "numbers"}],
+    ids=str,
 )
 def test_info_keys_are_documented_and_constant(settings: dict[str, Any]) -> None:
     """Readers that make tensors of infos ask each value for its dtype."""
     env = FourFingerGrasp(**settings)
     zero = np.zeros(env.action_space.shape or (), dtype=np.float32)
     _, first = env.reset(seed=0)
-    infos, terminated = [env.step(zero)[4]], False
+    infos = [env.step(zero)[4]]
+    terminated = False
     env.reset(seed=0, options={"wrench": [0, 0, 0, 0, 0, 4.0]})
     while not terminated:
         _, _, terminated, _, info = env.step(zero)
@@ -95,40 +119,55 @@ def test_info_keys_are_documented_and_constant(settings: dict[str, Any]) -> None
 
 
 def iterations(steps: int = 4, action: float = 0.0, **settings: Any) -> list[int]:
-    return [info["iterations"] for info in episode(steps, action=np.full(6, action, dtype=np.float32), **settings)[1]]
+    return [
+        info["iterations"]
+        for info in episode(steps, action=np.full(6, action, dtype=np.float32), **settings)[1]
+    ]
 
 
 def test_actions_move_the_start_of_every_optimisation_and_not_the_optimum() -> None:
-    plain, adjusted = iterations(), iterations(action=-1.0)
+    plain = iterations()
+    adjusted = iterations(action=-1.0)
     assert plain == iterations(action=-1.0, agent={"action_scale": 1e-9})
     assert all(a != b for a, b in zip(plain, adjusted, strict=True))  # also at the first step
-    base, moved = (episode(5, action=np.full(6, a, dtype=np.float32))[1][-1]["objective"] for a in (0.0, -0.5))
+    base, moved = (
+        episode(5, action=np.full(6, a, dtype=np.float32))[1][-1]["objective"] for a in (0.0, -0.5)
+    )
     assert moved == pytest.approx(base, rel=3e-4)
     for method in ("newton", "full_flow"):
         assert episode(5, method=method)[1][-1]["objective"] == pytest.approx(base, rel=3e-4)
 
 
 def test_without_an_action_mode_actions_are_ignored() -> None:
-    ignored, zero = (episode(3, action_mode="none", action=np.full(1, a, np.float32))[0] for a in (1.0, 0.0))
+    ignored, zero = (
+        episode(3, action_mode="none", action=np.full(1, a, np.float32))[0] for a in (1.0, 0.0)
+    )
     np.testing.assert_array_equal(ignored, zero)
 
 
 def test_contact_forces_as_actions_hold_the_object() -> None:
-    """The optimum of the solver, given as an action, is commanded without a solver, and the object stays."""
-    force, scale = episode(5, disturbance="none")[1][-1]["commanded_force"], 8.0
+    """The optimum of the solver, given as an action, is commanded without a solver, and the object
+    stays."""
+    force = episode(5, disturbance="none")[1][-1]["commanded_force"]
+    scale = 8.0
     action = force / scale - [1.0, 0.0, 0.0]
     given = {"action_mode": "contact_force", "agent": {"action_scale": scale}}
-    infos = episode(10, disturbance="none", action=action.reshape(-1).astype(np.float32), **given)[1]
+    infos = episode(10, disturbance="none", action=action.reshape(-1).astype(np.float32), **given)[
+        1
+    ]
     for info in infos:
         np.testing.assert_allclose(info["commanded_force"], force, atol=1e-5)
         assert (info["iterations"], info["status"], info["terminated"]) == (0, "none", False)
     np.testing.assert_allclose(infos[-1]["measured_force"], force, atol=0.05)
-    far, edge = (episode(2, action=np.tile(np.float32([a, 0, 0]), 4), **given)[0] for a in (3.0, 1.0))
+    far, edge = (
+        episode(2, action=np.tile(np.float32([a, 0, 0]), 4), **given)[0] for a in (3.0, 1.0)
+    )
     np.testing.assert_array_equal(far, edge)  # clipped to the box
 
 
 def test_a_rule_that_breaks_ends_the_episode_without_stale_numbers() -> None:
-    broken, calls = False, []
+    broken = False
+    calls = []
 
     def rule(grasp: Any, wrench: np.ndarray) -> np.ndarray:
         calls.append(wrench)
@@ -141,7 +180,11 @@ def test_a_rule_that_breaks_ends_the_episode_without_stale_numbers() -> None:
     broken = True
     obs, reward, terminated, truncated, info = env.step(ZERO)
     assert (terminated, truncated, info["is_success"]) == (True, False, False)
-    assert (info["failure"], info["status"], info["iterations"]) == ("force_optimisation", "failed", 0)
+    assert (info["failure"], info["status"], info["iterations"]) == (
+        "force_optimisation",
+        "failed",
+        0,
+    )
     assert np.isfinite([*obs, reward]).all()
     broken = False
     env.reset(seed=0)
@@ -156,7 +199,9 @@ def test_a_constant_wrench_of_the_reset_lasts_one_episode() -> None:
     env.reset(seed=0, options={"wrench": wrench})
     for _ in range(40):
         info = env.step(ZERO)[4]
-    np.testing.assert_allclose(info["wrench"], wrench + np.array([0.0, -0.2 * 9.81, 0.0, 0.0, 0.0, 0.0]), atol=1e-3)
+    np.testing.assert_allclose(
+        info["wrench"], wrench + np.array([0.0, -0.2 * 9.81, 0.0, 0.0, 0.0, 0.0]), atol=1e-3
+    )
     env.reset(seed=0)
     assert not np.allclose(env.step(ZERO)[4]["wrench"], info["wrench"], atol=1e-2)
     env.close()
@@ -164,7 +209,8 @@ def test_a_constant_wrench_of_the_reset_lasts_one_episode() -> None:
 
 def test_pictures_change_nothing_and_copies_are_equal() -> None:
     settings: dict[str, Any] = {"disturbance": "random", "randomize": ("mass",)}
-    env, rows = FourFingerGrasp(render_mode="rgb_array", **settings), [episode(5, **settings)[0]]
+    env = FourFingerGrasp(render_mode="rgb_array", **settings)
+    rows = [episode(5, **settings)[0]]
     for each in (env, pickle.loads(pickle.dumps(env))):
         seen = [each.reset(seed=3)[0]]
         for _ in range(5):
@@ -184,11 +230,14 @@ def test_a_picture_is_in_the_world_frame_and_names_the_end() -> None:
     def push(times: np.ndarray, rng: np.random.Generator, settings: Any) -> np.ndarray:
         return np.where(times[:, None] > 0.5, [300.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0)
 
-    env = FourFingerGrasp(render_mode="rgb_array", task={"name": "move", "motion": "rotate"}, disturbance=push)
+    env = FourFingerGrasp(
+        render_mode="rgb_array", task={"name": "move", "motion": "rotate"}, disturbance=push
+    )
     env.reset(seed=0)
     for _ in range(25):
         env.step(ZERO)
-    assert np.trace(env.scene.look().rotation) < 1.0 + 2.0 * np.cos(0.28)  # the object is turned by 16 degrees
+    # the object is turned by 16 degrees
+    assert np.trace(env.scene.look().rotation) < 1.0 + 2.0 * np.cos(0.28)
     note = env._annotation(env.scene)
     np.testing.assert_allclose(note.forces.sum(axis=0), -note.wrench[:3], atol=1e-9)  # balance, N
     moments = np.cross(note.points - note.center, note.forces).sum(axis=0)
@@ -200,12 +249,17 @@ def test_a_picture_is_in_the_world_frame_and_names_the_end() -> None:
     while not env.step(ZERO)[2]:
         pass
     note = env._annotation(env.scene)
-    assert (note.title, note.hand, note.alarm[:6]) == ("move: rotate, push", "four finger", "lost: ")
+    assert (note.title, note.hand, note.alarm[:6]) == (
+        "move: rotate, push",
+        "four finger",
+        "lost: ",
+    )
     assert note.lines[0] == ("lost after", f"{env._tick * env._loop.dt:.2f} s")
     assert note.lines[1] == ("drift", f"{1e3 * env._outcome.drift:.2f} mm")
     env.reset(seed=0, options={"wrench": np.zeros(6)})
     later = env._annotation(env.scene)
-    assert (later.scale, later.turn) == (note.scale, note.turn)  # lighter loads are drawn at the same scale
+    # lighter loads are drawn at the same scale
+    assert (later.scale, later.turn) == (note.scale, note.turn)
     env.close()
     fixed = FourFingerGrasp(render_mode="rgb_array", pictures={"force": 8.0, "moment": 1e-3})
     fixed.reset(seed=0)

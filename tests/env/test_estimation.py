@@ -23,27 +23,40 @@ GRAVITY = np.array([0.0, -9.81, 0.0])
 TARGET = resting_target(1)[0]
 POINTS = np.array([[0.0, 0.0, -0.05], [0.0, 0.03, 0.05], [-0.03, -0.02, 0.05], [0.03, -0.02, 0.05]])
 GRASP = np.concatenate(
-    [np.tile(np.eye(3), 4), np.concatenate([np.cross(p, np.eye(3), axisb=0, axisc=0) for p in POINTS], axis=1)]
+    [
+        np.tile(np.eye(3), 4),
+        np.concatenate([np.cross(p, np.eye(3), axisb=0, axisc=0) for p in POINTS], axis=1),
+    ]
 )
 SQUEEZE = np.array([[0, 0, 6.0], [0, 0, -2.4], [0, 0, -1.8], [0, 0, -1.8]])
 Trial = list[tuple[np.ndarray, ...]]
 
 
-def hold(wrench: np.ndarray, seed: int, mass: float = MASS, spin: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Trial:
+def hold(
+    wrench: np.ndarray, seed: int, mass: float = MASS, spin: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> Trial:
     """A rigid body under `wrench` (T, 6), pushed back by contact forces with a soft pose feedback.
 
-    Returns rotation, linear and angular velocity and contact forces, at the start and after each tick.
+    Returns rotation, linear and angular velocity and contact forces, at the start and after each
+    tick.
     """
-    rng, h = np.random.default_rng(seed), TICK / 4
-    position, linear, turn = np.zeros(3), np.zeros(3), Rotation.identity()
-    angular, inertia, spread = np.array(spin), INERTIA * mass / MASS, np.linalg.pinv(GRASP)
+    rng = np.random.default_rng(seed)
+    h = TICK / 4
+    position = np.zeros(3)
+    linear = np.zeros(3)
+    turn = Rotation.identity()
+    angular = np.array(spin)
+    inertia = INERTIA * mass / MASS
+    spread = np.linalg.pinv(GRASP)
     trial = [(turn.as_matrix(), linear, angular, SQUEEZE)]
     for row in wrench:
         rotation = turn.as_matrix()
-        feedback = np.concatenate([
-            rotation.T @ (MASS * GRAVITY + 50.0 * position + 4.0 * linear),
-            rotation.T @ (0.5 * turn.as_rotvec() + 0.01 * (angular - spin)),
-        ])  # fmt: skip
+        feedback = np.concatenate(
+            [
+                rotation.T @ (MASS * GRAVITY + 50.0 * position + 4.0 * linear),
+                rotation.T @ (0.5 * turn.as_rotvec() + 0.01 * (angular - spin)),
+            ]
+        )
         forces = SQUEEZE - (spread @ feedback).reshape(4, 3) + 0.05 * rng.standard_normal((4, 3))
         acting = GRASP @ forces.reshape(-1) + row
         for _ in range(4):  # the wrenches are constant in the object frame within a tick
@@ -51,7 +64,9 @@ def hold(wrench: np.ndarray, seed: int, mass: float = MASS, spin: tuple[float, .
             linear = linear + h * (middle.apply(acting[:3]) / mass + GRAVITY)
             position = position + h * linear
             body = middle.inv().apply(angular)
-            angular = angular + h * middle.apply(np.linalg.solve(inertia, acting[3:] - np.cross(body, inertia @ body)))
+            angular = angular + h * middle.apply(
+                np.linalg.solve(inertia, acting[3:] - np.cross(body, inertia @ body))
+            )
             turn = Rotation.from_rotvec(h * angular) * turn
         trial.append((turn.as_matrix(), linear, angular, forces))
     return trial
@@ -60,12 +75,18 @@ def hold(wrench: np.ndarray, seed: int, mass: float = MASS, spin: tuple[float, .
 def estimates(trial: Trial, time: float = 0.0, noise: float = 0.0) -> np.ndarray:
     """(T + 1, 6) estimates of the external wrench along a trial of `hold`."""
     scene, views = scene_alone()
-    control, sensors, body = core.ControlSettings(), core.SensorSettings(), core.Body()
+    control = core.ControlSettings()
+    sensors = core.SensorSettings()
+    body = core.Body()
     body.mass, body.inertia = MASS, INERTIA.reshape(-1).tolist()
     control.body = body
-    sensors.wrench, sensors.tick, sensors.tactile_noise = core.WrenchSource.estimated, TICK, noise
+    sensors.wrench = core.WrenchSource.estimated
+    sensors.tick = TICK
+    sensors.tactile_noise = noise
     sensors.keep = keep_factor(time, TICK)
-    made, rows, out = controller_alone(scene, 4, control, sensors), NoiseRows(np.random.default_rng(0), 15), []
+    made = controller_alone(scene, 4, control, sensors)
+    rows = NoiseRows(np.random.default_rng(0), 15)
+    out = []
     for rotation, linear, angular, forces in trial:
         views.rotation[:], views.linear[:], views.angular[:] = rotation, linear, angular
         views.points[:], views.forces[:] = POINTS, forces
@@ -79,7 +100,8 @@ def test_a_constant_wrench_is_found_at_once_and_filtered_as_asked() -> None:
     trial = hold(wrench, 0)
     raw = estimates(trial)
     assert not raw[0].any()
-    # the body turns by less than 0.1 rad/s, 4e-4 rad per tick: forces of 8 N are misplaced by some mN
+    # the body turns by less than 0.1 rad/s, 4e-4 rad per tick: forces of 8 N are misplaced by some
+    # mN
     np.testing.assert_allclose(raw[1:, :3], wrench[:, :3], atol=0.02)
     np.testing.assert_allclose(raw[1:, 3:], wrench[:, 3:], atol=2e-4)
     slow = estimates(trial, time=0.05)
@@ -96,9 +118,11 @@ def test_a_spinning_body_needs_no_wrench_and_a_payload_is_a_weight() -> None:
 
 
 def test_a_random_wrench_is_found_and_a_filter_trades_noise_for_lag() -> None:
-    """5 % of the thumb's 6 N and the fingers' 2 N is 0.34 N per axis; the best filter is between none and a slow one."""
+    """5 % of the thumb's 6 N and the fingers' 2 N is 0.34 N per axis; the best filter is between
+    none and a slow one."""
     wrench = RandomWrench()(TICK * np.arange(500), np.random.default_rng(1), EnvConfig())
-    trial, error = hold(wrench, 1), {}
+    trial = hold(wrench, 1)
+    error = {}
     exact = estimates(trial)[1:] - wrench
     assert np.sqrt((exact[:, :3] ** 2).mean()) < 0.02
     assert np.sqrt((exact[:, 3:] ** 2).mean()) < 5e-4
@@ -121,23 +145,28 @@ def test_noise_statistics() -> None:
     truth.forces[:] = forces = np.array([[3.0, 0.0, 4.0], [0.0, 0.0, 0.0]])
     sensors = core.SensorSettings()
     sensors.tactile_noise, sensors.pose_noise = 0.1, 1e-3
-    made, noise = controller_alone(scene, 2, sensors=sensors), NoiseRows(np.random.default_rng(0), 9)
-    samples, places = np.empty((4000, 2, 3)), np.empty((4000, 3))
+    made = controller_alone(scene, 2, sensors=sensors)
+    noise = NoiseRows(np.random.default_rng(0), 9)
+    samples = np.empty((4000, 2, 3))
+    places = np.empty((4000, 3))
     for k in range(4000):
         seen = look(made, np.zeros(6), noise())
         samples[k], places[k] = seen.forces, seen.position
-    np.testing.assert_allclose(samples[:, 0].std(axis=0), 0.5, rtol=0.06)  # 10 % of 5 N on every axis
+    # 10 % of 5 N on every axis
+    np.testing.assert_allclose(samples[:, 0].std(axis=0), 0.5, rtol=0.06)
     np.testing.assert_allclose(samples[:, 0].mean(axis=0), forces[0], atol=0.04)
     assert not samples[:, 1].any()
     np.testing.assert_allclose(places.std(axis=0), 1e-3, rtol=0.06)
     np.testing.assert_array_equal(truth.forces, forces)  # the scene itself is unchanged
-    rows, expected = NoiseRows(np.random.default_rng(5), 7), np.random.default_rng(5).standard_normal((200, 7))
+    rows = NoiseRows(np.random.default_rng(5), 7)
+    expected = np.random.default_rng(5).standard_normal((200, 7))
     np.testing.assert_array_equal([rows().copy() for _ in range(200)], expected)
 
 
 @pytest.mark.parametrize(("late", "later"), [(0, 2), (1, 0), (5, 2)])
 def test_delays(late: int, later: int) -> None:
-    """The scene and forces come `late` ticks late, measured wrenches `later` ticks more; before the first tick it stood still."""
+    """The scene and forces come `late` ticks late, measured wrenches `later` ticks more; before the
+    first tick it stood still."""
     scene, truth = scene_alone()
     sensors = core.SensorSettings()
     sensors.delay, sensors.wrench_delay = late, later
@@ -154,7 +183,8 @@ def test_delays(late: int, later: int) -> None:
 
 
 def test_late_measurements_are_extrapolated_to_the_present() -> None:
-    """A free object turns and drifts at constant speed, one joint moves slowly; measurements are 20 ms late."""
+    """A free object turns and drifts at constant speed, one joint moves slowly; measurements are 20
+    ms late."""
     late = 5
     scene = Scene(SceneConfig(clearance=0.03, gravity=(0.0, 0.0, 0.0)))
     joints = scene.config.hand.joint_count
@@ -162,7 +192,8 @@ def test_late_measurements_are_extrapolated_to_the_present() -> None:
     sensors.tick, sensors.delay = scene.timestep, late
     controller = controller_alone(scene.core, sensors=sensors)
     controller.reset()
-    torques, still = np.zeros(joints), (np.zeros(6), np.zeros(3), TARGET, np.zeros(15))
+    torques = np.zeros(joints)
+    still = (np.zeros(6), np.zeros(3), TARGET, np.zeros(15))
     torques[2] = 1e-4  # [N m]
     scene.step(torques, [0.5, -0.2, 0.3, 0.01, 0.02, -0.03])
     before = scene.look().points.copy()
@@ -171,8 +202,10 @@ def test_late_measurements_are_extrapolated_to_the_present() -> None:
         scene.step(np.zeros(joints))
         scene.look()
     controller.see(None, *still)
-    seen, now = Snapshot(**controller.seen()), scene.look()
-    # the cube's three moments of inertia are equal: it turns at constant velocity; Bullet's quaternion steps are exact to 1e-6
+    seen = Snapshot(**controller.seen())
+    now = scene.look()
+    # the cube's three moments of inertia are equal: it turns at constant velocity; Bullet's
+    # quaternion steps are exact to 1e-6
     np.testing.assert_allclose(seen.rotation, now.rotation, atol=1e-6)
     np.testing.assert_allclose(seen.position, now.position, atol=1e-12)
     # the joint's own speed changes by Coriolis torques only: (0.05 rad/s)^2 * 0.02 s

@@ -1,4 +1,5 @@
-"""The hand holds: every task, controller, hand, object and disturbance, and sensors that know too little."""
+"""The hand holds: every task, controller, hand, object and disturbance, and sensors that know too
+little."""
 
 from __future__ import annotations
 
@@ -17,10 +18,16 @@ from grasp_env.task.motion import MOTIONS
 
 
 def whole(drift: float = np.inf, steps: int = 100, **settings: Any) -> list[dict[str, Any]]:
-    """Infos of an episode that runs to its end with success, all fingers on the object, and drifts less than so [m]."""
+    """Infos of an episode that runs to its end with success, all fingers on the object, and drifts
+    less than so [m]."""
     infos = episode(None, **settings)[1]
     last = infos[-1]
-    assert (len(infos), last["truncated"], last["terminated"], last["is_success"]) == (steps, True, False, True)
+    assert (len(infos), last["truncated"], last["terminated"], last["is_success"]) == (
+        steps,
+        True,
+        False,
+        True,
+    )
     assert last["time"] == pytest.approx(steps / 50)
     for info in infos:
         assert info["touching"].all()
@@ -39,11 +46,14 @@ def whole(drift: float = np.inf, steps: int = 100, **settings: Any) -> list[dict
     ids=str,
 )
 def test_disturbances_are_held_and_motions_followed(settings: dict[str, Any]) -> None:
-    """Drift below 1 mm, no contact lost, and measured forces are the commanded ones: 0.05 N is 1 % of the thumb's force."""
+    """Drift below 1 mm, no contact lost, and measured forces are the commanded ones: 0.05 N is 1 %
+    of the thumb's force."""
     infos = whole(1e-3, 200 if "task" in settings else 100, **settings)
     assert max(info["tilt"] for info in infos) < 0.02
     assert all(info["contacts"] == 4 and info["force_closure"] for info in infos)
-    assert infos[-1]["slip_distance"] < (1e-3 if "task" in settings else 1e-4)  # tips roll on a moving object
+    assert infos[-1]["slip_distance"] < (
+        1e-3 if "task" in settings else 1e-4
+    )  # tips roll on a moving object
     assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
 
 
@@ -59,11 +69,21 @@ def test_a_payload_that_nobody_announced_stretches_the_pose_spring() -> None:
         # in the jig its fingers pushed the ball of 52 g about for 4 s
         ("allegro", {"shape": "sphere", "size": (0.05036,), "mass": 0.05187, "friction": 0.9304}),
         # after 20 sweeps of Bullet's solver a finger crept by 3 mm in 4 s
-        ("leap", {"shape": "cuboid", "size": (0.06775, 0.05583, 0.07744), "mass": 0.05361, "friction": 0.827}),
+        (
+            "leap",
+            {
+                "shape": "cuboid",
+                "size": (0.06775, 0.05583, 0.07744),
+                "mass": 0.05361,
+                "friction": 0.827,
+            },
+        ),
     ],
     ids=["light", "long fingers"],
 )
-def test_hands_of_long_fingers_hold_light_objects_without_creeping(hand: str, settings: dict[str, Any]) -> None:
+def test_hands_of_long_fingers_hold_light_objects_without_creeping(
+    hand: str, settings: dict[str, Any]
+) -> None:
     wind = {"name": "random", "force": 0.6, "moment": 0.02}
     last = episode(None, hand=hand, disturbance=wind, duration=2.0, **settings)[1][-1]
     assert last["is_success"]
@@ -92,20 +112,27 @@ def test_a_budget_limits_iterations_and_the_force_stays_valid(budget: int) -> No
 
 
 def test_a_wrench_measured_late_or_not_at_all_moves_the_object() -> None:
-    """The pose spring is m (30 rad/s)^2 = 180 N/m: an unknown 1 N moves it by 5.6 mm, 4 ms late by much less."""
+    """The pose spring is m (30 rad/s)^2 = 180 N/m: an unknown 1 N moves it by 5.6 mm, 4 ms late by
+    much less."""
     still, late, never = (
         episode(None, disturbance=ConstantWrench((1, 0, 0, 0, 0, 0)), **settings)[1]
         for settings in ({}, {"sensors.wrench_delay": 1}, {"sensors.wrench": "none"})
     )
     assert max(info["drift"] for info in still) < 5e-5  # what is left of the settling
     assert still[-1]["drift"] < 1e-6
-    assert 5e-5 < max(info["drift"] for info in late) < 1e-3  # 1 N for a tick, 0.02 m/s, caught by 30 rad/s
+    assert (
+        5e-5 < max(info["drift"] for info in late) < 1e-3
+    )  # 1 N for a tick, 0.02 m/s, caught by 30 rad/s
     assert never[-1]["drift"] == pytest.approx(1 / 180, rel=0.02)
 
 
-@pytest.mark.parametrize("settings", [{"disturbance": "random"}, {"task": "payload"}, {"sensors.tactile_noise": 0.05}])
+@pytest.mark.parametrize(
+    "settings", [{"disturbance": "random"}, {"task": "payload"}, {"sensors.tactile_noise": 0.05}]
+)
 def test_an_estimated_wrench_holds(settings: dict[str, Any]) -> None:
-    steps = 200 if "task" in settings else 100  # unlike with "measured", the estimate contains the payload
+    steps = (
+        200 if "task" in settings else 100
+    )  # unlike with "measured", the estimate contains the payload
     infos = whole(steps=steps, **{"sensors.wrench": "estimated"}, **settings)
     assert all(info["force_closure"] for info in infos)
     assert infos[-1]["drift"] < (1e-3 if "task" in settings else 0.02)
@@ -114,11 +141,13 @@ def test_an_estimated_wrench_holds(settings: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        {"sensors.delay": 0.008, "controller.motor_strength": 0.98}, {"sensors.pose_noise": 1e-5}, {"controller.force_noise": 0.01},
+        {"sensors.delay": 0.008, "controller.motor_strength": 0.98},
+        {"sensors.pose_noise": 1e-5},
+        {"controller.force_noise": 0.01},
         {"sensors.tactile_noise": 0.05, "sensors.wrench": "estimated"},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_imperfect_sensors_and_motors_hold_and_are_drawn(settings: dict[str, Any]) -> None:
     first, infos = episode(40, **settings)
     assert infos[-1]["is_success"]
@@ -137,7 +166,8 @@ def test_every_hand_holds(hand: str) -> None:
     "settings",
     [
         *({"shape": shape} for shape in SHAPES_WITHOUT_MESH),
-        # long, small and heavy: their moments of inertia differ by ten, and by a hundred from the default's
+        # long, small and heavy: their moments of inertia differ by ten, and by a hundred from the
+        # default's
         *({"size": size, "friction": 0.6} for size in ((0.05, 0.2, 0.05), 3 * (0.04,))),
         {"mass": 2.0, "friction": 0.6},
     ],
@@ -149,5 +179,9 @@ def test_every_object_is_held(settings: dict[str, Any]) -> None:
 
 def test_rates_that_differ_hold() -> None:
     infos = episode(None, agent={"rate": 25}, engine={"name": "bullet", "rate": 1000})[1]
-    assert (len(infos), infos[-1]["is_success"], infos[-1]["time"]) == (50, True, pytest.approx(2.0))
+    assert (len(infos), infos[-1]["is_success"], infos[-1]["time"]) == (
+        50,
+        True,
+        pytest.approx(2.0),
+    )
     assert max(info["drift"] for info in infos) < 1e-3

@@ -22,10 +22,12 @@ STRONG = RandomWrench(force=2.0, moment=0.06)
 
 
 def test_pushes_keep_their_direction_in_the_world_while_the_object_turns() -> None:
-    """A moment that the controller does not know turns the object about z; the first push points to +x."""
+    """A moment that the controller does not know turns the object about z; the first push points to
+    +x."""
     env = FourFingerGrasp(task="six_directions", sensors={"wrench": "none"})
     env.reset(seed=0, options={"wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 0.1]})
-    advance, pushes = env.scene.advance, []
+    advance = env.scene.advance
+    pushes = []
 
     def listen(torques: list[float], push: Any) -> None:
         pushes.append(env.scene.look().rotation @ push[:3])
@@ -40,13 +42,17 @@ def test_pushes_keep_their_direction_in_the_world_while_the_object_turns() -> No
 
 
 def sliding(env: FourFingerGrasp) -> np.ndarray:
-    """Velocities (N, 3) [m/s] of the touching fingertips along the object at their contacts, object frame."""
-    s, hand = env.scene.look(), env.scene.kinematics
+    """Velocities (N, 3) [m/s] of the touching fingertips along the object at their contacts, object
+    frame."""
+    s = env.scene.look()
+    hand = env.scene.kinematics
     out = np.zeros_like(s.points)
     for finger in np.flatnonzero(s.touching):
-        inward, touch = s.rotation @ s.normals[finger], s.touch[finger]
+        inward = s.rotation @ s.normals[finger]
+        touch = s.touch[finger]
         rates = s.rates[hand.carries[finger]]
-        axes, origins = s.axes[hand.carries[finger]], s.origins[hand.carries[finger]]
+        axes = s.axes[hand.carries[finger]]
+        origins = s.origins[hand.carries[finger]]
         tip = (rates[:, None] * np.cross(axes, touch - origins)).sum(axis=0)
         moves = tip - s.linear - np.cross(s.angular, touch - s.position)
         out[finger] = (moves - moves @ inward * inward) @ s.rotation
@@ -55,19 +61,29 @@ def sliding(env: FourFingerGrasp) -> np.ndarray:
 
 @needs_bullet
 @pytest.mark.parametrize(
-    ("limits", "fault"), [({}, ""), ({"max_slide": 1e-4}, "slid"), ({"max_overlap": 1e-6}, "overlap")]
+    ("limits", "fault"),
+    [({}, ""), ({"max_slide": 1e-4}, "slid"), ({"max_overlap": 1e-6}, "overlap")],
 )
 def test_what_counts_as_held_is_true_of_the_episode(limits: dict[str, float], fault: str) -> None:
-    """Sliding and overlap, from the states of every control tick; each limit tells an episode from a success."""
+    """Sliding and overlap, from the states of every control tick; each limit tells an episode from
+    a success."""
     env = FourFingerGrasp(
-        disturbance=STRONG, sensors={"delay": 0.012}, agent={"rate": 250}, duration=1.0, limits=limits
+        disturbance=STRONG,
+        sensors={"delay": 0.012},
+        agent={"rate": 250},
+        duration=1.0,
+        limits=limits,
     )
     _, info = env.reset(seed=1)
-    way, slid, overlap, ended = np.zeros((4, 3)), 0.0, 0.0, False
+    way = np.zeros((4, 3))
+    slid = 0.0
+    overlap = 0.0
+    ended = False
     while not ended:
         s = env.scene.look()
         way += sliding(env) / 250
-        slid, overlap = max(slid, np.linalg.norm(way, axis=1).max()), max(overlap, -s.gaps.min())
+        slid = max(slid, np.linalg.norm(way, axis=1).max())
+        overlap = max(overlap, -s.gaps.min())
         _, _, _, ended, info = env.step(ZERO)
         overlap = max(overlap, -env.scene.look().gaps.min())
         assert info["slip_distance"] == pytest.approx(slid, rel=1e-6, abs=1e-12)
@@ -80,17 +96,30 @@ def test_what_counts_as_held_is_true_of_the_episode(limits: dict[str, float], fa
 
 @needs_bullet
 def test_links_that_push_the_object_are_no_hold() -> None:
-    """The fourth finger has no fingertip that counts, and its middle joint presses it on the object."""
+    """The fourth finger has no fingertip that counts, and its middle joint presses it on the
+    object."""
     hand = HandDescription.four_finger()
     env = FourFingerGrasp(
-        hand=replace(hand, fingertips=hand.fingertips[:3]), contact_points=SceneConfig().contact_points[:3], disturbance="none",
-        duration=0.6, agent={"rate": 250}, limits={"max_slide": 1.0},
-    )  # fmt: skip
+        hand=replace(hand, fingertips=hand.fingertips[:3]),
+        contact_points=SceneConfig().contact_points[:3],
+        disturbance="none",
+        duration=0.6,
+        agent={"rate": 250},
+        limits={"max_slide": 1.0},
+    )
     env.reset(seed=0)
     advance = env.scene.advance
     env.scene.advance = lambda torques, wrench: advance([*torques[:10], 0.5, torques[11]], wrench)  # type: ignore[method-assign]
-    infos = [env.step(np.zeros(env.action_space.shape or (), dtype=np.float32))[4] for _ in range(150)]
+    infos = [
+        env.step(np.zeros(env.action_space.shape or (), dtype=np.float32))[4] for _ in range(150)
+    ]
     env.close()
-    assert infos[-1]["stray_share"] == pytest.approx(max(info["stray_force"] for info in infos) / (9.81 * 0.2))
+    assert infos[-1]["stray_share"] == pytest.approx(
+        max(info["stray_force"] for info in infos) / (9.81 * 0.2)
+    )
     assert infos[-1]["stray_share"] > 0.1
-    assert (infos[-1]["failure"], infos[-1]["fault"], infos[-1]["is_success"]) == ("", "stray_force", False)
+    assert (infos[-1]["failure"], infos[-1]["fault"], infos[-1]["is_success"]) == (
+        "",
+        "stray_force",
+        False,
+    )

@@ -1,4 +1,5 @@
-"""The start of an episode: contact forces that carry the weight of any shape, the same bits at every reset, a place for the hand."""
+"""The start of an episode: contact forces that carry the weight of any shape, the same bits at
+every reset, a place for the hand."""
 
 from __future__ import annotations
 
@@ -28,7 +29,10 @@ OBJECTS: list[dict[str, Any]] = [
     {"shape": "capsule", "size": (0.08, 0.12), "mass": 0.5, "friction": 0.7},
     {"shape": "mesh", "mass": 0.5, "friction": 0.8},
     *({"shape": shape, "gravity": (6.0, -2.0, -7.5)} for shape in SHAPES),
-    *({"shape": "sphere", "hand": hand} for hand in ("three_finger", "five_finger", "four_finger_4dof")),
+    *(
+        {"shape": "sphere", "hand": hand}
+        for hand in ("three_finger", "five_finger", "four_finger_4dof")
+    ),
 ]
 
 
@@ -45,7 +49,8 @@ def make(folder: Path, **settings: Any) -> FourFingerGrasp:
 def start(env: FourFingerGrasp, mass: float) -> np.ndarray:
     """Everything that can be read at a reset, whose forces are checked, and in the steps after it."""
     env.reset(seed=5)
-    scene, rows = env.scene, []
+    scene = env.scene
+    rows = []
     s = scene.look()
     assert s.touching.all()
     weight = mass * np.array(env.config.gravity)
@@ -58,17 +63,23 @@ def start(env: FourFingerGrasp, mass: float) -> np.ndarray:
 
 
 def shake(scene: Scene, seed: int, steps: int) -> None:
-    """Let the object fall (seed 0), or shake it and the hand so that links touch what they never touch otherwise."""
+    """Let the object fall (seed 0), or shake it and the hand so that links touch what they never
+    touch otherwise."""
     rng = np.random.default_rng(seed)
     push = np.zeros(6) if seed == 0 else np.array([2.0, 2.0, 2.0, 0.05, 0.05, 0.05])
     torque = 0.0 if seed == 0 else 0.3
     for _ in range(steps):
-        scene.step(torque * rng.normal(size=scene.kinematics.hand.joint_count), push * rng.normal(size=6))
+        scene.step(
+            torque * rng.normal(size=scene.kinematics.hand.joint_count), push * rng.normal(size=6)
+        )
 
 
 @pytest.mark.parametrize("settings", OBJECTS, ids=str)
-def test_contact_forces_carry_the_weight_at_every_reset(tmp_path: Path, settings: dict[str, Any]) -> None:
-    env, mass = make(tmp_path, **settings), settings.get("mass", 0.2)
+def test_contact_forces_carry_the_weight_at_every_reset(
+    tmp_path: Path, settings: dict[str, Any]
+) -> None:
+    env = make(tmp_path, **settings)
+    mass = settings.get("mass", 0.2)
     first = start(env, mass)
     for seed, steps in ((0, 200), (2, 20), (3, 60)):
         shake(env.scene, seed, steps)
@@ -77,7 +88,8 @@ def test_contact_forces_carry_the_weight_at_every_reset(tmp_path: Path, settings
 
 
 class Scripted:
-    """A scene without physics and the loop that acts in it: after tick k everything is at rest, or what `disturbs` names is not."""
+    """A scene without physics and the loop that acts in it: after tick k everything is at rest, or
+    what `disturbs` names is not."""
 
     def __init__(self, quiet: list[bool], disturbs: str) -> None:
         self.gravity, self.core, self.config = (
@@ -89,20 +101,32 @@ class Scripted:
         self.ticks, self._quiet, self._disturbs = 0, [*quiet, *repeat(False, 2000)], disturbs
         settings = EnvConfig()
         self.loop: Any = SimpleNamespace(
-            dt=0.004, config=settings, begin=lambda scene: None, reset=lambda: None, begin_step=lambda: None,
-            reach=lambda gravity, target: [0.0], tick=lambda *given, due: [0.0], friction=0.4,
-        )  # fmt: skip
+            dt=0.004,
+            config=settings,
+            begin=lambda scene: None,
+            reset=lambda: None,
+            begin_step=lambda: None,
+            reach=lambda gravity, target: [0.0],
+            tick=lambda *given, due: [0.0],
+            friction=0.4,
+        )
 
     def advance(self, torques: list[float], wrench: Any) -> None:
         self.ticks += 1
 
     def look(self) -> Any:
         state = {
-            "touching": np.ones(4), "rates": np.zeros(1), "linear": np.zeros(3), "position": np.zeros(3), "forces": np.zeros((4, 3)),
-            "rotation": np.eye(3), "angles": np.zeros(1),
-        }  # fmt: skip
+            "touching": np.ones(4),
+            "rates": np.zeros(1),
+            "linear": np.zeros(3),
+            "position": np.zeros(3),
+            "forces": np.zeros((4, 3)),
+            "rotation": np.eye(3),
+            "angles": np.zeros(1),
+        }
         if self.ticks and not self._quiet[self.ticks - 1]:
-            state[self._disturbs] = 0.5 - state[self._disturbs]  # of the contacts, the first is lost
+            # of the contacts, the first is lost
+            state[self._disturbs] = 0.5 - state[self._disturbs]
             if self._disturbs == "touching":
                 state["touching"] = np.array([0.0, 1.0, 1.0, 1.0])
         return SimpleNamespace(**state)
@@ -110,9 +134,16 @@ class Scripted:
 
 @pytest.mark.parametrize(
     ("settle", "ticks", "disturbs"),
-    [(close_hand, 8, "touching"), (close_hand, 8, "rates"), (take_over, 4, "touching"), (take_over, 4, "linear")],
+    [
+        (close_hand, 8, "touching"),
+        (close_hand, 8, "rates"),
+        (take_over, 4, "touching"),
+        (take_over, 4, "linear"),
+    ],
 )
-def test_closing_and_taking_over_end_after_quiet_ticks_in_a_row(settle: Any, ticks: int, disturbs: str) -> None:
+def test_closing_and_taking_over_end_after_quiet_ticks_in_a_row(
+    settle: Any, ticks: int, disturbs: str
+) -> None:
     few = [True] * (ticks - 1)
     scene: Any = Scripted([*few, False, *few, False, True, False, *few, True, True, True], disturbs)
     settle(scene, scene.loop)
@@ -121,12 +152,20 @@ def test_closing_and_taking_over_end_after_quiet_ticks_in_a_row(settle: Any, tic
 
 def test_other_objects_may_need_another_place() -> None:
     env = FourFingerGrasp(
-        hand=gripper(4, 2), shape="cuboid", size=(0.06, 0.06, 0.06), friction=0.7, mass=0.15, disturbance="none",
+        hand=gripper(4, 2),
+        shape="cuboid",
+        size=(0.06, 0.06, 0.06),
+        friction=0.7,
+        mass=0.15,
+        disturbance="none",
         randomize={"size": (0.04, 0.042)},
-    )  # fmt: skip
+    )
     first = env.scene.config.hand
     with pytest.raises(InvalidInputError):  # from the first place it cannot be grasped
-        plan_grasp(ObjectDescription("cuboid", (0.041, 0.041, 0.041), mass=0.15, friction=0.7), env.scene.kinematics)
+        plan_grasp(
+            ObjectDescription("cuboid", (0.041, 0.041, 0.041), mass=0.15, friction=0.7),
+            env.scene.kinematics,
+        )
     env.reset(seed=1)
     assert env.scene.config.hand != first
     assert env.scene.config.hand.finger_names == first.finger_names

@@ -1,4 +1,5 @@
-"""The reward: holding on always pays more than letting go, and every term is recomputed from what a user sees."""
+"""The reward: holding on always pays more than letting go, and every term is recomputed from what a
+user sees."""
 
 from __future__ import annotations
 
@@ -24,20 +25,34 @@ def rewards(draw: st.DrawFn) -> RewardSettings:
     total = draw(st.sampled_from([MAX_COST, 0.5, 0.0]))
     weights = parts / max(parts.sum(), 1e-9) * total
     return RewardSettings(
-        held=draw(st.floats(1e-6, 1e6)), iteration_scale=draw(st.floats(1e-6, 1e6)), failure_cost=draw(st.floats(0.0, 1e6)),
+        held=draw(st.floats(1e-6, 1e6)),
+        iteration_scale=draw(st.floats(1e-6, 1e6)),
+        failure_cost=draw(st.floats(0.0, 1e6)),
         **dict(zip(COSTS, np.minimum(weights, MAX_COST).tolist(), strict=True)),
-    )  # fmt: skip
+    )
 
 
 @given(
-    reward=rewards(), iterations=st.floats(0.0, 1e9) | st.just(np.inf), force=share, torque=share, change=share,
+    reward=rewards(),
+    iterations=st.floats(0.0, 1e9) | st.just(np.inf),
+    force=share,
+    torque=share,
+    change=share,
     gamma=st.floats(0.0, 1.0, exclude_min=True),
-)  # fmt: skip
+)
 def test_holding_one_step_longer_pays_more_than_letting_go_now(
-    reward: RewardSettings, iterations: float, force: float, torque: float, change: float, gamma: float
+    reward: RewardSettings,
+    iterations: float,
+    force: float,
+    torque: float,
+    change: float,
+    gamma: float,
 ) -> None:
-    held, dropped = (reward.terms(kept, iterations, (force, torque, change)) for kept in (True, False))
-    now, later = sum(dropped.values()), sum(held.values()) + gamma * sum(dropped.values())
+    held, dropped = (
+        reward.terms(kept, iterations, (force, torque, change)) for kept in (True, False)
+    )
+    now = sum(dropped.values())
+    later = sum(held.values()) + gamma * sum(dropped.values())
     assert held.keys() == dropped.keys() == {"reward/held", *(f"reward/{name}" for name in COSTS)}
     assert later > now
     assert (1.0 - MAX_COST) * reward.held * (1.0 - 1e-9) <= sum(held.values()) <= reward.held
@@ -56,19 +71,28 @@ def test_holding_one_step_longer_pays_more_than_letting_go_now(
 )
 def test_terms_are_recomputed_from_observation_and_info(settings: dict[str, Any]) -> None:
     """At one control tick per step."""
-    env = FourFingerGrasp(disturbance="random", limits={"max_drift": 10.0}, **{"agent.rate": 250}, **settings)
+    env = FourFingerGrasp(
+        disturbance="random", limits={"max_drift": 10.0}, **{"agent.rate": 250}, **settings
+    )
     observed, info = env.reset(seed=3)
-    weights, limits = env.config.reward, env.scene.config.hand.torque_limits
+    weights = env.config.reward
+    limits = env.scene.config.hand.torque_limits
     action = np.zeros(env.action_space.shape or (), dtype=np.float32)
     for _ in range(12):
         before = info["commanded_force"]
         observed, reward, _, _, info = env.step(action)
-        force, terms = info["commanded_force"], {key: value for key, value in info.items() if key.startswith("reward/")}
+        force = info["commanded_force"]
+        terms = {key: value for key, value in info.items() if key.startswith("reward/")}
         assert reward == sum(terms.values())
         assert terms["reward/held"] == 1.0
-        assert terms["reward/iterations"] == pytest.approx(-weights.iterations * min(1.0, info["iterations"] / 200.0))
-        moved, both = np.abs(force - before).sum(), np.abs(force).sum() + np.abs(before).sum()
-        assert terms["reward/force_change"] == pytest.approx(-weights.force_change * moved / both if both else 0.0)
+        assert terms["reward/iterations"] == pytest.approx(
+            -weights.iterations * min(1.0, info["iterations"] / 200.0)
+        )
+        moved = np.abs(force - before).sum()
+        both = np.abs(force).sum() + np.abs(before).sum()
+        assert terms["reward/force_change"] == pytest.approx(
+            -weights.force_change * moved / both if both else 0.0
+        )
         largest = np.abs(env._loop.torques / limits).max()
         assert info["torque_share"] == pytest.approx(largest)
         assert info["torque_margin"] == pytest.approx((limits - np.abs(env._loop.torques)).min())
@@ -80,7 +104,9 @@ def test_terms_are_recomputed_from_observation_and_info(settings: dict[str, Any]
         least = ForceOptimizer(contacts, method="conic").solve(info["wrench"]).total_normal_force
         total = force[:, 0].sum()
         excess = max(0.0, 1.0 - least / total) if total else 0.0
-        assert terms["reward/force"] == pytest.approx(-weights.force * excess, abs=2e-4)  # observations are float32
+        assert terms["reward/force"] == pytest.approx(
+            -weights.force * excess, abs=2e-4
+        )  # observations are float32
     env.close()
 
 

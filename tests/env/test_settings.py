@@ -1,4 +1,5 @@
-"""Settings: one description for each, the same from keywords, dicts, paths and JSON; what is drawn at a reset."""
+"""Settings: one description for each, the same from keywords, dicts, paths and JSON; what is drawn
+at a reset."""
 
 from __future__ import annotations
 
@@ -24,7 +25,12 @@ ZERO = np.zeros(6, dtype=np.float32)
 
 
 def test_every_setting_has_one_description_and_accepts_its_default() -> None:
-    records = {EnvConfig, *(kind for _, kind, _ in described(EnvConfig)), *TASKS.values(), *DISTURBANCES.values()}
+    records = {
+        EnvConfig,
+        *(kind for _, kind, _ in described(EnvConfig)),
+        *TASKS.values(),
+        *DISTURBANCES.values(),
+    }
     assert records > {
         SensorSettings,
         SolverSettings,
@@ -47,18 +53,30 @@ def test_every_setting_has_one_description_and_accepts_its_default() -> None:
 
 def test_records_dicts_keywords_paths_and_json_give_the_same() -> None:
     wanted = EnvConfig(
-        object=ObjectDescription("sphere", (0.08,), mass=0.15), disturbance=Impulses(force=2.0), sensors=SensorSettings(delay=0.004),
+        object=ObjectDescription("sphere", (0.08,), mass=0.15),
+        disturbance=Impulses(force=2.0),
+        sensors=SensorSettings(delay=0.004),
         solver=SolverSettings(method="newton"),
-    )  # fmt: skip
-    given: dict[str, Any] = {"sensors": {"delay": 0.004}, "disturbance": {"name": "impulses", "force": 2.0}}
+    )
+    given: dict[str, Any] = {
+        "sensors": {"delay": 0.004},
+        "disturbance": {"name": "impulses", "force": 2.0},
+    }
     paths: dict[str, Any] = {
-        "object.shape": "sphere", "object.size": [0.08], "object.mass": 0.15, "disturbance": "impulses", "disturbance.force": 2.0,
-        "sensors.delay": 0.004, "solver.method": "newton",
-    }  # fmt: skip
+        "object.shape": "sphere",
+        "object.size": [0.08],
+        "object.mass": 0.15,
+        "disturbance": "impulses",
+        "disturbance.force": 2.0,
+        "sensors.delay": 0.004,
+        "solver.method": "newton",
+    }
     for made in (
         EnvConfig().override(shape="sphere", size=0.08, mass=0.15, method="newton", **given),
         EnvConfig().override(
-            **{"object.mass": 0.15, "shape": "sphere", "object": {"size": (0.08,)}}, method="newton", **given
+            **{"object.mass": 0.15, "shape": "sphere", "object": {"size": (0.08,)}},
+            method="newton",
+            **given,
         ),
         EnvConfig().override(**paths),
         as_config(wanted.to_json()),
@@ -67,9 +85,15 @@ def test_records_dicts_keywords_paths_and_json_give_the_same() -> None:
     ):
         assert (made, hash(made)) == (wanted, hash(wanted))
     changed = wanted.override(sensors={"pose_noise": 1e-5}, disturbance={"moment": 0.0}, mass=0.2)
-    assert (changed.sensors, changed.disturbance) == (SensorSettings(delay=0.004, pose_noise=1e-5), Impulses(2.0, 0.0))
+    assert (changed.sensors, changed.disturbance) == (
+        SensorSettings(delay=0.004, pose_noise=1e-5),
+        Impulses(2.0, 0.0),
+    )
     assert (changed.object.shape, changed.object.mass) == ("sphere", 0.2)
-    assert wanted.override(shape="cylinder").object.size == (0.1, 0.1)  # another shape has its own size
+    assert wanted.override(shape="cylinder").object.size == (
+        0.1,
+        0.1,
+    )  # another shape has its own size
     env = FourFingerGrasp(config=wanted.override(mass=0.2).to_json(), mass=0.15)
     assert env.config == wanted.resolved()
     env.close()
@@ -84,12 +108,21 @@ def test_json_keeps_everything(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setitem(DISTURBANCES, "wind", Wind)
     config = EnvConfig().override(
-        task=Move("rotate", size=0.2), engine={"name": "mujoco", "cone": "pyramidal"}, hand=HANDS["allegro"](), shape="capsule",
-        randomize={"mass": (0.1, 0.2), "shape": True, "sensors.delay": (0.0, 0.01)}, contact_points=(), duration=1.0,
+        task=Move("rotate", size=0.2),
+        engine={"name": "mujoco", "cone": "pyramidal"},
+        hand=HANDS["allegro"](),
+        shape="capsule",
+        randomize={"mass": (0.1, 0.2), "shape": True, "sensors.delay": (0.0, 0.01)},
+        contact_points=(),
+        duration=1.0,
         disturbance={"name": "wind", "force": 1.0},
-    )  # fmt: skip
+    )
     told = json.loads(config.to_json())
-    assert (told["schema"], told["hand"], told["disturbance"]["name"]) == (1, {"name": "allegro"}, "wind")
+    assert (told["schema"], told["hand"], told["disturbance"]["name"]) == (
+        1,
+        {"name": "allegro"},
+        "wind",
+    )
     assert as_config(told) == config
     named = config.override(hand="allegro")
     assert as_config(named.to_json()) == named
@@ -111,7 +144,8 @@ def test_what_is_drawn_depends_on_the_seed_and_reaches_the_episode() -> None:
         received.append(settings)
         return np.zeros((len(times), 6))
 
-    env, found = FourFingerGrasp(randomize=ranges, disturbance=still), []
+    env = FourFingerGrasp(randomize=ranges, disturbance=still)
+    found = []
     for seed in (0, 1, 1, 0):
         observation, info = env.reset(seed=seed)
         drawn, item = env.episode, env.scene.config.object
@@ -122,21 +156,35 @@ def test_what_is_drawn_depends_on_the_seed_and_reaches_the_episode() -> None:
         assumed = 0.85 * drawn.object.friction * (1.0 + drawn.controller.friction_error)
         assert observation[-1] == pytest.approx(assumed, rel=1e-6)
         s = env.scene.look()
-        assert (s.rotation @ s.forces.sum(axis=0))[1] == pytest.approx(item.mass * -drawn.gravity[1], rel=0.01)
+        assert (s.rotation @ s.forces.sum(axis=0))[1] == pytest.approx(
+            item.mass * -drawn.gravity[1], rel=0.01
+        )
         rows = np.array([env.step(ZERO)[0] for _ in range(5)]).tobytes()
         found.append(
-            (rows, item.mass, drawn.gravity[1], drawn.controller.motor_strength, drawn.controller.friction_error)
+            (
+                rows,
+                item.mass,
+                drawn.gravity[1],
+                drawn.controller.motor_strength,
+                drawn.controller.friction_error,
+            )
         )
     env.close()
     assert found[0] == found[3]
     assert found[1] == found[2]
     assert all(len({row[k] for row in found}) == 2 for k in range(5))
     assert env.config.sensors == SensorSettings()  # the settings stay
-    blind = FourFingerGrasp(randomize={"gravity": ranges["gravity"]}, sensors={"wrench": "none"}, disturbance="none")
+    blind = FourFingerGrasp(
+        randomize={"gravity": ranges["gravity"]}, sensors={"wrench": "none"}, disturbance="none"
+    )
     _, info = blind.reset(seed=1)  # it still knows the drawn gravity
     np.testing.assert_allclose(info["wrench"][:3], 0.2 * np.array(blind.episode.gravity), atol=0.05)
     blind.close()
-    usual = EnvConfig(randomize=("shape", "size", "mass", "friction")).drawn(np.random.default_rng(7)).object
+    usual = (
+        EnvConfig(randomize=("shape", "size", "mass", "friction"))
+        .drawn(np.random.default_rng(7))
+        .object
+    )
     assert usual == random_object(np.random.default_rng(7))
 
 
@@ -147,7 +195,9 @@ def test_what_is_kept_of_the_object_does_not_change_what_is_drawn() -> None:
         rules = {**dict.fromkeys(names, True), "sensors.delay": (0.0, 0.004)}
         return EnvConfig(object=base).override(randomize=rules).drawn(np.random.default_rng(7))
 
-    one, two, three = drawn("friction"), drawn("mass", "friction"), drawn("size", "mass", "friction")
+    one = drawn("friction")
+    two = drawn("mass", "friction")
+    three = drawn("size", "mass", "friction")
     assert one.object == replace(base, friction=two.object.friction)
     assert three.object == replace(two.object, size=three.object.size, inertia=None)
     assert three.object.size != base.size
@@ -164,7 +214,11 @@ def test_motors_deliver_a_part_of_what_is_commanded_and_never_more_than_their_li
         advance, loop = env.scene.advance, env._loop
 
         def check(
-            torques: list[float], push: Any, advance: Any = advance, loop: Any = loop, share: float = strength
+            torques: list[float],
+            push: Any,
+            advance: Any = advance,
+            loop: Any = loop,
+            share: float = strength,
         ) -> None:
             np.testing.assert_allclose(torques, np.clip(share * loop.torques, -12.0, 12.0))
             largest.append(float(np.abs(torques).max()))

@@ -60,33 +60,64 @@ def rows(env: gym.Env[Any, Any]) -> bytes:
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "none": {},
-    "hand by record": {"hand": HandDescription.allegro(), "disturbance": RandomWrench(force=0.3), "config": EnvConfig()},
+    "hand by record": {
+        "hand": HandDescription.allegro(),
+        "disturbance": RandomWrench(force=0.3),
+        "config": EnvConfig(),
+    },
     "hand of your own": {"hand": FOUR.moved((0.0, 0.001, 0.0)), "task": Move("rotate", period=0.8)},
-    "placed hand": {"hand": gripper(3, 3), "shape": "sphere", "size": 0.06, "approach": np.array([0.0, 0.0, -1.0])},
-    "object after one of its settings": {"mass": 0.3, "object": ObjectDescription("sphere", (0.08,), mass=0.15, friction=0.7)},
+    "placed hand": {
+        "hand": gripper(3, 3),
+        "shape": "sphere",
+        "size": 0.06,
+        "approach": np.array([0.0, 0.0, -1.0]),
+    },
+    "object after one of its settings": {
+        "mass": 0.3,
+        "object": ObjectDescription("sphere", (0.08,), mass=0.15, friction=0.7),
+    },
     "all small records": {
-        "sensors": SensorSettings(delay=0.004, pose_noise=1e-5), "solver": SolverSettings(tolerance=1e-5), "controller": ControllerSettings(squeeze=30.0),
-        "agent": AgentSettings(action_mode="contact_force"), "reward": RewardSettings(force=0.2), "limits": EpisodeLimits(duration=0.2),
-        "pictures": PictureSettings(size=(64, 48)), "duration": 0.3, "sensors.tactile_noise": 0.01,
+        "sensors": SensorSettings(delay=0.004, pose_noise=1e-5),
+        "solver": SolverSettings(tolerance=1e-5),
+        "controller": ControllerSettings(squeeze=30.0),
+        "agent": AgentSettings(action_mode="contact_force"),
+        "reward": RewardSettings(force=0.2),
+        "limits": EpisodeLimits(duration=0.2),
+        "pictures": PictureSettings(size=(64, 48)),
+        "duration": 0.3,
+        "sensors.tactile_noise": 0.01,
     },
     "records in a record": {
-        "config": EnvConfig(hand=FOUR.moved((0.0, 0.001, 0.0)), sensors=SensorSettings(pose_noise=1e-5), task=Payload(factor=1.5)),
+        "config": EnvConfig(
+            hand=FOUR.moved((0.0, 0.001, 0.0)),
+            sensors=SensorSettings(pose_noise=1e-5),
+            task=Payload(factor=1.5),
+        ),
         "sensors": {"delay": 0.004},
     },
-    "records in a dict": {"config": {"schema": 1, "hand": FOUR, "disturbance": Impulses(force=2.0)}},
+    "records in a dict": {
+        "config": {"schema": 1, "hand": FOUR, "disturbance": Impulses(force=2.0)}
+    },
     "text": {"config": EnvConfig(disturbance=RandomWrench(force=0.3)).to_json()},
     "numpy": {
-        "gravity": np.array([0.0, -9.0, 0.0]), "contact_points": POINTS, "friction": np.float32(0.5), "mass": np.array(0.25),
-        "sensors": {"delay": np.float64(0.004)}, "solver.max_iterations": np.int64(40),
+        "gravity": np.array([0.0, -9.0, 0.0]),
+        "contact_points": POINTS,
+        "friction": np.float32(0.5),
+        "mass": np.array(0.25),
+        "sensors": {"delay": np.float64(0.004)},
+        "solver.max_iterations": np.int64(40),
     },
-    "ranges": {"randomize": {"mass": np.array([0.1, 0.2]), "sensors.delay": (0.0, 0.004)}, "disturbance": "random"},
+    "ranges": {
+        "randomize": {"mass": np.array([0.1, 0.2]), "sensors.delay": (0.0, 0.004)},
+        "disturbance": "random",
+    },
     "names of what is drawn": {"randomize": ("mass", "friction")},
     "pairs of what is drawn": {"randomize": EnvConfig(randomize={"mass": (0.1, 0.3)}).randomize},
     "short episode": {"max_episode_steps": 7},
     "long episode": {"max_episode_steps": 300, "duration": 0.1},
     "dict": {"observation": "dict", "method": "newton", "action_mode": "none"},
     "engine": {"engine": MujocoEngine(cone="pyramidal")},
-}  # fmt: skip
+}
 
 
 @pytest.mark.filterwarnings("error")
@@ -98,7 +129,12 @@ def test_the_json_of_a_specification_makes_the_same_environment(name: str) -> No
     assert env.spec is not None
     json.dumps(env.spec.kwargs, allow_nan=False)  # the keywords are JSON themselves
     expected = None
-    for spec in (restored(env.spec), env.spec, pickle.loads(pickle.dumps(env.spec)), copy.deepcopy(env.spec)):
+    for spec in (
+        restored(env.spec),
+        env.spec,
+        pickle.loads(pickle.dumps(env.spec)),
+        copy.deepcopy(env.spec),
+    ):
         made = gym.make(spec)
         again: Any = made.unwrapped
         assert again.config == bare.config
@@ -124,18 +160,25 @@ def test_settings_of_the_engine_and_a_mesh_survive_json(tmp_path: Path) -> None:
 
 
 def test_many_environments_and_lists_of_pictures_have_json() -> None:
-    given: dict[str, Any] = {"disturbance": RandomWrench(force=0.3), "hand": FOUR.moved((0.0, 0.001, 0.0))}
+    given: dict[str, Any] = {
+        "disturbance": RandomWrench(force=0.3),
+        "hand": FOUR.moved((0.0, 0.001, 0.0)),
+    }
     many = gym.make_vec(ID, 2, "sync", **given)
     again = gym.make_vec(restored(many.spec))
     assert again.num_envs == 2
     for envs in (many, again):
         first: Any = envs.reset(seed=3)[0]
         assert first.shape == (2, 83)
-        assert {env.unwrapped.config for env in envs.envs} == {gym.make(ID, **given).unwrapped.config}  # type: ignore[attr-defined]
+        assert {env.unwrapped.config for env in envs.envs} == {
+            gym.make(ID, **given).unwrapped.config
+        }  # type: ignore[attr-defined]
         envs.close()
     single = gym.make(ID, **given)
     assert gym.make_vec(restored(single.spec), 2).num_envs == 2
-    env = gym.make(ID, render_mode="rgb_array_list", pictures=PictureSettings(size=(64, 48)), **given)
+    env = gym.make(
+        ID, render_mode="rgb_array_list", pictures=PictureSettings(size=(64, 48)), **given
+    )
     made = gym.make(restored(env.spec))
     assert made.render_mode == "rgb_array_list"
     assert made.spec == env.spec
@@ -159,7 +202,8 @@ def test_the_length_of_an_episode_can_be_changed_in_a_specification() -> None:
 
 @dataclass(frozen=True)
 class Gusts:
-    """A user's disturbance that is a dataclass, which `EnvSpec.to_json` alone would write as a dict."""
+    """A user's disturbance that is a dataclass, which `EnvSpec.to_json` alone would write as a
+    dict."""
 
     force: float = 1.0
 
@@ -182,21 +226,35 @@ class OwnHand(HandDescription):
 
 
 WITHOUT: list[tuple[dict[str, Any], str]] = [
-    ({"disturbance": lambda times, rng, settings: np.zeros((len(times), 6))}, "disturbance is <function"),
-    ({"disturbance": Gusts()}, r"disturbance is Gusts\(force=1.0\), which has no JSON: .* give your own when the environment"),
+    (
+        {"disturbance": lambda times, rng, settings: np.zeros((len(times), 6))},
+        "disturbance is <function",
+    ),
+    (
+        {"disturbance": Gusts()},
+        r"disturbance is Gusts\(force=1.0\), which has no JSON: .* give your own when the environment",
+    ),
     ({"disturbance": Breeze()}, r"disturbance is Breeze\("),
     ({"hand": OwnHand(**vars(FOUR))}, r"hand is OwnHand\("),
     ({"sensors": BetterSensors()}, r"sensors is BetterSensors\("),
     ({"initial_force": LinearCombination()}, r"initial_force is LinearCombination\("),
-    ({"solver": SolverSettings(initial_force=LinearCombination())}, r"solver.initial_force is LinearCombination\("),
-    ({"randomize": {"mass": (0.1, 0.2), "gravity": lambda rng: (0.0, -9.0, 0.0)}}, r"randomize\['gravity'\] is <function"),
+    (
+        {"solver": SolverSettings(initial_force=LinearCombination())},
+        r"solver.initial_force is LinearCombination\(",
+    ),
+    (
+        {"randomize": {"mass": (0.1, 0.2), "gravity": lambda rng: (0.0, -9.0, 0.0)}},
+        r"randomize\['gravity'\] is <function",
+    ),
     ({"config": EnvConfig(disturbance=Gusts())}, r"disturbance is Gusts\("),
     ({"config": {"schema": 1, "disturbance": Gusts()}}, r"disturbance is Gusts\("),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("given", "message"), WITHOUT, ids=range(len(WITHOUT)))
-def test_what_has_no_json_is_named_and_stays_in_the_specification(given: dict[str, Any], message: str) -> None:
+def test_what_has_no_json_is_named_and_stays_in_the_specification(
+    given: dict[str, Any], message: str
+) -> None:
     env = gym.make(ID, object=ObjectDescription("sphere"), **given)
     assert env.spec is not None
     with pytest.raises(TypeError, match=message):
@@ -212,11 +270,15 @@ def test_what_has_no_json_is_named_and_stays_in_the_specification(given: dict[st
 
 
 @pytest.mark.filterwarnings("ignore:`:UserWarning")  # for each description that a dataset lacks
-@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")  # Minari leaves this to Python
+@pytest.mark.filterwarnings(
+    "ignore:Implicitly cleaning up:ResourceWarning"
+)  # Minari leaves this to Python
 def test_minari_recovers_an_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    env = gym.make(ID, hand=FOUR.moved((0.0, 0.001, 0.0)), disturbance=RandomWrench(force=0.3), duration=0.1)
+    env = gym.make(
+        ID, hand=FOUR.moved((0.0, 0.001, 0.0)), disturbance=RandomWrench(force=0.3), duration=0.1
+    )
     collector = minari.DataCollector(env, record_infos=False)
     collector.reset(seed=0)
     while not any(collector.step(env.action_space.sample())[2:4]):

@@ -1,4 +1,5 @@
-"""Fingers with fewer motors than force components: the share that their structure carries is measured, reported once, and held."""
+"""Fingers with fewer motors than force components: the share that their structure carries is
+measured, reported once, and held."""
 
 from __future__ import annotations
 
@@ -38,18 +39,25 @@ def careless(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def test_the_structure_of_a_finger_carries_what_takes_no_torque() -> None:
-    """The direction in which two motors cannot push, found from their Jacobian alone, and forces that are optimised one by one."""
-    scene, finger = Scene(SceneConfig()), 1
-    snapshot, hand = scene.look(), scene.config.hand
+    """The direction in which two motors cannot push, found from their Jacobian alone, and forces
+    that are optimised one by one."""
+    scene = Scene(SceneConfig())
+    finger = 1
+    snapshot = scene.look()
+    hand = scene.config.hand
     grasp = Grasp.from_contacts(snapshot.points, snapshot.normals, 0.4)
     whole = finger_structure(snapshot, scene.kinematics, grasp, LOADS)
     np.testing.assert_array_equal(whole.components, 3)
     np.testing.assert_array_equal(whole.share, 0.0)
     assert whole.warning(hand.finger_names) == ""
     # the last joint is coupled to the one before, in the same posture
-    last, angles = int(scene.kinematics.tip_links[finger]), snapshot.angles
+    last = int(scene.kinematics.tip_links[finger])
+    angles = snapshot.angles
     mimic = Mimic(hand.links[last - 1].joint, 0.5, float(angles[last] - 0.5 * angles[last - 1]))
-    links = [replace(link, mimic=mimic) if index == last else link for index, link in enumerate(hand.links)]
+    links = [
+        replace(link, mimic=mimic) if index == last else link
+        for index, link in enumerate(hand.links)
+    ]
     kinematics = HandKinematics(replace(hand, links=tuple(links)))
     found = finger_structure(snapshot, kinematics, grasp, LOADS)
     np.testing.assert_array_equal(found.components, [3, 2, 3, 3])
@@ -57,7 +65,9 @@ def test_the_structure_of_a_finger_carries_what_takes_no_torque() -> None:
     moves = jacobian[:, np.linalg.norm(jacobian, axis=0) > 1e-9].T
     stiff = np.cross(moves[0], moves[1])
     stiff /= np.linalg.norm(stiff)
-    forces = np.array([grasp.frames[finger] @ optimize_force(grasp, load).force[finger] for load in LOADS])
+    forces = np.array(
+        [grasp.frames[finger] @ optimize_force(grasp, load).force[finger] for load in LOADS]
+    )
     share = np.linalg.norm(forces @ snapshot.rotation.T @ stiff) / np.linalg.norm(forces)
     assert share > 0.05
     np.testing.assert_allclose(found.share, [0.0, share, 0.0, 0.0], atol=1e-6)
@@ -68,7 +78,9 @@ def test_the_structure_of_a_finger_carries_what_takes_no_torque() -> None:
 def test_a_reset_reports_what_structure_carries_once() -> None:
     """Three fingers in planes press a ball through their structure; four do with less."""
     env = FourFingerGrasp(hand=gripper(3, 2), **BALL)
-    with pytest.warns(GraspWarning, match=r"\d+% of the force of 'f\d' \(motors make \d of 3 components\)") as caught:
+    with pytest.warns(
+        GraspWarning, match=r"\d+% of the force of 'f\d' \(motors make \d of 3 components\)"
+    ) as caught:
         _, info = env.reset(seed=0)
     assert len(caught) == 1
     assert info["structure_share"].shape == (3,)
@@ -91,5 +103,13 @@ def test_bullet_holds_with_fingers_of_one_motor(monkeypatch: pytest.MonkeyPatch)
     for held in (True, False):
         if not held:
             monkeypatch.setattr("grasp_env.sim.bullet.STRUCTURE_SWEEPS", 20)
-        _, infos = episode(None, 0, hand=gripper(5, 1), engine="bullet", action_mode="none", disturbance=wind, **BALL)
+        _, infos = episode(
+            None,
+            0,
+            hand=gripper(5, 1),
+            engine="bullet",
+            action_mode="none",
+            disturbance=wind,
+            **BALL,
+        )
         assert infos[-1]["is_success"] == held

@@ -1,4 +1,5 @@
-"""One control tick of the core against the optimizer: at an agent's step, between two, within the motors' limits, without closure."""
+"""One control tick of the core against the optimizer: at an agent's step, between two, within the
+motors' limits, without closure."""
 
 from __future__ import annotations
 
@@ -35,7 +36,8 @@ MOTOR = 12.0  # [N m] of each joint of the hand
 
 
 class Loop:
-    """A control loop on contacts that are written by hand, without gravity: the wrench to balance is the external one."""
+    """A control loop on contacts that are written by hand, without gravity: the wrench to balance
+    is the external one."""
 
     def __init__(
         self,
@@ -49,22 +51,35 @@ class Loop:
         settings = core.ControlSettings()
         settings.set_follow(tolerance, options.get("max_iterations", 200))
         settings.directions = reference_basis(GRASP).reshape(-1).tolist()
-        settings.most_change, settings.squeeze = most_change, squeeze
+        settings.most_change = most_change
+        settings.squeeze = squeeze
         self.optimizer = ForceOptimizer(grasp, tolerance=tolerance, **options)
-        self.core = controller_alone(self.scene, 4, settings, grasp=grasp, tolerance=tolerance, **options)
+        self.core = controller_alone(
+            self.scene, 4, settings, grasp=grasp, tolerance=tolerance, **options
+        )
         self.arrays = self.core.arrays()
         self.place(GRASP.positions, GRASP.normals)
         self.core.reset()
 
-    def place(self, positions: np.ndarray, normals: np.ndarray, touching: tuple[int, ...] = (1, 1, 1, 1)) -> None:
+    def place(
+        self, positions: np.ndarray, normals: np.ndarray, touching: tuple[int, ...] = (1, 1, 1, 1)
+    ) -> None:
         """Set the contacts of the next tick."""
-        self.views.points[:], self.views.normals[:], self.views.touching[:] = positions, normals, touching
+        self.views.points[:], self.views.normals[:], self.views.touching[:] = (
+            positions,
+            normals,
+            touching,
+        )
         self.grasp = Grasp.from_contacts(positions, normals, GRASP.friction)
 
-    def scatter(self, positions: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Place three joints a finger at random around a turned object; return the Jacobian (4, 6, 12), object frame, and the bias (12,)."""
+    def scatter(
+        self, positions: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Place three joints a finger at random around a turned object; return the Jacobian (4, 6,
+        12), object frame, and the bias (12,)."""
         # the object's frame to the world's
-        views, turn = self.views, Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix()
+        views = self.views
+        turn = Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix()
         views.rotation[:] = turn
         views.touch[:] = positions @ turn.T
         views.axes[:] = np.tile(np.eye(3), (4, 1))
@@ -72,24 +87,33 @@ class Loop:
         views.gravity_torques[:] = rng.uniform(-0.2, 0.2, 12) * MOTOR
         jacobian = np.zeros((4, 6, 12))
         for j in range(12):
-            jacobian[j // 3, :3, j] = turn.T @ np.cross(views.axes[j], views.touch[j // 3] - views.origins[j])
+            jacobian[j // 3, :3, j] = turn.T @ np.cross(
+                views.axes[j], views.touch[j // 3] - views.origins[j]
+            )
             jacobian[j // 3, 3:, j] = turn.T @ views.axes[j]
         return jacobian, views.gravity_torques.copy()
 
     def act(
-        self, wrench: np.ndarray, due: bool, adjustment: np.ndarray | None = None, given: np.ndarray | None = None
+        self,
+        wrench: np.ndarray,
+        due: bool,
+        adjustment: np.ndarray | None = None,
+        given: np.ndarray | None = None,
     ) -> list[float]:
         """Run a tick; return the joint torques."""
         assert self.core.see(None, wrench, STILL, TARGET, None)
         return self.core.act(due, adjustment, None, given)
 
-    def tick(self, wrench: np.ndarray, due: bool, adjustment: np.ndarray | None = None) -> np.ndarray:
+    def tick(
+        self, wrench: np.ndarray, due: bool, adjustment: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return the commanded force (N, 3)."""
         self.torques = self.act(np.array(wrench), due, adjustment)
         return self.arrays["force"].copy()
 
     def sees(self, touching: tuple[int, ...]) -> bool:
-        """Return True if the loop counts these fingers as touching; for two ticks it keeps one that lost its force."""
+        """Return True if the loop counts these fingers as touching; for two ticks it keeps one that
+        lost its force."""
         return self.core.mask == sum(2**i for i in range(4) if touching[i])
 
 
@@ -107,7 +131,11 @@ def path(seed: int, count: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray
 
 @pytest.mark.parametrize(
     ("method", "initial"),
-    [*product(("reduced_flow", "newton"), ("linear_combination", "previous")), ("newton", None), ("conic", None)],
+    [
+        *product(("reduced_flow", "newton"), ("linear_combination", "previous")),
+        ("newton", None),
+        ("conic", None),
+    ],
 )
 def test_an_agents_step_is_a_call_of_the_optimizer(method: str, initial: str | None) -> None:
     loop = Loop(tolerance=1e-6, method=method, initial=initial)
@@ -122,18 +150,27 @@ def test_an_agents_step_is_a_call_of_the_optimizer(method: str, initial: str | N
 
 
 def test_between_two_steps_the_command_is_the_optimum() -> None:
-    """For moving contacts and any touching fingers, Newton from the last command ends at the current optimum, also after lost closure."""
-    loop, newton = Loop(), ForceOptimizer(GRASP, tolerance=1e-12)
+    """For moving contacts and any touching fingers, Newton from the last command ends at the
+    current optimum, also after lost closure."""
+    loop = Loop()
+    newton = ForceOptimizer(GRASP, tolerance=1e-12)
     loop.tick(PAPER_WRENCH, True)
     for k, (positions, normals, wrench) in enumerate(path(1, 35)):
-        touching = ((1, 1, 1, 1), (1, 1, 0, 1), (1, 1, 1, 1), (1, 1, 0, 0), (1, 1, 1, 1))[min(k // 7, 4)]
+        touching = ((1, 1, 1, 1), (1, 1, 0, 1), (1, 1, 1, 1), (1, 1, 0, 0), (1, 1, 1, 1))[
+            min(k // 7, 4)
+        ]
         loop.place(positions, normals, touching)
         force = loop.tick(wrench, False)
         if not loop.sees(touching):
             continue
         assert loop.core.closure == (sum(touching) > 2)
         if loop.core.closure:
-            best = newton.solve(wrench, positions=positions, normals=normals, contacts=np.array(touching, dtype=bool))
+            best = newton.solve(
+                wrench,
+                positions=positions,
+                normals=normals,
+                contacts=np.array(touching, dtype=bool),
+            )
             np.testing.assert_allclose(force, best.force, atol=1e-6 * np.abs(best.force).max())
     assert loop.core.changes == 4
     assert loop.core.effort.followed > 30
@@ -142,7 +179,8 @@ def test_between_two_steps_the_command_is_the_optimum() -> None:
 
 @pytest.mark.parametrize("due", [True, False])
 def test_forces_change_by_no_more_than_the_settings_allow(due: bool) -> None:
-    """From 5 N at each finger to the optimum, on contacts that stay: balance requires no change, so the bound is that of the force."""
+    """From 5 N at each finger to the optimum, on contacts that stay: balance requires no change, so
+    the bound is that of the force."""
     most = 0.05
     loop = Loop(most_change=most)
     loop.core.hold = core.Hold.direct
@@ -151,27 +189,33 @@ def test_forces_change_by_no_more_than_the_settings_allow(due: bool) -> None:
     before = best + 2.0 * internal
     loop.act(PAPER_WRENCH, True, given=before)
     loop.core.hold = core.Hold.optimized
-    way, ticks = np.abs(before - best).max(), 0
+    way = np.abs(before - best).max()
+    ticks = 0
     assert way > 10.0 * most
     while (left := np.abs(before - best).max()) > 1e-3 * way:
         force = loop.tick(PAPER_WRENCH, due)
-        # a whole step, or what is left; the last command is balanced to 1e-9 of it, and its optimum is known to 1e-6
+        # a whole step, or what is left; the last command is balanced to 1e-9 of it, and its optimum
+        # is known to 1e-6
         assert np.abs(force - before).max() == pytest.approx(min(most, left), abs=1e-5 * way)
         assert loop.grasp.residual(force, PAPER_WRENCH) < 1e-9
-        before, ticks = force, ticks + 1
+        before = force
+        ticks = ticks + 1
     assert ticks == np.ceil(way / most)
 
 
 def test_the_rate_of_the_internal_force_is_a_change_in_every_tick() -> None:
     """A second of ticks of the largest change is the rate [N/s]."""
     config = EnvConfig().override(agent={"rate": 25}, controller={"rate": 125, "force_rate": 30.0})
-    settings = control_settings(config, ObjectDescription(), HandKinematics(HandDescription.four_finger()))
+    settings = control_settings(
+        config, ObjectDescription(), HandKinematics(HandDescription.four_finger())
+    )
     assert sum([settings.most_change] * 125) == pytest.approx(30.0)
 
 
 def test_the_overlap_of_fingertips_and_object_is_the_deepest_of_the_episode() -> None:
     """A gap is negative where a tip is inside the object; distance from it does not count."""
-    loop, told = Loop(), []
+    loop = Loop()
+    told = []
     gaps = [
         (0.02, 0.01, 0.03, 0.004),
         (0.01, -1e-4, 0.0, 0.02),
@@ -191,7 +235,9 @@ def test_the_overlap_of_fingertips_and_object_is_the_deepest_of_the_episode() ->
 def test_an_adjustment_is_added_to_the_start_and_repaired() -> None:
     """The start is the force of least Phi between the method's own and the adjusted one, balanced."""
     loop = Loop(method="newton", initial="linear_combination", max_iterations=0)
-    basis, rng, adjusted = reference_basis(GRASP), np.random.default_rng(3), 0
+    basis = reference_basis(GRASP)
+    rng = np.random.default_rng(3)
+    adjusted = 0
     for positions, normals, wrench in path(2, 20):
         loop.place(positions, normals)
         own = loop.tick(wrench, True)
@@ -201,10 +247,12 @@ def test_an_adjustment_is_added_to_the_start_and_repaired() -> None:
         wanted = own + np.einsum("nji,nj->ni", grasp.frames, (basis @ shift).reshape(4, 3))
         cone = grasp.to_cone(wanted)
         cone = cone - np.linalg.pinv(grasp.cone_matrix) @ (grasp.cone_matrix @ cone + wrench)
-        begin, x = grasp.to_cone(own), grasp.to_cone(made)
+        begin = grasp.to_cone(own)
+        x = grasp.to_cone(made)
         way = cone - begin
         part = float((x - begin) @ way / (way @ way))
-        # the least change is one of forces where the oracle's is one of cone coordinates: they agree along internal forces
+        # the least change is one of forces where the oracle's is one of cone coordinates: they
+        # agree along internal forces
         np.testing.assert_allclose(x, begin + part * way, atol=2e-2 * np.abs(way).max())
         assert -1e-9 < part < 1.0 + 1e-9
         assert grasp.residual(made, wrench) < 1e-9
@@ -216,20 +264,27 @@ def test_an_adjustment_is_added_to_the_start_and_repaired() -> None:
 @pytest.mark.parametrize("grasp", [GRASP, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("due", [True, False])
 def test_what_the_motors_cannot_make_is_found_within_their_limits(due: bool, grasp: Grasp) -> None:
-    """Torques, of torsion too, of the optimum where these are within the limits, else of Newton within them, else of the least excess."""
+    """Torques, of torsion too, of the optimum where these are within the limits, else of Newton
+    within them, else of the least excess."""
     soft = grasp is SOFT
-    loop, rng = Loop(method="newton" if soft else "reduced_flow", tolerance=1e-8, grasp=grasp), np.random.default_rng(5)
+    loop = Loop(method="newton" if soft else "reduced_flow", tolerance=1e-8, grasp=grasp)
+    rng = np.random.default_rng(5)
     ended = set()
     for k, (positions, normals, wrench) in enumerate(path(6, 40)):
         if not due:  # from a command before it
             loop.tick(wrench, True)
         loop.place(positions, normals)
         jacobian, carried = loop.scatter(positions, rng)
-        load, now = (5.0 + 5.0 * k) * wrench, {"positions": positions, "normals": normals}
+        load = (5.0 + 5.0 * k) * wrench
+        now = {"positions": positions, "normals": normals}
         limits = ForceLimits(
-            jacobian=jacobian if soft else jacobian[:, :3].copy(), torque_limit=MOTOR, torque_bias=carried
+            jacobian=jacobian if soft else jacobian[:, :3].copy(),
+            torque_limit=MOTOR,
+            torque_bias=carried,
         )
-        best = ForceOptimizer(grasp, tolerance=1e-10, limits=limits, elastic=True).solve(load, **now)
+        best = ForceOptimizer(grasp, tolerance=1e-10, limits=limits, elastic=True).solve(
+            load, **now
+        )
         free = ForceOptimizer(grasp, tolerance=1e-10).solve(load, **now)
         torsion = free.torsion[:, None] * normals if soft else np.zeros((4, 3))
         pushed = np.concatenate([free.object_force, torsion], axis=1)
@@ -240,7 +295,9 @@ def test_what_the_motors_cannot_make_is_found_within_their_limits(due: bool, gra
         assert np.abs(loop.torques).max() <= MOTOR
         unique = fits or best.status is not Status.LIMITS_EXCEEDED
         if unique:
-            np.testing.assert_allclose(loop.torques, wanted if fits else best.torques, atol=2e-3 * MOTOR)
+            np.testing.assert_allclose(
+                loop.torques, wanted if fits else best.torques, atol=2e-3 * MOTOR
+            )
         if not soft:
             solved = (free if fits else best).force
             assert not unique or np.abs(force - solved).max() <= 1e-3 * np.abs(solved).max()
@@ -258,8 +315,10 @@ def test_what_the_motors_cannot_make_is_found_within_their_limits(due: bool, gra
 
 @pytest.mark.parametrize("touching", [(1, 1, 0, 0), (1, 0, 0, 0), (0, 1, 1, 1)])
 def test_lost_closure_is_the_elastic_answer(touching: tuple[int, ...]) -> None:
-    """Thumb and one finger, one finger, or the three of one side: inside the cones, with the least imbalance."""
-    loop, codes = Loop(method="reduced_flow"), set()
+    """Thumb and one finger, one finger, or the three of one side: inside the cones, with the least
+    imbalance."""
+    loop = Loop(method="reduced_flow")
+    codes = set()
     loop.core.hold = core.Hold.direct  # begin from forces outside their cones
     loop.act(PAPER_WRENCH, True, given=np.tile([1.0, 3.0, -2.0], (4, 1)))
     loop.core.hold = core.Hold.optimized
@@ -273,11 +332,13 @@ def test_lost_closure_is_the_elastic_answer(touching: tuple[int, ...]) -> None:
         here = np.flatnonzero(touching)
         assert not loop.core.closure
         assert not force[np.array(touching) == 0].any()
-        points, frames = positions[here], loop.grasp.frames[here]
+        points = positions[here]
+        frames = loop.grasp.frames[here]
         centre = points.mean(axis=0)
         spread = np.sqrt(((points - centre) ** 2).sum(axis=1).mean()) or 1.0
         columns = [
-            np.concatenate([frame[:, a], np.cross((point - centre) / spread, frame[:, a])]) / (0.4 if a == 0 else 1.0)
+            np.concatenate([frame[:, a], np.cross((point - centre) / spread, frame[:, a])])
+            / (0.4 if a == 0 else 1.0)
             for point, frame in zip(points, frames, strict=True)
             for a in range(3)
         ]
@@ -291,12 +352,18 @@ def test_lost_closure_is_the_elastic_answer(touching: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("fingers", [(1, 1, 1, 1), (1, 1, 1, 0)])
-def test_a_squeeze_is_an_internal_force_and_the_least_change_that_balances(fingers: tuple[int, ...]) -> None:
+def test_a_squeeze_is_an_internal_force_and_the_least_change_that_balances(
+    fingers: tuple[int, ...],
+) -> None:
     """20 N of the planned contacts' internal force, turned with the frames."""
     loop = Loop(squeeze=20.0)
     loop.core.hold = core.Hold.squeeze
     here = np.flatnonzero(fingers)
-    rest = ForceOptimizer(GRASP, tolerance=1e-10).solve(np.zeros(6), contacts=np.array(fingers, dtype=bool)).force
+    rest = (
+        ForceOptimizer(GRASP, tolerance=1e-10)
+        .solve(np.zeros(6), contacts=np.array(fingers, dtype=bool))
+        .force
+    )
     rest = 20.0 / rest[:, 0].sum() * rest
     for positions, normals, wrench in path(9, 6):
         loop.place(positions, normals, fingers)

@@ -1,4 +1,5 @@
-"""Motors with limits: forces within them where there are any, an honest mark where there are none; coupled and missing joints."""
+"""Motors with limits: forces within them where there are any, an honest mark where there are none;
+coupled and missing joints."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ def weak(limit: float) -> HandDescription:
 
 
 def test_limits_that_leave_enough_cost_nothing_of_the_hold() -> None:
-    """0.68 N m: the strongest pushes take 0.695 without limits; the object stays as it does with strong motors."""
+    """0.68 N m: the strongest pushes take 0.695 without limits; the object stays as it does with
+    strong motors."""
     _, infos = episode(None, seed=0, hand=weak(0.68), contact_points=POINTS, task=PUSHES)
     assert infos[-1]["is_success"]
     assert sum(info["limited"] for info in infos) > 100
@@ -37,9 +39,11 @@ def test_limits_that_leave_enough_cost_nothing_of_the_hold() -> None:
 
 
 def test_a_joint_that_two_fingers_share_keeps_its_limit() -> None:
-    """The outer knuckles are coupled to one motor of 0.02 N m, of which pushes would take 0.029: rows of two contacts at once."""
+    """The outer knuckles are coupled to one motor of 0.02 N m, of which pushes would take 0.029:
+    rows of two contacts at once."""
     hand = HandDescription.four_finger()
-    driver, mimic = "left_knuckle_joint", Mimic("left_knuckle_joint", -1.0)
+    driver = "left_knuckle_joint"
+    mimic = Mimic("left_knuckle_joint", -1.0)
     links = [
         replace(link, mimic=mimic)
         if link.joint == "right_knuckle_joint"
@@ -47,10 +51,16 @@ def test_a_joint_that_two_fingers_share_keeps_its_limit() -> None:
         for link in hand.links
     ]
     env = FourFingerGrasp(
-        hand=replace(hand, links=tuple(links)), contact_points=POINTS, task=PUSHES, agent={"rate": 250}
+        hand=replace(hand, links=tuple(links)),
+        contact_points=POINTS,
+        task=PUSHES,
+        agent={"rate": 250},
     )
     env.reset(seed=0)
-    joint, over, torques, limited = hand.joint_names.index(driver), False, [], 0
+    joint = hand.joint_names.index(driver)
+    over = False
+    torques = []
+    limited = 0
     while not over:
         *_, terminated, truncated, info = env.step(np.zeros(6, dtype=np.float32))
         over = terminated or truncated

@@ -16,14 +16,19 @@ ZERO = np.zeros(6, dtype=np.float32)
 RANDOM = {"disturbance": "random"}
 OBJECTS = {"randomize": ("shape", "size", "mass", "friction")}
 NOISY = {
-    "shape": "sphere", "disturbance": "random", "sensors.pose_noise": 1e-5, "controller.force_noise": 0.01, "sensors.delay": 0.004,
-}  # fmt: skip
+    "shape": "sphere",
+    "disturbance": "random",
+    "sensors.pose_noise": 1e-5,
+    "controller.force_noise": 0.01,
+    "sensors.delay": 0.004,
+}
 
 
 def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 10) -> bytes:
     """The bits of all that an episode shows."""
     observed, info = env.reset(seed=seed)
-    rows, numbers = [observed], [info["object_mass"], info["object_friction"], info["object_size"]]
+    rows = [observed]
+    numbers = [info["object_mass"], info["object_friction"], info["object_size"]]
     for _ in range(steps):
         observed, reward, _, _, info = env.step(ZERO)
         rows.append(observed)
@@ -31,10 +36,13 @@ def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 10) -> bytes:
     return np.array(rows).tobytes() + np.array(numbers).tobytes()
 
 
-@pytest.mark.parametrize("settings", [RANDOM, OBJECTS, NOISY, {"task": "payload", "disturbance": "tilting_gravity"}])
+@pytest.mark.parametrize(
+    "settings", [RANDOM, OBJECTS, NOISY, {"task": "payload", "disturbance": "tilting_gravity"}]
+)
 def test_same_bits_whatever_came_before(settings: dict[str, Any]) -> None:
     env = FourFingerGrasp(**settings)
-    first, objects = rollout(env, 3), [env.scene.config.object]
+    first = rollout(env, 3)
+    objects = [env.scene.config.object]
     for seed in (1, None, 2):
         _, info = env.reset(seed=seed)
         for _ in range(60 if settings.get("task") else 2):  # beyond the growth of the payload
@@ -53,11 +61,16 @@ def test_same_bits_whatever_came_before(settings: dict[str, Any]) -> None:
 
 def vector_rows(kind: str) -> np.ndarray:
     """Return observations (4, 2, size) of two environments with seeds 3 and 4, and close them."""
-    makers, zero = [lambda: gym.make(ENV, **NOISY)] * 2, np.zeros((2, 6), dtype=np.float32)
+    makers = [lambda: gym.make(ENV, **NOISY)] * 2
+    zero = np.zeros((2, 6), dtype=np.float32)
     name, _, start = kind.partition(" ")
     envs: Any
     if name in ("sync", "async"):
-        envs = gym.vector.AsyncVectorEnv(makers, context=start) if start else gym.vector.SyncVectorEnv(makers)
+        envs = (
+            gym.vector.AsyncVectorEnv(makers, context=start)
+            if start
+            else gym.vector.SyncVectorEnv(makers)
+        )
         first = envs.reset(seed=[3, 4])[0]
     else:
         envs = SubprocVecEnv(makers, start_method=start) if start else DummyVecEnv(makers)

@@ -1,4 +1,5 @@
-"""Wrong input gets an error that names it and changes nothing; a lost object ends the episode with its cause and finite numbers."""
+"""Wrong input gets an error that names it and changes nothing; a lost object ends the episode with
+its cause and finite numbers."""
 
 from __future__ import annotations
 
@@ -35,37 +36,97 @@ CALLS: dict[str, Callable[..., Any]] = {
     "reward": RewardSettings,
 }
 WRONG: list[tuple[str, dict[str, Any], str]] = [
-    ("override", {"disturbance": "wind"}, r"unknown disturbance 'wind'.*'none'.*or give a function"),
+    (
+        "override",
+        {"disturbance": "wind"},
+        r"unknown disturbance 'wind'.*'none'.*or give a function",
+    ),
     ("override", {"disturbance": {"force": 1.0}}, "disturbance needs a name"),
-    ("override", {"disturbance": {"name": "random", "speed": 1.0}}, r"disturbance.speed': .*'disturbance.force'"),
+    (
+        "override",
+        {"disturbance": {"name": "random", "speed": 1.0}},
+        r"disturbance.speed': .*'disturbance.force'",
+    ),
     ("override", {"disturbance.force": 1.0}, "give disturbance a name"),
     ("override", {"task": {"size": 0.01}}, r"task.size'.*\(none\)"),
     ("override", {"task": "six_directions", "disturbance": "random"}, "pushes by itself"),
-    ("override", {"initial_force": "best"}, r"'linear_combination'.* or give a rule\(grasp, wrench\)"),
+    (
+        "override",
+        {"initial_force": "best"},
+        r"'linear_combination'.* or give a rule\(grasp, wrench\)",
+    ),
     ("override", {"object": 3}, "object must be of class ObjectDescription, or a dict"),
-    ("override", {"engine": {"name": "bullet", "rate": 100}}, "engine.rate must be a multiple of controller.rate"),
-    ("override", {"controller": {"rate": 333}}, "controller.rate must be a multiple of agent.rate, got 333 and 50"),
+    (
+        "override",
+        {"engine": {"name": "bullet", "rate": 100}},
+        "engine.rate must be a multiple of controller.rate",
+    ),
+    (
+        "override",
+        {"controller": {"rate": 333}},
+        "controller.rate must be a multiple of agent.rate, got 333 and 50",
+    ),
     ("override", {"sensors": {"delay": 1e6}}, "sensors.delay must be at most 4000 s"),
     ("override", {"duration": 1e6}, "limits.duration must be at most 4000 s"),
-    ("override", {"sensors": {"delay": -1.0}, "reward": {"held": "a"}}, r"sensors.delay .*; reward.held must"),
+    (
+        "override",
+        {"sensors": {"delay": -1.0}, "reward": {"held": "a"}},
+        r"sensors.delay .*; reward.held must",
+    ),
     ("override", {"approach": "down", "contact_points": POINTS}, "leave one of them out"),
     ("override", {"randomize": ("colour",)}, "'shape', 'size', 'mass', 'friction'"),
-    ("override", {"randomize": None}, "randomize must be a list of some of shape, size, mass, friction"),
+    (
+        "override",
+        {"randomize": None},
+        "randomize must be a list of some of shape, size, mass, friction",
+    ),
     ("override", {"randomize": {"mass": (0.3, 0.1)}}, "low <= high"),
     ("override", {"randomize": {"gravity": (1.0, 2.0)}}, "must be a function"),
-    ("override", {"randomize": "size", "contact_points": POINTS}, "contact_points belong to one shape"),
-    ("reward", {"force": 0.3}, r"iterations 0\.5, force 0\.3, torque 0\.1, force_change 0\.1.* 1, .* at most 0\.9"),
+    (
+        "override",
+        {"randomize": "size", "contact_points": POINTS},
+        "contact_points belong to one shape",
+    ),
+    (
+        "reward",
+        {"force": 0.3},
+        r"iterations 0\.5, force 0\.3, torque 0\.1, force_change 0\.1.* 1, .* at most 0\.9",
+    ),
     ("draw", {"mass": lambda rng: -1.0}, r"object.mass \[kg\] must"),
     ("draw", {"mass": lambda: 1.0}, r"randomize\['object.mass'\] fails with TypeError"),
     ("return", {"value": np.zeros((501, 3))}, r"lambda.*\(501, 6\), got \(501, 3\)"),
     ("return", {"value": None}, "lambda.*None.*return"),
-    ("return", {"value": Disturbed(gravity=np.zeros((500, 3)))}, r"lambda.*\(501, 3\), got \(500, 3\)"),
-    ("disturb", {"rule": lambda times: times}, r"lambda.*fails with TypeError: .*takes \(times, rng, settings\)"),
-    ("to_json", {"disturbance": lambda times, rng, settings: None}, "disturbance is <function .*no JSON"),
-    ("to_json", {"randomize": {"gravity": lambda rng: (0, 0, 0)}}, r"randomize\['gravity'\] is <function"),
+    (
+        "return",
+        {"value": Disturbed(gravity=np.zeros((500, 3)))},
+        r"lambda.*\(501, 3\), got \(500, 3\)",
+    ),
+    (
+        "disturb",
+        {"rule": lambda times: times},
+        r"lambda.*fails with TypeError: .*takes \(times, rng, settings\)",
+    ),
+    (
+        "to_json",
+        {"disturbance": lambda times, rng, settings: None},
+        "disturbance is <function .*no JSON",
+    ),
+    (
+        "to_json",
+        {"randomize": {"gravity": lambda rng: (0, 0, 0)}},
+        r"randomize\['gravity'\] is <function",
+    ),
     ("as_config", {"config": {"schema": 0}}, "too old"),
-    ("override", {"hand": {"name": "four_fingr"}}, r"unknown hand 'four_fingr': did you mean 'four_finger'"),
-    ("as_config", {"config": {"schema": 2}}, "schema 2, this version reads 1: it is written by a newer version"),
+    (
+        "override",
+        {"hand": {"name": "four_fingr"}},
+        r"unknown hand 'four_fingr': did you mean 'four_finger'",
+    ),
+    (
+        "as_config",
+        {"config": {"schema": 2}},
+        "schema 2, this version reads 1: it is written by a newer version",
+    ),
     ("as_config", {"config": "{"}, "config must be JSON"),
 ]
 
@@ -80,13 +141,18 @@ def test_wrong_input_is_named(call: str, given: dict[str, Any], message: str) ->
     ("name", "meant"),
     [
         ("frameskip", "settings are 'hand', 'object'"),
-        ("tolerance", "did you mean .*'solver.tolerance'"), ("motion", "did you mean 'task.motion'"),
-        ("sensors.dely", "did you mean 'sensors.delay'"), ("object_mass", "did you mean 'object.mass'"),
+        ("tolerance", "did you mean .*'solver.tolerance'"),
+        ("motion", "did you mean 'task.motion'"),
+        ("sensors.dely", "did you mean 'sensors.delay'"),
+        ("object_mass", "did you mean 'object.mass'"),
         ("mas", "got an unexpected keyword argument 'mas': did you mean 'mass'"),
     ],
-)  # fmt: skip
+)
 def test_an_unknown_keyword_names_the_likely_setting(name: str, meant: str) -> None:
-    for call in (EnvConfig().override, lambda **given: gym.make("grasp_env:FourFingerGrasp-v0", **given)):
+    for call in (
+        EnvConfig().override,
+        lambda **given: gym.make("grasp_env:FourFingerGrasp-v0", **given),
+    ):
         with pytest.raises(UnknownSettingError, match=meant) as caught:
             call(**{name: 1})
         assert isinstance(caught.value, TypeError)
@@ -104,18 +170,33 @@ def connections() -> int:
         ({"shape": "mesh"}, "mesh"),
         ({"contact_points": (*POINTS[:3], (0.03, -0.02, 0.04))}, "surface"),
         ({"contact_points": (*POINTS[:3], (0.0, -0.05, 0.0))}, "reach|clear|unhindered"),
-        ({"hand": FOUR.moved((0.0, 0.5, 0.0))}, "cannot be grasped by the hand 'four_finger': finger .* out of reach"),
+        (
+            {"hand": FOUR.moved((0.0, 0.5, 0.0))},
+            "cannot be grasped by the hand 'four_finger': finger .* out of reach",
+        ),
         ({"size": (0.1, 0.4, 0.1)}, "palm"),
         ({"hand": replace(FOUR, fingertips=FOUR.fingertips[:1])}, "more fingers"),
         ({"initial_force": lambda grasp, wrench: np.ones((4, 3))}, "misses balance"),
-        ({"controller": {"friction_margin": 1.0, "friction_error": 0.3}, "solver.barrier_weight": 1e-3}, "friction_margin"),
+        (
+            {
+                "controller": {"friction_margin": 1.0, "friction_error": 0.3},
+                "solver.barrier_weight": 1e-3,
+            },
+            "friction_margin",
+        ),
         pytest.param(
-            {"hand": replace(FOUR, links=tuple(replace(link, torque_limit=0.3) for link in FOUR.links)), "contact_points": POINTS},
-            r"torque limits: .*_joint \(0\.3 N m\).*raise torque_limit", marks=needs_bullet,
+            {
+                "hand": replace(
+                    FOUR, links=tuple(replace(link, torque_limit=0.3) for link in FOUR.links)
+                ),
+                "contact_points": POINTS,
+            },
+            r"torque limits: .*_joint \(0\.3 N m\).*raise torque_limit",
+            marks=needs_bullet,
         ),
     ],
     ids=range(11),
-)  # fmt: skip
+)
 def test_what_cannot_be_held_or_shown_opens_nothing(
     monkeypatch: pytest.MonkeyPatch, settings: Any, message: str
 ) -> None:
@@ -129,17 +210,24 @@ def test_what_cannot_be_held_or_shown_opens_nothing(
 
 def test_wrong_calls_change_nothing_and_a_closed_environment_opens_again() -> None:
     before = connections()
-    env, rows = FourFingerGrasp(disturbance="random", duration=0.1), []
+    env = FourFingerGrasp(disturbance="random", duration=0.1)
+    rows = []
     with pytest.raises(SimulationError, match="step before reset"):
         env.step(ZERO)
     for wrong in (True, False):
         env.reset(seed=0)
-        for options in ({"wrnch": 1}, "x", {"wrench": [1, 2]}, {"wrench": [1, 2, np.inf, 0, 0, 0]}) if wrong else ():
+        for options in (
+            ({"wrnch": 1}, "x", {"wrench": [1, 2]}, {"wrench": [1, 2, np.inf, 0, 0, 0]})
+            if wrong
+            else ()
+        ):
             with pytest.raises(GraspError, match=r"wrench|options must be a dict"):
                 env.reset(options=options)  # type: ignore[arg-type]
         seen = [env.reset(seed=0)[0]]
         for k in range(5):
-            for action in ([0, 0, np.nan, 0, 0, 0], np.zeros(5), np.zeros((1, 6)), "x", None) if wrong else ():
+            for action in (
+                ([0, 0, np.nan, 0, 0, 0], np.zeros(5), np.zeros((1, 6)), "x", None) if wrong else ()
+            ):
                 with pytest.raises(InvalidInputError, match="action must be 6 finite numbers"):
                     env.step(action)  # type: ignore[arg-type]
             observed, _, _, truncated, _ = env.step(ZERO)
@@ -164,7 +252,11 @@ FAR = {"max_drift": 1e9, "max_tilt": 10.0, "max_contact_gap": 1e9}
     ("limits", "wrench", "failures"),
     [
         ({}, [0, 0, 0, 0, 0, 3.0], ("dropped", "closure_lost")),  # far beyond the joint torques
-        ({"max_drift": 1e9, "max_contact_gap": 1e9}, [0, 0, 0, 0, 0, 3.0], ("dropped",)),  # it turns
+        (
+            {"max_drift": 1e9, "max_contact_gap": 1e9},
+            [0, 0, 0, 0, 0, 3.0],
+            ("dropped",),
+        ),  # it turns
         *((FAR, [push, push, 0, 0, 0, push], ("simulation_diverged",)) for push in (1e5, 1e12)),
     ],
 )
@@ -179,7 +271,10 @@ def test_a_lost_object_ends_the_episode_with_its_cause(
         observed, reward, terminated, truncated, info = env.step(ZERO)
         assert not truncated
         assert env.observation_space.contains(observed)
-        assert all(isinstance(value, str) or np.isfinite(value).all() for value in [*observed, reward, *info.values()])
+        assert all(
+            isinstance(value, str) or np.isfinite(value).all()
+            for value in [*observed, reward, *info.values()]
+        )
     assert info["failure"] in failures
     assert (reward, info["is_success"]) == (0.0, False)
     with pytest.raises(SimulationError, match=info["failure"]):

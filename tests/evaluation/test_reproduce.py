@@ -1,4 +1,5 @@
-"""The study of what the paper leaves open: rows agree with single solves, predictions hold, the linear program is optimal."""
+"""The study of what the paper leaves open: rows agree with single solves, predictions hold, the
+linear program is optimal."""
 
 from __future__ import annotations
 
@@ -49,47 +50,76 @@ def test_iterations_are_those_of_the_optimizer_with_these_weights(found):
         phi = {"force_weight": omega, "barrier_weight": barrier}
         newton = ForceOptimizer(GRASP, method="newton", tolerance=1e-12, **phi)  # type: ignore[arg-type]
         flow = ForceOptimizer(GRASP, method="reduced_flow", step_rule=rules[rule], **phi)  # type: ignore[arg-type]
-        mine = chosen(weights, f"rule == '{rule}' and force_weight == {omega} and barrier_weight == {barrier}")
+        mine = chosen(
+            weights, f"rule == '{rule}' and force_weight == {omega} and barrier_weight == {barrier}"
+        )
         for k in (0, 11):
-            best, row = newton.solve(loads[k]), mine.iloc[k]
+            best = newton.solve(loads[k])
+            row = mine.iloc[k]
             run = flow.solve(loads[k], optimum=best.objective)
-            assert (row["iterations"], row["trials"], row["status"]) == (run.iterations, run.trials, "optimal")
+            assert (row["iterations"], row["trials"], row["status"]) == (
+                run.iterations,
+                run.trials,
+                "optimal",
+            )
             least = ForceOptimizer(GRASP, method="conic").solve(loads[k]).total_normal_force
-            assert row["force_excess"] == pytest.approx(best.total_normal_force / least - 1.0, rel=1e-4)
+            assert row["force_excess"] == pytest.approx(
+                best.total_normal_force / least - 1.0, rel=1e-4
+            )
     one = chosen(found.summary, "case == 'weights' and rule == 'fixed' and force_weight == 1")
-    assert np.all(np.diff(one["force_excess_median"], prepend=0.0) > 0.0)  # more barrier squeezes more
+    assert np.all(
+        np.diff(one["force_excess_median"], prepend=0.0) > 0.0
+    )  # more barrier squeezes more
     fixed = chosen(weights, "rule == 'fixed'")
     assert fixed["iterations"].equals(fixed["trials"])  # the tuned step is never halved
     cases = experiments.Cases(GRASP, sample_ball(np.random.default_rng(0), 8), 2.0, 0.1)
     size = cases.tuned_step()
     for factor, halved in ((1.0, False), (10.0**0.125, True)):
         records = cases.descents(FixedStep(factor * size))
-        assert any(record[experiments.ITERATIONS] != record[experiments.TRIALS] for record in records) == halved
+        assert (
+            any(record[experiments.ITERATIONS] != record[experiments.TRIALS] for record in records)
+            == halved
+        )
 
 
 def test_rates_are_the_predicted_ones_and_operations_are_counted(found):
     rates = chosen(found.rows, "case == 'rates'").set_index("rule")
-    fixed, exact = rates.loc["fixed"], rates.loc["exact"]
+    fixed = rates.loc["fixed"]
+    exact = rates.loc["exact"]
     assert fixed["rate"] == pytest.approx(fixed["rate_predicted"], rel=0.02)
     assert rates.loc["bb_short", "rate"] < exact["rate"] <= exact["rate_predicted"] * 1.01
     assert chosen(found.rows, "case == 'gaps'").groupby("rule")["gap"].last().max() <= 1e-12
     costs = chosen(found.summary, "case == 'costs_product' and contacts == 4")
-    assert costs[["form", "operations_max"]].to_numpy().tolist() == [["full", 20736], ["paper", 432], ["reduced", 144]]
+    assert costs[["form", "operations_max"]].to_numpy().tolist() == [
+        ["full", 20736],
+        ["paper", 432],
+        ["reduced", 144],
+    ]
 
 
 def test_a_repetition_is_timed_without_the_overhead_of_the_call(monkeypatch):
     now = [0]
     monkeypatch.setattr(experiments.time, "perf_counter_ns", lambda: now[0])
-    assert experiments._time_repetition(lambda count: now.__setitem__(0, now[0] + 100 + 7 * count), 10) == 7.0
+    assert (
+        experiments._time_repetition(lambda count: now.__setitem__(0, now[0] + 100 + 7 * count), 10)
+        == 7.0
+    )
 
 
 def test_path_rows_are_differences_of_forces_over_time(found):
-    grasp, loads = presets.preset("five_finger_cuboid"), paper_path(np.array([0.2, 0.25, 0.3]))
+    grasp = presets.preset("five_finger_cuboid")
+    loads = paper_path(np.array([0.2, 0.25, 0.3]))
     conic = ForceOptimizer(grasp, method="conic")
-    solvers = {"conic": lambda load: conic.solve(load).force, "linear": lambda load: pyramid_forces(grasp, load)}
+    solvers = {
+        "conic": lambda load: conic.solve(load).force,
+        "linear": lambda load: pyramid_forces(grasp, load),
+    }
     for method, solve in solvers.items():
         first, second, third = map(solve, loads)
-        row = chosen(found.rows, f"case == 'path_five_finger_cuboid' and method == '{method}' and interval == 0.05")
+        row = chosen(
+            found.rows,
+            f"case == 'path_five_finger_cuboid' and method == '{method}' and interval == 0.05",
+        )
         row = row[np.isclose(row["time"], 0.3)]
         np.testing.assert_allclose(row["contact_force"], third[:, 0])
         np.testing.assert_allclose(row["jump"], np.linalg.norm(third - second, axis=1), atol=1e-9)
@@ -121,26 +151,44 @@ def test_the_page_is_made_of_the_rows(found):
         figure = function(found.rows, found.summary)
         assert isinstance(figure, Figure), title
         assert all(axes.lines or not axes.get_visible() for axes in figure.axes), title
-    slow = found.rows.assign(iterations=found.rows["iterations"].where(found.rows.index != 5))  # one never converged
+    slow = found.rows.assign(
+        iterations=found.rows["iterations"].where(found.rows.index != 5)
+    )  # one never converged
     for rows, converged in ((found.rows, True), (slow, False)):
         judged = {row.claim.name: row.met for row in judge(page.CLAIMS, summary(rows))}
-        assert [judged[claim.name] for claim in page.CLAIMS if "faster" not in claim.name] == [converged, True, True]
+        assert [judged[claim.name] for claim in page.CLAIMS if "faster" not in claim.name] == [
+            converged,
+            True,
+            True,
+        ]
 
 
 def by_enumeration(grasp: Grasp, wrench: np.ndarray, facets: int) -> float:
-    """Least sum of normals over all bases of six edges: an optimum of a linear program is at one of them."""
+    """Least sum of normals over all bases of six edges: an optimum of a linear program is at one of
+    them."""
     angles = 2.0 * np.pi * np.arange(facets) / facets
-    edges = [np.stack([np.ones(facets), mu * np.cos(angles), mu * np.sin(angles)]) for mu in grasp.friction]
-    columns = np.concatenate([grasp.matrix[:, 3 * k : 3 * k + 3] @ edge for k, edge in enumerate(edges)], axis=1)
+    edges = [
+        np.stack([np.ones(facets), mu * np.cos(angles), mu * np.sin(angles)])
+        for mu in grasp.friction
+    ]
+    columns = np.concatenate(
+        [grasp.matrix[:, 3 * k : 3 * k + 3] @ edge for k, edge in enumerate(edges)], axis=1
+    )
     columns[3:] /= 0.05
     right = -wrench / [1, 1, 1, 0.05, 0.05, 0.05]
-    matrices = columns[:, np.array(list(combinations(range(columns.shape[1]), 6)))].transpose(1, 0, 2)
+    matrices = columns[:, np.array(list(combinations(range(columns.shape[1]), 6)))].transpose(
+        1, 0, 2
+    )
     regular = matrices[np.abs(np.linalg.det(matrices)) > 1e-9]
-    weights = np.linalg.solve(regular, np.broadcast_to(right[:, None], (len(regular), 6, 1)))[..., 0]
+    weights = np.linalg.solve(regular, np.broadcast_to(right[:, None], (len(regular), 6, 1)))[
+        ..., 0
+    ]
     return float(weights[(weights >= -1e-9).all(axis=1)].sum(axis=1).min(initial=np.inf))
 
 
-@pytest.mark.parametrize(("name", "facets"), [("tripod", 8), ("tripod, uneven", 5), ("cuboid, 4", 4)])
+@pytest.mark.parametrize(
+    ("name", "facets"), [("tripod", 8), ("tripod, uneven", 5), ("cuboid, 4", 4)]
+)
 def test_no_vertex_of_the_linear_program_is_better(name, facets):
     grasp = GRASPS[name]
     for wrench in sample_ball(np.random.default_rng(0), 3):
@@ -155,12 +203,19 @@ def test_pyramids_cost_more_than_cones_and_their_forces_jump():
     assert costs == sorted(costs, reverse=True)
     assert costs[-1] == pytest.approx(CONIC_LEAST, rel=1e-4)
     # four fingers around an object carry its weight by friction: either pair costs the same
-    positions, weight = np.repeat(0.04 * np.eye(3)[:2], 2, axis=0), np.array([0, 0, -1.0, 0, 0, 0])
+    positions = np.repeat(0.04 * np.eye(3)[:2], 2, axis=0)
+    weight = np.array([0, 0, -1.0, 0, 0, 0])
     positions[1::2] *= -1.0
     signs = np.array([1.0, 1.0, -1.0, -1.0])
-    one, other = (Grasp.from_contacts(positions, -positions / 0.04, 0.5 + s * 1e-6 * signs) for s in (1.0, -1.0))
+    one, other = (
+        Grasp.from_contacts(positions, -positions / 0.04, 0.5 + s * 1e-6 * signs)
+        for s in (1.0, -1.0)
+    )
     assert np.abs(pyramid_forces(one, weight) - pyramid_forces(other, weight)).max() > 0.9
-    smooth = [optimize_force(grasp, weight, method="newton", tolerance=1e-10).force for grasp in (one, other)]
+    smooth = [
+        optimize_force(grasp, weight, method="newton", tolerance=1e-10).force
+        for grasp in (one, other)
+    ]
     assert np.abs(smooth[0] - smooth[1]).max() < 1e-3
     floor = Grasp.from_contacts(0.03 * np.eye(3), [[0.0, 0.0, 1.0]] * 3, 0.4)
     with pytest.raises(NotConvergedError, match="found no force"):

@@ -1,8 +1,11 @@
-"""An independent reference: the cone program of any grasp from positions, normals and friction, solved by Clarabel.
+"""An independent reference: the cone program of any grasp from positions, normals and friction,
+solved by Clarabel.
 
-Frames and G are those of the oracles, about the centre of the contacts, moments divided by their length.
+Frames and G are those of the oracles, about the centre of the contacts, moments divided by their
+length.
 
-    min c . x   s.t.  G f + w = 0,  n >= hypot(o / mu_o, t / mu_t),  n >= abs(tau) / gamma,  A f <= b
+    min c . x   s.t.  G f + w = 0,  n >= hypot(o / mu_o, t / mu_t),  n >= abs(tau) / gamma,  A f <=
+    b
 """
 
 from __future__ import annotations
@@ -23,7 +26,8 @@ SOLVED = ("Solved", "AlmostSolved")
 
 
 class Optimum(NamedTuple):
-    """Clarabel's objective [N], its own relative error (see `own_error`), and whether it reports success."""
+    """Clarabel's objective [N], its own relative error (see `own_error`), and whether it reports
+    success."""
 
     objective: float
     error: float
@@ -34,22 +38,31 @@ class Reference:
     """The constraints of a grasp and its limits, for any wrench."""
 
     def __init__(self, grasp: Grasp, limits: ForceLimits | None = None) -> None:
-        points, normals, names = np.array(grasp.positions), np.array(grasp.normals), np.array(grasp.models.names)
+        points = np.array(grasp.positions)
+        normals = np.array(grasp.normals)
+        names = np.array(grasp.models.names)
         self.count = count = len(points)
-        self.frames = np.array([geometry.frame(*each) for each in zip(normals, grasp.frames[:, :, 1], strict=True)])
+        self.frames = np.array(
+            [geometry.frame(*each) for each in zip(normals, grasp.frames[:, :, 1], strict=True)]
+        )
         self.centre, self.length, _ = geometry.unit_frame(points)
         self.mu = np.where((names != "frictionless")[:, None], grasp.models.friction, 0.0)
         self.gamma = np.where(names == "soft", grasp.models.torsional_friction, 0.0)
         # columns (n, o, t, tau) of each contact
         self.matrix = np.zeros((6, count, 4))
-        self.matrix[:, :, :3] = geometry.grasp_matrix((points - self.centre) / self.length, self.frames).reshape(6, count, 3)  # fmt: skip
+        self.matrix[:, :, :3] = geometry.grasp_matrix(
+            (points - self.centre) / self.length, self.frames
+        ).reshape(6, count, 3)
         self.matrix[3:, :, 3] = normals.T / self.length
-        self.transmits = np.column_stack([np.ones(count), *[self.mu[:, 0] > 0.0] * 2, self.gamma > 0.0]).astype(float)
+        self.transmits = np.column_stack(
+            [np.ones(count), *[self.mu[:, 0] > 0.0] * 2, self.gamma > 0.0]
+        ).astype(float)
         self.matrix *= self.transmits
         self.rows, self.bound, self.limited = self._limits(limits)
 
     def _limits(self, limits: ForceLimits | None) -> tuple[Array, Array, Array]:
-        """A (M, N, 4), b (M,) in the documented order (least normals, largest normals, each joint's two torques), and each limit (M,)."""
+        """A (M, N, 4), b (M,) in the documented order (least normals, largest normals, each joint's
+        two torques), and each limit (M,)."""
         rows: list[Array] = []
         bound: list[float] = []
         limited: list[float] = []
@@ -87,7 +100,8 @@ class Reference:
         return float(np.abs(np.einsum("rna,na->r", self.matrix, f) + self.load(wrench)).max())
 
     def violation(self, force: Array, torsion: Array) -> float:
-        """Largest violation of cones, torsion bounds and limits [N]; limits divided by their row's length."""
+        """Largest violation of cones, torsion bounds and limits [N]; limits divided by their row's
+        length."""
         n = force[:, 0]
         inside = n - np.hypot(*(force[:, 1:] / np.where(self.mu > 0.0, self.mu, 1.0)).T)
         spin = n - np.abs(torsion) / np.where(self.gamma > 0.0, self.gamma, 1.0)
@@ -104,13 +118,15 @@ class Reference:
         return float((-self.room(force, torsion) / self.limited).max(initial=0.0))
 
     def _scaled(self) -> tuple[Array, Array, Array]:
-        """mu of cone coordinates u = mu n (N,), the size of a unit of (u, o, t) as (n, o, t) (N, 3), that of v as torsion (N,)."""
+        """mu of cone coordinates u = mu n (N,), the size of a unit of (u, o, t) as (n, o, t) (N,
+        3), that of v as torsion (N,)."""
         mu_o, mu_t = self.mu.T
         mu = np.where(mu_o > 0.0, np.sqrt(mu_o * mu_t), 1.0)
         return mu, np.array([1.0 / mu, mu_o / mu, mu_t / mu]).T, self.gamma / mu
 
     def _row_sizes(self) -> Array:
-        """(M,) length of each limit's row in cone coordinates (u, o, t, u - v), in which Phi measures the distance to it."""
+        """(M,) length of each limit's row in cone coordinates (u, o, t, u - v), in which Phi
+        measures the distance to it."""
         _, sizes, spin = self._scaled()
         spins = self.rows[:, :, 3] * spin
         scaled = np.concatenate([self.rows[:, :, :3] * sizes, -spins[:, :, None]], axis=2)
@@ -119,24 +135,34 @@ class Reference:
         return np.where(length > 0.0, length, 1.0)
 
     def _weights(self, omega: Weight, lam: Weight) -> tuple[Array, Array, Array]:
-        """omega and lambda of each contact (N,), and lambda of each limit (M,): the mean of the contacts whose forces it counts."""
-        both, lambdas = np.broadcast_to(omega, self.count), np.broadcast_to(lam, self.count)
+        """omega and lambda of each contact (N,), and lambda of each limit (M,): the mean of the
+        contacts whose forces it counts."""
+        both = np.broadcast_to(omega, self.count)
+        lambdas = np.broadcast_to(lam, self.count)
         touched = (self.rows != 0.0).any(axis=2)
         touched[~touched.any(axis=1)] = True  # a torque that no force changes: all contacts
         return both, lambdas, (touched @ lambdas) / touched.sum(axis=1)
 
     def phi(self, force: Array, torsion: Array, omega: Weight = 1.0, lam: Weight = 0.01) -> float:
-        """Phi by the eigenvalues of P and the distances to soft contacts' torsion and to limits; +inf outside."""
-        (mu, sizes, spin), n = self._scaled(), force[:, 0]
+        """Phi by the eigenvalues of P and the distances to soft contacts' torsion and to limits;
+        +inf outside."""
+        (mu, sizes, spin) = self._scaled()
+        n = force[:, 0]
         prices, lambdas, of_rows = self._weights(omega, lam)
-        u, s = mu * n, np.zeros(self.count)
-        rough, soft = self.mu[:, 0] > 0.0, self.gamma > 0.0
+        u = mu * n
+        s = np.zeros(self.count)
+        rough = self.mu[:, 0] > 0.0
+        soft = self.gamma > 0.0
         s[rough] = np.hypot(*(force[rough, 1:] / sizes[rough, 1:]).T)
         v = torsion[soft] / spin[soft]
         room = self.room(force, torsion) / self._row_sizes()
         distances = np.concatenate([u, u - s, u + s, u[soft] - v, u[soft] + v, room])
         each = np.concatenate([*[lambdas] * 3, *[lambdas[soft]] * 2, of_rows])
-        return float(3.0 * (prices @ u) + (each / distances).sum()) if (distances > 0.0).all() else np.inf
+        return (
+            float(3.0 * (prices @ u) + (each / distances).sum())
+            if (distances > 0.0).all()
+            else np.inf
+        )
 
     def cone_margin(self, force: Array) -> float:
         """Least distance to a cone's surface in cone coordinates [N]."""
@@ -147,15 +173,24 @@ class Reference:
     def dual_bound(
         self, nu: Array, prices: Array, wrench: Array, criterion: str = "sum", omega: Weight = 1.0
     ) -> tuple[float, float]:
-        """(certified lower bound, theta): multipliers nu (6,) about the origin and prices (M,) of the limits, scaled by theta <= 1.
+        """(certified lower bound, theta): multipliers nu (6,) about the origin and prices (M,) of
+        the limits, scaled by theta <= 1.
 
-        The objective is the sum or the largest of omega times normal force. With a = c - G^T nu + A^T prices in the dual cone a_n >= hypot(mu_o a_o, mu_t a_t) + gamma abs(a_tau) of every contact,
-        -nu . w - prices . b bounds the objective. theta < 1: the multipliers given are not dual feasible.
+        The objective is the sum or the largest of omega times normal force. With a = c - G^T nu +
+        A^T prices in the dual cone a_n >= hypot(mu_o a_o, mu_t a_t) + gamma abs(a_tau) of every
+        contact, -nu . w - prices . b bounds the objective. theta < 1: the multipliers given are not
+        dual feasible.
         """
         at_centre = self._at_centre(nu)
         prices = np.maximum(prices, 0.0)
-        g = np.einsum("rna,r->na", self.matrix, at_centre) - np.einsum("kna,k->na", self.rows, prices)
-        need = g[:, 0] + np.hypot(self.mu[:, 0] * g[:, 1], self.mu[:, 1] * g[:, 2]) + self.gamma * np.abs(g[:, 3])
+        g = np.einsum("rna,r->na", self.matrix, at_centre) - np.einsum(
+            "kna,k->na", self.rows, prices
+        )
+        need = (
+            g[:, 0]
+            + np.hypot(self.mu[:, 0] * g[:, 1], self.mu[:, 1] * g[:, 2])
+            + self.gamma * np.abs(g[:, 3])
+        )
         need = need / np.broadcast_to(omega, self.count)
         most = float(need.max()) if criterion == "sum" else float(np.maximum(need, 0.0).sum())
         theta = 1.0 if most <= 1.0 else 1.0 / most
@@ -164,14 +199,18 @@ class Reference:
         return theta * value, theta
 
     def proof(self, twist: Array, wrench: Array, prices: Array | None = None) -> float:
-        """Return the least slack of a proof of infeasibility, relative to its terms; >= 0 is a proof, up to rounding.
+        """Return the least slack of a proof of infeasibility, relative to its terms; >= 0 is a
+        proof, up to rounding.
 
         q = G^T v + A^T y must lie in every dual cone, and v . w - y . b >= 0.
         """
         y = np.zeros(len(self.bound)) if prices is None or not len(prices) else prices
-        v, load = self._at_centre(twist), self.load(wrench)
+        v = self._at_centre(twist)
+        load = self.load(wrench)
         q = np.einsum("rna,r->na", self.matrix, v) + np.einsum("kna,k->na", self.rows, y)
-        need = np.hypot(self.mu[:, 0] * q[:, 1], self.mu[:, 1] * q[:, 2]) + self.gamma * np.abs(q[:, 3])
+        need = np.hypot(self.mu[:, 0] * q[:, 1], self.mu[:, 1] * q[:, 2]) + self.gamma * np.abs(
+            q[:, 3]
+        )
         size = max(np.abs(q).max(), np.abs(self.rows * y[:, None, None]).max(initial=0.0))
         terms = float(np.abs(v * load).sum()) + abs(float(y @ self.bound))
         short = (float(v @ load) - float(y @ self.bound)) / (terms or 1.0)
@@ -179,20 +218,30 @@ class Reference:
 
     def _at_centre(self, twist: Array) -> Array:
         """A twist or multipliers (6,) about the origin, about the centre and per length."""
-        return np.concatenate([twist[:3] + np.cross(twist[3:], self.centre), twist[3:] * self.length])
+        return np.concatenate(
+            [twist[:3] + np.cross(twist[3:], self.centre), twist[3:] * self.length]
+        )
 
     def _cones(self, width: int, size: float) -> tuple[list[Array], list[Array], list]:
-        """Rows A x + s = b of everything but balance, for x = (n, o, t, tau) of each contact and `width - 4N` others."""
+        """Rows A x + s = b of everything but balance, for x = (n, o, t, tau) of each contact and
+        `width - 4N` others."""
         clarabel = import_module("clarabel")
-        each, soft, slick = np.eye(width), np.flatnonzero(self.gamma > 0.0), np.flatnonzero(self.mu[:, 0] == 0.0)
+        each = np.eye(width)
+        soft = np.flatnonzero(self.gamma > 0.0)
+        slick = np.flatnonzero(self.mu[:, 0] == 0.0)
         fixed = each[np.flatnonzero(self.transmits.reshape(-1) == 0.0)]
-        linear = [sign * each[4 * k + 3] / self.gamma[k] - each[4 * k] for k in soft for sign in (1.0, -1.0)]
+        linear = [
+            sign * each[4 * k + 3] / self.gamma[k] - each[4 * k]
+            for k in soft
+            for sign in (1.0, -1.0)
+        ]
         linear += [-each[4 * k] for k in slick]
         lengths = np.sqrt((self.rows**2).sum(axis=(1, 2)))
         lengths[lengths == 0.0] = 1.0
         rest = np.zeros(width - 4 * self.count)
         rows = [
-            np.concatenate([row.reshape(-1) / length, rest]) for row, length in zip(self.rows, lengths, strict=True)
+            np.concatenate([row.reshape(-1) / length, rest])
+            for row, length in zip(self.rows, lengths, strict=True)
         ]
         bound = np.concatenate([np.zeros(len(linear)), self.bound / size / lengths])
         blocks: list[Array] = [fixed, np.array([*linear, *rows]).reshape(-1, width)]
@@ -206,67 +255,92 @@ class Reference:
         kept = [k for k in range(len(blocks)) if len(blocks[k])]
         return [blocks[k] for k in kept], [right[k] for k in kept], [cones[k] for k in kept]
 
-    def solve(self, wrench: Array, criterion: str = "sum", tolerance: float = 1e-11, omega: Weight = 1.0) -> Optimum:
+    def solve(
+        self, wrench: Array, criterion: str = "sum", tolerance: float = 1e-11, omega: Weight = 1.0
+    ) -> Optimum:
         """The least sum, or largest, of omega times normal force."""
         clarabel = import_module("clarabel")
         load = self.load(np.asarray(wrench, dtype=float))
-        size, width = float(np.abs(load).max()) or 1.0, 4 * self.count + (criterion == "max")
+        size = float(np.abs(load).max()) or 1.0
+        width = 4 * self.count + (criterion == "max")
         cost = np.zeros(width)
         blocks, right, cones = self._cones(width, size)
         balance = np.zeros((6, width))
         balance[:, : 4 * self.count] = self.matrix.reshape(6, -1)
-        blocks, right, cones = [balance, *blocks], [-load / size, *right], [clarabel.ZeroConeT(6), *cones]
+        blocks = [balance, *blocks]
+        right = [-load / size, *right]
+        cones = [clarabel.ZeroConeT(6), *cones]
         if criterion == "max":
             cost[-1] = 1.0
-            blocks.append(np.broadcast_to(omega, self.count)[:, None] * np.eye(width)[: 4 * self.count : 4] - cost)
+            blocks.append(
+                np.broadcast_to(omega, self.count)[:, None] * np.eye(width)[: 4 * self.count : 4]
+                - cost
+            )
             right.append(np.zeros(self.count))
             cones.append(clarabel.NonnegativeConeT(self.count))
         else:
             cost[: 4 * self.count : 4] = omega
-        matrix, sides = np.vstack(blocks), np.concatenate(right)
+        matrix = np.vstack(blocks)
+        sides = np.concatenate(right)
         found = _run(cost, matrix, sides, cones, tolerance)
-        return Optimum(size * found.obj_val, own_error(found, cost, matrix, sides), str(found.status) in SOLVED)
+        return Optimum(
+            size * found.obj_val, own_error(found, cost, matrix, sides), str(found.status) in SOLVED
+        )
 
     def least_excess(self, wrench: Array) -> float:
-        """The least possible excess of a limit: one more variable t, every limit raised by t of itself; nan: unsolved."""
+        """The least possible excess of a limit: one more variable t, every limit raised by t of
+        itself; nan: unsolved."""
         clarabel = import_module("clarabel")
         load = self.load(np.asarray(wrench, dtype=float))
-        size, width = float(np.abs(load).max()) or 1.0, 4 * self.count + 1
+        size = float(np.abs(load).max()) or 1.0
+        width = 4 * self.count + 1
         blocks, right, cones = self._cones(width, size)
         lengths = np.sqrt((self.rows**2).sum(axis=(1, 2)))
         linear = next(k for k, cone in enumerate(cones) if "Nonnegative" in type(cone).__name__)
         blocks[linear][-len(lengths) :, -1] = -self.limited / size / lengths
         balance = np.zeros((6, width))
         balance[:, :-1] = self.matrix.reshape(6, -1)
-        rows, sides = np.vstack([balance, *blocks]), np.concatenate([-load / size, *right])
+        rows = np.vstack([balance, *blocks])
+        sides = np.concatenate([-load / size, *right])
         found = _run(np.eye(width)[-1], rows, sides, [clarabel.ZeroConeT(6), *cones], 1e-9)
         return found.obj_val if str(found.status) in SOLVED else float("nan")
 
-    def least_phi(self, wrench: Array, omega: Weight = 1.0, lam: Weight = 0.01) -> tuple[float, float]:
-        """(min Phi, Clarabel's own relative error; inf: unsolved), every term as second-order cones.
+    def least_phi(
+        self, wrench: Array, omega: Weight = 1.0, lam: Weight = 0.01
+    ) -> tuple[float, float]:
+        """(min Phi, Clarabel's own relative error; inf: unsolved), every term as second-order
+        cones.
 
-        2u/(u^2 - s^2) <= y where u (u - z) >= s^2 and y z >= 2; 2u/(u^2 - v^2) the same; 1/room <= y where room y >= 1.
+        2u/(u^2 - s^2) <= y where u (u - z) >= s^2 and y z >= 2; 2u/(u^2 - v^2) the same; 1/room <=
+        y where room y >= 1.
         """
         clarabel = import_module("clarabel")
-        count, load = self.count, self.load(np.asarray(wrench, dtype=float))
+        count = self.count
+        load = self.load(np.asarray(wrench, dtype=float))
         prices, lambdas, of_rows = self._weights(omega, lam)
         price = float(prices.mean())
         # forces are about that, and Phi its price
         unit = max(float(np.abs(load).max()), np.sqrt(float(lambdas.max()) / price))
-        roots, row_roots = np.sqrt(lambdas / price) / unit, np.sqrt(of_rows / price) / unit
+        roots = np.sqrt(lambdas / price) / unit
+        row_roots = np.sqrt(of_rows / price) / unit
         (mu, sizes, spin), soft = self._scaled(), np.flatnonzero(self.gamma > 0.0)
-        # variables: (n, o, t, tau) of each contact, then (r, y, z) of each, (y, z) of soft ones, y of each limit
+        # variables: (n, o, t, tau) of each contact, then (r, y, z) of each, (y, z) of soft ones, y
+        # of each limit
         begins = np.cumsum([4 * count, 3 * count, 2 * len(soft), len(self.bound)])
         width = int(begins[-1])
-        each, cost = np.eye(width), np.zeros(width)
+        each = np.eye(width)
+        cost = np.zeros(width)
         cost[: 4 * count : 4] = 3.0 * mu * prices / price
         fixed = np.flatnonzero(self.transmits.reshape(-1) == 0.0)
         zero = np.concatenate([np.zeros((6, width)), each[fixed]])
         zero[:6, : 4 * count] = self.matrix.reshape(6, -1)
-        blocks, right = [zero], [np.concatenate([-load / unit, np.zeros(len(fixed))])]
+        blocks = [zero]
+        right = [np.concatenate([-load / unit, np.zeros(len(fixed))])]
         cones = [clarabel.ZeroConeT(len(zero))]
 
-        def rotated(a: Array, b: Array, others: list[Array], constant: float = 0.0, shift: float = 0.0) -> None:
+        def rotated(
+            a: Array, b: Array, others: list[Array], constant: float = 0.0, shift: float = 0.0
+        ) -> None:
             """(a + shift) b >= |others|^2 + constant^2."""
             rows = [-(a + b), -(a - b), *(-2.0 * c for c in others), np.zeros(width)]
             offset = np.zeros(len(rows))
@@ -282,10 +356,16 @@ class Reference:
             rotated(each[at], each[at + 1], [], np.sqrt(2.0 * root))
 
         for k in range(count):
-            u, at = mu[k] * each[4 * k], begins[0] + 3 * k
+            u = mu[k] * each[4 * k]
+            at = begins[0] + 3 * k
             cost[at] = roots[k]
             rotated(u, each[at], [], np.sqrt(roots[k]))
-            barrier(u, roots[k], at + 1, [each[4 * k + a] / sizes[k, a] for a in (1, 2)] if self.mu[k, 0] else [])
+            barrier(
+                u,
+                roots[k],
+                at + 1,
+                [each[4 * k + a] / sizes[k, a] for a in (1, 2)] if self.mu[k, 0] else [],
+            )
         for j, k in enumerate(soft):
             barrier(mu[k] * each[4 * k], roots[k], begins[1] + 2 * j, [each[4 * k + 3] / spin[k]])
         for m, length in enumerate(self._row_sizes()):
@@ -294,8 +374,10 @@ class Reference:
             at = begins[2] + m
             cost[at] = row_roots[m]
             rotated(row, each[at], [], np.sqrt(row_roots[m]), self.bound[m] / unit / length)
-        matrix, sides = np.vstack(blocks), np.concatenate(right)
-        # almost solved, it may miss balance by 1e-6 of the wrench, which between contacts 1e-6 apart is worth a hundredth of Phi
+        matrix = np.vstack(blocks)
+        sides = np.concatenate(right)
+        # almost solved, it may miss balance by 1e-6 of the wrench, which between contacts 1e-6
+        # apart is worth a hundredth of Phi
         for tolerance in (1e-10, 1e-8):
             found = _run(cost, matrix, sides, cones, tolerance)
             if str(found.status) == "Solved":
@@ -303,22 +385,27 @@ class Reference:
         return float("nan"), np.inf
 
     def margin(self, wrench: Array) -> float:
-        """Return the depth of a force of total one inside all cones and limits; < 0: infeasible; nan: unsolved.
+        """Return the depth of a force of total one inside all cones and limits; < 0: infeasible;
+        nan: unsolved.
 
-        max m  s.t.  G f + r w = 0,  f deeper than m in its cones, b r - A f >= m, r >= m,  sum n + r = 1.
+        max m  s.t.  G f + r w = 0,  f deeper than m in its cones, b r - A f >= m, r >= m,  sum n +
+        r = 1.
         """
         clarabel = import_module("clarabel")
         load = self.load(np.asarray(wrench, dtype=float))
-        size, width = float(np.abs(load).max()) or 1.0, 4 * self.count + 2
+        size = float(np.abs(load).max()) or 1.0
+        width = 4 * self.count + 2
         blocks, right, cones = self._cones(width, size)
-        # every inequality is b - A x >= 0: b moves to r's column and m shrinks the first row of every cone
+        # every inequality is b - A x >= 0: b moves to r's column and m shrinks the first row of
+        # every cone
         for k, cone in enumerate(cones):
             if "Second" in type(cone).__name__:
                 blocks[k][0, -2] = 1.0
             elif "Nonnegative" in type(cone).__name__:
                 blocks[k][:, -2:] = np.column_stack([np.ones(len(right[k])), -right[k]])
                 right[k] = np.zeros(len(right[k]))
-        balance, each = np.zeros((7, width)), np.eye(width)
+        balance = np.zeros((7, width))
+        each = np.eye(width)
         balance[:6, : 4 * self.count], balance[:6, -1] = self.matrix.reshape(6, -1), load / size
         balance[6, : 4 * self.count : 4] = balance[6, -1] = 1.0
         rows = np.vstack([balance, *blocks, each[-2] - each[-1]])
@@ -330,11 +417,14 @@ class Reference:
 def own_error(found: Any, cost: Array, matrix: Array, right: Array) -> float:
     """Return Clarabel's own relative error: its gap, and its residuals times their prices.
 
-    Its own residuals are relative to the largest numbers: forces of 1e6 N hide 4 mN in them, which cost 50 % at the edge of closure.
+    Its own residuals are relative to the largest numbers: forces of 1e6 N hide 4 mN in them, which
+    cost 50 % at the edge of closure.
     """
     x, s, z = (np.array(each) for each in (found.x, found.s, found.z))
     missed = np.abs(matrix @ x + s - right) @ np.abs(z) + np.abs(matrix.T @ z + cost) @ np.abs(x)
-    return (abs(found.obj_val - found.obj_val_dual) + float(missed)) / max(abs(found.obj_val), 1e-300)
+    return (abs(found.obj_val - found.obj_val_dual) + float(missed)) / max(
+        abs(found.obj_val), 1e-300
+    )
 
 
 def _run(cost: Array, matrix: Array, right: Array, cones: list, tolerance: float):
@@ -343,8 +433,15 @@ def _run(cost: Array, matrix: Array, right: Array, cones: list, tolerance: float
     settings.verbose = False
     settings.presolve_enable = False
     settings.max_iter = 200
-    settings.tol_gap_abs, settings.tol_gap_rel, settings.tol_feas = 1e-14, tolerance, tolerance
-    settings.reduced_tol_gap_abs, settings.reduced_tol_gap_rel, settings.reduced_tol_feas = 1e-9, 1e-8, 1e-8
-    settings.tol_ktratio, settings.reduced_tol_ktratio = 1e-8, 1e-6
+    settings.tol_gap_abs = 1e-14
+    settings.tol_gap_rel = tolerance
+    settings.tol_feas = tolerance
+    settings.reduced_tol_gap_abs = 1e-9
+    settings.reduced_tol_gap_rel = 1e-8
+    settings.reduced_tol_feas = 1e-8
+    settings.tol_ktratio = 1e-8
+    settings.reduced_tol_ktratio = 1e-6
     nothing = sparse.csc_matrix((len(cost), len(cost)))
-    return clarabel.DefaultSolver(nothing, cost, sparse.csc_matrix(matrix), right, cones, settings).solve()
+    return clarabel.DefaultSolver(
+        nothing, cost, sparse.csc_matrix(matrix), right, cones, settings
+    ).solve()

@@ -1,8 +1,9 @@
-"""The named problems of `problems.json`; `python tests/force/named.py` computes their objectives again.
+"""The named problems of `problems.json`; `python tests/force/named.py` computes their objectives
+again.
 
-Every objective comes from a solve at a tight tolerance and from Clarabel, to relative `digits`. The command refuses problems on which
-the two do not agree, and writes the file. If Clarabel has fewer digits, `digits` is the gap of the certificate, computed from the
-geometry alone.
+Every objective comes from a solve at a tight tolerance and from Clarabel, to relative `digits`. The
+command refuses problems on which the two do not agree, and writes the file. If Clarabel has fewer
+digits, `digits` is the gap of the certificate, computed from the geometry alone.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ JUDGED = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """A problem and its known results: status, objective (None: infeasible) and relative digits by method; weights are omega and lambda."""
+    """A problem and its known results: status, objective (None: infeasible) and relative digits by
+    method; weights are omega and lambda."""
 
     name: str
     grasp: Grasp
@@ -58,7 +60,8 @@ class Named:
         return Reference(self.grasp, self.limits)
 
     def assert_infeasible(self, found: ForceSolution) -> None:
-        """Check the proof of a solution without a force; on the boundary of feasibility no proof has digits."""
+        """Check the proof of a solution without a force; on the boundary of feasibility no proof
+        has digits."""
         reference = self.reference()
         lack = reference.proof(found.certificate, self.wrench, found.limit_multipliers)
         assert lack >= -1e-7 or reference.margin(self.wrench) < 1e-9, (self.name, lack)
@@ -70,9 +73,13 @@ class Named:
 
 def read(entry: dict[str, Any]) -> Named:
     """Make a problem from its entry in the file."""
-    models = {"contact_model": entry.get("models", "hard"), "torsional_friction": entry.get("torsional_friction")}
+    models = {
+        "contact_model": entry.get("models", "hard"),
+        "torsional_friction": entry.get("torsional_friction"),
+    }
     contacts = [entry[name] for name in ("positions", "normals", "friction")]
-    grasp, limits = Grasp.from_contacts(*contacts, tangents=entry.get("tangents"), **models), entry.get("limits")
+    grasp = Grasp.from_contacts(*contacts, tangents=entry.get("tangents"), **models)
+    limits = entry.get("limits")
     if limits is not None:
         for name in ("max_normal", "torque_limit"):  # null: no limit
             if isinstance(limits.get(name), list):
@@ -82,7 +89,9 @@ def read(entry: dict[str, Any]) -> Named:
     return Named(entry["name"], grasp, np.array(entry["wrench"]), limits, *more)
 
 
-ENTRIES: list[dict[str, Any]] = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else []
+ENTRIES: list[dict[str, Any]] = (
+    json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else []
+)
 NAMED = {entry["name"]: read(entry) for entry in ENTRIES}
 CASES = [(name, method) for name, problem in NAMED.items() for method in problem.known]
 
@@ -105,8 +114,10 @@ def value(p: Named, method: str, found: ForceSolution, reference: Reference) -> 
 
 
 def judged(p: Named, method: str) -> dict[str, Any]:
-    """Return status, objective and digits, solved here and by Clarabel; an AssertionError if they do not agree."""
-    reference, tight = p.reference(), {"tolerance": 1e-12 if method == "newton" else 1e-9}
+    """Return status, objective and digits, solved here and by Clarabel; an AssertionError if they
+    do not agree."""
+    reference = p.reference()
+    tight = {"tolerance": 1e-12 if method == "newton" else 1e-9}
     found = attempt(lambda: optimize_force(p.grasp, p.wrench, **(p.options(method) | tight)))
     name = f"{p.name}, {method}"
     if found.certificate is not None:
@@ -114,21 +125,33 @@ def judged(p: Named, method: str) -> dict[str, Any]:
         return {"status": "infeasible"}
     if found.limit_excess > 0.0:
         want = reference.least_excess(p.wrench)
-        assert want * (1.0 - 1e-6) <= found.limit_excess <= max(1.01 * want, want + 1e-6), (name, found, want)
+        assert want * (1.0 - 1e-6) <= found.limit_excess <= max(1.01 * want, want + 1e-6), (
+            name,
+            found,
+            want,
+        )
         return {"status": "limits_exceeded", "objective": want, "digits": 0.011}
     mine, by = found.objective, "certificate"
     # a bound above the objective shows rounding, too
     digits = abs(mine - found.lower_bound) / mine if mine > 0.0 else 0.0
     if method != "newton":
-        bound, _ = reference.dual_bound(found.multipliers, found.limit_multipliers, p.wrench, method)
+        bound, _ = reference.dual_bound(
+            found.multipliers, found.limit_multipliers, p.wrench, method
+        )
         digits = (mine - bound) / mine if mine > 0.0 else 0.0
         best = reference.solve(p.wrench, method)
-        want, error = best.objective, best.error if best.solved else np.inf
+        want = best.objective
+        error = best.error if best.solved else np.inf
     else:
         want, error = reference.least_phi(p.wrench, *p.phi_weights())
     if error < JUDGED:
         by = "Clarabel"
-        assert abs(mine - want) <= (digits + 10.0 * error + 1e-12) * abs(want), (name, mine, want, error)
+        assert abs(mine - want) <= (digits + 10.0 * error + 1e-12) * abs(want), (
+            name,
+            mine,
+            want,
+            error,
+        )
     assert digits < 1e-5, (name, digits)
     digits = float(f"{max(digits, 1e-11):.1e}")
     return {"status": "optimal", "objective": float(f"{mine:.13g}"), "digits": digits, "by": by}

@@ -1,4 +1,5 @@
-"""Batches give the answers of single calls, on any threads; processes, shared optimizers and interrupts."""
+"""Batches give the answers of single calls, on any threads; processes, shared optimizers and
+interrupts."""
 
 from __future__ import annotations
 
@@ -15,7 +16,12 @@ import pytest
 from force.named import attempt
 from problems import random_grasp
 
-from grasp_env.errors import GraspError, InfeasibleWrenchError, NotConvergedError, RankDeficientGraspError
+from grasp_env.errors import (
+    GraspError,
+    InfeasibleWrenchError,
+    NotConvergedError,
+    RankDeficientGraspError,
+)
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
 from grasp_env.force.many import CHUNK
 from grasp_env.force.record import INFEASIBLE, RANK_LOST, UNDECIDED
@@ -28,11 +34,16 @@ GRASP = presets.paper_cuboid()
 AGREES = 1e-9
 """Relative difference from single calls: sums over contacts are taken in another order."""
 KINDS: dict[str, dict] = {
-    "newton": {}, "newton to 1e-8": {"tolerance": 1e-8}, "other weights": {"force_weight": 3.0, "barrier_weight": 1e-4},
-    "conic": {"method": "conic"}, "conic to 1e-9": {"method": "conic", "tolerance": 1e-9},
-    "weighted conic": {"method": "conic", "force_weight": [1.0, 0.2, 30.0, 5.0]}, "flow": {"method": "reduced_flow"},
-    "limits": {"limits": ForceLimits(max_normal=100.0)}, "network": {"initial": LearnedInitialForce.pretrained()},
-}  # fmt: skip
+    "newton": {},
+    "newton to 1e-8": {"tolerance": 1e-8},
+    "other weights": {"force_weight": 3.0, "barrier_weight": 1e-4},
+    "conic": {"method": "conic"},
+    "conic to 1e-9": {"method": "conic", "tolerance": 1e-9},
+    "weighted conic": {"method": "conic", "force_weight": [1.0, 0.2, 30.0, 5.0]},
+    "flow": {"method": "reduced_flow"},
+    "limits": {"limits": ForceLimits(max_normal=100.0)},
+    "network": {"initial": LearnedInitialForce.pretrained()},
+}
 
 
 def wide_loads(count: int) -> np.ndarray:
@@ -44,13 +55,18 @@ def wide_loads(count: int) -> np.ndarray:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_answers_of_single_calls(kind: str) -> None:
     loads = wide_loads(100)
-    batch, optimizer = optimize_forces(GRASP, loads, **KINDS[kind]), ForceOptimizer(GRASP, **KINDS[kind])
-    agrees = 10 * AGREES if kind == "conic to 1e-9" else AGREES  # its last system has few digits left
+    batch = optimize_forces(GRASP, loads, **KINDS[kind])
+    optimizer = ForceOptimizer(GRASP, **KINDS[kind])
+    agrees = (
+        10 * AGREES if kind == "conic to 1e-9" else AGREES
+    )  # its last system has few digits left
     for k, load in enumerate(loads):
         one = optimizer.solve(load)
         scale = np.abs(one.force).max()
         np.testing.assert_allclose(batch.force[k], one.force, rtol=0, atol=agrees * scale)
-        np.testing.assert_allclose(batch[k].initial_force, one.initial_force, rtol=0, atol=AGREES * scale)
+        np.testing.assert_allclose(
+            batch[k].initial_force, one.initial_force, rtol=0, atol=AGREES * scale
+        )
         assert (batch.iterations[k], batch[k].status) == (one.iterations, one.status)
         assert batch.objective[k] == pytest.approx(one.objective, rel=AGREES)
         np.testing.assert_array_equal(batch[k].wrench, load)
@@ -61,22 +77,31 @@ def test_the_answers_of_single_calls(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["newton", "conic", "network", "limits"])
 def test_no_answer_depends_on_threads_or_neighbours(kind: str) -> None:
-    loads, options = wide_loads(3 * CHUNK // 2), KINDS[kind]
+    loads = wide_loads(3 * CHUNK // 2)
+    options = KINDS[kind]
     batch = optimize_forces(GRASP, loads, workers=1, **options)
-    np.testing.assert_array_equal(optimize_forces(GRASP, loads, workers=5, **options).records, batch.records)
+    np.testing.assert_array_equal(
+        optimize_forces(GRASP, loads, workers=5, **options).records, batch.records
+    )
     if kind == "newton":  # more grasps than the core takes at once, some twice
         grasps = [GRASP.with_friction(mu) for mu in np.linspace(0.3, 0.9, 700)]
         many = [*grasps, *grasps[::-1]]
         found = optimize_forces(many, loads[: len(many)], **options)
-        np.testing.assert_array_equal(found.records[700:], optimize_forces(many[700:], loads[700 : len(many)]).records)
+        np.testing.assert_array_equal(
+            found.records[700:], optimize_forces(many[700:], loads[700 : len(many)]).records
+        )
     order = np.random.default_rng(1).permutation(len(loads))
-    np.testing.assert_array_equal(optimize_forces(GRASP, loads[order], **options).records, batch.records[order])
+    np.testing.assert_array_equal(
+        optimize_forces(GRASP, loads[order], **options).records, batch.records[order]
+    )
 
 
 @pytest.mark.parametrize(("method", "tolerance"), [("newton", 1e-8), ("conic", 1e-9)])
 def test_what_agrees_where_sums_round_differently(method: str, tolerance: float) -> None:
-    """The status, and the objective within the tolerance; most forces agree to nine digits, all to the root of the tolerance."""
-    rng, apart = np.random.default_rng(0), []
+    """The status, and the objective within the tolerance; most forces agree to nine digits, all to
+    the root of the tolerance."""
+    rng = np.random.default_rng(0)
+    apart = []
     for _ in range(20):
         grasp = random_grasp(rng, int(rng.integers(3, 8)))
         loads = sample_ball(rng, 100) * 10.0 ** rng.uniform(-3, 1, (100, 1))
@@ -101,20 +126,31 @@ def ring(count: int) -> Grasp:
     return Grasp.from_contacts(-0.04 * normals + np.outer(heights, [0, 0, 1]), normals, 0.5)
 
 
-@pytest.mark.parametrize("weights", [None, [1.0, 0.3, 5.0, 1.0, 2.0, 0.1, 1.0, 20.0]], ids=["equal", "weighted"])
+@pytest.mark.parametrize(
+    "weights", [None, [1.0, 0.3, 5.0, 1.0, 2.0, 0.1, 1.0, 20.0]], ids=["equal", "weighted"]
+)
 @pytest.mark.parametrize("method", ["newton", "conic"])
 def test_grasps_of_every_kind_side_by_side(method: str, weights: list[float] | None) -> None:
-    """Nearly coplanar, without force closure, soft, elliptic and frictionless among ordinary ones: the results of single calls."""
+    """Nearly coplanar, without force closure, soft, elliptic and frictionless among ordinary ones:
+    the results of single calls."""
     base = ring(8)
     positions, normals = base.positions, base.normals
-    grasps = [Grasp.from_contacts(positions * scale, normals, 0.5) for scale in np.linspace(0.8, 1.2, 30)]
+    grasps = [
+        Grasp.from_contacts(positions * scale, normals, 0.5) for scale in np.linspace(0.8, 1.2, 30)
+    ]
     grasps[3] = Grasp.from_contacts(positions * [1.0, 1.0, 1e-6], normals, 0.5)
     grasps[7] = Grasp.from_contacts(positions, np.tile([0.0, 0.0, 1.0], (8, 1)), 0.5)
-    grasps[11] = Grasp.from_contacts(positions, normals, 0.5, contact_model="soft", torsional_friction=0.003)
+    grasps[11] = Grasp.from_contacts(
+        positions, normals, 0.5, contact_model="soft", torsional_friction=0.003
+    )
     grasps[12] = Grasp.from_contacts(positions, normals, np.linspace(0.3, 0.9, 16).reshape(8, 2))
-    grasps[13] = Grasp.from_contacts(positions, normals, 0.6, contact_model=["hard"] * 5 + ["frictionless"] * 3)
+    grasps[13] = Grasp.from_contacts(
+        positions, normals, 0.6, contact_model=["hard"] * 5 + ["frictionless"] * 3
+    )
     loads = sample_ball(np.random.default_rng(4), len(grasps))
-    options: dict[str, Any] = {"method": method} | ({} if weights is None else {"force_weight": weights})
+    options: dict[str, Any] = {"method": method} | (
+        {} if weights is None else {"force_weight": weights}
+    )
     batch = optimize_forces(grasps, loads, **options)
     for k, grasp in enumerate(grasps):
         one = attempt(lambda g=grasp, w=loads[k]: optimize_force(g, w, **options))
@@ -129,13 +165,16 @@ def test_grasps_of_every_kind_side_by_side(method: str, weights: list[float] | N
 
 
 def test_grasps_near_rank_loss_are_solved_alone() -> None:
-    """Contacts nearly on a line, where the order of sums matters more than rounding: the bits of single calls."""
+    """Contacts nearly on a line, where the order of sums matters more than rounding: the bits of
+    single calls."""
     base = ring(8)
     points = [base.positions * [1.0, 1e-3, 1e-3] * (1.0 + 0.03 * k) for k in range(9)]
     grasps = [Grasp.from_contacts(each, base.normals, 0.5) for each in points]
     loads = np.random.default_rng(4).standard_normal((9, 6)) * np.repeat([1.0, 0.01], 3)
     for found, grasp, load in zip(optimize_forces(grasps, loads), grasps, loads, strict=True):
-        np.testing.assert_array_equal(found.force, attempt(lambda g=grasp, w=load: optimize_force(g, w)).force)
+        np.testing.assert_array_equal(
+            found.force, attempt(lambda g=grasp, w=load: optimize_force(g, w)).force
+        )
 
 
 PALM = Grasp.from_contacts(GRASP.positions, [[0.0, 0.0, 1.0]] * 4, 0.4)
@@ -144,7 +183,8 @@ PALM = Grasp.from_contacts(GRASP.positions, [[0.0, 0.0, 1.0]] * 4, 0.4)
 
 @pytest.mark.parametrize("error", [NotConvergedError, InfeasibleWrenchError])
 def test_what_a_rule_leaves_undecided_is_no_optimum(error: type[GraspError]) -> None:
-    """No force, an infinite objective and no bound, on one grasp and on many; the others have the answers of single calls."""
+    """No force, an infinite objective and no bound, on one grasp and on many; the others have the
+    answers of single calls."""
 
     def rule(grasp: Grasp, load: np.ndarray) -> np.ndarray:
         if load[0] > 0.0:
@@ -166,7 +206,9 @@ def test_what_a_rule_leaves_undecided_is_no_optimum(error: type[GraspError]) -> 
     assert batch[int(np.flatnonzero(lost)[0])].optimality_gap == np.inf
 
 
-@pytest.mark.parametrize("options", [{}, {"method": "conic"}, {"limits": ForceLimits(max_normal=1e3)}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{}, {"method": "conic"}, {"limits": ForceLimits(max_normal=1e3)}], ids=str
+)
 def test_what_is_infeasible_has_an_infinite_objective_and_bound(options: dict[str, Any]) -> None:
     pulls, presses = np.eye(6)[[2, 2]] * [[1.0], [-1.0]]
     loads = np.array([pulls, presses] * 6)
@@ -181,11 +223,15 @@ def test_what_is_infeasible_has_an_infinite_objective_and_bound(options: dict[st
 @pytest.mark.parametrize("method", ["newton", "conic", "reduced_flow"])
 def test_contacts_without_rank_have_an_infinite_objective(method: str) -> None:
     optimizer = ForceOptimizer(GRASP, method=method)
-    with pytest.raises(RankDeficientGraspError if method == "reduced_flow" else InfeasibleWrenchError):
+    with pytest.raises(
+        RankDeficientGraspError if method == "reduced_flow" else InfeasibleWrenchError
+    ):
         optimizer.solve(LOADS[0], contacts=np.array([True, False, False, False]))
     alone = np.array([True, False, False, False])
     solution = optimizer.core.solve(LOADS[0], (None, None, None, None, None, alone), None)
-    ends = (RANK_LOST, np.inf, -np.inf) if method == "reduced_flow" else (INFEASIBLE, np.inf, np.inf)
+    ends = (
+        (RANK_LOST, np.inf, -np.inf) if method == "reduced_flow" else (INFEASIBLE, np.inf, np.inf)
+    )
     assert (solution.code, solution.objective, solution.lower_bound) == ends
 
 
@@ -197,13 +243,18 @@ LOADS = sample_ball(np.random.default_rng(0), 100)
 @pytest.mark.parametrize("kind", ["newton", "conic", "flow", "limits"])
 def test_eight_threads_with_an_optimizer_each_or_a_shared_one(kind: str) -> None:
     """Use one optimizer in one thread; if it is shared all the same, its answers are still right."""
-    alone, shared = [ForceOptimizer(GRASP, **KINDS[kind]) for _ in range(8)], ForceOptimizer(GRASP, **KINDS[kind])
+    alone = [ForceOptimizer(GRASP, **KINDS[kind]) for _ in range(8)]
+    shared = ForceOptimizer(GRASP, **KINDS[kind])
     want = np.array([shared.solve(load).force for load in LOADS])
-    remembers = ForceOptimizer(GRASP, **KINDS[kind], initial=None if kind == "conic" else "previous")
+    remembers = ForceOptimizer(
+        GRASP, **KINDS[kind], initial=None if kind == "conic" else "previous"
+    )
     with ThreadPoolExecutor(8) as pool:
         for found in pool.map(lambda own: [own.solve(load).force for load in LOADS], alone):
             np.testing.assert_array_equal(found, want)
-        np.testing.assert_array_equal([found.force for found in pool.map(shared.solve, LOADS)], want)
+        np.testing.assert_array_equal(
+            [found.force for found in pool.map(shared.solve, LOADS)], want
+        )
         for load, solution in zip(LOADS, pool.map(remembers.solve, LOADS), strict=True):
             np.testing.assert_array_equal(solution.wrench, load)
             assert solution.equilibrium_residual < 1e-9
@@ -211,7 +262,9 @@ def test_eight_threads_with_an_optimizer_each_or_a_shared_one(kind: str) -> None
 
 
 def in_a_child(optimizer: ForceOptimizer, answers: multiprocessing.SimpleQueue) -> None:
-    answers.put((optimizer.solve(LOADS[1]).force, optimize_forces(optimizer.grasp, LOADS, workers=2).force))
+    answers.put(
+        (optimizer.solve(LOADS[1]).force, optimize_forces(optimizer.grasp, LOADS, workers=2).force)
+    )
 
 
 @pytest.mark.parametrize("way", ["fork", "spawn"])
@@ -265,7 +318,9 @@ def test_an_interrupt_ends_a_batch() -> None:
     """Within about a second, at any length; later batches have the same bits."""
     command = [sys.executable, "-c", INTERRUPTED]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=ROOT, env=environment, timeout=120, capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, timeout=120, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     took, threads = done.stdout.split()
     assert float(took) < 1.0

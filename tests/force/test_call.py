@@ -18,14 +18,21 @@ THREE = np.array([True, True, True, False])
 
 
 def test_numbers_of_a_contact_that_does_not_touch_are_not_read() -> None:
-    """Arrays, which the core reads in place, and lists; nan and infinities, and for a start in Python as well."""
+    """Arrays, which the core reads in place, and lists; nan and infinities, and for a start in
+    Python as well."""
     optimizer = ForceOptimizer(CUBOID, limits=ForceLimits(jacobian=JACOBIAN, torque_limit=5.0))
     whole: dict[str, Any] = {
-        "positions": CUBOID.positions, "normals": CUBOID.normals, "friction": np.full(4, 0.4), "jacobian": JACOBIAN,
-    }  # fmt: skip
+        "positions": CUBOID.positions,
+        "normals": CUBOID.normals,
+        "friction": np.full(4, 0.4),
+        "jacobian": JACOBIAN,
+    }
     expected = optimizer.solve(WRENCH, **whole, contacts=THREE)
     for odd in (np.nan, np.inf, 1e300):
-        broken = {name: np.where(THREE.reshape(-1, *[1] * (a.ndim - 1)), a, odd) for name, a in whole.items()}
+        broken = {
+            name: np.where(THREE.reshape(-1, *[1] * (a.ndim - 1)), a, odd)
+            for name, a in whole.items()
+        }
         for given in (broken, {name: a.tolist() for name, a in broken.items()}):
             for options in ({}, {"initial": lambda grasp, wrench: expected.force[:3]}):
                 found = optimizer.solve(WRENCH, **given, contacts=THREE, **options)
@@ -37,7 +44,9 @@ def test_numbers_of_a_contact_that_does_not_touch_are_not_read() -> None:
 
 
 @pytest.mark.parametrize(
-    "mask", [[1, 1, 1, 0], [1.0, 1, 1, 0], THREE.astype(np.uint8), THREE.astype(float), THREE.tolist()], ids=str
+    "mask",
+    [[1, 1, 1, 0], [1.0, 1, 1, 0], THREE.astype(np.uint8), THREE.astype(float), THREE.tolist()],
+    ids=str,
 )
 def test_a_mask_of_ones_and_zeros_is_a_mask(mask: Any) -> None:
     optimizer = ForceOptimizer(CUBOID)
@@ -46,7 +55,11 @@ def test_a_mask_of_ones_and_zeros_is_a_mask(mask: Any) -> None:
     )
 
 
-@pytest.mark.parametrize("mask", [[1, 1, 1, 2], [1, 1, 1, np.nan], ["1"] * 4, [1, 1, 1], [[1, 1, 1, 1]], [[1], [1, 1]], 1], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    "mask",
+    [[1, 1, 1, 2], [1, 1, 1, np.nan], ["1"] * 4, [1, 1, 1], [[1, 1, 1, 1]], [[1], [1, 1]], 1],
+    ids=str,
+)
 def test_other_masks_are_refused(mask: Any) -> None:
     with pytest.raises(InvalidInputError, match=r"contacts must be \(4,\) of true and false"):
         ForceOptimizer(CUBOID).solve(WRENCH, contacts=mask)
@@ -60,7 +73,9 @@ def unaligned(a: np.ndarray) -> np.ndarray:
 
 
 def test_arrays_at_odd_addresses_are_copied() -> None:
-    optimizer = ForceOptimizer(CUBOID, limits=ForceLimits(jacobian=unaligned(JACOBIAN), torque_limit=5.0))
+    optimizer = ForceOptimizer(
+        CUBOID, limits=ForceLimits(jacobian=unaligned(JACOBIAN), torque_limit=5.0)
+    )
     given = {
         "positions": CUBOID.positions,
         "normals": CUBOID.normals,
@@ -71,13 +86,16 @@ def test_arrays_at_odd_addresses_are_copied() -> None:
     expected = optimizer.solve(WRENCH, **given)
     np.testing.assert_array_equal(optimizer.solve(unaligned(WRENCH), **odd).force, expected.force)
     grasp = Grasp.from_contacts(odd["positions"], odd["normals"], odd["friction"])
-    np.testing.assert_array_equal(grasp.matrix, Grasp.from_contacts(CUBOID.positions, CUBOID.normals, 0.4).matrix)
+    np.testing.assert_array_equal(
+        grasp.matrix, Grasp.from_contacts(CUBOID.positions, CUBOID.normals, 0.4).matrix
+    )
     optimizer.update(**odd)
     np.testing.assert_array_equal(optimizer.solve(WRENCH).force, expected.force)
 
 
 @pytest.mark.parametrize(
-    "name", ["method", "criterion", "force_weight", "tolerance", "max_iterations", "step_rule", "elastic"]
+    "name",
+    ["method", "criterion", "force_weight", "tolerance", "max_iterations", "step_rule", "elastic"],
 )
 def test_options_that_cannot_be_hashed_are_named(name: str) -> None:
     for odd in (memoryview(bytearray(8)), {}, [[]]):

@@ -1,4 +1,5 @@
-"""The paper's flows: full and reduced are the same (Eqs. 9-26), both are methods, and every step rule takes the steps it defines."""
+"""The paper's flows: full and reduced are the same (Eqs. 9-26), both are methods, and every step
+rule takes the steps it defines."""
 
 from __future__ import annotations
 
@@ -40,7 +41,8 @@ def nearly_open(margin: float) -> Grasp:
     def made(tilt: float) -> Grasp:
         return Grasp.from_contacts(0.03 * out, -np.cos(tilt) * out + [0.0, 0.0, np.sin(tilt)], 0.5)
 
-    low, high = 0.0, float(np.arctan(0.5)) + 0.1
+    low = 0.0
+    high = float(np.arctan(0.5)) + 0.1
     while (middle := 0.5 * (low + high)) not in (low, high):
         try:
             closed = force_closure(made(middle)).margin > margin
@@ -53,8 +55,10 @@ def nearly_open(margin: float) -> Grasp:
 @pytest.mark.parametrize("method", ["reduced_flow", "full_flow"])
 @pytest.mark.parametrize("margin", [1e-7, 1e-8, 2e-9, 1.1e-9])
 def test_next_to_losing_closure_a_flow_answers_or_refuses(margin: float, method: str) -> None:
-    """Forces are finite, balanced to rounding, and at most 1e12 N, nine decades above the wrench; nothing is called infeasible."""
-    grasp, rng = nearly_open(margin), np.random.default_rng(0)
+    """Forces are finite, balanced to rounding, and at most 1e12 N, nine decades above the wrench;
+    nothing is called infeasible."""
+    grasp = nearly_open(margin)
+    rng = np.random.default_rng(0)
     for initial in (None, "phase_one", "internal_force", "previous"):
         optimizer = ForceOptimizer(grasp, method=method, initial=initial, max_iterations=2000)
         for wrench in rng.standard_normal((4, 6)) * np.repeat([1.0, 0.03], 3):
@@ -78,26 +82,34 @@ def weights(grasp: Grasp) -> np.ndarray:
 
 
 def start(grasp: Grasp, squeeze: float = 5.0) -> np.ndarray:
-    """Cone coordinates far from the optimum, for many steps: the start plus `squeeze` times the internal optimum."""
-    force = LinearCombination(OBJECTIVE)(grasp, LIGHT) + squeeze * OfflineBasis.of(grasp, OBJECTIVE).rest
+    """Cone coordinates far from the optimum, for many steps: the start plus `squeeze` times the
+    internal optimum."""
+    force = (
+        LinearCombination(OBJECTIVE)(grasp, LIGHT)
+        + squeeze * OfflineBasis.of(grasp, OBJECTIVE).rest
+    )
     return grasp.to_cone(force)
 
 
 @pytest.mark.parametrize("name", GRASPS)
 def test_full_and_reduced_iterates_are_equal(name: str) -> None:
-    """By the dense projector, by the entries picked from it, and in closed form; balance and the structure of P stay."""
+    """By the dense projector, by the entries picked from it, and in closed form; balance and the
+    structure of P stay."""
     grasp = GRASPS[name]
     # moments in units of the grasp: the projector does not depend on them, its rounding does
     land = landscape(grasp.unit_frame @ grasp.cone_matrix, weights(grasp))
     descent, iterates = followed(start(grasp), land, AdaptiveStep(0.004, grow=1.01), 120)
     assert descent.iterations == 120
     assert descent.values[-1] < 0.95 * descent.values[0]
-    a, q = full_flow.constraints(grasp.cone_matrix), full_flow.projector(grasp.cone_matrix)
+    a = full_flow.constraints(grasp.cone_matrix)
+    q = full_flow.projector(grasp.cone_matrix)
     for missed in (q @ q - q, q - q.T, a @ q):
         np.testing.assert_allclose(missed, 0.0, atol=1e-12)
-    picked, closed = picked_projector(grasp.cone_matrix), reduced_projector(grasp.cone_matrix)
+    picked = picked_projector(grasp.cone_matrix)
+    closed = reduced_projector(grasp.cone_matrix)
     np.testing.assert_allclose(picked, closed, rtol=0, atol=1e-11)
-    whole, reduced = full_flow.start(start(grasp)), start(grasp).reshape(-1)
+    whole = full_flow.start(start(grasp))
+    reduced = start(grasp).reshape(-1)
     for alpha, expected in zip(descent.steps, iterates[1:], strict=True):
         whole = whole + alpha * q @ full_flow.drive(whole, weights(grasp))
         reduced = reduced + alpha * picked @ flow_vector(reduced, weights(grasp))
@@ -111,13 +123,24 @@ def test_full_and_reduced_iterates_are_equal(name: str) -> None:
 @pytest.mark.parametrize("method", ["reduced_flow", "full_flow"])
 @pytest.mark.parametrize("name", ALL)
 def test_methods_take_the_steps_of_the_plain_flow(name: str, method: str) -> None:
-    grasp, rule, count = ALL[name], AdaptiveStep(), 12  # growing and rejected steps; too few for rounding to decide one
+    grasp = ALL[name]
+    rule = AdaptiveStep()
+    count = 12  # growing and rejected steps; too few for rounding to decide one
     land = landscape(grasp.unit_frame @ grasp.cone_matrix, weights(grasp))
     descent, iterates = followed(start(grasp), land, rule, count)
-    options = {"barrier_weight": 0.1, "step_rule": rule, "max_iterations": count, "tolerance": 1e-300}
+    options = {
+        "barrier_weight": 0.1,
+        "step_rule": rule,
+        "max_iterations": count,
+        "tolerance": 1e-300,
+    }
     optimizer = ForceOptimizer(grasp, method=method, **options)
     solution = optimizer.solve(LIGHT, initial=grasp.to_force(start(grasp)), trace=True)
-    assert (solution.method, solution.initial, solution.status) == (method, "given", Status.ITERATION_LIMIT)
+    assert (solution.method, solution.initial, solution.status) == (
+        method,
+        "given",
+        Status.ITERATION_LIMIT,
+    )
     assert (solution.iterations, solution.trials) == (count, descent.trials)
     assert descent.trials > count
     np.testing.assert_allclose(solution.objective_trace, descent.values, rtol=1e-10)
@@ -127,8 +150,14 @@ def test_methods_take_the_steps_of_the_plain_flow(name: str, method: str) -> Non
 
 
 def test_printed_indices_for_four_fingers() -> None:
-    """Eqs. 19 to 21 word for word; floor(a, b) there is the largest integer not greater than a / b."""
-    m = [39 * floor((i - 1) / 3) + 2 ** (2 ** (i - 3 * floor((i - 1) / 3) - 1)) - 1 for i in range(1, 13)]
+    """Eqs.
+
+    19 to 21 word for word; floor(a, b) there is the largest integer not greater than a / b.
+    """
+    m = [
+        39 * floor((i - 1) / 3) + 2 ** (2 ** (i - 3 * floor((i - 1) / 3) - 1)) - 1
+        for i in range(1, 13)
+    ]
     n = [39 * floor((j - 1) / 3) + 12 * (j - 3 * floor((j - 1) / 3) - 1) + 1 for j in range(1, 13)]
     assert (flow.picked_rows(4) + 1).tolist() == m
     assert (flow.picked_columns(4) + 1).tolist() == [begin + k for begin in n for k in range(3)]
@@ -141,12 +170,18 @@ def test_printed_indices_for_four_fingers() -> None:
 def test_barzilai_borwein_steps_are_inverse_curvatures() -> None:
     land = landscape(CUBOID.cone_matrix, weights(CUBOID))
     for variant in ("long", "short", "alternate"):
-        descent, iterates = followed(start(CUBOID, 2.0), land, BarzilaiBorweinStep(1e-3, variant=variant), 10)
+        descent, iterates = followed(
+            start(CUBOID, 2.0), land, BarzilaiBorweinStep(1e-3, variant=variant), 10
+        )
         drives = [land.direction(x) for x in iterates]
         for k, alpha in enumerate(descent.steps[1:], 1):
-            s, y = iterates[k] - iterates[k - 1], drives[k - 1] - drives[k]
-            long, short = land.metric @ s**2 / (land.metric @ (s * y)), land.metric @ (s * y) / (land.metric @ y**2)
-            expected = {"long": long, "short": short, "alternate": short if k % 2 else long}[variant]
+            s = iterates[k] - iterates[k - 1]
+            y = drives[k - 1] - drives[k]
+            long = land.metric @ s**2 / (land.metric @ (s * y))
+            short = land.metric @ (s * y) / (land.metric @ y**2)
+            expected = {"long": long, "short": short, "alternate": short if k % 2 else long}[
+                variant
+            ]
             halvings = float(np.log2(expected / alpha))  # until Phi decreases
             assert halvings == pytest.approx(round(halvings), abs=1e-6)
             assert halvings > -1e-6

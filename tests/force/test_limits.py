@@ -1,4 +1,5 @@
-"""Limits as rows, slacks and words, joint torques, and Newton within the limits of fingers with their own joints."""
+"""Limits as rows, slacks and words, joint torques, and Newton within the limits of fingers with
+their own joints."""
 
 from __future__ import annotations
 
@@ -15,26 +16,38 @@ from grasp_env.quality import feasibility
 
 def mixed(rng: np.random.Generator) -> Grasp:
     """Hard, soft and frictionless contacts with tangents of their own."""
-    plain, models = random_grasp(rng, 4), ["hard", "soft", "frictionless", "soft"]
-    options = {"torsional_friction": 0.01, "contact_model": models, "tangents": rng.standard_normal((4, 3))}
+    plain = random_grasp(rng, 4)
+    models = ["hard", "soft", "frictionless", "soft"]
+    options = {
+        "torsional_friction": 0.01,
+        "contact_model": models,
+        "tangents": rng.standard_normal((4, 3)),
+    }
     return Grasp.from_contacts(plain.positions, plain.normals, 0.5, **options)
 
 
 def test_rows_slacks_and_violations_agree_with_the_torques() -> None:
     rng = np.random.default_rng(0)
-    grasp, jac = mixed(rng), rng.standard_normal((4, 6, 3))
-    limits = ForceLimits([0.1, 0, 0.2, 0.3], [1, np.inf, 2, 3], jac, [0.5, np.inf, 1.5], [0.1, 0.2, -0.3])
+    grasp = mixed(rng)
+    jac = rng.standard_normal((4, 6, 3))
+    limits = ForceLimits(
+        [0.1, 0, 0.2, 0.3], [1, np.inf, 2, 3], jac, [0.5, np.inf, 1.5], [0.1, 0.2, -0.3]
+    )
     matrix, bound, labels = limits.rows(grasp)
     assert matrix.shape == (3 + 3 + 4, 16)
     assert (labels[0], labels[4]) == ("contact 0: normal >= 0.1 N", "contact 2: normal <= 2 N")
     assert labels[6:] == tuple(
-        f"joint {j}: torque {b} N m" for j, b in ((0, "<= 0.5"), (0, ">= -0.5"), (2, "<= 1.5"), (2, ">= -1.5"))
+        f"joint {j}: torque {b} N m"
+        for j, b in ((0, "<= 0.5"), (0, ">= -0.5"), (2, "<= 1.5"), (2, ">= -1.5"))
     )
     used = np.abs(matrix[6:]).max(axis=0).reshape(4, 4) > 0.0
-    np.testing.assert_array_equal(used, np.array([[1, 1, 1, 0], [1, 1, 1, 1], [1, 0, 0, 0], [1, 1, 1, 1]], dtype=bool))
+    np.testing.assert_array_equal(
+        used, np.array([[1, 1, 1, 0], [1, 1, 1, 1], [1, 0, 0, 0], [1, 1, 1, 1]], dtype=bool)
+    )
     outcomes = set()
     for _ in range(100):
-        force, torsion = rng.standard_normal((4, 3)), rng.standard_normal(4)
+        force = rng.standard_normal((4, 3))
+        torsion = rng.standard_normal(4)
         force[2, 1:], torsion[[0, 2]] = 0.0, 0.0  # what the contacts transmit
         room = bound - matrix @ np.column_stack([force, torsion]).reshape(-1)
         slack = limits.slack(grasp, force, torsion)
@@ -43,16 +56,21 @@ def test_rows_slacks_and_violations_agree_with_the_torques() -> None:
         assert slack.max_normal == pytest.approx(room[3:6].min(), abs=1e-14)
         moment = torsion[:, None] * grasp.normals
         tau = joint_torques(jac, grasp.to_object_frame(force), [0.1, 0.2, -0.3], moment=moment)
-        assert slack.torque == pytest.approx((np.array([0.5, np.inf, 1.5]) - np.abs(tau)).min(), abs=1e-13)
+        assert slack.torque == pytest.approx(
+            (np.array([0.5, np.inf, 1.5]) - np.abs(tau)).min(), abs=1e-13
+        )
         assert slack.torque == pytest.approx(room[6:].min(), abs=1e-13)
         violated = limits.violations(grasp, force, torsion)
-        assert [text.split(" is exceeded")[0] for text in violated] == [labels[k] for k in np.flatnonzero(room < -1e-9)]
+        assert [text.split(" is exceeded")[0] for text in violated] == [
+            labels[k] for k in np.flatnonzero(room < -1e-9)
+        ]
         outcomes.add(len(violated))
     assert len(outcomes) > 3
 
 
 def test_one_limit_for_all_is_one_each_and_a_copy() -> None:
-    jac, most = np.random.default_rng(2).standard_normal((3, 3, 2)), np.full(3, 4.0)
+    jac = np.random.default_rng(2).standard_normal((3, 3, 2))
+    most = np.full(3, 4.0)
     one = ForceLimits(0.5, 4.0, jac.reshape(9, 2), 2.0).rows(presets.tripod())
     limits = ForceLimits([0.5] * 3, most, jac, [2.0, 2.0], [0.0, 0.0])
     limits.checked(3).max_normal[0] = most[0] = 7.0
@@ -67,13 +85,19 @@ def test_one_limit_for_all_is_one_each_and_a_copy() -> None:
 def test_torques_do_the_power_of_the_forces() -> None:
     rng = np.random.default_rng(0)
     for _ in range(10):
-        jac, normals = rng.standard_normal((4, 6, 5)), rng.standard_normal((4, 3))
-        force, moment, speed, bias = rng.standard_normal((4, 3)), normals, rng.standard_normal(5), rng.standard_normal(5)  # fmt: skip
+        jac = rng.standard_normal((4, 6, 5))
+        normals = rng.standard_normal((4, 3))
+        force = rng.standard_normal((4, 3))
+        moment = normals
+        speed = rng.standard_normal(5)
+        bias = rng.standard_normal(5)
         power = sum(float(force[k] @ (jac[k, :3] @ speed)) for k in range(4))
         turning = sum(float(moment[k] @ (jac[k, 3:] @ speed)) for k in range(4))
         plain = joint_torques(jac[:, :3], force)
         assert plain @ speed == pytest.approx(power, rel=1e-11, abs=1e-12)
-        assert joint_torques(jac, force, moment=moment) @ speed == pytest.approx(power + turning, rel=1e-11, abs=1e-12)
+        assert joint_torques(jac, force, moment=moment) @ speed == pytest.approx(
+            power + turning, rel=1e-11, abs=1e-12
+        )
         for same in (joint_torques(jac[:, :3].reshape(12, 5), force), joint_torques(jac, force)):
             np.testing.assert_array_equal(same, plain)
         np.testing.assert_array_equal(joint_torques(jac, force, bias), plain + bias)
@@ -85,8 +109,10 @@ def test_torques_do_the_power_of_the_forces() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_general_program_agrees(seed: int) -> None:
     rng = np.random.default_rng(100 + seed)
-    grasp, limits = closed(rng, 4), finger_limits(rng, 4, 2.5)
-    optimizer, optimal = ForceOptimizer(grasp, limits=limits, tolerance=1e-10), 0
+    grasp = closed(rng, 4)
+    limits = finger_limits(rng, 4, 2.5)
+    optimizer = ForceOptimizer(grasp, limits=limits, tolerance=1e-10)
+    optimal = 0
     for load in rng.standard_normal((8, 6)) * np.repeat([1.0, 0.03], 3):
         found = attempt(lambda load=load: optimizer.solve(load))
         if found.status is Status.INFEASIBLE:
@@ -99,6 +125,9 @@ def test_the_general_program_agrees(seed: int) -> None:
         assert found.objective == pytest.approx(want.objective, rel=2e-10)
         assert optimizer.solve(load, optimum=want.objective).optimality_gap <= 1e-9
         # prices are lambda / slack^2, known to the root of the gap
-        for one, other in ((found.multipliers, want.multipliers), (found.limit_multipliers, want.limit_multipliers)):
+        for one, other in (
+            (found.multipliers, want.multipliers),
+            (found.limit_multipliers, want.limit_multipliers),
+        ):
             np.testing.assert_allclose(one, other, atol=1e-3 * np.abs(other).max())
     assert optimal > 1

@@ -1,4 +1,5 @@
-"""Phi and its derivatives against their definitions, and the conic problem at any tolerance and at the edge of feasibility."""
+"""Phi and its derivatives against their definitions, and the conic problem at any tolerance and at
+the edge of feasibility."""
 
 from __future__ import annotations
 
@@ -18,31 +19,55 @@ CUBOID = GRASPS["cuboid, 4"]
 def test_the_description_matrix_is_positive_inside_the_cones() -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
-        force, friction = rng.standard_normal((4, 3)), rng.uniform(0.1, 1.5, 4)
-        u, s = friction * force[:, 0], np.hypot(force[:, 1], force[:, 2])
+        force = rng.standard_normal((4, 3))
+        friction = rng.uniform(0.1, 1.5, 4)
+        u = friction * force[:, 0]
+        s = np.hypot(force[:, 1], force[:, 2])
         eigenvalues = np.linalg.eigvalsh(description_matrix(force, friction))
-        np.testing.assert_allclose(eigenvalues, np.sort(np.concatenate([u, u - s, u + s])), atol=1e-13)
+        np.testing.assert_allclose(
+            eigenvalues, np.sort(np.concatenate([u, u - s, u + s])), atol=1e-13
+        )
 
 
 @pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
 def test_phi_its_derivatives_and_bounds(omega: float, lam: float) -> None:
-    """The trace of its definition; derivatives and dual bounds of the oracle, whose derivatives are checked by differences."""
-    rng, objective, weights = np.random.default_rng(0), Objective(omega, lam), np.tile([omega, lam], (4, 1))
+    """The trace of its definition; derivatives and dual bounds of the oracle, whose derivatives are
+    checked by differences."""
+    rng = np.random.default_rng(0)
+    objective = Objective(omega, lam)
+    weights = np.tile([omega, lam], (4, 1))
     for _ in range(40):
-        x, friction = inside_cones(rng, 4), rng.uniform(0.2, 1.2, 4)
-        matrix = description_matrix(x.reshape(-1, 3) / np.stack([friction, *np.ones((2, 4))], axis=1), friction)
+        x = inside_cones(rng, 4)
+        friction = rng.uniform(0.2, 1.2, 4)
+        matrix = description_matrix(
+            x.reshape(-1, 3) / np.stack([friction, *np.ones((2, 4))], axis=1), friction
+        )
         expected = omega * np.trace(matrix) + lam * np.trace(np.linalg.inv(matrix))
         # the inverse of P loses digits by its condition number, at most 100 here
         assert objective.value(x) == pytest.approx(expected, rel=1e-12)
         full = oracle.hessian(x, weights).reshape(4, 3, 4, 3)
         blocks = np.array([full[k, :, k] for k in range(4)])
-        for found, want in ((objective.gradient(x), oracle.gradient(x, weights)), (objective.hessian(x), blocks)):
-            np.testing.assert_allclose(found, want.astype(float), rtol=0, atol=1e-11 * float(np.abs(want).max()))
+        for found, want in (
+            (objective.gradient(x), oracle.gradient(x, weights)),
+            (objective.hessian(x), blocks),
+        ):
+            np.testing.assert_allclose(
+                found, want.astype(float), rtol=0, atol=1e-11 * float(np.abs(want).max())
+            )
     bounded = 0
-    for grasp, wrench in zip((*GRASPS.values(), *closure_grasps(15)) * 2, wrenches.sample_ball(rng, 40), strict=True):
-        nu = rng.standard_normal(6) * omega * rng.choice([1e-3, 0.1, 0.5, 2.0]) / np.repeat([1.0, grasp.length], 3)
+    for grasp, wrench in zip(
+        (*GRASPS.values(), *closure_grasps(15)) * 2, wrenches.sample_ball(rng, 40), strict=True
+    ):
+        nu = (
+            rng.standard_normal(6)
+            * omega
+            * rng.choice([1e-3, 0.1, 0.5, 2.0])
+            / np.repeat([1.0, grasp.length], 3)
+        )
         bound = objective.lower_bound(nu, grasp.cone_matrix, wrench)
-        want = oracle.lower_bound(nu, grasp.cone_matrix, wrench, np.tile([omega, lam], (grasp.n_contacts, 1)))
+        want = oracle.lower_bound(
+            nu, grasp.cone_matrix, wrench, np.tile([omega, lam], (grasp.n_contacts, 1))
+        )
         assert bound == pytest.approx(float(want), rel=1e-11, abs=1e-13)
         bounded += np.isfinite(bound)
     assert bounded > 5
@@ -60,9 +85,13 @@ conic = partial(optimize_force, method="conic")
 
 
 def test_conic_ends_although_rounding_makes_gaps_negative() -> None:
-    """Once in ten thousand wrenches; and a pivot that is rounding is lifted, which saves four iterations."""
+    """Once in ten thousand wrenches; and a pivot that is rounding is lifted, which saves four
+    iterations."""
     loads = np.random.default_rng(4).standard_normal((20_000, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
     batch = optimize_forces(CUBOID, loads, method="conic", tolerance=1e-15)
     assert set(np.unique(batch.codes)) <= {0, 1, 2}
     assert (batch.cone_margin >= 0.0).all()
-    assert conic(CUBOID, PAPER_WRENCH, criterion="max", tolerance=1e-12).raise_for_status().iterations <= 12
+    assert (
+        conic(CUBOID, PAPER_WRENCH, criterion="max", tolerance=1e-12).raise_for_status().iterations
+        <= 12
+    )

@@ -1,4 +1,5 @@
-"""`ForceOptimizer` over many calls: other contacts, fewer of them, previous solutions; and what solutions and proofs say."""
+"""`ForceOptimizer` over many calls: other contacts, fewer of them, previous solutions; and what
+solutions and proofs say."""
 
 from __future__ import annotations
 
@@ -22,28 +23,50 @@ from grasp_env.errors import (
     InvalidInputError,
     RankDeficientGraspError,
 )
-from grasp_env.force import ForceLimits, ForceOptimizer, OfflineBasis, Status, optimize_force, optimize_forces
+from grasp_env.force import (
+    ForceLimits,
+    ForceOptimizer,
+    OfflineBasis,
+    Status,
+    optimize_force,
+    optimize_forces,
+)
 from grasp_env.force.rules import RULES
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp import wrench as wrenches
 
-CUBOID, FIVE = presets.paper_cuboid(), presets.five_finger_cuboid()
+CUBOID = presets.paper_cuboid()
+FIVE = presets.five_finger_cuboid()
 LOAD = np.array([0.4, -0.3, 0.7, 0.01, -0.008, 0.005])
-SOFT = Grasp.from_contacts(FIVE.positions, FIVE.normals, 0.4, contact_model="soft", torsional_friction=0.005)
+SOFT = Grasp.from_contacts(
+    FIVE.positions, FIVE.normals, 0.4, contact_model="soft", torsional_friction=0.005
+)
 ELLIPTIC = Grasp.from_contacts(FIVE.positions, FIVE.normals, np.tile([0.4, 0.6], (5, 1)))
-OWN = ForceLimits(jacobian=own_joints(np.random.default_rng(7), 5), torque_limit=0.5, torque_bias=np.linspace(-0.05, 0.05, 15))  # fmt: skip
+OWN = ForceLimits(
+    jacobian=own_joints(np.random.default_rng(7), 5),
+    torque_limit=0.5,
+    torque_bias=np.linspace(-0.05, 0.05, 15),
+)
 SPUN = ForceLimits(jacobian=own_joints(np.random.default_rng(7), 5, rows=6), torque_limit=0.5)
-SHARED = ForceLimits(jacobian=0.03 * np.random.default_rng(8).standard_normal((5, 3, 4)), torque_limit=0.9)
+SHARED = ForceLimits(
+    jacobian=0.03 * np.random.default_rng(8).standard_normal((5, 3, 4)), torque_limit=0.9
+)
 KINDS: dict[str, tuple[Grasp, dict[str, Any]]] = {
-    "newton": (FIVE, {}), "newton, elliptic": (ELLIPTIC, {}), "newton, soft": (SOFT, {}),
+    "newton": (FIVE, {}),
+    "newton, elliptic": (ELLIPTIC, {}),
+    "newton, soft": (SOFT, {}),
     "newton, normal limits": (FIVE, {"limits": ForceLimits(min_normal=0.05, max_normal=8.0)}),
-    "newton, own joints": (FIVE, {"limits": OWN}), "newton, shared joints": (FIVE, {"limits": SHARED}),
+    "newton, own joints": (FIVE, {"limits": OWN}),
+    "newton, shared joints": (FIVE, {"limits": SHARED}),
     "newton, soft, own joints": (SOFT, {"limits": SPUN}),
     "newton, elastic": (FIVE, {"limits": ForceLimits(max_normal=0.4), "elastic": True}),
-    "reduced_flow": (FIVE, {"method": "reduced_flow"}), "full_flow": (FIVE, {"method": "full_flow"}),
-    "conic": (FIVE, {"method": "conic"}), "conic, largest": (FIVE, {"method": "conic", "criterion": "max"}),
-    "conic, own joints": (FIVE, {"method": "conic", "limits": OWN}), "conic, soft": (SOFT, {"method": "conic"}),
-}  # fmt: skip
+    "reduced_flow": (FIVE, {"method": "reduced_flow"}),
+    "full_flow": (FIVE, {"method": "full_flow"}),
+    "conic": (FIVE, {"method": "conic"}),
+    "conic, largest": (FIVE, {"method": "conic", "criterion": "max"}),
+    "conic, own joints": (FIVE, {"method": "conic", "limits": OWN}),
+    "conic, soft": (SOFT, {"method": "conic"}),
+}
 
 
 def moved(seed: int) -> dict[str, np.ndarray]:
@@ -59,7 +82,8 @@ def part_of(limits: ForceLimits | None, chosen: np.ndarray) -> ForceLimits | Non
     if limits is None:
         return None
     each: dict[str, Any] = {
-        name: getattr(limits, name) for name in ("min_normal", "max_normal", "torque_limit", "torque_bias")
+        name: getattr(limits, name)
+        for name in ("min_normal", "max_normal", "torque_limit", "torque_bias")
     }
     jacobian = limits.jacobian
     return ForceLimits(**each, jacobian=None if jacobian is None else np.asarray(jacobian)[chosen])
@@ -70,8 +94,16 @@ def test_the_order_of_calls_does_not_matter(kind: str) -> None:
     """To the bit, whatever the other calls had."""
     grasp, options = KINDS[kind]
     rough = 0.5 if grasp is not ELLIPTIC else np.tile([0.5, 0.5], (5, 1))
-    some, others = [True, True, True, True, False], [True, False, True, True, True]
-    calls: list[dict[str, Any]] = [{}, moved(0), {"friction": rough}, {"contacts": some}, {**moved(1), "contacts": others}, {}]  # fmt: skip
+    some = [True, True, True, True, False]
+    others = [True, False, True, True, True]
+    calls: list[dict[str, Any]] = [
+        {},
+        moved(0),
+        {"friction": rough},
+        {"contacts": some},
+        {**moved(1), "contacts": others},
+        {},
+    ]
     if kind in ("newton", "reduced_flow"):
         calls += [*({"initial": name} for name in RULES), {}]
     limits = options.get("limits")
@@ -89,17 +121,24 @@ def test_the_order_of_calls_does_not_matter(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_any_contacts_that_touch_are_a_grasp_of_those(kind: str) -> None:
-    """The same verdict and optimum as a grasp of that subset, and no force elsewhere: all 31 subsets of five."""
+    """The same verdict and optimum as a grasp of that subset, and no force elsewhere: all 31
+    subsets of five."""
     grasp, options = KINDS[kind]
-    optimizer, solved = ForceOptimizer(grasp, **options), 0
+    optimizer = ForceOptimizer(grasp, **options)
+    solved = 0
     close = 0.02 if options.get("elastic") else 3e-6 if "conic" in kind else 3e-4
     for bits in range(1, 32):
         touching = np.array([bool(bits >> k & 1) for k in range(5)])
         places = grasp.positions[touching], grasp.normals[touching], grasp.models.friction[touching]
-        models = {"contact_model": grasp.models.names[0], "torsional_friction": 0.005 if grasp is SOFT else None}
+        models = {
+            "contact_model": grasp.models.names[0],
+            "torsional_friction": 0.005 if grasp is SOFT else None,
+        }
         try:
             part = Grasp.from_contacts(*places, **models)
-            want = optimize_force(part, LOAD, **{**options, "limits": part_of(options.get("limits"), touching)})
+            want = optimize_force(
+                part, LOAD, **{**options, "limits": part_of(options.get("limits"), touching)}
+            )
         except GraspError as error:
             with pytest.raises(type(error)):
                 optimizer.solve(LOAD, contacts=touching)
@@ -117,7 +156,8 @@ def test_any_contacts_that_touch_are_a_grasp_of_those(kind: str) -> None:
 
 
 def test_an_update_replaces_the_contacts() -> None:
-    optimizer, there = ForceOptimizer(FIVE, limits=SHARED, initial="linear_combination"), moved(2)
+    optimizer = ForceOptimizer(FIVE, limits=SHARED, initial="linear_combination")
+    there = moved(2)
     first = optimizer.solve(LOAD)
     optimizer.update(**there, friction=0.35, torque_bias=np.full(4, 0.01))
     now = Grasp.from_contacts(**there, friction=0.35)
@@ -126,17 +166,23 @@ def test_an_update_replaces_the_contacts() -> None:
     limits = ForceLimits(jacobian=SHARED.jacobian, torque_limit=0.9, torque_bias=np.full(4, 0.01))
     want = optimize_force(now, LOAD, limits=limits, initial="linear_combination")
     np.testing.assert_allclose(optimizer.solve(LOAD).force, want.force, rtol=1e-9, atol=1e-9)
-    optimizer.update(positions=FIVE.positions, normals=FIVE.normals, friction=0.4, torque_bias=np.zeros(4))
+    optimizer.update(
+        positions=FIVE.positions, normals=FIVE.normals, friction=0.4, torque_bias=np.zeros(4)
+    )
     np.testing.assert_allclose(optimizer.solve(LOAD).force, first.force, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("limits", [None, ForceLimits(jacobian=np.full((3, 3, 1), 0.01), torque_limit=5.0)])
+@pytest.mark.parametrize(
+    "limits", [None, ForceLimits(jacobian=np.full((3, 3, 1), 0.01), torque_limit=5.0)]
+)
 def test_contacts_on_a_line_lose_their_rank(limits: ForceLimits | None) -> None:
     """Also in the general program, which shared joints need."""
     line = {"positions": [[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]], "normals": [[1.0, 0, 0]] * 3}
     for method in ("newton", "conic"):
         optimizer = ForceOptimizer(presets.tripod(), method=method, limits=limits)
-        with pytest.raises(InfeasibleWrenchError, match=r"out of reach: rank\(G\) = 5 < 6 with 3 contacts"):
+        with pytest.raises(
+            InfeasibleWrenchError, match=r"out of reach: rank\(G\) = 5 < 6 with 3 contacts"
+        ):
             optimizer.solve(LOAD, **line)
         assert optimizer.solve(0.1 * LOAD).status is Status.OPTIMAL
         optimizer.update(**line)
@@ -147,7 +193,9 @@ def test_contacts_on_a_line_lose_their_rank(limits: ForceLimits | None) -> None:
 # previous solutions
 
 
-@pytest.mark.parametrize(("method", "own"), [("newton", "internal_force"), ("reduced_flow", "linear_combination")])
+@pytest.mark.parametrize(
+    ("method", "own"), [("newton", "internal_force"), ("reduced_flow", "linear_combination")]
+)
 def test_previous_starts_with_the_methods_own_and_then_remembers(method: str, own: str) -> None:
     optimizer = ForceOptimizer(CUBOID, method=method, initial="previous")
     first = optimizer.solve(PAPER_WRENCH)
@@ -165,22 +213,30 @@ def test_previous_starts_with_the_methods_own_and_then_remembers(method: str, ow
 
 
 def test_a_solution_that_was_kept_is_the_previous_one() -> None:
-    """Also one of a solver with limits, whose row is longer. One of other contacts, or without a force, is refused."""
+    """Also one of a solver with limits, whose row is longer.
+
+    One of other contacts, or without a force, is refused.
+    """
     optimizer = ForceOptimizer(FIVE, initial="previous")
     kept = ForceOptimizer(FIVE, limits=OWN).solve(LOAD)
     optimizer.previous = kept
     assert optimizer.previous is not None
     np.testing.assert_array_equal(optimizer.previous._record, kept._record)
-    warm, again = optimizer.solve(LOAD), optimizer.solve(LOAD)
+    warm = optimizer.solve(LOAD)
+    again = optimizer.solve(LOAD)
     assert (warm.initial, again.initial, again.iterations) == ("previous", "previous", 0)
     np.testing.assert_array_equal(warm.force, optimize_force(FIVE, LOAD, initial=kept).force)
     with pytest.raises(InfeasibleStartError, match="4 contacts, the grasp 5"):
         optimizer.previous = optimize_force(CUBOID, LOAD)
     with pytest.raises(InfeasibleWrenchError) as caught:
         optimize_force(FIVE, LOAD, limits=ForceLimits(max_normal=0.1))
-    with pytest.raises(InvalidInputError, match="must be a solution with a force, got status infeasible"):
+    with pytest.raises(
+        InvalidInputError, match="must be a solution with a force, got status infeasible"
+    ):
         optimizer.previous = caught.value.solution
-    with pytest.raises(InvalidInputError, match="must be a solution with a force, got status infeasible"):
+    with pytest.raises(
+        InvalidInputError, match="must be a solution with a force, got status infeasible"
+    ):
         optimizer.solve(LOAD, initial=caught.value.solution)
     np.testing.assert_array_equal(optimizer.previous._record, again._record)
 
@@ -247,7 +303,8 @@ def test_a_force_that_exceeds_its_limits_has_no_prices() -> None:
     """A row in C++ does not keep those of the solve before."""
     grasp, options = KINDS["newton, elastic"]
     optimizer = ForceOptimizer(grasp, **options)
-    priced, exceeded = optimizer.solve(0.1 * LOAD), optimizer.solve(LOAD)
+    priced = optimizer.solve(0.1 * LOAD)
+    exceeded = optimizer.solve(LOAD)
     assert priced.limit_multipliers.any()
     assert exceeded.status is Status.LIMITS_EXCEEDED
     assert not exceeded._record[-len(optimizer.limit_labels) :].any()
@@ -261,7 +318,9 @@ def test_a_rule_is_given_the_touching_contacts_with_their_tangents() -> None:
     touching = np.array([True, False, True, True, True])
     tangents = np.cross(FIVE.normals, [0.6, 0.48, 0.64])
     tangents /= np.linalg.norm(tangents, axis=1)[:, None]
-    grasp = Grasp.from_contacts(FIVE.positions, FIVE.normals, np.tile([0.4, 0.6], (5, 1)), tangents=tangents)
+    grasp = Grasp.from_contacts(
+        FIVE.positions, FIVE.normals, np.tile([0.4, 0.6], (5, 1)), tangents=tangents
+    )
     seen = []
 
     def rule(touched: Grasp, wrench: np.ndarray) -> np.ndarray:
@@ -291,13 +350,18 @@ def test_a_rule_cannot_change_the_wrench() -> None:
     np.testing.assert_array_equal(load, LOAD)
 
 
-@pytest.mark.parametrize("kind", ["newton", "newton, own joints", "newton, shared joints", "newton, soft, own joints"])
+@pytest.mark.parametrize(
+    "kind", ["newton", "newton, own joints", "newton, shared joints", "newton, soft, own joints"]
+)
 def test_no_start_takes_more_steps_than_allowed(kind: str) -> None:
-    """Also when a start fails and the method's own takes its place, and when a solve without limits gives the start."""
+    """Also when a start fails and the method's own takes its place, and when a solve without limits
+    gives the start."""
     grasp, options = KINDS[kind]
     loads = 3.0 * np.random.default_rng(4).standard_normal((12, 6)) * np.repeat([1.0, 0.03], 3)
     most = 0
-    for initial, allowed in itertools.product((None, "previous", "phase_one", "lagrange"), range(1, 7)):
+    for initial, allowed in itertools.product(
+        (None, "previous", "phase_one", "lagrange"), range(1, 7)
+    ):
         optimizer = ForceOptimizer(grasp, **options, initial=initial, max_iterations=allowed)
         for load in loads:
             for trace in (False, True):
@@ -310,22 +374,36 @@ def test_no_start_takes_more_steps_than_allowed(kind: str) -> None:
 
 def test_warm_starts_on_the_papers_path_save_steps() -> None:
     path = wrenches.paper_path(np.linspace(0.0, 2.0, 200)) * np.repeat([1.0, 0.05], 3)
-    warm, cold = (ForceOptimizer(CUBOID, method="reduced_flow", initial=start) for start in ("previous", None))
+    warm, cold = (
+        ForceOptimizer(CUBOID, method="reduced_flow", initial=start) for start in ("previous", None)
+    )
     steps = np.array([(warm.solve(w).iterations, cold.solve(w).iterations) for w in path])
     assert np.median(steps[:, 0]) <= 1
     assert steps[:, 0].sum() < 0.2 * steps[:, 1].sum()
 
 
-@pytest.mark.parametrize("options", [{}, {"method": "reduced_flow"}, {"limits": ForceLimits(max_normal=8.0)}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{}, {"method": "reduced_flow"}, {"limits": ForceLimits(max_normal=8.0)}], ids=str
+)
 def test_previous_never_fails_where_no_start_is_named(options: dict[str, Any]) -> None:
     """An object on three tips, without force closure: the previous solution fits or is replaced."""
-    rng, solved, replaced = np.random.default_rng(17), 0, 0
+    rng = np.random.default_rng(17)
+    solved = 0
+    replaced = 0
     tips = np.array([[0.03, 0.0, 0.0], [-0.02, 0.03, 0.0], [-0.02, -0.03, 0.0]])
     floor = Grasp.from_contacts(tips, [[0.0, 0.0, 1.0]] * 3, 0.5)
     cold, warm = (ForceOptimizer(floor, **options, initial=start) for start in (None, "previous"))
     for k in range(120):
-        load = np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0]) + rng.standard_normal(6) * [0.6, 0.6, 1.5, 0.02, 0.02, 0.002]
-        now, want = {"positions": tips + 2e-3 * rng.standard_normal((3, 3))} if k % 3 else {}, None
+        load = np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0]) + rng.standard_normal(6) * [
+            0.6,
+            0.6,
+            1.5,
+            0.02,
+            0.02,
+            0.002,
+        ]
+        now = {"positions": tips + 2e-3 * rng.standard_normal((3, 3))} if k % 3 else {}
+        want = None
         with suppress(InfeasibleWrenchError):
             want = cold.solve(load, **now)
         if want is None:
@@ -333,7 +411,8 @@ def test_previous_never_fails_where_no_start_is_named(options: dict[str, Any]) -
                 warm.solve(load, **now)
             continue
         found = warm.solve(load, **now)
-        solved, replaced = solved + 1, replaced + found.start_replaced
+        solved = solved + 1
+        replaced = replaced + found.start_replaced
         assert found.status is want.status is Status.OPTIMAL
         assert found.objective == pytest.approx(want.objective, rel=3e-4)
     assert solved > 60
@@ -346,19 +425,29 @@ def test_previous_never_fails_where_no_start_is_named(options: dict[str, Any]) -
 @pytest.mark.parametrize("method", ["conic", "newton", "reduced_flow"])
 def test_numbers_in_any_form_are_the_same_and_answers_are_copies(method: str) -> None:
     load = LOAD.astype(np.float32).astype(float)
-    optimizer, frozen = ForceOptimizer(CUBOID, method=method), load.copy()
+    optimizer = ForceOptimizer(CUBOID, method=method)
+    frozen = load.copy()
     frozen.flags.writeable = False
     want = optimizer.solve(load)
-    for given in (load.tolist(), frozen, np.repeat(load, 2)[::2], load[::-1].copy()[::-1], load.astype(np.float32)):
+    for given in (
+        load.tolist(),
+        frozen,
+        np.repeat(load, 2)[::2],
+        load[::-1].copy()[::-1],
+        load.astype(np.float32),
+    ):
         np.testing.assert_array_equal(optimizer.solve(given)._record, want._record)
-    kept, force = load.copy(), want.force.copy()
+    kept = load.copy()
+    force = want.force.copy()
     load[:] = 7.0
     optimizer.solve(load)
     np.testing.assert_array_equal(want.force, force)
     np.testing.assert_array_equal(want.wrench, kept)
     loads = np.random.default_rng(0).standard_normal((5, 6)) * np.repeat([1.0, 0.03], 3)
     rows = optimize_forces(CUBOID, loads, method=method)
-    np.testing.assert_array_equal(optimize_forces(CUBOID, np.asfortranarray(loads), method=method).force, rows.force)
+    np.testing.assert_array_equal(
+        optimize_forces(CUBOID, np.asfortranarray(loads), method=method).force, rows.force
+    )
 
 
 def test_a_cached_basis_does_not_keep_its_grasp_alive() -> None:
@@ -388,11 +477,15 @@ def test_a_proof_is_a_twist_and_prices_of_limits(family: str, method: str) -> No
             ForceOptimizer(p.grasp, method=method, limits=p.limits).solve(p.wrench)
         except InfeasibleWrenchError as error:
             solution = error.solution
-            lack = Reference(p.grasp, p.limits).proof(solution.certificate, p.wrench, solution.limit_multipliers)
+            lack = Reference(p.grasp, p.limits).proof(
+                solution.certificate, p.wrench, solution.limit_multipliers
+            )
             assert lack >= -2e-7, index
             proven += 1
             with_prices += bool(solution.limit_multipliers.any())
-            named += "needs the limits" in str(error) and "friction cone" in str(error).split("needs")[1]
+            named += (
+                "needs the limits" in str(error) and "friction cone" in str(error).split("needs")[1]
+            )
         except GraspError:
             continue
     assert proven > 4
@@ -412,19 +505,27 @@ def test_a_proof_of_the_cones_alone_has_no_prices() -> None:
 
 
 def test_a_proof_uses_the_limits_of_the_call() -> None:
-    jacobian, positions = 0.08 * np.random.default_rng(3).standard_normal((4, 3, 5)), CUBOID.positions + 1e-3
+    jacobian = 0.08 * np.random.default_rng(3).standard_normal((4, 3, 5))
+    positions = CUBOID.positions + 1e-3
     optimizer = ForceOptimizer(CUBOID, limits=ForceLimits(jacobian=jacobian, torque_limit=0.4))
     with pytest.raises(InfeasibleWrenchError, match=r"joint \d: torque") as caught:
         optimizer.solve(PAPER_WRENCH, positions=positions, jacobian=10.0 * jacobian)
     now = Grasp.from_contacts(positions, CUBOID.normals, CUBOID.friction)
-    reference, solution = Reference(now, ForceLimits(jacobian=10.0 * jacobian, torque_limit=0.4)), caught.value.solution
+    reference = Reference(now, ForceLimits(jacobian=10.0 * jacobian, torque_limit=0.4))
+    solution = caught.value.solution
     assert reference.proof(solution.certificate, PAPER_WRENCH, solution.limit_multipliers) >= -2e-7
 
 
 def test_words_name_what_the_proof_needs() -> None:
-    with pytest.raises(InfeasibleWrenchError, match=r"needs the limits contact 0: normal <= 0.3 N.*elastic=True"):
-        ForceOptimizer(CUBOID, method="conic", limits=ForceLimits(max_normal=[0.3, 90.0, 90.0, 90.0])).solve(PAPER_WRENCH)  # fmt: skip
-    with pytest.raises(InfeasibleWrenchError, match=r"inside the friction cones balances") as caught:
+    with pytest.raises(
+        InfeasibleWrenchError, match=r"needs the limits contact 0: normal <= 0.3 N.*elastic=True"
+    ):
+        ForceOptimizer(
+            CUBOID, method="conic", limits=ForceLimits(max_normal=[0.3, 90.0, 90.0, 90.0])
+        ).solve(PAPER_WRENCH)
+    with pytest.raises(
+        InfeasibleWrenchError, match=r"inside the friction cones balances"
+    ) as caught:
         ForceOptimizer(PALM).solve([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     assert "limits" not in str(caught.value)
     with pytest.raises(InfeasibleWrenchError) as caught:  # it slides
@@ -434,16 +535,20 @@ def test_words_name_what_the_proof_needs() -> None:
     slipping = [str(k) for k in range(4) if q[k, 0] - least[k] <= 1e-3 * (q[k, 0] + least[k])]
     assert len(slipping) > 1
     assert f"what the cones of contacts {', '.join(slipping)} can make" in str(caught.value)
-    heavy, many = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0], ForceLimits(max_normal=0.1)
+    heavy = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]
+    many = ForceLimits(max_normal=0.1)
     exceeded = ForceOptimizer(RING, limits=many, elastic=True).solve(heavy)
     with pytest.raises(
-        InfeasibleWrenchError, match=rf"excess is {100.0 * exceeded.limit_excess:.3g} % .* elastic=False names"
+        InfeasibleWrenchError,
+        match=rf"excess is {100.0 * exceeded.limit_excess:.3g} % .* elastic=False names",
     ):
         exceeded.raise_for_status()
     proven = optimize_forces(RING, [heavy], limits=many)[0]
     with pytest.raises(InfeasibleWrenchError, match=r"The error of optimize_force names") as caught:
         proven.raise_for_status()
-    assert f"The twist is {[round(v, 6) for v in proven.certificate.tolist()]}." in str(caught.value)
+    assert f"The twist is {[round(v, 6) for v in proven.certificate.tolist()]}." in str(
+        caught.value
+    )
     positions = RING.positions.copy()
     with pytest.raises(InfeasibleWrenchError, match="and 6 more") as caught:
         ForceOptimizer(RING, limits=many).solve(heavy)

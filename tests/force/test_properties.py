@@ -17,7 +17,9 @@ from grasp_env.grasp import Grasp
 hypothesis = pytest.importorskip("hypothesis")
 given, strategies = hypothesis.given, hypothesis.strategies
 
-hypothesis.settings.register_profile("grasp", derandomize=True, deadline=None, max_examples=20, database=None)
+hypothesis.settings.register_profile(
+    "grasp", derandomize=True, deadline=None, max_examples=20, database=None
+)
 properties = hypothesis.settings(hypothesis.settings.get_profile("grasp"))
 
 SEEDS = strategies.integers(0, 2**32 - 1)
@@ -29,7 +31,8 @@ Generator = np.random.Generator
 
 
 def case(seed: int, kind: str = "hard", most: int = 8) -> tuple[Grasp, np.ndarray, Generator]:
-    """A grasp of about 0.1 m and a wrench of about 1 N that it can balance; other draws are rejected."""
+    """A grasp of about 0.1 m and a wrench of about 1 N that it can balance; other draws are
+    rejected."""
     rng = np.random.default_rng(seed)
     try:
         grasp = random_grasp(rng, kind, most=most)
@@ -45,15 +48,20 @@ def remade(grasp: Grasp, **changes: Any) -> Grasp:
     """The same contacts and frames, except for `changes`."""
     friction, gamma = rubbing(grasp)
     same = {
-        "positions": grasp.positions, "normals": grasp.normals, "friction": friction, "contact_model": grasp.models.names,
-        "torsional_friction": gamma, "tangents": grasp.frames[:, :, 1],
-    }  # fmt: skip
+        "positions": grasp.positions,
+        "normals": grasp.normals,
+        "friction": friction,
+        "contact_model": grasp.models.names,
+        "torsional_friction": gamma,
+        "tangents": grasp.frames[:, :, 1],
+    }
     return Grasp.from_contacts(**(same | changes))
 
 
 def rubbing(grasp: Grasp) -> tuple[np.ndarray, np.ndarray]:
     """Friction and torsional friction as arguments, which are not zero for any model."""
-    friction, gamma = grasp.models.friction, grasp.models.torsional_friction
+    friction = grasp.models.friction
+    gamma = grasp.models.torsional_friction
     return np.where(friction > 0.0, friction, 0.5), np.where(gamma > 0.0, gamma, 1.0)
 
 
@@ -74,9 +82,13 @@ Same = tuple[Grasp, np.ndarray, Any, float]
 
 
 def turned(grasp: Grasp, wrench: np.ndarray, rng: Generator, side: float = 1.0) -> Same:
-    turn = side * Rotation.random(random_state=np.random.RandomState(rng.integers(2**31))).as_matrix()
+    turn = (
+        side * Rotation.random(random_state=np.random.RandomState(rng.integers(2**31))).as_matrix()
+    )
     tangents = grasp.frames[:, :, 1] @ turn.T
-    there = remade(grasp, positions=grasp.positions @ turn.T, normals=grasp.normals @ turn.T, tangents=tangents)
+    there = remade(
+        grasp, positions=grasp.positions @ turn.T, normals=grasp.normals @ turn.T, tangents=tangents
+    )
     return there, np.concatenate([turn @ wrench[:3], side * turn @ wrench[3:]]), slice(None), side
 
 
@@ -93,30 +105,42 @@ def shifted(grasp: Grasp, wrench: np.ndarray, rng: Generator) -> Same:
 
 def permuted(grasp: Grasp, wrench: np.ndarray, rng: Generator) -> Same:
     order = rng.permutation(grasp.n_contacts)
-    (friction, gamma), names = rubbing(grasp), [grasp.models.names[k] for k in order]
-    positions, normals, tangents = grasp.positions[order], grasp.normals[order], grasp.frames[order, :, 1]
+    (friction, gamma) = rubbing(grasp)
+    names = [grasp.models.names[k] for k in order]
+    positions = grasp.positions[order]
+    normals = grasp.normals[order]
+    tangents = grasp.frames[order, :, 1]
     each = {"friction": friction[order], "torsional_friction": gamma[order], "contact_model": names}
     return Grasp.from_contacts(positions, normals, tangents=tangents, **each), wrench, order, 1.0
 
 
 def in_another_unit(grasp: Grasp, wrench: np.ndarray, rng: Generator) -> Same:
     unit = 10.0 ** rng.uniform(-3.0, 3.0)
-    other = remade(grasp, positions=unit * grasp.positions, torsional_friction=unit * rubbing(grasp)[1])
+    other = remade(
+        grasp, positions=unit * grasp.positions, torsional_friction=unit * rubbing(grasp)[1]
+    )
     return other, wrench * [1, 1, 1, unit, unit, unit], slice(None), 1.0
 
 
 @pytest.mark.parametrize("change", [turned, mirrored, shifted, permuted, in_another_unit])
 @properties
 @given(SEEDS, KINDS, strategies.sampled_from(["sum", "max", "newton"]))
-def test_the_same_problem_has_the_same_answer(change: Callable[..., Same], seed: int, kind: str, what: str) -> None:
+def test_the_same_problem_has_the_same_answer(
+    change: Callable[..., Same], seed: int, kind: str, what: str
+) -> None:
     """The same objective, and for Phi, whose optimum is unique, the same force."""
     grasp, wrench, rng = case(seed, kind)
     other, load, order, side = change(grasp, wrench, rng)
     if what != "newton":
         assert cost(other, load, what) == pytest.approx(cost(grasp, wrench, what), rel=CONIC)
         return
-    options = {"method": "newton", "tolerance": 1e-9, "initial": "phase_one"}  # the 12-basis needs force closure
-    one, two = least(grasp, wrench, **options), least(other, load, **options)
+    options = {
+        "method": "newton",
+        "tolerance": 1e-9,
+        "initial": "phase_one",
+    }  # the 12-basis needs force closure
+    one = least(grasp, wrench, **options)
+    two = least(other, load, **options)
     assert two.objective == pytest.approx(one.objective, rel=3e-9)
     want = one.force[order] * [1.0, 1.0, side]
     np.testing.assert_allclose(two.force, want, rtol=0, atol=1e-3 * float(np.abs(want).max()))
@@ -141,8 +165,13 @@ def test_powers_of_two_scale_every_bit(seed: int, kind: str, criterion: str, pow
 
 @properties
 @given(SEEDS, KINDS, CRITERIA, strategies.floats(0.0, 1.0))
-def test_the_cost_is_convex_and_the_multipliers_support_it(seed: int, kind: str, criterion: str, part: float) -> None:
-    """cost(w') >= -nu . w': the subgradient's inequality, without a derivative that may not exist."""
+def test_the_cost_is_convex_and_the_multipliers_support_it(
+    seed: int, kind: str, criterion: str, part: float
+) -> None:
+    """cost(w') >= -nu .
+
+    w': the subgradient's inequality, without a derivative that may not exist.
+    """
     grasp, wrench, rng = case(seed, kind)
     here = least(grasp, wrench, criterion=criterion, tolerance=1e-8)
     for size in (1e-3, 0.1, 1.0):

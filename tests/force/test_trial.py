@@ -58,7 +58,8 @@ def outcome(p: Drawn, method: str, elastic: bool) -> str:
             warnings.simplefilter("error", RuntimeWarning)
             found = optimize_force(p.grasp, p.wrench, **options)
     except InfeasibleWrenchError as error:
-        margin, proof = cones.margin(p.wrench), error.solution
+        margin = cones.margin(p.wrench)
+        proof = error.solution
         if margin > EDGE:
             return "wrong: infeasible"
         proven = reference.proof(proof.certificate, p.wrench, proof.limit_multipliers) >= -1e-6
@@ -72,16 +73,23 @@ def outcome(p: Drawn, method: str, elastic: bool) -> str:
 
 
 def of_contacts(p: Drawn) -> np.ndarray | None:
-    """(N,) weights of the normal forces for the exact methods, over four decades; every other problem has none."""
+    """(N,) weights of the normal forces for the exact methods, over four decades; every other
+    problem has none."""
     seed = int(abs(p.wrench[0]) * 1e6) % 2**31
-    return None if seed % 2 else 10.0 ** np.random.default_rng(seed).uniform(-2.0, 2.0, p.grasp.n_contacts)
+    return (
+        None
+        if seed % 2
+        else 10.0 ** np.random.default_rng(seed).uniform(-2.0, 2.0, p.grasp.n_contacts)
+    )
 
 
 def claims(p: Drawn, reference: Reference, cones: Reference, found: ForceSolution) -> str:
     """A false claim of a solution, computed from the geometry alone, or ""."""
     exceeded = found.status is Status.LIMITS_EXCEEDED
-    size, most = float(np.abs(reference.load(p.wrench)).max()), float(np.abs(found.force).max())
-    # torsion is known to digits of its limit, and arms about the contacts' centre to those of how far away they are
+    size = float(np.abs(reference.load(p.wrench)).max())
+    most = float(np.abs(found.force).max())
+    # torsion is known to digits of its limit, and arms about the contacts' centre to those of how
+    # far away they are
     bearable = float((reference.gamma * found.force[:, 0]).max()) / reference.length
     away = float(np.abs(p.grasp.positions).max()) / reference.length
     rounding = 1e-13 * most + 4e-15 * bearable + 1e-15 * away * most
@@ -94,7 +102,9 @@ def claims(p: Drawn, reference: Reference, cones: Reference, found: ForceSolutio
     answered = found.status in (Status.OPTIMAL, Status.LIMITS_EXCEEDED)
     if answered and residual > BALANCE * max(size, min(most, 1.0)) + rounding:
         return "wrong: optimal without balance"
-    if abs(reference.excess(found.force, found.torsion) - found.limit_excess) > 1e-9 * (1.0 + found.limit_excess):
+    if abs(reference.excess(found.force, found.torsion) - found.limit_excess) > 1e-9 * (
+        1.0 + found.limit_excess
+    ):
         return "wrong: another excess"
     return ""
 
@@ -105,56 +115,80 @@ def compared(p: Drawn, reference: Reference, found: ForceSolution, method: str) 
         want = reference.least_excess(p.wrench)
         if not np.isfinite(want):
             return "exceeded, unknown"
-        near = found.limit_excess <= max((1.0 + ELASTIC[0]) * want, want + ELASTIC[1]) * (1.0 + 1e-6)
+        near = found.limit_excess <= max((1.0 + ELASTIC[0]) * want, want + ELASTIC[1]) * (
+            1.0 + 1e-6
+        )
         below = found.lower_bound <= want * (1.0 + 1e-5) + 1e-7
         return "exceeded" if near and below else "wrong: not the least excess"
     if method == "newton":
-        (least, error), tolerance = reference.least_phi(p.wrench, *p.weights), 1e-4
+        (least, error) = reference.least_phi(p.wrench, *p.weights)
+        tolerance = 1e-4
         value = reference.phi(found.force, found.torsion, *p.weights)
     else:
         weights = of_contacts(p)
         omega = np.ones(p.grasp.n_contacts) if weights is None else weights
         # beside bounds of 1e11 N Clarabel loses the digits of forces, and says that it has them
         judge = Reference(p.grasp) if (reference.bound >= LOOSE).all() else reference
-        best, tolerance = judge.solve(p.wrench, method, omega=omega), 1e-6
-        least, error = best.objective, best.error if best.solved else np.inf
+        best = judge.solve(p.wrench, method, omega=omega)
+        tolerance = 1e-6
+        least = best.objective
+        error = best.error if best.solved else np.inf
         weighed = omega * found.force[:, 0]
         value = float(weighed.sum() if method == "sum" else weighed.max())
-        bound, _ = reference.dual_bound(found.multipliers, found.limit_multipliers, p.wrench, method, omega)
+        bound, _ = reference.dual_bound(
+            found.multipliers, found.limit_multipliers, p.wrench, method, omega
+        )
         # near the loss of closure nu . w and G^T nu are small differences of large terms
         terms = float(np.abs(found.multipliers * p.wrench).sum())
         slack = 1e-9 + 1e-15 * float(np.abs(found.multipliers[:3]).max() / omega.min())
-        if found.status is Status.OPTIMAL and not value - bound <= (1.01 * tolerance + slack) * value:
+        if (
+            found.status is Status.OPTIMAL
+            and not value - bound <= (1.01 * tolerance + slack) * value
+        ):
             return "wrong: optimal without its proof"
         if found.lower_bound > bound * (1.0 + slack) + 1e-12 * terms:
             return "wrong: bound above its proof"
-    far = error < SURE and not abs(value - least) <= max(1.01 * tolerance, 10.0 * error) * abs(least)
+    far = error < SURE and not abs(value - least) <= max(1.01 * tolerance, 10.0 * error) * abs(
+        least
+    )
     if found.status is Status.OPTIMAL:
         return "wrong: optimal but far" if far else "optimal"
     return f"far: {found.status.value}" if far else f"near or unknown: {found.status.value}"
 
 
-def trial(family: str, seed: int, problems: int, method: str, elastic: bool) -> tuple[Counter[str], list[str]]:
+def trial(
+    family: str, seed: int, problems: int, method: str, elastic: bool
+) -> tuple[Counter[str], list[str]]:
     """Number of each outcome, and notes on the unwanted ones."""
-    counts, notes = Counter(), []
+    counts = Counter()
+    notes = []
     for index in range(problems):
         p = problem(family, seed, index)
         counts[came := outcome(p, method, elastic)] += 1
         if came not in WANTED:
-            notes.append(f"{family}, seed {seed}, problem {index}, {method}: {p.kind}, {p.grasp.n_contacts}: {came}")
+            notes.append(
+                f"{family}, seed {seed}, problem {index}, {method}: {p.kind}, {p.grasp.n_contacts}: {came}"
+            )
     return counts, notes
 
 
 @pytest.mark.parametrize(("family", "method", "elastic"), CASES)
 def test_sample(family: str, method: str, elastic: bool) -> None:
-    """Optimal, least excess or proven infeasible; the objective is Clarabel's where it has the digits."""
+    """Optimal, least excess or proven infeasible; the objective is Clarabel's where it has the
+    digits."""
     counts, notes = trial(family, 3, PROBLEMS[family], method, elastic)
     assert not [note for note in notes if ": wrong" in note], notes
     if family == "hard" and method != "max":  # the core's own solvers have no exception at all
-        assert not [note for note in notes if (", hard, " in note or ", elliptic, " in note) and ": edge" not in note]
+        assert not [
+            note
+            for note in notes
+            if (", hard, " in note or ", elliptic, " in note) and ": edge" not in note
+        ]
     good = sum(counts[came] for came in GOOD)
     # the general program may stall at the edge of force closure: few, and near the least
-    assert counts.total() - good <= 0.05 * counts.total() * (family in ("hard", "nearly lost")), counts
+    assert counts.total() - good <= 0.05 * counts.total() * (family in ("hard", "nearly lost")), (
+        counts
+    )
     assert counts["optimal"] + counts["exceeded"] > counts.total() // 5
     assert family != "tight" or counts["exceeded" if elastic else "infeasible"] > 4
 
@@ -167,4 +201,7 @@ def test_thousands(family: str, method: str, elastic: bool) -> None:
     print("\n".join(notes), *sorted(counts.items()), sep="\n")
     assert not [note for note in notes if ": wrong" in note]
     few = 0.02 * counts.total() if family in ("hard", "nearly lost") else 0.0
-    assert sum(number for came, number in counts.items() if came.startswith(("far", "no answer"))) <= few
+    assert (
+        sum(number for came, number in counts.items() if came.startswith(("far", "no answer")))
+        <= few
+    )

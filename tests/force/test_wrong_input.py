@@ -44,9 +44,16 @@ from grasp_env.force.repair import carry_over
 from grasp_env.force.rules import RULES, CoreRule, initial_rule
 from grasp_env.grasp import Grasp, presets
 
-GRASP, PUSHED, SOFT = presets.paper_cuboid(), NAMED["pushed"].grasp, NAMED["soft"].grasp
-TRIPOD, ONES, JAC, SPUN = presets.tripod(), np.ones((4, 3)), np.ones((3, 3, 2)), np.zeros((4, 3, 2))
-TORQUES = ForceLimits(jacobian=0.05 * np.random.default_rng(0).standard_normal((4, 3, 5)), torque_limit=5.0)
+GRASP = presets.paper_cuboid()
+PUSHED = NAMED["pushed"].grasp
+SOFT = NAMED["soft"].grasp
+TRIPOD = presets.tripod()
+ONES = np.ones((4, 3))
+JAC = np.ones((3, 3, 2))
+SPUN = np.zeros((4, 3, 2))
+TORQUES = ForceLimits(
+    jacobian=0.05 * np.random.default_rng(0).standard_normal((4, 3, 5)), torque_limit=5.0
+)
 RING = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.arange(9) * 2.0 * np.pi / 9])
 MANY = Grasp.from_contacts(0.05 * np.tile(RING, (8, 1))[:65], -np.tile(RING, (8, 1))[:65], 0.5)
 SQUEEZE = np.array([[3.0, 0, 0], [1.2, 0, 0], [0.9, 0, 0], [0.9, 0, 0]])
@@ -67,67 +74,193 @@ def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
     ("call", "message"),
     [
         # wrenches and options
-        (solve(wrench=np.zeros(5), initial="phase_one"), r"wrench must have shape \(6,\), got \(5,\)"), (solve(wrench="down"), "wrench must be numbers"),
-        (solve(wrench=[0.0, 0.0, np.nan, 0.0, 0.0, 0.0], method="conic"), r"wrench must be finite, got \[0\.0, 0\.0, nan"),
-        (solve(wrench=[1e13] * 6, limits=ForceLimits(max_normal=50.0)), "1e\\+12"), (solve(max_iterations=1.5), "max_iterations must be an integer >= 0, got 1.5"),
-        (solve(barrier_weight=(0.1, np.nan, 0.1, 0.1)), "barrier_weight"), (solve(force_weight=[1.0] * 3), "force_weight has 3 entries, the grasp 4"),
-        (solve(optimum=0.0), "optimum"), (solve(elastic=1), "elastic must be True or False, got 1"), (solve(elastic=True), "give limits"),
-        (solve(grasp="grasp"), "a Grasp is needed"), (solve(initial=3), "initial must be a rule's name"), (solve(limits={"max_normal": 3.0}), "limits must"),
-        (solve(limits=ForceLimits(max_normal=[3.0, 3.0])), "max_normal has 2 entries, the grasp 4 contacts: give one or 4"),
-        (solve(limits=ForceLimits(jacobian=JAC, torque_limit=1.0)), r"jacobian must have shape \(4, 3, J\)"),
-        *((solve(method="conic", **{name: odd}), name) for name, odd in (("initial", np.ones((4, 3))), ("optimum", 3.0), ("trace", True), ("step_rule", 0.1))),
-        (solve(method="conic", barrier_weight=0.1), "method 'conic' has no barrier, got barrier_weight=0.1: take method='newton', or leave it out"),
-        (partial(SolverSettings, method="conic", barrier_weight=0.1), "has no barrier, got solver.barrier_weight=0.1"),
-        (solve(criterion="max"), "belongs to method 'conic'"), (solve(step_rule=FixedStep(0.1)), "step_rule belongs to the flows, got method 'newton'"),
-        *((solve(method="reduced_flow", **given), "newton or conic") for given in ({"limits": ForceLimits(max_normal=9.0)}, {"grasp": SOFT})),
-        (solve(method="full_flow", grasp=Grasp.from_contacts(0.05 * RING, -RING, 0.5)), "the full flow is dense: at most 8 contacts"),
-        (solve(initial=optimize_force(GRASPS["cuboid, 5"], PAPER_WRENCH)), "previous solution has 5 contacts, the grasp 4"),
-        (partial(setattr, ForceOptimizer(GRASP), "previous", 3), "previous must be a ForceSolution or None"), (solve(method="Newton"), "did you mean 'newton'"),
-        (partial(AdaptiveStep, grow=0.5), "grow must lie within 1 to"), (partial(ArmijoStep, slope=1.0), "slope must lie within .*less than 1"),
-        (solve(method="reduced_flow", step_rule="exact"), r"a FixedStep, ArmijoStep, .* or ExactStep, got 'exact'"),
+        (
+            solve(wrench=np.zeros(5), initial="phase_one"),
+            r"wrench must have shape \(6,\), got \(5,\)",
+        ),
+        (solve(wrench="down"), "wrench must be numbers"),
+        (
+            solve(wrench=[0.0, 0.0, np.nan, 0.0, 0.0, 0.0], method="conic"),
+            r"wrench must be finite, got \[0\.0, 0\.0, nan",
+        ),
+        (solve(wrench=[1e13] * 6, limits=ForceLimits(max_normal=50.0)), "1e\\+12"),
+        (solve(max_iterations=1.5), "max_iterations must be an integer >= 0, got 1.5"),
+        (solve(barrier_weight=(0.1, np.nan, 0.1, 0.1)), "barrier_weight"),
+        (solve(force_weight=[1.0] * 3), "force_weight has 3 entries, the grasp 4"),
+        (solve(optimum=0.0), "optimum"),
+        (solve(elastic=1), "elastic must be True or False, got 1"),
+        (solve(elastic=True), "give limits"),
+        (solve(grasp="grasp"), "a Grasp is needed"),
+        (solve(initial=3), "initial must be a rule's name"),
+        (solve(limits={"max_normal": 3.0}), "limits must"),
+        (
+            solve(limits=ForceLimits(max_normal=[3.0, 3.0])),
+            "max_normal has 2 entries, the grasp 4 contacts: give one or 4",
+        ),
+        (
+            solve(limits=ForceLimits(jacobian=JAC, torque_limit=1.0)),
+            r"jacobian must have shape \(4, 3, J\)",
+        ),
+        *(
+            (solve(method="conic", **{name: odd}), name)
+            for name, odd in (
+                ("initial", np.ones((4, 3))),
+                ("optimum", 3.0),
+                ("trace", True),
+                ("step_rule", 0.1),
+            )
+        ),
+        (
+            solve(method="conic", barrier_weight=0.1),
+            "method 'conic' has no barrier, got barrier_weight=0.1: take method='newton', or leave it out",
+        ),
+        (
+            partial(SolverSettings, method="conic", barrier_weight=0.1),
+            "has no barrier, got solver.barrier_weight=0.1",
+        ),
+        (solve(criterion="max"), "belongs to method 'conic'"),
+        (solve(step_rule=FixedStep(0.1)), "step_rule belongs to the flows, got method 'newton'"),
+        *(
+            (solve(method="reduced_flow", **given), "newton or conic")
+            for given in ({"limits": ForceLimits(max_normal=9.0)}, {"grasp": SOFT})
+        ),
+        (
+            solve(method="full_flow", grasp=Grasp.from_contacts(0.05 * RING, -RING, 0.5)),
+            "the full flow is dense: at most 8 contacts",
+        ),
+        (
+            solve(initial=optimize_force(GRASPS["cuboid, 5"], PAPER_WRENCH)),
+            "previous solution has 5 contacts, the grasp 4",
+        ),
+        (
+            partial(setattr, ForceOptimizer(GRASP), "previous", 3),
+            "previous must be a ForceSolution or None",
+        ),
+        (solve(method="Newton"), "did you mean 'newton'"),
+        (partial(AdaptiveStep, grow=0.5), "grow must lie within 1 to"),
+        (partial(ArmijoStep, slope=1.0), "slope must lie within .*less than 1"),
+        (
+            solve(method="reduced_flow", step_rule="exact"),
+            r"a FixedStep, ArmijoStep, .* or ExactStep, got 'exact'",
+        ),
         # names: each lists the choices
-        *((named, f"unknown {kind} 'simplex':.* choose one of .*{re}") for kind, re, named in (
-            ("method", METHODS[-1], solve(method="simplex")), ("initial-force rule", "phase_one", call("start", initial="simplex")),
-            ("initial-force rule", [*RULES][-1], partial(initial_rule, "simplex")), ("variant", "short", partial(BarzilaiBorweinStep, variant="simplex")),
-            ("correction", "tangent", partial(carry_over, GRASP, PAPER_WRENCH, SQUEEZE, Objective(), "simplex")))),
+        *(
+            (named, f"unknown {kind} 'simplex':.* choose one of .*{re}")
+            for kind, re, named in (
+                ("method", METHODS[-1], solve(method="simplex")),
+                ("initial-force rule", "phase_one", call("start", initial="simplex")),
+                ("initial-force rule", [*RULES][-1], partial(initial_rule, "simplex")),
+                ("variant", "short", partial(BarzilaiBorweinStep, variant="simplex")),
+                (
+                    "correction",
+                    "tangent",
+                    partial(carry_over, GRASP, PAPER_WRENCH, SQUEEZE, Objective(), "simplex"),
+                ),
+            )
+        ),
         # arguments of a call
-        *((call(name, **given), message) for name in ("solve", "update") for given, message in (
-            ({"positions": np.zeros((3, 3))}, r"positions must have shape \(4, 3\), got \(3, 3\)"), ({"normals": 2.0 * GRASP.normals}, "normal"),
-            ({"friction": -0.1}, "friction"), ({"jacobian": np.zeros((4, 3, 4))}, "jacobian must be that of 5 joints"))),
-        (call(contacts=[1, 1, 1, 2]), r"contacts must be \(4,\) of true and false"), (partial(ForceOptimizer(MANY).solve, PAPER_WRENCH, contacts=np.ones(65, bool)), "at most 64"),
+        *(
+            (call(name, **given), message)
+            for name in ("solve", "update")
+            for given, message in (
+                (
+                    {"positions": np.zeros((3, 3))},
+                    r"positions must have shape \(4, 3\), got \(3, 3\)",
+                ),
+                ({"normals": 2.0 * GRASP.normals}, "normal"),
+                ({"friction": -0.1}, "friction"),
+                ({"jacobian": np.zeros((4, 3, 4))}, "jacobian must be that of 5 joints"),
+            )
+        ),
+        (call(contacts=[1, 1, 1, 2]), r"contacts must be \(4,\) of true and false"),
+        (
+            partial(ForceOptimizer(MANY).solve, PAPER_WRENCH, contacts=np.ones(65, bool)),
+            "at most 64",
+        ),
         (partial(ForceOptimizer(GRASP).solve, PAPER_WRENCH, torque_bias=np.zeros(5)), "torque"),
-        (partial(ForceOptimizer(GRASP, method="conic").start, PAPER_WRENCH), "takes no initial force"),
+        (
+            partial(ForceOptimizer(GRASP, method="conic").start, PAPER_WRENCH),
+            "takes no initial force",
+        ),
         # limits and torques
-        (partial(ForceLimits, min_normal=np.inf), "min_normal must lie within 0 to .*one for all or one per contact, got inf"), (partial(ForceLimits, [[1.0]]), "min_normal must lie"),
-        (partial(ForceLimits, max_normal=0), "max_normal must lie within .*, or be inf for no limit"), (partial(ForceLimits, max_normal="a"), "a number or one per contact"),
-        (partial(ForceLimits, 2, [3, 2, 4]), "at contact 1 they are 2 and 2"), (partial(ForceLimits, [0, 0], [1, 1, 1]), "min_normal has 2 entries and max_normal 3"),
-        (partial(ForceLimits, torque_limit=1), "together, got only torque_limit"), (partial(ForceLimits, torque_bias=[1.0]), "torque_bias without torque limits has no effect"),
-        (partial(ForceLimits, jacobian=JAC, torque_limit=[1, 1, 1]), "torque_limit has 3 entries, the jacobian 2 joints"),
-        (partial(ForceLimits().slack, TRIPOD, ONES[:3], np.ones(2)), r"torsion must have shape \(3,\)"),
-        (partial(joint_torques, np.zeros((4, 4, 2)), ONES), r"jacobian must have shape \(4, 3, J\), \(12, J\) or \(4, 6, J\) .*got \(4"),
-        (partial(joint_torques, SPUN, ONES, moment=ONES), r"moment needs a jacobian of shape \(N, 6, J\)"),
+        (
+            partial(ForceLimits, min_normal=np.inf),
+            "min_normal must lie within 0 to .*one for all or one per contact, got inf",
+        ),
+        (partial(ForceLimits, [[1.0]]), "min_normal must lie"),
+        (
+            partial(ForceLimits, max_normal=0),
+            "max_normal must lie within .*, or be inf for no limit",
+        ),
+        (partial(ForceLimits, max_normal="a"), "a number or one per contact"),
+        (partial(ForceLimits, 2, [3, 2, 4]), "at contact 1 they are 2 and 2"),
+        (partial(ForceLimits, [0, 0], [1, 1, 1]), "min_normal has 2 entries and max_normal 3"),
+        (partial(ForceLimits, torque_limit=1), "together, got only torque_limit"),
+        (
+            partial(ForceLimits, torque_bias=[1.0]),
+            "torque_bias without torque limits has no effect",
+        ),
+        (
+            partial(ForceLimits, jacobian=JAC, torque_limit=[1, 1, 1]),
+            "torque_limit has 3 entries, the jacobian 2 joints",
+        ),
+        (
+            partial(ForceLimits().slack, TRIPOD, ONES[:3], np.ones(2)),
+            r"torsion must have shape \(3,\)",
+        ),
+        (
+            partial(joint_torques, np.zeros((4, 4, 2)), ONES),
+            r"jacobian must have shape \(4, 3, J\), \(12, J\) or \(4, 6, J\) .*got \(4",
+        ),
+        (
+            partial(joint_torques, SPUN, ONES, moment=ONES),
+            r"moment needs a jacobian of shape \(N, 6, J\)",
+        ),
         # batches and Phi
-        (partial(optimize_forces, GRASP, np.zeros(6)), "wrenches must have shape"), (partial(optimize_forces, GRASP, np.zeros((2, 6)), workers=0), "workers must be an integer >= 1"),
-        (partial(optimize_forces, [GRASP], np.zeros((2, 6))), "as many grasps as wrenches"), (partial(optimize_forces, GRASP, np.zeros((2, 6)), initial="previous"), "no previous solution"),
-        (partial(optimize_forces, [GRASP, TRIPOD], np.zeros((2, 6))), "one number of contacts"), (partial(optimize_forces, [GRASP, 3], np.zeros((2, 6))), "entry 1 is int"),
-        (partial(optimize_forces, GRASP, np.zeros((2, 6)), tolerence=1e-3), "unknown option 'tolerence': did you mean 'tolerance'"),
-        (partial(Objective().gradient, np.ones(6)), "x must lie strictly inside the cones"), (partial(Objective().value, np.ones(4)), r"x must have shape \(3N,\)"),
+        (partial(optimize_forces, GRASP, np.zeros(6)), "wrenches must have shape"),
+        (
+            partial(optimize_forces, GRASP, np.zeros((2, 6)), workers=0),
+            "workers must be an integer >= 1",
+        ),
+        (partial(optimize_forces, [GRASP], np.zeros((2, 6))), "as many grasps as wrenches"),
+        (
+            partial(optimize_forces, GRASP, np.zeros((2, 6)), initial="previous"),
+            "no previous solution",
+        ),
+        (partial(optimize_forces, [GRASP, TRIPOD], np.zeros((2, 6))), "one number of contacts"),
+        (partial(optimize_forces, [GRASP, 3], np.zeros((2, 6))), "entry 1 is int"),
+        (
+            partial(optimize_forces, GRASP, np.zeros((2, 6)), tolerence=1e-3),
+            "unknown option 'tolerence': did you mean 'tolerance'",
+        ),
+        (partial(Objective().gradient, np.ones(6)), "x must lie strictly inside the cones"),
+        (partial(Objective().value, np.ones(4)), r"x must have shape \(3N,\)"),
     ],
-)  # fmt: skip
+)
 def test_wrong_input(call: Callable[[], object], message: str) -> None:
     with pytest.raises(GraspError, match=message) as caught:
         call()
     kinds = {"unknown": UnknownNameError, "previous solution has": InfeasibleStartError}
     kinds |= dict.fromkeys(
-        ("belongs to", "newton or conic", "has no barrier, got barrier_weight", "dense", "no initial force"),
+        (
+            "belongs to",
+            "newton or conic",
+            "has no barrier, got barrier_weight",
+            "dense",
+            "no initial force",
+        ),
         UnsupportedProblemError,
     )
-    kind = next((kind for words, kind in kinds.items() if words in str(caught.value)), InvalidInputError)
+    kind = next(
+        (kind for words, kind in kinds.items() if words in str(caught.value)), InvalidInputError
+    )
     assert type(caught.value) is kind
     assert isinstance(caught.value, ValueError)
 
 
-@pytest.mark.parametrize("options", [{"initial": "phase_one"}, {"initial": "previous"}, {"method": "conic"}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{"initial": "phase_one"}, {"initial": "previous"}, {"method": "conic"}], ids=str
+)
 def test_an_optimizer_works_after_an_error(options: dict[str, Any]) -> None:
     optimizer = ForceOptimizer(GRASP, **options)
     want = optimizer.solve(PAPER_WRENCH).force
@@ -169,24 +302,33 @@ def fail(*_: object) -> NoReturn:
         (lambda good: good - 3.0 * SQUEEZE, r"leaves the friction cones \(margin -.* N\).*Repair"),
     ],
 )
-def test_a_rule_that_breaks_its_promise(broken: Callable[[np.ndarray], object], message: str) -> None:
+def test_a_rule_that_breaks_its_promise(
+    broken: Callable[[np.ndarray], object], message: str
+) -> None:
     good = LinearCombination()(GRASP, PAPER_WRENCH)
     force = broken(good)
-    for rule in (ruled(__call__=lambda *_: force), *([force] if isinstance(force, np.ndarray) else [])):
+    for rule in (
+        ruled(__call__=lambda *_: force),
+        *([force] if isinstance(force, np.ndarray) else []),
+    ):
         with pytest.raises(InfeasibleStartError, match=message):
             solve(initial=rule)()
-    found = solve(initial=ruled(__call__=lambda *_: good * (1.0 + 1e-12)))()  # within rounding of balance
+    # within rounding of balance
+    found = solve(initial=ruled(__call__=lambda *_: good * (1.0 + 1e-12)))()
     assert (found.status, found.initial) == (Status.OPTIMAL, "mine")
 
 
 @pytest.mark.parametrize(
     ("rule", "message"),
     [
-        (fail, "'fail' fails with LookupError: no table; a rule takes"), (lambda: 1, "fails with TypeError"),
-        (ruled(__call__=fail), "'mine' fails with LookupError"), (ruled(model=fail), "'mine' fails with LookupError"),
-        (ruled(model=lambda *_: 3), "'mine' .*must be a Model, got 3"), (ruled(model=lambda *_: None), "'mine' .*must be a Model, got None"),
+        (fail, "'fail' fails with LookupError: no table; a rule takes"),
+        (lambda: 1, "fails with TypeError"),
+        (ruled(__call__=fail), "'mine' fails with LookupError"),
+        (ruled(model=fail), "'mine' fails with LookupError"),
+        (ruled(model=lambda *_: 3), "'mine' .*must be a Model, got 3"),
+        (ruled(model=lambda *_: None), "'mine' .*must be a Model, got None"),
     ],
-)  # fmt: skip
+)
 def test_a_rule_that_fails(rule: Any, message: str) -> None:
     for method in ("newton", "reduced_flow"):
         with pytest.raises(GraspError, match=message):
@@ -200,10 +342,16 @@ def test_a_rule_that_fails(rule: Any, message: str) -> None:
 @pytest.mark.parametrize("method", DESCENTS)
 def test_an_infeasible_wrench_carries_its_proof(initial: str | None, method: str) -> None:
     lift = np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])  # contacts only push up; nothing pulls down
-    with pytest.raises(InfeasibleWrenchError, match=r"\[0\.0, 0\.0, 2\.0, .*certificate.*add contacts") as caught:
+    with pytest.raises(
+        InfeasibleWrenchError, match=r"\[0\.0, 0\.0, 2\.0, .*certificate.*add contacts"
+    ) as caught:
         optimize_force(PUSHED, lift, initial=initial, method=method)
     solution = caught.value.solution
-    assert (solution.status, solution.method, solution.force.any()) == (Status.INFEASIBLE, method, False)
+    assert (solution.status, solution.method, solution.force.any()) == (
+        Status.INFEASIBLE,
+        method,
+        False,
+    )
     np.testing.assert_array_equal(solution.wrench, lift)
     assert NAMED["pushed"].reference().proof(solution.certificate, lift) >= -1e-9
     with pytest.raises(InfeasibleWrenchError):
@@ -211,9 +359,15 @@ def test_an_infeasible_wrench_carries_its_proof(initial: str | None, method: str
 
 
 def test_errors_are_of_one_tree_and_survive_pickling() -> None:
-    error = pickle.loads(pickle.dumps(UnknownNameError("method", "newest", ("conic",), "; look again")))
+    error = pickle.loads(
+        pickle.dumps(UnknownNameError("method", "newest", ("conic",), "; look again"))
+    )
     assert str(error) == "unknown method 'newest': choose one of 'conic'; look again"
-    kinds = [each for each in vars(errors).values() if isinstance(each, type) and issubclass(each, Exception)]
+    kinds = [
+        each
+        for each in vars(errors).values()
+        if isinstance(each, type) and issubclass(each, Exception)
+    ]
     kinds = [each for each in kinds if not issubclass(each, Warning)]
     assert len(kinds) > 5
     assert all(issubclass(each, GraspError) for each in kinds)

@@ -29,13 +29,16 @@ def written(folder: Path, **changes: object) -> Path:
 
 def test_grasps_come_back_bit_by_bit(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    base, mu = random_grasp(rng, 5), [[0.5, 0.5], [0.3, 0.7], [1 / 3, 0.1], [0.4, 0.4], [0.5, 0.2]]
+    base = random_grasp(rng, 5)
+    mu = [[0.5, 0.5], [0.3, 0.7], [1 / 3, 0.1], [0.4, 0.4], [0.5, 0.2]]
     models = {
         "contact_model": ["hard", "soft", "hard", "frictionless", "soft"],
         "torsional_friction": [0, 0.005, 0, 0, 0.1 / 3],
     }
     mixed = Grasp.from_contacts(base.positions, base.normals, mu, **models)
-    turned = Grasp.from_contacts(base.positions, base.normals, 0.5, tangents=rng.standard_normal((5, 3)))
+    turned = Grasp.from_contacts(
+        base.positions, base.normals, 0.5, tangents=rng.standard_normal((5, 3))
+    )
     for grasp in (presets.tripod(), mixed, turned):
         file = save_grasp(grasp, tmp_path / "new folder" / "grasp.json")
         same(load_grasp(file), grasp)
@@ -43,7 +46,9 @@ def test_grasps_come_back_bit_by_bit(tmp_path: Path) -> None:
         save_grasp(load_grasp(file), str(file))
         assert file.read_bytes() == first
         assert ("tangents" in json.loads(first)) == (grasp is turned)
-        assert [f.name for f in file.parent.iterdir()] == ["grasp.json"]  # no temporary file is left
+        assert [f.name for f in file.parent.iterdir()] == [
+            "grasp.json"
+        ]  # no temporary file is left
 
 
 def test_a_file_needs_three_keys(tmp_path: Path) -> None:
@@ -61,19 +66,29 @@ def test_a_file_needs_three_keys(tmp_path: Path) -> None:
         ({"mu": 0.5}, r"unknown keys \['mu'\], missing keys \[\]; required are"),
         ({"normal": [], "normals": ...}, r"unknown keys \['normal'\], missing keys \['normals'\]"),
         ({"schema": "grasp-force/grasp/2"}, "has schema 'grasp-force/grasp/2', this version reads"),
-        ({"units": {"positions": "mm"}}, "units must be .* got {'positions': 'mm'}: convert"), ({"units": "m"}, "units must be"),
-        ({"friction": "0.5"}, r"friction must be numbers of shape \(...\): they are of type <U3, got '0.5'"),
-        ({"friction": None}, "friction must be numbers"), ({"friction": 10**400}, "friction must be finite, got inf"),
+        ({"units": {"positions": "mm"}}, "units must be .* got {'positions': 'mm'}: convert"),
+        ({"units": "m"}, "units must be"),
+        (
+            {"friction": "0.5"},
+            r"friction must be numbers of shape \(...\): they are of type <U3, got '0.5'",
+        ),
+        ({"friction": None}, "friction must be numbers"),
+        ({"friction": 10**400}, "friction must be finite, got inf"),
         ({"positions": [[0, 0, 0], [1]]}, "positions must be numbers of shape"),
         ({"normals": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}, "normal 2 is .* with length 2: divide"),
         ({"tangents": None}, "tangents must be numbers .* leave the key out"),
         ({"contact_model": 3}, "contact_model must be a name or a list of N names, got 3.0"),
         ({"contact_model": "soft"}, "soft contacts need torsional_friction"),
-        ("", "is not a JSON object of this format"), ("[1, 2]", "must be one JSON object"), ("\x80", "is not a JSON object"),
-        ('{"friction": 1, "friction": 2}', "key 'friction' is given twice: keep one"), ("[" * 100_000, "is not a JSON object"),
+        ("", "is not a JSON object of this format"),
+        ("[1, 2]", "must be one JSON object"),
+        ("\x80", "is not a JSON object"),
+        ('{"friction": 1, "friction": 2}', "key 'friction' is given twice: keep one"),
+        ("[" * 100_000, "is not a JSON object"),
     ],
-)  # fmt: skip
-def test_errors_name_the_file_and_the_field(changes: dict | str, message: str, tmp_path: Path) -> None:
+)
+def test_errors_name_the_file_and_the_field(
+    changes: dict | str, message: str, tmp_path: Path
+) -> None:
     file = tmp_path / "grasp.json"
     if isinstance(changes, str):
         file.write_bytes(changes.encode("latin-1"))
@@ -85,7 +100,9 @@ def test_errors_name_the_file_and_the_field(changes: dict | str, message: str, t
     assert isinstance(caught.value, OSError)
 
 
-def test_files_that_cannot_be_read_or_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_that_cannot_be_read_or_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(GraspFileError, match="a length of one to 1 %") as caught:
         load_grasp(file := written(tmp_path, normals=[[0.0, 0.0, 2.0]] * 3))
     assert isinstance(caught.value.__cause__, InvalidInputError)

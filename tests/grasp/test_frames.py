@@ -8,7 +8,13 @@ from problems import GRASPS, PAPER_WRENCH, random_grasp
 from scipy.spatial.transform import Rotation
 
 from grasp_env.grasp import Grasp
-from grasp_env.grasp.transforms import checked_rotation, gravity_wrench, transform_wrench, transformed, wrench_about
+from grasp_env.grasp.transforms import (
+    checked_rotation,
+    gravity_wrench,
+    transform_wrench,
+    transformed,
+    wrench_about,
+)
 
 
 def pose(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -21,28 +27,43 @@ def test_wrenches_transform_by_the_adjoint() -> None:
         turn, shift = pose(rng)
         skew = np.cross(np.eye(3), shift)
         adjoint = np.block([[turn, np.zeros((3, 3))], [skew @ turn, turn]])
-        wrench, point = rng.standard_normal((4, 6)), rng.standard_normal(3)
+        wrench = rng.standard_normal((4, 6))
+        point = rng.standard_normal(3)
         made = transform_wrench(wrench, turn, shift)
         np.testing.assert_allclose(made, wrench @ adjoint.T, atol=1e-14)
-        np.testing.assert_allclose(transform_wrench(made, turn.T, -turn.T @ shift), wrench, atol=1e-14)
+        np.testing.assert_allclose(
+            transform_wrench(made, turn.T, -turn.T @ shift), wrench, atol=1e-14
+        )
         # power in both frames, from the velocity of B's origin
         speed, spin = rng.standard_normal((2, 3))
-        power = wrench[0, :3] @ (turn.T @ (speed + np.cross(spin, shift))) + wrench[0, 3:] @ (turn.T @ spin)
+        power = wrench[0, :3] @ (turn.T @ (speed + np.cross(spin, shift))) + wrench[0, 3:] @ (
+            turn.T @ spin
+        )
         assert made[0] @ np.concatenate([speed, spin]) == pytest.approx(power, abs=1e-13)
-        np.testing.assert_allclose(wrench_about(wrench, point), transform_wrench(wrench, np.eye(3), -point), atol=1e-14)
-    np.testing.assert_array_equal(transform_wrench(PAPER_WRENCH, np.eye(3), np.zeros(3)), PAPER_WRENCH)
+        np.testing.assert_allclose(
+            wrench_about(wrench, point), transform_wrench(wrench, np.eye(3), -point), atol=1e-14
+        )
+    np.testing.assert_array_equal(
+        transform_wrench(PAPER_WRENCH, np.eye(3), np.zeros(3)), PAPER_WRENCH
+    )
 
 
 def test_contact_forces_keep_their_numbers_in_another_frame() -> None:
-    rng, plain = np.random.default_rng(3), random_grasp(np.random.default_rng(3), 5)
+    rng = np.random.default_rng(3)
+    plain = random_grasp(np.random.default_rng(3), 5)
     models = ["hard", "soft", "hard", "frictionless", "soft"]
     mixed = Grasp.from_contacts(
-        plain.positions, plain.normals, rng.uniform(0.2, 0.7, (5, 2)), contact_model=models, torsional_friction=0.01
+        plain.positions,
+        plain.normals,
+        rng.uniform(0.2, 0.7, (5, 2)),
+        contact_model=models,
+        torsional_friction=0.01,
     )
     for grasp in (*GRASPS.values(), mixed):
         turn, shift = pose(rng)
         moved = transformed(grasp, turn, shift)
-        force, torsion = rng.standard_normal((moved.n_contacts, 3)), rng.standard_normal(moved.n_contacts)
+        force = rng.standard_normal((moved.n_contacts, 3))
+        torsion = rng.standard_normal(moved.n_contacts)
         expected = transform_wrench(grasp.wrench(force, torsion), turn, shift)
         np.testing.assert_allclose(moved.wrench(force, torsion), expected, atol=1e-13)
         for name in ("friction", "torsional_friction", "cone_scale"):
@@ -54,7 +75,9 @@ def test_weight() -> None:
     np.testing.assert_allclose(gravity_wrench(2.0), [0, 0, -19.62, 0, 0, 0])
     # a quarter turn about x: the object's y axis points up, so its weight pulls along -y
     upright = Rotation.from_euler("x", 90, degrees=True).as_matrix()
-    np.testing.assert_allclose(gravity_wrench(2.0, [0.1, 0, 0], upright), [0, -19.62, 0, 0, 0, -1.962], atol=1e-14)
+    np.testing.assert_allclose(
+        gravity_wrench(2.0, [0.1, 0, 0], upright), [0, -19.62, 0, 0, 0, -1.962], atol=1e-14
+    )
     rng = np.random.default_rng(5)
     (turn, _), (com, gravity) = pose(rng), rng.standard_normal((2, 3))
     weight = gravity_wrench(0.7, com, turn, gravity)

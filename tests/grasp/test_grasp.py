@@ -1,4 +1,5 @@
-"""Grasps against the plain formulas of the oracles: frames, G, its inverse and rank, contact models, conversions."""
+"""Grasps against the plain formulas of the oracles: frames, G, its inverse and rank, contact
+models, conversions."""
 
 from __future__ import annotations
 
@@ -16,9 +17,20 @@ from grasp_env.errors import InvalidInputError, RankDeficientGraspError
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.contact import contact_frames
 
-POSITIONS, NORMALS = presets.tripod().positions, presets.tripod().normals
+POSITIONS = presets.tripod().positions
+NORMALS = presets.tripod().normals
 ALONG = np.ascontiguousarray(NORMALS[:, [1, 2, 0]] + NORMALS[:, [2, 0, 1]])
-ARRAYS = ("positions", "normals", "friction", "frames", "matrix", "cone_matrix", "torsion_matrix", "centre", "unit_frame")  # fmt: skip
+ARRAYS = (
+    "positions",
+    "normals",
+    "friction",
+    "frames",
+    "matrix",
+    "cone_matrix",
+    "torsion_matrix",
+    "centre",
+    "unit_frame",
+)
 SOFT = {"contact_model": "soft", "torsional_friction": 0.005}
 PINCH = ([[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], 0.5)
 
@@ -28,15 +40,21 @@ def same(grasp: Grasp, other: Grasp) -> None:
     for name in (*ARRAYS, "pseudoinverse"):
         np.testing.assert_array_equal(getattr(grasp, name), getattr(other, name), err_msg=name)
     for name in ("friction", "torsional_friction", "cone_scale", "cone_divisor"):
-        np.testing.assert_array_equal(getattr(grasp.models, name), getattr(other.models, name), err_msg=name)
+        np.testing.assert_array_equal(
+            getattr(grasp.models, name), getattr(other.models, name), err_msg=name
+        )
     assert (grasp.models.names, grasp.length) == (other.models.names, other.length)
 
 
 def directions() -> np.ndarray:
     """Uniform normals, the six axes, and both sides of the switch of the tangents."""
     rng = np.random.default_rng(0)
-    around = [[s * x, np.sqrt(1.0 - x * x) * np.cos(a), np.sqrt(1.0 - x * x) * np.sin(a)]
-              for x in TANGENT_SWITCH + np.array([-1e-9, 0.0, 1e-9]) for s in (1, -1) for a in rng.uniform(0, 6, 5)]  # fmt: skip
+    around = [
+        [s * x, np.sqrt(1.0 - x * x) * np.cos(a), np.sqrt(1.0 - x * x) * np.sin(a)]
+        for x in TANGENT_SWITCH + np.array([-1e-9, 0.0, 1e-9])
+        for s in (1, -1)
+        for a in rng.uniform(0, 6, 5)
+    ]
     every = np.concatenate([rng.standard_normal((200, 3)), np.eye(3), -np.eye(3), around])
     return every / np.linalg.norm(every, axis=1)[:, None]
 
@@ -55,62 +73,105 @@ def test_frames_follow_the_rule_of_the_tangents() -> None:
 @pytest.mark.parametrize("count", [3, 4, 50])
 def test_arrays_are_the_plain_formulas(count: int, tangents: bool) -> None:
     rng = np.random.default_rng(count)
-    base, mu = random_grasp(rng, count), rng.uniform(0.2, 1.0, (count, 2))
+    base = random_grasp(rng, count)
+    mu = rng.uniform(0.2, 1.0, (count, 2))
     along = rng.standard_normal((count, 3)) if tangents else None
     models = ["soft", "frictionless", *(count - 2) * ["hard"]]
-    twisting: dict[str, Any] = {"contact_model": models, "torsional_friction": 0.01} if count > 3 else {}
+    twisting: dict[str, Any] = (
+        {"contact_model": models, "torsional_friction": 0.01} if count > 3 else {}
+    )
     grasp = Grasp.from_contacts(base.positions, base.normals, mu, tangents=along, **twisting)
-    frames = np.array([geometry.frame(n, None if along is None else along[k]) for k, n in enumerate(base.normals)])
+    frames = np.array(
+        [geometry.frame(n, None if along is None else along[k]) for k, n in enumerate(base.normals)]
+    )
     centre, length, unit = geometry.unit_frame(base.positions)
-    matrix, mean = geometry.grasp_matrix(base.positions, frames), np.sqrt(mu.prod(axis=1))
-    scale, torsion = np.column_stack([mean, mean / mu[:, 0], mean / mu[:, 1]]), np.zeros((6, count))
-    divisor, friction = scale.copy(), mean.copy()
+    matrix = geometry.grasp_matrix(base.positions, frames)
+    mean = np.sqrt(mu.prod(axis=1))
+    scale = np.column_stack([mean, mean / mu[:, 0], mean / mu[:, 1]])
+    torsion = np.zeros((6, count))
+    divisor = scale.copy()
+    friction = mean.copy()
     if twisting:
-        scale[1], divisor[1], friction[1], torsion[3:, 0] = (1, 0, 0), (1, np.inf, np.inf), 0.0, base.normals[0]
+        scale[1] = (1, 0, 0)
+        divisor[1] = (1, np.inf, np.inf)
+        friction[1] = 0.0
+        torsion[3:, 0] = base.normals[0]
     wanted = {
-        "positions": base.positions, "normals": base.normals, "frames": frames, "matrix": matrix, "centre": centre,
-        "length": length, "unit_frame": unit, "friction": friction, "cone_matrix": matrix / divisor.reshape(-1),
+        "positions": base.positions,
+        "normals": base.normals,
+        "frames": frames,
+        "matrix": matrix,
+        "centre": centre,
+        "length": length,
+        "unit_frame": unit,
+        "friction": friction,
+        "cone_matrix": matrix / divisor.reshape(-1),
         "torsion_matrix": torsion,
-    }  # fmt: skip
+    }
     for name, value in wanted.items():
-        np.testing.assert_allclose(getattr(grasp, name), value, rtol=1e-12, atol=1e-13, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(grasp, name), value, rtol=1e-12, atol=1e-13, err_msg=name
+        )
     np.testing.assert_allclose(grasp.models.cone_scale, scale, rtol=1e-15)
     np.testing.assert_allclose(grasp.models.cone_divisor, divisor, rtol=1e-15)
     # forces there and back; G f by hand; margins
-    force, twist = rng.standard_normal((count, 3)), rng.standard_normal(count)
+    force = rng.standard_normal((count, 3))
+    twist = rng.standard_normal(count)
     carried = force * (scale > 0.0)
     np.testing.assert_allclose(grasp.to_force(grasp.to_cone(force)), carried, rtol=1e-15)
     vectors = grasp.to_object_frame(force)
-    np.testing.assert_allclose(vectors, [frame @ f for frame, f in zip(frames, force, strict=True)], atol=1e-13)
+    np.testing.assert_allclose(
+        vectors, [frame @ f for frame, f in zip(frames, force, strict=True)], atol=1e-13
+    )
     np.testing.assert_allclose(grasp.to_contact_frame(vectors), force, atol=1e-13)
-    wrench = np.concatenate([vectors.sum(axis=0), np.cross(base.positions, vectors).sum(axis=0)]) + torsion @ twist
+    wrench = (
+        np.concatenate([vectors.sum(axis=0), np.cross(base.positions, vectors).sum(axis=0)])
+        + torsion @ twist
+    )
     np.testing.assert_allclose(grasp.wrench(force, twist), wrench, atol=1e-12)
     load = rng.standard_normal(6)
-    assert grasp.residual(force, load, twist) == pytest.approx(np.abs(unit @ (wrench + load)).max(), rel=1e-11)
+    assert grasp.residual(force, load, twist) == pytest.approx(
+        np.abs(unit @ (wrench + load)).max(), rel=1e-11
+    )
     x = (scale * force).reshape(-1, 3)
-    np.testing.assert_allclose(grasp.cone_margins(force), x[:, 0] - np.hypot(x[:, 1], x[:, 2]), atol=1e-14)
+    np.testing.assert_allclose(
+        grasp.cone_margins(force), x[:, 0] - np.hypot(x[:, 1], x[:, 2]), atol=1e-14
+    )
     assert grasp.cone_margin(force) == grasp.cone_margins(force).min()
 
 
 def test_pseudoinverse_is_the_least_norm_answer() -> None:
     rng = np.random.default_rng(3)
     hard = {"contact_model": ["hard"] * 4 + ["frictionless"]}
-    slippery = [Grasp.from_contacts(g.positions, g.normals, 0.5, **hard) for g in (random_grasp(rng, 5),)]
-    for grasp in (*GRASPS.values(), *(random_grasp(rng, count) for count in range(3, 8)), *slippery):
+    slippery = [
+        Grasp.from_contacts(g.positions, g.normals, 0.5, **hard) for g in (random_grasp(rng, 5),)
+    ]
+    for grasp in (
+        *GRASPS.values(),
+        *(random_grasp(rng, count) for count in range(3, 8)),
+        *slippery,
+    ):
         carried = grasp.matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
         plain = np.linalg.pinv(carried)
         # condition numbers reach 1e3 on random grasps
-        np.testing.assert_allclose(grasp.pseudoinverse, plain, rtol=0, atol=1e-11 * np.abs(plain).max())
+        np.testing.assert_allclose(
+            grasp.pseudoinverse, plain, rtol=0, atol=1e-11 * np.abs(plain).max()
+        )
 
 
 def test_rank_is_that_of_the_singular_values() -> None:
     """A clear rank is decided without them, since they cost ten times the rest of a grasp."""
-    rng, clear, lost = np.random.default_rng(0), 0, 0
+    rng = np.random.default_rng(0)
+    clear = 0
+    lost = 0
     for thin in 10.0 ** np.arange(-12.0, 0.0, 0.25):
         base = random_grasp(rng, 3 + clear % 4)
-        positions = base.positions * [1.0, thin, thin] + [0.1, -0.2, 0.3]  # nearly on a line, off the origin
+        # nearly on a line, off the origin
+        positions = base.positions * [1.0, thin, thin] + [0.1, -0.2, 0.3]
         frames = np.array([geometry.frame(n) for n in base.normals])
-        ratio = geometry.rank_ratio(geometry.unit_frame(positions)[2] @ geometry.grasp_matrix(positions, frames))
+        ratio = geometry.rank_ratio(
+            geometry.unit_frame(positions)[2] @ geometry.grasp_matrix(positions, frames)
+        )
         grasp = Grasp.from_contacts(positions, base.normals, base.friction)
         if grasp.rank < 6:
             assert ratio < 1.1e-8
@@ -123,18 +184,26 @@ def test_rank_is_that_of_the_singular_values() -> None:
         clear += found
         assert (not found or ratio > 1e-6) and (found or ratio < 1e-2)  # noqa: PT018
     assert min(clear, lost) > 4
-    assert Grasp.from_contacts(*PINCH, **SOFT).null_dimension == 1  # two soft contacts, never two hard ones
+    # two soft contacts, never two hard ones
+    assert Grasp.from_contacts(*PINCH, **SOFT).null_dimension == 1
 
 
 MODELS: dict[str, dict[str, Any]] = {
-    "hard": {"friction": [0.3, 0.4, 0.5]}, "elliptic": {"friction": [[0.3, 0.4], [0.5, 0.2], [0.4, 0.4]]},
-    "mixed": {"friction": 0.5, "contact_model": ["hard", "soft", "hard"], "torsional_friction": 0.01},
-}  # fmt: skip
+    "hard": {"friction": [0.3, 0.4, 0.5]},
+    "elliptic": {"friction": [[0.3, 0.4], [0.5, 0.2], [0.4, 0.4]]},
+    "mixed": {
+        "friction": 0.5,
+        "contact_model": ["hard", "soft", "hard"],
+        "torsional_friction": 0.01,
+    },
+}
 
 
 @pytest.mark.parametrize("tangents", [None, ALONG], ids=["default", "given"])
 @pytest.mark.parametrize("models", MODELS)
-def test_unchecked_pickled_and_copied_grasps_are_the_same_to_the_bit(models: str, tangents: np.ndarray | None) -> None:
+def test_unchecked_pickled_and_copied_grasps_are_the_same_to_the_bit(
+    models: str, tangents: np.ndarray | None
+) -> None:
     grasp = Grasp.from_contacts(POSITIONS + 0.01, NORMALS, tangents=tangents, **MODELS[models])
     positions = grasp.positions.copy()
     unchecked = Grasp.unchecked(positions, grasp.normals.copy(), grasp.models, tangents)
@@ -147,16 +216,22 @@ def test_unchecked_pickled_and_copied_grasps_are_the_same_to_the_bit(models: str
 
 
 FORMS = {
-    "lists": np.ndarray.tolist, "columns": np.asfortranarray, "swapped": lambda a: a.astype(">f8"),
-    "strided": lambda a: np.repeat(a, 2, axis=0)[::2], "object": lambda a: a.astype(object),
-}  # fmt: skip
+    "lists": np.ndarray.tolist,
+    "columns": np.asfortranarray,
+    "swapped": lambda a: a.astype(">f8"),
+    "strided": lambda a: np.repeat(a, 2, axis=0)[::2],
+    "object": lambda a: a.astype(object),
+}
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("friction", [0.4, [0.4, 0.5, 0.6], [[0.4, 0.5], [0.6, 0.6], [0.5, 0.4]]], ids=str)
+@pytest.mark.parametrize(
+    "friction", [0.4, [0.4, 0.5, 0.6], [[0.4, 0.5], [0.6, 0.6], [0.5, 0.4]]], ids=str
+)
 def test_numbers_in_any_form_make_the_same_grasp(form: str, friction: Any) -> None:
     """The compiled reader takes plain arrays; anything else goes through Python."""
-    given = [POSITIONS + 0.01, NORMALS * (1.0 + 5e-7), np.array(friction)]  # normals to rounding of unit length
+    # normals to rounding of unit length
+    given = [POSITIONS + 0.01, NORMALS * (1.0 + 5e-7), np.array(friction)]
     grasp = Grasp.from_contacts(*given, tangents=ALONG)
     np.testing.assert_allclose(np.linalg.norm(grasp.normals, axis=1), 1.0, atol=3e-16)
     turned = [FORMS[form](a) if a.ndim else float(a) for a in given]
@@ -165,7 +240,8 @@ def test_numbers_in_any_form_make_the_same_grasp(form: str, friction: Any) -> No
 
 
 def test_a_grasp_is_an_immutable_copy() -> None:
-    positions, friction = POSITIONS.copy(), np.full(3, 0.5)
+    positions = POSITIONS.copy()
+    friction = np.full(3, 0.5)
     grasp = Grasp.from_contacts(positions, NORMALS, friction)
     positions[0] = friction[0] = 9.0
     same(grasp, presets.tripod())

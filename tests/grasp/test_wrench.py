@@ -17,7 +17,9 @@ def test_the_papers_wrenches_by_hand() -> None:
         0.5: [0.0, 0.0, -1.0, 0.2, 0.0, 0.5],
         1.0: [-1.0, 1.0, -5.0, 0.0, -0.2, 1.0],
     }
-    np.testing.assert_allclose(wrench.paper_path(np.array(list(by_hand))), list(by_hand.values()), atol=1e-14)
+    np.testing.assert_allclose(
+        wrench.paper_path(np.array(list(by_hand))), list(by_hand.values()), atol=1e-14
+    )
     assert wrench.paper_path(2.0) == pytest.approx(by_hand[0.0])
     assert wrench.PAPER_CONSTANT == (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
     np.testing.assert_array_equal(wrench.constant(np.arange(6.0), 2), [np.arange(6.0)] * 2)
@@ -28,7 +30,8 @@ def test_ball_is_filled_and_not_left() -> None:
     for part, radius in ((sample[:, :3], 2.0), (sample[:, 3:], 0.05)):
         norms = np.linalg.norm(part, axis=1) / radius
         assert norms.max() <= 1.0 + 1e-12
-        # uniform in a ball: (|x| / r)^3 is uniform on (0, 1); four standard errors of its mean and of the axes' means
+        # uniform in a ball: (|x| / r)^3 is uniform on (0, 1); four standard errors of its mean and
+        # of the axes' means
         assert abs((norms**3).mean() - 0.5) < 4.0 / np.sqrt(12.0 * 20_000)
         assert np.abs(part.mean(axis=0) / radius).max() < 4.0 * np.sqrt(0.2 / 20_000)
 

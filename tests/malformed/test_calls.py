@@ -1,4 +1,5 @@
-"""Every public call with one to three wrong arguments ends in an answer without nan or in one of the project's errors."""
+"""Every public call with one to three wrong arguments ends in an answer without nan or in one of
+the project's errors."""
 
 from __future__ import annotations
 
@@ -73,9 +74,13 @@ def test_good_arguments_are_answered(name: str, table: dict[str, Call]) -> None:
 def spoil(name: str, table: dict[str, Call], data: st.DataObject) -> None:
     call = table[name]
     wrong = data.draw(st.sets(st.sampled_from(sorted(call.good)), min_size=1, max_size=3))
-    arguments = call.good | {argument: data.draw(mistakes(call.good[argument]), argument) for argument in sorted(wrong)}
+    arguments = call.good | {
+        argument: data.draw(mistakes(call.good[argument]), argument) for argument in sorted(wrong)
+    }
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-        warnings.simplefilter("ignore", GraspWarning)  # a thousand metres are a valid grasp that looks wrong
+        warnings.simplefilter(
+            "ignore", GraspWarning
+        )  # a thousand metres are a valid grasp that looks wrong
         try:
             answer = call.run(**arguments)
         except GraspError as error:
@@ -87,7 +92,11 @@ CHECKS = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=10, deadline=None, derandomize=True, suppress_health_check=CHECKS, database=None)
+@settings(
+    max_examples=10, deadline=None, derandomize=True, suppress_health_check=CHECKS, database=None
+)
 @given(data=st.data())
-def test_wrong_arguments_are_refused_in_words(name: str, table: dict[str, Call], data: st.DataObject) -> None:
+def test_wrong_arguments_are_refused_in_words(
+    name: str, table: dict[str, Call], data: st.DataObject
+) -> None:
     spoil(name, table, data)

@@ -13,7 +13,16 @@ import pytest
 from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError
 from grasp_env.force import ForceOptimizer, optimize_force
 from grasp_env.grasp import Grasp, presets
-from grasp_env.inputs.arguments import AllFaults, as_array, choice, flag, instance, number, positive, whole
+from grasp_env.inputs.arguments import (
+    AllFaults,
+    as_array,
+    choice,
+    flag,
+    instance,
+    number,
+    positive,
+    whole,
+)
 from grasp_env.inputs.ranges import Range
 
 CUBOID = presets.paper_cuboid()
@@ -50,7 +59,14 @@ def test_wrong_arrays(value: Any, told: str) -> None:
 
 
 def test_right_arrays() -> None:
-    for good in ([1, 2], (1.0, 2), [Fraction(1), 2], np.array([1, 2], np.int8), np.array([1, 2], object), range(1, 3)):
+    for good in (
+        [1, 2],
+        (1.0, 2),
+        [Fraction(1), 2],
+        np.array([1, 2], np.int8),
+        np.array([1, 2], object),
+        range(1, 3),
+    ):
         found = as_array(good, (2,), "masses")
         assert found.dtype == np.float64
         np.testing.assert_array_equal(found, [1.0, 2.0])
@@ -59,31 +75,84 @@ def test_right_arrays() -> None:
 
 
 WRONG: list[tuple[Callable[[Any], Any], list[Any], type[GraspError], str]] = [
-    (lambda x: positive(x, "tolerance"), ["0.4", True, None, 1j, [0.4], math.inf, math.nan, -1.0, 0, 10**400], InvalidInputError, "must be a number > 0|must lie within 1e-300 to"),
-    (lambda x: number(x, "share", Range(0.0, 1.0)), ["1", None, math.inf, 2], InvalidInputError, "within 0 to 1, got"),
-    (lambda x: whole(x, "count", 0, 10), [1.0, "1", True, None, -1, 11], InvalidInputError, "count must be an integer"),
-    (lambda x: choice(x, "letter", ("x", "y")), ["a", [], None], UnknownNameError, "choose one of 'x', 'y'"),
-    (lambda x: flag(x, "trace"), [0, "yes", None], InvalidInputError, "trace must be True or False"),
-    (lambda x: instance(x, Grasp, "grasp"), [None, 3, Grasp], InvalidInputError, "grasp must be a Grasp, got"),
-]  # fmt: skip
+    (
+        lambda x: positive(x, "tolerance"),
+        ["0.4", True, None, 1j, [0.4], math.inf, math.nan, -1.0, 0, 10**400],
+        InvalidInputError,
+        "must be a number > 0|must lie within 1e-300 to",
+    ),
+    (
+        lambda x: number(x, "share", Range(0.0, 1.0)),
+        ["1", None, math.inf, 2],
+        InvalidInputError,
+        "within 0 to 1, got",
+    ),
+    (
+        lambda x: whole(x, "count", 0, 10),
+        [1.0, "1", True, None, -1, 11],
+        InvalidInputError,
+        "count must be an integer",
+    ),
+    (
+        lambda x: choice(x, "letter", ("x", "y")),
+        ["a", [], None],
+        UnknownNameError,
+        "choose one of 'x', 'y'",
+    ),
+    (
+        lambda x: flag(x, "trace"),
+        [0, "yes", None],
+        InvalidInputError,
+        "trace must be True or False",
+    ),
+    (
+        lambda x: instance(x, Grasp, "grasp"),
+        [None, 3, Grasp],
+        InvalidInputError,
+        "grasp must be a Grasp, got",
+    ),
+]
 
 
 @pytest.mark.parametrize(("check", "values", "error", "told"), WRONG)
-def test_wrong_values(check: Callable[[Any], Any], values: list[Any], error: type[GraspError], told: str) -> None:
+def test_wrong_values(
+    check: Callable[[Any], Any], values: list[Any], error: type[GraspError], told: str
+) -> None:
     for value in values:
         with pytest.raises(error, match=told):
             check(value)
 
 
 def test_right_values() -> None:
-    assert (whole(np.int8(3), "count", 0), flag(np.False_, "trace"), number(Fraction(1, 2), "share")) == (3, False, 0.5)
-    assert (positive(np.array(2.0), "size"), choice(np.str_("x"), "letter", ("x", "y"))) == (2.0, "x")
+    assert (
+        whole(np.int8(3), "count", 0),
+        flag(np.False_, "trace"),
+        number(Fraction(1, 2), "share"),
+    ) == (3, False, 0.5)
+    assert (positive(np.array(2.0), "size"), choice(np.str_("x"), "letter", ("x", "y"))) == (
+        2.0,
+        "x",
+    )
 
 
 def test_all_faults_are_told_at_once() -> None:
     with pytest.raises(InvalidInputError) as caught:
-        optimize_force(CUBOID, PAPER, method="simplex", tolerance="0.4", max_iterations=-1, force_weight=0.0, limits=3)
-    for part in ("'simplex'", "tolerance must", "max_iterations must", "force_weight must", "limits must"):
+        optimize_force(
+            CUBOID,
+            PAPER,
+            method="simplex",
+            tolerance="0.4",
+            max_iterations=-1,
+            force_weight=0.0,
+            limits=3,
+        )
+    for part in (
+        "'simplex'",
+        "tolerance must",
+        "max_iterations must",
+        "force_weight must",
+        "limits must",
+    ):
         assert part in str(caught.value)
     with pytest.raises(InvalidInputError, match=r"positions must .*; normals must"):
         Grasp.from_contacts("here", "there", 0.4)
@@ -93,7 +162,8 @@ def test_all_faults_are_told_at_once() -> None:
 
 @pytest.mark.parametrize("name", ["wrench", "normals", "friction", "contacts"])
 def test_a_masked_array_never_loses_its_mask(name: str) -> None:
-    """The solver reads plain arrays in place; a subclass is read by `as_array`, which refuses what numpy would uncover."""
+    """The solver reads plain arrays in place; a subclass is read by `as_array`, which refuses what
+    numpy would uncover."""
     optimizer = ForceOptimizer(CUBOID)
     call: dict[str, Any] = {
         "wrench": PAPER,

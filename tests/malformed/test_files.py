@@ -1,4 +1,5 @@
-"""Wrong files: missing, empty, folders, broken or of another kind. Each reader refuses them in words."""
+"""Wrong files: missing, empty, folders, broken or of another kind. Each reader refuses them in
+words."""
 
 from __future__ import annotations
 
@@ -55,10 +56,14 @@ FILES: dict[str, Callable[[Path], Any]] = {
     "too large": lambda path: path.write_bytes(bytes(41_000_000)),
     "half a letter": lambda path: path.write_bytes(b'{"a": "\xc3'),
     "entities": lambda path: path.write_text(f'<!DOCTYPE robot [{ENTITIES}]><robot name="&e9;"/>'),
-    "not a number": lambda path: path.write_text('{"positions": [[NaN, 0, 0]], "normals": [[1, 0, 0]], "friction": Infinity}'),
-    "wrong kinds": lambda path: path.write_text('{"rows": 3, "kind": "solver", "schema": [], "positions": {}, "normals": null}'),
+    "not a number": lambda path: path.write_text(
+        '{"positions": [[NaN, 0, 0]], "normals": [[1, 0, 0]], "friction": Infinity}'
+    ),
+    "wrong kinds": lambda path: path.write_text(
+        '{"rows": 3, "kind": "solver", "schema": [], "positions": {}, "normals": null}'
+    ),
     "a list": lambda path: path.write_text("[1, 2]"),
-}  # fmt: skip
+}
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
 PAGE = "is a web page: it was saved in place of the file"
 STAND_INS = {
@@ -66,7 +71,10 @@ STAND_INS = {
     "page": (b"\n\n<!DOCTYPE html>\n<html lang='en'>", PAGE),
     "page without a type": (b"<html><body>404</body></html>", PAGE),
     "page with a mark": (b"\xef\xbb\xbf<!-- saved --> <HTML>", PAGE),
-    "page in XML": (b'<?xml version="1.0"?>\n<!DOCTYPE html PUBLIC "-//W3C//DTD XHTML 1.0 Strict//EN">', PAGE),
+    "page in XML": (
+        b'<?xml version="1.0"?>\n<!DOCTYPE html PUBLIC "-//W3C//DTD XHTML 1.0 Strict//EN">',
+        PAGE,
+    ),
     "gzip": (gzip.compress(b"robot"), "is a gzip archive: unpack it"),
 }
 
@@ -78,7 +86,11 @@ def test_every_reader_refuses_in_words_and_names_what_people_have_in_place_of_a_
     for kind, make in FILES.items():
         path = tmp_path / kind
         make(path)
-        if reader == "run" and kind in ("not a number", "wrong kinds", "a list"):  # any JSON is a run's file
+        if reader == "run" and kind in (
+            "not a number",
+            "wrong kinds",
+            "a list",
+        ):  # any JSON is a run's file
             READERS[reader](path)
             continue
         with pytest.raises(GraspError) as caught:
@@ -90,7 +102,9 @@ def test_every_reader_refuses_in_words_and_names_what_people_have_in_place_of_a_
             READERS[reader](tmp_path / kind)
 
 
-@pytest.mark.parametrize("text", [b"<robot/>", b"<htmlx/>", b"<!--a--><robot/>", b"version https://example.org/"])
+@pytest.mark.parametrize(
+    "text", [b"<robot/>", b"<htmlx/>", b"<!--a--><robot/>", b"version https://example.org/"]
+)
 def test_other_files_are_not(text: bytes) -> None:
     assert stand_in(text) == ("", "")
 
@@ -111,17 +125,23 @@ def test_meshes_of_a_hand_that_are_pointers_are_named(kind: str, tmp_path: Path)
     told = rf"link 'finger', <collision>.*: the mesh {mesh} is a Git LFS pointer: run `git lfs pull` in its repository"
     with pytest.raises(GraspError, match=told):
         HandDescription.from_file(tmp_path / "hand.urdf")
-    (tmp_path / "hand.urdf").write_text(small(solid('<sphere radius="0.01"/>') + solid(shape, role="visual")))
+    (tmp_path / "hand.urdf").write_text(
+        small(solid('<sphere radius="0.01"/>') + solid(shape, role="visual"))
+    )
     with pytest.warns(
-        UserWarning, match=r"visual meshes that are Git LFS pointers \(run `git lfs pull`.* are left out: 'package"
+        UserWarning,
+        match=r"visual meshes that are Git LFS pointers \(run `git lfs pull`.* are left out: 'package",
     ):
         HandDescription.from_file(tmp_path / "hand.urdf")
 
 
 @pytest.mark.parametrize(
     "asset",
-    ['<mesh name="a" file="a.stl"/>', '<mesh name="a" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/><texture name="t" type="2d" file="a.stl" content_type="image/png"/>'],
-)  # fmt: skip
+    [
+        '<mesh name="a" file="a.stl"/>',
+        '<mesh name="a" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/><texture name="t" type="2d" file="a.stl" content_type="image/png"/>',
+    ],
+)
 def test_files_of_a_mujoco_model_that_are_pointers_are_named(asset: str, tmp_path: Path) -> None:
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "a.stl").write_bytes(POINTER)
@@ -133,8 +153,12 @@ def test_files_of_a_mujoco_model_that_are_pointers_are_named(asset: str, tmp_pat
 
 
 def test_sdf_is_named(tmp_path: Path) -> None:
-    (tmp_path / "model.sdf").write_text('<?xml version="1.0"?><sdf version="1.6"><model name="hand"/></sdf>')
-    with pytest.raises(GraspError, match="it is SDF, which is not read: give the hand's URDF, xacro or MJCF"):
+    (tmp_path / "model.sdf").write_text(
+        '<?xml version="1.0"?><sdf version="1.6"><model name="hand"/></sdf>'
+    )
+    with pytest.raises(
+        GraspError, match="it is SDF, which is not read: give the hand's URDF, xacro or MJCF"
+    ):
         HandDescription.from_file(tmp_path / "model.sdf")
 
 
@@ -148,7 +172,8 @@ def test_what_is_no_path(path: Any) -> None:
 
 
 def test_a_file_or_pipe_that_is_too_large_is_refused(tmp_path: Path) -> None:
-    path, pipe = tmp_path / "large", tmp_path / "pipe"
+    path = tmp_path / "large"
+    pipe = tmp_path / "pipe"
     path.write_bytes(b"x" * 11)
     os.mkfifo(pipe)
     writer = threading.Thread(target=pipe.write_bytes, args=(b"x" * 11,), daemon=True)
@@ -162,7 +187,14 @@ def test_a_file_or_pipe_that_is_too_large_is_refused(tmp_path: Path) -> None:
 
 def grasp(*words: str, text: str = "") -> subprocess.CompletedProcess[str]:
     """The command line, in a process of its own."""
-    return subprocess.run([sys.executable, "-m", "training", *words], input=text, capture_output=True, text=True, timeout=120, check=False)  # fmt: skip
+    return subprocess.run(
+        [sys.executable, "-m", "training", *words],
+        input=text,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
 
 
 def test_the_command_reads_what_is_piped_into_it_and_refuses_a_folder(tmp_path: Path) -> None:
@@ -171,7 +203,10 @@ def test_the_command_reads_what_is_piped_into_it_and_refuses_a_folder(tmp_path: 
     assert grasp("solve", "--grasp", "/dev/stdin", *wrench, text=text).returncode == 0
     refused = grasp("solve", "--grasp", str(tmp_path), *wrench)
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert refused.stderr == f"grasp: cannot read grasp file {tmp_path}: Is a directory; check the path\n"
+    assert (
+        refused.stderr
+        == f"grasp: cannot read grasp file {tmp_path}: Is a directory; check the path\n"
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,17 @@
-"""One dense iteration of the interior-point method for the least weighted sum of normal forces: the plain twin of `interior_point.hpp`.
+"""One dense iteration of the interior-point method for the least weighted sum of normal forces: the
+plain twin of `interior_point.hpp`.
 
     min  c . x   s.t.  A x = b,  x in K          max -b . y   s.t.  s = c + A^T y in K
 
-K is a product of cones x_0 >= |(x_1, x_2)|, one a contact. With p o q = (p . q, p_0 q_1 + q_0 p_1, p_0 q_2 + q_0 p_2) and
-e = (1, 0, 0), feasible x and s are optimal where x o s = 0. Nesterov and Todd's W has W s = W^-1 x = l in every cone. A direction
-solves, for a right side h,
+K is a product of cones x_0 >= |(x_1, x_2)|, one a contact. With p o q = (p . q, p_0 q_1 + q_0 p_1,
+p_0 q_2 + q_0 p_2) and e = (1, 0, 0), feasible x and s are optimal where x o s = 0. Nesterov and
+Todd's W has W s = W^-1 x = l in every cone. A direction solves, for a right side h,
 
     A dx = b - A x,   ds - A^T dy = c + A^T y - s,   W^-1 dx + W ds = h
 
-first with h = -l, straight at the optimum (the predictor). How far it gets says how much to centre, and its second-order
-error is known, so the step taken has l o h = -l o l + mu e - (W^-1 dx) o (W ds) (Mehrotra's corrector).
+first with h = -l, straight at the optimum (the predictor). How far it gets says how much to centre,
+and its second-order error is known, so the step taken has l o h = -l o l + mu e - (W^-1 dx) o (W
+ds) (Mehrotra's corrector).
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ import numpy as np
 
 
 class Program(NamedTuple):
-    """A (m, n), b (m,), c (n,); a step goes a + b min(predictor's steps) of the way to the boundary, (a, b) = reach."""
+    """A (m, n), b (m,), c (n,); a step goes a + b min(predictor's steps) of the way to the
+    boundary, (a, b) = reach."""
 
     matrix: np.ndarray
     right: np.ndarray
@@ -36,7 +39,9 @@ class Iterate(NamedTuple):
     y: np.ndarray
 
 
-def of_grasp(matrix: np.ndarray, wrench: np.ndarray, divisor: np.ndarray, omega: np.ndarray) -> Program:
+def of_grasp(
+    matrix: np.ndarray, wrench: np.ndarray, divisor: np.ndarray, omega: np.ndarray
+) -> Program:
     """The program of a grasp whose normal forces have the weights omega (N,), unit frame."""
     cost = np.zeros(matrix.shape[1])
     cost[0::3] = omega / divisor[:, 0]
@@ -48,7 +53,10 @@ def iteration(program: Program, at: Iterate) -> Iterate:
     (a, b, c, (near, nearer)), (x, s, y) = program, at
     m, n = a.shape
     cones = [slice(k, k + 3) for k in range(0, n, 3)]
-    w, w_inverse, l_product, e = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    w = np.zeros((n, n))
+    w_inverse = np.zeros((n, n))
+    l_product = np.zeros((n, n))
+    e = np.zeros(n)
     for k in cones:
         w[k, k] = scaling(x[k], s[k])
         w_inverse[k, k] = np.linalg.inv(w[k, k])
@@ -73,20 +81,26 @@ def iteration(program: Program, at: Iterate) -> Iterate:
         return part / max(part, *(per_boundary(point[k], move[k]) for k in cones))
 
     dx, ds, _ = direction(-scaled)
-    primal, dual = step(x, dx, 1.0), step(s, ds, 1.0)
+    primal = step(x, dx, 1.0)
+    dual = step(s, ds, 1.0)
     left = min(1.0, max(float((x + primal * dx) @ (s + dual * ds)), 0.0) / float(x @ s))
-    # x o s = mu e has gap mu a cone: counting each cone twice, as its barrier does, aims at half of that
+    # x o s = mu e has gap mu a cone: counting each cone twice, as its barrier does, aims at half of
+    # that
     target = left**3 * float(x @ s) / (2 * len(cones))
     second = np.concatenate([arrow((w_inverse @ dx)[k]) @ (w @ ds)[k] for k in cones])
 
     dx, ds, dy = direction(-scaled + np.linalg.solve(l_product, target * e - second))
     part = near + nearer * min(primal, dual)
-    primal, dual = step(x, dx, part), step(s, ds, part)
+    primal = step(x, dx, part)
+    dual = step(s, ds, part)
     return Iterate(x + primal * dx, s + dual * ds, y + dual * dy)
 
 
 def certified_bound(program: Program, y: np.ndarray) -> tuple[float, np.ndarray]:
-    """(lower bound of c . x, multipliers): -y scaled onto the boundary of its set, as weak duality wants it."""
+    """(lower bound of c .
+
+    x, multipliers): -y scaled onto the boundary of its set, as weak duality wants it.
+    """
     pull = -(program.matrix.T @ y).reshape(-1, 3)
     steepest = ((pull[:, 0] + np.hypot(pull[:, 1], pull[:, 2])) / program.cost[0::3]).max()
     scaled = -y / steepest if steepest > 0.0 else -y
@@ -101,7 +115,8 @@ def arrow(p: np.ndarray) -> np.ndarray:
 
 
 def scaling(x: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """W, symmetric, with W s = W^-1 x, that maps the cone onto itself; W^2 = eta (2 v v^T - J), J = diag(1, -1, -1)."""
+    """W, symmetric, with W s = W^-1 x, that maps the cone onto itself; W^2 = eta (2 v v^T - J), J =
+    diag(1, -1, -1)."""
     j = np.array([1.0, -1.0, -1.0])
     eta = np.sqrt((x @ (j * x)) / (s @ (j * s)))
     v = x + eta * j * s
@@ -112,7 +127,8 @@ def scaling(x: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def per_boundary(x: np.ndarray, d: np.ndarray) -> float:
-    """1 / (the largest step that keeps x + a d in the cone), at least 0: W with W^2 e = x makes it e + a W^-2 d."""
+    """1 / (the largest step that keeps x + a d in the cone), at least 0: W with W^2 e = x makes it
+    e + a W^-2 d."""
     w = scaling(x, np.eye(3)[0])
     r = np.linalg.solve(w @ w, d)
     return max(0.0, float(np.linalg.norm(r[1:]) - r[0]))

@@ -1,4 +1,7 @@
-"""The plain driver of both flows (paper, Eqs. 12 and 26): direction, step rule, stop. The core's is `flow.hpp`."""
+"""The plain driver of both flows (paper, Eqs.
+
+12 and 26): direction, step rule, stop. The core's is `flow.hpp`.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +17,17 @@ SHORTEST = 1e-10
 MOST_TRIALS = 60
 """Largest number of trials of the exact search before any decrease is accepted."""
 FLAT, LEAP = 1e-12, 10.0
-"""Share of <s, s> / alpha below which <s, y> counts as zero curvature, and the factor by which the step then grows."""
+"""Share of <s, s> / alpha below which <s, y> counts as zero curvature, and the factor by which the
+step then grows."""
 
 
 @dataclass(frozen=True)
 class Landscape:
-    """Phi on the state of a flow, vec(P) for the full one, VP for the reduced one; +inf outside the cones.
+    """Phi on the state of a flow, vec(P) for the full one, VP for the reduced one; +inf outside the
+    cones.
 
-    Besides value and gradient it has the second derivative along a move, the projected drive at a state, and the weights of the
-    squares in |state|^2, which is |P|_F^2 in both.
+    Besides value and gradient it has the second derivative along a move, the projected drive at a
+    state, and the weights of the squares in |state|^2, which is |P|_F^2 in both.
     """
 
     value: Callable[[np.ndarray], float]
@@ -48,9 +53,12 @@ class Descent:
 
 @dataclass
 class Ray:
-    """Phi along one step d, as a step rule sees it. Lengths are those of P: |x|^2 = sum 3 u^2 + 2 o^2 + 2 t^2.
+    """Phi along one step d, as a step rule sees it.
 
-    `here` is Phi(x), `past` (alpha, |d|^2, inner product with this d) of the step before, `trials` the number of evaluations of Phi.
+    Lengths are those of P: |x|^2 = sum 3 u^2 + 2 o^2 + 2 t^2.
+
+    `here` is Phi(x), `past` (alpha, |d|^2, inner product with this d) of the step before, `trials`
+    the number of evaluations of Phi.
     """
 
     land: Landscape
@@ -79,11 +87,15 @@ class Ray:
         return self.land.curvature(self.at + alpha * self.move, self.move)
 
     def lifted(self, alpha: float) -> float:
-        """A step far shorter than x, left from a start near the apex, grows from here instead of stalling."""
+        """A step far shorter than x, left from a start near the apex, grows from here instead of
+        stalling."""
         return max(alpha, SHORTEST * self.reach / self.length) if self.length > 0.0 else alpha
 
     def backtrack(self, alpha: float, shrink: float, decrease: float = 0.0) -> float | None:
-        """The first of alpha, alpha * shrink, ... with Phi < Phi(x) - decrease alpha |d|^2; None: rounding ends it."""
+        """The first of alpha, alpha * shrink, ...
+
+        with Phi < Phi(x) - decrease alpha |d|^2; None: rounding ends it.
+        """
         while alpha * self.length > 1e-16 * self.reach:
             trial = self.value(alpha)
             if trial < self.here and trial <= self.here - decrease * alpha * self.length**2:
@@ -93,7 +105,8 @@ class Ray:
 
 
 def step(rule: StepRule, ray: Ray) -> float | None:
-    """The accepted step along a ray by a rule's numbers; None when none decreases Phi in floating point."""
+    """The accepted step along a ray by a rule's numbers; None when none decreases Phi in floating
+    point."""
     kind, first, grow, shrink, decrease = rule.parameters()
     if kind == EXACT:
         return _exact(ray, decrease)
@@ -102,7 +115,8 @@ def step(rule: StepRule, ray: Ray) -> float | None:
         alpha = ray.past[0] * grow
     if kind == BARZILAI_BORWEIN and ray.past is not None:
         alpha, squared, mixed = ray.past
-        s_y, y_y = squared - mixed, (squared - mixed) + (ray.length**2 - mixed)
+        s_y = squared - mixed
+        y_y = (squared - mixed) + (ray.length**2 - mixed)
         variant = VARIANTS[int(grow)]
         if s_y > FLAT * squared and y_y > 0.0:
             long = variant == "long" or (variant == "alternate" and ray.count % 2 == 0)
@@ -114,12 +128,16 @@ def step(rule: StepRule, ray: Ray) -> float | None:
 
 def _exact(ray: Ray, precision: float) -> float | None:
     """Newton on the slope, kept in a bracket, until it is this share of the one at alpha = 0."""
-    start, squared = ray.curvature(0.0), ray.length**2
+    start = ray.curvature(0.0)
+    squared = ray.length**2
     alpha = ray.lifted(squared / start if start > 0.0 else 1.0)
-    low, high, trial = 0.0, float("inf"), float("inf")
+    low = 0.0
+    high = float("inf")
+    trial = float("inf")
     for _ in range(MOST_TRIALS):
         trial = ray.value(alpha)
-        guess, slope = -1.0, float("inf")
+        guess = -1.0
+        slope = float("inf")
         if trial < float("inf"):
             slope = ray.slope(alpha)
             if abs(slope) <= precision * squared:
@@ -137,12 +155,18 @@ def _exact(ray: Ray, precision: float) -> float | None:
     return alpha if trial < ray.here else ray.backtrack(alpha, 0.5)
 
 
-def followed(state: np.ndarray, landscape: Landscape, rule: StepRule, count: int) -> tuple[Descent, list[np.ndarray]]:
-    """Up to `count` steps from vec(P) or VP, strictly inside and balanced, while Phi decreases; and all states."""
-    metric, result, states = landscape.metric, Descent(values=[float(landscape.value(state))]), [state]
+def followed(
+    state: np.ndarray, landscape: Landscape, rule: StepRule, count: int
+) -> tuple[Descent, list[np.ndarray]]:
+    """Up to `count` steps from vec(P) or VP, strictly inside and balanced, while Phi decreases; and
+    all states."""
+    metric = landscape.metric
+    result = Descent(values=[float(landscape.value(state))])
+    states = [state]
     past: tuple[float, np.ndarray] | None = None
     while result.iterations < count:
-        at, move = states[-1], landscape.direction(states[-1])
+        at = states[-1]
+        move = landscape.direction(states[-1])
         before = past and (past[0], float(metric @ past[1] ** 2), float(metric @ (past[1] * move)))
         ray = Ray(landscape, at, move, result.values[-1], before, result.iterations)
         alpha = step(rule, ray)

@@ -1,4 +1,5 @@
-"""The force inside the cones that nearly balances a wrench, where contacts cannot; one that exceeds limits least, where it must."""
+"""The force inside the cones that nearly balances a wrench, where contacts cannot; one that exceeds
+limits least, where it must."""
 
 from __future__ import annotations
 
@@ -8,8 +9,11 @@ from oracles.phi import gradient, hessian, phi
 from scipy.optimize import minimize
 
 
-def elastic(x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray, softness: float) -> np.ndarray:
-    """argmin Phi(x) + |G x + w|^2 / (2 softness), (3N,), by dense Newton from x strictly inside the cones."""
+def elastic(
+    x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray, softness: float
+) -> np.ndarray:
+    """argmin Phi(x) + |G x + w|^2 / (2 softness), (3N,), by dense Newton from x strictly inside the
+    cones."""
 
     def value(x: np.ndarray) -> float:
         missed = matrix @ x + wrench
@@ -28,9 +32,12 @@ def elastic(x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.n
 
 
 def spread_matrix(positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """(6, 4N) wrench of forces (N, 3) in the positions' frame, then of torsions (N,); moments about the centre, over the spread."""
+    """(6, 4N) wrench of forces (N, 3) in the positions' frame, then of torsions (N,); moments about
+    the centre, over the spread."""
     arms = positions - positions.mean(0)
-    moments = np.concatenate([np.cross(arm, axis)[:, None] for arm in arms for axis in np.eye(3)], 1)
+    moments = np.concatenate(
+        [np.cross(arm, axis)[:, None] for arm in arms for axis in np.eye(3)], 1
+    )
     turns = np.concatenate([np.zeros((3, len(arms))), normals.T])
     matrix = np.concatenate([np.concatenate([np.tile(np.eye(3), len(arms)), moments]), turns], 1)
     matrix[3:] /= np.sqrt((arms**2).sum(1).mean())
@@ -44,20 +51,28 @@ def spread_wrench(positions: np.ndarray, wrench: np.ndarray) -> np.ndarray:
     return np.concatenate([wrench[:3], moment / np.sqrt((arms**2).sum(1).mean())])
 
 
-def penalised(given: dict[str, np.ndarray], answer: np.ndarray, softness: float = 0.0) -> np.floating:
-    """The function that an elastic force minimises, of one problem with the names of `grasp_force` and isotropic friction.
+def penalised(
+    given: dict[str, np.ndarray], answer: np.ndarray, softness: float = 0.0
+) -> np.floating:
+    """The function that an elastic force minimises, of one problem with the names of `grasp_force`
+    and isotropic friction.
 
-    The answer is forces (N, 3) in the frame of the positions, then torsions (N,). Normals have length one. With a softness, missing
-    balance costs |G f + w|^2 / (2 softness). The value is a long double if the numbers are.
+    The answer is forces (N, 3) in the frame of the positions, then torsions (N,). Normals have
+    length one. With a softness, missing balance costs |G f + w|^2 / (2 softness). The value is a
+    long double if the numbers are.
     """
-    normals, mu, count = given["normals"], given["friction"][:, 0], len(given["normals"])
+    normals = given["normals"]
+    mu = given["friction"][:, 0]
+    count = len(given["normals"])
     omega = given.get("force_weight", np.full(count, 1.0))
     lam = given.get("barrier_weight", np.full(count, 0.01))
     gamma = given.get("torsional_friction", np.zeros(count))
     soft = gamma > 0.0
-    force, torsion = answer[: 3 * count].reshape(count, 3), answer[3 * count :]
+    force = answer[: 3 * count].reshape(count, 3)
+    torsion = answer[3 * count :]
     pressure = (force * normals).sum(1)
-    u, s = mu * pressure, np.sqrt(((force - pressure[:, None] * normals) ** 2).sum(1))
+    u = mu * pressure
+    s = np.sqrt(((force - pressure[:, None] * normals) ** 2).sum(1))
     v = mu * torsion / np.where(soft, gamma, 1.0)
     if not ((s < u).all() and (np.abs(v) < u)[soft].all()):
         return np.float64(np.inf)
@@ -66,16 +81,20 @@ def penalised(given: dict[str, np.ndarray], answer: np.ndarray, softness: float 
     if "max_normal" in given:
         total += sum(map(_barrier, given["max_normal"] - pressure, 1.0 / mu, lam, omega))
     for j in range(given["jacobian"].shape[2] if "jacobian" in given else 0):
-        lever, turn = given["jacobian"][:, :3, j], np.zeros(count)
+        lever = given["jacobian"][:, :3, j]
+        turn = np.zeros(count)
         if given["jacobian"].shape[1] == 6:
             turn = (given["jacobian"][:, 3:, j] * normals).sum(1)
-        along, spun = (lever * normals).sum(1), gamma * turn
+        along = (lever * normals).sum(1)
+        spun = gamma * turn
         sizes = ((along + spun) / mu) ** 2 + (lever**2).sum(1) - along**2 + (spun / mu) ** 2
         touched = sizes > 0.0
         torque = (lever * force).sum() + (turn * torsion).sum()
         for sign in (1.0, -1.0):
             room = given["torque_limit"][j] - sign * torque
-            total += _barrier(room, np.sqrt(sizes.sum()), lam[touched].mean(), omega[touched].mean())
+            total += _barrier(
+                room, np.sqrt(sizes.sum()), lam[touched].mean(), omega[touched].mean()
+            )
     if softness:
         missed = spread_matrix(given["positions"], normals) @ answer + spread_wrench(
             given["positions"], given["wrench"]
@@ -84,14 +103,20 @@ def penalised(given: dict[str, np.ndarray], answer: np.ndarray, softness: float 
     return total
 
 
-def _barrier(room: np.floating, size: np.floating, weight: np.floating, omega: np.floating) -> np.floating | float:
-    """The elastic barrier of a limit a . z <= bound, `room` away from it; the row has the length `size` in (u, o, t, u - v).
+def _barrier(
+    room: np.floating, size: np.floating, weight: np.floating, omega: np.floating
+) -> np.floating | float:
+    """The elastic barrier of a limit a .
 
-    Below 0.1 sqrt(weight / omega), weight / slack goes on as a parabola with the same value, slope and curvature.
+    z <= bound, `room` away from it; the row has the length `size` in (u, o, t, u - v).
+
+    Below 0.1 sqrt(weight / omega), weight / slack goes on as a parabola with the same value, slope
+    and curvature.
     """
     if not np.isfinite(room):
         return 0.0
-    slack, edge = room / size, 0.1 * np.sqrt(weight / omega)
+    slack = room / size
+    edge = 0.1 * np.sqrt(weight / omega)
     below = min(slack - edge, 0.0) / edge
     return weight / max(slack, edge) * (1.0 - below + below**2)
 
@@ -104,7 +129,8 @@ def excess(force: np.ndarray, normals: np.ndarray, most: np.ndarray) -> float:
 def least_excess(
     force: np.ndarray, normals: np.ndarray, friction: float, most: np.ndarray, balance: np.ndarray
 ) -> np.ndarray | None:
-    """Another force of least `excess` in the cones with the wrench balance (6, 3N) @ force, by SLSQP from `force`; None: not found."""
+    """Another force of least `excess` in the cones with the wrench balance (6, 3N) @ force, by
+    SLSQP from `force`; None: not found."""
 
     def room(flat: np.ndarray) -> np.ndarray:
         pressure = (flat.reshape(force.shape) * normals).sum(1)
@@ -118,6 +144,8 @@ def least_excess(
         return excess(flat.reshape(force.shape), normals, most)
 
     rules = [{"type": "ineq", "fun": room}, {"type": "eq", "fun": missed}]
-    found = minimize(cost, force.ravel(), constraints=rules, method="SLSQP", options={"maxiter": 300})
+    found = minimize(
+        cost, force.ravel(), constraints=rules, method="SLSQP", options={"maxiter": 300}
+    )
     good = room(found.x).min() > -1e-6 and np.abs(missed(found.x)).max() < 1e-6
     return found.x.reshape(force.shape) if good else None

@@ -11,9 +11,9 @@ import numpy as np
 def constraints(matrix: np.ndarray) -> np.ndarray:
     """A of Eq. 9: 6N structure rows (A_1, Eq. 6) over 6 balance rows (A_2, Eq. 8), (6N + 6, 9 N^2).
 
-    vec stacks columns. The structure rows of block i say: the two zeros, the two equalities of the diagonal, the two
-    symmetries. The balance rows read u, o, t at the entries (1, 1), (3, 1) and (3, 2) of each block, so that
-    A vec(P) = [0; -w] with w the external wrench (Eq. 2).
+    vec stacks columns. The structure rows of block i say: the two zeros, the two equalities of the
+    diagonal, the two symmetries. The balance rows read u, o, t at the entries (1, 1), (3, 1) and
+    (3, 2) of each block, so that A vec(P) = [0; -w] with w the external wrench (Eq. 2).
     """
     size = matrix.shape[1]
     count = size // 3

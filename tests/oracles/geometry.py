@@ -6,7 +6,8 @@ import numpy as np
 
 
 def frame(normal: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
-    """(3, 3) columns (n, o, t): o the projection of `along` on the tangent plane, of e_x (e_y where |n_x| > 0.9) without one."""
+    """(3, 3) columns (n, o, t): o the projection of `along` on the tangent plane, of e_x (e_y where
+    |n_x| > 0.9) without one."""
     n = normal / np.linalg.norm(normal)
     axis = np.eye(3)[1 if abs(n[0]) > 0.9 else 0] if along is None else along
     o = axis - n * (axis @ n)
@@ -18,13 +19,16 @@ def frame(normal: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
 def grasp_matrix(positions: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """G (6, 3N): a column is the force and the moment p x force of a unit force along n, o or t."""
     columns = [
-        np.concatenate([axis, np.cross(p, axis)]) for p, axes in zip(positions, frames, strict=True) for axis in axes.T
+        np.concatenate([axis, np.cross(p, axis)])
+        for p, axes in zip(positions, frames, strict=True)
+        for axis in axes.T
     ]
     return np.array(columns).T
 
 
 def unit_frame(positions: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-    """Centre, length [m] (root mean square distance from it) and the map (6, 6): wrench -> force, moment there / length."""
+    """Centre, length [m] (root mean square distance from it) and the map (6, 6): wrench -> force,
+    moment there / length."""
     centre = positions.mean(axis=0)
     length = float(np.sqrt(((positions - centre) ** 2).sum(axis=1).mean()))
     shift = np.eye(6)
@@ -46,13 +50,17 @@ def rank_ratio(matrix: np.ndarray) -> float:
     return float(s[5] / s[0]) if len(s) == 6 and s[0] > 0.0 else 0.0
 
 
-def internal_dimensions(positions: np.ndarray, normals: np.ndarray, models: list[str]) -> tuple[int, int]:
+def internal_dimensions(
+    positions: np.ndarray, normals: np.ndarray, models: list[str]
+) -> tuple[int, int]:
     """Dimensions of the forces that make no wrench, and of the forces and torsions that make none.
 
-    A rough contact sends forces along the object's axes, since any three will do, a frictionless one along its normal alone.
+    A rough contact sends forces along the object's axes, since any three will do, a frictionless
+    one along its normal alone.
     """
     centre, length, _ = unit_frame(positions)
-    forces, torsions = list[np.ndarray](), list[np.ndarray]()
+    forces = list[np.ndarray]()
+    torsions = list[np.ndarray]()
     for arm, n, model in zip((positions - centre) / (length or 1.0), normals, models, strict=True):
         axes = [n] if model == "frictionless" else np.eye(3)
         forces += [np.concatenate([axis, np.cross(arm, axis)]) for axis in axes]
@@ -66,7 +74,8 @@ def internal_dimensions(positions: np.ndarray, normals: np.ndarray, models: list
 
 
 def polar_basis(directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Orthonormal internal forces closest to `directions` (3N, 3N - 6): the polar factor of their projection."""
+    """Orthonormal internal forces closest to `directions` (3N, 3N - 6): the polar factor of their
+    projection."""
     internal = np.linalg.svd(matrix)[2][6:].T
     u, _, vt = np.linalg.svd(internal @ (internal.T @ directions), full_matrices=False)
     return u @ vt

@@ -1,6 +1,8 @@
-"""Newton on Phi within limits A z <= b, by the dense KKT system: Phi gains weight / (b - A z) for each row.
+"""Newton on Phi within limits A z <= b, by the dense KKT system: Phi gains weight / (b - A z) for
+each row.
 
-z holds the cone coordinates (3N,), and then variables that only the rows and the balance know, such as torsions of soft contacts.
+z holds the cone coordinates (3N,), and then variables that only the rows and the balance know, such
+as torsions of soft contacts.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from oracles.phi import gradient, hessian, phi
 
 
 class Terms(NamedTuple):
-    """Phi of contacts with limits: weights (N, 2) omega and lambda; rows A (M, n), bound (M,) and weights of the rows (M,)."""
+    """Phi of contacts with limits: weights (N, 2) omega and lambda; rows A (M, n), bound (M,) and
+    weights of the rows (M,)."""
 
     weights: np.ndarray
     rows: np.ndarray
@@ -30,31 +33,44 @@ def value(z: np.ndarray, terms: Terms) -> np.floating:
     """+inf unless strictly inside."""
     slack = terms.bound - terms.rows @ z
     inside = (slack > 0.0).all()
-    return phi(z[: 3 * len(terms.weights)], terms.weights) + (terms.row_weights / slack).sum() if inside else np.inf
+    return (
+        phi(z[: 3 * len(terms.weights)], terms.weights) + (terms.row_weights / slack).sum()
+        if inside
+        else np.inf
+    )
 
 
 def derivatives(z: np.ndarray, terms: Terms) -> tuple[np.ndarray, np.ndarray]:
     """(gradient (n,), Hessian (n, n))."""
     weights, rows, bound, row_weights = terms
-    own, slack = 3 * len(weights), bound - rows @ z
-    slope, full = rows.T @ (row_weights / slack**2), rows.T @ ((2.0 * row_weights / slack**3)[:, None] * rows)
+    own = 3 * len(weights)
+    slack = bound - rows @ z
+    slope = rows.T @ (row_weights / slack**2)
+    full = rows.T @ ((2.0 * row_weights / slack**3)[:, None] * rows)
     slope[:own] += gradient(z[:own], weights)
     full[:own, :own] += hessian(z[:own], weights)
     return slope, full
 
 
-def newton_step(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> tuple[np.ndarray, float]:
+def newton_step(
+    z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms
+) -> tuple[np.ndarray, float]:
     """(step, squared decrement) with matrix (6, n) of z: the step ends in balance."""
     step, _, decrement = kkt_step(*derivatives(z, terms), matrix, matrix @ z + wrench)
     return step, decrement
 
 
-def minimum(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> np.ndarray | None:
+def minimum(
+    z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms
+) -> np.ndarray | None:
     """argmin from a balanced z strictly inside the cones, anywhere to the limits; long double.
 
-    Limits are raised as far as z asks, and lowered as far as each optimum allows. None: they cannot be lowered all the way.
+    Limits are raised as far as z asks, and lowered as far as each optimum allows. None: they cannot
+    be lowered all the way.
     """
-    z, matrix, wrench = z.astype(np.longdouble), matrix.astype(np.longdouble), wrench.astype(np.longdouble)
+    z = z.astype(np.longdouble)
+    matrix = matrix.astype(np.longdouble)
+    wrench = wrench.astype(np.longdouble)
     terms = terms._replace(rows=terms.rows.astype(np.longdouble))
     for _ in range(60):
         excess = max(0.0, float((terms.rows @ z - terms.bound).max(initial=-1.0)))
@@ -67,10 +83,12 @@ def minimum(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms)
 
 def _descent(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> np.ndarray:
     """Damped Newton until Phi falls no more."""
-    own, here = 3 * len(terms.weights), value(z, terms)
+    own = 3 * len(terms.weights)
+    here = value(z, terms)
     for _ in range(300):
         step, decrement = newton_step(z, matrix, wrench, terms)
-        slack, ahead = terms.bound - terms.rows @ z, terms.rows @ step
+        slack = terms.bound - terms.rows @ z
+        ahead = terms.rows @ step
         far = (0.9 * slack[ahead > 0.0] / ahead[ahead > 0.0]).min(initial=np.inf)
         alpha = min(1.0, 0.9 * longest_step(z[:own], step[:own]), far)
         if decrement < 1e-18 * here:

@@ -10,20 +10,25 @@ from oracles.phi import gradient, hessian, phi
 def newton_step(
     x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """(step (3N,), multipliers (6,), squared decrement -grad . step) of min Phi s.t. G (x + step) + w = 0, from x strictly inside."""
+    """(step (3N,), multipliers (6,), squared decrement -grad .
+
+    step) of min Phi s.t. G (x + step) + w = 0, from x strictly inside.
+    """
     return kkt_step(gradient(x, weights), hessian(x, weights), matrix, matrix @ x + wrench)
 
 
 def kkt_step(
     slope: np.ndarray, full: np.ndarray, matrix: np.ndarray, missed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """The same from the gradient (n,), the Hessian (n, n), matrix (6, n), and what balance misses (6,)."""
+    """The same from the gradient (n,), the Hessian (n, n), matrix (6, n), and what balance misses
+    (6,)."""
     size = len(slope)
     kkt = np.block([[full, -matrix.T], [matrix, np.zeros((6, 6))]])
     # rows of one size: near the cone's surface those of H differ by many powers of ten
     scale = np.sqrt(np.concatenate([1.0 / np.diag(kkt)[:size], np.ones(6)]))
     scale[size:] = 1.0 / np.sqrt(((matrix * scale[:size]) ** 2).sum(axis=1))
-    scaled, right = scale[:, None] * kkt * scale, -scale * np.concatenate([slope, missed])
+    scaled = scale[:, None] * kkt * scale
+    right = -scale * np.concatenate([slope, missed])
     first = solve(scaled, right)
     found = scale * (first + solve(scaled, right - scaled @ first))
     return found[:size], found[size:], float(-slope @ found[:size])
@@ -42,8 +47,11 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     return a[:, size]
 
 
-def tangent_correction(x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return x - H^-1 G^T S^-1 (G x + w), S = G H^-1 G^T: balance by the least change in the metric of the Hessian of Phi at x."""
+def tangent_correction(
+    x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """Return x - H^-1 G^T S^-1 (G x + w), S = G H^-1 G^T: balance by the least change in the metric
+    of the Hessian of Phi at x."""
     spread = np.linalg.solve(hessian(x, weights), matrix.T)
     return x - spread @ np.linalg.solve(matrix @ spread, matrix @ x + wrench)
 
@@ -51,7 +59,8 @@ def tangent_correction(x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, we
 def minimum(
     rest: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(argmin Phi, multipliers), from -G^+ w and enough of `rest`, an internal force strictly inside: every step is balanced."""
+    """(argmin Phi, multipliers), from -G^+ w and enough of `rest`, an internal force strictly
+    inside: every step is balanced."""
     x = balanced(np.zeros_like(rest), matrix, wrench)
     size = 1.0
     while phi(x + size * rest, weights) == np.inf:
@@ -69,25 +78,34 @@ def balanced(x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray) -> np.ndarra
 def descent(
     x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(argmin Phi, multipliers) by damped Newton from a balanced x strictly inside, until Phi falls no more.
+    """(argmin Phi, multipliers) by damped Newton from a balanced x strictly inside, until Phi falls
+    no more.
 
-    In long double: close to the cones' surfaces, where optima are, Hessians have condition numbers of 1e18.
+    In long double: close to the cones' surfaces, where optima are, Hessians have condition numbers
+    of 1e18.
     """
-    x, matrix, wrench = x.astype(np.longdouble), matrix.astype(np.longdouble), wrench.astype(np.longdouble)
+    x = x.astype(np.longdouble)
+    matrix = matrix.astype(np.longdouble)
+    wrench = wrench.astype(np.longdouble)
     for _ in range(500):
         step, multipliers, decrement = newton_step(x, matrix, wrench, weights)
-        alpha, value = min(1.0, 0.9 * longest_step(x, step)), phi(x, weights)
+        alpha = min(1.0, 0.9 * longest_step(x, step))
+        value = phi(x, weights)
         if decrement < 1e-18 * value:
             return (x + alpha * step).astype(float), multipliers.astype(float)
-        while alpha > 1e-9 and not phi(x + alpha * step, weights) < value - 1e-4 * alpha * decrement:
+        while (
+            alpha > 1e-9 and not phi(x + alpha * step, weights) < value - 1e-4 * alpha * decrement
+        ):
             alpha *= 0.5
         x = x + alpha * step
     raise ArithmeticError("Newton does not end")
 
 
 def internal_force(matrix: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(3N,) the optimum without a wrench, from the cones' axes; ArithmeticError without force closure."""
-    x, nothing = np.zeros(3 * len(weights)), np.zeros(6)
+    """(3N,) the optimum without a wrench, from the cones' axes; ArithmeticError without force
+    closure."""
+    x = np.zeros(3 * len(weights))
+    nothing = np.zeros(6)
     x[0::3] = np.sqrt(weights[:, 1] / weights[:, 0])
     for _ in range(100):
         step = newton_step(x, matrix, nothing, weights)[0]
@@ -101,7 +119,8 @@ def internal_force(matrix: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def twelve_basis(matrix: np.ndarray, weights: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """(13, 3N) the optima for the wrenches +e_1..+e_6, -e_1..-e_6 and for none, in cone coordinates (paper, Sec. III).
+    """(13, 3N) the optima for the wrenches +e_1..+e_6, -e_1..-e_6 and for none, in cone coordinates
+    (paper, Sec. III).
 
     matrix is that of wrenches as given (N, N m); rest an internal force strictly inside the cones.
     """
@@ -110,7 +129,10 @@ def twelve_basis(matrix: np.ndarray, weights: np.ndarray, rest: np.ndarray) -> n
 
 
 def combine(basis: np.ndarray, wrench: np.ndarray, printed: bool = False) -> np.ndarray:
-    """sum_k E_k f_k + max(0, 1 - sum_k E_k) f_rest with E_k = max(0, +-w_k) (Eqs. 33, 34); `printed`: without the rest."""
+    """sum_k E_k f_k + max(0, 1 - sum_k E_k) f_rest with E_k = max(0, +-w_k) (Eqs.
+
+    33, 34); `printed`: without the rest.
+    """
     parts = np.concatenate([np.maximum(0.0, wrench), np.maximum(0.0, -wrench)])
     rest = 0.0 if printed else max(0.0, 1.0 - float(parts.sum()))
     return parts @ basis[:12] + rest * basis[12]

@@ -1,4 +1,5 @@
-"""The paper's contribution: the flow on the 3N force components, VP_{k+1} = VP_k + alpha_k Q_bar VWP_k (Eqs. 18-26).
+"""The paper's contribution: the flow on the 3N force components, VP_{k+1} = VP_k + alpha_k Q_bar
+VWP_k (Eqs. 18-26).
 
 matrix is G (6, 3N) in cone coordinates, weights (N, 2) omega and lambda.
 """
@@ -16,10 +17,13 @@ METRIC = np.array([3.0, 2.0, 2.0])
 
 
 def picked_rows(count: int) -> NDArray[np.int_]:
-    """Eq. 19, zero-based, for N = `count` contacts: the rows of Q that move u, o and t of each contact.
+    """Eq.
 
-    Printed for four contacts as m = 39 floor((i-1)/3) + 2^(2^(i - 3 floor((i-1)/3) - 1)) - 1, one-based; 39 is
-    9N + 3. Rows 1, 3 and 15 = 12 + 3 of a block are its entries (1, 1), (3, 1) and (3, 2).
+    19, zero-based, for N = `count` contacts: the rows of Q that move u, o and t of each contact.
+
+    Printed for four contacts as m = 39 floor((i-1)/3) + 2^(2^(i - 3 floor((i-1)/3) - 1)) - 1,
+    one-based; 39 is 9N + 3. Rows 1, 3 and 15 = 12 + 3 of a block are its entries (1, 1), (3, 1) and
+    (3, 2).
     """
     block, line = np.divmod(np.arange(3 * count), 3)
     offset = np.where(line == 2, 3 * count + 3, 2 ** (2**line) - 1)
@@ -27,9 +31,12 @@ def picked_rows(count: int) -> NDArray[np.int_]:
 
 
 def picked_columns(count: int) -> NDArray[np.int_]:
-    """Eq. 21, zero-based: the columns n, n + 1, n + 2 of Q that meet the 3 x 3 blocks of VWP, (9N,).
+    """Eq.
 
-    Printed for four contacts as n = 39 floor((j-1)/3) + 12 (j - 3 floor((j-1)/3) - 1) + 1, one-based.
+    21, zero-based: the columns n, n + 1, n + 2 of Q that meet the 3 x 3 blocks of VWP, (9N,).
+
+    Printed for four contacts as n = 39 floor((j-1)/3) + 12 (j - 3 floor((j-1)/3) - 1) + 1,
+    one-based.
     """
     block, line = np.divmod(np.arange(3 * count), 3)
     first = (9 * count + 3) * block + 3 * count * line
@@ -45,8 +52,9 @@ def picked_projector(matrix: np.ndarray) -> np.ndarray:
 def reduced_projector(matrix: np.ndarray) -> np.ndarray:
     """The same Q_bar (3N, 9N) in closed form, without the dense Q.
 
-    With S: (u, o, t) -> vec of its P block and D = S^T S = diag(3, 2, 2), the projector on the affine space is
-    S Pi S^T, Pi = D^-1 - D^-1 G^T (G D^-1 G^T)^-1 G D^-1; its picked rows are Pi S^T.
+    With S: (u, o, t) -> vec of its P block and D = S^T S = diag(3, 2, 2), the projector on the
+    affine space is S Pi S^T, Pi = D^-1 - D^-1 G^T (G D^-1 G^T)^-1 G D^-1; its picked rows are Pi
+    S^T.
     """
     count = matrix.shape[1] // 3
     weight = np.tile(1.0 / METRIC, count)

@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 
-def turned(x: np.ndarray, before: np.ndarray, now: np.ndarray, divisor: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Cone coordinates x (3N,) with tangential forces kept as vectors in space: written along `before`, read along `now`.
+def turned(
+    x: np.ndarray, before: np.ndarray, now: np.ndarray, divisor: np.ndarray, scale: np.ndarray
+) -> np.ndarray:
+    """Cone coordinates x (3N,) with tangential forces kept as vectors in space: written along
+    `before`, read along `now`.
 
-    Frames are (N, 3, 3) with columns (n, o, t); force = x / divisor before, x = scale * force now, both (N, 3).
+    Frames are (N, 3, 3) with columns (n, o, t); force = x / divisor before, x = scale * force now,
+    both (N, 3).
     """
     out = x.reshape(-1, 3).copy()
     for k, force in enumerate(x.reshape(-1, 3) / divisor):

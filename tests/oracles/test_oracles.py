@@ -1,4 +1,5 @@
-"""The oracles themselves: derivatives by differences, optima of the named problems, a null space made another way."""
+"""The oracles themselves: derivatives by differences, optima of the named problems, a null space
+made another way."""
 
 from __future__ import annotations
 
@@ -20,12 +21,17 @@ def test_derivatives_by_differences() -> None:
         bend = (phi.gradient(X + h * e, WEIGHTS) - phi.gradient(X - h * e, WEIGHTS)) / (2 * h)
         hessian = phi.hessian(X, WEIGHTS)
         np.testing.assert_allclose(
-            bend.astype(float), hessian[k].astype(float), rtol=1e-6, atol=1e-8 * float(hessian.max())
+            bend.astype(float),
+            hessian[k].astype(float),
+            rtol=1e-6,
+            atol=1e-8 * float(hessian.max()),
         )
     for k in range(3):
         block = slice(3 * k, 3 * k + 3)
         inverse = phi.inverse_hessian(X[block], *WEIGHTS[k])
-        np.testing.assert_allclose((hessian[block, block] @ inverse).astype(float), np.eye(3), atol=1e-14)
+        np.testing.assert_allclose(
+            (hessian[block, block] @ inverse).astype(float), np.eye(3), atol=1e-14
+        )
 
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=str)

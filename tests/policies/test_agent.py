@@ -1,4 +1,5 @@
-"""Agents and other policies: actions against numpy written out, files that are refused, stable-baselines3's evaluator."""
+"""Agents and other policies: actions against numpy written out, files that are refused,
+stable-baselines3's evaluator."""
 
 from __future__ import annotations
 
@@ -14,20 +15,38 @@ from policies import TrainedAgent, ZeroPolicy
 from policies.agent import NAMES
 from policies.agent_files import META, checkpoints, write_checkpoint
 
-SEEN, ACTIONS = len(bounds(4, 12)), action_size("initial_force", 4)
-META_DATA = {"action": "initial_force", "fingers": 4, "joints": 12, "observation_size": SEEN, "action_size": ACTIONS}
-NORMALISER = {"mean": np.full(SEEN, 0.5), "var": np.full(SEEN, 4.0), "epsilon": np.array(1e-2), "clip": np.array(0.6)}
+SEEN = len(bounds(4, 12))
+ACTIONS = action_size("initial_force", 4)
+META_DATA = {
+    "action": "initial_force",
+    "fingers": 4,
+    "joints": 12,
+    "observation_size": SEEN,
+    "action_size": ACTIONS,
+}
+NORMALISER = {
+    "mean": np.full(SEEN, 0.5),
+    "var": np.full(SEEN, 4.0),
+    "epsilon": np.array(1e-2),
+    "clip": np.array(0.6),
+}
 
 
 def parts(algorithm: str) -> dict[str, np.ndarray]:
     """Random weights of two hidden layers."""
-    rng, (hidden, last, _) = np.random.default_rng(0), NAMES[algorithm]
+    rng = np.random.default_rng(0)
+    (hidden, last, _) = NAMES[algorithm]
     sizes = {f"{hidden}.0": (8, SEEN), f"{hidden}.2": (5, 8), last: (ACTIONS, 5)}
     if algorithm == "sac":
         sizes["actor.log_std"] = (ACTIONS, 5)
-    made = {f"{name}.{k}": rng.standard_normal(size if k == "weight" else size[0]).astype(np.float32)
-            for name, size in sizes.items() for k in ("weight", "bias")}  # fmt: skip
-    return made | ({} if algorithm == "sac" else {"log_std": rng.standard_normal(ACTIONS).astype(np.float32)})
+    made = {
+        f"{name}.{k}": rng.standard_normal(size if k == "weight" else size[0]).astype(np.float32)
+        for name, size in sizes.items()
+        for k in ("weight", "bias")
+    }
+    return made | (
+        {} if algorithm == "sac" else {"log_std": rng.standard_normal(ACTIONS).astype(np.float32)}
+    )
 
 
 def saved(folder, steps=1, algorithm="ppo", weights=None, **changes):
@@ -38,9 +57,11 @@ def saved(folder, steps=1, algorithm="ppo", weights=None, **changes):
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_actions_are_those_of_numpy(algorithm, tmp_path):
-    weights, (hidden, last, _) = parts(algorithm), NAMES[algorithm]
+    weights = parts(algorithm)
+    (hidden, last, _) = NAMES[algorithm]
     saved(tmp_path, algorithm=algorithm)
-    agent, seen = TrainedAgent.load(tmp_path), np.random.default_rng(1).normal(size=(500, SEEN))
+    agent = TrainedAgent.load(tmp_path)
+    seen = np.random.default_rng(1).normal(size=(500, SEEN))
     x = np.clip((seen - 0.5) / np.sqrt(4.01), -0.6, 0.6)
     for name in (f"{hidden}.0", f"{hidden}.2"):
         x = x @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
@@ -54,7 +75,9 @@ def test_actions_are_those_of_numpy(algorithm, tmp_path):
     if algorithm == "ppo":
         log = np.broadcast_to(weights["log_std"], mean.shape)
     else:
-        log = np.clip(x @ weights["actor.log_std.weight"].T + weights["actor.log_std.bias"], -20.0, 2.0)
+        log = np.clip(
+            x @ weights["actor.log_std.weight"].T + weights["actor.log_std.bias"], -20.0, 2.0
+        )
     drawn = agent.predict(seen, deterministic=False)[0]
     noise = np.random.default_rng(0).standard_normal(mean.shape)
     np.testing.assert_allclose(drawn, squash(mean + np.exp(log) * noise), atol=1e-4)
@@ -64,7 +87,9 @@ def test_actions_are_those_of_numpy(algorithm, tmp_path):
 
 def test_the_newest_whole_checkpoint_is_kept_and_read(tmp_path):
     for steps in (64, 128, 128):
-        saved(tmp_path, steps, weights={name: value + steps for name, value in parts("ppo").items()})
+        saved(
+            tmp_path, steps, weights={name: value + steps for name, value in parts("ppo").items()}
+        )
     assert [path.name for path in checkpoints(tmp_path)] == ["step-000000128"]
     assert TrainedAgent.load(tmp_path).meta["steps"] == 128
     assert not list(tmp_path.glob(".*"))
@@ -94,7 +119,10 @@ def test_damaged_files_are_refused(file, change, message, tmp_path):
         ({"joints": -1}, "is for a hand of 4 fingers and -1 joints"),
         ({"action": "none"}, "acts as 'none'"),
         ({"env_id": "FourFingerGrasp-v9"}, "was trained on 'FourFingerGrasp-v9'"),
-        ({"weights": {**parts("ppo"), "action_net.bias": np.zeros(ACTIONS - 1)}}, "incomplete or malformed"),
+        (
+            {"weights": {**parts("ppo"), "action_net.bias": np.zeros(ACTIONS - 1)}},
+            "incomplete or malformed",
+        ),
         ({"weights": {**parts("ppo"), "action_net.bias": np.full(ACTIONS, np.nan)}}, "not finite"),
     ],
 )

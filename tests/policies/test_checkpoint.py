@@ -33,13 +33,19 @@ def edit(stem, sign=True, **changes):
     """Changes a description, with the digest of the changed text or with the old one."""
     body = {**described(stem), **changes}
     old = body.pop("sha256")
-    stem.with_suffix(".json").write_text(json.dumps({**body, "sha256": signature(body) if sign else old}))
+    stem.with_suffix(".json").write_text(
+        json.dumps({**body, "sha256": signature(body) if sign else old})
+    )
 
 
 def test_save_and_load_keep_every_bit(stem, tmp_path):
-    rule, grasp, w = LearnedInitialForce.load(stem), presets.paper_cuboid(), np.array(wrench.PAPER_CONSTANT)
+    rule = LearnedInitialForce.load(stem)
+    grasp = presets.paper_cuboid()
+    w = np.array(wrench.PAPER_CONSTANT)
     again = tmp_path / "deep" / "again.v2"
-    assert rule.checkpoint.save(again).name == "again.v2.safetensors"  # names with dots do not collide
+    assert (
+        rule.checkpoint.save(again).name == "again.v2.safetensors"
+    )  # names with dots do not collide
     for path in (again, again.with_name("again.v2.json"), again.with_name("again.v2.safetensors")):
         np.testing.assert_array_equal(LearnedInitialForce.load(path)(grasp, w), rule(grasp, w))
     assert not list(again.parent.glob(".*"))  # no temporary left behind
@@ -60,22 +66,35 @@ def test_damaged_weights_are_refused(stem):
 @pytest.mark.parametrize("part", ["numbers", "ranges", "card", "weights"])
 def test_the_digest_covers_the_whole_description(stem, part):
     value = described(stem)[part]
-    edit(stem, sign=False, **{part: {**value, "more": 1} if isinstance(value, dict) else value.upper()})
+    edit(
+        stem,
+        sign=False,
+        **{part: {**value, "more": 1} if isinstance(value, dict) else value.upper()},
+    )
     with pytest.raises(ModelFileError, match="its own sha256"):
         LearnedInitialForce.load(stem)
 
 
 RANGES = [[1.0], [2.0, 1.0], ["a", "b"], None, [0.0, 10**400], [True, 2]]
 WRONG: list[dict[str, Any]] = [
-    {"schema": "grasp-force/initial-force/3"}, {"numbers": {}}, {"ranges": {"magnitude": "x"}}, {"card": 5},
+    {"schema": "grasp-force/initial-force/3"},
+    {"numbers": {}},
+    {"ranges": {"magnitude": "x"}},
+    {"card": 5},
     *({"ranges": {"friction": [0.2, 0.6], "magnitude": pair}} for pair in RANGES),
-]  # fmt: skip
+]
 NUMBERS = [
     *(("n_contacts", value) for value in (10**9, 10**400, -1, 4.0, True, "4", None, 2, 65)),
     *(("friction_degree", value) for value in (10**9, -1, 2.5)),
-    *(("sizes", value) for value in (4, [8], [8, *[6] * 9], [8, 10**9, 6], [8, -6, 6], [8, 6.5, 6], [16, 7, 6])),
+    *(
+        ("sizes", value)
+        for value in (4, [8], [8, *[6] * 9], [8, 10**9, 6], [8, -6, 6], [8, 6.5, 6], [16, 7, 6])
+    ),
     *(("force_weight", value) for value in (-1.0, 0.0, 10**400, "1", None, True)),
-    *(("features", value) for value in (3, {"length": 1.0, "less": 2.0}, {"floor": 0.0}, {"floor": 10**400})),
+    *(
+        ("features", value)
+        for value in (3, {"length": 1.0, "less": 2.0}, {"floor": 0.0}, {"floor": 10**400})
+    ),
 ]
 
 
@@ -84,13 +103,17 @@ def test_descriptions_of_no_model_are_refused_without_much_memory(stem):
     whole = stem.with_suffix(".json").read_text()
     tracemalloc.start()
     try:
-        for changes in (*WRONG, *({"numbers": {**numbers, name: value}} for name, value in NUMBERS)):
+        for changes in (
+            *WRONG,
+            *({"numbers": {**numbers, name: value}} for name, value in NUMBERS),
+        ):
             stem.with_suffix(".json").write_text(whole)
             edit(stem, **changes)
             with pytest.raises(ModelFileError, match="train anew") as caught:
                 LearnedInitialForce.load(stem)
             assert len(str(caught.value)) < 600
-        assert tracemalloc.get_traced_memory()[1] < 10 * MOST_TEXT  # 10 MB: the weights, and safetensors' copy of them
+        # 10 MB: the weights, and safetensors' copy of them
+        assert tracemalloc.get_traced_memory()[1] < 10 * MOST_TEXT
     finally:
         tracemalloc.stop()
 
@@ -114,7 +137,9 @@ def test_weights_that_are_not_finite_in_float32_are_refused(stem, value):
 
 @pytest.mark.parametrize(("dtype", "size"), [("BF16", 2), ("F8_E4M3", 1), ("I64", 8)])
 def test_weights_of_other_types_are_refused(stem, dtype, size):
-    header = json.dumps({"layers.0.weight": {"dtype": dtype, "shape": [2], "data_offsets": [0, 2 * size]}}).encode()
+    header = json.dumps(
+        {"layers.0.weight": {"dtype": dtype, "shape": [2], "data_offsets": [0, 2 * size]}}
+    ).encode()
     blob = len(header).to_bytes(8, "little") + header + bytes(2 * size)
     stem.with_suffix(".safetensors").write_bytes(blob)
     edit(stem, weights=hashlib.sha256(blob).hexdigest())

@@ -1,4 +1,5 @@
-"""The force layer: answers against the optimizer, gradients against differences, elements without an optimum, wrong inputs."""
+"""The force layer: answers against the optimizer, gradients against differences, elements without
+an optimum, wrong inputs."""
 
 from __future__ import annotations
 
@@ -31,16 +32,31 @@ def test_forces_are_those_of_the_optimizer(kind: str) -> None:
         a = {name: value[k].numpy() for name, value in given.items()}
         soft = {}
         if "torsional_friction" in a:
-            soft = {"torsional_friction": a["torsional_friction"], "contact_model": ["hard", "soft", "soft", "soft"]}
+            soft = {
+                "torsional_friction": a["torsional_friction"],
+                "contact_model": ["hard", "soft", "soft", "soft"],
+            }
         normals = a["normals"] / np.linalg.norm(a["normals"], axis=-1, keepdims=True)
-        grasp = Grasp.from_contacts(a["positions"], normals, a["friction"], tangents=a.get("tangents"), **soft)
+        grasp = Grasp.from_contacts(
+            a["positions"], normals, a["friction"], tangents=a.get("tangents"), **soft
+        )
         names = ("jacobian", "torque_limit", "torque_bias", "min_normal", "max_normal")
-        limits = ForceLimits(**{name: a[name] for name in names if name in a}) if any(n in a for n in names) else None
+        limits = (
+            ForceLimits(**{name: a[name] for name in names if name in a})
+            if any(n in a for n in names)
+            else None
+        )
         weights = {name: a[name] for name in ("force_weight", "barrier_weight")}
         expected = optimize_force(grasp, a["wrench"], limits=limits, tolerance=1e-12, **weights)
         # a gap of 1e-12 leaves an error of its square root
-        assert abs(result.force[k].numpy() - expected.object_force).max() < 5e-6 * abs(expected.object_force).max()
-        assert abs(result.multipliers[k].numpy() - expected.multipliers).max() < 5e-5 * abs(expected.multipliers).max()
+        assert (
+            abs(result.force[k].numpy() - expected.object_force).max()
+            < 5e-6 * abs(expected.object_force).max()
+        )
+        assert (
+            abs(result.multipliers[k].numpy() - expected.multipliers).max()
+            < 5e-5 * abs(expected.multipliers).max()
+        )
         if soft:
             assert abs(result.torsion[k].numpy() - expected.torsion).max() < 1e-6
 
@@ -49,10 +65,14 @@ def test_forces_are_those_of_the_optimizer(kind: str) -> None:
 def test_gradients_are_those_of_differences(kind: str) -> None:
     """All inputs at once, along random directions; elastic answers included."""
     given = problems(kind, 2)
-    moves = {name: a.isfinite() & (a != 0.0) for name, a in given.items()}  # infinite limits and hard contacts stay
+    # infinite limits and hard contacts stay
+    moves = {name: a.isfinite() & (a != 0.0) for name, a in given.items()}
 
     def answers(*leaves: Tensor) -> tuple[Tensor, ...]:
-        inputs = {name: torch.where(moves[name], a, given[name]) for name, a in zip(given, leaves, strict=True)}
+        inputs = {
+            name: torch.where(moves[name], a, given[name])
+            for name, a in zip(given, leaves, strict=True)
+        }
         result = grasp_force(**inputs, infeasible="elastic", tolerance=1e-13)
         return result.force, result.torsion, result.multipliers
 
@@ -65,27 +85,43 @@ def test_a_force_is_found_exactly_where_one_exists() -> None:
     """Three soft contacts without force closure, against another algorithm."""
     draw = torch.Generator().manual_seed(1)
     normals = torch.randn(40, 3, 3, generator=draw, dtype=torch.float64)
-    wrench = torch.randn(40, 6, generator=draw, dtype=torch.float64) * torch.tensor([1, 1, 1, 0.02, 0.02, 0.02])
+    wrench = torch.randn(40, 6, generator=draw, dtype=torch.float64) * torch.tensor(
+        [1, 1, 1, 0.02, 0.02, 0.02]
+    )
     status = grasp_force(-0.03 * normals, normals, 0.6, wrench, torsional_friction=0.003).status
     assert set(status.tolist()) == {0, 3}
     units = normals / normals.norm(dim=-1, keepdim=True)
     for k in range(40):
         grasp = Grasp.from_contacts(
-            -0.03 * normals[k].numpy(), units[k].numpy(), 0.6, contact_model="soft", torsional_friction=0.003
+            -0.03 * normals[k].numpy(),
+            units[k].numpy(),
+            0.6,
+            contact_model="soft",
+            torsional_friction=0.003,
         )
         assert (status[k] == 0) == (feasibility(grasp, wrench[k].numpy()).margin > 0.0)
 
 
 SPOILED = [
-    ("wrench", torch.nan), ("wrench", torch.inf), ("wrench", 1e300), ("normals", 0.0), ("normals", 1e-320), ("positions", torch.nan),
-    ("positions", -torch.inf), ("friction", -1.0), ("friction", torch.nan), ("barrier_weight", 0.0), ("force_weight", torch.nan),
+    ("wrench", torch.nan),
+    ("wrench", torch.inf),
+    ("wrench", 1e300),
+    ("normals", 0.0),
+    ("normals", 1e-320),
+    ("positions", torch.nan),
+    ("positions", -torch.inf),
+    ("friction", -1.0),
+    ("friction", torch.nan),
+    ("barrier_weight", 0.0),
+    ("force_weight", torch.nan),
     ("torsional_friction", torch.inf),
-]  # fmt: skip
+]
 
 
 @pytest.mark.usefixtures("way")
 def test_an_element_does_not_disturb_its_neighbours() -> None:
-    """Infeasible and refused elements among good ones: no nan, and the others are as without them, in any chunk."""
+    """Infeasible and refused elements among good ones: no nan, and the others are as without them,
+    in any chunk."""
     given = problems("soft", 300)
     given["friction"][3] = given["torsional_friction"][3] = 1e-4  # nothing balances this wrench
     good = torch.ones(len(given["wrench"]), dtype=torch.bool)
@@ -112,8 +148,10 @@ def test_an_element_does_not_disturb_its_neighbours() -> None:
 @pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("kind", ["exceeded", "unbalanced"])
 def test_elements_without_an_optimum(kind: str) -> None:
-    """Forces are strictly inside the cones; the gradient is zero, that of the elastic force, or an error names the elements."""
-    bad, count = problems(kind, 2), 2 if kind == "unbalanced" else 4
+    """Forces are strictly inside the cones; the gradient is zero, that of the elastic force, or an
+    error names the elements."""
+    bad = problems(kind, 2)
+    count = 2 if kind == "unbalanced" else 4
     masked, by = gradients(bad)
     assert masked.status.tolist() == [5 if kind == "exceeded" else 3] * 2
     assert not masked.feasible.any()
@@ -125,8 +163,14 @@ def test_elements_without_an_optimum(kind: str) -> None:
     assert (masked.residual < 1e-8).all() == (kind == "exceeded")
     elastic, by = gradients(bad, infeasible="elastic")
     assert torch.equal(elastic.force, masked.force)
-    assert all(a[:, :count].any() for name, a in by.items() if name in ("positions", "wrench", "torque_limit"))
-    with pytest.raises(InfeasibleWrenchError, match=r"2 of 2 elements have no optimal force \(0: .*, 1: .*'mask'"):
+    assert all(
+        a[:, :count].any()
+        for name, a in by.items()
+        if name in ("positions", "wrench", "torque_limit")
+    )
+    with pytest.raises(
+        InfeasibleWrenchError, match=r"2 of 2 elements have no optimal force \(0: .*, 1: .*'mask'"
+    ):
         grasp_force(**bad, infeasible="raise")
 
 
@@ -137,7 +181,9 @@ def test_shared_inputs_broadcast_and_sum_their_gradients() -> None:
     result = grasp_force(**shared, wrench=given["wrench"].view(2, 3, 6))
     assert [tuple(a.shape) for a in result] == [(2, 3, 4, 3), (2, 3, 4), (2, 3, 6)] + [(2, 3)] * 5
     result.force.square().sum().backward()
-    alone = {name: a.detach().expand(6, *a.shape).clone().requires_grad_() for name, a in shared.items()}
+    alone = {
+        name: a.detach().expand(6, *a.shape).clone().requires_grad_() for name, a in shared.items()
+    }
     force = grasp_force(**alone, wrench=given["wrench"]).force
     torch.testing.assert_close(result.force.flatten(0, 1), force)
     force.square().sum().backward()
@@ -151,7 +197,10 @@ def test_a_number_does_not_widen_the_results() -> None:
     given = {name: a.to(torch.float32) for name, a in problems("hard", 4).items()}
     for friction in (0.5, torch.tensor(0.5, dtype=torch.float64)):
         assert grasp_force(**given | {"friction": friction}).force.dtype is torch.float32
-    assert grasp_force(**given | {"friction": torch.full((4,), 0.5, dtype=torch.float64)}).force.dtype is torch.float64
+    assert (
+        grasp_force(**given | {"friction": torch.full((4,), 0.5, dtype=torch.float64)}).force.dtype
+        is torch.float64
+    )
 
 
 @pytest.mark.usefixtures("way")
@@ -159,7 +208,8 @@ def test_a_start_saves_iterations_which_are_limited() -> None:
     given = problems("shared joints", 8)
     cold = grasp_force(**given)
     given["wrench"] = given["wrench"] + 1e-4
-    there, warm = grasp_force(**given), grasp_force(**given, start=cold.force)
+    there = grasp_force(**given)
+    warm = grasp_force(**given, start=cold.force)
     assert error(warm.force, there.force) < 1e-9
     assert warm.iterations.double().mean() < 0.5 * cold.iterations.double().mean()
     useless = torch.full_like(cold.force, torch.nan)
@@ -181,16 +231,44 @@ WRONG: dict[str, tuple[dict[str, Any], type[GraspError], str]] = {
     "iterations": ({"max_iterations": 2.5}, InvalidInputError, "max_iterations"),
     "tolerance": ({"tolerance": 0.0}, InvalidInputError, "tolerance"),
     "chunk": ({"chunk": 0}, InvalidInputError, "chunk"),
-    "no tensor": ({"positions": [[1.0, 0.0, 0.0]]}, InvalidInputError, r"positions must be a tensor \(..., N, 3\)"),
-    "integers": ({"wrench": torch.ones(1, 6, dtype=torch.int64)}, InvalidInputError, "wrench must be of a floating-point type"),
-    "contacts": ({"normals": torch.ones(1, 3, 3)}, InvalidInputError, r"normals must be of shape \(..., 4, 3\)"),
-    "leading": ({"wrench": torch.ones(2, 6), "start": torch.ones(3, 4, 3)}, InvalidInputError, "leading dimensions must broadcast"),
+    "no tensor": (
+        {"positions": [[1.0, 0.0, 0.0]]},
+        InvalidInputError,
+        r"positions must be a tensor \(..., N, 3\)",
+    ),
+    "integers": (
+        {"wrench": torch.ones(1, 6, dtype=torch.int64)},
+        InvalidInputError,
+        "wrench must be of a floating-point type",
+    ),
+    "contacts": (
+        {"normals": torch.ones(1, 3, 3)},
+        InvalidInputError,
+        r"normals must be of shape \(..., 4, 3\)",
+    ),
+    "leading": (
+        {"wrench": torch.ones(2, 6), "start": torch.ones(3, 4, 3)},
+        InvalidInputError,
+        "leading dimensions must broadcast",
+    ),
     "friction": ({"friction": "0.4"}, InvalidInputError, "friction must be a tensor or a number"),
     "half a limit": ({"torque_limit": 1.0}, InvalidInputError, "together"),
-    "joints": ({"jacobian": torch.ones(1, 4, 3, 2), "torque_limit": torch.ones(3)}, InvalidInputError, r"torque_limit must be of shape \(..., 2\)"),
-    "dimensions": ({"wrench": torch.ones(*[1] * 24, 6)}, InvalidInputError, "too many leading ones"),
-    "device": ({"wrench": torch.ones(1, 6, device="meta")}, InvalidInputError, "one device, got positions on cpu and wrench on meta"),
-}  # fmt: skip
+    "joints": (
+        {"jacobian": torch.ones(1, 4, 3, 2), "torque_limit": torch.ones(3)},
+        InvalidInputError,
+        r"torque_limit must be of shape \(..., 2\)",
+    ),
+    "dimensions": (
+        {"wrench": torch.ones(*[1] * 24, 6)},
+        InvalidInputError,
+        "too many leading ones",
+    ),
+    "device": (
+        {"wrench": torch.ones(1, 6, device="meta")},
+        InvalidInputError,
+        "one device, got positions on cpu and wrench on meta",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -201,15 +279,21 @@ def test_errors_name_what_is_wrong(case: str) -> None:
 
 
 def test_a_small_barrier_weight_approaches_the_exact_problem() -> None:
-    """The page on gradients quotes these distances of sum and gradient of the normal forces from the conic optimum."""
-    grasp, loads = presets.paper_cuboid(), sample_ball(np.random.default_rng(0), 1000)
+    """The page on gradients quotes these distances of sum and gradient of the normal forces from
+    the conic optimum."""
+    grasp = presets.paper_cuboid()
+    loads = sample_ball(np.random.default_rng(0), 1000)
     exact = optimize_forces(grasp, loads, method="conic", tolerance=1e-10)
-    least, slopes = exact.force[:, :, 0].sum(1), -exact.multipliers
-    positions, normals = torch.from_numpy(np.array(grasp.positions)), torch.from_numpy(np.array(grasp.normals))
+    least = exact.force[:, :, 0].sum(1)
+    slopes = -exact.multipliers
+    positions = torch.from_numpy(np.array(grasp.positions))
+    normals = torch.from_numpy(np.array(grasp.normals))
     excess: list[float] = []
     for weight, errors in ((1e-2, (0.048, 1.5)), (1e-4, (2.4e-3, 0.16)), (1e-6, (1.7e-4, 0.017))):
         wrench = torch.from_numpy(loads).requires_grad_()
-        total = (grasp_force(positions, normals, 0.4, wrench, barrier_weight=weight).force * normals).sum((1, 2))
+        total = (
+            grasp_force(positions, normals, 0.4, wrench, barrier_weight=weight).force * normals
+        ).sum((1, 2))
         total.sum().backward()
         assert wrench.grad is not None
         excess.append(float(np.median(total.detach().numpy() / least - 1.0)))
@@ -219,18 +303,35 @@ def test_a_small_barrier_weight_approaches_the_exact_problem() -> None:
 
 
 def test_two_contacts_have_forces_and_gradients_within_their_reach() -> None:
-    """The forces are those of `ForceOptimizer`; slopes along every change that keeps the wrench within reach."""
+    """The forces are those of `ForceOptimizer`; slopes along every change that keeps the wrench
+    within reach."""
     pinch = Grasp.from_contacts(
-        [[0, 0.03, 0.01], [0.002, -0.03, 0]], [[0, -1, 0.1], [0, 1, 0]] / np.array([[1.005], [1]]), 0.8
+        [[0, 0.03, 0.01], [0.002, -0.03, 0]],
+        [[0, -1, 0.1], [0, 1, 0]] / np.array([[1.005], [1]]),
+        0.8,
     )
     rng = np.random.default_rng(0)
-    pushes = np.abs(rng.standard_normal((4, 2, 1))) + 0.5 + rng.uniform(-0.3, 0.3, (4, 2, 3)) * [0, 1, 1]
-    loads = np.array([-pinch.wrench(np.column_stack([each[:, :1] * [[1.0]], each[:, 1:] * 0.3])) for each in pushes])
+    pushes = (
+        np.abs(rng.standard_normal((4, 2, 1))) + 0.5 + rng.uniform(-0.3, 0.3, (4, 2, 3)) * [0, 1, 1]
+    )
+    loads = np.array(
+        [
+            -pinch.wrench(np.column_stack([each[:, :1] * [[1.0]], each[:, 1:] * 0.3]))
+            for each in pushes
+        ]
+    )
     given = {
-        "positions": torch.tensor(pinch.positions), "normals": torch.tensor(pinch.normals), "friction": torch.tensor([0.8, 0.7]),
-        "wrench": torch.tensor(loads), "force_weight": torch.tensor([1.0, 1.3]), "barrier_weight": torch.tensor([0.01, 0.02]),
-    }  # fmt: skip
-    given = {name: a.double().requires_grad_(name not in ("positions", "normals")) for name, a in given.items()}
+        "positions": torch.tensor(pinch.positions),
+        "normals": torch.tensor(pinch.normals),
+        "friction": torch.tensor([0.8, 0.7]),
+        "wrench": torch.tensor(loads),
+        "force_weight": torch.tensor([1.0, 1.3]),
+        "barrier_weight": torch.tensor([0.01, 0.02]),
+    }
+    given = {
+        name: a.double().requires_grad_(name not in ("positions", "normals"))
+        for name, a in given.items()
+    }
     found = grasp_force(**given)
     assert found.status.tolist() == [0] * 4
     assert found.feasible.all()
@@ -249,8 +350,14 @@ def test_two_contacts_have_forces_and_gradients_within_their_reach() -> None:
             move = np.array([pinch.within_reach(each) for each in move])
         step = 1e-6 * torch.tensor(move)
         with torch.no_grad():
-            up, down = (grasp_force(**{**given, name: a + sign * step}).force for sign in (1.0, -1.0))
+            up, down = (
+                grasp_force(**{**given, name: a + sign * step}).force for sign in (1.0, -1.0)
+            )
         slope = ((up - down) * along).sum().item() / 2e-6
-        assert slope == pytest.approx((a.grad * torch.tensor(move)).sum().item(), rel=1e-5, abs=1e-6), name
-    out = grasp_force(**{**given, "wrench": given["wrench"].detach() + torch.tensor([0, 0, 0, 0, 0.01, 0])})
+        assert slope == pytest.approx(
+            (a.grad * torch.tensor(move)).sum().item(), rel=1e-5, abs=1e-6
+        ), name
+    out = grasp_force(
+        **{**given, "wrench": given["wrench"].detach() + torch.tensor([0, 0, 0, 0, 0.01, 0])}
+    )
     assert out.status.tolist() == [3] * 4

@@ -1,4 +1,5 @@
-"""The force layer in torch: layouts, types and devices of tensors, transforms, operators, what is saved for the backward pass."""
+"""The force layer in torch: layouts, types and devices of tensors, transforms, operators, what is
+saved for the backward pass."""
 
 from __future__ import annotations
 
@@ -27,21 +28,30 @@ LAYOUTS: dict[str, Callable[[dict[str, Tensor]], dict[str, Tensor]]] = {
     "one grasp": lambda given: {name: a if name == "wrench" else a[0] for name, a in given.items()},
     "one coefficient a contact": lambda given: {**given, "friction": given["friction"][..., 0]},
     "one coefficient": lambda given: {**given, "friction": given["friction"][0, 0, 0]},
-    "other strides": lambda given: {name: a.movedim(0, -1).contiguous().movedim(-1, 0) for name, a in given.items()},
-    "broadcast": lambda given: {name: a[:2, None] if name == "wrench" else a[:3] for name, a in given.items()},
+    "other strides": lambda given: {
+        name: a.movedim(0, -1).contiguous().movedim(-1, 0) for name, a in given.items()
+    },
+    "broadcast": lambda given: {
+        name: a[:2, None] if name == "wrench" else a[:3] for name, a in given.items()
+    },
     "no batch": lambda given: {name: a[0] for name, a in given.items()},
     "no elements": lambda given: {name: a[:0] for name, a in given.items()},
-    "sign bit": lambda given: {**given, "wrench": torch.complex(given["wrench"], -given["wrench"]).conj().imag},
+    "sign bit": lambda given: {
+        **given,
+        "wrench": torch.complex(given["wrench"], -given["wrench"]).conj().imag,
+    },
 }
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_every_layout_is_read(layout: str) -> None:
-    """Read in place or converted by torch's operators: the same bits, and gradients in the layout of the inputs."""
+    """Read in place or converted by torch's operators: the same bits, and gradients in the layout
+    of the inputs."""
     given = LAYOUTS[layout](problems("own joints", 6))
     result, by = gradients(given, max_normal=50.0)
     limit = torch.tensor(50.0, dtype=torch.float64)
-    assert torch.equal(grasp_force(**given, max_normal=50.0).force, result.force)  # as it is: `gradients` makes copies
+    # as it is: `gradients` makes copies
+    assert torch.equal(grasp_force(**given, max_normal=50.0).force, result.force)
     with Passing():
         assert torch.equal(grasp_force(**given, max_normal=50.0).force, result.force)
         converted = gradients(given, max_normal=50.0)
@@ -50,9 +60,15 @@ def test_every_layout_is_read(layout: str) -> None:
         for name, a in by.items():
             assert (a.shape, a.dtype) == (given[name].shape, given[name].dtype)
             torch.testing.assert_close(a, by_again[name], rtol=1e-12, atol=1e-12)
-    if layout not in ("one grasp", "one coefficient", "broadcast", "no elements"):  # which are other problems
+    if layout not in (
+        "one grasp",
+        "one coefficient",
+        "broadcast",
+        "no elements",
+    ):  # which are other problems
         flat = grasp_force(**problems("own joints", 6), max_normal=50.0).force
-        flat, wide = flat[0] if layout == "no batch" else flat, 1e-5 if layout == "float32" else 1e-12
+        flat = flat[0] if layout == "no batch" else flat
+        wide = 1e-5 if layout == "float32" else 1e-12
         torch.testing.assert_close(result.force.double(), flat, rtol=0.0, atol=wide)
 
 
@@ -79,7 +95,13 @@ def test_types() -> None:
     low = {name: a.float() for name, a in given.items()}
     result, by = gradients(low)
     assert [a.dtype for a in result[:3]] == [torch.float32] * 3
-    assert [a.dtype for a in result[3:]] == [torch.int64, torch.float32, torch.float32, torch.int64, torch.bool]
+    assert [a.dtype for a in result[3:]] == [
+        torch.int64,
+        torch.float32,
+        torch.float32,
+        torch.int64,
+        torch.bool,
+    ]
     assert error(result.force.double(), grasp_force(**given).force) < 1e-4
     assert all(a.dtype == torch.float32 and a.isfinite().all() for a in by.values())
     assert grasp_force(**low | {"wrench": given["wrench"]}).force.dtype == torch.float64
@@ -94,7 +116,8 @@ def test_types() -> None:
 @pytest.mark.usefixtures("way")
 def test_gradients_of_the_forces_are_read_in_any_layout() -> None:
     given = problems("hard", 3)
-    wrench, loss = given.pop("wrench").requires_grad_(), torch.randn(3, 4, 3, dtype=torch.float64)
+    wrench = given.pop("wrench").requires_grad_()
+    loss = torch.randn(3, 4, 3, dtype=torch.float64)
     force = grasp_force(wrench=wrench, **given).force
     (plain,) = torch.autograd.grad(force, wrench, loss, retain_graph=True)
     strides = loss.movedim(0, -1).contiguous().movedim(-1, 0)
@@ -105,7 +128,8 @@ def test_gradients_of_the_forces_are_read_in_any_layout() -> None:
 def test_transforms() -> None:
     """`vmap`, `grad` and `jacrev`, nested, and `torch.compile` without a break."""
     given = problems("soft", 3)
-    wrench, others = given.pop("wrench"), {name: a[0] for name, a in given.items()}
+    wrench = given.pop("wrench")
+    others = {name: a[0] for name, a in given.items()}
     positions = others.pop("positions")
 
     def force(w: Tensor, p: Tensor) -> Tensor:
@@ -114,9 +138,13 @@ def test_transforms() -> None:
     def cost(w: Tensor, p: Tensor) -> Tensor:
         return force(w, p).square().sum()
 
-    torch.testing.assert_close(torch.func.vmap(force, (0, None))(wrench, positions), force(wrench, positions))
+    torch.testing.assert_close(
+        torch.func.vmap(force, (0, None))(wrench, positions), force(wrench, positions)
+    )
     jacobian = torch.func.jacrev(force)(wrench[0], positions)
-    torch.testing.assert_close(jacobian, torch.autograd.functional.jacobian(lambda w: force(w, positions), wrench[0]))
+    torch.testing.assert_close(
+        jacobian, torch.autograd.functional.jacobian(lambda w: force(w, positions), wrench[0])
+    )
     many = torch.func.vmap(torch.func.jacrev(force, (0, 1)), (0, None))(wrench, positions)
     torch.testing.assert_close(many[0][0], jacobian)
     leaf = positions.clone().requires_grad_()
@@ -131,7 +159,8 @@ def test_transforms() -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 def test_tensors_on_another_device_are_solved_on_the_cpu(dtype: torch.dtype) -> None:
-    """torch's builds for the CPU have a second device that computes, `lazy`: answers and gradients come back to it."""
+    """torch's builds for the CPU have a second device that computes, `lazy`: answers and gradients
+    come back to it."""
     start_lazy_device()
     given = {name: a.to(dtype) for name, a in problems("soft", 3).items()}
     given["friction"] = given["friction"][0]  # shared
@@ -141,7 +170,9 @@ def test_tensors_on_another_device_are_solved_on_the_cpu(dtype: torch.dtype) -> 
     for each in (given, far):
         result, by = gradients(each, **options)
         warm = grasp_force(**each, start=result.force)
-        slopes = torch.func.jacrev(lambda wrench, each=each: grasp_force(**each | {"wrench": wrench}).force)
+        slopes = torch.func.jacrev(
+            lambda wrench, each=each: grasp_force(**each | {"wrench": wrench}).force
+        )
         found.append((*result, *by.values(), *warm, slopes(each["wrench"])))
     for a, b in zip(*found, strict=True):
         assert (b.device.type, b.dtype) == ("lazy", a.dtype)
@@ -150,7 +181,9 @@ def test_tensors_on_another_device_are_solved_on_the_cpu(dtype: torch.dtype) -> 
     assert [(a.device.type, a.shape) for a in meta] == [("meta", a.shape) for a in result]
 
 
-@pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")  # torch's own, on the way to forward mode
+@pytest.mark.filterwarnings(
+    "ignore:.*torch.jit.script:DeprecationWarning"
+)  # torch's own, on the way to forward mode
 def test_forward_mode_is_refused() -> None:
     given = problems("hard", 2)
     with torch.autograd.forward_ad.dual_level():
@@ -163,20 +196,28 @@ def test_operators_pass_the_check_of_torch() -> None:
     given = problems("soft", 2)
     given["positions"] = given["positions"].float()  # as is its gradient
     tensors = [given.get(name) for name in layer_inputs.NAMES]
-    leaves = [a if a is None else a.clone().requires_grad_(k % 2 == 0) for k, a in enumerate(tensors)]
+    leaves = [
+        a if a is None else a.clone().requires_grad_(k % 2 == 0) for k, a in enumerate(tensors)
+    ]
     torch.library.opcheck(layer_operators.SOLVE, (*leaves, "elastic", 1e-10, 200, 512))
     *answers, _, state = layer_operators.SOLVE(*tensors, "elastic", 1e-10, 200, 512)
     wanted = [a is not None for a in tensors[:-1]]
     torch.library.opcheck(
-        layer_operators.GRADIENTS, (*tensors[:-1], state, *map(torch.ones_like, answers), wanted, True, 512)
+        layer_operators.GRADIENTS,
+        (*tensors[:-1], state, *map(torch.ones_like, answers), wanted, True, 512),
     )
 
 
 def test_modules_are_copied_and_used_by_workers() -> None:
-    module, given = GraspForceLayer("elastic", tolerance=1e-8, chunk=100), problems("hard", 2)
+    module = GraspForceLayer("elastic", tolerance=1e-8, chunk=100)
+    given = problems("hard", 2)
     assert "infeasible='elastic', tolerance=1e-08, max_iterations=200, chunk=100" in repr(module)
     for copied in (copy.deepcopy(module), pickle.loads(pickle.dumps(module))):
         assert repr(copied) == repr(module)
         assert torch.equal(copied(**given).force, module(**given).force)
-    loader = torch.utils.data.DataLoader(Forces(), batch_size=2, num_workers=1, multiprocessing_context="fork")
-    torch.testing.assert_close(next(iter(loader)), grasp_force(**given).force, rtol=1e-9, atol=1e-12)
+    loader = torch.utils.data.DataLoader(
+        Forces(), batch_size=2, num_workers=1, multiprocessing_context="fork"
+    )
+    torch.testing.assert_close(
+        next(iter(loader)), grasp_force(**given).force, rtol=1e-9, atol=1e-12
+    )

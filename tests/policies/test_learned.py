@@ -1,4 +1,5 @@
-"""The learned start: balance and the guarantee in every call, training ranges, other weights of Phi, memory, the shipped scores."""
+"""The learned start: balance and the guarantee in every call, training ranges, other weights of
+Phi, memory, the shipped scores."""
 
 from __future__ import annotations
 
@@ -10,7 +11,13 @@ import pytest
 from never_worse import OWN, trial, violations
 
 from grasp_env.errors import InfeasibleStartError, InvalidInputError
-from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer, Objective, OfflineBasis, optimize_force
+from grasp_env.force import (
+    BarzilaiBorweinStep,
+    ForceOptimizer,
+    Objective,
+    OfflineBasis,
+    optimize_force,
+)
 from grasp_env.force.repair import carry_over, start_replaced
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
@@ -24,18 +31,24 @@ def rule() -> LearnedInitialForce:
     return LearnedInitialForce.pretrained()
 
 
-@pytest.mark.parametrize(("shift", "friction"), [(0.0, 0.34), (0.003, 0.4), (0.01, 0.2), (0.0, 1.1)])
+@pytest.mark.parametrize(
+    ("shift", "friction"), [(0.0, 0.34), (0.003, 0.4), (0.01, 0.2), (0.0, 1.1)]
+)
 def test_balanced_strictly_feasible_never_worse_than_the_basis(rule, shift, friction):
     """Also on moved contacts, unseen friction and wrenches far outside the training range."""
-    grasp, rng = presets.paper_cuboid(), np.random.default_rng(2)
+    grasp = presets.paper_cuboid()
+    rng = np.random.default_rng(2)
     offset = np.random.default_rng(1).uniform(-shift, shift, grasp.positions.shape) * [1, 1, 0]
     grasp = Grasp.from_contacts(grasp.positions + offset, grasp.normals, friction)
-    objective, basis = rule.objective, OfflineBasis.of(grasp, rule.objective)
-    far, path = wrench.sample_magnitudes(rng, 200, 1e-9, 1e4), 100 * wrench.paper_path(np.linspace(0, 2, 20))
+    objective = rule.objective
+    basis = OfflineBasis.of(grasp, rule.objective)
+    far = wrench.sample_magnitudes(rng, 200, 1e-9, 1e4)
+    path = 100 * wrench.paper_path(np.linspace(0, 2, 20))
     for w in (*wrench.sample_ball(rng, 200), *far, np.zeros(6), *path):
         force = rule(grasp, w)
         scale = np.abs(force).max() + np.abs(w).max()
-        assert grasp.residual(force, w) < 1e-11 * scale  # rounding of a 12-term sum, moments over 5 cm
+        # rounding of a 12-term sum, moments over 5 cm
+        assert grasp.residual(force, w) < 1e-11 * scale
         assert grasp.cone_margin(force) > 0
         paper = objective.value(grasp.to_cone(basis.combine(w)))
         assert objective.value(grasp.to_cone(force)) <= paper * (1 + 1e-12)
@@ -48,7 +61,9 @@ def test_never_worse_whatever_the_weights_say(rule, size):
     wrenches = wrench.sample_magnitudes(rng, 300, 1e-3, 1000.0)
     for _ in range(3):
         tensors = {
-            name: value if name == "reference" else (size * rng.uniform(-1.0, 1.0, value.shape)).astype(np.float32)
+            name: value
+            if name == "reference"
+            else (size * rng.uniform(-1.0, 1.0, value.shape)).astype(np.float32)
             for name, value in rule.checkpoint.tensors.items()
         }
         wild = LearnedInitialForce(replace(rule.checkpoint, tensors=tensors))
@@ -67,17 +82,23 @@ def test_never_worse(rule, method, count):
 
 
 def test_scores_of_the_shipped_model_hold_on_the_standard_ball(rule):
-    """Iterations of the flow with its best steps, friction varied: 24 / 47 from the basis (median / p99). Newton mostly takes one."""
-    rng, counts, newton = np.random.default_rng(77), list[int](), list[int]()
+    """Iterations of the flow with its best steps, friction varied: 24 / 47 from the basis (median /
+    p99). Newton mostly takes one."""
+    rng = np.random.default_rng(77)
+    counts = list[int]()
+    newton = list[int]()
     for friction in np.linspace(0.25, 0.6, 10):
         grasp = presets.paper_cuboid(float(friction))
-        flow = ForceOptimizer(grasp, method="reduced_flow", step_rule=BarzilaiBorweinStep(), initial=rule)
+        flow = ForceOptimizer(
+            grasp, method="reduced_flow", step_rule=BarzilaiBorweinStep(), initial=rule
+        )
         second = ForceOptimizer(grasp, initial=rule)
         for w in wrench.sample_ball(rng, 100):
             counts.append(flow.solve(w).iterations)
             newton.append(second.solve(w).iterations)
     assert np.median(counts) <= 3
-    assert np.percentile(counts, 99) <= 20  # the ends of the range count more here than in the comparison
+    # the ends of the range count more here than in the comparison
+    assert np.percentile(counts, 99) <= 20
     assert np.mean(np.array(newton) <= 1) > 0.85
 
 
@@ -87,21 +108,35 @@ def test_the_compiled_call_starts_from_the_force_of_the_rule(rule, method):
     optimizer = ForceOptimizer(grasp, initial=rule, method=method)
     exact = ForceOptimizer(grasp, method="newton", tolerance=1e-12)
     for w in wrench.sample_magnitudes(np.random.default_rng(5), 50, 0.1, 10.0):
-        solution, general, best = optimizer.solve(w), optimizer.solve(w, initial=rule), exact.solve(w)
+        solution = optimizer.solve(w)
+        general = optimizer.solve(w, initial=rule)
+        best = exact.solve(w)
         assert solution.status.name == "OPTIMAL"
         assert solution.initial == general.initial
         bound = solution.objective * (1 - solution.optimality_gap)
-        assert bound <= best.objective * (1 + 1e-12) <= solution.objective * (1 + 1e-11) <= best.objective * (1 + 1e-4)
-        np.testing.assert_allclose(grasp.residual(solution.force, w), 0, atol=1e-11 * np.abs(solution.force).max())
-    stopped = ForceOptimizer(grasp, method=method, initial=rule, max_iterations=0, tolerance=1e-13).solve(W)
+        assert (
+            bound
+            <= best.objective * (1 + 1e-12)
+            <= solution.objective * (1 + 1e-11)
+            <= best.objective * (1 + 1e-4)
+        )
+        np.testing.assert_allclose(
+            grasp.residual(solution.force, w), 0, atol=1e-11 * np.abs(solution.force).max()
+        )
+    stopped = ForceOptimizer(
+        grasp, method=method, initial=rule, max_iterations=0, tolerance=1e-13
+    ).solve(W)
     np.testing.assert_allclose(stopped.force, stopped.initial_force, rtol=1e-12)
 
 
 @pytest.mark.parametrize("barrier_weight", [0.001, 1.0])
 def test_with_another_phi_it_is_as_good_in_that_one(rule, barrier_weight):
-    """Phi knows forces in units of sqrt(lambda / omega) only, so the model is exact up to that scale."""
+    """Phi knows forces in units of sqrt(lambda / omega) only, so the model is exact up to that
+    scale."""
     grasp = presets.paper_cuboid()
-    optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=rule, barrier_weight=barrier_weight)
+    optimizer = ForceOptimizer(
+        grasp, method="reduced_flow", initial=rule, barrier_weight=barrier_weight
+    )
     basis = OfflineBasis.of(grasp, optimizer.objective)
     counts = []
     for w in wrench.sample_ball(np.random.default_rng(5), 100) * np.sqrt(barrier_weight / 0.01):
@@ -113,7 +148,8 @@ def test_with_another_phi_it_is_as_good_in_that_one(rule, barrier_weight):
 
 @both
 def test_solutions_name_a_wrench_outside_the_training_range(rule, method):
-    grasp, far = presets.paper_cuboid(), np.array([100.0, 0, 0, 0, 0, 0])
+    grasp = presets.paper_cuboid()
+    far = np.array([100.0, 0, 0, 0, 0, 0])
     cases = [(grasp, W), (grasp, far), (presets.paper_cuboid(friction=1.5), W)]
     assert [rule.covers(*case) for case in cases] == [True, False, False]
     optimizer = ForceOptimizer(grasp, initial=rule, method=method)
@@ -122,14 +158,20 @@ def test_solutions_name_a_wrench_outside_the_training_range(rule, method):
 
 
 def test_with_memory_it_is_never_worse_than_the_previous_start(rule):
-    """Along a smooth path little is left to do; after jumps the carried force may leave the cones and is repaired."""
-    grasp, objective = presets.paper_cuboid(), Objective()
-    optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=LearnedInitialForce.pretrained(remembers=True))
+    """Along a smooth path little is left to do; after jumps the carried force may leave the cones
+    and is repaired."""
+    grasp = presets.paper_cuboid()
+    objective = Objective()
+    optimizer = ForceOptimizer(
+        grasp, method="reduced_flow", initial=LearnedInitialForce.pretrained(remembers=True)
+    )
     path = wrench.sample_path(np.random.default_rng(6), 100)
     assert max([optimizer.solve(w).iterations for w in path][1:]) <= 7
     for w in wrench.sample_magnitudes(np.random.default_rng(11), 200, 0.1, 20.0):
         carried = carry_over(grasp, w, optimizer.previous.force, objective)
-        start, *others = (objective.value(grasp.to_cone(f)) for f in (optimizer.start(w), carried, rule(grasp, w)))
+        start, *others = (
+            objective.value(grasp.to_cone(f)) for f in (optimizer.start(w), carried, rule(grasp, w))
+        )
         assert start <= min(others) * (1 + 1e-12)
         solution = optimizer.solve(w)
         if solution.iterations == 0:  # the certificate belongs to the carried force
@@ -140,8 +182,13 @@ def test_with_memory_it_is_never_worse_than_the_previous_start(rule):
 @both
 def test_another_number_of_contacts_starts_as_without_the_rule(rule, method):
     for grasp in (presets.tripod(), presets.five_finger_cuboid()):
-        solution, plain = (optimize_force(grasp, W, method=method, initial=initial) for initial in (rule, None))
-        assert (solution.initial, solution.start_replaced) == (f"{OWN[method]} ({rule.name} was replaced)", True)
+        solution, plain = (
+            optimize_force(grasp, W, method=method, initial=initial) for initial in (rule, None)
+        )
+        assert (solution.initial, solution.start_replaced) == (
+            f"{OWN[method]} ({rule.name} was replaced)",
+            True,
+        )
         np.testing.assert_allclose(solution.initial_force, plain.initial_force, atol=1e-12)
         assert solution.iterations == plain.iterations
     optimizer = ForceOptimizer(presets.paper_cuboid(), initial=rule, method=method)
@@ -153,13 +200,17 @@ def test_another_number_of_contacts_starts_as_without_the_rule(rule, method):
 @both
 def test_the_learned_force_moves_with_the_contacts(rule, method):
     """In the same call; its Phi is never above that of the method's own start."""
-    grasp, rng = presets.paper_cuboid(), np.random.default_rng(12)
-    learned, plain = (ForceOptimizer(grasp, initial=initial, method=method) for initial in (rule, None))
+    grasp = presets.paper_cuboid()
+    rng = np.random.default_rng(12)
+    learned, plain = (
+        ForceOptimizer(grasp, initial=initial, method=method) for initial in (rule, None)
+    )
     kept = 0
     for w in wrench.sample_ball(rng, 50):
         places = grasp.positions + 2e-3 * rng.standard_normal((4, 3)) * [1, 1, 0]
         there = Grasp.from_contacts(places, grasp.normals, grasp.friction)
-        one, other = learned.solve(w, positions=places), plain.solve(w, positions=places)
+        one = learned.solve(w, positions=places)
+        other = plain.solve(w, positions=places)
         assert one.objective == pytest.approx(other.objective, rel=2e-4)
         phi = [learned.objective.value(there.to_cone(s.initial_force)) for s in (one, other)]
         assert phi[0] <= phi[1] * (1 + 1e-12)
@@ -170,22 +221,35 @@ def test_the_learned_force_moves_with_the_contacts(rule, method):
 @pytest.mark.parametrize(("part", "replaced"), [(1.0, False), (-1.0, True)])
 @both
 def test_a_start_without_anything_of_the_network_is_named(rule, method, part, replaced):
-    """With its last layer reversed the network leads away from the optimum; in the compiled call and as a rule of one call."""
-    weights = {**rule.checkpoint.tensors, "layers.2.weight": part * rule.checkpoint.tensors["layers.2.weight"]}
-    wild, grasp = LearnedInitialForce(replace(rule.checkpoint, tensors=weights)), presets.paper_cuboid()
+    """With its last layer reversed the network leads away from the optimum; in the compiled call
+    and as a rule of one call."""
+    weights = {
+        **rule.checkpoint.tensors,
+        "layers.2.weight": part * rule.checkpoint.tensors["layers.2.weight"],
+    }
+    wild = LearnedInitialForce(replace(rule.checkpoint, tensors=weights))
+    grasp = presets.paper_cuboid()
     optimizer = ForceOptimizer(grasp, method=method, initial=wild)
     for w in wrench.sample_ball(np.random.default_rng(0), 20):
         one_call = optimizer.solve(w, initial=wild)
         assert start_replaced(grasp, w, one_call.initial_force) is replaced
         for solution, own in ((optimizer.solve(w), OWN[method]), (one_call, OWN["reduced_flow"])):
             assert solution.start_replaced is replaced
-            assert solution.initial == (f"{own} ({wild.name} was replaced)" if replaced else wild.name)
+            assert solution.initial == (
+                f"{own} ({wild.name} was replaced)" if replaced else wild.name
+            )
 
 
 def test_what_a_model_does_not_know_is_an_error(rule):
     grasp = presets.paper_cuboid()
-    soft = Grasp.from_contacts(grasp.positions, grasp.normals, 0.4, contact_model="soft", torsional_friction=0.01)
-    wrong = [(soft, W, "hard contacts"), (presets.tripod(), W, "4 contacts"), (grasp, np.full(6, np.nan), "finite")]
+    soft = Grasp.from_contacts(
+        grasp.positions, grasp.normals, 0.4, contact_model="soft", torsional_friction=0.01
+    )
+    wrong = [
+        (soft, W, "hard contacts"),
+        (presets.tripod(), W, "4 contacts"),
+        (grasp, np.full(6, np.nan), "finite"),
+    ]
     for contacts, load, words in wrong:
         with pytest.raises(InfeasibleStartError, match=words):
             rule(contacts, load)

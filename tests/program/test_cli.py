@@ -1,4 +1,5 @@
-"""The command line: exit codes, JSON, suggestions, closed choices, completion, advice, and lazy imports."""
+"""The command line: exit codes, JSON, suggestions, closed choices, completion, advice, and lazy
+imports."""
 
 from __future__ import annotations
 
@@ -83,16 +84,26 @@ def test_errors_have_exit_codes_suggestions_and_json(words, tmp_path, monkeypatc
 
 def test_faults_and_interrupts_have_their_own_codes(monkeypatch, capsys):
     for code, error, message in (
-        (1, ZeroDivisionError("by 0"), "Traceback"), (130, KeyboardInterrupt(), "interrupted"), (2, OSError(28, "disk full", "x"), "grasp: x: No space left on device; free some space or choose another path"),
+        (1, ZeroDivisionError("by 0"), "Traceback"),
+        (130, KeyboardInterrupt(), "interrupted"),
+        (
+            2,
+            OSError(28, "disk full", "x"),
+            "grasp: x: No space left on device; free some space or choose another path",
+        ),
         (2, OSError(5, "bad disk"), "grasp: bad disk; choose another path"),
-    ):  # fmt: skip
+    ):
 
         def fail(options, error=error):
             raise error
 
         monkeypatch.setattr(Solve, "execute", fail)
         found, answered, err = answer("solve", capsys)
-        assert (found, answered["error"]["exit_code"], answered["error"]["kind"]) == (code, code, type(error).__name__)
+        assert (found, answered["error"]["exit_code"], answered["error"]["kind"]) == (
+            code,
+            code,
+            type(error).__name__,
+        )
         assert message in err
     assert {code for code, *_ in ENDS.values()} | {0, 1, 130} == set(EXIT_CODES)
 
@@ -103,12 +114,19 @@ def test_json_answers_certify_and_limits_hold(capsys):
     assert (code, found["status"], found["advice"], err) == (0, "optimal", [], "")
     assert found["equilibrium_residual"] < 1e-9
     assert grasp.residual(found["force"], found["wrench"]) < 1e-9
-    assert np.sum(found["force_in_object_frame"], axis=0) == pytest.approx(-np.array(found["wrench"][:3]))
+    assert np.sum(found["force_in_object_frame"], axis=0) == pytest.approx(
+        -np.array(found["wrench"][:3])
+    )
     normals = np.array(answer("solve --min-normal 3", capsys)[1]["force"])[:, 0]
     assert (normals > 3.0).all()
     assert np.min(found["force"], axis=0)[0] < 1.0
     code, found, _ = answer(f"solve {LIMITED}", capsys)
-    assert (code, found["status"], found["force"], found["wrench"]) == (3, "infeasible", None, [0, 0, 50, 0, 0, 0])
+    assert (code, found["status"], found["force"], found["wrench"]) == (
+        3,
+        "infeasible",
+        None,
+        [0, 0, 50, 0, 0, 0],
+    )
     assert np.dot(found["separating_twist"], found["wrench"]) > 0.0
     code, found, _ = answer(f"solve {LARGE}", capsys)
     assert (code, found["status"], np.shape(found["force"])) == (4, "iteration_limit", (4, 3))
@@ -118,7 +136,12 @@ def test_json_answers_certify_and_limits_hold(capsys):
 
 CLOSED = {
     "solve": {"--method": METHODS, "--preset": PRESETS, "--criterion": ("sum", "max")},
-    "demo": {"--task": ("hold", "move"), "--disturbance": ("random",), "--motion": ("lift",), "--shape": ("cuboid",)},
+    "demo": {
+        "--task": ("hold", "move"),
+        "--disturbance": ("random",),
+        "--motion": ("lift",),
+        "--shape": ("cuboid",),
+    },
     "evaluate": {"--engines": ("bullet", "noslip")},
     "rl": {"--algorithm": ("ppo", "sac"), "--action": ("initial_force",)},
 }
@@ -130,7 +153,9 @@ def test_help_lists_choices_and_fits_eighty_columns(name, monkeypatch, capsys):
     text = page(f"{name} --help", capsys)
     assert [line for line in text.splitlines() if len(line) > 80 and "{" not in line] == []
     for option, names in CLOSED.get(name, {}).items():
-        (listed,) = re.findall(rf"{option} \[?{{(.*?)}}", re.sub(r"[\s│]", "", text).replace(option, f"{option} "))
+        (listed,) = re.findall(
+            rf"{option} \[?{{(.*?)}}", re.sub(r"[\s│]", "", text).replace(option, f"{option} ")
+        )
         assert set(names) <= set(listed.split(","))
 
 
@@ -150,11 +175,15 @@ def test_own_contacts_are_solved_with_advice(tmp_path, capsys, monkeypatch):
     assert max(map(len, out.splitlines())) <= 80
     assert "torsion" not in out
     plain = presets.tripod()
-    soft = Grasp.from_contacts(plain.positions, plain.normals, 0.5, contact_model="soft", torsional_friction=0.005)
+    soft = Grasp.from_contacts(
+        plain.positions, plain.normals, 0.5, contact_model="soft", torsional_friction=0.005
+    )
     save_grasp(soft, "soft.json")
     assert "torsion [N m]" in run(f"solve --grasp soft.json {LOAD} --method newton", capsys)[1]
     odd = {"positions": 1000.0 * plain.positions, "normals": -plain.normals, "friction": 0.5}
-    Path("odd.json").write_text(json.dumps({name: np.asarray(value).tolist() for name, value in odd.items()}))
+    Path("odd.json").write_text(
+        json.dumps({name: np.asarray(value).tolist() for name, value in odd.items()})
+    )
     for words in (LOAD, LIMITED):  # whatever the outcome
         _, found, err = answer(f"solve --grasp odd.json {words}", capsys)
         for text in ("normals must point INTO the object", "divide millimetres by 1000"):
@@ -164,24 +193,45 @@ def test_own_contacts_are_solved_with_advice(tmp_path, capsys, monkeypatch):
 
 def test_the_script_is_the_module_and_a_closed_pipe_is_no_error():
     command = f"{sys.executable} -m training --version; {sys.executable} -m training solve --json | true; exit ${{PIPESTATUS[0]}}"
-    done = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, timeout=120
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert re.fullmatch(r"grasp \S+, core \S+ .*, Python 3\.\S+\n", done.stdout)
-    assert 'grasp = "training.program.cli:main"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    assert 'grasp = "training.program.cli:main"' in (ROOT / "pyproject.toml").read_text(
+        encoding="utf-8"
+    )
 
 
 LATER = {
-    "scipy", "torch", "gymnasium", "pybullet", "matplotlib", "PIL", "mujoco", "viser", "trimesh", "coacd", "pymeshfix",
-    "stable_baselines3", "pandas",
-}  # fmt: skip
+    "scipy",
+    "torch",
+    "gymnasium",
+    "pybullet",
+    "matplotlib",
+    "PIL",
+    "mujoco",
+    "viser",
+    "trimesh",
+    "coacd",
+    "pymeshfix",
+    "stable_baselines3",
+    "pandas",
+}
 """Modules that neither help nor a plain solve needs."""
 
 
 @pytest.mark.parametrize("words", ["--help", "solve"])
 def test_a_command_imports_only_its_own_modules(words):
-    script = f"import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr)); from training.program.cli import main; main({words.split()})"  # fmt: skip
-    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    script = f"import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr)); from training.program.cli import main; main({words.split()})"
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
     loaded = set(done.stderr.split())
     assert "training.program.cli" in loaded
-    assert not {name.split(".")[0] for name in loaded} & (LATER | ({"numpy", "tyro"} if words == "--help" else set()))
-    assert {f"training.program.commands.{name}" for name in COMMANDS} & loaded <= {f"training.program.commands.{words}"}
+    assert not {name.split(".")[0] for name in loaded} & (
+        LATER | ({"numpy", "tyro"} if words == "--help" else set())
+    )
+    assert {f"training.program.commands.{name}" for name in COMMANDS} & loaded <= {
+        f"training.program.commands.{words}"
+    }

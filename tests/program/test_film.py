@@ -1,4 +1,5 @@
-"""Videos have the right frames and get their name when they are whole; progress bars fit a terminal of 80 columns."""
+"""Videos have the right frames and get their name when they are whole; progress bars fit a terminal
+of 80 columns."""
 
 from __future__ import annotations
 
@@ -24,7 +25,9 @@ from training.program.cli import main
 from training.program.film import _is_whole, record
 
 ENV = "test_demo/Squares-v0"
-with_video = pytest.mark.skipif(not find_spec("imageio_ffmpeg"), reason="the extra 'video' is not installed")
+with_video = pytest.mark.skipif(
+    not find_spec("imageio_ffmpeg"), reason="the extra 'video' is not installed"
+)
 
 
 class Squares(gym.Env[np.ndarray, np.ndarray]):
@@ -59,7 +62,9 @@ def _registered() -> Any:
     del gym.registry[ENV]
 
 
-@pytest.mark.parametrize("suffix", [pytest.param(".mp4", marks=with_video), ".gif", ".webp", ".png"])
+@pytest.mark.parametrize(
+    "suffix", [pytest.param(".mp4", marks=with_video), ".gif", ".webp", ".png"]
+)
 def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp_path, suffix):
     out = tmp_path / f"out{suffix}"
     out.write_text("older")
@@ -71,7 +76,16 @@ def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp
     if suffix == ".mp4":  # imageio's own reader leaves pipes open, and warnings are errors here
         import imageio_ffmpeg
 
-        ffmpeg = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", out, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+        ffmpeg = [
+            imageio_ffmpeg.get_ffmpeg_exe(),
+            "-i",
+            out,
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "rgb24",
+            "-",
+        ]
         done = subprocess.run(ffmpeg, capture_output=True, check=True)
         assert all(text in done.stderr for text in (b"64x64", b" 25 fps"))
         frames = np.frombuffer(done.stdout, np.uint8).reshape(-1, 64, 64, 3)
@@ -81,7 +95,9 @@ def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp
             assert film.info.get("duration", 40) == 40  # ms
     steps = [10] if suffix == ".png" else [1, 3, 5, 7, 9, 10]
     # H.264 loses a little
-    np.testing.assert_allclose([np.mean(frame) for frame in frames], 10.0 * np.array(steps) + 20.0, atol=3.0)
+    np.testing.assert_allclose(
+        [np.mean(frame) for frame in frames], 10.0 * np.array(steps) + 20.0, atol=3.0
+    )
 
 
 @with_video
@@ -89,7 +105,8 @@ def test_a_film_that_ffmpeg_does_not_finish_leaves_an_older_one(tmp_path, monkey
     """On a full disk ffmpeg writes no index, and imageio says nothing."""
     import imageio_ffmpeg
 
-    out, whole = tmp_path / "out.mp4", tmp_path / "whole.mp4"
+    out = tmp_path / "out.mp4"
+    whole = tmp_path / "whole.mp4"
     record(whole, seconds=0.2, env_id=ENV)
     blob = whole.read_bytes()
     cut = tmp_path / "cut.mp4"
@@ -115,7 +132,9 @@ def test_a_film_that_ffmpeg_does_not_finish_leaves_an_older_one(tmp_path, monkey
             (0, "No space left on device: "),
             (10**9, "ffmpeg did not finish the film, for a reason .*: "),
         ):
-            monkeypatch.setattr(shutil, "disk_usage", lambda path, free=free: SimpleNamespace(free=free))
+            monkeypatch.setattr(
+                shutil, "disk_usage", lambda path, free=free: SimpleNamespace(free=free)
+            )
             out.write_text("older")
             with pytest.raises(OSError, match=f"{message}'{re.escape(str(out))}'"):
                 record(out, seconds=0.2, env_id=ENV)
@@ -126,18 +145,48 @@ def test_a_film_that_ffmpeg_does_not_finish_leaves_an_older_one(tmp_path, monkey
 def test_a_film_shows_the_settings_and_the_outcome(tmp_path, capsys):
     out = tmp_path / "out.png"
     options = "--task move --motion rotate --disturbance impulses --setting disturbance.force=2 --setting mass=0.25"
-    assert main(["demo", "--video", str(out), "--seconds", "0.1", "--size", "160", "120", *options.split()]) == 0
-    assert re.fullmatch(r"held 0\.1 s, drift 0\.\d\d mm: .*out\.png", capsys.readouterr().out.replace("\n", ""))
-    task, impulses = {"name": "move", "motion": "rotate"}, {"name": "impulses", "force": 2.0}
+    assert (
+        main(
+            [
+                "demo",
+                "--video",
+                str(out),
+                "--seconds",
+                "0.1",
+                "--size",
+                "160",
+                "120",
+                *options.split(),
+            ]
+        )
+        == 0
+    )
+    assert re.fullmatch(
+        r"held 0\.1 s, drift 0\.\d\d mm: .*out\.png", capsys.readouterr().out.replace("\n", "")
+    )
+    task = {"name": "move", "motion": "rotate"}
+    impulses = {"name": "impulses", "force": 2.0}
     pictures = {"size": (160, 120)}
     again = tmp_path / "again.png"
-    record(again, 0.1, "linear_combination", pictures=pictures, task=task, disturbance=impulses, mass=0.25)
+    record(
+        again,
+        0.1,
+        "linear_combination",
+        pictures=pictures,
+        task=task,
+        disturbance=impulses,
+        mass=0.25,
+    )
     assert again.read_bytes() == out.read_bytes()
     path = {"name": "paper_path", "scale": 1.0}
     lost = record(out, 1.0, controller={"kind": "pd"}, disturbance=path, pictures=pictures)
     assert str(lost) == f"lost after {lost.seconds:.1f} s: the object left its place"
     assert lost.seconds < 1.0
-    for name, seconds, message in (("a.avi", 1.0, "must end"), ("a.gif", 0.0, "seconds"), ("no/a.gif", 1.0, "folder")):
+    for name, seconds, message in (
+        ("a.avi", 1.0, "must end"),
+        ("a.gif", 0.0, "seconds"),
+        ("no/a.gif", 1.0, "folder"),
+    ):
         with pytest.raises(InvalidInputError, match=message):
             record(tmp_path / name, seconds=seconds, env_id=ENV)
 
@@ -145,9 +194,14 @@ def test_a_film_shows_the_settings_and_the_outcome(tmp_path, capsys):
 def test_long_names_and_notes_leave_room_for_numbers():
     for name in ("episodes: six_directions/constant_squeeze/00000", "x" * 300):
         out = io.StringIO()
-        console = Console(file=out, width=80, force_terminal=True, color_system=None, legacy_windows=False)
+        console = Console(
+            file=out, width=80, force_terminal=True, color_system=None, legacy_windows=False
+        )
         bars = progress(console)
-        bars.update(bars.add_task(name, total=10_000_000, note="gaps: " + "1e-02 " * 20), completed=5_000_000)
+        bars.update(
+            bars.add_task(name, total=10_000_000, note="gaps: " + "1e-02 " * 20),
+            completed=5_000_000,
+        )
         console.print(bars.get_renderable())
         line, note = out.getvalue().splitlines()
         assert max(len(line), len(note)) <= 80

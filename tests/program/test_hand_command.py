@@ -15,13 +15,34 @@ URDF = """<robot name="tiny"><link name="palm"/>
 <link name="finger"><inertial><mass value="0.05"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5"/></inertial>
 <collision><origin xyz="0 0 0.025"/><geometry><box size="0.02 0.02 0.04"/></geometry></collision></link>
 <link name="tip"><collision><origin xyz="0 0 0.02"/><geometry><box size="0.016 0.02 0.04"/></geometry></collision></link></robot>"""
-PRINTED = ("bend", "0.5 x bend +0.1", "-1.000 rad", "1.7 N m", "8.0", "effort 0 of 'bend'", "without mass", "tiny.png")
+PRINTED = (
+    "bend",
+    "0.5 x bend +0.1",
+    "-1.000 rad",
+    "1.7 N m",
+    "8.0",
+    "effort 0 of 'bend'",
+    "without mass",
+    "tiny.png",
+)
 """The motor's limit is 15 N at 81 mm, and the share of the coupled joint."""
 
 
 def test_a_file_is_printed_and_drawn(tmp_path, capsys):
     (tmp_path / "tiny.urdf").write_text(URDF)
-    assert main(["hand", str(tmp_path / "tiny.urdf"), "--draw", str(tmp_path / "tiny.png"), "--size", "64"]) == 0
+    assert (
+        main(
+            [
+                "hand",
+                str(tmp_path / "tiny.urdf"),
+                "--draw",
+                str(tmp_path / "tiny.png"),
+                "--size",
+                "64",
+            ]
+        )
+        == 0
+    )
     out = capsys.readouterr().out
     assert [word for word in PRINTED if word not in out] == []
     picture = np.array(Image.open(tmp_path / "tiny.png"))
@@ -29,7 +50,12 @@ def test_a_file_is_printed_and_drawn(tmp_path, capsys):
     red = (picture[..., 0] > 150) & (picture[..., 1] < 100)
     assert red[:, 64:].sum() > 10  # the fingertip among the collision shapes
     assert not red[:, :64].any()
-    assert main(["hand", str(tmp_path / "tiny.urdf"), "--torque-limit", "0.3", "--fingertips", "finger"]) == 0
+    assert (
+        main(
+            ["hand", str(tmp_path / "tiny.urdf"), "--torque-limit", "0.3", "--fingertips", "finger"]
+        )
+        == 0
+    )
     out = capsys.readouterr().out
     assert "0.3 N m" in out
     assert "is no motor's limit" not in out
@@ -37,7 +63,9 @@ def test_a_file_is_printed_and_drawn(tmp_path, capsys):
 
 def test_arguments_of_a_xacro_file_are_given(tmp_path, capsys):
     path = tmp_path / "hand.xacro"
-    path.write_text(xacro_hand('<xacro:arg name="side"/><xacro:arg name="kind"/>', "$(arg side) $(arg kind)"))
+    path.write_text(
+        xacro_hand('<xacro:arg name="side"/><xacro:arg name="kind"/>', "$(arg side) $(arg kind)")
+    )
     assert main(["hand", str(path), "--xacro-args", "side=left", "kind=a=b"]) == 0
     assert "left a=b: 1 joints" in capsys.readouterr().out
     for words, message in (

@@ -37,7 +37,8 @@ from training.program.live.hand import STIFFNESS, SimulatedHand
 from training.program.live.window import Window
 
 ROOT = Path(__file__).parents[2]
-GRASP, LOAD = presets.paper_cuboid(), np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
+GRASP = presets.paper_cuboid()
+LOAD = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 EYE = np.array([4.0, 2.5, 5.0])
 
 
@@ -51,7 +52,9 @@ def bare() -> Iterator[BareContacts]:
 
 @pytest.fixture
 def hand() -> Iterator[SimulatedHand]:
-    page = SimulatedHand(0, EnvConfig().override(hand=HANDS["four_finger"](), method="newton"), rule)
+    page = SimulatedHand(
+        0, EnvConfig().override(hand=HANDS["four_finger"](), method="newton"), rule
+    )
     page.draw()
     yield page
     page.server.stop()
@@ -80,21 +83,28 @@ def drag(page: Window, name: str, *points: Any, ends: bool = False) -> None:
     phases = ["start", *["update"] * (len(points) - 1), *(["end"] if ends else [])]
     for phase, point in zip(phases, [*points, points[-1]], strict=False):
         camera = SimpleNamespace(camera=SimpleNamespace(position=EYE))
-        event = SimpleNamespace(phase=phase, start_position=points[0], end_position=point, client=camera)
+        event = SimpleNamespace(
+            phase=phase, start_position=points[0], end_position=point, client=camera
+        )
         for entry in node(page, name)._impl.drag_cb:
             asyncio.run(entry.callback(event))
     page.step(10.0)
 
 
-@pytest.mark.parametrize(("method", "start"), [(m, STARTS[0]) for m in METHODS] + [("newton", s) for s in STARTS])
+@pytest.mark.parametrize(
+    ("method", "start"), [(m, STARTS[0]) for m in METHODS] + [("newton", s) for s in STARTS]
+)
 def test_forces_balance_the_load_within_their_cones(method, start):
     found = answer(GRASP, LOAD, method, rule(start))
     again = answer(GRASP, LOAD, method, rule(start), previous=found.solution)
     assert (found.mood, found.status, again.status, found.twist) == ("good", "held", "held", None)
-    forces, margins = GRASP.to_object_frame(found.solution.force), found.columns["margin, N"]
+    forces = GRASP.to_object_frame(found.solution.force)
+    margins = found.columns["margin, N"]
     balance = [*forces.sum(axis=0), *np.cross(GRASP.positions, forces).sum(axis=0)]
     np.testing.assert_allclose(balance, -LOAD, atol=1e-9)
-    np.testing.assert_allclose(found.columns["normal, N"], np.einsum("ni,ni->n", forces, GRASP.normals), atol=1e-12)
+    np.testing.assert_allclose(
+        found.columns["normal, N"], np.einsum("ni,ni->n", forces, GRASP.normals), atol=1e-12
+    )
     assert margins.min() > 0.0
     if start == "previous":  # the timed solve does not start from itself
         assert again.facts["iterations"] == "0 from previous"
@@ -106,14 +116,20 @@ def test_what_cannot_be_held_is_proved_and_mended():
     assert (found.mood, found.status, found.solution) == ("bad", "cannot be held", None)
     assert found.twist is not None
     assert found.twist @ LOAD > 0.0
-    speeds = (one_side.matrix.T @ found.twist).reshape(-1, 3)  # in the dual cones: no force brakes it
-    assert (speeds[:, 0] >= 0.4 * np.hypot(speeds[:, 1], speeds[:, 2]) - 1e-6 * np.abs(speeds).max()).all()
+    # in the dual cones: no force brakes it
+    speeds = (one_side.matrix.T @ found.twist).reshape(-1, 3)
+    assert (
+        speeds[:, 0] >= 0.4 * np.hypot(speeds[:, 1], speeds[:, 2]) - 1e-6 * np.abs(speeds).max()
+    ).all()
     assert "More friction alone does not help" in found.words
-    sphere, eyes = look.object_mesh("sphere", (0.1,)), np.array([[0.5, 1.0, 0.0], [-0.5, 1.0, 0.3], [0.0, 0.2, -1.0]])
+    sphere = look.object_mesh("sphere", (0.1,))
+    eyes = np.array([[0.5, 1.0, 0.0], [-0.5, 1.0, 0.3], [0.0, 0.2, -1.0]])
     met = [cast_ray(sphere, eye, np.zeros(3)) for eye in eyes]
     smooth = Grasp.from_contacts(*map(np.array, zip(*met, strict=True)), 0.1)
     advised = float(answer(smooth, LOAD).words.split("Friction ")[1].split()[0])
-    moods = [answer(smooth.with_friction(friction), LOAD).mood for friction in (advised, advised - 0.05)]
+    moods = [
+        answer(smooth.with_friction(friction), LOAD).mood for friction in (advised, advised - 0.05)
+    ]
     assert moods == ["good", "bad"]
     limited = answer(GRASP, LOAD, max_normal=3.0)
     assert (limited.mood, limited.status) == ("bad", "beyond the limit")
@@ -121,8 +137,11 @@ def test_what_cannot_be_held_is_proved_and_mended():
 
 
 def test_a_screw_is_drawn_about_its_axis():
-    line, *ring = look.screw(np.array([0.0, 0.3, 0.1, 0.0, 0.0, 2.0]), np.array([0.0, 0.0, 7.0]), 1.0)
-    np.testing.assert_allclose(line[:, :2], [[-0.15, 0.0]] * 2, atol=1e-12)  # where the velocity is along the axis
+    line, *ring = look.screw(
+        np.array([0.0, 0.3, 0.1, 0.0, 0.0, 2.0]), np.array([0.0, 0.0, 7.0]), 1.0
+    )
+    # where the velocity is along the axis
+    np.testing.assert_allclose(line[:, :2], [[-0.15, 0.0]] * 2, atol=1e-12)
     assert line[1, 2] > 7.0 > line[0, 2]  # it slides upwards
     assert np.cross(ring[0][0] - line[0], ring[0][1] - line[0])[2] > 0.0  # and turns to the left
     line, *ring = look.screw(np.array([0.0, -2.0, 0.0, 0.0, 0.0, 0.0]), np.zeros(3), 1.0)
@@ -132,9 +151,12 @@ def test_a_screw_is_drawn_about_its_axis():
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_contacts_lie_on_the_object_under_the_mouse(shape):
-    rng, mesh, surface = np.random.default_rng(1), look.object_mesh(shape, (0.1,) * 3), ObjectDescription(shape).surface
+    rng = np.random.default_rng(1)
+    mesh = look.object_mesh(shape, (0.1,) * 3)
+    surface = ObjectDescription(shape).surface
     for _ in range(20):
-        eye, mouse = rng.normal(size=3), 0.01 * rng.normal(size=3)
+        eye = rng.normal(size=3)
+        mouse = 0.01 * rng.normal(size=3)
         met = cast_ray(mesh, eye, mouse)
         assert met is not None
         place, inward = met
@@ -147,12 +169,15 @@ def test_contacts_lie_on_the_object_under_the_mouse(shape):
         assert answer(Grasp.from_contacts(*place_contacts(mesh, count), 0.5), LOAD).mood == "good"
     assert body_of(Grasp.from_contacts(*place_contacts(mesh, 8), 0.5))[0] == shape
     positions = np.random.default_rng(2).normal(size=(5, 3))
-    name, hull = body_of(Grasp.from_contacts(positions, -positions / np.linalg.norm(positions, axis=1)[:, None], 0.5))
+    name, hull = body_of(
+        Grasp.from_contacts(positions, -positions / np.linalg.norm(positions, axis=1)[:, None], 0.5)
+    )
     assert (name, hull.is_watertight) == ("hull of the contacts", True)
 
 
 def test_the_controls_set_the_problem(bare):
-    heavy = np.array([40.0, 0.0, 0.0, *LOAD[3:]])  # needs more than 50 N: the end of the slider is no limit
+    # needs more than 50 N: the end of the slider is no limit
+    heavy = np.array([40.0, 0.0, 0.0, *LOAD[3:]])
     for control, value, changes in (
         (bare.friction, 0.8, {"grasp": GRASP.with_friction(0.8)}),
         (bare.force, tuple(heavy[:3]), {"wrench": heavy}),
@@ -167,7 +192,10 @@ def test_the_controls_set_the_problem(bare):
         normals = expected.columns["normal, N"]
         until(bare, lambda told=f"{normals[2]:.2f}</td>": told in panel(bare))
         np.testing.assert_allclose(bare.answer.columns["normal, N"], normals, atol=1e-9)
-        assert (bare.answer.status, bare.answer.facts["iterations"]) == ("held", expected.facts["iterations"])
+        assert (bare.answer.status, bare.answer.facts["iterations"]) == (
+            "held",
+            expected.facts["iterations"],
+        )
         control.value = before
 
 
@@ -193,7 +221,8 @@ def test_forces_and_cones_are_drawn_to_scale_and_errors_become_words(bare):
 
 def test_the_mouse_drags_the_load_and_a_contact_until_nothing_holds(bare):
     for k, (control, load) in enumerate(((bare.force, LOAD[:3]), (bare.moment, LOAD[3:]))):
-        head, away = np.array(node(bare, f"/load/{k}").position), np.array([0.2, 0.1, -0.3])
+        head = np.array(node(bare, f"/load/{k}").position)
+        away = np.array([0.2, 0.1, -0.3])
         drag(bare, f"/load/{k}", head + 0.01, head + 0.01 + away)
         np.testing.assert_allclose(node(bare, f"/load/{k}").position, head + away, atol=1e-3)
         np.testing.assert_allclose(node(bare, "/load").points[k, 1], head + away, atol=1e-3)
@@ -202,8 +231,10 @@ def test_the_mouse_drags_the_load_and_a_contact_until_nothing_holds(bare):
     to = np.array([0.45, 0.1, 0.3])
     drag(bare, "/contacts/0", 10.0 * GRASP.positions[0], to)
     assert bare.answer.status == "cannot be held"
-    np.testing.assert_allclose(np.cross(10.0 * bare.positions[0] - EYE, to - EYE), 0.0, atol=1e-9)  # under the mouse
-    np.testing.assert_allclose(bare.normals[0], [-1.0, 0.0, 0.0], atol=1e-9)  # of the side that it is on now
+    # under the mouse
+    np.testing.assert_allclose(np.cross(10.0 * bare.positions[0] - EYE, to - EYE), 0.0, atol=1e-9)
+    # of the side that it is on now
+    np.testing.assert_allclose(bare.normals[0], [-1.0, 0.0, 0.0], atol=1e-9)
     assert "red screw" in panel(bare)
     assert tuple(node(bare, "/object/body").color) == look.BAD
     assert (node(bare, "/screw").visible, node(bare, "/contacts/forces").visible) == (True, False)
@@ -216,13 +247,19 @@ def test_the_mouse_drags_the_load_and_a_contact_until_nothing_holds(bare):
 
 
 def test_only_the_page_itself_may_connect(bare):
-    port, upgrade = bare.server.get_port(), {"Upgrade": "websocket", "Connection": "Upgrade"}
+    port = bare.server.get_port()
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade"}
     upgrade |= {"Sec-WebSocket-Key": "x" * 22 + "==", "Sec-WebSocket-Version": "13"}
     upgrade |= {"Sec-WebSocket-Protocol": f"viser-v{viser.__version__}"}
     for host, origin, page, websocket in (
         (f"127.0.0.1:{port}", f"http://127.0.0.1:{port}", 200, 101),
         (f"localhost:{port}", f"http://localhost:{port}", 200, 101),
-        (f"127.0.0.1:{port}", None, 200, 403),  # opens the page; browsers send an origin with every websocket
+        (
+            f"127.0.0.1:{port}",
+            None,
+            200,
+            403,
+        ),  # opens the page; browsers send an origin with every websocket
         (f"127.0.0.1:{port}", "http://example.org", 403, 403),  # another site
         (f"127.0.0.1:{port}", "http://localhost:1", 403, 403),  # another program on this machine
         (f"127.0.0.1:{port}", "null", 403, 403),  # a file, or a frame without rights
@@ -231,29 +268,48 @@ def test_only_the_page_itself_may_connect(bare):
     ):
         for more, expected in (({}, page), (upgrade, websocket)):
             connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
-            connection.request("GET", "/", headers={"Host": host, **({"Origin": origin} if origin else {}), **more})
+            connection.request(
+                "GET", "/", headers={"Host": host, **({"Origin": origin} if origin else {}), **more}
+            )
             answered = connection.getresponse()
             framed = "DENY" if expected == 200 else None
-            assert (answered.status, answered.headers["X-Frame-Options"]) == (expected, framed), (host, origin)
+            assert (answered.status, answered.headers["X-Frame-Options"]) == (expected, framed), (
+                host,
+                origin,
+            )
             connection.close()
-    rows = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
-    listening = [row[1] for row in rows if row[3] == "0A" and int(row[1].rsplit(":", 1)[1], 16) == port]
+    rows = [
+        line.split()
+        for name in ("tcp", "tcp6")
+        for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
+    ]
+    listening = [
+        row[1] for row in rows if row[3] == "0A" and int(row[1].rsplit(":", 1)[1], 16) == port
+    ]
     assert listening == [f"0100007F:{port:04X}"]  # 127.0.0.1 alone, as the kernel writes it
 
 
 def recorded(path: Path) -> dict[str, Any]:
     """The film in a recording."""
-    data = base64.b64decode(re.findall(r'__VISER_EMBED_DATA__="([^"]+)"', path.read_text(encoding="utf-8"))[-1])
+    data = base64.b64decode(
+        re.findall(r'__VISER_EMBED_DATA__="([^"]+)"', path.read_text(encoding="utf-8"))[-1]
+    )
     whole = zstandard.ZstdDecompressor().decompress(data[8:], int.from_bytes(data[:8], "little"))
     return msgspec.msgpack.decode(whole[8 : 8 + int.from_bytes(whole[:8], "little")])
 
 
 def test_the_command_shows_a_urdf_and_saves_its_recording_at_ctrl_c(tmp_path):
     assert all(all(look.link_meshes(make().links)) for make in HANDS.values())
-    path, record = tmp_path / "mine.urdf", tmp_path / "live.html"
+    path = tmp_path / "mine.urdf"
+    record = tmp_path / "live.html"
     path.write_text(hand_urdf(HandDescription.four_finger()), encoding="utf-8")
-    command = [sys.executable, *f"-m training live --port 0 --hand {path} --record {record}".split()]
-    with start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
+    command = [
+        sys.executable,
+        *f"-m training live --port 0 --hand {path} --record {record}".split(),
+    ]
+    with start(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("http://127.0.0.1:")
         process.send_signal(signal.SIGINT)
@@ -278,7 +334,10 @@ def test_a_long_recording_ends_and_is_saved(bare, tmp_path, monkeypatch, capsys)
     assert bare._button.label == "Stop and save"
     monkeypatch.setattr("training.program.live.window.MAX_RECORDED", -1.0)
     bare._draw()
-    assert (bare._button.label, capsys.readouterr().out) == ("Record", f"{tmp_path / 'long.html'}\n")
+    assert (bare._button.label, capsys.readouterr().out) == (
+        "Record",
+        f"{tmp_path / 'long.html'}\n",
+    )
     assert recorded(tmp_path / "long.html")["messages"]
 
 
@@ -287,12 +346,16 @@ def test_a_recording_that_cannot_be_saved_does_not_end_the_page(bare, tmp_path):
     bare._record(tmp_path / "gone" / "live.html")
     bare._press()
     assert bare._button.label == "Record"
-    assert bare._note.content.startswith("not saved: live.html: No such file or directory; choose another folder")
+    assert bare._note.content.startswith(
+        "not saved: live.html: No such file or directory; choose another folder"
+    )
 
 
 def pushes(hand: SimulatedHand) -> np.ndarray:
     """Commanded forces (N, 3) on the object [N], world frame."""
-    return np.einsum("nij,nj->ni", hand.stage.scene.look().rotation @ hand.loop.frames, hand.loop.force)
+    return np.einsum(
+        "nij,nj->ni", hand.stage.scene.look().rotation @ hand.loop.frames, hand.loop.force
+    )
 
 
 def test_the_controls_change_hand_and_object_while_it_holds(hand, monkeypatch):
@@ -322,7 +385,8 @@ def test_the_controls_change_hand_and_object_while_it_holds(hand, monkeypatch):
 
 def test_the_mouse_pulls_the_object_until_it_is_lost(hand):
     drag(hand, "/object/body", (0.5, 0.0, 0.0), (0.5, 0.1, 0.0))
-    np.testing.assert_allclose(hand.grip, [0.05, 0.0, 0.0], atol=1e-4)  # in metres: it is drawn ten times as large
+    # in metres: it is drawn ten times as large
+    np.testing.assert_allclose(hand.grip, [0.05, 0.0, 0.0], atol=1e-4)
     np.testing.assert_allclose(hand.pull(), [0.0, 0.01 * STIFFNESS, 0.0], atol=0.05)
     drag(hand, "/object/body", (0.5, 0.0, 0.0), (0.5, 10.0, 0.0))
     hand.advance(100)
@@ -337,11 +401,15 @@ def test_the_mouse_pulls_the_object_until_it_is_lost(hand):
     hand.max_pull.value, hand.friction.value = 40.0, 0.1
     drag(hand, "/object/body", (0.0, 0.5, 0.0), (0.0, 30.0, 0.0))
     until(hand, lambda: hand.status()[1] == "lost")
-    assert (tuple(node(hand, "/object/body").color), node(hand, "/status").text) == (look.BAD, "lost")
+    assert (tuple(node(hand, "/object/body").color), node(hand, "/status").text) == (
+        look.BAD,
+        "lost",
+    )
     hand.again.value = True
     until(hand, lambda: hand.status()[1] == "held")
     assert (hand.mouse, hand.friction.value, hand.outcome.drift < 1e-3) == (None, 0.4, True)
-    hand.stage.scene.advance([0.0] * len(hand.loop.torques), [np.nan] * 6)  # the simulation diverges
+    # the simulation diverges
+    hand.stage.scene.advance([0.0] * len(hand.loop.torques), [np.nan] * 6)
     hand.step(0.0)
     assert "simulation diverged" in panel(hand)
     assert hand.status()[1] == "held"

@@ -1,4 +1,5 @@
-"""`grasp live` in a headless Chromium: it asks nobody else, draws without errors, and follows the mouse."""
+"""`grasp live` in a headless Chromium: it asks nobody else, draws without errors, and follows the
+mouse."""
 
 from __future__ import annotations
 
@@ -63,19 +64,28 @@ def test_contacts_follow_the_mouse_until_nothing_holds(tmp_path):
         try:
             tab.show(own, 800, 500)
             page.draw()
-            until(tab, page, "document.body.innerText.includes('held') && document.querySelector('canvas') !== null")
+            until(
+                tab,
+                page,
+                "document.body.innerText.includes('held') && document.querySelector('canvas') !== null",
+            )
             before = red()
-            start, end = (on_screen(tab, page, point) for point in ([0.0, 0.0, -0.5], [0.5, -0.2, 0.1]))
+            start, end = (
+                on_screen(tab, page, point) for point in ([0.0, 0.0, -0.5], [0.5, -0.2, 0.1])
+            )
             mouse("mouseMoved", start, 0)
             mouse("mousePressed", start, 1)
             for part in np.linspace(0.25, 1.0, 4):
                 mouse("mouseMoved", start + part * (end - start), 1)
             until(tab, page, "document.body.innerText.includes('cannot be held')")
             mouse("mouseReleased", end, 1)
-            np.testing.assert_allclose(page.positions[0], [0.05, -0.02, 0.01], atol=0.006)  # under the mouse
+            # under the mouse
+            np.testing.assert_allclose(page.positions[0], [0.05, -0.02, 0.01], atol=0.006)
             assert red() > max(0.1, 3.0 * before)
             assert {request.removeprefix("blob:")[: len(own)] for request in tab.requests} == {own}
-            assert [error for error in tab.errors if not any(known in error for known in OF_VISER)] == []
+            assert [
+                error for error in tab.errors if not any(known in error for known in OF_VISER)
+            ] == []
         finally:
             tab.show("about:blank", 1280, 800)
             page.server.stop()

@@ -1,7 +1,9 @@
-"""Wrenches at the boundary of what contacts can balance: one rule for Newton, conic, batches and `feasibility`.
+"""Wrenches at the boundary of what contacts can balance: one rule for Newton, conic, batches and
+`feasibility`.
 
-Within 1e-9 of the wrench, in the unit frame, the answer is a force that balances it to that accuracy; beyond, a proof with v . w > 0.
-A sample always, 10,000 problems under `slow`; GRASP_TRIAL_SEED gives those another seed.
+Within 1e-9 of the wrench, in the unit frame, the answer is a force that balances it to that
+accuracy; beyond, a proof with v . w > 0. A sample always, 10,000 problems under `slow`;
+GRASP_TRIAL_SEED gives those another seed.
 """
 
 from __future__ import annotations
@@ -17,7 +19,14 @@ import pytest
 from force.clarabel_reference import Reference
 
 from grasp_env.errors import GraspError, InfeasibleWrenchError
-from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, optimize_force, optimize_forces
+from grasp_env.force import (
+    ForceLimits,
+    ForceOptimizer,
+    ForceSolution,
+    Status,
+    optimize_force,
+    optimize_forces,
+)
 from grasp_env.force.record import INFEASIBLE
 from grasp_env.grasp import Grasp
 from grasp_env.quality import feasibility, force_closure
@@ -41,11 +50,17 @@ Array = np.ndarray
 
 
 def grasp_without_closure(rng: Generator) -> Grasp | None:
-    """Contacts that push one way, into half of space, along axes, or anywhere; None: rank lost, or force closure."""
-    kind = str(rng.choice(["hard", "elliptic", "soft", "mixed", "frictionless"], p=[0.45, 0.15, 0.15, 0.15, 0.1]))
+    """Contacts that push one way, into half of space, along axes, or anywhere; None: rank lost, or
+    force closure."""
+    kind = str(
+        rng.choice(
+            ["hard", "elliptic", "soft", "mixed", "frictionless"], p=[0.45, 0.15, 0.15, 0.15, 0.1]
+        )
+    )
     count = int(rng.integers(6, 9) if kind == "frictionless" else rng.integers(3, 9))
     size = 10.0 ** rng.uniform(-2.0, 0.0)
-    points, normals = size * rng.uniform(-1.0, 1.0, (count, 3)), rng.standard_normal((count, 3))
+    points = size * rng.uniform(-1.0, 1.0, (count, 3))
+    normals = rng.standard_normal((count, 3))
     shape = str(rng.choice(["palm", "half", "axes", "any"]))
     if shape == "palm":
         points[:, 2] *= 0.1
@@ -55,7 +70,11 @@ def grasp_without_closure(rng: Generator) -> Grasp | None:
     elif shape == "axes":
         normals = np.eye(3)[rng.integers(0, 3, count)]
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    friction = rng.uniform(0.2, 1.0, (count, 2)) if kind in ("elliptic", "mixed") else rng.uniform(0.2, 1.0, count)
+    friction = (
+        rng.uniform(0.2, 1.0, (count, 2))
+        if kind in ("elliptic", "mixed")
+        else rng.uniform(0.2, 1.0, count)
+    )
     names = {"mixed": list(rng.choice(["hard", "soft", "frictionless"], count)), "elliptic": "hard"}
     gamma = size * 10.0 ** rng.uniform(-2.0, 0.0, count)
     try:
@@ -69,7 +88,8 @@ def grasp_without_closure(rng: Generator) -> Grasp | None:
 
 def across(rng: Generator, grasp: Grasp) -> tuple[Array, Array] | None:
     """A wrench at the boundary and a step out of it, of its size; None: the step stays inside."""
-    reference, count = Reference(grasp), grasp.n_contacts
+    reference = Reference(grasp)
+    count = grasp.n_contacts
     force = np.zeros((count, 4))
     force[:, 0] = rng.uniform(0.0, 1.0, count)
     force[:, 1:3] = 0.6 * force[:, :1] * reference.mu * rng.uniform(-1.0, 1.0, (count, 2))
@@ -83,7 +103,9 @@ def across(rng: Generator, grasp: Grasp) -> tuple[Array, Array] | None:
         middle = 0.5 * (low + high)
         if middle in (low, high):
             break
-        low, high = (middle, high) if feasibility(grasp, inside + middle * step).feasible else (low, middle)
+        low, high = (
+            (middle, high) if feasibility(grasp, inside + middle * step).feasible else (low, middle)
+        )
     scale = 10.0 ** rng.uniform(-2.0, 3.0)
     return scale * (inside + low * step), scale * step
 
@@ -100,23 +122,34 @@ def verdict(call: Callable[[], Any]) -> tuple[str, ForceSolution | None]:
 
 def fault(reference: Reference, wrench: Array, found: ForceSolution) -> str:
     """Return the first fault of a force or a proof, and "" if there is none."""
-    load, most = float(np.abs(reference.load(wrench)).max()), float(np.abs(found.force).max())
+    load = float(np.abs(reference.load(wrench)).max())
+    most = float(np.abs(found.force).max())
     if found.status is Status.INFEASIBLE:
         twist, prices = found.certificate, found.limit_multipliers
         assert twist is not None
         if not twist @ wrench - (prices @ reference.bound if len(prices) else 0.0) > 0.0:
             return "a proof that is not positive"
         return "" if reference.proof(twist, wrench, prices) >= -1e-6 else "no proof"
-    if reference.residual(found.force, found.torsion, wrench) > 1.001 * BAND * max(load, min(most, 1.0)) + 1e-13 * most:
+    if (
+        reference.residual(found.force, found.torsion, wrench)
+        > 1.001 * BAND * max(load, min(most, 1.0)) + 1e-13 * most
+    ):
         return "no balance"
-    return "outside" if reference.violation(found.force, found.torsion) > 1e-13 * max(most, load) else ""
+    return (
+        "outside"
+        if reference.violation(found.force, found.torsion) > 1e-13 * max(most, load)
+        else ""
+    )
 
 
 def trial(seed: int, problems: int) -> tuple[Counter[str], list[str]]:
     """Number of each verdict, and the problems on which methods disagree or an answer is wrong."""
-    counts, notes, index = Counter(), [], 0
+    counts = Counter()
+    notes = []
+    index = 0
     while counts["problems"] < problems:
-        rng, index = np.random.default_rng([seed, index]), index + 1
+        rng = np.random.default_rng([seed, index])
+        index = index + 1
         grasp = grasp_without_closure(rng)
         found = None if grasp is None else across(rng, grasp)
         if grasp is None or found is None:
@@ -124,23 +157,33 @@ def trial(seed: int, problems: int) -> tuple[Counter[str], list[str]]:
         edge, step = found
         parts = np.array([0.0, *(sign * part for part in STEPS for sign in (1.0, -1.0))])
         wrenches = edge + parts[:, None] * step
-        limits = ForceLimits(max_normal=1e5 * float(np.abs(edge[:3]).max())) if rng.random() < 0.15 else None
+        limits = (
+            ForceLimits(max_normal=1e5 * float(np.abs(edge[:3]).max()))
+            if rng.random() < 0.15
+            else None
+        )
         reference = Reference(grasp, limits)
-        batches = [optimize_forces(grasp, wrenches, limits=limits, **options) for options in METHODS.values()]
+        batches = [
+            optimize_forces(grasp, wrenches, limits=limits, **options)
+            for options in METHODS.values()
+        ]
         batches += [] if limits else [optimize_forces([grasp] * len(wrenches), wrenches)]
         for k, (part, wrench) in enumerate(zip(parts, wrenches, strict=True)):
             said = {"feasibility": verdict(partial(feasibility, grasp, wrench, limits))[0]}
             if said["feasibility"] == "force" and not feasibility(grasp, wrench, limits).feasible:
                 said["feasibility"] = "proof"
             for name, options in METHODS.items():
-                said[name], answer = verdict(partial(optimize_force, grasp, wrench, limits=limits, **options))
+                said[name], answer = verdict(
+                    partial(optimize_force, grasp, wrench, limits=limits, **options)
+                )
                 if answer is None:
                     continue
                 counts[f"{name} {answer.status.value}"] += 1
                 if why := fault(reference, wrench, answer):
                     notes.append(f"seed {seed}, grasp {index - 1}, {part:g}, {name}: {why}")
             said |= {
-                f"batch {b}": "proof" if batch.codes[k] == INFEASIBLE else "force" for b, batch in enumerate(batches)
+                f"batch {b}": "proof" if batch.codes[k] == INFEASIBLE else "force"
+                for b, batch in enumerate(batches)
             }
             counts["problems"] += 1
             if len(set(said.values())) > 1 or not set(said.values()) <= {"force", "proof"}:
@@ -164,7 +207,8 @@ def test_all_methods_agree(problems: int) -> None:
 
 
 def test_a_load_over_the_edge_of_its_supports() -> None:
-    """A weight above the line between two supports, a nanometre inside or outside, is held; a micrometre outside it is not."""
+    """A weight above the line between two supports, a nanometre inside or outside, is held; a
+    micrometre outside it is not."""
     supports = np.array([[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0]])
     tray = Grasp.from_contacts(supports, [[0.0, 0.0, 1.0]] * 3, 0.5)
     for beyond in (-1e-6, -1e-12, 0.0, 1e-12):
@@ -184,13 +228,17 @@ def test_a_load_over_the_edge_of_its_supports() -> None:
 @pytest.mark.parametrize("name", METHODS)
 def test_the_largest_number_of_steps_holds_at_the_boundary(name: str, most: int) -> None:
     """For the search from a carried start, its replacement, and the optimum just inside together."""
-    supports = np.array([[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0], [-0.06, 0.01, 0.01]])
+    supports = np.array(
+        [[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0], [-0.06, 0.01, 0.01]]
+    )
     tray = Grasp.from_contacts(supports, [[0.0, 0.0, 1.0]] * 4, 0.5)
     for start in (None, "previous") if name == "newton" else (None,):
         optimizer = ForceOptimizer(tray, max_iterations=most, initial=start, **METHODS[name])
         for beyond in (-1e-3, -1e-9, -1e-12, 0.0, 1e-12):
             status, found = verdict(
-                partial(optimizer.solve, np.array([0.0, 0.0, -5.0, 0.0, -5.0 * (0.05 + beyond), 0.0]))
+                partial(
+                    optimizer.solve, np.array([0.0, 0.0, -5.0, 0.0, -5.0 * (0.05 + beyond), 0.0])
+                )
             )
             assert status in ("force", "NotConvergedError")
             assert found is None or found.iterations <= most

@@ -20,16 +20,22 @@ NOTHING = np.zeros(6)
 
 
 def assert_certificate(grasp: Grasp, wrench: np.ndarray, twist: np.ndarray) -> None:
-    """The twist proves that nothing balances the wrench strictly inside: v . (G f + w) = 0 has no room."""
+    """The twist proves that nothing balances the wrench strictly inside: v . (G f + w) = 0 has no
+    room."""
     assert np.abs(twist).max() == pytest.approx(1.0)
-    assert np.abs(grasp.cone_matrix.T @ twist).max() > 1e-6  # rank(G) = 6: a twist moves some contact
+    # rank(G) = 6: a twist moves some contact
+    assert np.abs(grasp.cone_matrix.T @ twist).max() > 1e-6
     assert Reference(grasp).proof(twist, wrench) >= -1e-7
 
 
 def test_verdicts_against_linear_programs() -> None:
-    rng, verdicts, undecided = np.random.default_rng(41), {True: 0, False: 0}, 0
+    rng = np.random.default_rng(41)
+    verdicts = {True: 0, False: 0}
+    undecided = 0
     closed = [*GRASPS.values(), *closure_grasps(8)]
-    for k, grasp in enumerate([*(random_grasp(rng, 3 + k % 5, cap=[-1.0, -0.3, 0.2][k % 3]) for k in range(30)), *closed]):  # fmt: skip
+    for k, grasp in enumerate(
+        [*(random_grasp(rng, 3 + k % 5, cap=[-1.0, -0.3, 0.2][k % 3]) for k in range(30)), *closed]
+    ):
         wrench = [1.0, 50.0][k % 2] * rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
         answer = feasibility(grasp, wrench)
         inner, outer = (pyramid_margin(grasp, wrench, inner=inside)[0] for inside in (True, False))
@@ -49,7 +55,9 @@ def test_verdicts_against_linear_programs() -> None:
         else:
             assert_certificate(grasp, wrench, answer.certificate)
         # the cones are cones
-        assert {feasibility(grasp, size * wrench).feasible for size in (1e-9, 1e6)} == {answer.feasible}
+        assert {feasibility(grasp, size * wrench).feasible for size in (1e-9, 1e6)} == {
+            answer.feasible
+        }
     assert min(verdicts.values()) > 8
     assert undecided < 8
 
@@ -57,13 +65,24 @@ def test_verdicts_against_linear_programs() -> None:
 @pytest.mark.parametrize("model", ["hard", "soft"])
 @pytest.mark.parametrize("what", ["normals", "own joints", "shared joints", "bias"])
 def test_without_closure_nothing_needs_no_limit(what: str, model: str) -> None:
-    """At zero wrench the cones alone exclude a force inside them: the proof has no prices, and the message names no limits."""
+    """At zero wrench the cones alone exclude a force inside them: the proof has no prices, and the
+    message names no limits."""
     rng = np.random.default_rng(3)
-    jacobian = 0.05 * rng.standard_normal((4, 3, 5)) if what == "shared joints" else own_joints(rng, 4)
+    jacobian = (
+        0.05 * rng.standard_normal((4, 3, 5)) if what == "shared joints" else own_joints(rng, 4)
+    )
     bias = 0.01 * (what == "bias") * rng.standard_normal(jacobian.shape[2])
-    limits = ForceLimits(max_normal=5.0) if what == "normals" else ForceLimits(0.0, 7.0, jacobian, 0.3, bias)
-    palm = Grasp.from_contacts(CUBOID.positions, PALM.normals, 0.4, contact_model=model, torsional_friction=0.01)
-    with pytest.raises(InfeasibleWrenchError, match="strictly inside the friction cones balances") as caught:
+    limits = (
+        ForceLimits(max_normal=5.0)
+        if what == "normals"
+        else ForceLimits(0.0, 7.0, jacobian, 0.3, bias)
+    )
+    palm = Grasp.from_contacts(
+        CUBOID.positions, PALM.normals, 0.4, contact_model=model, torsional_friction=0.01
+    )
+    with pytest.raises(
+        InfeasibleWrenchError, match="strictly inside the friction cones balances"
+    ) as caught:
         optimize_force(palm, NOTHING, limits=limits)
     solution = caught.value.solution
     assert not solution.limit_multipliers.any()
@@ -71,16 +90,24 @@ def test_without_closure_nothing_needs_no_limit(what: str, model: str) -> None:
 
 
 def test_closure_against_linear_programs() -> None:
-    rng, verdicts = np.random.default_rng(11), {True: 0, False: 0}
+    rng = np.random.default_rng(11)
+    verdicts = {True: 0, False: 0}
     for k in range(24):
         grasp = random_grasp(rng, 3 + k % 5)
         found = force_closure(grasp)
-        inner, outer = (pyramid_margin(grasp, NOTHING, inside, limited=True)[0] for inside in (True, False))
+        inner, outer = (
+            pyramid_margin(grasp, NOTHING, inside, limited=True)[0] for inside in (True, False)
+        )
         assert found or not inner > 1e-6
         assert not found or outer > 1e-6
         verdicts[found.closed] += 1
-        reversed_ = force_closure(Grasp.from_contacts(grasp.positions, -grasp.normals, grasp.friction))
-        assert (found.closed, found.margin) == (reversed_.closed, pytest.approx(reversed_.margin, rel=1e-6, abs=1e-9))
+        reversed_ = force_closure(
+            Grasp.from_contacts(grasp.positions, -grasp.normals, grasp.friction)
+        )
+        assert (found.closed, found.margin) == (
+            reversed_.closed,
+            pytest.approx(reversed_.margin, rel=1e-6, abs=1e-9),
+        )
         if not found:
             assert (found.force, found.margin, found.witness is found.twist) == (None, 0.0, True)
             assert found.error <= 1e-8
@@ -100,25 +127,39 @@ def test_closure_against_linear_programs() -> None:
 
 def test_margins_by_hand_and_soft_contacts() -> None:
     pinch = Grasp.from_contacts(
-        [[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], 0.5, contact_model="soft", torsional_friction=0.005
+        [[0, 0, -0.02], [0, 0, 0.02]],
+        [[0, 0, 1], [0, 0, -1]],
+        0.5,
+        contact_model="soft",
+        torsional_friction=0.005,
     )
     assert force_closure(presets.tripod()).margin == pytest.approx(1 / 4, rel=1e-7)
-    outward = Grasp.from_contacts(presets.tripod().positions, presets.tripod().normals * [[1.0], [-1.0], [1.0]], 0.5)
+    outward = Grasp.from_contacts(
+        presets.tripod().positions, presets.tripod().normals * [[1.0], [-1.0], [1.0]], 0.5
+    )
     assert "normals of contacts [1] point away" in force_closure(outward).help
     assert force_closure(pinch).margin == pytest.approx(1 / 3, rel=1e-7)
     positions = [[0.005, 0, -0.02], [-0.005, 0, 0.02], [0, 0.03, 0], [0, -0.03, 0]]
-    normals, models = [[0, 0, 1], [0, 0, -1], [0, -1, 0], [0, 1, 0]], ["soft"] * 2 + ["frictionless"] * 2
-    grasp = Grasp.from_contacts(positions, normals, [[0.5, 0.3]] * 4, contact_model=models, torsional_friction=0.004)
+    normals = [[0, 0, 1], [0, 0, -1], [0, -1, 0], [0, 1, 0]]
+    models = ["soft"] * 2 + ["frictionless"] * 2
+    grasp = Grasp.from_contacts(
+        positions, normals, [[0.5, 0.3]] * 4, contact_model=models, torsional_friction=0.004
+    )
     found = force_closure(grasp)
     assert grasp.residual(found.force, NOTHING, found.torsion) <= 1e-14
     assert (np.abs(found.torsion) < 0.004 * found.force[:, 0])[:2].all()
-    alone = Grasp.from_contacts(positions[:2], [[0, 0, 1]] * 2, 0.5, contact_model="soft", torsional_friction=0.004)
+    alone = Grasp.from_contacts(
+        positions[:2], [[0, 0, 1]] * 2, 0.5, contact_model="soft", torsional_friction=0.004
+    )
     assert_certificate(alone, NOTHING, force_closure(alone).twist)
 
 
 def test_closure_within_limits() -> None:
-    limits, impossible = (ForceLimits(min_normal=[0.0, 2.0, 2.0, 2.0], max_normal=most) for most in (7.0, 5.0))
-    found, without = force_closure(CUBOID, limits), force_closure(CUBOID, impossible)
+    limits, impossible = (
+        ForceLimits(min_normal=[0.0, 2.0, 2.0, 2.0], max_normal=most) for most in (7.0, 5.0)
+    )
+    found = force_closure(CUBOID, limits)
+    without = force_closure(CUBOID, impossible)
     assert limits.violations(CUBOID, found.force, tolerance=0.0) == []
     assert CUBOID.residual(found.force, NOTHING) <= 1e-13
     assert not without
@@ -129,14 +170,18 @@ def test_closure_within_limits() -> None:
     floor = NAMED["pushed"].grasp
     assert_certificate(floor, NOTHING, feasibility(floor, NOTHING).certificate)
     # the depth of a force without wrench is a fraction of the tightest limit
-    margins = [feasibility(CUBOID, NOTHING, ForceLimits(max_normal=most)).margin for most in (1e-12, 1e-3, 1.0)]
+    margins = [
+        feasibility(CUBOID, NOTHING, ForceLimits(max_normal=most)).margin
+        for most in (1e-12, 1e-3, 1.0)
+    ]
     assert margins == pytest.approx([margins[-1]] * 3, rel=1e-6)
 
 
 @pytest.mark.parametrize("size", [1e-2, 1e-6, 1e-10, 1e-16])
 def test_grasps_next_to_a_symmetric_one(size: float) -> None:
     """The margin of unit normals that nearly balance is unbounded but for its own bound."""
-    rng, preset = np.random.default_rng(1), presets.five_finger_cuboid()
+    rng = np.random.default_rng(1)
+    preset = presets.five_finger_cuboid()
     positions = preset.positions + size * 0.05 * rng.standard_normal(preset.positions.shape)
     grasp = Grasp.from_contacts(positions, preset.normals, preset.friction)
     force = feasibility(grasp, NOTHING).force
@@ -148,10 +193,14 @@ def test_a_start_that_does_not_exist_has_the_prices_of_its_proof() -> None:
     """The error has the prices of its own proof, not those that the call before has left."""
     shared = 0.05 * np.random.default_rng(3).standard_normal((4, 3, 5))
     limits = ForceLimits(jacobian=shared, torque_limit=0.1)
-    optimizer, wrench = ForceOptimizer(CUBOID, limits=limits), np.array([1.0, 0.5, -20.0, -0.1, 0.2, 0.0])
+    optimizer = ForceOptimizer(CUBOID, limits=limits)
+    wrench = np.array([1.0, 0.5, -20.0, -0.1, 0.2, 0.0])
     optimizer.solve(0.01 * wrench)
     with pytest.raises(InfeasibleWrenchError) as caught:
         optimizer.start(wrench)
     solution = caught.value.solution
     assert solution.limit_multipliers.any()
-    assert Reference(CUBOID, limits).proof(solution.certificate, wrench, solution.limit_multipliers) >= -1e-6
+    assert (
+        Reference(CUBOID, limits).proof(solution.certificate, wrench, solution.limit_multipliers)
+        >= -1e-6
+    )

@@ -23,7 +23,8 @@ def grasp_matrix(points: np.ndarray) -> np.ndarray:
 
 
 class Holder:
-    """A controller that squeezes, balances gravity and a given wrench, and pulls the object to its nominal pose.
+    """A controller that squeezes, balances gravity and a given wrench, and pulls the object to its
+    nominal pose.
 
     Args:
         squeeze: Thumb force [N] added to what balances.
@@ -36,7 +37,8 @@ class Holder:
         self.forces = np.zeros((4, 3))
 
     def __call__(self, scene: Scene) -> np.ndarray:
-        s, mass = scene.look(), scene.config.object.mass
+        s = scene.look()
+        mass = scene.config.object.mass
         skew = 0.5 * (s.rotation - s.rotation.T)
         turn = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
         pull = mass * scene.gravity + 200.0 * s.position
@@ -65,12 +67,15 @@ def make_holder() -> type[Holder]:
 
 @pytest.fixture
 def make_scene() -> Iterator[Callable[..., Scene]]:
-    """Return a function that makes scenes from fields of the config and of its object; close them afterwards."""
+    """Return a function that makes scenes from fields of the config and of its object; close them
+    afterwards."""
     scenes: list[Scene] = []
 
     def make(visuals: bool = False, **fields: Any) -> Scene:
         item = {name: fields.pop(name) for name in OBJECT if name in fields}
-        scenes.append(Scene(SceneConfig(object=ObjectDescription(**item), **fields), visuals=visuals))
+        scenes.append(
+            Scene(SceneConfig(object=ObjectDescription(**item), **fields), visuals=visuals)
+        )
         return scenes[-1]
 
     yield make

@@ -37,10 +37,18 @@ def scene() -> Iterator[Scene]:
 def one_finger(**fields: Any) -> Annotation:
     """A red finger that pushes along +x with 2 N on a contact at x = -0.03; no wrench."""
     given = {
-        "points": [[-0.03, 0.0, 0.0]], "normals": [[1.0, 0.0, 0.0]], "forces": [[2.0, 0.0, 0.0]], "friction": [1e-6],
-        "measured": [[2.0, 0.0, 0.0]], "active": [True], "colors": [[1.0, 0.0, 0.0]], "wrench": np.zeros(6),
-        "center": [0.1, 0.1, 0.0], "scale": 0.025, "turn": LONGEST_TURN / 0.2,
-    }  # fmt: skip
+        "points": [[-0.03, 0.0, 0.0]],
+        "normals": [[1.0, 0.0, 0.0]],
+        "forces": [[2.0, 0.0, 0.0]],
+        "friction": [1e-6],
+        "measured": [[2.0, 0.0, 0.0]],
+        "active": [True],
+        "colors": [[1.0, 0.0, 0.0]],
+        "wrench": np.zeros(6),
+        "center": [0.1, 0.1, 0.0],
+        "scale": 0.025,
+        "turn": LONGEST_TURN / 0.2,
+    }
     return Annotation(**{**given, **fields})
 
 
@@ -54,7 +62,9 @@ def test_project_is_that_of_opengl_and_unproject_its_inverse() -> None:
     project, look = (np.reshape(matrix, (4, 4)).T for matrix in matrices)  # in single precision
     clip = np.hstack([points, np.ones((30, 1))]) @ (project @ look).T
     device = clip[:, :3] / clip[:, 3:]
-    np.testing.assert_allclose(VIEW.project(points), (device[:, :2] * [0.5, -0.5] + 0.5) * [160, 120], atol=1e-3)
+    np.testing.assert_allclose(
+        VIEW.project(points), (device[:, :2] * [0.5, -0.5] + 0.5) * [160, 120], atol=1e-3
+    )
     np.testing.assert_allclose(VIEW.depth(points), clip[:, 3], atol=1e-6)
     back = VIEW.unproject(np.full((120, 160), 0.5 * device[0, 2] + 0.5)).reshape(-1, 3)
     np.testing.assert_allclose(VIEW.depth(back), clip[0, 3], atol=1e-5)
@@ -81,13 +91,18 @@ def test_a_picture_shows_the_object_in_its_place_and_what_is_behind_it(scene: Sc
     with camera.painter.object_hidden():
         without = camera.capture().astype(int)
     rows, columns = np.nonzero(np.abs(opaque - without).max(axis=2) > 40)
-    pixels = camera.view.project(0.05 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]))
-    # the fingers hide the left edge: right edge and lowest corner, within a pixel and the smoothing's one
+    pixels = camera.view.project(
+        0.05 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    )
+    # the fingers hide the left edge: right edge and lowest corner, within a pixel and the
+    # smoothing's one
     assert columns.max() == pytest.approx(pixels[:, 0].max(), abs=2.5)
     assert rows.max() == pytest.approx(pixels[:, 1].max(), abs=2.5)
     # nothing before or behind but the palm's shadow
     row, column = camera.view.project([[0.02, -0.04, 0.05]])[0, ::-1].astype(int)
-    half_open = Camera(scene, CameraConfig(width=240, height=240, object_opacity=0.5)).capture().astype(int)
+    half_open = (
+        Camera(scene, CameraConfig(width=240, height=240, object_opacity=0.5)).capture().astype(int)
+    )
     assert np.abs(half_open[row, column] - 0.5 * (opaque + without)[row, column]).max() <= 2.0
     assert np.abs(opaque - without)[row, column].max() > 10
     for at, shade in ((0, (253, 253, 254)), (-1, (226, 231, 238))):
@@ -95,7 +110,8 @@ def test_a_picture_shows_the_object_in_its_place_and_what_is_behind_it(scene: Sc
 
 
 def test_hand_and_object_fill_the_picture(scene: Scene) -> None:
-    default, half = SceneConfig(), 0.06
+    default = SceneConfig()
+    half = 0.06
     points = tuple((x, y, half * np.sign(z)) for x, y, z in default.contact_points)
     camera = Camera(scene, CameraConfig(width=160, height=90, object_opacity=1.0))
     cuboid = dataclasses.replace(default.object, size=(2 * half, 2 * half, 2 * half))
@@ -121,9 +137,11 @@ def test_hidden_contacts_are_counted(scene: Scene) -> None:
 
 
 def test_pictures_are_deterministic_and_leave_the_scene_alone(scene: Scene) -> None:
-    state, camera = numbers(scene), Camera(scene, CameraConfig(width=120, height=100))
+    state = numbers(scene)
+    camera = Camera(scene, CameraConfig(width=120, height=100))
     note = one_finger(lines=[("iterations", "12")])
-    plain, noted = camera.capture(), camera.capture(note)
+    plain = camera.capture()
+    noted = camera.capture(note)
     assert (noted.shape, noted.dtype) == ((100, 120, 3), np.uint8)
     assert (noted != plain).any()
     np.testing.assert_array_equal(camera.capture(note), noted)
@@ -135,11 +153,28 @@ def test_pictures_are_deterministic_and_leave_the_scene_alone(scene: Scene) -> N
 
 @pytest.mark.parametrize(
     ("make", "fields"),
-    [(CameraConfig, fields) for fields in (
-        {"width": 0}, {"direction": (0.0, 1.0, 0.0)}, {"margin": 0.5}, {"object_opacity": 2.0}, {"field_of_view": 0.0}, {"footer": 0.6})]
-    + [(one_finger, fields) for fields in (
-        {"forces": np.zeros((2, 3))}, {"friction": [np.nan]}, {"wrench": np.zeros(3)}, {"scale": 0.0}, {"turn": -1.0})],
-)  # fmt: skip
+    [
+        (CameraConfig, fields)
+        for fields in (
+            {"width": 0},
+            {"direction": (0.0, 1.0, 0.0)},
+            {"margin": 0.5},
+            {"object_opacity": 2.0},
+            {"field_of_view": 0.0},
+            {"footer": 0.6},
+        )
+    ]
+    + [
+        (one_finger, fields)
+        for fields in (
+            {"forces": np.zeros((2, 3))},
+            {"friction": [np.nan]},
+            {"wrench": np.zeros(3)},
+            {"scale": 0.0},
+            {"turn": -1.0},
+        )
+    ],
+)
 def test_invalid_arguments(make: Any, fields: dict[str, Any]) -> None:
     with pytest.raises(InvalidInputError, match=next(iter(fields))):
         make(**fields)
@@ -157,7 +192,10 @@ LOOKS = {
 DRAWN = {
     "an arrow ends at its contact and is to scale": (
         {"measured": np.zeros((1, 3))},
-        {"red": [(-0.04, 0.0), (-0.055, 0.0), (-0.0775, 0.0)], "blank": [(-0.0875, 0.0), (-0.02, 0.0)]},
+        {
+            "red": [(-0.04, 0.0), (-0.055, 0.0), (-0.0775, 0.0)],
+            "blank": [(-0.0875, 0.0), (-0.02, 0.0)],
+        },
     ),
     "a measured force is a dark line": (
         {"measured": [[2.0, -1.0, 0.0]]},
@@ -179,17 +217,21 @@ DRAWN = {
     "a moment turns about its axis": (
         {"active": [False], "wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 0.12], "center": [0.0, 0.05, 0.0]},
         {
-            "ring": [(0.03 * np.cos(a), 0.05 + 0.03 * np.sin(a)) for a in np.radians([20, 90, 140])],
+            "ring": [
+                (0.03 * np.cos(a), 0.05 + 0.03 * np.sin(a)) for a in np.radians([20, 90, 140])
+            ],
             "blank": [(0.03 * np.cos(a), 0.05 + 0.03 * np.sin(a)) for a in np.radians([225, 320])],
         },
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("what", DRAWN)
 def test_drawn(what: str) -> None:
     fields, expected = DRAWN[what]
-    image = np.array(draw(Image.new("RGB", (300, 300), "white"), one_finger(**fields), FRONT)).astype(int)
+    image = np.array(
+        draw(Image.new("RGB", (300, 300), "white"), one_finger(**fields), FRONT)
+    ).astype(int)
     for look, places in expected.items():
         for x, y in places:
             column, row = FRONT.project([[x, y, 0.0]])[0].round().astype(int)
@@ -201,7 +243,9 @@ def test_every_size_and_every_place_can_be_drawn(size: tuple[int, int]) -> None:
     """Pixels that are not drawn on are only veiled."""
     view = dataclasses.replace(FRONT, width=size[0], height=size[1])
     for place in ([0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.5]):
-        note = one_finger(points=[place], center=place, wrench=np.ones(6), lines=[("margin", "0.31 N")] * 4)
+        note = one_finger(
+            points=[place], center=place, wrench=np.ones(6), lines=[("margin", "0.31 N")] * 4
+        )
         assert draw(Image.new("RGB", size), note, view).size == size
     image = np.random.default_rng(0).integers(0, 256, (300, 300, 3)).astype(np.uint8)
     out = np.array(draw(Image.fromarray(image), one_finger(), FRONT))
@@ -211,22 +255,38 @@ def test_every_size_and_every_place_can_be_drawn(size: tuple[int, int]) -> None:
 @pytest.mark.parametrize("size", [(480, 480), (320, 240)])
 def test_text_has_its_place_beside_hand_and_arrows(scene: Scene, size: tuple[int, int]) -> None:
     margin, footer = room(*size)
-    camera = Camera(scene, CameraConfig(*size, margin=margin, footer=footer, arrows=LONGEST, object_opacity=1.0))
+    camera = Camera(
+        scene, CameraConfig(*size, margin=margin, footer=footer, arrows=LONGEST, object_opacity=1.0)
+    )
     lines = [("lost after", "1.20 s"), ("drift", "0.31 mm"), ("tilt", "0.02 deg")]
-    none = {name: np.zeros((0, 3)) for name in ("points", "normals", "forces", "measured", "colors")}
+    none = {
+        name: np.zeros((0, 3)) for name in ("points", "normals", "forces", "measured", "colors")
+    }
     note = one_finger(
-        **none, friction=[], active=[], center=np.zeros(3), title="hold: random wrench", hand="four finger", lines=lines
+        **none,
+        friction=[],
+        active=[],
+        center=np.zeros(3),
+        title="hold: random wrench",
+        hand="four finger",
+        lines=lines,
     )
     plain = np.array(draw(Image.new("RGB", size, (120, 120, 120)), note, camera.view)).astype(int)
     text = (plain != round(255 - (1.0 - VEIL) * (255 - 120))).any(axis=2)
     _, depth = camera.painter.shoot(camera.view)
     assert text.mean() > 0.1
     assert not (text & (depth < BACKGROUND_DEPTH)).any()
-    ends = camera.view.project(np.vstack([0.95 * LONGEST * np.eye(3), -0.95 * LONGEST * np.eye(3)])).astype(int)
+    ends = camera.view.project(
+        np.vstack([0.95 * LONGEST * np.eye(3), -0.95 * LONGEST * np.eye(3)])
+    ).astype(int)
     assert not text[ends[:, 1], ends[:, 0]].any()
     alarmed = dataclasses.replace(note, alarm="lost: no force closure")
-    after = np.array(draw(Image.new("RGB", size, (120, 120, 120)), alarmed, camera.view)).astype(int)
-    red = (after[..., 0] - after[..., 1:].max(axis=2) > 80) & (plain[..., 0] - plain[..., 1:].max(axis=2) < 80)
+    after = np.array(draw(Image.new("RGB", size, (120, 120, 120)), alarmed, camera.view)).astype(
+        int
+    )
+    red = (after[..., 0] - after[..., 1:].max(axis=2) > 80) & (
+        plain[..., 0] - plain[..., 1:].max(axis=2) < 80
+    )
     assert red[: size[1] // 2].sum() > 20  # the alarm
     assert red[size[1] // 2 :, : size[0] // 3].sum() > 20  # the first of the lines
 
@@ -240,14 +300,19 @@ def test_smooth_edges_come_nearer_to_the_true_coverage(angle: float, most: float
 
     jagged = np.repeat(half_plane(1)[:, :, None], 3, axis=2).astype(np.uint8)
     jagged[..., 2] //= 2  # a colour
-    smooth, truth = np.array(smooth_edges(Image.fromarray(jagged))), half_plane(16)[:, :, None] * [1.0, 1.0, 0.5]
-    error = [np.sqrt(np.mean((image[4:-4, 4:-4] - truth[4:-4, 4:-4]) ** 2)) for image in (jagged, smooth)]
+    smooth = np.array(smooth_edges(Image.fromarray(jagged)))
+    truth = half_plane(16)[:, :, None] * [1.0, 1.0, 0.5]
+    error = [
+        np.sqrt(np.mean((image[4:-4, 4:-4] - truth[4:-4, 4:-4]) ** 2)) for image in (jagged, smooth)
+    ]
     assert error[1] < most * error[0]
 
 
 def test_lines_end_at_contacts() -> None:
     (start, end, _), (_, tip, _) = lines_of(one_finger(wrench=[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
-    np.testing.assert_allclose([start, end, tip], [[-0.08, 0.0, 0.0], [-0.03, 0.0, 0.0], [0.1, 0.15, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(
+        [start, end, tip], [[-0.08, 0.0, 0.0], [-0.03, 0.0, 0.0], [0.1, 0.15, 0.0]], atol=1e-12
+    )
     np.testing.assert_allclose(*lines_of(one_finger(active=[False]))[0][:2])
 
 
@@ -256,7 +321,8 @@ def test_a_portrait_is_upright_and_shows_tips_and_posture() -> None:
     picture = portrait(hand, 96).astype(int)
     assert picture.shape == (96, 192, 3)
     solid = picture[:, 96:]
-    red, palm = (solid[..., 0] > 150) & (solid[..., 1] < 90), solid.max(axis=2) < 140
+    red = (solid[..., 0] > 150) & (solid[..., 1] < 90)
+    palm = solid.max(axis=2) < 140
     assert red.sum() > 20
     assert np.nonzero(red)[0].mean() < np.nonzero(palm)[0].mean() - 20
     bent = portrait(hand, 96, np.array(hand.home) + 0.3)

@@ -18,13 +18,33 @@ class Dotted(dict[str, Any]):
 
 
 FUNCTIONS: dict[str, Any] = {
-    "list": list, "dict": dict, "set": set, "sorted": sorted, "zip": zip, "map": map, "len": len, "str": str, "max": max, "isinstance": isinstance,
-    "range": range, "all": all, "any": any, "sum": sum, "int": int,
-}  # fmt: skip
+    "list": list,
+    "dict": dict,
+    "set": set,
+    "sorted": sorted,
+    "zip": zip,
+    "map": map,
+    "len": len,
+    "str": str,
+    "max": max,
+    "isinstance": isinstance,
+    "range": range,
+    "all": all,
+    "any": any,
+    "sum": sum,
+    "int": int,
+}
 SYMBOLS: dict[str, Any] = {
-    **FUNCTIONS, "pi": math.pi, "cos": math.cos, "side": "left", "fingers": ["th", "ff", "mf"], "_spare_": None, "size": 0.03,
-    "limits": Dotted(lower=-1, upper=2.5, inner=Dotted(items_=3)), "table": {"a": {"b": [1, 2, 3]}},
-}  # fmt: skip
+    **FUNCTIONS,
+    "pi": math.pi,
+    "cos": math.cos,
+    "side": "left",
+    "fingers": ["th", "ff", "mf"],
+    "_spare_": None,
+    "size": 0.03,
+    "limits": Dotted(lower=-1, upper=2.5, inner=Dotted(items_=3)),
+    "table": {"a": {"b": [1, 2, 3]}},
+}
 SAME = """
 -pi / 4
 2 * (size + 0.001) ** 2 - 7 // 2 % 3
@@ -77,12 +97,28 @@ def test_a_value_is_that_of_python(text: str) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["undefined", "1 +", "1 / 0", "fingers[9]", "table['c']", "side.none", "limits.none", "len()", "'a' + 1", "f for f in fingers", "[a for a, b in [(1, 2, 3)]]", "cos(x=1)", "size()"],
-)  # fmt: skip
+    [
+        "undefined",
+        "1 +",
+        "1 / 0",
+        "fingers[9]",
+        "table['c']",
+        "side.none",
+        "limits.none",
+        "len()",
+        "'a' + 1",
+        "f for f in fingers",
+        "[a for a, b in [(1, 2, 3)]]",
+        "cos(x=1)",
+        "size()",
+    ],
+)
 def test_errors_are_those_of_python(text: str) -> None:
     with pytest.raises(Exception) as expected:  # noqa: PT011
         eval(text, {"__builtins__": {}, **SYMBOLS}, {})
-    kind = AttributeError if text.startswith("limits") else expected.type  # xacro's dicts raise this one
+    kind = (
+        AttributeError if text.startswith("limits") else expected.type
+    )  # xacro's dicts raise this one
     if text == "side.none":  # of another value it could be harmful
         kind = RefusedError
     with pytest.raises(kind):
@@ -92,20 +128,61 @@ def test_errors_are_those_of_python(text: str) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        *("().__class__", "().__cl\uff41ss__", "(1).__init__", "side.__class__", "len.__self__", "limits.keys.__self__", "[].append.__call__"),
-        *("(i for i in [1]).gi_frame", "(i for i in [1]).\uff47i_frame", "[i for i in [1]].gi_code", "cos.__globals__", "cos.f_back"),
-        *("str.mro()", "str.format", "dict.fromkeys('a')", "side.format(1)", "side.format_map({})", "f'{side}'", "f'{side.__class__}'", "b''.decode"),
-        *("lambda: 1", "(x := 1)", "[0 for side.x in [1]]", "[0 for table['x'] in [1]]", "[x async for x in []]", "[0 for *x, y in [[1]]]"),
-        *("__import__", "__builtins__", "side @ side", "9**9**9", "(-9)**(9**9)", "1 << 10**10", "2 ** 10**6", "(...).x", "yield_.x if 0 else (yield)"),
+        *(
+            "().__class__",
+            "().__cl\uff41ss__",
+            "(1).__init__",
+            "side.__class__",
+            "len.__self__",
+            "limits.keys.__self__",
+            "[].append.__call__",
+        ),
+        *(
+            "(i for i in [1]).gi_frame",
+            "(i for i in [1]).\uff47i_frame",
+            "[i for i in [1]].gi_code",
+            "cos.__globals__",
+            "cos.f_back",
+        ),
+        *(
+            "str.mro()",
+            "str.format",
+            "dict.fromkeys('a')",
+            "side.format(1)",
+            "side.format_map({})",
+            "f'{side}'",
+            "f'{side.__class__}'",
+            "b''.decode",
+        ),
+        *(
+            "lambda: 1",
+            "(x := 1)",
+            "[0 for side.x in [1]]",
+            "[0 for table['x'] in [1]]",
+            "[x async for x in []]",
+            "[0 for *x, y in [[1]]]",
+        ),
+        *(
+            "__import__",
+            "__builtins__",
+            "side @ side",
+            "9**9**9",
+            "(-9)**(9**9)",
+            "1 << 10**10",
+            "2 ** 10**6",
+            "(...).x",
+            "yield_.x if 0 else (yield)",
+        ),
     ],
-)  # fmt: skip
+)
 def test_whatever_could_leave_the_data_is_refused(text: str) -> None:
     with pytest.raises(RefusedError, match=r"^the expression .*, which is not allowed$"):
         evaluate(text, {**SYMBOLS, "yield_": 1})
 
 
 def test_results_have_no_way_out() -> None:
-    """A comprehension in brackets is a list, so that no generator exists; what a function returns has no attributes."""
+    """A comprehension in brackets is a list, so that no generator exists; what a function returns
+    has no attributes."""
     assert evaluate("(i for i in [1, 2])", {}) == [1, 2]
     for text in ("zip([1], [2])", "map(len, [])", "range", "limits.items"):
         evaluate(text, SYMBOLS)

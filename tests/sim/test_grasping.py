@@ -1,4 +1,5 @@
-"""Placed hands and planned grasps: reachable, clear, closed, and balanced by the optimiser; checks of given contacts."""
+"""Placed hands and planned grasps: reachable, clear, closed, and balanced by the optimiser; checks
+of given contacts."""
 
 from __future__ import annotations
 
@@ -22,18 +23,26 @@ from grasp_env.sim import HANDS, HandDescription, HandKinematics, ObjectDescript
 from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.grasping.approach import DEVIATION, Approach, as_approach
 from grasp_env.sim.grasping.placing import _Candidate, _never_facing, _placed, _Trials, _wide_joints
-from grasp_env.sim.grasping.points import FRICTION_MARGIN, GraspPlan, check_points, grasp_points, plan_grasp
+from grasp_env.sim.grasping.points import (
+    FRICTION_MARGIN,
+    GraspPlan,
+    check_points,
+    grasp_points,
+    plan_grasp,
+)
 from grasp_env.sim.hand.description import Geometry
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH
 
-FOUR, GRIPPER = HANDS["four_finger"](), gripper(3, 2)
+FOUR = HANDS["four_finger"]()
+GRIPPER = gripper(3, 2)
 CUBE = ObjectDescription("cuboid", (0.05, 0.05, 0.05), mass=0.15, friction=0.7)
 BALL = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
 
 
 def check(hand: HandDescription, item: ObjectDescription) -> GraspPlan:
-    """The promises of a plan: tips touch far from edges, the start is clear, joints are within limits, nothing else touches."""
+    """The promises of a plan: tips touch far from edges, the start is clear, joints are within
+    limits, nothing else touches."""
     kinematics = HandKinematics(hand)
     plan = plan_grasp(item, kinematics)
     points, normals = grasp_points(item, kinematics)
@@ -41,17 +50,25 @@ def check(hand: HandDescription, item: ObjectDescription) -> GraspPlan:
     on, inward = check_points(item, points, normals)
     np.testing.assert_allclose(points, on, atol=1e-9)
     np.testing.assert_allclose(normals, inward, atol=1e-6)
-    half, edge = 0.5 * np.array(item.extent), {0.003: 0.005, 0.0015: 0.003, 0.0005: 0.001}[plan.clearance]
+    half = 0.5 * np.array(item.extent)
+    edge = {0.003: 0.005, 0.0015: 0.003, 0.0005: 0.001}[plan.clearance]
     if item.shape == "cuboid":
         assert (np.sort(half - np.abs(points), axis=1)[:, 1] > 0.97 * edge).all()
     if item.shape == "cylinder":
         side = np.hypot(points[:, 0], points[:, 2])
         on_side = np.abs(side - half[0]) < 1e-9
-        assert (np.where(on_side, half[1] - np.abs(points[:, 1]), half[0] - side) > 0.97 * edge).all()
-    limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home, touching_pairs(hand))
+        assert (
+            np.where(on_side, half[1] - np.abs(points[:, 1]), half[0] - side) > 0.97 * edge
+        ).all()
+    limbs = core.HandLimbs.make(
+        kinematics.tree, hand_limbs(hand), kinematics.home, touching_pairs(hand)
+    )
     for angles, wanted in ((plan.angles, 0.0), (plan.start, START_CLEARANCE)):
         tips = kinematics.tips(angles)
-        gaps = [item.surface.nearest(tip)[2] - radius for tip, radius in zip(tips, kinematics.tip_radii, strict=True)]
+        gaps = [
+            item.surface.nearest(tip)[2] - radius
+            for tip, radius in zip(tips, kinematics.tip_radii, strict=True)
+        ]
         np.testing.assert_allclose(gaps, wanted, atol=2e-5)  # bisection
         assert (angles >= kinematics.lower - 1e-9).all()
         assert (angles <= kinematics.upper + 1e-9).all()
@@ -60,7 +77,9 @@ def check(hand: HandDescription, item: ObjectDescription) -> GraspPlan:
     touch = kinematics.tips(plan.angles) + kinematics.tip_radii[:, None] * plan.normals
     np.testing.assert_allclose(touch, plan.points, atol=1e-6)
     if item.torsional_friction == 0.0:
-        grasp = Grasp.from_contacts(plan.points, plan.normals, FRICTION_MARGIN * item.friction * hand.tip_friction)
+        grasp = Grasp.from_contacts(
+            plan.points, plan.normals, FRICTION_MARGIN * item.friction * hand.tip_friction
+        )
         assert force_closure(grasp).closed
     return plan
 
@@ -71,12 +90,15 @@ def worst(item: ObjectDescription, plan: GraspPlan) -> float:
     optimizer = ForceOptimizer(grasp, method="conic")
     steps = np.diag([2.0, 2.0, 2.0, 0.06, 0.06, 0.06])
     weight = np.array([0.0, -9.81 * item.mass, 0.0, 0.0, 0.0, 0.0])
-    return max(optimizer.solve(weight + sign * step).objective for step in steps for sign in (1.0, -1.0))
+    return max(
+        optimizer.solve(weight + sign * step).objective for step in steps for sign in (1.0, -1.0)
+    )
 
 
 @pytest.mark.parametrize("name", ["four_finger", "three_finger", "five_finger"])
 def test_random_objects_are_grasped(name: str) -> None:
-    rng, forces = np.random.default_rng(5), []
+    rng = np.random.default_rng(5)
+    forces = []
     for shape in 4 * SHAPES_WITHOUT_MESH:
         item = random_object(rng, shapes=[shape])
         forces.append(worst(item, check(HANDS[name](), item)))
@@ -89,8 +111,12 @@ def test_the_reference_grasp_and_random_generators() -> None:
     points, normals = grasp_points(ObjectDescription(), hand)
     np.testing.assert_array_equal(points, paper_cuboid().positions)
     np.testing.assert_array_equal(normals, paper_cuboid().normals)
-    usual, again = (grasp_points(ObjectDescription("cylinder", (0.08, 0.1)), hand)[0] for _ in range(2))
-    first, same = (grasp_points(ObjectDescription(), hand, np.random.default_rng(3))[0] for _ in range(2))
+    usual, again = (
+        grasp_points(ObjectDescription("cylinder", (0.08, 0.1)), hand)[0] for _ in range(2)
+    )
+    first, same = (
+        grasp_points(ObjectDescription(), hand, np.random.default_rng(3))[0] for _ in range(2)
+    )
     np.testing.assert_array_equal(usual, again)
     np.testing.assert_array_equal(first, same)
     assert not np.array_equal(first, points)
@@ -122,13 +148,27 @@ def test_bullet_sees_no_other_contact() -> None:
     ("item", "hand", "message"),
     [
         (ObjectDescription("cuboid", (0.3, 0.3, 0.3)), FOUR, "into the palm"),
-        (ObjectDescription("cuboid", (0.08, 0.08, 0.08), friction=0.001), FOUR, "raise the friction"),
-        (ObjectDescription("sphere"), replace(FOUR, fingertips=FOUR.fingertips[:2]), "more fingers"),
-        (ObjectDescription("sphere", (0.05,)), FOUR.moved((0.0, 0.3, 0.0)), r"'thumb' finds no place on it.*\d+ out of reach"),
+        (
+            ObjectDescription("cuboid", (0.08, 0.08, 0.08), friction=0.001),
+            FOUR,
+            "raise the friction",
+        ),
+        (
+            ObjectDescription("sphere"),
+            replace(FOUR, fingertips=FOUR.fingertips[:2]),
+            "more fingers",
+        ),
+        (
+            ObjectDescription("sphere", (0.05,)),
+            FOUR.moved((0.0, 0.3, 0.0)),
+            r"'thumb' finds no place on it.*\d+ out of reach",
+        ),
     ],
     ids=["large", "slippery", "two fingers", "far"],
-)  # fmt: skip
-def test_objects_that_cannot_be_held(item: ObjectDescription, hand: HandDescription, message: str) -> None:
+)
+def test_objects_that_cannot_be_held(
+    item: ObjectDescription, hand: HandDescription, message: str
+) -> None:
     with pytest.raises(InvalidInputError, match=message):
         grasp_points(item, HandKinematics(hand))
 
@@ -162,17 +202,23 @@ def test_invalid_points(point: list[float], normal: Any, message: str) -> None:
     ("fingers", "joints", "coupled", "item"),
     [(3, 1, False, CUBE), (3, 2, False, BALL), (4, 2, True, BALL), (4, 3, True, CUBE)],
 )
-def test_planar_and_coupled_fingers(fingers: int, joints: int, coupled: bool, item: ObjectDescription) -> None:
+def test_planar_and_coupled_fingers(
+    fingers: int, joints: int, coupled: bool, item: ObjectDescription
+) -> None:
     hand = gripper(fingers, joints, coupled)
     assert not any(core.HandLimbs.make(HandKinematics(hand).tree, [], np.array(hand.home)).free)
     check(place_hand(hand, item), item)
 
 
-@pytest.mark.parametrize(("name", "item"), [("four_finger_4dof", BALL), ("five_finger", CUBE), ("allegro", CUBE)])
+@pytest.mark.parametrize(
+    ("name", "item"), [("four_finger_4dof", BALL), ("five_finger", CUBE), ("allegro", CUBE)]
+)
 def test_known_hands(name: str, item: ObjectDescription) -> None:
     placed = place_hand(replace(HANDS[name](), placed=False), item)
     assert placed.placed
-    assert placed.finger_count >= (4 if name == "allegro" else 3)  # more fingers touch where they hold as well
+    assert placed.finger_count >= (
+        4 if name == "allegro" else 3
+    )  # more fingers touch where they hold as well
     check(placed, item)
 
 
@@ -200,7 +246,9 @@ def test_fingers_that_find_no_contact_are_left_out() -> None:
 
 def ranged(hand: HandDescription, lower: float, upper: float) -> HandDescription:
     """The hand with other ranges of its joints."""
-    return replace(hand, home=(), links=tuple(replace(link, lower=lower, upper=upper) for link in hand.links))
+    return replace(
+        hand, home=(), links=tuple(replace(link, lower=lower, upper=upper) for link in hand.links)
+    )
 
 
 def test_joints_with_ranges_wider_than_fingers_have() -> None:
@@ -215,20 +263,28 @@ def test_advice_on_fingers_and_joints() -> None:
     assert (_never_facing(GRIPPER, faced), _wide_joints(GRIPPER)) == ("", "")
     faced[:, 2] = faced[2] = False
     assert "never face each other: f0 and f2; f1 and f2. " in _never_facing(GRIPPER, faced)
-    assert "No two of its fingers (f0, f1, f2) face each other" in _never_facing(GRIPPER, faced & False)
+    assert "No two of its fingers (f0, f1, f2) face each other" in _never_facing(
+        GRIPPER, faced & False
+    )
     advice = r"more than 2.5 rad .*: f0_0_joint, f0_1_joint, .*f2_1_joint; .* joint_limits={"
     assert re.search(advice, _wide_joints(ranged(GRIPPER, -np.pi, np.pi)))
 
 
 def test_directions_of_approach() -> None:
     rng = np.random.default_rng(0)
-    for wanted, axis in (("down", (0.0, -1.0, 0.0)), ("up", (0.0, 1.0, 0.0)), ((3.0, 0.0, 4.0), (0.6, 0.0, 0.8))):
+    for wanted, axis in (
+        ("down", (0.0, -1.0, 0.0)),
+        ("up", (0.0, 1.0, 0.0)),
+        ((3.0, 0.0, 4.0), (0.6, 0.0, 0.8)),
+    ):
         approach = Approach(as_approach(wanted, "approach"))
         np.testing.assert_allclose(approach.draw(rng), axis, atol=1e-12)
         assert approach.allows(np.array(axis))
         assert not approach.allows(-np.array(axis))
     for height in (-1.0, -0.6, -0.4, 0.0, 0.4, 0.6, 1.0):
-        direction = np.array([0.8 * np.sqrt(1.0 - height**2), height, 0.6 * np.sqrt(1.0 - height**2)])
+        direction = np.array(
+            [0.8 * np.sqrt(1.0 - height**2), height, 0.6 * np.sqrt(1.0 - height**2)]
+        )
         assert Approach("side").allows(direction) == (abs(np.arcsin(height)) <= DEVIATION)
     assert abs(Approach("side").draw(rng)[1]) == 0.0
 
@@ -238,15 +294,23 @@ def test_a_finger_that_does_not_touch_makes_a_grasp_worse() -> None:
     more = replace(hand.fingertips[0], name="idle", link=hand.links[0].name)
     idle = replace(hand, fingertips=(*hand.fingertips, more))
     candidate = _Candidate((0, 1, 2, 3), np.array(hand.home), np.eye(3), np.zeros(3))
-    one, other = (_Trials(each, ObjectDescription("sphere", (0.09,))).rating(candidate) for each in (hand, idle))
+    one, other = (
+        _Trials(each, ObjectDescription("sphere", (0.09,))).rating(candidate)
+        for each in (hand, idle)
+    )
     assert other == pytest.approx(1.3 * one)
 
 
 def test_links_that_always_touch() -> None:
     hand = gripper(3, 3)
     assert touching_pairs(hand, at_home=False) == ()
-    thick = Geometry("box", (0.14, 0.02, 0.12), (0.0, 0.0, 0.05))  # over the next link and the one after it
-    assert (0, 2) in touching_pairs(replace(hand, links=(replace(hand.links[0], collision=(thick,)), *hand.links[1:])))
-    straight, bent = replace(hand, home=(0.0,) * 9), replace(hand, home=(0.3, 0.6, 0.6) * 3)
+    thick = Geometry(
+        "box", (0.14, 0.02, 0.12), (0.0, 0.0, 0.05)
+    )  # over the next link and the one after it
+    assert (0, 2) in touching_pairs(
+        replace(hand, links=(replace(hand.links[0], collision=(thick,)), *hand.links[1:]))
+    )
+    straight = replace(hand, home=(0.0,) * 9)
+    bent = replace(hand, home=(0.3, 0.6, 0.6) * 3)
     assert touching_pairs(straight) == ()
     assert touching_pairs(bent) == ((2, 5), (2, 8), (5, 8))  # bent alike, the last links meet

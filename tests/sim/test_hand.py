@@ -14,7 +14,14 @@ from scipy.integrate import trapezoid
 
 from grasp_env import core
 from grasp_env.errors import GraspError
-from grasp_env.sim.hand.description import HANDS, FingerDescription, Fingertip, Geometry, HandDescription, Palm
+from grasp_env.sim.hand.description import (
+    HANDS,
+    FingerDescription,
+    Fingertip,
+    Geometry,
+    HandDescription,
+    Palm,
+)
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 
@@ -27,7 +34,9 @@ FRONT = {
 }
 
 
-@pytest.mark.parametrize(("name", "tip"), [("allegro", (0.0, 0.0, 0.1362)), ("leap", (0.0019, -0.0149, 0.1284))])
+@pytest.mark.parametrize(
+    ("name", "tip"), [("allegro", (0.0, 0.0, 0.1362)), ("leap", (0.0019, -0.0149, 0.1284))]
+)
 def test_real_hands_have_their_published_measures(name: str, tip: tuple[float, ...]) -> None:
     """Straight middle fingers along z; the links of a finger overlap only their neighbours."""
     hand = HANDS[name]()
@@ -42,11 +51,18 @@ def test_real_hands_have_their_published_measures(name: str, tip: tuple[float, .
 
 def test_links_of_fingers_have_the_inertia_of_solid_rods() -> None:
     """Compare with numerical integrals along the rods; the tip is a solid ball."""
-    finger, grid = FingerDescription("f", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), np.linspace(0.0, 1.0, 501)
-    for link, length, mass in zip(finger.links("palm"), finger.link_lengths, finger.link_masses, strict=True):
-        across = trapezoid((length * (grid - 0.5)) ** 2, grid) * mass + 0.25 * mass * finger.link_radius**2
+    finger = FingerDescription("f", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    grid = np.linspace(0.0, 1.0, 501)
+    for link, length, mass in zip(
+        finger.links("palm"), finger.link_lengths, finger.link_masses, strict=True
+    ):
+        across = (
+            trapezoid((length * (grid - 0.5)) ** 2, grid) * mass
+            + 0.25 * mass * finger.link_radius**2
+        )
         if link.name == "f_distal":
-            ball, arm = finger.tip_mass, 0.5 * length
+            ball = finger.tip_mass
+            arm = 0.5 * length
             across += mass * ball / (mass + ball) * arm**2 + 0.4 * ball * finger.tip_radius**2
             assert link.center[0] == pytest.approx((mass * arm + ball * length) / (mass + ball))
         assert link.inertia[5] == pytest.approx(across, rel=1e-4)
@@ -63,7 +79,8 @@ def test_built_in_hands_reach_around_cuboids_without_touching_themselves(name: s
         assert np.minimum(angles - kinematics.lower, kinematics.upper - angles).min() > 0.4
         assert all(gap > 0.004 for _, _, gap in limbs.link_gaps(angles, 0.02))
     rng = np.random.default_rng(5)
-    for own in 25 * list(kinematics.carries):  # a finger never meets itself, and the palm only with its folded tip
+    # a finger never meets itself, and the palm only with its folded tip
+    for own in 25 * list(kinematics.carries):
         angles = np.where(own, rng.uniform(kinematics.lower, kinematics.upper), kinematics.home)
         for first, second, gap in limbs.link_gaps(angles, 0.0):
             if gap < 0.0 and own[second]:
@@ -91,7 +108,8 @@ def of_thumb(**fields: Any) -> HandDescription:
     return HandDescription.of_fingers([replace(THUMB, **fields)])
 
 
-GOOD, NEXT = make_link(), make_link("b", "a")
+GOOD = make_link()
+NEXT = make_link("b", "a")
 THUMB = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
 
 
@@ -102,18 +120,33 @@ THUMB = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
         (partial(make_link, axis=(0, 0, 2)), "axis=.* must have length 1, not 2; normalise it"),
         (partial(make_link, lower=1.0, upper=-1.0), "lower=1.0 must be below upper=-1.0"),
         (partial(make_link, inertia=(1e-5, 2e-5, 0, 1e-5, 0, 1e-5)), "all must be above 0"),
-        (partial(make_link, inertia=(1e-5, 0, 0, 1e-5, 0, 3e-5)), "the largest is below the sum of the other two"),
+        (
+            partial(make_link, inertia=(1e-5, 0, 0, 1e-5, 0, 3e-5)),
+            "the largest is below the sum of the other two",
+        ),
         (partial(hand, 3), "must be a list of Links"),
         (partial(hand, [3]), "got 3 in it"),
         (partial(hand, [GOOD], ()), "fingertips=.. is empty"),
         (partial(hand, [NEXT, GOOD]), "parent 'a' of link 'b' stands after it"),
-        (partial(hand, [GOOD, make_link("b", "c")]), "parent 'c' of link 'b' is not a link; known are palm, a"),
+        (
+            partial(hand, [GOOD, make_link("b", "c")]),
+            "parent 'c' of link 'b' is not a link; known are palm, a",
+        ),
         (partial(hand, [GOOD, GOOD]), "two links are called 'a'"),
         (partial(hand, [GOOD, make_link("b", joint="a_joint")]), "two joints are called 'a_joint'"),
         (partial(hand, [GOOD], (TIP, TIP)), "two fingertips are called 'a'"),
-        (partial(hand, [GOOD], (replace(TIP, link="palm"),)), "is on link 'palm', which does not move .*moving links are a"),
-        (partial(hand, [GOOD], home=(2.0,)), "home=2.0 rad of joint 'a_joint' must be within its limits"),
-        (partial(Geometry, "cone", (1.0,)), "unknown kind of geometry 'cone': choose one of 'sphere'"),
+        (
+            partial(hand, [GOOD], (replace(TIP, link="palm"),)),
+            "is on link 'palm', which does not move .*moving links are a",
+        ),
+        (
+            partial(hand, [GOOD], home=(2.0,)),
+            "home=2.0 rad of joint 'a_joint' must be within its limits",
+        ),
+        (
+            partial(Geometry, "cone", (1.0,)),
+            "unknown kind of geometry 'cone': choose one of 'sphere'",
+        ),
         (partial(Geometry, "capsule", (1.0,)), r"size \(radius, length\).* must have shape \(2,\)"),
         (partial(Geometry, "box", (1.0, 0.0, 1.0)), "m must be above 0"),
         (partial(of_thumb, press=(0.0, -1.0, 0.0)), "must be orthogonal"),
@@ -123,7 +156,7 @@ THUMB = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
         (partial(HandDescription.of_fingers, []), "is empty"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
-)  # fmt: skip
+)
 def test_impossible_parts_and_hands_are_refused(make: Callable[[], object], message: str) -> None:
     assert hand([GOOD, NEXT]).joint_count == 2
     with pytest.raises(GraspError, match=message):

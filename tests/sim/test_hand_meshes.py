@@ -1,4 +1,5 @@
-"""Meshes of hands: finding files, convex pieces and their cache, fitted fingertips, and wrong files."""
+"""Meshes of hands: finding files, convex pieces and their cache, fitted fingertips, and wrong
+files."""
 
 from __future__ import annotations
 
@@ -44,12 +45,14 @@ def outside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 def bent() -> Any:
     """Return an L of two boxes that share no corner."""
-    long, short = trimesh.creation.box((0.01, 0.01, 0.06)), trimesh.creation.box((0.03, 0.01, 0.01))
+    long = trimesh.creation.box((0.01, 0.01, 0.06))
+    short = trimesh.creation.box((0.03, 0.01, 0.01))
     return trimesh.util.concatenate([long, short.apply_translation((0.019, 0.0, -0.024))])
 
 
 @pytest.mark.parametrize(
-    "name", ["meshes/box.obj", "package://any_name/meshes/box.obj", "file://{folder}/meshes/box.stl"]
+    "name",
+    ["meshes/box.obj", "package://any_name/meshes/box.obj", "file://{folder}/meshes/box.stl"],
 )
 def test_meshes_are_found_and_become_hulls(tmp_path: Path, name: str) -> None:
     """The meshes are in a folder above the URDF; their hulls are written and read without a change."""
@@ -57,11 +60,16 @@ def test_meshes_are_found_and_become_hulls(tmp_path: Path, name: str) -> None:
         (tmp_path / folder).mkdir()
     for kind in ("obj", "stl"):
         BOX.export(tmp_path / "meshes" / f"box.{kind}")
-    files, hulls = {}, list[Any]()
+    files = {}
+    hulls = list[Any]()
     for scale in ("2 1 -0.5", "1 1 1", ""):  # the last time from the files that the hand becomes
         text = small(mesh(name.format(folder=tmp_path), scale)) if scale else files["hand.urdf"]
         made, _ = read(tmp_path / "urdf", text, TIP)
-        hulls += [np.array(sorted(shape.corners)) for shape in made.links[0].collision if shape.kind == "hull"]
+        hulls += [
+            np.array(sorted(shape.corners))
+            for shape in made.links[0].collision
+            if shape.kind == "hull"
+        ]
         files = hand_files(made)
         for file, written in files.items():
             (tmp_path / "urdf" / file).write_text(written)
@@ -79,13 +87,19 @@ CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
         ("a.obj", CORNERS + b"f 1 2 3\n", ""),
         ("a.glb", b"glTF", "are not one of .obj, .stl, .dae"),
         ("a.obj", b"", "are broken"),
-        ("a.obj", CORNERS + b"f 1 2 4\n", "are broken"),  # Bullet would read beyond its corners, and crash
+        (
+            "a.obj",
+            CORNERS + b"f 1 2 4\n",
+            "are broken",
+        ),  # Bullet would read beyond its corners, and crash
         ("a.obj", b"f 1 2 3\n" + CORNERS, "are broken"),
         ("a.stl", bytes(10), "are empty"),
         ("a.stl", None, "are missing"),
     ],
 )
-def test_looks_that_cannot_be_drawn_are_left_out(tmp_path: Path, name: str, content: bytes | None, why: str) -> None:
+def test_looks_that_cannot_be_drawn_are_left_out(
+    tmp_path: Path, name: str, content: bytes | None, why: str
+) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
     made, told = read(tmp_path, small(mesh(name, "1 2 3", "visual") + BALL))
@@ -96,7 +110,10 @@ def test_looks_that_cannot_be_drawn_are_left_out(tmp_path: Path, name: str, cont
 
 @pytest.mark.parametrize(
     ("shape", "counts"),
-    [(bent(), {2}), (trimesh.creation.torus(0.03, 0.006, major_sections=32, minor_sections=16), range(3, 9))],
+    [
+        (bent(), {2}),
+        (trimesh.creation.torus(0.03, 0.006, major_sections=32, minor_sections=16), range(3, 9)),
+    ],
     ids=["bent", "ring"],
 )
 def test_a_mesh_that_is_not_convex_falls_into_pieces(shape: trimesh.Trimesh, counts: Any) -> None:
@@ -113,9 +130,13 @@ def test_a_mesh_that_is_not_convex_falls_into_pieces(shape: trimesh.Trimesh, cou
 
 
 def test_pieces_are_joined_and_soups_are_not_cut() -> None:
-    """A cylinder half inside a box is one piece, no mesh has more than eight, and 20,000 loose triangles take no minutes."""
+    """A cylinder half inside a box is one piece, no mesh has more than eight, and 20,000 loose
+    triangles take no minutes."""
     hidden = [trimesh.creation.cylinder(0.01, 0.04), trimesh.creation.box((0.03, 0.03, 0.05))]
-    row = [trimesh.creation.box((0.004,) * 3).apply_translation((0.01 * k, 0.0, 0.0)) for k in range(12)]
+    row = [
+        trimesh.creation.box((0.004,) * 3).apply_translation((0.01 * k, 0.0, 0.0))
+        for k in range(12)
+    ]
     rng = np.random.default_rng(0)
     corners = rng.normal(size=(20_000, 1, 3)) * 0.01 + rng.normal(size=(20_000, 3, 3)) * 0.005
     soup = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(60_000).reshape(-1, 3), process=False)
@@ -135,11 +156,17 @@ def test_few_corners_contain_all_and_little_more() -> None:
 
 
 def test_cut_and_inset_boxes_are_boxes() -> None:
-    points, up = np.array(BOX.vertices), np.array([0.0, 0.0, 1.0])
-    left, inner = cut_below(points, up, 0.005), shrunk(points, 1e-3)
+    points = np.array(BOX.vertices)
+    up = np.array([0.0, 0.0, 1.0])
+    left = cut_below(points, up, 0.005)
+    inner = shrunk(points, 1e-3)
     bounds = [(left.min(axis=0), left.max(axis=0)), (inner.min(axis=0), inner.max(axis=0))]
-    np.testing.assert_allclose(bounds[0], [(-0.01, -0.015, -0.02), (0.01, 0.015, 0.005)], atol=1e-12)
-    np.testing.assert_allclose(bounds[1], [(-0.009, -0.014, -0.019), (0.009, 0.014, 0.019)], atol=1e-9)
+    np.testing.assert_allclose(
+        bounds[0], [(-0.01, -0.015, -0.02), (0.01, 0.015, 0.005)], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        bounds[1], [(-0.009, -0.014, -0.019), (0.009, 0.014, 0.019)], atol=1e-9
+    )
     assert len(cut_below(points, up, -0.02)) == 0
     thin = shrunk(points * (1.0, 1.0, 0.03), 1e-3)  # 1.2 mm: a third of the ball of 0.6 mm goes
     np.testing.assert_allclose(np.ptp(thin, axis=0), (0.0196, 0.0296, 0.0008), atol=1e-6)
@@ -150,12 +177,22 @@ def test_cut_and_inset_boxes_are_boxes() -> None:
     [
         ("dome", 0.008, 0.023),  # a capsule's end, and the box around it is cut
         (solid('<box size="0.014 0.03 0.06"/>', "0 0 0.04"), 0.007, 0.07),  # half of the thickness
-        (solid('<box size="0.06 0.06 0.06"/>', "0 0 0.04"), 0.015, 0.07),  # no larger than a fingertip
-        (solid('<box size="0.003 0.02 0.06"/>', "0 0 0.04"), 0.004, 0.07),  # no smaller, though it sticks out
+        (
+            solid('<box size="0.06 0.06 0.06"/>', "0 0 0.04"),
+            0.015,
+            0.07,
+        ),  # no larger than a fingertip
+        (
+            solid('<box size="0.003 0.02 0.06"/>', "0 0 0.04"),
+            0.004,
+            0.07,
+        ),  # no smaller, though it sticks out
     ],
     ids=["dome", "pad", "thick", "thin"],
 )
-def test_a_tip_is_the_ball_in_the_end_of_its_link(tmp_path: Path, shapes: str, radius: float, end: float) -> None:
+def test_a_tip_is_the_ball_in_the_end_of_its_link(
+    tmp_path: Path, shapes: str, radius: float, end: float
+) -> None:
     if shapes == "dome":
         trimesh.creation.capsule(0.03, 0.008, count=(32, 32)).export(tmp_path / "dome.stl")
         shapes = mesh("dome.stl") + solid('<box size="0.016 0.024 0.03"/>', "0 0 0.01")
@@ -163,18 +200,22 @@ def test_a_tip_is_the_ball_in_the_end_of_its_link(tmp_path: Path, shapes: str, r
     (tip,) = made.fingertips
     assert (tip.name, tip.link) == ("finger", "finger")
     assert tip.center[1] == pytest.approx(0.0, abs=1e-4)
-    assert tip.radius == pytest.approx(radius, abs=1e-3 if radius == 0.008 else 1e-4)  # of a hull of 40 corners
+    # of a hull of 40 corners
+    assert tip.radius == pytest.approx(radius, abs=1e-3 if radius == 0.008 else 1e-4)
     assert end - 0.005 < tip.center[2] + tip.radius < end + 0.0051
     for shape in made.links[0].collision:
         if shape.kind != "sphere":
-            assert outline(shape)[:, 2].max() < tip.center[2] - tip.radius + 1e-4  # as near as few corners are
+            # as near as few corners are
+            assert outline(shape)[:, 2].max() < tip.center[2] - tip.radius + 1e-4
 
 
 def test_tips_are_given_by_place_and_on_links_of_all_kinds(tmp_path: Path) -> None:
     fixed = joint("end", "finger", "pad", "0 0 0.05", kind="fixed").replace(
         '0.05"', '0.05" rpy="0 1.5707963267948966 0"'
     )
-    text = small(solid('<box size="0.02 0.02 0.06"/>', "0 0 0.03"), more=fixed + '<link name="pad"/>')
+    text = small(
+        solid('<box size="0.02 0.02 0.06"/>', "0 0 0.03"), more=fixed + '<link name="pad"/>'
+    )
     given, _ = read(tmp_path, text, {"pad": ((0.01, 0.0, 0.002), 0.006)})
     np.testing.assert_allclose(given.fingertips[0].center, (0.002, 0.0, 0.04), atol=1e-12)
     assert given.finger_names == ("pad",)
@@ -185,8 +226,12 @@ def test_tips_are_given_by_place_and_on_links_of_all_kinds(tmp_path: Path) -> No
 
 def test_every_end_of_a_branch_is_a_finger(tmp_path: Path) -> None:
     """Ends without a shape are left out; a sphere at the end of a link is the tip."""
-    thumb = joint("t", "palm", "thumb") + link("thumb").replace('box size="0.04 0.02 0.02"', 'sphere radius="0.011"')
-    more = finger("i", "finger", "0 0 0") + thumb + joint("b", "i1", "blade") + '<link name="blade"/>'
+    thumb = joint("t", "palm", "thumb") + link("thumb").replace(
+        'box size="0.04 0.02 0.02"', 'sphere radius="0.011"'
+    )
+    more = (
+        finger("i", "finger", "0 0 0") + thumb + joint("b", "i1", "blade") + '<link name="blade"/>'
+    )
     made, told = read(tmp_path, small("", more=more))
     assert "end links without a shape are not fingertips: 'blade'" in told
     assert [tip.radius for tip in made.fingertips if tip.name != "i2"] == [0.011]
@@ -196,19 +241,24 @@ def fail(*_: Any, **__: Any) -> Any:
     raise AssertionError("this was to come from the cache")
 
 
-def test_the_second_reading_makes_and_reads_nothing_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_second_reading_makes_and_reads_nothing_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bent().export(tmp_path / "bent.stl")
     trimesh.creation.icosphere(2, 0.01).export(tmp_path / "seen.obj")
     text = small(mesh("seen.obj", role="visual"), mesh("bent.stl", "1 -1 0.5"))
     first, _ = read(tmp_path, text, ["finger"])  # the fingertip is sought in what is seen
     assert len(first.palm.collision) == 2
-    corners, faces = np.array(bent().vertices), np.array(bent().faces)
+    corners = np.array(bent().vertices)
+    faces = np.array(bent().faces)
     kept = pieces.kept_pieces(corners, faces, "of a model")
     assert ("of a model", "hand") in {(entry.name, entry.use) for entry in entries()}
     for module, name in ((pieces, "convex_pieces"), (reading, "apart"), (meshes, "_corners_exist")):
         monkeypatch.setattr(module, name, fail)
     assert read(tmp_path, text, ["finger"])[0] == first
-    assert all(map(np.array_equal, pieces.kept_pieces(corners, faces.astype(np.int32), "again"), kept))
+    assert all(
+        map(np.array_equal, pieces.kept_pieces(corners, faces.astype(np.int32), "again"), kept)
+    )
     with pytest.raises(AssertionError, match="from the cache"):
         pieces.kept_pieces(1.1 * corners, faces, "other")
     bent().apply_scale(1.1).export(tmp_path / "bent.stl")  # the same file with other content
@@ -216,37 +266,52 @@ def test_the_second_reading_makes_and_reads_nothing_again(tmp_path: Path, monkey
         read(tmp_path, text, ["finger"])
 
 
-def test_one_process_reads_all_meshes_of_a_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_process_reads_all_meshes_of_a_hand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("a.stl", "b.obj", "c.ply"):
         BOX.export(tmp_path / name)
-    runs, apart = list[str](), reading.apart
-    monkeypatch.setattr(reading, "apart", lambda *given, **more: runs.append(given[1]) or apart(*given, **more))
+    runs = list[str]()
+    apart = reading.apart
+    monkeypatch.setattr(
+        reading, "apart", lambda *given, **more: runs.append(given[1]) or apart(*given, **more)
+    )
     text = small(mesh("a.stl") + mesh("b.obj"), mesh("c.ply") + mesh("a.stl", "2 2 2"))
     hands = [read(tmp_path, text, TIP)[0] for _ in range(2)]
     assert hands[0] == hands[1]
     assert runs == ["reading 3 mesh files, once for this content"]
 
 
-def test_all_missing_meshes_are_told_before_any_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_missing_meshes_are_told_before_any_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bent().export(tmp_path / "bent.stl")
     monkeypatch.setattr(meshes, "open_mesh", fail)
     palm = mesh("bent.stl") + mesh("meshes/a.stl") + mesh("c.stl", role="visual")
     with pytest.raises(InvalidInputError) as told:
         read(tmp_path, small(mesh("package://hand/b.obj") + mesh("meshes/a.stl"), palm))
-    assert "'meshes/a.stl' (palm, finger), 'package://hand/b.obj' (finger). Download" in str(told.value)
+    assert "'meshes/a.stl' (palm, finger), 'package://hand/b.obj' (finger). Download" in str(
+        told.value
+    )
     assert "c.stl" not in str(told.value)  # one to look at is left out
 
 
 @pytest.mark.parametrize(
-    ("unit", "scale"), [("<unit name='centimetre' meter='0.01'/>", "0.1 0.1 0.1"), ("<unit/>", "0.001 0.001 0.001")]
+    ("unit", "scale"),
+    [("<unit name='centimetre' meter='0.01'/>", "0.1 0.1 0.1"), ("<unit/>", "0.001 0.001 0.001")],
 )
-def test_the_unit_of_a_dae_counts_where_a_hand_touches_and_is_seen(tmp_path: Path, unit: str, scale: str) -> None:
+def test_the_unit_of_a_dae_counts_where_a_hand_touches_and_is_seen(
+    tmp_path: Path, unit: str, scale: str
+) -> None:
     """ROS applies the unit, too; the up axis is ignored."""
     write_dae(tmp_path, f"{unit}<up_axis>Y_UP</up_axis>")
     made, _ = read(tmp_path, small(BALL, mesh("a.dae", scale) + mesh("a.dae", scale, "visual")))
     (hull,), (look,) = made.palm.collision, made.palm.visual
-    np.testing.assert_allclose(np.ptp(np.array(hull.corners), axis=0), (0.02, 0.03, 0.04), atol=1e-9)
-    # engines multiply the file's numbers by `size`: neither Bullet nor the reader of MuJoCo's pictures applies the unit
+    np.testing.assert_allclose(
+        np.ptp(np.array(hull.corners), axis=0), (0.02, 0.03, 0.04), atol=1e-9
+    )
+    # engines multiply the file's numbers by `size`: neither Bullet nor the reader of MuJoCo's
+    # pictures applies the unit
     assert look == Geometry("mesh", look.size, file=str(tmp_path / "a.dae"))
     assert look.size == pytest.approx((0.001, 0.001, 0.001))
 
@@ -262,7 +327,11 @@ def write_dae(folder: Path, asset: str) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.obj", b"v 60 0 0\nv 1 0 0\nv 0 50 0\nv 0 0 40\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n", 'are 1e-05 to 5; .* scale="0.001'),
+        (
+            "a.obj",
+            b"v 60 0 0\nv 1 0 0\nv 0 50 0\nv 0 0 40\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n",
+            'are 1e-05 to 5; .* scale="0.001',
+        ),
         ("a.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all its faces are lines or points"),
         ("a.txt", b"", "of no kind that is read"),
         ("/dev/zero", None, "neither beside the URDF nor"),
@@ -272,8 +341,10 @@ def write_dae(folder: Path, asset: str) -> None:
         ("a.dae", "inch", '<unit meter="inch">, which must be a number of metres above 0'),
     ],
     ids=["millimetres", "a point", "kind", "device", "address", "long", "no name", "inches"],
-)  # fmt: skip
-def test_files_that_are_no_mesh_of_a_hand_are_refused(tmp_path: Path, name: str, content: Any, message: str) -> None:
+)
+def test_files_that_are_no_mesh_of_a_hand_are_refused(
+    tmp_path: Path, name: str, content: Any, message: str
+) -> None:
     if isinstance(content, str):
         write_dae(tmp_path, f'<unit meter="{content}"/>')
     elif content is not None:

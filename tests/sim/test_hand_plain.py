@@ -36,7 +36,11 @@ HAND = hand_to_plain(gripper(3, 3))
 
 @pytest.mark.parametrize(
     "hand",
-    [*(make().moved((0.01, 0.1, 0.0), (0.1, 0.2, 0.3)) for make in HANDS.values()), gripper(3, 3, coupled=True), ODD],
+    [
+        *(make().moved((0.01, 0.1, 0.0), (0.1, 0.2, 0.3)) for make in HANDS.values()),
+        gripper(3, 3, coupled=True),
+        ODD,
+    ],
     ids=[*HANDS, "coupled", "odd"],
 )
 def test_a_hand_survives_json_to_the_last_bit(hand: HandDescription) -> None:
@@ -64,7 +68,10 @@ def link(**fields: Any) -> dict[str, Any]:
 WRONG: list[tuple[Callable[[], Any], str]] = [
     (list, "hand must be a dict of the fields of a HandDescription"),
     (lambda: changed(colour="red"), r"'hand.colour'.* 'hand.name', 'hand.palm'"),
-    (lambda: {"name": "alegro"}, r"unknown hand 'alegro': did you mean 'allegro'.* or give all fields"),
+    (
+        lambda: {"name": "alegro"},
+        r"unknown hand 'alegro': did you mean 'allegro'.* or give all fields",
+    ),
     (lambda: {"name": "a", "home": []}, "hand.palm, hand.links, hand.fingertips must be given"),
     (lambda: changed(palm=None), "palm must be a Palm"),
     (lambda: changed(palm=3), "hand.palm must be a dict of the fields of a Palm"),
@@ -75,9 +82,15 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
     (lambda: link(mimic={"joint": "f0_1_joint", "ratio": 0.0}), "ratio=0.0"),
     (lambda: link(lower=None), "joint limits"),
     (lambda: link(collision=[{"kind": "ball", "size": [1.0]}]), "kind of geometry 'ball'"),
-    (lambda: link(collision=[{"kind": "box", "size": [1, 1, 1], "corners": 3}]), "got corners=3, file=''"),
-    (lambda: link(visual=[{"kind": "mesh", "size": [1, 1, 1], "file": 3}]), r"visual\[0\].file must be the path of a mesh"),
-]  # fmt: skip
+    (
+        lambda: link(collision=[{"kind": "box", "size": [1, 1, 1], "corners": 3}]),
+        "got corners=3, file=''",
+    ),
+    (
+        lambda: link(visual=[{"kind": "mesh", "size": [1, 1, 1], "file": 3}]),
+        r"visual\[0\].file must be the path of a mesh",
+    ),
+]
 
 
 @pytest.mark.parametrize(("make", "message"), WRONG, ids=range(len(WRONG)))

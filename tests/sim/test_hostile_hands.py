@@ -1,4 +1,5 @@
-"""Hands' files that try to run a command, to read files or variables, or to take all time or memory: none has an effect."""
+"""Hands' files that try to run a command, to read files or variables, or to take all time or
+memory: none has an effect."""
 
 from __future__ import annotations
 
@@ -32,10 +33,13 @@ def late(text: str, use: str) -> str:
 
 
 class Trap:
-    """A folder with a secret file outside the hand's own; it notices each process that opens the file."""
+    """A folder with a secret file outside the hand's own; it notices each process that opens the
+    file."""
 
     def __init__(self, folder: Path) -> None:
-        self.outside, self.own, self.marker = folder / "outside", folder / "own", folder / "marker"
+        self.outside = folder / "outside"
+        self.own = folder / "own"
+        self.marker = folder / "marker"
         self.outside.mkdir()
         (self.own / "parts").mkdir(parents=True)
         self.secret = self.outside / "secret.yaml"
@@ -81,62 +85,164 @@ OUTSIDE = "which is neither beside it nor in a package that"
 
 HOSTILE: dict[str, tuple[Callable[[Trap], str], str]] = {
     # a command
-    "frame of a generator": (lambda trap: value(FRAME.format(trap.marker)), "reads the attribute 'f_globals', which"),
-    "frame in other letters": (lambda trap: value("(i for i in [1]).\uff47i_frame"), "reads the attribute 'gi_frame', which"),
-    "globals of a function": (lambda trap: value(f"xacro.load_yaml.__globals__['os'].system('touch {trap.marker}')"), "reads the attribute '__globals__'"),
+    "frame of a generator": (
+        lambda trap: value(FRAME.format(trap.marker)),
+        "reads the attribute 'f_globals', which",
+    ),
+    "frame in other letters": (
+        lambda trap: value("(i for i in [1]).\uff47i_frame"),
+        "reads the attribute 'gi_frame', which",
+    ),
+    "globals of a function": (
+        lambda trap: value(f"xacro.load_yaml.__globals__['os'].system('touch {trap.marker}')"),
+        "reads the attribute '__globals__'",
+    ),
     "a lambda": (lambda trap: value("(lambda: 1)()"), "has the Python syntax Lambda"),
-    "classes without an attribute": (lambda trap: value(f"[c for c in {CLASSES} if 'Popen' in str(c)][0](['touch', '{trap.marker}']).wait()"), "'vars' is not defined"),
-    "a text that names attributes": (lambda trap: late("{0.__class__}", "${p.format(1)}"), "reads the attribute 'format' of type str"),
-    "an argument that is an f-string": (lambda trap: xacro_hand('<xacro:arg name="a" default="f\'{len!r}\'"/>', "${$(arg a)}"), "has the Python syntax JoinedStr"),
-    "functions of $(eval)": (lambda trap: late(f"exec('import os; os.system(\"touch {trap.marker}\")', dict())", "$(eval ${p})"), "name 'exec' is not defined"),
-    "a condition": (lambda trap: xacro_hand('<xacro:if value="${().__class__}"/>'), "reads the attribute '__class__', which"),
+    "classes without an attribute": (
+        lambda trap: value(
+            f"[c for c in {CLASSES} if 'Popen' in str(c)][0](['touch', '{trap.marker}']).wait()"
+        ),
+        "'vars' is not defined",
+    ),
+    "a text that names attributes": (
+        lambda trap: late("{0.__class__}", "${p.format(1)}"),
+        "reads the attribute 'format' of type str",
+    ),
+    "an argument that is an f-string": (
+        lambda trap: xacro_hand('<xacro:arg name="a" default="f\'{len!r}\'"/>', "${$(arg a)}"),
+        "has the Python syntax JoinedStr",
+    ),
+    "functions of $(eval)": (
+        lambda trap: late(
+            f"exec('import os; os.system(\"touch {trap.marker}\")', dict())", "$(eval ${p})"
+        ),
+        "name 'exec' is not defined",
+    ),
+    "a condition": (
+        lambda trap: xacro_hand('<xacro:if value="${().__class__}"/>'),
+        "reads the attribute '__class__', which",
+    ),
     "a block that is evaluated twice": (
-        lambda trap: xacro_hand('<xacro:macro name="m" params="*b"><xacro:insert_block name="b"/></xacro:macro><xacro:m><x y="${\'$\'}{len.__self__}"/></xacro:m>'),
+        lambda trap: xacro_hand(
+            '<xacro:macro name="m" params="*b"><xacro:insert_block name="b"/></xacro:macro><xacro:m><x y="${\'$\'}{len.__self__}"/></xacro:m>'
+        ),
         "reads the attribute '__self__'",
     ),
     "an object in YAML": (
-        lambda trap: trap.write("a.yaml", f"!!python/object/apply:os.system ['touch {trap.marker}']") or value("xacro.load_yaml('a.yaml')"),
+        lambda trap: (
+            trap.write("a.yaml", f"!!python/object/apply:os.system ['touch {trap.marker}']")
+            or value("xacro.load_yaml('a.yaml')")
+        ),
         "could not determine a constructor for the tag",
     ),
-    "a unit in YAML": (lambda trap: trap.write("a.yaml", "a: !degrees (i for i in [1]).gi_frame") or value("load_yaml('a.yaml')"), "reads the attribute 'gi_frame'"),
+    "a unit in YAML": (
+        lambda trap: (
+            trap.write("a.yaml", "a: !degrees (i for i in [1]).gi_frame")
+            or value("load_yaml('a.yaml')")
+        ),
+        "reads the attribute 'gi_frame'",
+    ),
     # a file
     "a file": (lambda trap: value(f"xacro.load_yaml('{trap.secret}')"), OUTSIDE),
-    "a relative name": (lambda trap: value("list(map(load_yaml, ['../own/../outside/secret.yaml']))"), OUTSIDE),
+    "a relative name": (
+        lambda trap: value("list(map(load_yaml, ['../own/../outside/secret.yaml']))"),
+        OUTSIDE,
+    ),
     "the environment as a file": (lambda trap: value("load_yaml('/proc/self/environ')"), OUTSIDE),
-    "a link": (lambda trap: trap.link("a.yaml", trap.secret) or value("load_yaml('a.yaml')"), OUTSIDE),
-    "a link to a folder": (lambda trap: trap.link("a", trap.outside) or xacro_hand('<xacro:include filename="*/secret.yaml"/>'), OUTSIDE),
-    "a link to a package": (lambda trap: trap.link("package.xml", trap.secret) or value("load_yaml('$(find outside)/secret.yaml')"), "the package 'outside' is in none"),
-    "a hidden file": (lambda trap: trap.link(".ssh", trap.outside) or value("load_yaml('.ssh/secret.yaml')"), OUTSIDE),
-    "functions of $(eval) for files": (lambda trap: late(f"open('{trap.secret}').read()", "$(eval ${p})"), "name 'open' is not defined"),
-    "an include": (lambda trap: xacro_hand(f'<xacro:include filename="{trap.secret}" optional="true"/>'), OUTSIDE),
-    "an include of a pattern": (lambda trap: xacro_hand('<xacro:include filename="*/../../outside/*.yaml" ns="n"/>'), OUTSIDE),
+    "a link": (
+        lambda trap: trap.link("a.yaml", trap.secret) or value("load_yaml('a.yaml')"),
+        OUTSIDE,
+    ),
+    "a link to a folder": (
+        lambda trap: (
+            trap.link("a", trap.outside) or xacro_hand('<xacro:include filename="*/secret.yaml"/>')
+        ),
+        OUTSIDE,
+    ),
+    "a link to a package": (
+        lambda trap: (
+            trap.link("package.xml", trap.secret)
+            or value("load_yaml('$(find outside)/secret.yaml')")
+        ),
+        "the package 'outside' is in none",
+    ),
+    "a hidden file": (
+        lambda trap: trap.link(".ssh", trap.outside) or value("load_yaml('.ssh/secret.yaml')"),
+        OUTSIDE,
+    ),
+    "functions of $(eval) for files": (
+        lambda trap: late(f"open('{trap.secret}').read()", "$(eval ${p})"),
+        "name 'open' is not defined",
+    ),
+    "an include": (
+        lambda trap: xacro_hand(f'<xacro:include filename="{trap.secret}" optional="true"/>'),
+        OUTSIDE,
+    ),
+    "an include of a pattern": (
+        lambda trap: xacro_hand('<xacro:include filename="*/../../outside/*.yaml" ns="n"/>'),
+        OUTSIDE,
+    ),
     "an entity in an include": (
-        lambda trap: trap.write("a.xacro", f'<!DOCTYPE r [<!ENTITY x SYSTEM "{trap.secret}">]><r>&x;</r>') or xacro_hand('<xacro:include filename="a.xacro"/>'),
+        lambda trap: (
+            trap.write("a.xacro", f'<!DOCTYPE r [<!ENTITY x SYSTEM "{trap.secret}">]><r>&x;</r>')
+            or xacro_hand('<xacro:include filename="a.xacro"/>')
+        ),
         "it holds a DOCTYPE",
     ),
-    "a package by its path": (lambda trap: value("load_yaml('$(find ../outside)/secret.yaml')"), "the package '../outside' is in none"),
+    "a package by its path": (
+        lambda trap: value("load_yaml('$(find ../outside)/secret.yaml')"),
+        "the package '../outside' is in none",
+    ),
     # a variable
-    "a variable": (lambda trap: xacro_hand(name="$(env GRASP_SECRET)"), "reads the environment variable 'GRASP_SECRET', which is not allowed"),
-    "functions of $(eval) for variables": (lambda trap: late("env('GRASP_SECRET')", "$(eval ${p})"), "reads the environment variable"),
+    "a variable": (
+        lambda trap: xacro_hand(name="$(env GRASP_SECRET)"),
+        "reads the environment variable 'GRASP_SECRET', which is not allowed",
+    ),
+    "functions of $(eval) for variables": (
+        lambda trap: late("env('GRASP_SECRET')", "$(eval ${p})"),
+        "reads the environment variable",
+    ),
     # memory
     "a long text": (lambda trap: value("'a' * 10**11"), "it needs too much memory"),
     "a long format": (lambda trap: value("'%100000000000d' % 1"), "it needs too much memory"),
     "texts of texts": (lambda trap: xacro_hand(LAUGHS, "${p19}"), "it needs too much memory"),
-    "a long file": (lambda trap: xacro_hand('<xacro:property name="p" value="${\'a\' * 10**7}"/><x a="${p}" b="${p}" c="${p}"/>'), "it becomes more than 20 MB"),
+    "a long file": (
+        lambda trap: xacro_hand(
+            '<xacro:property name="p" value="${\'a\' * 10**7}"/><x a="${p}" b="${p}" c="${p}"/>'
+        ),
+        "it becomes more than 20 MB",
+    ),
     # time
-    "a large number": (lambda trap: value("9**9**9"), "has a whole number of more than 100000 bits"),
-    "a macro that calls itself": (lambda trap: xacro_hand('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>'), "nested too deep, or a macro calls itself"),
-    "a file that includes itself": (lambda trap: xacro_hand('<xacro:include filename="hand.xacro"/>'), "nested too deep"),
+    "a large number": (
+        lambda trap: value("9**9**9"),
+        "has a whole number of more than 100000 bits",
+    ),
+    "a macro that calls itself": (
+        lambda trap: xacro_hand('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>'),
+        "nested too deep, or a macro calls itself",
+    ),
+    "a file that includes itself": (
+        lambda trap: xacro_hand('<xacro:include filename="hand.xacro"/>'),
+        "nested too deep",
+    ),
     "a property of itself": (lambda trap: late("${p}", "${p}"), "circular variable definition"),
     "100,000 nested macros": (lambda trap: xacro_hand(NESTED), "nested too deep"),
-    "10^19 calls of macros": (lambda trap: xacro_hand(f"{BRANCHES}<xacro:m19/>"), "it took more than"),
+    "10^19 calls of macros": (
+        lambda trap: xacro_hand(f"{BRANCHES}<xacro:m19/>"),
+        "it took more than",
+    ),
     "a large factorial": (lambda trap: value("factorial(10**9)"), "it took more than"),
-    "a long loop": (lambda trap: value("[0 for a in range(10**9) for b in range(10**9) if 0]"), "it took more than"),
-}  # fmt: skip
+    "a long loop": (
+        lambda trap: value("[0 for a in range(10**9) for b in range(10**9) if 0]"),
+        "it took more than",
+    ),
+}
 
 
 @pytest.mark.parametrize("kind", HOSTILE)
-def test_a_hostile_file_has_no_effect_but_one_sentence(kind: str, trap: Trap, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hostile_file_has_no_effect_but_one_sentence(
+    kind: str, trap: Trap, monkeypatch: pytest.MonkeyPatch
+) -> None:
     make, message = HOSTILE[kind]
     if message == "it took more than":
         monkeypatch.setattr(xacro, "_SECONDS", 2.0)
@@ -155,12 +261,15 @@ def test_a_hostile_file_has_no_effect_but_one_sentence(kind: str, trap: Trap, mo
     assert not trap.opened.is_set()
 
 
-@pytest.mark.parametrize("name", ["innocent.urdf", "innocent.xml", "innocent", "innocent.xacro.urdf"])
+@pytest.mark.parametrize(
+    "name", ["innocent.urdf", "innocent.xml", "innocent", "innocent.xacro.urdf"]
+)
 def test_only_files_that_are_named_xacro_are_expanded(trap: Trap, name: str) -> None:
     """`xacro=True` expands others, and nothing else is allowed in those."""
     (trap.own / name).write_text(value(FRAME.format(trap.marker)))
     with pytest.raises(
-        InvalidInputError, match=r"it has xacro elements, but .* rename it to \.xacro, or pass xacro=True$"
+        InvalidInputError,
+        match=r"it has xacro elements, but .* rename it to \.xacro, or pass xacro=True$",
     ):
         HandDescription.from_file(trap.own / name)
     with pytest.raises(InvalidInputError, match="'f_globals'"):
@@ -173,12 +282,16 @@ def test_only_files_that_are_named_xacro_are_expanded(trap: Trap, name: str) -> 
 
 def test_no_variable_is_seen(trap: Trap) -> None:
     names = ("GRASP_SECRET", "HOME", "PATH", "PYTHONPATH", "LC_CTYPE", "LD_LIBRARY_PATH")
-    (trap.own / "hand.xacro").write_text(xacro_hand(name="".join(f"$(optenv {name} -)" for name in names)))
+    (trap.own / "hand.xacro").write_text(
+        xacro_hand(name="".join(f"$(optenv {name} -)" for name in names))
+    )
     assert HandDescription.from_file(trap.own / "hand.xacro").name == "-" * len(names)
 
 
 def test_the_second_barrier_stops_what_the_first_lets_through(trap: Trap) -> None:
     """The codec of a text is a module; nothing is imported while xacro runs."""
     (trap.own / "hand.xacro").write_text(value("'a'.encode('this')"))
-    with pytest.raises(InvalidInputError, match="it does 'import' in the interpreter, which is not allowed"):
+    with pytest.raises(
+        InvalidInputError, match="it does 'import' in the interpreter, which is not allowed"
+    ):
         HandDescription.from_file(trap.own / "hand.xacro")

@@ -1,4 +1,5 @@
-"""Grippers of two jaws: one motor or two, placed with soft contacts, and held under a random wrench."""
+"""Grippers of two jaws: one motor or two, placed with soft contacts, and held under a random
+wrench."""
 
 from __future__ import annotations
 
@@ -14,7 +15,12 @@ from grasp_env.config import EnvConfig
 from grasp_env.errors import GraspWarning, InvalidInputError, UnknownNameError
 from grasp_env.sim import HandDescription, HandKinematics, ObjectDescription, place_hand
 from grasp_env.sim.grasping import plan_grasp
-from grasp_env.sim.grasping.pads import PATCH_RADIUS, torsion_of, with_protruding_tips, with_soft_contacts
+from grasp_env.sim.grasping.pads import (
+    PATCH_RADIUS,
+    torsion_of,
+    with_protruding_tips,
+    with_soft_contacts,
+)
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 
 CUBE = ObjectDescription("cuboid", (0.05, 0.05, 0.05), mass=0.15, friction=0.7)
@@ -22,29 +28,46 @@ BALL = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
 
 
 def jaws(motors: int = 1, force: float = 40.0) -> HandDescription:
-    """Return jaws that slide apart along y, with flat faces beside the spheres of their tips; with one motor the second is coupled."""
-    links, tips = list[Link](), list[Fingertip]()
+    """Return jaws that slide apart along y, with flat faces beside the spheres of their tips; with
+    one motor the second is coupled."""
+    links = list[Link]()
+    tips = list[Fingertip]()
     for name, side in (("jaw0", 1.0), ("jaw1", -1.0)):
         ball = Geometry("sphere", (0.008,), (0.0, 0.008 * side, 0.045))
         # the inner face is as far out as the sphere
         body = Geometry("box", (0.02, 0.026, 0.036), (0.0, 0.013 * side, 0.018))
-        links.append(make_link(
-            name, origin=(0.0, 0.0, 0.06), center=body.origin, collision=(body, ball), sliding=True, lower=0.0, upper=0.04,
-            torque_limit=force, axis=(0.0, side, 0.0), mimic=Mimic("jaw0_joint") if links and motors == 1 else None,
-        ))  # fmt: skip
+        links.append(
+            make_link(
+                name,
+                origin=(0.0, 0.0, 0.06),
+                center=body.origin,
+                collision=(body, ball),
+                sliding=True,
+                lower=0.0,
+                upper=0.04,
+                torque_limit=force,
+                axis=(0.0, side, 0.0),
+                mimic=Mimic("jaw0_joint") if links and motors == 1 else None,
+            )
+        )
         tips.append(Fingertip(name, name, ball.origin, 0.008))
     palm = Palm(collision=(Geometry("box", (0.06, 0.2, 0.06), (0.0, 0.0, 0.02)),))
     return HandDescription("jaws", palm, tuple(links), tuple(tips), placed=False)
 
 
 def claw(ratio: float = 1.0) -> HandDescription:
-    """Return two fingers that one motor swings against each other, the second `ratio` times as fast."""
+    """Return two fingers that one motor swings against each other, the second `ratio` times as
+    fast."""
     hand = gripper(2, 1, torque=8.0)
-    return replace(hand, links=(hand.links[0], replace(hand.links[1], mimic=Mimic("f0_0_joint", ratio))))
+    return replace(
+        hand, links=(hand.links[0], replace(hand.links[1], mimic=Mimic("f0_0_joint", ratio)))
+    )
 
 
 @pytest.mark.parametrize(
-    ("hand", "item"), [(jaws(1), CUBE), (claw(), BALL), (claw(0.6), BALL)], ids=["jaws", "claw", "slow finger"]
+    ("hand", "item"),
+    [(jaws(1), CUBE), (claw(), BALL), (claw(0.6), BALL)],
+    ids=["jaws", "claw", "slow finger"],
 )
 def test_both_jaws_touch_at_once(hand: HandDescription, item: ObjectDescription) -> None:
     soft = with_soft_contacts(item, hand)
@@ -53,8 +76,11 @@ def test_both_jaws_touch_at_once(hand: HandDescription, item: ObjectDescription)
     assert plan.normals[0] @ plan.normals[1] < -0.9
     np.testing.assert_allclose(plan.angles, kinematics.coupled(plan.angles), atol=1e-12)
     for angles, wanted in ((plan.angles, 0.0), (plan.start, 0.003)):
-        gaps = [soft.surface.nearest(tip)[2] for tip in kinematics.tips(angles)] - kinematics.tip_radii
-        assert (gaps > wanted - 2e-5).all()  # fingers of one motor open together: the other may be farther away
+        gaps = [
+            soft.surface.nearest(tip)[2] for tip in kinematics.tips(angles)
+        ] - kinematics.tip_radii
+        # fingers of one motor open together: the other may be farther away
+        assert (gaps > wanted - 2e-5).all()
         assert wanted > 0.0 or (gaps < 2e-5).all()
 
 
@@ -69,11 +95,17 @@ def test_a_motor_that_moves_both_jaws_makes_both_forces() -> None:
 
 def test_pads_stand_before_flat_jaws() -> None:
     hand = with_protruding_tips(jaws())
-    for tip, before, link, side in zip(hand.fingertips, jaws().fingertips, hand.links, (1.0, -1.0), strict=True):
-        np.testing.assert_allclose(np.subtract(tip.center, before.center), (0.0, -0.0015 * side, 0.0), atol=1e-12)
+    for tip, before, link, side in zip(
+        hand.fingertips, jaws().fingertips, hand.links, (1.0, -1.0), strict=True
+    ):
+        np.testing.assert_allclose(
+            np.subtract(tip.center, before.center), (0.0, -0.0015 * side, 0.0), atol=1e-12
+        )
         assert link.collision[1].origin == tip.center
     assert with_protruding_tips(hand) == hand  # they do so already
-    three = replace(hand, fingertips=(*hand.fingertips, Fingertip("third", "jaw0", (0.0, 0.0, 0.02), 0.004)))
+    three = replace(
+        hand, fingertips=(*hand.fingertips, Fingertip("third", "jaw0", (0.0, 0.0, 0.02), 0.004))
+    )
     assert with_protruding_tips(three) == three
 
 
@@ -81,7 +113,11 @@ def test_two_fingers_get_soft_contacts_and_it_is_said() -> None:
     words = r"torsional_friction=0.0056 m, 2/3 of friction 0.7 times the 12 mm .* object={'torsional_friction'"
     with pytest.warns(GraspWarning, match=words):
         config = EnvConfig(hand=jaws(), object=BALL).resolved()
-    assert config.object.torsional_friction == torsion_of(0.7) == pytest.approx(2.0 / 3.0 * 0.7 * PATCH_RADIUS)
+    assert (
+        config.object.torsional_friction
+        == torsion_of(0.7)
+        == pytest.approx(2.0 / 3.0 * 0.7 * PATCH_RADIUS)
+    )
     given = EnvConfig(hand=jaws(), object=replace(BALL, torsional_friction=0.01)).resolved()
     assert given.object.torsional_friction == 0.01
     assert EnvConfig(object=BALL).resolved().object.torsional_friction == 0.0
@@ -92,14 +128,22 @@ def test_two_fingers_get_soft_contacts_and_it_is_said() -> None:
     [pytest.param(jaws(1), CUBE, "bullet", marks=needs_bullet), (claw(), CUBE, "mujoco")],
     ids=["jaws", "claw"],
 )
-def test_jaws_hold_under_a_random_wrench(hand: HandDescription, item: ObjectDescription, engine: str) -> None:
+def test_jaws_hold_under_a_random_wrench(
+    hand: HandDescription, item: ObjectDescription, engine: str
+) -> None:
     with pytest.warns(GraspWarning, match="two fingers hold with soft contacts"):
         env = gym.make(
-            "grasp_env:FourFingerGrasp-v0", hand=hand, object=item, engine=engine, duration=1.0, action_mode="none",
+            "grasp_env:FourFingerGrasp-v0",
+            hand=hand,
+            object=item,
+            engine=engine,
+            duration=1.0,
+            action_mode="none",
             disturbance={"name": "random", "force": 2.0, "moment": 0.06},
-        )  # fmt: skip
+        )
     env.reset(seed=0)
-    ended, info = False, {}
+    ended = False
+    info = {}
     while not ended:
         _, _, lost, late, info = env.step(env.action_space.sample())
         ended = lost or late
@@ -111,7 +155,7 @@ def test_jaws_hold_under_a_random_wrench(hand: HandDescription, item: ObjectDesc
 @pytest.mark.parametrize(
     ("item", "approach", "way"),
     [(CUBE, "up", (0.0, 1.0, 0.0)), (BALL, (3.0, 0.0, 4.0), (0.6, 0.0, 0.8)), (BALL, "side", None)],
-)  # fmt: skip
+)
 def test_the_palm_looks_where_it_is_wanted(
     item: ObjectDescription, approach: str | tuple[float, ...], way: tuple[float, ...] | None
 ) -> None:
@@ -123,11 +167,15 @@ def test_the_palm_looks_where_it_is_wanted(
 
 
 def test_hands_that_cannot_be_placed() -> None:
-    with pytest.raises(InvalidInputError, match=r"surround it at 0 places.*none is left.* No two of its fingers"):
+    with pytest.raises(
+        InvalidInputError, match=r"surround it at 0 places.*none is left.* No two of its fingers"
+    ):
         place_hand(jaws(), ObjectDescription("sphere", (0.4,), torsional_friction=0.01))
     with pytest.raises(InvalidInputError, match=r"surround it at 0 places.*none is left"):
         place_hand(gripper(3, 2), ObjectDescription("sphere", (0.4,)))
-    with pytest.raises(InvalidInputError, match=r"soft contacts only.* torsional_friction \[m\], 0.0056 "):
+    with pytest.raises(
+        InvalidInputError, match=r"soft contacts only.* torsional_friction \[m\], 0.0056 "
+    ):
         place_hand(jaws(), BALL)
     # two sides of a cube lie in the jaws, and the palm is at least 35 degrees off its diagonal
     words = r"at \d+ of which no side of the object comes from approach=\(0.577, 0.577, 0.577\)"
@@ -137,6 +185,8 @@ def test_hands_that_cannot_be_placed() -> None:
         place_hand(jaws(), CUBE, approach="sideways")
     with pytest.raises(InvalidInputError, match="must have a direction"):
         EnvConfig(hand=jaws(), approach=(0.0, 0.0, 0.0))
-    with pytest.raises(InvalidInputError, match="approach='up' is for a hand that is put around the object"):
+    with pytest.raises(
+        InvalidInputError, match="approach='up' is for a hand that is put around the object"
+    ):
         EnvConfig(approach="up")
     assert EnvConfig(hand=jaws(), approach=(0.0, -2.0, 0.0)).approach == (0.0, -1.0, 0.0)

@@ -1,4 +1,5 @@
-"""`grasp object`, which shows and mends meshes; the cache of processed meshes, and algorithms in processes of their own."""
+"""`grasp object`, which shows and mends meshes; the cache of processed meshes, and algorithms in
+processes of their own."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
 
 
 BALL = trimesh.creation.icosphere(2, 0.05)
-CORNERS, FACES = np.asarray(BALL.vertices), np.asarray(BALL.faces)
+CORNERS = np.asarray(BALL.vertices)
+FACES = np.asarray(BALL.faces)
 TORN = FACES[np.arange(len(FACES)) % 3 != 0]
 """A ball without a third of its faces: its holes meet in corners."""
 
@@ -63,36 +65,68 @@ def test_show(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixture[str]) -
     ring = trimesh.creation.annulus(30.0, 50.0, 40.0, sections=8)
     ring.apply_translation((0.0, 0.0, 7.0))
     path = save(tmp_path / "ring.obj", ring.vertices, ring.faces)
-    assert main(["object", "show", path, "--scale", "0.001", "--draw", str(tmp_path / "ring.png"), "--size", "64"]) == 0
+    assert (
+        main(
+            [
+                "object",
+                "show",
+                path,
+                "--scale",
+                "0.001",
+                "--draw",
+                str(tmp_path / "ring.png"),
+                "--size",
+                "64",
+            ]
+        )
+        == 0
+    )
     told = capsys.readouterr().out
-    for words in ("ring.obj", str(len(ring.faces)), "100.0 x 100.0 x 40.0", f"{1e-3 * ring.volume:.4g}", "0.0 0.0 7.0"):
+    for words in (
+        "ring.obj",
+        str(len(ring.faces)),
+        "100.0 x 100.0 x 40.0",
+        f"{1e-3 * ring.volume:.4g}",
+        "0.0 0.0 7.0",
+    ):
         assert words in told
     assert "repaired" not in told
     assert f"kept in {folder()}\n" in told
     picture = np.array(Image.open(tmp_path / "ring.png")).astype(int)
     assert picture.shape == (64, 128, 3)
-    spread = np.ptp(picture, axis=2)  # of colour: the mesh has one pale one, pieces have strong ones
+    # of colour: the mesh has one pale one, pieces have strong ones
+    spread = np.ptp(picture, axis=2)
     assert spread[:, :64].max() < 60 < spread[:, 64:].max()
     (reddest,) = {row.argmax() for row in picture[:, :64][spread[:, :64] > 15]}
     assert reddest == 0
-    assert {row.argmax() for row in picture[:, 64:][spread[:, 64:] > 30]} == {0, 1, 2}  # pieces of several hues
+    # pieces of several hues
+    assert {row.argmax() for row in picture[:, 64:][spread[:, 64:] > 30]} == {0, 1, 2}
     code, told = answer("show", save(tmp_path / "open.obj", CORNERS, FACES[1:]))
     assert (code, told["faces"], told["pieces"], told["picture"]) == (0, len(FACES), 1, None)
     assert (told["volume"], *told["extent"]) == pytest.approx((BALL.volume, *BALL.extents))
     assert "holes were filled with 1 faces" in told["repaired"][0]
 
 
-def test_a_torn_mesh_is_refused_mended_with_all_parts_and_hollows_and_accepted(tmp_path: Path, answer: Any) -> None:
-    count, crumb = len(CORNERS), [[0.0, 0.3, 0.0], [0.1, 0.3, 0.0], [0.0, 0.3, 0.1]]
+def test_a_torn_mesh_is_refused_mended_with_all_parts_and_hollows_and_accepted(
+    tmp_path: Path, answer: Any
+) -> None:
+    count = len(CORNERS)
+    crumb = [[0.0, 0.3, 0.0], [0.1, 0.3, 0.0], [0.0, 0.3, 0.1]]
     corners = np.vstack([CORNERS, 0.5 * CORNERS, CORNERS + np.array((0.2, 0.0, 0.0)), crumb])
-    torn = np.vstack([FACES[5:], FACES[:, ::-1] + count, TORN + 2 * count, np.array([[0, 1, 2]]) + 3 * count])
+    torn = np.vstack(
+        [FACES[5:], FACES[:, ::-1] + count, TORN + 2 * count, np.array([[0, 1, 2]]) + 3 * count]
+    )
     path = save(tmp_path / "parts.obj", corners, torn)
-    with pytest.raises(InvalidInputError, match=r"is not closed.*mend it with `grasp object mend FILE`"):
+    with pytest.raises(
+        InvalidInputError, match=r"is not closed.*mend it with `grasp object mend FILE`"
+    ):
         ObjectDescription.from_mesh(path)
     code, told = answer("mend", path)
     assert (code, told["out"]) == (0, str(tmp_path / "parts_mended.obj"))
     assert (told["faces_before"], told["parts"], told["parts_left_out"]) == (len(torn), 3, 1)
-    assert told["volume"] == pytest.approx((1.0 - 0.125 + 1.0) * BALL.volume, rel=0.05)  # missing faces are guessed
+    assert told["volume"] == pytest.approx(
+        (1.0 - 0.125 + 1.0) * BALL.volume, rel=0.05
+    )  # missing faces are guessed
     assert told["faces_kept"] > 0.3 * len(torn)
     corners, faces, changes = close_mesh(*read_mesh(open_mesh(told["out"], "it")), "it")
     assert (changes, len(faces)) == ([], told["faces_after"])
@@ -100,7 +134,9 @@ def test_a_torn_mesh_is_refused_mended_with_all_parts_and_hollows_and_accepted(t
     assert read_mesh(open_mesh(path, "it"))[1].shape == torn.shape  # the file stays
 
 
-def test_a_closed_mesh_is_kept_and_nothing_is_overwritten_by_default(tmp_path: Path, answer: Any) -> None:
+def test_a_closed_mesh_is_kept_and_nothing_is_overwritten_by_default(
+    tmp_path: Path, answer: Any
+) -> None:
     path = save(tmp_path / "ball.stl", 1e3 * CORNERS, FACES)
     out = tmp_path / "ball_mended.obj"
     out.write_text("mine")
@@ -108,8 +144,15 @@ def test_a_closed_mesh_is_kept_and_nothing_is_overwritten_by_default(tmp_path: P
     assert (code, out.read_text()) == (2, "mine")
     assert f"--out {out}" in told["error"]["message"]
     code, told = answer("mend", path, "--out", str(out))
-    assert (code, told["faces_kept"], told["faces_after"], told["changes"]) == (0, len(FACES), len(FACES), [])
-    assert told["volume"] == pytest.approx(1e9 * BALL.volume, rel=1e-5)  # in the unit of the file, which has 7 digits
+    assert (code, told["faces_kept"], told["faces_after"], told["changes"]) == (
+        0,
+        len(FACES),
+        len(FACES),
+        [],
+    )
+    assert told["volume"] == pytest.approx(
+        1e9 * BALL.volume, rel=1e-5
+    )  # in the unit of the file, which has 7 digits
     assert not list(tmp_path.glob(".*"))  # nothing half written
 
 
@@ -136,7 +179,11 @@ def test_list_and_clear(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixtu
         ObjectDescription.from_mesh(save(tmp_path / f"{name}.obj", solid.vertices, solid.faces))
     (folder() / "spoiled.npz").write_bytes(b"no archive")
     told = {entry["name"]: entry for entry in answer("list")[1]["meshes"]}
-    assert {name: entry["pieces"] for name, entry in told.items()} == {"ball.obj": 1, "box.obj": 1, "(not readable)": None}  # fmt: skip
+    assert {name: entry["pieces"] for name, entry in told.items()} == {
+        "ball.obj": 1,
+        "box.obj": 1,
+        "(not readable)": None,
+    }
     assert all(entry["bytes"] > 0 for entry in told.values())
     assert main(["object", "list"]) == 0
     assert f"in {folder()}\n" in capsys.readouterr().out
@@ -157,7 +204,9 @@ def test_list_and_clear(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixtu
         ("show {ball} --draw /nowhere/a.png", "/nowhere"),
     ],
 )
-def test_errors_are_one_line(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_are_one_line(
+    words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     ball = save(tmp_path / "ball.obj", CORNERS, FACES)
     assert main(["object", *words.format(ball=ball).split()]) == 2
     told = capsys.readouterr().err
@@ -187,7 +236,10 @@ def test_entries_are_found_by_content(tmp_path: Path, monkeypatch: pytest.Monkey
     assert entry.size == entry.path.stat().st_size
     monkeypatch.setattr(mesh, "_processed", fail)
     mesh._load.cache_clear()
-    for again in (ObjectDescription.from_mesh(path), ObjectDescription.from_mesh(box(tmp_path / "b.obj"))):
+    for again in (
+        ObjectDescription.from_mesh(path),
+        ObjectDescription.from_mesh(box(tmp_path / "b.obj")),
+    ):
         np.testing.assert_array_equal(again.faces[0], item.faces[0])
         np.testing.assert_array_equal(again.pieces[0], item.pieces[0])
         assert again.moments == item.moments
@@ -207,7 +259,8 @@ def test_entries_are_found_by_content(tmp_path: Path, monkeypatch: pytest.Monkey
     [
         lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
         lambda path: path.write_bytes(b""),
-        lambda path: np.savez(path, value=np.array([Path()], dtype=object)),  # a pickle would run code
+        # a pickle would run code
+        lambda path: np.savez(path, value=np.array([Path()], dtype=object)),
     ],
     ids=["half", "empty", "a pickle"],
 )
@@ -219,7 +272,9 @@ def test_a_damaged_entry_is_made_anew(spoil: Callable[[Path], Any]) -> None:
     assert cached("key", "name", fail)["value"] == 2.0
 
 
-def test_without_a_folder_locks_or_patience(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_folder_locks_or_patience(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """None of these is an error, and none takes long."""
     monkeypatch.setattr(cache, "LONGEST_WAIT", 0.3)
     begun = time.monotonic()
@@ -260,7 +315,9 @@ def test_two_processes_make_one_entry(tmp_path: Path) -> None:
     log = tmp_path / "log"
     with ExitStack() as stack:
         command = [sys.executable, "-c", WORKER, str(log)]
-        running = [stack.enter_context(start(command, 60.0, stdout=-1, text=True)) for _ in range(2)]
+        running = [
+            stack.enter_context(start(command, 60.0, stdout=-1, text=True)) for _ in range(2)
+        ]
         assert [process.communicate()[0].strip() for process in running] == ["10"] * 2
     assert log.read_text() == "made\n"
     assert [entry.name for entry in entries()] == ["name"]
@@ -313,15 +370,25 @@ def test_work_apart_returns_crashes_raises_and_ends(
     assert "\rcutting, " in capsys.readouterr().err
 
 
-def test_work_apart_has_its_own_memory_and_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_apart_has_its_own_memory_and_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "tasks.py").write_text(TASKS)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("GRASP_SECRET", "secret")
     assert apart("tasks:fill", "work", 60.0, memory=300_000_000, x=np.arange(3.0)) == {}
     with pytest.raises(ChildProcessError, match="MemoryError"):
         apart("tasks:fill", "work", 60.0, memory=100_000_000, x=np.arange(3.0))
-    needed = {"PYTHONPATH", "LC_CTYPE", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONHOME"}  # Python sets LC_CTYPE
-    assert set(apart("tasks:names", "work", 60.0, variables={"OWN": "1"})["names"]) - needed == {"OWN"}
+    needed = {
+        "PYTHONPATH",
+        "LC_CTYPE",
+        "LD_LIBRARY_PATH",
+        "DYLD_LIBRARY_PATH",
+        "PYTHONHOME",
+    }  # Python sets LC_CTYPE
+    assert set(apart("tasks:names", "work", 60.0, variables={"OWN": "1"})["names"]) - needed == {
+        "OWN"
+    }
     assert "GRASP_SECRET" in apart("tasks:names", "work", 60.0)["names"]
 
 

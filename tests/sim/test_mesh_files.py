@@ -1,4 +1,5 @@
-"""Mesh files of every kind: valid ones are read as trimesh reads them, wrong ones end neither the process nor its patience."""
+"""Mesh files of every kind: valid ones are read as trimesh reads them, wrong ones end neither the
+process nor its patience."""
 
 from __future__ import annotations
 
@@ -27,14 +28,19 @@ def triangles(corners: Any, faces: Any) -> list[Any]:
 
 
 def test_valid_files_are_read_by_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Corners and faces stay in the file's order, whatever their materials; poses of nodes are applied."""
-    runs, apart = list[str](), reading.apart
+    """Corners and faces stay in the file's order, whatever their materials; poses of nodes are
+    applied."""
+    runs = list[str]()
+    apart = reading.apart
     monkeypatch.setattr(
-        reading, "apart", lambda task, text, *given, **more: runs.append(text) or apart(task, text, *given, **more)
+        reading,
+        "apart",
+        lambda task, text, *given, **more: runs.append(text) or apart(task, text, *given, **more),
     )
     found = read_meshes([MeshFile(blob, kind, name) for name, (kind, blob) in VALID.items()])
     assert runs == [f"reading {len(VALID)} mesh files, once for this content"]
-    doubled, shifted = np.multiply(CORNERS, (-2.0, -2.0, 2.0)), np.add(CORNERS, (5.0, 0.0, 0.0))
+    doubled = np.multiply(CORNERS, (-2.0, -2.0, 2.0))
+    shifted = np.add(CORNERS, (5.0, 0.0, 0.0))
     for (name, (kind, _)), mesh in zip(VALID.items(), found, strict=True):
         assert not isinstance(mesh, InvalidInputError), mesh
         assert (mesh[0].dtype, mesh[1].dtype) == (np.float64, np.int64)
@@ -42,27 +48,43 @@ def test_valid_files_are_read_by_one_process(monkeypatch: pytest.MonkeyPatch) ->
         if "placed" in name:
             numbers = np.vstack([FACES, np.array(FACES) + 4])[: 4 if kind == ".dae" else 8]
             expected = triangles(np.vstack([doubled, shifted]), numbers)
-        assert sorted(triangles(*mesh)) == sorted(expected) if kind == ".glb" else triangles(*mesh) == expected, name
+        assert (
+            sorted(triangles(*mesh)) == sorted(expected)
+            if kind == ".glb"
+            else triangles(*mesh) == expected
+        ), name
 
 
 def test_files_are_read_as_trimesh_reads_them(tmp_path: Path) -> None:
-    scene = trimesh.Scene([trimesh.creation.icosphere(1), trimesh.creation.box((1, 2, 3)).apply_translation((3, 0, 0))])
+    scene = trimesh.Scene(
+        [
+            trimesh.creation.icosphere(1),
+            trimesh.creation.box((1, 2, 3)).apply_translation((3, 0, 0)),
+        ]
+    )
     whole: Any = scene.to_mesh()
     for kind in KINDS:
         (scene if kind == ".glb" else whole).export(tmp_path / f"a{kind}")
     files = [open_mesh(tmp_path / f"a{kind}", "it") for kind in KINDS]
     for kind, file, found in zip(KINDS, files, read_meshes(files), strict=True):
-        other: Any = trimesh.load(io.BytesIO(file.content), file_type=kind[1:], force="mesh", process=False)
+        other: Any = trimesh.load(
+            io.BytesIO(file.content), file_type=kind[1:], force="mesh", process=False
+        )
         assert not isinstance(found, InvalidInputError)
         assert len(found[1]) == len(whole.faces)
         assert triangles(*found) == triangles(other.vertices, other.faces)
 
 
 def test_wrong_files_are_told_in_one_sentence_each() -> None:
-    told = read_meshes([MeshFile(blob, kind, f"the mesh {name}") for name, (kind, blob, _) in WRONG.items()])
+    told = read_meshes(
+        [MeshFile(blob, kind, f"the mesh {name}") for name, (kind, blob, _) in WRONG.items()]
+    )
     for (name, (_, _, message)), error in zip(WRONG.items(), told, strict=True):
         assert isinstance(error, InvalidInputError), name
-        assert re.fullmatch(rf"the mesh {re.escape(name)} .*({message}).*", str(error)), (name, str(error))
+        assert re.fullmatch(rf"the mesh {re.escape(name)} .*({message}).*", str(error)), (
+            name,
+            str(error),
+        )
         assert "; " in str(error), name  # the remedy
         assert len(str(error)) < 500, name
 
@@ -70,12 +92,22 @@ def test_wrong_files_are_told_in_one_sentence_each() -> None:
 @pytest.mark.parametrize(
     ("seconds", "blob", "message"),
     [
-        (60.0, HEAVY, "bomb needs more than 2000 MB to be read; allowed are up to 200000 faces; simplify it"),
-        (3.0, LONG, "bomb took more than 3 s to be read as .glb; allowed are up to 200000 faces; simplify it"),
+        (
+            60.0,
+            HEAVY,
+            "bomb needs more than 2000 MB to be read; allowed are up to 200000 faces; simplify it",
+        ),
+        (
+            3.0,
+            LONG,
+            "bomb took more than 3 s to be read as .glb; allowed are up to 200000 faces; simplify it",
+        ),
     ],
     ids=["memory", "time"],
 )
-def test_a_bomb_ends_in_a_sentence(seconds: float, blob: bytes, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bomb_ends_in_a_sentence(
+    seconds: float, blob: bytes, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(reading, "SECONDS", seconds)
     begun = time.monotonic()
     with pytest.raises(InvalidInputError, match=message):
@@ -86,7 +118,10 @@ def test_a_bomb_ends_in_a_sentence(seconds: float, blob: bytes, message: str, mo
 @pytest.mark.parametrize(
     ("end", "message"),
     [
-        (ChildProcessError("exit code -11"), r"bad made trimesh crash \(exit code -11\); export it again as"),
+        (
+            ChildProcessError("exit code -11"),
+            r"bad made trimesh crash \(exit code -11\); export it again as",
+        ),
         (ChildProcessError("Traceback\nMemoryError: no room\n"), "bad needs more than 2000 MB"),
         (TimeoutError("it took more than 30 s"), "bad took more than 30 s to be read as .off"),
     ],
@@ -107,24 +142,31 @@ def test_a_file_that_ends_the_process_costs_none_beside_it(
 
 
 def test_memory_is_told_of_a_file_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files that need too much memory together may each need little, so the process of several files ends and each is read alone."""
+    """Files that need too much memory together may each need little, so the process of several
+    files ends and each is read alone."""
 
     def load(blob: bytes, kind: str) -> Any:
         raise MemoryError
 
     monkeypatch.setattr(mesh_files, "_by_trimesh", load)
     file = np.zeros(1, np.uint8)
-    assert mesh_files.read_files(np.array([".obj"]), file0=file)["fault0"] == mesh_files.TOO_MUCH_MEMORY
+    assert (
+        mesh_files.read_files(np.array([".obj"]), file0=file)["fault0"]
+        == mesh_files.TOO_MUCH_MEMORY
+    )
     with pytest.raises(MemoryError):
         mesh_files.read_files(np.array([".obj", ".stl"]), file0=file, file1=file)
 
-    rng, files = np.random.default_rng(0), list[MeshFile]()
+    rng = np.random.default_rng(0)
+    files = list[MeshFile]()
     for name, (kind, blob) in VALID.items():
         for _ in range(30):
             damaged = bytearray(blob)
             for at in rng.integers(0, len(blob), rng.integers(1, 4)):
                 flipped = damaged[at] ^ 1 << int(rng.integers(8))
-                damaged[at] = int(rng.choice(np.array([rng.integers(256), 0, 255, ord("-"), ord("9"), flipped])))
+                damaged[at] = int(
+                    rng.choice(np.array([rng.integers(256), 0, 255, ord("-"), ord("9"), flipped]))
+                )
             files.append(MeshFile(bytes(damaged), kind, name))
     meshes = [found for found in read_meshes(files) if not isinstance(found, InvalidInputError)]
     assert 40 < len(meshes) < 400
@@ -144,7 +186,9 @@ def test_memory_is_told_of_a_file_alone(monkeypatch: pytest.MonkeyPatch) -> None
         ("a.off", 10**9, r"cannot read the mesh: it is larger than 20 MB; .* simplify it"),
     ],
 )
-def test_files_that_are_not_opened(name: str, content: bytes | int | None, message: str, tmp_path: Path) -> None:
+def test_files_that_are_not_opened(
+    name: str, content: bytes | int | None, message: str, tmp_path: Path
+) -> None:
     path = tmp_path / name
     if isinstance(content, int):
         with path.open("wb") as file:

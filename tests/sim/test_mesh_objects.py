@@ -45,7 +45,9 @@ def cube(x: float, y: float, z: float, at: tuple[float, float, float] = (0.0, 0.
 
 def of_manifold(made: Any) -> trimesh.Trimesh:
     mesh = made.to_mesh64()
-    return trimesh.Trimesh(np.array(mesh.vert_properties)[:, :3], np.array(mesh.tri_verts).astype(int), process=False)
+    return trimesh.Trimesh(
+        np.array(mesh.vert_properties)[:, :3], np.array(mesh.tri_verts).astype(int), process=False
+    )
 
 
 def l_shape() -> trimesh.Trimesh:
@@ -65,7 +67,9 @@ SOLIDS: dict[str, Callable[[], trimesh.Trimesh]] = {"L-shape": l_shape, "cup": c
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Made:
     """Solids that are not convex, turned and far from the origin."""
     solid = SOLIDS[request.param]()
-    solid.apply_transform(trimesh.transformations.random_rotation_matrix(np.random.default_rng(1).random(3)))
+    solid.apply_transform(
+        trimesh.transformations.random_rotation_matrix(np.random.default_rng(1).random(3))
+    )
     solid.apply_translation((0.3, -0.2, 0.1))
     return solid, load(tmp_path_factory.mktemp("mesh"), solid, density=DENSITY, friction=0.8)[0]
 
@@ -89,19 +93,27 @@ def load(folder: Path, mesh: trimesh.Trimesh, **settings: Any) -> tuple[ObjectDe
 
 
 def test_mass_and_moments_are_those_of_the_solid(made: Made) -> None:
-    solid, item = made[0].copy(), made[1]
+    solid = made[0].copy()
+    item = made[1]
     solid.density = DENSITY
     assert item.mass == pytest.approx(DENSITY * solid.volume, rel=1e-9)
     # axes count as principal if the rest beside the diagonal is small
-    np.testing.assert_allclose(np.sort(item.moments), np.sort(solid.principal_inertia_components), rtol=5e-6)
+    np.testing.assert_allclose(
+        np.sort(item.moments), np.sort(solid.principal_inertia_components), rtol=5e-6
+    )
     body = trimesh.Trimesh(*item.faces, process=False)
     body.density = DENSITY
-    np.testing.assert_allclose(body.moment_inertia, item.inertia_matrix, atol=3e-6 * max(item.moments))
+    np.testing.assert_allclose(
+        body.moment_inertia, item.inertia_matrix, atol=3e-6 * max(item.moments)
+    )
     np.testing.assert_allclose(body.center_mass, 0.0, atol=1e-10)
     np.testing.assert_allclose(body.extents, item.extent, atol=1e-12)
     file = load_mesh(str(item.mesh), 1.0)
     back = item.faces[0] @ file.rotation + file.center  # the corners of the file
-    assert np.linalg.norm(back[:, None] - np.asarray(solid.vertices)[None], axis=2).min(axis=1).max() < 1e-10
+    assert (
+        np.linalg.norm(back[:, None] - np.asarray(solid.vertices)[None], axis=2).min(axis=1).max()
+        < 1e-10
+    )
     for array in (*item.faces, *item.pieces):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
@@ -112,13 +124,17 @@ def test_scale_and_copies(made: Made) -> None:
     half = ObjectDescription.from_mesh(str(item.mesh), 0.5, density=DENSITY)
     assert half.mass == pytest.approx(item.mass / 8.0, rel=1e-12)
     np.testing.assert_allclose(half.moments, np.array(item.moments) / 32.0, rtol=1e-12)
-    for one, other in zip((item.faces[0], *item.pieces), (half.faces[0], *half.pieces), strict=True):
+    for one, other in zip(
+        (item.faces[0], *item.pieces), (half.faces[0], *half.pieces), strict=True
+    ):
         np.testing.assert_array_equal(0.5 * one, other)
     found = item.surface.nearest(np.array([0.01, 0.05, 0.02]))
     stored = ObjectDescription(**json.loads(json.dumps(asdict(item))))
     for copy in (replace(item), pickle.loads(pickle.dumps(item)), stored):
         assert (copy, hash(copy)) == (item, hash(item))
-        np.testing.assert_array_equal(copy.surface.nearest(np.array([0.01, 0.05, 0.02]))[0], found[0])
+        np.testing.assert_array_equal(
+            copy.surface.nearest(np.array([0.01, 0.05, 0.02]))[0], found[0]
+        )
     assert len(pickle.dumps(item)) < 2000  # without the mesh
 
 
@@ -130,7 +146,9 @@ def test_axes_turn_no_more_than_needed(tmp_path: Path) -> None:
     rod = turn @ np.diag([1.0, 2.0, 1.0]) @ turn.T
     rotation = principal_rotation(rod)
     np.testing.assert_allclose(rotation @ rod @ rotation.T, np.diag([1.0, 2.0, 1.0]), atol=1e-9)
-    assert np.arccos(0.5 * (np.trace(rotation) - 1.0)) == pytest.approx(np.arccos(turn[1, 1]), abs=1e-6)
+    assert np.arccos(0.5 * (np.trace(rotation) - 1.0)) == pytest.approx(
+        np.arccos(turn[1, 1]), abs=1e-6
+    )
 
 
 # --- pieces
@@ -143,14 +161,16 @@ def heights(item: ObjectDescription, points: np.ndarray) -> np.ndarray:
 
 
 def test_pieces_cover_the_mesh_and_leave_hollows_open(made: Made) -> None:
-    item, size = made[1], max(made[1].extent)
+    item = made[1]
+    size = max(made[1].extent)
     assert 1 < len(item.pieces) <= MAX_PIECES
     assert max(map(len, item.pieces)) <= MAX_CORNERS
     assert heights(item, item.faces[0]).max() < 1e-9 * size
     middles = item.faces[0][item.faces[1]].mean(axis=1)
     inner = [middle + 1e-4 * size * item.surface.nearest(middle)[1] for middle in middles]
     assert heights(item, np.array(inner)).max() < 0.02 * size
-    volumes, whole = sum(ConvexHull(piece).volume for piece in item.pieces), volume(*item.faces)
+    volumes = sum(ConvexHull(piece).volume for piece in item.pieces)
+    whole = volume(*item.faces)
     assert 0.99 * whole <= volumes < 1.5 * whole
     # deep in the convex hull, but outside of the mesh: the inside of the cup, the corner of the L
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (1000, 3)) * item.extent
@@ -187,7 +207,9 @@ def flipped(solid: trimesh.Trimesh, every: int) -> trimesh.Trimesh:
 def open_seams(solid: trimesh.Trimesh, gap: float) -> trimesh.Trimesh:
     """Separate faces, their corners moved by a share of the size."""
     corners = np.array(solid.vertices)[solid.faces].reshape(-1, 3)
-    corners = corners + np.random.default_rng(0).uniform(-0.5, 0.5, corners.shape) * gap * np.ptp(corners)
+    corners = corners + np.random.default_rng(0).uniform(-0.5, 0.5, corners.shape) * gap * np.ptp(
+        corners
+    )
     return trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
 
 
@@ -204,25 +226,60 @@ def beside() -> trimesh.Trimesh:
     return together(l_shape(), flipped(box(0.01, 0.01, 0.01, at=(0.05, 0.03, 0.0)), 1))
 
 
-WHOLE, BALL = 0.06 * 0.05 * 0.04, creation.icosphere(1, 1.0).volume
-SHELL, TURNED = (0.05**3 - 0.04**3) * BALL, "faces that pointed inward were turned"
+WHOLE = 0.06 * 0.05 * 0.04
+BALL = creation.icosphere(1, 1.0).volume
+SHELL = (0.05**3 - 0.04**3) * BALL
+TURNED = "faces that pointed inward were turned"
 REPAIRS: dict[str, tuple[Callable[[], trimesh.Trimesh], float, str]] = {
     "a hole": (lambda: without(box(), 0), WHOLE, "holes were filled with 1 faces"),
-    "a missing side": (lambda: without(box(), *np.flatnonzero(box().face_normals[:, 2] > 0.5)), WHOLE, "holes were filled with 2 faces"),
+    "a missing side": (
+        lambda: without(box(), *np.flatnonzero(box().face_normals[:, 2] > 0.5)),
+        WHOLE,
+        "holes were filled with 2 faces",
+    ),
     "flipped faces": (lambda: flipped(box(), 3), WHOLE, "faces were turned"),
     "inside out": (lambda: flipped(box(), 1), WHOLE, TURNED),
-    "double faces": (lambda: trimesh.Trimesh(box().vertices, np.vstack([box().faces, box().faces[:3]]), process=False), WHOLE, "duplicate faces"),
-    "open seams": (lambda: open_seams(box(), 2e-6), WHOLE, "corners were joined with others within 1e-05 of its size"),
-    "overlap": (lambda: together(box(), box(at=(0.03, 0.0, 0.0))), 1.5 * WHOLE, "its 2 parts overlap and were united"),
-    "overlap with a common corner": (lambda: together(creation.box(bounds=[(0, 0, 0), (0.1, 0.1, 0.1)]), creation.box(bounds=[(0, 0, 0), (0.05, 0.05, 0.2)])), 0.1**3 + 0.05**2 * 0.1, "united"),
-    "a box within a box": (lambda: together(box(), box(0.02, 0.02, 0.02)), WHOLE, "its 2 parts overlap and were united"),
+    "double faces": (
+        lambda: trimesh.Trimesh(
+            box().vertices, np.vstack([box().faces, box().faces[:3]]), process=False
+        ),
+        WHOLE,
+        "duplicate faces",
+    ),
+    "open seams": (
+        lambda: open_seams(box(), 2e-6),
+        WHOLE,
+        "corners were joined with others within 1e-05 of its size",
+    ),
+    "overlap": (
+        lambda: together(box(), box(at=(0.03, 0.0, 0.0))),
+        1.5 * WHOLE,
+        "its 2 parts overlap and were united",
+    ),
+    "overlap with a common corner": (
+        lambda: together(
+            creation.box(bounds=[(0, 0, 0), (0.1, 0.1, 0.1)]),
+            creation.box(bounds=[(0, 0, 0), (0.05, 0.05, 0.2)]),
+        ),
+        0.1**3 + 0.05**2 * 0.1,
+        "united",
+    ),
+    "a box within a box": (
+        lambda: together(box(), box(0.02, 0.02, 0.02)),
+        WHOLE,
+        "its 2 parts overlap and were united",
+    ),
     "a wall between boxes": (lambda: together(box(), box(at=(0.06, 0.0, 0.0))), 2.0 * WHOLE, ""),
     "a hollow": (lambda: nested(0.05, 0.04), SHELL, ""),
     "a core in a hollow": (lambda: nested(0.05, 0.04, 0.02), SHELL + 0.02**3 * BALL, ""),
-    "a core inside out": (lambda: flipped(nested(0.05, 0.04, 0.02), 1), SHELL + 0.02**3 * BALL, TURNED),
+    "a core inside out": (
+        lambda: flipped(nested(0.05, 0.04, 0.02), 1),
+        SHELL + 0.02**3 * BALL,
+        TURNED,
+    ),
     "a part inside out beside another": (beside, l_shape().volume + 1e-6, TURNED),
     "parts apart": (lambda: together(box(), box(at=(0.1, 0.0, 0.0))), 2.0 * WHOLE, ""),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", REPAIRS)
@@ -230,12 +287,16 @@ def test_repairs_are_right_and_reported(name: str) -> None:
     make, expected, message = REPAIRS[name]
     solid = make()
     if name != "open seams":  # corners are merged in a grid, by luck of their places in it
-        solid.apply_transform(trimesh.transformations.random_rotation_matrix(np.random.default_rng(4).random(3)))
+        solid.apply_transform(
+            trimesh.transformations.random_rotation_matrix(np.random.default_rng(4).random(3))
+        )
     corners, faces, changes = close_mesh(np.array(solid.vertices), np.array(solid.faces), "mesh")
     assert message in "; ".join(changes)
     assert (changes == []) == (message == "") or name == "a wall between boxes"
     # welding at 1e-5 of the size moves corners by that much
-    assert volume(corners, faces) == pytest.approx(expected, rel=1e-4 if name == "open seams" else 1e-6)
+    assert volume(corners, faces) == pytest.approx(
+        expected, rel=1e-4 if name == "open seams" else 1e-6
+    )
     assert trimesh.Trimesh(corners, faces).is_watertight
 
 
@@ -250,7 +311,9 @@ def test_repairs_are_warned_of_each_time(tmp_path: Path) -> None:
 
 def test_too_many_parts() -> None:
     corners = np.concatenate([np.add(box().vertices, (0.1 * k, 0.0, 0.0)) for k in range(501)])
-    with pytest.raises(InvalidInputError, match="501 parts that are not connected, allowed are up to 500"):
+    with pytest.raises(
+        InvalidInputError, match="501 parts that are not connected, allowed are up to 500"
+    ):
         close_mesh(corners, np.concatenate([box().faces + 8 * k for k in range(501)]), "mesh")
 
 
@@ -259,7 +322,13 @@ def test_too_many_parts() -> None:
 
 @pytest.mark.parametrize(
     "engine",
-    [*(pytest.param(BulletEngine(mesh_contacts=how), marks=needs_bullet) for how in ("faces", "pieces")), "mujoco"],
+    [
+        *(
+            pytest.param(BulletEngine(mesh_contacts=how), marks=needs_bullet)
+            for how in ("faces", "pieces")
+        ),
+        "mujoco",
+    ],
     ids=["faces", "pieces", "mujoco"],
 )
 def test_a_hand_holds_it(made: Made, engine: Any) -> None:
@@ -271,12 +340,17 @@ def test_a_hand_holds_it(made: Made, engine: Any) -> None:
     with closing(gym.make(ENV, hand="allegro", object=item, engine=engine)) as env:
         env.reset(seed=3)
         for _ in range(25):
-            _, _, terminated, _, info = env.step(np.zeros(env.action_space.shape or (), dtype=np.float32))
+            _, _, terminated, _, info = env.step(
+                np.zeros(env.action_space.shape or (), dtype=np.float32)
+            )
             assert not terminated, info
         look = env.unwrapped.scene.look()  # pyright: ignore
-        points, outward = look.points @ file.rotation + file.center, -look.normals @ file.rotation
+        points = look.points @ file.rotation + file.center
+        outward = -look.normals @ file.rotation
         _, away, faces = trimesh.proximity.closest_point_naive(mesh, points)
         assert away.max() < 1e-4
         # others may be at an edge
-        assert np.einsum("ni,ni->n", mesh.face_normals[faces], outward).max() > np.cos(np.radians(2.0))
+        assert np.einsum("ni,ni->n", mesh.face_normals[faces], outward).max() > np.cos(
+            np.radians(2.0)
+        )
         assert info["is_success"], info

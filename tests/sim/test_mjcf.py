@@ -47,17 +47,35 @@ MOTORS = '<actuator><motor joint="j1" ctrlrange="-3 3"/><motor joint="k1"/></act
 
 
 def test_a_scene_is_the_hand_that_mujoco_simulates(tmp_path: Path) -> None:
-    """The base floats, the floor and a free ball are left out, and the file has the suffix of a URDF."""
+    """The base floats, the floor and a free ball are left out, and the file has the suffix of a
+    URDF."""
     hand, told = read(tmp_path, CROOKED, ["pad", "touch", "c"], rotor_inertia=None)
-    assert (hand.name, hand.palm.name, hand.joint_names) == ("crooked", "base", ("turn", "slide", "side", "bend"))
-    assert [(shape.kind, shape.size) for shape in hand.palm.collision] == [("box", (0.06, 0.08, 0.02))]
-    assert [(link.lower, link.upper) for link in hand.links] == [(-0.5, 1.2), (-0.01, 0.02), (-0.4, 0.4), (-1.0, 1.0)]
+    assert (hand.name, hand.palm.name, hand.joint_names) == (
+        "crooked",
+        "base",
+        ("turn", "slide", "side", "bend"),
+    )
+    assert [(shape.kind, shape.size) for shape in hand.palm.collision] == [
+        ("box", (0.06, 0.08, 0.02))
+    ]
+    assert [(link.lower, link.upper) for link in hand.links] == [
+        (-0.5, 1.2),
+        (-0.01, 0.02),
+        (-0.4, 0.4),
+        (-1.0, 1.0),
+    ]
     assert hand.torque_limits[[0, 1, 3]].tolist() == [6.0, 20.0, 0.7]
     assert [tip.radius for tip in hand.fingertips] == pytest.approx([0.008, 0.006, 0.01])
-    for words in ("no effort is given for 'side'", "torque_limit=", "hold still in the file's posture: 'float'"):
+    for words in (
+        "no effort is given for 'side'",
+        "torque_limit=",
+        "hold still in the file's posture: 'float'",
+    ):
         assert words in told
     model = mujoco.MjModel.from_xml_string(CROOKED)
-    data, kinematics, rng = mujoco.MjData(model), HandKinematics(hand), np.random.default_rng(0)
+    data = mujoco.MjData(model)
+    kinematics = HandKinematics(hand)
+    rng = np.random.default_rng(0)
     full = np.empty((model.nv, model.nv))
     dofs = [int(model.joint(name).dofadr[0]) for name in ("turn", "slide")]
     for _ in range(10):
@@ -67,7 +85,9 @@ def test_a_scene_is_the_hand_that_mujoco_simulates(tmp_path: Path) -> None:
         mujoco.mj_forward(model, data)
         base = Frame(data.body("base").xmat.reshape(3, 3), data.body("base").xpos)
         places = (data.geom("pad").xpos, data.site("touch").xpos, data.geom(model.ngeom - 1).xpos)
-        np.testing.assert_allclose(kinematics.tips(angles) @ base.rotation.T + base.origin, places, atol=1e-12)
+        np.testing.assert_allclose(
+            kinematics.tips(angles) @ base.rotation.T + base.origin, places, atol=1e-12
+        )
         mujoco.mj_fullM(model, data, full)
         own = kinematics.mass_matrix(angles)[:2, :2]  # the rotor of `turn` included
         np.testing.assert_allclose(own, full[np.ix_(dofs, dofs)], rtol=1e-9)
@@ -76,7 +96,9 @@ def test_a_scene_is_the_hand_that_mujoco_simulates(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("before", "upper"), [("", 1.5), ('angle="radian"', 0.04)])
 def test_radians_that_mujoco_takes_for_degrees(tmp_path: Path, before: str, upper: float) -> None:
     """Ranges of 1.5 degrees become radians; small ranges in a file with angle="radian" stay."""
-    meant = FINGERS.format(one="", two='ref="0.5"', rod="", more="").replace('range="0 1.5"', f'range="0 {upper}"')
+    meant = FINGERS.format(one="", two='ref="0.5"', rod="", more="").replace(
+        'range="0 1.5"', f'range="0 {upper}"'
+    )
     meant = meant.replace('range="-1 1"', f'range="{-upper} {upper}"')
     hand, told = read(tmp_path, meant.replace('angle="radian"', before))
     assert ("without angle='radian' in <compiler> ranges are degrees" in told) == (before == "")
@@ -92,30 +114,63 @@ def test_radians_that_mujoco_takes_for_degrees(tmp_path: Path, before: str, uppe
 
 
 BAR = '<geom type="capsule" size="0.003" fromto="0 0 0 {} 0 {}"/>'
-LOOP = '<body name="rod" pos="0.02 0 0.02"><joint name="r1" axis="0 1 0"/>' + BAR.format(0, 0.04) + "</body>"
-TENDON = '<tendon><fixed {}><joint joint="j1" coef="{}"/><joint joint="j2" coef="{}"/></fixed></tendon>'
+LOOP = (
+    '<body name="rod" pos="0.02 0 0.02"><joint name="r1" axis="0 1 0"/>'
+    + BAR.format(0, 0.04)
+    + "</body>"
+)
+TENDON = (
+    '<tendon><fixed {}><joint joint="j1" coef="{}"/><joint joint="j2" coef="{}"/></fixed></tendon>'
+)
 
 
 @pytest.mark.parametrize(
     ("fields", "pair", "line", "limit"),
     [
         # springs share the motion of a tendon over both joints 1 : 2
-        ({"one": 'stiffness="0.4" springref="0"', "two": 'stiffness="0.1" springref="0"', "more": TENDON.format('name="t"', 0.02, 0.01)
-          + '<actuator><motor tendon="t" ctrlrange="0 12" forcerange="0 50" forcelimited="true"/><motor joint="k1"/></actuator>'},
-         ("j2", "j1"), (0.5, 0.0), 50.0 * (0.01 + 0.02 * 0.5)),
+        (
+            {
+                "one": 'stiffness="0.4" springref="0"',
+                "two": 'stiffness="0.1" springref="0"',
+                "more": TENDON.format('name="t"', 0.02, 0.01)
+                + '<actuator><motor tendon="t" ctrlrange="0 12" forcerange="0 50" forcelimited="true"/><motor joint="k1"/></actuator>',
+            },
+            ("j2", "j1"),
+            (0.5, 0.0),
+            50.0 * (0.01 + 0.02 * 0.5),
+        ),
         # a range of a tendon so narrow that it couples
-        ({"more": TENDON.format('limited="true" range="-0.0005 0.0005"', 0.01, -0.01) + MOTORS}, ("j1", "j2"), (1.0, 0.0), 3.0),
+        (
+            {"more": TENDON.format('limited="true" range="-0.0005 0.0005"', 0.01, -0.01) + MOTORS},
+            ("j1", "j2"),
+            (1.0, 0.0),
+            3.0,
+        ),
         # rod and first link are a parallelogram: the second link keeps its direction
-        ({"rod": LOOP, "more": f'<equality><connect body1="rod" body2="p2" anchor="0 0 0.04"/></equality>{MOTORS}'}, ("j1", "j2"), (-1.0, 0.0), 3.0),
+        (
+            {
+                "rod": LOOP,
+                "more": f'<equality><connect body1="rod" body2="p2" anchor="0 0 0.04"/></equality>{MOTORS}',
+            },
+            ("j1", "j2"),
+            (-1.0, 0.0),
+            3.0,
+        ),
     ],
     ids=["tendon", "narrow", "loop"],
-)  # fmt: skip
+)
 def test_joints_that_share_a_motor_are_coupled(
-    tmp_path: Path, fields: dict[str, str], pair: tuple[str, str], line: tuple[float, float], limit: float
+    tmp_path: Path,
+    fields: dict[str, str],
+    pair: tuple[str, str],
+    line: tuple[float, float],
+    limit: float,
 ) -> None:
     text = FINGERS.format(**{"one": "", "two": "", "rod": "", **fields})
     if "rod" in fields:
-        text = text.replace('range="0 1.5"', 'range="-0.6 0.6"').replace('0 0.03"/>', '0 0.03"/>' + BAR.format(0.02, 0))
+        text = text.replace('range="0 1.5"', 'range="-0.6 0.6"').replace(
+            '0 0.03"/>', '0 0.03"/>' + BAR.format(0.02, 0)
+        )
     hand, told = read(tmp_path, text)
     links = {link.joint: link for link in hand.links}
     mimic = links[pair[1]].mimic
@@ -139,17 +194,45 @@ WIDE = 'range="0 0.04"'
 @pytest.mark.parametrize(
     ("option", "a", "b", "motor", "equality", "lines"),
     [
-        ('timestep="0.5"', "", 'range="0 0.025"', "a", '<joint joint1="b" joint2="a"/>', {"b": (1.0, 0.0)}),
-        ("", WIDE, WIDE, "b", '<joint joint1="b" joint2="a" polycoef="0.004 0.5"/>', {"a": (2.0, -0.008)}),
-        ("", WIDE, WIDE, "m", '<joint joint1="a" joint2="m" polycoef="0 0.0055 0 0 0"/>'
-         '<joint joint1="b" joint2="m" polycoef="0 0.0004 0 0 0"/>', {"a": (0.0055, 0.0), "b": (0.0004, 0.0)}),
+        (
+            'timestep="0.5"',
+            "",
+            'range="0 0.025"',
+            "a",
+            '<joint joint1="b" joint2="a"/>',
+            {"b": (1.0, 0.0)},
+        ),
+        (
+            "",
+            WIDE,
+            WIDE,
+            "b",
+            '<joint joint1="b" joint2="a" polycoef="0.004 0.5"/>',
+            {"a": (2.0, -0.008)},
+        ),
+        (
+            "",
+            WIDE,
+            WIDE,
+            "m",
+            '<joint joint1="a" joint2="m" polycoef="0 0.0055 0 0 0"/>'
+            '<joint joint1="b" joint2="m" polycoef="0 0.0004 0 0 0"/>',
+            {"a": (0.0055, 0.0), "b": (0.0004, 0.0)},
+        ),
     ],
     ids=["free driver", "inverse", "rack"],
-)  # fmt: skip
+)
 def test_equalities_of_jaws_are_read_exactly(
-    tmp_path: Path, option: str, a: str, b: str, motor: str, equality: str, lines: dict[str, tuple[float, float]]
+    tmp_path: Path,
+    option: str,
+    a: str,
+    b: str,
+    motor: str,
+    equality: str,
+    lines: dict[str, tuple[float, float]],
 ) -> None:
-    """A long time step changes nothing, and tips are at the far ends of jaws whose frames are in their middle."""
+    """A long time step changes nothing, and tips are at the far ends of jaws whose frames are in
+    their middle."""
     hand, _ = read(tmp_path, JAWS.format(option=option, a=a, b=b, motor=motor, equality=equality))
     found = {link.joint: link.mimic for link in hand.links if link.mimic is not None}
     assert set(found) == set(lines)
@@ -162,7 +245,8 @@ ROD = '<body name="rod" pos="0 0.03 0.02"><joint name="ball" type="ball"/><geom 
 
 
 def test_wrists_names_and_motors_that_a_file_does_not_give(tmp_path: Path) -> None:
-    """The world becomes the palm of a hand on a wrist, bodies get unused names, all joints get motors, and rods on ball joints are left out."""
+    """The world becomes the palm of a hand on a wrist, bodies get unused names, all joints get
+    motors, and rods on ball joints are left out."""
     text = FINGERS.format(one="", two="", rod=ROD.format(""), more="").replace('name="p2" ', "")
     wrist = '<body name="body3"><joint name="wrist" axis="1 0 0" range="-0.5 0.5"/>'
     hand, told = read(tmp_path, text.replace('<body name="palm">', wrist))
@@ -180,10 +264,13 @@ def test_meshes_lie_where_their_files_have_them(tmp_path: Path) -> None:
     faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4)]
     trimesh.Trimesh(corners, faces, process=False).export(tmp_path / "wedge.obj")
     (tmp_path / "models").mkdir()
-    asset = '<asset><mesh name="wedge" file="wedge.obj" scale="0.001 0.001 0.001"/></asset><worldbody>'
+    asset = (
+        '<asset><mesh name="wedge" file="wedge.obj" scale="0.001 0.001 0.001"/></asset><worldbody>'
+    )
     text = PLAIN.replace("<worldbody>", asset, 1)
     text = text.replace(
-        'type="box" size="0.03 0.03 0.01"', 'type="mesh" mesh="wedge" pos="0.01 0 0.02" euler="0.5 0 0"'
+        'type="box" size="0.03 0.03 0.01"',
+        'type="mesh" mesh="wedge" pos="0.01 0 0.02" euler="0.5 0 0"',
     )
     hand, _ = read(tmp_path / "models", text, name="hand.mjcf")
     (hull,) = (shape for shape in hand.palm.collision if shape.kind == "hull")
@@ -202,16 +289,37 @@ CARRIED = '<body name="r2"><joint name="r" axis="0 1 0"/><geom size="0.005" pos=
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("<scene/>", "the first element is <scene>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"),
-        ("<mujoco><worldbody><body><geom size='0.1'/></body></worldbody></mujoco>", "the file has no joint; a part that other files include"),
-        (FINGERS.format(one="", two="", rod="<site name='s'/>", more="<actuator><motor site='s'/></actuator>"),
-         "no actuator moves a hinge or slide joint; add <position joint=.../>"),
-        (PLAIN.replace("<worldbody>", "<asset><mesh name='m' file='gone.stl'/></asset><worldbody><geom type='mesh' mesh='m'/>"), "gone.stl"),
-        (FINGERS.format(one="", two="", rod=ROD.format(CARRIED), more=""),
-         "the ball joint 'ball' has no motor and carries joints that motors move: such parallel mechanisms are not supported"),
+        (
+            "<scene/>",
+            "the first element is <scene>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>",
+        ),
+        (
+            "<mujoco><worldbody><body><geom size='0.1'/></body></worldbody></mujoco>",
+            "the file has no joint; a part that other files include",
+        ),
+        (
+            FINGERS.format(
+                one="",
+                two="",
+                rod="<site name='s'/>",
+                more="<actuator><motor site='s'/></actuator>",
+            ),
+            "no actuator moves a hinge or slide joint; add <position joint=.../>",
+        ),
+        (
+            PLAIN.replace(
+                "<worldbody>",
+                "<asset><mesh name='m' file='gone.stl'/></asset><worldbody><geom type='mesh' mesh='m'/>",
+            ),
+            "gone.stl",
+        ),
+        (
+            FINGERS.format(one="", two="", rod=ROD.format(CARRIED), more=""),
+            "the ball joint 'ball' has no motor and carries joints that motors move: such parallel mechanisms are not supported",
+        ),
     ],
     ids=["no robot", "no joint", "no motor", "no mesh", "ball"],
-)  # fmt: skip
+)
 def test_files_that_are_no_hand_are_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, text)

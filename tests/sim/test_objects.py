@@ -27,13 +27,20 @@ SIZES = {
 
 
 @pytest.fixture(scope="module", params=[*SHAPES, "L"])
-def item(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ObjectDescription:
+def item(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> ObjectDescription:
     """Each shape; the meshes are a crooked rock and an L."""
     if request.param in SHAPES_WITHOUT_MESH:
         return ObjectDescription(request.param, SIZES[request.param])
     path = tmp_path_factory.mktemp("mesh") / "a.obj"
-    rock = trimesh.convex.convex_hull(np.random.default_rng(0).normal(size=(30, 3)) * (0.03, 0.04, 0.025))
-    bars = [trimesh.creation.box(bounds=[(0, 0, 0), far]) for far in ((0.03, 0.09, 0.05), (0.08, 0.03, 0.05))]
+    rock = trimesh.convex.convex_hull(
+        np.random.default_rng(0).normal(size=(30, 3)) * (0.03, 0.04, 0.025)
+    )
+    bars = [
+        trimesh.creation.box(bounds=[(0, 0, 0), far])
+        for far in ((0.03, 0.09, 0.05), (0.08, 0.03, 0.05))
+    ]
     (rock if request.param == "mesh" else trimesh.boolean.union(bars)).export(path, digits=17)
     return ObjectDescription("mesh", mesh=str(path))
 
@@ -53,17 +60,20 @@ def centers(count: int, low: float = 0.0, high: float = 0.09) -> np.ndarray:
 
 def inside(item: ObjectDescription, x: np.ndarray) -> np.ndarray:
     """A function of points (..., 3) that is >= 0 inside, by the definition of the shape."""
-    size, (radius, along) = np.array(item.size) / 2, (np.hypot(x[..., 0], x[..., 2]), np.abs(x[..., 1]))
+    size = np.array(item.size) / 2
+    (radius, along) = (np.hypot(x[..., 0], x[..., 2]), np.abs(x[..., 1]))
     if item.shape == "cuboid":
         return (size - np.abs(x)).min(axis=-1)
     if item.shape == "cylinder":
         return np.minimum(size[0] - radius, size[1] - along)
-    return size[0] - np.hypot(radius, np.maximum(along - (size[-1] - size[0]), 0.0))  # a sphere is a short capsule
+    # a sphere is a short capsule
+    return size[0] - np.hypot(radius, np.maximum(along - (size[-1] - size[0]), 0.0))
 
 
 @pytest.mark.parametrize("shape", SHAPES_WITHOUT_MESH)
 def test_nearest_points_are_on_the_shape_and_nothing_is_nearer(shape: str) -> None:
-    item, sample = ObjectDescription(shape, SIZES[shape]), centers(200_000)
+    item = ObjectDescription(shape, SIZES[shape])
+    sample = centers(200_000)
     within = inside(item, sample) >= 0.0
     for center in centers(12, 0.02):
         point, _, distance = item.surface.nearest(center)
@@ -107,8 +117,12 @@ def test_bullet_has_the_same_surface(item: ObjectDescription, client: int) -> No
         point, normal, distance = item.surface.nearest(center)
         if distance < 1e-3:
             continue
-        bullet.resetBasePositionAndOrientation(tip, center.tolist(), (0, 0, 0, 1), physicsClientId=client)
-        row = min(bullet.getClosestPoints(body, tip, 0.2, physicsClientId=client), key=lambda row: row[8])
+        bullet.resetBasePositionAndOrientation(
+            tip, center.tolist(), (0, 0, 0, 1), physicsClientId=client
+        )
+        row = min(
+            bullet.getClosestPoints(body, tip, 0.2, physicsClientId=client), key=lambda row: row[8]
+        )
         assert row[8] + 0.01 == pytest.approx(distance, abs=off)
         if not exact:  # at the hollow edge every direction is right
             assert np.abs(np.array(row[7]) - normal).max() < turned
@@ -122,7 +136,9 @@ def test_inertia_by_slices_and_copies(shape: str) -> None:
     item = ObjectDescription(shape, SIZES[shape], mass=0.3)
     across, half, deep = 0.5 * np.array(item.extent)
     y = ((np.arange(100_000) + 0.5) / 50_000 - 1.0) * half
-    squared = across**2 - np.maximum(np.abs(y) - (half - across), 0.0) ** 2 * (shape in ("sphere", "capsule"))
+    squared = across**2 - np.maximum(np.abs(y) - (half - across), 0.0) ** 2 * (
+        shape in ("sphere", "capsule")
+    )
     mass = 0.3 * squared / squared.sum()
     # mean squares over a slice: a rectangle or a disc
     x, z = (across**2 / 3.0, deep**2 / 3.0) if shape == "cuboid" else (squared / 4.0, squared / 4.0)
@@ -165,7 +181,11 @@ UNREAD = "is not a mesh of kind|no triangles"
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.obj", trimesh.Trimesh(BALL.vertices, BALL.faces[::3], process=False), "not closed: .*grasp object mend"),
+        (
+            "a.obj",
+            trimesh.Trimesh(BALL.vertices, BALL.faces[::3], process=False),
+            "not closed: .*grasp object mend",
+        ),
         ("a.obj", FLAT, "encloses no volume"),
         ("a.obj", BALL.copy().apply_scale(1000.0), "millimetres"),
         ("a.obj", trimesh.creation.box((0.06, 0.05, 5e-4)), "allowed are 0.001 to 1"),
@@ -174,7 +194,9 @@ UNREAD = "is not a mesh of kind|no triangles"
         ("none.obj", None, "No such file"),
     ],
 )
-def test_invalid_meshes(tmp_path: Path, name: str, content: trimesh.Trimesh | bytes | None, message: str) -> None:
+def test_invalid_meshes(
+    tmp_path: Path, name: str, content: trimesh.Trimesh | bytes | None, message: str
+) -> None:
     path = tmp_path / name
     if isinstance(content, bytes):
         path.write_bytes(content)

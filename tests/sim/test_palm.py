@@ -13,14 +13,22 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.kinematics import HandKinematics
 
-MESH, SOLID = '<mesh filename="none.stl"/>', '<sphere radius="0.01"/>'
+MESH = '<mesh filename="none.stl"/>'
+SOLID = '<sphere radius="0.01"/>'
 
 
 def chain(name: str, parent: str, count: int, shape: str = MESH, step: float = 0.2) -> str:
-    """Return a chain of links `name`1, ... on the joints `name`_1, ... with missing meshes; the last has no shape."""
+    """Return a chain of links `name`1, ...
+
+    on the joints `name`_1, ... with missing meshes; the last has no shape.
+    """
     text = ""
     for number in range(1, count + 1):
-        body = f"<collision><geometry>{shape}</geometry></collision>" if number < count or shape != MESH else ""
+        body = (
+            f"<collision><geometry>{shape}</geometry></collision>"
+            if number < count or shape != MESH
+            else ""
+        )
         text += (
             joint(f"{name}_{number}", parent, f"{name}{number}", f"{step} 0 0")
             + f'<link name="{name}{number}">{body}</link>'
@@ -29,7 +37,9 @@ def chain(name: str, parent: str, count: int, shape: str = MESH, step: float = 0
     return text
 
 
-MOUNT = joint("mount", "wrist", "palm", "0.02 0.01 0", kind="fixed").replace('0.01 0"', '0.01 0" rpy="0.3 -0.2 0.5"')
+MOUNT = joint("mount", "wrist", "palm", "0.02 0.01 0", kind="fixed").replace(
+    '0.01 0"', '0.01 0" rpy="0.3 -0.2 0.5"'
+)
 FLANGE = joint("flange", "arm7", "wrist", "0.1 0 0", kind="fixed")
 ARM = link("base") + chain("arm", "base", 7) + FLANGE + link("wrist") + MOUNT + hand()
 ROBOT = link("pelvis") + chain("leg", "pelvis", 6, SOLID) + chain("waist", "pelvis", 1)
@@ -44,15 +54,21 @@ def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path: Path) -> None:
     alone, nothing = read(tmp_path, hand())
     assert nothing == ""
     joints = ", ".join(f"'arm_{number}'" for number in range(1, 8))
-    assert told.endswith(f"the joints that carry the palm 'palm' hold still, their links are left out: {joints}")
+    assert told.endswith(
+        f"the joints that carry the palm 'palm' hold still, their links are left out: {joints}"
+    )
     assert (made.links, made.fingertips, made.palm.name) == (alone.links, alone.fingertips, "palm")
     there, _ = read(tmp_path, ARM, palm="arm7")
-    place = Frame.of((0.1, 0.0, 0.0), (0.0, 0.0, 0.0)) @ Frame.of((0.02, 0.01, 0.0), (0.3, -0.2, 0.5))
+    place = Frame.of((0.1, 0.0, 0.0), (0.0, 0.0, 0.0)) @ Frame.of(
+        (0.02, 0.01, 0.0), (0.3, -0.2, 0.5)
+    )
     angles = np.linspace(0.0, 1.0, 6)
     tips = HandKinematics(made).tips(angles) @ place.rotation.T + place.origin
     np.testing.assert_allclose(HandKinematics(there).tips(angles), tips, atol=1e-15)
     wrist = made.palm.collision[1]  # part of the palm, wherever that is seen from
-    np.testing.assert_allclose(place.rotation @ wrist.origin + place.origin, (0.12, 0.0, 0.0), atol=1e-15)
+    np.testing.assert_allclose(
+        place.rotation @ wrist.origin + place.origin, (0.12, 0.0, 0.0), atol=1e-15
+    )
     assert any(shape.origin == pytest.approx((0.12, 0.0, 0.0)) for shape in there.palm.collision)
 
 
@@ -61,7 +77,9 @@ def test_one_hand_of_a_robot_is_read_and_the_rest_left_out(tmp_path: Path) -> No
     assert made.joint_names == ("ria", "rib", "rma", "rmb", "rta", "rtb")
     assert made.finger_names == ("rt2", "rm2")
     assert "'rpalm' hold still, their links are left out: 'waist_1', 'rarm_1'" in told
-    assert "limbs that the palm 'rpalm' does not carry are left out, with the joints 'leg_1'" in told
+    assert (
+        "limbs that the palm 'rpalm' does not carry are left out, with the joints 'leg_1'" in told
+    )
     words = "'rpalm' does not carry the fingertips 'lt2'; its links are 'rarm5', 'rpalm'"
     with pytest.raises(InvalidInputError, match=words):
         read(tmp_path, ROBOT, ["rt2", "lt2"], palm="rpalm")
@@ -70,48 +88,112 @@ def test_one_hand_of_a_robot_is_read_and_the_rest_left_out(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("text", "palm", "words"),
     [
-        (ARM, None, "'arm_7' has 7 motors and leads to a branching. Name the hand's palm, palm='palm'; palm='base' reads all of it as one hand"),
-        (ROBOT, None, "has 5 motors and leads to a branching. Name the hand's palm, palm='lpalm' or palm='rpalm'; palm='pelvis' reads all"),
-        (ARM, "hand", "palm: no link is called 'hand'; joints branch at 'palm'; links are 'base', 'arm1'"),
+        (
+            ARM,
+            None,
+            "'arm_7' has 7 motors and leads to a branching. Name the hand's palm, palm='palm'; palm='base' reads all of it as one hand",
+        ),
+        (
+            ROBOT,
+            None,
+            "has 5 motors and leads to a branching. Name the hand's palm, palm='lpalm' or palm='rpalm'; palm='pelvis' reads all",
+        ),
+        (
+            ARM,
+            "hand",
+            "palm: no link is called 'hand'; joints branch at 'palm'; links are 'base', 'arm1'",
+        ),
         (ARM, "i2", "the palm 'i2' carries no joint that moves; links that do are 'base', 'arm1'"),
     ],
-)  # fmt: skip
-def test_arms_and_robots_are_refused_with_palms(tmp_path: Path, text: str, palm: str | None, words: str) -> None:
+)
+def test_arms_and_robots_are_refused_with_palms(
+    tmp_path: Path, text: str, palm: str | None, words: str
+) -> None:
     with pytest.raises(InvalidInputError) as told:
         read(tmp_path, text, palm=palm)
     assert words in str(told.value)
     assert "none.stl" not in str(told.value)
 
 
-FOLLOWER = joint("f", "palm", "follower", "0 0 -0.02", mimic="arm_1").replace("<mimic ", '<mimic offset="0.3" ') + link(
-    "follower"
+FOLLOWER = joint("f", "palm", "follower", "0 0 -0.02", mimic="arm_1").replace(
+    "<mimic ", '<mimic offset="0.3" '
+) + link("follower")
+SECOND = joint("g", "follower", "second", mimic="f").replace(
+    "<mimic ", '<mimic multiplier="2" '
+) + link("second")
+NAIL = (
+    joint("n", "i2", "nail", limits=(0.4, 0.4))
+    + link("nail")
+    + joint("o", "nail", "end", mimic="n")
+    + link("end")
 )
-SECOND = joint("g", "follower", "second", mimic="f").replace("<mimic ", '<mimic multiplier="2" ') + link("second")
-NAIL = joint("n", "i2", "nail", limits=(0.4, 0.4)) + link("nail") + joint("o", "nail", "end", mimic="n") + link("end")
 
 
 @pytest.mark.parametrize(
     ("text", "options", "count", "words", "tilts"),
     [
-        (link("base") + chain("w", "base", 3, SOLID, 0.03) + joint("mount", "w3", "palm", kind="fixed") + hand(), {}, 9, "", (0.0,)),
-        (link("base") + "".join(chain(name, "base", 6, SOLID, 0.02) for name in "abc"), {}, 18, "", (0.0,)),
-        (hand() + finger("x", "i2", "0.04 0 0"), {"palm": "i1"}, 3, "hold still, their links are left out: 'ia';", (0.0,)),
-        # at the angle that they have where the others are at 0; joints that no hand has are not looked at
-        (link("cart") + joint("free", "cart", "base", kind="floating") + ARM.replace(' rpy="0.3 -0.2 0.5"', "") + FOLLOWER + SECOND,
-         {"palm": "palm"}, 6, "joints that mimic others that are left out hold still: 'f', 'g'", (0.0, 0.0, 0.3, 0.9)),
+        (
+            link("base")
+            + chain("w", "base", 3, SOLID, 0.03)
+            + joint("mount", "w3", "palm", kind="fixed")
+            + hand(),
+            {},
+            9,
+            "",
+            (0.0,),
+        ),
+        (
+            link("base") + "".join(chain(name, "base", 6, SOLID, 0.02) for name in "abc"),
+            {},
+            18,
+            "",
+            (0.0,),
+        ),
+        (
+            hand() + finger("x", "i2", "0.04 0 0"),
+            {"palm": "i1"},
+            3,
+            "hold still, their links are left out: 'ia';",
+            (0.0,),
+        ),
+        # at the angle that they have where the others are at 0; joints that no hand has are not
+        # looked at
+        (
+            link("cart")
+            + joint("free", "cart", "base", kind="floating")
+            + ARM.replace(' rpy="0.3 -0.2 0.5"', "")
+            + FOLLOWER
+            + SECOND,
+            {"palm": "palm"},
+            6,
+            "joints that mimic others that are left out hold still: 'f', 'g'",
+            (0.0, 0.0, 0.3, 0.9),
+        ),
         (hand() + NAIL, {"palm": "i2", "joint_limits": {"n": (0.0, 0.4)}}, 2, "hold still", (0.0,)),
-        (hand() + NAIL, {}, 6, "joints with equal limits, lower = upper, hold still: 'n', 'o'; give the true ranges as joint_limits=", (0.0,)),
+        (
+            hand() + NAIL,
+            {},
+            6,
+            "joints with equal limits, lower = upper, hold still: 'n', 'o'; give the true ranges as joint_limits=",
+            (0.0,),
+        ),
     ],
     ids=["wrist", "long fingers", "a finger", "followers", "given range", "equal limits"],
-)  # fmt: skip
+)
 def test_the_hand_of_a_file_and_the_joints_that_hold_still(
-    tmp_path: Path, text: str, options: dict[str, Any], count: int, words: str, tilts: tuple[float, ...]
+    tmp_path: Path,
+    text: str,
+    options: dict[str, Any],
+    count: int,
+    words: str,
+    tilts: tuple[float, ...],
 ) -> None:
     made, told = read(tmp_path, text, **options)
     assert made.joint_count == count
     assert words in told
     boxes = [shape.rotation[1] for shape in made.palm.collision if shape.kind == "box"]
-    np.testing.assert_allclose(boxes[: len(tilts)], tilts, atol=1e-12)  # palm, wrist, follower, second
+    # palm, wrist, follower, second
+    np.testing.assert_allclose(boxes[: len(tilts)], tilts, atol=1e-12)
     if text.endswith(NAIL) and not options:
         nail = next(each for each in made.links if each.name == "i2").collision[1]
         assert nail.rotation[1] == pytest.approx(0.4)
@@ -128,19 +210,36 @@ def rods(name: str, *ends: tuple[float, float]) -> str:
 
 
 def pivot(
-    parent: str, child: str, x: float, z: float, ratio: float = 0.0, limits: tuple[float, float] = (-0.5, 0.5)
+    parent: str,
+    child: str,
+    x: float,
+    z: float,
+    ratio: float = 0.0,
+    limits: tuple[float, float] = (-0.5, 0.5),
 ) -> str:
     """Return a joint at (x, z) [m], coupled to that of `left_crank` unless the ratio is 0."""
-    text = joint(f"{child}_joint", parent, child, f"{x} 0 {z}", limits, mimic="left_crank_joint" if ratio else "")
+    text = joint(
+        f"{child}_joint",
+        parent,
+        child,
+        f"{x} 0 {z}",
+        limits,
+        mimic="left_crank_joint" if ratio else "",
+    )
     return text.replace("<mimic ", f'<mimic multiplier="{ratio}" ')
 
 
 def gripper(limits: tuple[float, float]) -> str:
-    """Return two fingers, each a parallelogram of a crank, a rod and a fingertip that keeps its direction."""
+    """Return two fingers, each a parallelogram of a crank, a rod and a fingertip that keeps its
+    direction."""
     text = link("palm", 0.01)
     for side, x, sign in (("left", -0.04, 1.0), ("right", 0.04, -1.0)):
-        text += pivot("palm", f"{side}_crank", x, 0.01, min(0.0, sign)) + rods(f"{side}_crank", (0.0, 0.04))
-        text += pivot("palm", f"{side}_rod", x + 0.015 * sign, 0.01, sign) + rods(f"{side}_rod", (0.0, 0.04))
+        text += pivot("palm", f"{side}_crank", x, 0.01, min(0.0, sign)) + rods(
+            f"{side}_crank", (0.0, 0.04)
+        )
+        text += pivot("palm", f"{side}_rod", x + 0.015 * sign, 0.01, sign) + rods(
+            f"{side}_rod", (0.0, 0.04)
+        )
         text += pivot(f"{side}_crank", f"{side}_tip", 0.0, 0.04, -sign, limits) + rods(
             f"{side}_tip", (0.015 * sign, 0.0), (0.0, 0.05)
         )
@@ -153,11 +252,20 @@ def gripper(limits: tuple[float, float]) -> str:
         ((0.0, 0.5), {}, True, -0.5),  # opposite joints would stop each other
         ((0.4, 0.5), {}, True, -0.5),
         ((-0.5, 0.3), {}, False, -0.3),
-        ((-0.5, 0.5), {"joint_limits": {"left_tip_joint": (0.0, 0.1)}}, False, -0.1),  # a caller's always count
+        (
+            (-0.5, 0.5),
+            {"joint_limits": {"left_tip_joint": (0.0, 0.1)}},
+            False,
+            -0.1,
+        ),  # a caller's always count
     ],
 )
 def test_rods_are_no_fingertips_and_limits_that_stop_a_motor_are_ignored(
-    tmp_path: Path, limits: tuple[float, float], options: dict[str, Any], ignored: bool, lower: float
+    tmp_path: Path,
+    limits: tuple[float, float],
+    options: dict[str, Any],
+    ignored: bool,
+    lower: float,
 ) -> None:
     made, told = read(tmp_path, gripper(limits), **options)
     assert made.finger_names == ("left_tip", "right_tip")
@@ -172,6 +280,10 @@ def test_rods_are_no_fingertips_and_limits_that_stop_a_motor_are_ignored(
 
 
 def test_jaws_that_meet_are_no_rods(tmp_path: Path) -> None:
-    text = link("palm", 0.01) + pivot("palm", "left_crank", -0.012, 0.01) + rods("left_crank", (0.0, 0.05))
+    text = (
+        link("palm", 0.01)
+        + pivot("palm", "left_crank", -0.012, 0.01)
+        + rods("left_crank", (0.0, 0.05))
+    )
     text += pivot("palm", "short_jaw", 0.012, 0.01, -1.0) + rods("short_jaw", (0.0, 0.035))
     assert read(tmp_path, text)[0].finger_names == ("left_crank", "short_jaw")

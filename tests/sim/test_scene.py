@@ -1,4 +1,5 @@
-"""The physics of a scene, its snapshot against Bullet's own answers, unusual readings, and invalid use."""
+"""The physics of a scene, its snapshot against Bullet's own answers, unusual readings, and invalid
+use."""
 
 from __future__ import annotations
 
@@ -36,7 +37,8 @@ def hold_still(scene: Scene, steps: int, wrench: np.ndarray | None = None) -> No
 
 @needs_bullet
 def test_changed_mass_and_friction(make_scene: Callable[..., Scene]) -> None:
-    """The hand's friction must stay 1: PyBullet resets it if some other options are set in the same call."""
+    """The hand's friction must stay 1: PyBullet resets it if some other options are set in the same
+    call."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0), inertia=(2e-4, 3e-4, 4e-4), friction=0.55, **FREE)
     push = np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.001])
     gained = []
@@ -46,9 +48,13 @@ def test_changed_mass_and_friction(make_scene: Callable[..., Scene]) -> None:
         hold_still(scene, 1, push)
         gained.append(np.append(scene.look().linear, scene.look().angular))
         assert scene.config.object.mass == mass
-    np.testing.assert_allclose(gained[0][[1, 5]], np.array([0.1 / 0.2, 0.001 / 4e-4]) * scene.timestep, rtol=1e-12)
-    np.testing.assert_allclose(gained[1], 0.4 * gained[0], rtol=1e-12)  # the inertia grows with the mass
-    client, world = scene.simulator.client.number, scene.simulator.world
+    np.testing.assert_allclose(
+        gained[0][[1, 5]], np.array([0.1 / 0.2, 0.001 / 4e-4]) * scene.timestep, rtol=1e-12
+    )
+    # the inertia grows with the mass
+    np.testing.assert_allclose(gained[1], 0.4 * gained[0], rtol=1e-12)
+    client = scene.simulator.client.number
+    world = scene.simulator.world
     scene.reset()
     turned = (
         math.sqrt(0.5),
@@ -59,7 +65,9 @@ def test_changed_mass_and_friction(make_scene: Callable[..., Scene]) -> None:
     bullet.resetBasePositionAndOrientation(world.object, (0.0, 0.0, 0.0), turned, client)
     scene.step(np.zeros(12), np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.001]))
     down = -np.array([0.1 / 0.5, 0.001 / 1e-3]) * scene.timestep
-    np.testing.assert_allclose([scene.look().linear, scene.look().angular], np.outer(down, (0.0, 1.0, 0.0)), atol=1e-9)
+    np.testing.assert_allclose(
+        [scene.look().linear, scene.look().angular], np.outer(down, (0.0, 1.0, 0.0)), atol=1e-9
+    )
     for link in range(-1, bullet.getNumJoints(world.hand, physicsClientId=client)):
         assert bullet.getDynamicsInfo(world.hand, link, physicsClientId=client)[1] == 1.0
     for friction in (0.55, 0.7):
@@ -69,11 +77,14 @@ def test_changed_mass_and_friction(make_scene: Callable[..., Scene]) -> None:
 
 
 def test_free_fall_and_changed_gravity(make_scene: Callable[..., Scene]) -> None:
-    """Bullet's Euler is semi-implicit: v_k = -g k dt and y_k = -g k (k + 1) dt^2 / 2, both exact here."""
-    scene, steps = make_scene(engine=BulletEngine(rate=2000), **FREE), 400
+    """Bullet's Euler is semi-implicit: v_k = -g k dt and y_k = -g k (k + 1) dt^2 / 2, both exact
+    here."""
+    scene = make_scene(engine=BulletEngine(rate=2000), **FREE)
+    steps = 400
     angles = scene.look().angles.copy()
     hold_still(scene, steps)
-    s, dt = scene.look(), scene.timestep
+    s = scene.look()
+    dt = scene.timestep
     np.testing.assert_allclose(s.linear, [0.0, -9.81 * steps * dt, 0.0], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(s.position[1], -0.5 * 9.81 * steps * (steps + 1) * dt**2, rtol=1e-9)
     np.testing.assert_array_equal(s.angular, 0.0)
@@ -92,12 +103,15 @@ def test_nothing_is_damped(make_scene: Callable[..., Scene]) -> None:
     scene.step(np.full(12, 1e-4), np.array([0.0, 1.0, 0.0, 0.0, 0.002, 0.0]))
     first = np.append(scene.look().linear, scene.look().angular)
     hold_still(scene, 20)
-    np.testing.assert_allclose(np.append(scene.look().linear, scene.look().angular), first, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        np.append(scene.look().linear, scene.look().angular), first, rtol=1e-9, atol=1e-12
+    )
     assert first[[1, 4]].min() > 0.0
 
 
 def test_joints_give_all_their_torque_and_no_more(make_scene: Callable[..., Scene]) -> None:
-    """Even at 250 Hz, where Bullet's default limit of joint speeds would take a third of it: speed is linear in torque."""
+    """Even at 250 Hz, where Bullet's default limit of joint speeds would take a third of it: speed
+    is linear in torque."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0), **FREE)
     speeds = []
     for torque in (0.12, 12.0, 1200.0):
@@ -109,11 +123,19 @@ def test_joints_give_all_their_torque_and_no_more(make_scene: Callable[..., Scen
     np.testing.assert_array_equal(speeds[2], speeds[1])  # clipped
 
 
-@pytest.mark.parametrize("engine", [BulletEngine(rate=1000), MujocoEngine()], ids=lambda engine: engine.name)
-def test_forces_and_momentum_balance(make_scene: Callable[..., Scene], make_holder: Callable, engine: Any) -> None:
-    """Mean contact force + weight + wrench over a step is the change of momentum, although stiff contacts ring."""
-    pytest.importorskip("pybullet" if engine.name == "bullet" else "mujoco", reason="the engine is not installed")
-    scene, holder = make_scene(engine=engine, substeps=4), make_holder()
+@pytest.mark.parametrize(
+    "engine", [BulletEngine(rate=1000), MujocoEngine()], ids=lambda engine: engine.name
+)
+def test_forces_and_momentum_balance(
+    make_scene: Callable[..., Scene], make_holder: Callable, engine: Any
+) -> None:
+    """Mean contact force + weight + wrench over a step is the change of momentum, although stiff
+    contacts ring."""
+    pytest.importorskip(
+        "pybullet" if engine.name == "bullet" else "mujoco", reason="the engine is not installed"
+    )
+    scene = make_scene(engine=engine, substeps=4)
+    holder = make_holder()
     holder.settle(scene)
     missed = []
     for k in range(20):
@@ -121,7 +143,10 @@ def test_forces_and_momentum_balance(make_scene: Callable[..., Scene], make_hold
         before = scene.look().linear.copy()
         scene.step(holder(scene), push)
         s = scene.look()
-        acts = s.rotation @ (s.forces.sum(axis=0) + push[:3]) + scene.config.object.mass * scene.gravity
+        acts = (
+            s.rotation @ (s.forces.sum(axis=0) + push[:3])
+            + scene.config.object.mass * scene.gravity
+        )
         missed.append(0.2 * (s.linear - before) / scene.timestep - acts)
     np.testing.assert_allclose(missed, 0.0, atol=1e-3)  # [N]; it turns a little within the step
 
@@ -136,14 +161,26 @@ CONFIG = SceneConfig()
         (lambda scene: scene.step(np.zeros(12), np.zeros(5)), "external_wrench"),
         (lambda scene: scene.change_object(mass=-1.0), "mass"),
         (lambda _: dataclasses.replace(CONFIG, engine="bullet"), "engine"),  # type: ignore[arg-type]
-        (lambda _: dataclasses.replace(CONFIG, contact_points=((0.0, 0.0, 0.05),)), "contact_points"),
+        (
+            lambda _: dataclasses.replace(CONFIG, contact_points=((0.0, 0.0, 0.05),)),
+            "contact_points",
+        ),
         (lambda _: dataclasses.replace(CONFIG, contact_points=((0.0, 0.0, 0.02),) * 4), "surface"),
         (lambda _: dataclasses.replace(CONFIG, start_angles=(0.0,)), "start_angles"),
-        (lambda _: Scene(dataclasses.replace(CONFIG, engine=type("Other", (MujocoEngine,), {"simulator": BulletEngine.simulator})())),
-         "engine must be a BulletEngine|needs pybullet"),
+        (
+            lambda _: Scene(
+                dataclasses.replace(
+                    CONFIG,
+                    engine=type("Other", (MujocoEngine,), {"simulator": BulletEngine.simulator})(),
+                )
+            ),
+            "engine must be a BulletEngine|needs pybullet",
+        ),
     ],
-)  # fmt: skip
-def test_invalid_arguments(make_scene: Callable[..., Scene], call: Callable[[Scene], object], message: str) -> None:
+)
+def test_invalid_arguments(
+    make_scene: Callable[..., Scene], call: Callable[[Scene], object], message: str
+) -> None:
     scene = make_scene()
     before = numbers(scene)
     with pytest.raises((InvalidInputError, SimulationError), match=message):
@@ -152,10 +189,15 @@ def test_invalid_arguments(make_scene: Callable[..., Scene], call: Callable[[Sce
 
 
 @pytest.mark.parametrize(
-    "engine", [pytest.param(BulletEngine(), marks=needs_bullet), MujocoEngine()], ids=lambda engine: engine.name
+    "engine",
+    [pytest.param(BulletEngine(), marks=needs_bullet), MujocoEngine()],
+    ids=lambda engine: engine.name,
 )
 def test_closed_scenes_and_copies(make_scene: Callable[..., Scene], engine: Any) -> None:
-    pytest.importorskip(f"{'py' if engine.name == 'bullet' else ''}{engine.name}", reason="the engine is not installed")
+    pytest.importorskip(
+        f"{'py' if engine.name == 'bullet' else ''}{engine.name}",
+        reason="the engine is not installed",
+    )
     scene = make_scene(engine=engine)
     scene.look()
     server = scene.simulator.client.number if engine.name == "bullet" else None
@@ -163,9 +205,14 @@ def test_closed_scenes_and_copies(make_scene: Callable[..., Scene], engine: Any)
     scene.close()
     assert server is None or not bullet.isConnected(server)
     calls: list[Callable[[], object]] = [
-        scene.look, scene.reset, scene.keep, lambda: scene.step(np.zeros(12)), lambda: scene.change_object(mass=0.1),
-        lambda: scene.set_gravity(np.zeros(3)), lambda: scene.load(SceneConfig(engine=engine)),
-    ]  # fmt: skip
+        scene.look,
+        scene.reset,
+        scene.keep,
+        lambda: scene.step(np.zeros(12)),
+        lambda: scene.change_object(mass=0.1),
+        lambda: scene.set_gravity(np.zeros(3)),
+        lambda: scene.load(SceneConfig(engine=engine)),
+    ]
     for call in calls:
         with pytest.raises(SimulationError, match="closed"):
             call()
@@ -199,13 +246,18 @@ def test_bodies_contacts_and_slip_are_those_of_bullet(held: Scene, make_holder: 
     holder = make_holder()
     for _ in range(30):
         held.step(holder(held), np.array([0.3, 0.2, 0.0, 0.05, 0.05, 0.05]))
-    s, client, world = held.look(), held.simulator.client.number, held.simulator.world
+    s = held.look()
+    client = held.simulator.client.number
+    world = held.simulator.world
     assert np.abs(Rotation.from_matrix(s.rotation).as_rotvec()).min() > 1e-3
     assert s.touching.all()
     for joint, index in enumerate(world.joints):
         state = bullet.getLinkState(world.hand, index, 1, 1, physicsClientId=client)
-        np.testing.assert_allclose(s.origins[joint], state[4], atol=1e-6)  # Bullet answers with single precision
-        np.testing.assert_allclose(s.frames[joint], Rotation.from_quat(state[5]).as_matrix(), atol=1e-6)
+        # Bullet answers with single precision
+        np.testing.assert_allclose(s.origins[joint], state[4], atol=1e-6)
+        np.testing.assert_allclose(
+            s.frames[joint], Rotation.from_quat(state[5]).as_matrix(), atol=1e-6
+        )
     torques = bullet.calculateInverseDynamics(
         world.hand, s.angles.tolist(), [0.0] * 12, [0.0] * 12, physicsClientId=client
     )
@@ -213,7 +265,9 @@ def test_bodies_contacts_and_slip_are_those_of_bullet(held: Scene, make_holder: 
     position, quaternion = bullet.getBasePositionAndOrientation(world.object, client)
     np.testing.assert_array_equal(s.position, position)
     np.testing.assert_allclose(s.rotation, Rotation.from_quat(quaternion).as_matrix(), atol=1e-12)
-    np.testing.assert_array_equal([s.linear, s.angular], bullet.getBaseVelocity(world.object, client))
+    np.testing.assert_array_equal(
+        [s.linear, s.angular], bullet.getBaseVelocity(world.object, client)
+    )
     links = held.kinematics.tip_links.tolist()
     for finger, link in enumerate(links):
         tip = s.origins[link] + s.frames[link] @ held.config.hand.fingertips[finger].center
@@ -222,7 +276,9 @@ def test_bodies_contacts_and_slip_are_those_of_bullet(held: Scene, make_holder: 
             world.hand, world.object, 0.01, linkIndexA=world.joints[link], physicsClientId=client
         )
         row = min(rows, key=lambda row: row[8])  # the tip's, among the shapes of its link
-        np.testing.assert_allclose(s.points[finger], (np.array(row[6]) - s.position) @ s.rotation, atol=1e-6)
+        np.testing.assert_allclose(
+            s.points[finger], (np.array(row[6]) - s.position) @ s.rotation, atol=1e-6
+        )
         np.testing.assert_allclose(s.normals[finger], -np.array(row[7]) @ s.rotation, atol=1e-5)
         np.testing.assert_allclose(s.gaps[finger], row[8], atol=1e-6)
         np.testing.assert_allclose(s.touch[finger], row[5], atol=1e-6)
@@ -252,14 +308,21 @@ def test_measured_forces_are_the_commanded_ones(held: Scene, make_holder: Callab
 
 @needs_bullet
 @pytest.mark.parametrize("angle", [0.0, 200.0])
-def test_friction_cone_is_round(make_scene: Callable[..., Scene], make_holder: Callable, angle: float) -> None:
-    """The object is pushed sideways out of a squeeze until all tips slide: tangential over normal force is then mu."""
+def test_friction_cone_is_round(
+    make_scene: Callable[..., Scene], make_holder: Callable, angle: float
+) -> None:
+    """The object is pushed sideways out of a squeeze until all tips slide: tangential over normal
+    force is then mu."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0))
     make_holder(squeeze=6.0).settle(scene)
     direction = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0, 0.0, 0.0, 0.0])
-    squeeze, start, ratios, push = scene.look().forces.copy(), scene.look().tips.copy(), [], 3.0
+    squeeze = scene.look().forces.copy()
+    start = scene.look().tips.copy()
+    ratios = []
+    push = 3.0
     last = start.copy()
-    while len(ratios) < 20:  # held back at their places, the tips slide once the push is large enough
+    # held back at their places, the tips slide once the push is large enough
+    while len(ratios) < 20:
         push += 5.0 * scene.timestep
         assert push < 6.0, "the object should slide at 2 * 0.4 * 6 N = 4.8 N"
         speed = (scene.look().tips - last) / scene.timestep
@@ -301,24 +364,36 @@ def contact(link: int, point: np.ndarray, force: tuple[float, float, float]) -> 
 def reading(make_scene: Callable[..., Scene]) -> Reading:
     made = Reading(make_scene())
     assert len(made.numbers) == core.reading_size(12, 0)
-    assert len(contact(0, np.zeros(3), (0.0, 0.0, 0.0))) == core.reading_size(12, 1) - core.reading_size(12, 0)
+    assert len(contact(0, np.zeros(3), (0.0, 0.0, 0.0))) == core.reading_size(
+        12, 1
+    ) - core.reading_size(12, 0)
     return made
 
 
 def test_contacts_of_a_tip_add_up_and_others_are_stray(reading: Reading) -> None:
-    link, at = reading.links[2], reading.touch[2]
-    s = reading.look(contact(link, at, (-0.5, 0.0, -2.0)), contact(link, at + 1e-4, (0.0, 0.25, -1.0)))
+    link = reading.links[2]
+    at = reading.touch[2]
+    s = reading.look(
+        contact(link, at, (-0.5, 0.0, -2.0)), contact(link, at + 1e-4, (0.0, 0.25, -1.0))
+    )
     np.testing.assert_allclose(s.forces, [[0.0] * 3, [0.0] * 3, [-0.5, 0.25, -3.0], [0.0] * 3])
     np.testing.assert_array_equal(s.touching, [0.0, 0.0, 1.0, 0.0])
     assert s.stray[0] == 0.0
-    beside = reading.touch[1] + np.array([0.0, 5.5e-3, 0.0])  # on the tip's link, more than 5 mm from the tip
+    # on the tip's link, more than 5 mm from the tip
+    beside = reading.touch[1] + np.array([0.0, 5.5e-3, 0.0])
     other = next(link for link in range(12) if link not in reading.links)
-    rows = [contact(reading.links[1], beside, (4.0, 0.0, 3.0)), contact(other, reading.touch[1], (1.0, 0.0, 0.0))]
+    rows = [
+        contact(reading.links[1], beside, (4.0, 0.0, 3.0)),
+        contact(other, reading.touch[1], (1.0, 0.0, 0.0)),
+    ]
     s = reading.look(*rows, contact(-1, reading.touch[1], (0.0, 0.0, 2.0)))  # -1 is the palm
     assert s.stray[0] == pytest.approx(5.0 + 1.0 + 2.0)
     np.testing.assert_array_equal(s.forces, 0.0)
     assert not s.touching.any()
-    assert not reading.look(contact(reading.links[0], reading.touch[0], (0.0, 0.0, 0.0))).touching.any()  # no force
+    # no force
+    assert not reading.look(
+        contact(reading.links[0], reading.touch[0], (0.0, 0.0, 0.0))
+    ).touching.any()
 
 
 def test_readings_that_are_not_finite_are_invalid(reading: Reading) -> None:

@@ -1,4 +1,5 @@
-"""The states of a scene: exact resets, other objects and back, divergence, and memory that does not grow."""
+"""The states of a scene: exact resets, other objects and back, divergence, and memory that does not
+grow."""
 
 from __future__ import annotations
 
@@ -28,13 +29,19 @@ def record(scene: Scene, holder: Callable[[Scene], np.ndarray], steps: int = 40)
 
 
 @pytest.mark.parametrize(
-    "engine", [pytest.param(BulletEngine(), marks=needs_bullet), MujocoEngine()], ids=lambda engine: engine.name
+    "engine",
+    [pytest.param(BulletEngine(), marks=needs_bullet), MujocoEngine()],
+    ids=lambda engine: engine.name,
 )
-def test_reset_is_exact(make_scene: Callable[..., Scene], make_holder: Callable, engine: Engine) -> None:
-    """To a saved state with its contact forces, to the start without any, and after the object was lost."""
+def test_reset_is_exact(
+    make_scene: Callable[..., Scene], make_holder: Callable, engine: Engine
+) -> None:
+    """To a saved state with its contact forces, to the start without any, and after the object was
+    lost."""
     if engine.name == "mujoco":
         pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
-    first, held = {}, make_scene(engine=engine, substeps=engine.rate // 250)
+    first = {}
+    held = make_scene(engine=engine, substeps=engine.rate // 250)
     make_holder().settle(held)
     forces = held.look().forces.copy()
     assert held.look().touching.all()
@@ -85,8 +92,12 @@ def test_loading_another_object_and_back_is_exact(held: Scene, make_holder: Call
     np.testing.assert_array_equal(record(held, make_holder()), first)
 
 
-@pytest.mark.parametrize("push", [1e6, 1e308])  # Bullet clips speeds at 100 m/s; the second makes NaN
-def test_divergence_is_an_error_and_reset_mends_it(held: Scene, make_holder: Callable, push: float) -> None:
+@pytest.mark.parametrize(
+    "push", [1e6, 1e308]
+)  # Bullet clips speeds at 100 m/s; the second makes NaN
+def test_divergence_is_an_error_and_reset_mends_it(
+    held: Scene, make_holder: Callable, push: float
+) -> None:
     first = record(held, make_holder())
     held.reset("settled")
 
@@ -111,7 +122,9 @@ def resident() -> int:
 
 def test_memory_is_flat(held: Scene, make_holder: Callable) -> None:
     """A leaked state takes 97 kB, a leaked body 58 kB."""
-    holder, config, sizes = make_holder(), held.config, []
+    holder = make_holder()
+    config = held.config
+    sizes = []
     for k in range(120):
         held.reset("settled")
         held.step(holder(held))
@@ -120,8 +133,14 @@ def test_memory_is_flat(held: Scene, make_holder: Callable) -> None:
         if k in (29, 119):
             sizes.append(resident())
     for k in range(80):
-        points = tuple((x, y, np.sign(z) * (0.045 + 1e-4 * (k % 7))) for x, y, z in config.contact_points)
-        held.load(SceneConfig(object=ObjectDescription(size=(0.1, 0.1, 2.0 * points[1][2])), contact_points=points))
+        points = tuple(
+            (x, y, np.sign(z) * (0.045 + 1e-4 * (k % 7))) for x, y, z in config.contact_points
+        )
+        held.load(
+            SceneConfig(
+                object=ObjectDescription(size=(0.1, 0.1, 2.0 * points[1][2])), contact_points=points
+            )
+        )
         if k in (29, 79):
             sizes.append(resident())
     assert sizes[1] - sizes[0] < 1_000_000

@@ -1,4 +1,5 @@
-"""Hands written as URDF and read again, a user's hand, xacro files, wrong arguments and wrong files."""
+"""Hands written as URDF and read again, a user's hand, xacro files, wrong arguments and wrong
+files."""
 
 from __future__ import annotations
 
@@ -31,13 +32,31 @@ CHAINED = robot(
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="0.03 0 0"/>'
         f'<limit lower="{lower}" upper="{upper}" effort="2"/>{mimic}</joint>'
         for name, kind, parent, child, lower, upper, mimic in (
-            ("tip", "revolute", "middle", "end", -3, 3, '<mimic joint="mid" multiplier="-0.5" offset="0.1"/>'),
-            ("mid", "revolute", "base", "middle", -3, 0.95, '<mimic joint="drive" multiplier="1.5" offset="0.2"/>'),
+            (
+                "tip",
+                "revolute",
+                "middle",
+                "end",
+                -3,
+                3,
+                '<mimic joint="mid" multiplier="-0.5" offset="0.1"/>',
+            ),
+            (
+                "mid",
+                "revolute",
+                "base",
+                "middle",
+                -3,
+                0.95,
+                '<mimic joint="drive" multiplier="1.5" offset="0.2"/>',
+            ),
             ("drive", "revolute", "slider", "base", -1, 1, ""),
             ("slide", "prismatic", "palm", "slider", 0, 0.02, ""),
         )
     )
-    + "".join(f'<link name="{name}">{INERTIAL}</link>' for name in ("palm", "slider", "base", "middle"))
+    + "".join(
+        f'<link name="{name}">{INERTIAL}</link>' for name in ("palm", "slider", "base", "middle")
+    )
     + f'<link name="end">{INERTIAL}{SPHERE}</link>'
 )
 
@@ -52,9 +71,13 @@ def test_a_written_hand_reads_as_itself(tmp_path: Path, name: str) -> None:
     path = tmp_path / "hand.urdf"
     path.write_text(hand_urdf(made))
     endless = ENDLESS if name == "crooked" else None
-    again = HandDescription.from_urdf(path, [tip.link for tip in made.fingertips], home=made.home, joint_limits=endless)
+    again = HandDescription.from_urdf(
+        path, [tip.link for tip in made.fingertips], home=made.home, joint_limits=endless
+    )
     assert (again.links, again.palm, again.name) == (made.links, made.palm, made.name)
-    tips = [[(tip.link, tip.center, tip.radius) for tip in each.fingertips] for each in (again, made)]
+    tips = [
+        [(tip.link, tip.center, tip.radius) for tip in each.fingertips] for each in (again, made)
+    ]
     assert name == "crooked" or tips[0] == tips[1]
     assert hand_urdf(again) == path.read_text()
     assert (pickle.loads(pickle.dumps(made)), hash(made)) == (made, hash(replace(made)))
@@ -67,7 +90,8 @@ def test_a_users_hand_is_that_of_its_file() -> None:
     assert made.joint_names == tuple(names.split())
     assert (made.palm.name, made.finger_names) == ("base", CROOKED_TIPS)
     assert made.torque_limits.tolist() == [4.0, 6.0, 2.5, 3.5, 2.0, 3.0, 4.0, 3.0, 3.0]
-    endless, first = made.links[2], made.links[4]
+    endless = made.links[2]
+    first = made.links[4]
     assert (endless.lower, endless.upper, made.home[2]) == (-np.inf, np.inf, 0.0)
     assert first.color == (0.1, 0.2, 0.9)
     shared = HandKinematics(made).carries.sum(axis=0)
@@ -77,7 +101,8 @@ def test_a_users_hand_is_that_of_its_file() -> None:
 
 
 def test_a_hand_is_placed_where_its_place_or_posture_is_given() -> None:
-    here, place = crooked(), Frame.of((0.0, 0.145, 0.02), (1.0, -0.4, 2.0))
+    here = crooked()
+    place = Frame.of((0.0, 0.145, 0.02), (1.0, -0.4, 2.0))
     there = crooked(position=(0.0, 0.145, 0.02), rotation=(1.0, -0.4, 2.0))
     angles = np.linspace(-0.3, 0.4, 9)
     expected = HandKinematics(here).tips(angles) @ place.rotation.T + place.origin
@@ -91,11 +116,16 @@ def test_visual_meshes_are_left_out_and_tip_radius_makes_a_tip(tmp_path: Path) -
     made, told = read(tmp_path, small(mesh), ["finger"], tip_radius=0.012)
     assert "visual meshes that are missing are left out: 'nowhere.stl'" in told
     assert made.fingertips == (Fingertip("finger", "finger", (0.0, 0.0, 0.0), 0.012),)
-    assert [shape.kind for shape in made.links[0].collision + made.links[0].visual] == ["sphere", "sphere"]
+    assert [shape.kind for shape in made.links[0].collision + made.links[0].visual] == [
+        "sphere",
+        "sphere",
+    ]
 
 
 @pytest.mark.parametrize(("given", "limit"), [([3.0], 3.0), ({"bend": 3.0}, 3.0), ({}, 2.0)])
-def test_torques_are_those_given_else_those_of_the_file(tmp_path: Path, given: Any, limit: float) -> None:
+def test_torques_are_those_given_else_those_of_the_file(
+    tmp_path: Path, given: Any, limit: float
+) -> None:
     made, told = read(tmp_path, SMALL, torque_limit=given)
     assert (made.torque_limits.tolist(), told) == ([limit], "")
 
@@ -110,7 +140,8 @@ def test_coupled_and_sliding_joints_are_read(tmp_path: Path) -> None:
     assert links["tip"].mimic == Mimic("drive", -0.75, 0.0)  # -0.5 (1.5 q + 0.2) + 0.1
     assert made.drivers == (0, 1, 1, 1)
     ranges = np.column_stack([HandKinematics(made).lower, HandKinematics(made).upper])
-    np.testing.assert_allclose(ranges[1:], [(-1.0, 0.5), (-1.3, 0.95), (-0.375, 0.75)])  # 0.95 = 1.5 * 0.5 + 0.2
+    # 0.95 = 1.5 * 0.5 + 0.2
+    np.testing.assert_allclose(ranges[1:], [(-1.0, 0.5), (-1.3, 0.95), (-0.375, 0.75)])
     assert read(tmp_path, hand_urdf(made), ["end"])[0].links == made.links
 
 
@@ -119,7 +150,13 @@ def test_everything_wrong_with_a_file_is_told_at_once(tmp_path: Path) -> None:
     text = text.replace('<sphere radius="0.01"/>', '<mesh filename="no.stl"/>')
     with pytest.raises(InvalidInputError) as told:
         read(tmp_path, text.replace("</robot>", '<link name="spare"/></robot>'), ["nothing"])
-    for fault in ("multiplier=", "lower=2.0", "no.stl", "'palm', 'spare'", "no link is called 'nothing'"):
+    for fault in (
+        "multiplier=",
+        "lower=2.0",
+        "no.stl",
+        "'palm', 'spare'",
+        "no link is called 'nothing'",
+    ):
         assert fault in str(told.value)
     assert str(told.value).count(str(tmp_path / "hand.urdf")) == 1
 
@@ -142,34 +179,49 @@ def test_all_repairs_are_told_at_once(tmp_path: Path) -> None:
 
 def test_links_with_too_little_inertia_get_a_rotor(tmp_path: Path) -> None:
     made, told = read(tmp_path, SMALL.replace("1e-5", "1e-7"), rotor_inertia=None)
-    assert "end links have less inertia than any geared motor: finger get a rotor of 0.0001 kg m^2" in told
+    assert (
+        "end links have less inertia than any geared motor: finger get a rotor of 0.0001 kg m^2"
+        in told
+    )
     np.testing.assert_allclose(np.diag(inertia_matrix(made.links[0].inertia)), 1.001e-4)
     whole, _ = read(tmp_path, SMALL, rotor_inertia=3e-4)
     np.testing.assert_allclose(np.diag(inertia_matrix(whole.links[0].inertia)), 3.1e-4)
 
 
 @pytest.mark.parametrize("given", [(1e-5, 0, 0, 1e-5, 0, 9e-5), (1e-5, 5e-5, 0, 1e-5, 0, 1e-5)])
-def test_inertias_of_no_body_become_the_nearest_of_one(tmp_path: Path, given: tuple[float, ...]) -> None:
-    """The largest moment exceeds the sum of the others, or one is negative; the palm's inertia is not judged."""
+def test_inertias_of_no_body_become_the_nearest_of_one(
+    tmp_path: Path, given: tuple[float, ...]
+) -> None:
+    """The largest moment exceeds the sum of the others, or one is negative; the palm's inertia is
+    not judged."""
     row = " ".join(
-        f'{name}="{value}"' for name, value in zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), given, strict=True)
+        f'{name}="{value}"'
+        for name, value in zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), given, strict=True)
     )
     bad = INERTIAL.replace('ixx="1e-5" iyy="1e-5" izz="1e-5"', row)
     made, told = read(tmp_path, small(SPHERE, palm=bad).replace(INERTIAL, bad))
-    assert "physically impossible inertias are replaced by the nearest possible ones: 'finger' (" in told
+    assert (
+        "physically impossible inertias are replaced by the nearest possible ones: 'finger' ("
+        in told
+    )
     assert "'palm'" not in told
     inertia_of(made.links[0].inertia, "finger")
     wrong = inertia_matrix(given)
-    # no other body is nearer: second moments S are positive, I = tr(S) 1 - S; a body's shape is not a plane's
+    # no other body is nearer: second moments S are positive, I = tr(S) 1 - S; a body's shape is not
+    # a plane's
     rng = np.random.default_rng(0)
     halves = rng.normal(size=(2000, 3, 3)) * rng.uniform(0.0, 8e-3, (2000, 1, 1))
-    others = np.einsum("nij,nij->n", halves, halves)[:, None, None] * np.eye(3) - halves @ halves.transpose(0, 2, 1)
+    others = np.einsum("nij,nij->n", halves, halves)[:, None, None] * np.eye(
+        3
+    ) - halves @ halves.transpose(0, 2, 1)
     distance = np.linalg.norm(inertia_matrix(made.links[0].inertia) - wrong)
     assert np.linalg.norm(others - wrong, axis=(1, 2)).min() > 0.98 * distance - 1e-6
 
 
 EXTRA = joint("bend_2", "palm", "finger_2")
-END, DRIVE, RATIO = "</robot>", '<mimic joint="drive"', 'multiplier="1.5"'
+END = "</robot>"
+DRIVE = '<mimic joint="drive"'
+RATIO = 'multiplier="1.5"'
 
 
 @pytest.mark.parametrize(
@@ -177,9 +229,21 @@ END, DRIVE, RATIO = "</robot>", '<mimic joint="drive"', 'multiplier="1.5"'
     [
         (END, "", "is not XML: no element found"),
         (END, f'<link name="palm"/>{END}', "two links are called 'palm'"),
-        (END, f"{EXTRA.replace('finger_2', 'finger')}{END}", "'finger' is the child of two joints, 'bend' and"),
-        (END, f"{EXTRA}{END}", "joint 'bend_2' names the link 'finger_2', which is not in the file"),
-        (END, f"{EXTRA.replace('palm', 'finger_2')}{link('finger_2')}{END}", "joints 'bend_2' form a cycle apart"),
+        (
+            END,
+            f"{EXTRA.replace('finger_2', 'finger')}{END}",
+            "'finger' is the child of two joints, 'bend' and",
+        ),
+        (
+            END,
+            f"{EXTRA}{END}",
+            "joint 'bend_2' names the link 'finger_2', which is not in the file",
+        ),
+        (
+            END,
+            f"{EXTRA.replace('palm', 'finger_2')}{link('finger_2')}{END}",
+            "joints 'bend_2' form a cycle apart",
+        ),
         (SPHERE, SPHERE * 2001, "2001 shapes, allowed are up to 2000"),
         (END, '<link name="l"/>' * 499 + END, "501 links and 1 joints, allowed are up to 500"),
         ("revolute", "floating", "is of type 'floating'"),
@@ -194,12 +258,22 @@ END, DRIVE, RATIO = "</robot>", '<mimic joint="drive"', 'multiplier="1.5"'
         ('radius="0.01"', 'radius="0"', "size=.* must be above 0"),
         ('link name="finger"', "link", "<link> has no name"),
         (DRIVE, '<mimic joint="tip"', "the joints 'mid', 'tip' mimic each other in a loop"),
-        (DRIVE, '<mimic joint="none"', "'mid' mimics 'none', which is not a joint of the file; joints are"),
+        (
+            DRIVE,
+            '<mimic joint="none"',
+            "'mid' mimics 'none', which is not a joint of the file; joints are",
+        ),
         (RATIO, 'multiplier="0"', "ratio=0.0 does not move the joint"),
-        ('name="drive" type="revolute"', 'name="drive" type="fixed"', "mimics 'drive', which does not move"),
+        (
+            'name="drive" type="revolute"',
+            'name="drive" type="fixed"',
+            "mimics 'drive', which does not move",
+        ),
     ],
 )
-def test_files_that_are_no_hand_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_files_that_are_no_hand_are_refused(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     text, tip = (SMALL, "finger") if old in SMALL else (CHAINED, "end")
     assert old in text
     with pytest.raises(InvalidInputError, match=message):
@@ -209,27 +283,54 @@ def test_files_that_are_no_hand_are_refused(tmp_path: Path, old: str, new: str, 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        *(({"torque_limit": given}, "torque_limit") for given in (0.0, [1.0, 2.0], {"ja": 1.0}, {"ia": 0.0}, "3")),
+        *(
+            ({"torque_limit": given}, "torque_limit")
+            for given in (0.0, [1.0, 2.0], {"ja": 1.0}, {"ia": 0.0}, "3")
+        ),
         ({"joint_limits": {"ia": 1.0}}, r"joint_limits of 'ia'=1.0 must be \(lower, upper\)"),
-        ({"joint_limits": [(0.0, 1.0)]}, "joint_limits=.* must be a dict with names of joints as keys"),
-        ({"inertials": {"palm": 0.1}}, "inertials: no moving link is called 'palm'; moving links are 'i1'"),
-        ({"inertials": {"i1": (0.1, (0, 0, 0))}}, r"must be a mass \[kg\], or \(mass, center, inertia\)"),
-        ({"inertials": {"i1": (0.1, (0, 0, 0), (1, 0, 0, 1, 0, 9))}}, "inertials of 'i1': inertia=.* the principal moments"),
+        (
+            {"joint_limits": [(0.0, 1.0)]},
+            "joint_limits=.* must be a dict with names of joints as keys",
+        ),
+        (
+            {"inertials": {"palm": 0.1}},
+            "inertials: no moving link is called 'palm'; moving links are 'i1'",
+        ),
+        (
+            {"inertials": {"i1": (0.1, (0, 0, 0))}},
+            r"must be a mass \[kg\], or \(mass, center, inertia\)",
+        ),
+        (
+            {"inertials": {"i1": (0.1, (0, 0, 0), (1, 0, 0, 1, 0, 9))}},
+            "inertials of 'i1': inertia=.* the principal moments",
+        ),
         ({"fingertips": ("palm",)}, "'palm' does not move, it is part of the palm"),
         ({"fingertips": ("i1", "i1")}, "two fingertips are called 'i1'"),
-        *(({"fingertips": tips}, "fingertips=.* must be a list of one link name or more") for tips in ((), 0, "i1", {"i1": 1.0})),
-        ({"fingertips": {"i1": ((0.0, 0.0, 0.0), -1.0)}}, "fingertips: radius .* must be a number > 0"),
+        *(
+            ({"fingertips": tips}, "fingertips=.* must be a list of one link name or more")
+            for tips in ((), 0, "i1", {"i1": 1.0})
+        ),
+        (
+            {"fingertips": {"i1": ((0.0, 0.0, 0.0), -1.0)}},
+            "fingertips: radius .* must be a number > 0",
+        ),
         ({"palm": ""}, "palm='' must be a name"),
     ],
-)  # fmt: skip
+)
 def test_wrong_arguments_are_refused(tmp_path: Path, options: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, hand(), **options)
 
 
 def test_angles_and_matrices_are_the_same_rotation() -> None:
-    rng, quarter = np.random.default_rng(0), np.pi / 2
-    cases = [*rng.uniform(-np.pi, np.pi, (100, 3)), (0.3, quarter, 0.7), (0.3, -quarter, 0.7), (0.1, quarter - 1e-9, 2)]
+    rng = np.random.default_rng(0)
+    quarter = np.pi / 2
+    cases = [
+        *rng.uniform(-np.pi, np.pi, (100, 3)),
+        (0.3, quarter, 0.7),
+        (0.3, -quarter, 0.7),
+        (0.1, quarter - 1e-9, 2),
+    ]
     for angles in cases:
         matrix = rotation_matrix(tuple(angles))
         np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-15)
@@ -247,7 +348,9 @@ CALLS = f"""<robot name="made" xmlns:xacro="{SPACE}"><xacro:arg name="gap" defau
 <xacro:finger name="left" y="$(arg gap)"/><xacro:finger name="right" y="-0.04"/></robot>"""
 
 
-def test_xacro_files_find_packages_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_xacro_files_find_packages_and_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name, file, text in (("parts", "finger.xacro", MACRO), ("hand", "hand.urdf.xacro", CALLS)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "package.xml").write_text(f"<package><name>{name}</name></package>")
@@ -260,12 +363,19 @@ def test_xacro_files_find_packages_and_files(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "finger.xacro").write_text(MACRO.replace(SPACE, "https://example.org/xacro"))
     text = CALLS.replace("$(find parts)/", "").replace(SPACE, "https://example.org/xacro")
     assert read(tmp_path, text, xacro=True)[0].finger_names == ("left", "right")
-    with pytest.raises(InvalidInputError, match="only defines macros, it has no <link>; give the file that calls them"):
+    with pytest.raises(
+        InvalidInputError,
+        match="only defines macros, it has no <link>; give the file that calls them",
+    ):
         HandDescription.from_urdf(tmp_path / "parts" / "finger.xacro")
     (tmp_path / "parts" / "finger.xacro").unlink()
-    with pytest.raises(InvalidInputError, match=r"xacro cannot expand .*hand\.urdf\.xacro: .*parts"):
+    with pytest.raises(
+        InvalidInputError, match=r"xacro cannot expand .*hand\.urdf\.xacro: .*parts"
+    ):
         HandDescription.from_urdf(tmp_path / "hand" / "hand.urdf.xacro")
     found = extras.find_spec
-    monkeypatch.setattr(extras, "find_spec", lambda name: None if name == "xacrodoc" else found(name))
+    monkeypatch.setattr(
+        extras, "find_spec", lambda name: None if name == "xacrodoc" else found(name)
+    )
     with pytest.raises(MissingExtraError, match=r'pip install "grasp-force\[xacro\]"'):
         HandDescription.from_urdf(tmp_path / "hand" / "hand.urdf.xacro")

@@ -23,19 +23,26 @@ def package(folder: Path, **files: str) -> Path:
     return folder
 
 
-def test_files_beside_it_and_in_packages_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In folders above, in packages beside them, in those of ROS, and through the links that ROS installs."""
+def test_files_beside_it_and_in_packages_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In folders above, in packages beside them, in those of ROS, and through the links that ROS
+    installs."""
     part = f'<robot {SPACE}><xacro:property name="{{}}" value="{{}}"/></robot>'
     package(tmp_path / "ws" / "sizes", sizes_yaml="radius: 0.01\nangle: !degrees 180\n")
     package(tmp_path / "ros1" / "group" / "one", one_xacro=part.format("one", 1))
     package(tmp_path / "ros2" / "share" / "two", two_xacro=part.format("two", 2))
-    own = package(tmp_path / "ws" / "own", a_xacro=part.format("a", "x"), b1_xacro=part.format("b", "y"))
+    own = package(
+        tmp_path / "ws" / "own", a_xacro=part.format("a", "x"), b1_xacro=part.format("b", "y")
+    )
     (own / "urdf").mkdir()
     includes = ("../a.xacro", "../b*.xacro", "$(find one)/one.xacro", "$(find two)/two.xacro")
     before = "".join(f'<xacro:include filename="{name}"/>' for name in includes)
     before += '<xacro:include filename="none.xacro" optional="true"/>'
     before += '<xacro:property name="s" value="${xacro.load_yaml(\'$(find sizes)/sizes.yaml\')}"/>'
-    text = xacro_hand(before, "${a}${b}${one}${two}${round(s.angle, 2)}").replace("0.01", "${s.radius}")
+    text = xacro_hand(before, "${a}${b}${one}${two}${round(s.angle, 2)}").replace(
+        "0.01", "${s.radius}"
+    )
     (own / "urdf" / "hand.xacro").write_text(text)
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'ros1'}{os.pathsep}{tmp_path / 'none'}")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "ros2"))
@@ -49,12 +56,18 @@ def test_files_beside_it_and_in_packages_are_read(tmp_path: Path, monkeypatch: p
     assert HandDescription.from_file(installed / "urdf" / "hand.xacro") == made
 
 
-ARGUMENTS = xacro_hand('<xacro:arg name="side"/><xacro:arg name="size" default="1"/>', "$(arg side)_$(arg size)")
+ARGUMENTS = xacro_hand(
+    '<xacro:arg name="side"/><xacro:arg name="size" default="1"/>', "$(arg side)_$(arg size)"
+)
 
 
 @pytest.mark.parametrize(
     ("given", "name"),
-    [({"side": "left"}, "left_1"), ({"side": "left", "size": 2}, "left_2"), ({"side": True, "size": 0.5}, "True_0.5")],
+    [
+        ({"side": "left"}, "left_1"),
+        ({"side": "left", "size": 2}, "left_2"),
+        ({"side": True, "size": 0.5}, "True_0.5"),
+    ],
 )
 def test_arguments_are_given(tmp_path: Path, given: dict[str, Any], name: str) -> None:
     (tmp_path / "hand.xacro").write_text(ARGUMENTS)
@@ -65,8 +78,14 @@ def test_arguments_are_given(tmp_path: Path, given: dict[str, Any], name: str) -
     ("given", "message"),
     [
         ({}, r"its argument 'side' has no default: pass xacro_args=\{\"side\": \.\.\.\}$"),
-        ({"sise": 1}, r"its argument 'side' has no default: pass xacro_args=\{\"side\": \.\.\.\}; given are sise$"),
-        ({"side": "a", "sise": 1}, "it has no argument 'sise': did you mean 'si[dz]e'.* its arguments are side, size$"),
+        (
+            {"sise": 1},
+            r"its argument 'side' has no default: pass xacro_args=\{\"side\": \.\.\.\}; given are sise$",
+        ),
+        (
+            {"side": "a", "sise": 1},
+            "it has no argument 'sise': did you mean 'si[dz]e'.* its arguments are side, size$",
+        ),
         ({"side": None}, "xacro_args of 'side'=None must be text, a number, True or False"),
         ({"side": [1]}, "xacro_args of 'side'=.* must be text, a number, True or False"),
         ({1: "a"}, "xacro_args=.* must be a dict from names of arguments to their values"),
@@ -82,36 +101,50 @@ def test_wrong_arguments_are_named(tmp_path: Path, given: Any, message: str) -> 
 def test_arguments_of_a_file_that_is_not_expanded(tmp_path: Path) -> None:
     (tmp_path / "hand.urdf").write_text(SMALL_HAND)
     with pytest.raises(
-        InvalidInputError, match=r"xacro_args are given, but .* rename it to \.xacro, or pass xacro=True"
+        InvalidInputError,
+        match=r"xacro_args are given, but .* rename it to \.xacro, or pass xacro=True",
     ):
         HandDescription.from_file(tmp_path / "hand.urdf", xacro_args={"side": "left"})
     with pytest.raises(InvalidInputError, match="xacro must be True or False, got 1"):
         HandDescription.from_file(tmp_path / "hand.urdf", xacro=1)  # type: ignore[arg-type]
     (tmp_path / "hand.xml").write_text("<mujoco/>")
-    with pytest.raises(InvalidInputError, match="the first element is <mujoco>, xacro expands <robot>"):
+    with pytest.raises(
+        InvalidInputError, match="the first element is <mujoco>, xacro expands <robot>"
+    ):
         HandDescription.from_file(tmp_path / "hand.xml", xacro=True)
     (tmp_path / "hand.xacro").write_text(xacro_hand())
     with pytest.raises(InvalidInputError, match="it has xacro elements, but is not expanded"):
         HandDescription.from_file(tmp_path / "hand.xacro", xacro=False)
 
 
-@pytest.mark.parametrize("words", ['<xacro:include filename="a.xacro"/>', "<x y=\"${xacro.load_yaml('a.xacro')}\"/>"])
+@pytest.mark.parametrize(
+    "words", ['<xacro:include filename="a.xacro"/>', "<x y=\"${xacro.load_yaml('a.xacro')}\"/>"]
+)
 def test_pointers_among_its_files_are_named(tmp_path: Path, words: str) -> None:
-    (tmp_path / "a.xacro").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 9\n")
+    (tmp_path / "a.xacro").write_text(
+        "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 9\n"
+    )
     (tmp_path / "hand.xacro").write_text(xacro_hand(words))
-    with pytest.raises(InvalidInputError, match=r"the file .*a\.xacro is a Git LFS pointer: run `git lfs pull`"):
+    with pytest.raises(
+        InvalidInputError, match=r"the file .*a\.xacro is a Git LFS pointer: run `git lfs pull`"
+    ):
         HandDescription.from_file(tmp_path / "hand.xacro")
 
 
-def test_a_version_of_xacro_that_is_not_guarded_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_version_of_xacro_that_is_not_guarded_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """ROS puts its own version in front."""
     (tmp_path / "hand.xacro").write_text(xacro_hand())
     (tmp_path / "ros" / "xacro").mkdir(parents=True)
-    (tmp_path / "ros" / "xacro" / "__init__.py").write_text("import glob\nparse = load_yaml = None\n")
+    (tmp_path / "ros" / "xacro" / "__init__.py").write_text(
+        "import glob\nparse = load_yaml = None\n"
+    )
     (tmp_path / "ros" / "xacro" / "substitution_args.py").touch()
     monkeypatch.syspath_prepend(str(tmp_path / "ros"))
     with pytest.raises(
-        InvalidInputError, match=r"ros/xacro/__init__\.py is a version without safe_eval, .*: pip install xacro==2"
+        InvalidInputError,
+        match=r"ros/xacro/__init__\.py is a version without safe_eval, .*: pip install xacro==2",
     ):
         HandDescription.from_file(tmp_path / "hand.xacro")
 

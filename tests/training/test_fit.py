@@ -1,4 +1,5 @@
-"""Labels are optima, the metric is the gap, short fits learn and repeat bit by bit, interrupts lose nothing."""
+"""Labels are optima, the metric is the gap, short fits learn and repeat bit by bit, interrupts lose
+nothing."""
 
 from __future__ import annotations
 
@@ -47,9 +48,11 @@ def _small_scores(monkeypatch):
 
 def test_labels_are_optima_and_the_metric_is_the_gap(monkeypatch):
     monkeypatch.setattr("training.data.one_grasp.CHUNK", 8)
-    grasp, objective = presets.paper_cuboid(), Objective()
+    grasp = presets.paper_cuboid()
+    objective = Objective()
     samples = Source(grasp, (0.1, 20.0), (0.25, 0.6), True).draw(np.random.default_rng(0), 20, 10)
-    data, rng = label(grasp, reference_basis(grasp), objective, *samples), np.random.default_rng(1)
+    data = label(grasp, reference_basis(grasp), objective, *samples)
+    rng = np.random.default_rng(1)
     for k in range(20):
         here = grasp.with_friction(data.friction[k])
         best = optimize_force(here, data.wrenches[k], method="newton", tolerance=1e-10)
@@ -60,7 +63,8 @@ def test_labels_are_optima_and_the_metric_is_the_gap(monkeypatch):
         assert objective.value(here.to_cone(force)) == pytest.approx(best.objective, rel=1e-6)
         assert data.least[k] == pytest.approx(best.objective, rel=1e-9)
         step = rng.normal(size=6)
-        step *= 1e-3 / np.linalg.norm(data.metric[k] @ step)  # a predicted gap of 1e-6, deep in the quadratic region
+        # a predicted gap of 1e-6, deep in the quadratic region
+        step *= 1e-3 / np.linalg.norm(data.metric[k] @ step)
         exact = basis.T @ (best.force.reshape(-1) - particular)
         value = objective.value(here.to_cone(particular + basis @ (exact + step)))
         assert value / best.objective - 1.0 == pytest.approx(1e-6, rel=0.1)
@@ -69,11 +73,15 @@ def test_labels_are_optima_and_the_metric_is_the_gap(monkeypatch):
 def test_samples_share_the_frictions_and_the_ball():
     source = Source(presets.paper_cuboid(), (10.0, 20.0), (0.25, 0.6), True)
     wrenches, friction = source.draw(np.random.default_rng(0), 6000, 20)
-    for group, (low, high) in zip(friction.reshape(20, -1), pairwise(np.linspace(0.0, 1.0, 21)), strict=True):
+    for group, (low, high) in zip(
+        friction.reshape(20, -1), pairwise(np.linspace(0.0, 1.0, 21)), strict=True
+    ):
         place = (group[0] - 0.25) / (0.6 - 0.25)
         assert low <= 0.7 * place + 0.3 * place**2 <= high  # the density grows from 0.7 to 1.3
         assert (group == group[0]).all()
-    inside = (np.linalg.norm(wrenches[:, :3], axis=1) <= 2.0) & (np.linalg.norm(wrenches[:, 3:], axis=1) <= 0.05)
+    inside = (np.linalg.norm(wrenches[:, :3], axis=1) <= 2.0) & (
+        np.linalg.norm(wrenches[:, 3:], axis=1) <= 0.05
+    )
     # all others are of 10 N and more; three standard deviations
     assert abs(inside.mean() - 0.7) < 3 * np.sqrt(0.7 * 0.3 / 6000)
     sizes = np.linalg.norm(wrenches[~inside] @ source.grasp.unit_frame.T, axis=1)
@@ -83,7 +91,8 @@ def test_samples_share_the_frictions_and_the_ball():
 def test_a_short_fit_learns_and_its_file_holds_the_network_of_every_friction():
     checkpoint = fit(FitConfig(**{**FIXED, "steps": 300, "samples": 20_000, "hidden": (32, 32)}))
     curve = np.array([row.split() for row in checkpoint.card["curve"]["rows"]], float)
-    assert (curve[-1, [2, 5]] < 0.05 * curve[0, [2, 5]]).all()  # median gaps, held out: ball and range
+    # median gaps, held out: ball and range
+    assert (curve[-1, [2, 5]] < 0.05 * curve[0, [2, 5]]).all()
     for row in checkpoint.card["held_out_gap"].values():
         assert sum(row["newton steps"].values()) == pytest.approx(1.0)
         assert 0.0 <= row["outside the cones"] < 0.5
@@ -91,13 +100,18 @@ def test_a_short_fit_learns_and_its_file_holds_the_network_of_every_friction():
     assert 0 < flow["median"] < 45  # the 12-basis's
     network = Network(checkpoint.numbers["sizes"][0], (32, 32), 6, 2)
     for layer, parameter in enumerate(network.layers):
-        weight, bias = (torch.from_numpy(checkpoint.tensors[f"layers.{layer}.{name}"]) for name in ("weight", "bias"))
+        weight, bias = (
+            torch.from_numpy(checkpoint.tensors[f"layers.{layer}.{name}"])
+            for name in ("weight", "bias")
+        )
         with torch.no_grad():
             parameter.copy_(torch.cat([weight.mT, bias[:, None]], 1).reshape(parameter.shape))
-    model, wrenches = LearnedInitialForce(checkpoint), sample_ball(np.random.default_rng(3), 20)
+    model = LearnedInitialForce(checkpoint)
+    wrenches = sample_ball(np.random.default_rng(3), 20)
     for friction in (0.25, 0.57):
         grasp = presets.paper_cuboid().with_friction(friction)
-        frictions, pairs = np.full(20, friction), checkpoint.tensors["pairs"]
+        frictions = np.full(20, friction)
+        pairs = checkpoint.tensors["pairs"]
         inputs, size = model.features(wrenches @ grasp.unit_frame.T, frictions, pairs)
         with torch.no_grad():
             outputs = network(torch.from_numpy(inputs[None].astype(np.float32)))[0].double().numpy()
@@ -105,11 +119,14 @@ def test_a_short_fit_learns_and_its_file_holds_the_network_of_every_friction():
         for wrench, part in zip(wrenches, internal, strict=True):
             expected = (part - grasp.pseudoinverse @ wrench).reshape(-1, 3)
             # float32 weights and sums
-            np.testing.assert_allclose(model.raw(grasp, wrench), expected, atol=1e-5 * np.abs(expected).max())
+            np.testing.assert_allclose(
+                model.raw(grasp, wrench), expected, atol=1e-5 * np.abs(expected).max()
+            )
 
 
 class Slope(NetworkTask):
-    """One weight, and a loss that is this weight: its gradient is 1, so SOAP moves it by the learning rate."""
+    """One weight, and a loss that is this weight: its gradient is 1, so SOAP moves it by the
+    learning rate."""
 
     def __init__(self, config: FitConfig) -> None:
         self.config, self.module, self.weights = config, nn.Module(), list[float]()  # type: ignore[assignment]
@@ -129,7 +146,8 @@ class Slope(NetworkTask):
 
 @pytest.mark.parametrize("rate", [2e-2, 3e-3])
 def test_weights_move_by_the_learning_rate_which_rises_and_falls_to_zero(rate):
-    """Straight up to `learning_rate` over the first 3 % of the steps, then down like a squared cosine."""
+    """Straight up to `learning_rate` over the first 3 % of the steps, then down like a squared
+    cosine."""
     task = Slope(FitConfig(**{**FIXED, "steps": 400}, learning_rate=rate))
     optimise(task)
     moves = -np.diff([*task.weights, task.last])
@@ -140,10 +158,14 @@ def test_weights_move_by_the_learning_rate_which_rises_and_falls_to_zero(rate):
     assert (moves > 0.0).all()
 
 
-def test_the_same_bits_with_one_thread_or_two_also_after_an_interrupt(tmp_path, monkeypatch, capsys):
-    settings, out = FitConfig(**FIXED), tmp_path / "model"
+def test_the_same_bits_with_one_thread_or_two_also_after_an_interrupt(
+    tmp_path, monkeypatch, capsys
+):
+    settings = FitConfig(**FIXED)
+    out = tmp_path / "model"
     whole, single = (fit(made) for made in (settings, FitConfig(**FIXED, threads=1)))
-    real, calls = NetworkTask.batch, []
+    real = NetworkTask.batch
+    calls = []
 
     def interrupted(self, rng):
         calls.append(self._held_out[0][0].numpy())
@@ -173,38 +195,67 @@ def test_the_same_bits_with_one_thread_or_two_also_after_an_interrupt(tmp_path, 
     [
         # elliptic cones, some rougher than others; with less friction the tripod would not close
         ({**TRIPOD, "friction": [[0.5, 0.7], [0.6, 0.6], [0.8, 0.5]]}, 0.375),
-        ({**{name: getattr(presets.five_finger_cuboid(), name).tolist() for name in ("positions", "normals")}, "friction": 0.5}, 0.3125),
+        (
+            {
+                **{
+                    name: getattr(presets.five_finger_cuboid(), name).tolist()
+                    for name in ("positions", "normals")
+                },
+                "friction": 0.5,
+            },
+            0.3125,
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_grasp_of_a_file_becomes_a_model(contacts, low, tmp_path, capsys):
     """Near its optima, and never worse at any wrench."""
-    file, out = tmp_path / "mine.json", tmp_path / "model.v2"
+    file = tmp_path / "mine.json"
+    out = tmp_path / "model.v2"
     file.write_text(json.dumps(contacts))
     words = f"fit --grasp {file} --out {out} --steps 400 --samples 20000 --hidden 32 --quick"
     assert main(words.split()) == 0
     assert re.search(r"quick.*certified", capsys.readouterr().out)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.json", "model.v2.json", "model.v2.safetensors"]
-    rule, grasp = LearnedInitialForce.load(out), load_grasp(file)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "mine.json",
+        "model.v2.json",
+        "model.v2.safetensors",
+    ]
+    rule = LearnedInitialForce.load(out)
+    grasp = load_grasp(file)
     card = rule.checkpoint.card
-    assert (card["grasp"]["file"], card["grasp"]["positions"]) == ("mine.json", contacts["positions"])
+    assert (card["grasp"]["file"], card["grasp"]["positions"]) == (
+        "mine.json",
+        contacts["positions"],
+    )
     assert (card["quick"], card["command"]) == (True, " ".join(["grasp", *sys.argv[1:]]))
     assert card["config"]["friction_low"] == pytest.approx(low, rel=0.1)
     source = Source(grasp, (0.1, 20.0), (0.3, 0.6), False)
-    optimizer, own = (ForceOptimizer(grasp, initial=initial) for initial in (rule, "internal_force"))
+    optimizer, own = (
+        ForceOptimizer(grasp, initial=initial) for initial in (rule, "internal_force")
+    )
     gaps = []
     for w in source.ball(np.random.default_rng(5), 50):
         solution = optimizer.solve(w)
         assert (solution.status.value, solution.initial) == ("optimal", rule.name)
-        gaps.append(rule.objective.value(grasp.to_cone(solution.initial_force)) / own.solve(w).objective - 1.0)
+        gaps.append(
+            rule.objective.value(grasp.to_cone(solution.initial_force)) / own.solve(w).objective
+            - 1.0
+        )
     assert np.median(gaps) < 0.1
     for w in source.draw(np.random.default_rng(6), 200, 1, 0.0)[0] * 100.0:
-        there = [rule.objective.value(grasp.to_cone(solver.start(w))) for solver in (optimizer, own)]
+        there = [
+            rule.objective.value(grasp.to_cone(solver.start(w))) for solver in (optimizer, own)
+        ]
         assert there[0] <= there[1] * (1 + 1e-12)
 
 
 def test_a_truncated_or_changed_state_is_refused(tmp_path):
-    network, settings, out = Network(9, (4,), 6, 0), {"seed": 0}, tmp_path / "model"
-    file, rng, now = StateFile(out, settings), np.random.default_rng(0), FitProgress(3, 1.0, 1.0, [[0.0, 0.0]])
+    network = Network(9, (4,), 6, 0)
+    settings = {"seed": 0}
+    out = tmp_path / "model"
+    file = StateFile(out, settings)
+    rng = np.random.default_rng(0)
+    now = FitProgress(3, 1.0, 1.0, [[0.0, 0.0]])
     file.save(network, Soap(network.parameters(), 0.1), rng, now)
     assert file.restore(network, Soap(network.parameters(), 0.1), rng) == now
     whole = file.path.read_bytes()
@@ -216,17 +267,29 @@ def test_a_truncated_or_changed_state_is_refused(tmp_path):
         StateFile.begin(tmp_path / "other", settings, resume=True)
 
 
-WRONG = {"seconds": -1.0, "samples": 10, "steps": 0, "learning_rate": np.nan, "hidden": (), "preset": "six_fingers"}
+WRONG = {
+    "seconds": -1.0,
+    "samples": 10,
+    "steps": 0,
+    "learning_rate": np.nan,
+    "hidden": (),
+    "preset": "six_fingers",
+}
 GRASPS = [
     ({"contact_model": "soft", "torsional_friction": 0.01}, {}, "three and more hard contacts"),
     ({"friction": 0.05}, {}, "no force closure at its friction"),
     ({}, {"friction_low": 0.1}, r"friction_low must close the grasp, 0\.1 does not"),
-    ({}, {"friction_low": 0.9, "friction_high": 0.8}, "friction_low must be less than friction_high"),
+    (
+        {},
+        {"friction_low": 0.9, "friction_high": 0.8},
+        "friction_low must be less than friction_high",
+    ),
 ]
 
 
 @pytest.mark.parametrize(
-    ("contacts", "settings", "message"), [*(({}, {name: value}, name) for name, value in WRONG.items()), *GRASPS]
+    ("contacts", "settings", "message"),
+    [*(({}, {name: value}, name) for name, value in WRONG.items()), *GRASPS],
 )
 def test_wrong_settings_and_grasps_are_refused(contacts, settings, message, tmp_path):
     if "preset" not in settings:

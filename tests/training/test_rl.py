@@ -1,4 +1,5 @@
-"""Agents begin as the paper, resume bit by bit, and are scored like the policies they are compared with."""
+"""Agents begin as the paper, resume bit by bit, and are scored like the policies they are compared
+with."""
 
 from __future__ import annotations
 
@@ -37,9 +38,17 @@ from training.rl.train import STOP, Shard, rows_of, train, train_seed
 SHORT = '{"duration": 0.4}'
 BALL = '{"hand": "three_finger", "shape": "sphere", "size": [0.08], "duration": 0.1}'
 TINY: dict[str, Any] = {
-    "steps": 96, "envs": 2, "episodes": 2, "curve_points": 1, "curve_episodes": 1, "rollout": 48, "warmup": 32, "buffer": 200,
-    "checkpoint_every": 48, "env": SHORT,
-}  # fmt: skip
+    "steps": 96,
+    "envs": 2,
+    "episodes": 2,
+    "curve_points": 1,
+    "curve_episodes": 1,
+    "rollout": 48,
+    "warmup": 32,
+    "buffer": 200,
+    "checkpoint_every": 48,
+    "env": SHORT,
+}
 SET = ("envs", "rollout", "warmup", "buffer", "env")
 WORDS = ["rl", *(word for name in SET for word in (f"--{name}", str(TINY[name])))]
 
@@ -78,11 +87,16 @@ def test_a_run_leaves_rows_that_the_environment_repeats_and_no_pickle(ppo):
     assert [(one["seed"], one["steps"]) for one in about["agents"]] == [(0, 96), (3, 96)]
     sizes = held_out.groupby(["agent", "seed"], sort=False)["step"].count()
     agents = ("ppo/initial_force", "zero", "learned", "previous")
-    assert sizes.index.tolist() == [(agent, HELD_OUT_SEED + k) for agent in agents for k in range(2)]
+    assert sizes.index.tolist() == [
+        (agent, HELD_OUT_SEED + k) for agent in agents for k in range(2)
+    ]
     assert sizes.tolist() == [40] * 2 + [20] * 6  # two training seeds
-    assert {*rows[rows["case"] == "curve"]["seed"]} == {CURVE_SEED}  # of agents and of the zero policy
+    assert {*rows[rows["case"] == "curve"]["seed"]} == {
+        CURVE_SEED
+    }  # of agents and of the zero policy
     env: Any = gym.make(f"grasp_env:{ENV_ID}", config=RLConfig(env=SHORT).env_settings)
-    mine, total = held_out[(held_out["agent"] == "zero") & (held_out["seed"] == HELD_OUT_SEED + 1)], 0.0
+    mine = held_out[(held_out["agent"] == "zero") & (held_out["seed"] == HELD_OUT_SEED + 1)]
+    total = 0.0
     env.reset(seed=HELD_OUT_SEED + 1)
     for iterations in mine["iterations"]:
         _, reward, _, _, info = env.step(np.zeros(6))
@@ -90,26 +104,34 @@ def test_a_run_leaves_rows_that_the_environment_repeats_and_no_pickle(ppo):
         total += reward
     env.close()
     end = mine.iloc[-1]
-    assert (end["return"], end["mean_iterations"]) == pytest.approx((total, mine["iterations"].mean()))
+    assert (end["return"], end["mean_iterations"]) == pytest.approx(
+        (total, mine["iterations"].mean())
+    )
     for path in ppo.rglob("*.npz"):
         with np.load(path, allow_pickle=False) as file:
             assert all(file[name].dtype != object for name in file.files)
 
 
 def test_processes_train_as_one_process_does(ppo, tmp_path):
-    shard = Shard("ppo/initial_force", RLConfig(**TINY, seeds=(0, 3)).resolved(), tmp_path / "seed-3", 3)
+    shard = Shard(
+        "ppo/initial_force", RLConfig(**TINY, seeds=(0, 3)).resolved(), tmp_path / "seed-3", 3
+    )
     alone, _ = map_shards(rows_of, {"seed-3": shard}, workers=1)
     rows = Run(ppo).load()[0]
     beside = rows[rows["training_seed"] == 3].dropna(axis=1, how="all").reset_index(drop=True)
     times = [name for name in TIMES if name in beside]
-    pd.testing.assert_frame_equal(alone.drop(columns=times), beside.drop(columns=times), check_exact=True)
+    pd.testing.assert_frame_equal(
+        alone.drop(columns=times), beside.drop(columns=times), check_exact=True
+    )
 
 
 def test_the_page_is_made_of_the_rows(ppo):
     rows = Run(ppo).load()[0]
     label = {name: text for name, (text, _) in page.AGENTS.items()}
     scores = page.scores_table(rows, summary(rows)).set_index("policy")
-    assert scores.index.tolist() == [label[name] for name in ("zero", "learned", "previous", "ppo/initial_force")]
+    assert scores.index.tolist() == [
+        label[name] for name in ("zero", "learned", "previous", "ppo/initial_force")
+    ]
     assert scores.loc[label["ppo/initial_force"], "held"].startswith("4 of 4 [")
     assert scores.loc[label["zero"], "of the paper's"] == "1 [1, 1]"
     held_out = rows[rows["case"] == "held_out"]
@@ -117,19 +139,38 @@ def test_the_page_is_made_of_the_rows(ppo):
     ratio = float(scores.loc[label["previous"], "of the paper's"].split()[0])
     assert ratio == pytest.approx(medians["previous"] / medians["zero"], rel=1e-2)
     returns = held_out[held_out["agent"] == "ppo/initial_force"]["return"].dropna().to_numpy(float)
-    assert float(scores.loc[label["ppo/initial_force"], "return"].split()[0]) == pytest.approx(iqm(returns), rel=1e-2)
+    assert float(scores.loc[label["ppo/initial_force"], "return"].split()[0]) == pytest.approx(
+        iqm(returns), rel=1e-2
+    )
 
 
 def test_an_episode_is_held_only_if_it_ends_well():
-    info = {"iterations": 3, "commanded_force": np.full((4, 3), 2.0), "torque_share": 0.25, "drift": 0.004}
+    info = {
+        "iterations": 3,
+        "commanded_force": np.full((4, 3), 2.0),
+        "torque_share": 0.25,
+        "drift": 0.004,
+    }
     info |= {"fault": "", "is_success": True}
-    first, last = EpisodeStep(0.5, {**info, "drift": 0.01, "iterations": 5}, False), EpisodeStep(0.25, info, True)
+    first = EpisodeStep(0.5, {**info, "drift": 0.01, "iterations": 5}, False)
+    last = EpisodeStep(0.25, info, True)
     assert outcome([first, last]) == {
-        "held": True, "failure": None, "return": 0.75, "mean_iterations": 4.0, "commanded_force": 8.0, "torque_share": 0.25,
-        "drift": pytest.approx(10.0), "end_drift": pytest.approx(4.0),
-    }  # fmt: skip
+        "held": True,
+        "failure": None,
+        "return": 0.75,
+        "mean_iterations": 4.0,
+        "commanded_force": 8.0,
+        "torque_share": 0.25,
+        "drift": pytest.approx(10.0),
+        "end_drift": pytest.approx(4.0),
+    }
     lost = outcome([first, last._replace(info={**info, "is_success": False, "fault": "slid"})])
-    assert (lost["held"], lost["failure"], lost["drift"], lost["return"]) == (False, "slid", None, 0.75)
+    assert (lost["held"], lost["failure"], lost["drift"], lost["return"]) == (
+        False,
+        "slid",
+        None,
+        0.75,
+    )
 
 
 def test_the_last_update_is_logged(ppo):
@@ -145,7 +186,9 @@ def test_training_begins_at_the_paper(algorithm, tmp_path):
     envs.seed(0)
     envs.reset()
     beginner = Training(tmp_path, config, 0, agent, envs)
-    mine, paper = (score(policy, config.env_settings, range(5, 7)) for policy in (beginner, ZeroPolicy()))
+    mine, paper = (
+        score(policy, config.env_settings, range(5, 7)) for policy in (beginner, ZeroPolicy())
+    )
     for one, other in zip(mine, paper, strict=True):
         if "mean_iterations" in one:
             assert one["mean_iterations"] == pytest.approx(other["mean_iterations"], rel=0.05)
@@ -154,7 +197,8 @@ def test_training_begins_at_the_paper(algorithm, tmp_path):
 
 def test_the_agent_is_stable_baselines3s_and_is_filmed(ppo, sac, tmp_path, capsys):
     for folder, algorithm in ((ppo / "seed-0", "ppo"), (sac / "seed-0", "sac")):
-        agent, theirs = TrainedAgent.load(folder), training_of(folder, algorithm)
+        agent = TrainedAgent.load(folder)
+        theirs = training_of(folder, algorithm)
         raw = np.random.default_rng(0).normal(size=(2, 83))
         seen = theirs.envs.normalize_obs(raw)
         assert np.abs(seen - raw).max() > 0.1  # the normaliser was restored
@@ -179,16 +223,24 @@ def checkpoint(folder: Path) -> dict[str, Any]:
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_two_resumes_from_one_checkpoint_are_equal_bit_by_bit(algorithm, ppo, sac, tmp_path):
     source = (ppo if algorithm == "ppo" else sac) / "seed-0"
-    old, resumed = find_checkpoint(source), training_of(source, algorithm)
+    old = find_checkpoint(source)
+    resumed = training_of(source, algorithm)
     seeds: Any = resumed.envs.venv
-    assert seeds._seeds == [first_seed(0, 96), first_seed(0, 96) + 1]  # other episodes than those before
+    # other episodes than those before
+    assert seeds._seeds == [first_seed(0, 96), first_seed(0, 96) + 1]
     resumed.envs.close()
     resumed.folder = tmp_path / "again"
-    assert checkpoint(resumed.save()) == checkpoint(old)  # nothing was lost on the way into the agent
+    # nothing was lost on the way into the agent
+    assert checkpoint(resumed.save()) == checkpoint(old)
     found = []
     for name in ("one", "two"):
         shutil.copytree(source, tmp_path / name)
-        path = train_seed(RLConfig(**{**TINY, "steps": 144}, algorithm=algorithm).resolved(), tmp_path / name, 0, True)
+        path = train_seed(
+            RLConfig(**{**TINY, "steps": 144}, algorithm=algorithm).resolved(),
+            tmp_path / name,
+            0,
+            True,
+        )
         assert checkpoints(tmp_path / name / "checkpoints") == [path]  # the older one is gone
         found.append(checkpoint(path))
     assert found[0] == found[1]
@@ -225,33 +277,45 @@ def test_finished_and_foreign_runs_are_refused(ppo, sac, tmp_path, capsys):
 def test_runs_are_compared_and_agents_train_in_any_environment(ppo, tmp_path, monkeypatch):
     monkeypatch.setattr(training.rl.speed, "STEPS", 48)
     monkeypatch.setattr(training.rl.speed, "ROUNDS", 1)
-    ball, config = tmp_path / "ball", RLConfig(**{**TINY, "env": BALL, "steps": 48}).resolved()
+    ball = tmp_path / "ball"
+    config = RLConfig(**{**TINY, "env": BALL, "steps": 48}).resolved()
     sizes = RLConfig(env='{"hand": "allegro"}').sizes
     assert sizes == {"fingers": 4, "joints": 16, "observation_size": 87, "action_size": 6}
     train(config, ball)
     agent = TrainedAgent.load(ball / "seed-0")
-    assert as_config(agent.meta["env_settings"]) == EnvConfig().override(disturbance="random", **json.loads(BALL))
+    assert as_config(agent.meta["env_settings"]) == EnvConfig().override(
+        disturbance="random", **json.loads(BALL)
+    )
     words = f"rl --on inline --episodes 1 --compare {ppo} {ball} --out {tmp_path / 'all'}"
     assert main(words.split()) == 0
     rows, about = Run(tmp_path / "all").load()
     held_out = rows[rows["case"] == "held_out"]
-    agents = held_out[held_out["agent"] == "ppo/initial_force"].groupby("environment")["training_seed"].unique()
+    agents = (
+        held_out[held_out["agent"] == "ppo/initial_force"]
+        .groupby("environment")["training_seed"]
+        .unique()
+    )
     assert {place: seeds.tolist() for place, seeds in agents.items()} == {SHORT: [0, 3], BALL: [0]}
     assert held_out["seed"].unique().tolist() == [HELD_OUT_SEED]
-    assert held_out.groupby("environment")["agent"].nunique().to_dict() == {SHORT: 4, BALL: 4}  # each has its baselines
+    assert held_out.groupby("environment")["agent"].nunique().to_dict() == {
+        SHORT: 4,
+        BALL: 4,
+    }  # each has its baselines
     assert [one["seed"] for one in about["agents"]] == [0, 3, 0]
     assert len(page.CLAIMS[0].values(summary(rows))) == 2  # in both environments
 
 
 def test_an_interrupt_leaves_a_whole_checkpoint_to_continue_from(tmp_path, monkeypatch):
-    real, handler = training.rl.train.score, signal.getsignal(signal.SIGINT)
+    real = training.rl.train.score
+    handler = signal.getsignal(signal.SIGINT)
 
     def interrupted(*arguments: Any) -> Any:
         signal.raise_signal(signal.SIGINT)
         return real(*arguments)
 
     few = "--episodes 1 --curve-episodes 1 --curve-points 1"
-    out, words = tmp_path / "cut", [word.replace("0.4", "0.1") for word in WORDS] + few.split()
+    out = tmp_path / "cut"
+    words = [word.replace("0.4", "0.1") for word in WORDS] + few.split()
     with monkeypatch.context() as patch:
         patch.setattr(training.rl.train, "score", interrupted)
         assert main([*words, "--out", str(out), "--steps", "48"]) == 130
@@ -264,8 +328,13 @@ def test_an_interrupt_leaves_a_whole_checkpoint_to_continue_from(tmp_path, monke
 
 
 def test_seeds_in_other_processes_save_and_end_with_the_run(tmp_path, monkeypatch):
-    config, out = RLConfig(**TINY, seeds=(0, 1)), tmp_path / "run"
-    monkeypatch.setattr(training.rl.train, "map_shards", lambda *given, **options: signal.raise_signal(signal.SIGTERM))
+    config = RLConfig(**TINY, seeds=(0, 1))
+    out = tmp_path / "run"
+    monkeypatch.setattr(
+        training.rl.train,
+        "map_shards",
+        lambda *given, **options: signal.raise_signal(signal.SIGTERM),
+    )
     with pytest.raises(KeyboardInterrupt):
         train(config, out)
     assert (out / STOP).exists()
@@ -275,7 +344,9 @@ def test_seeds_in_other_processes_save_and_end_with_the_run(tmp_path, monkeypatc
 
 
 def test_training_never_sees_the_episodes_that_score():
-    seeds = np.array([first_seed(seed, steps) for seed in range(50) for steps in range(0, 10**6, 10**5)])
+    seeds = np.array(
+        [first_seed(seed, steps) for seed in range(50) for steps in range(0, 10**6, 10**5)]
+    )
     assert seeds.min() >= 2**30 > max(CURVE_SEED, HELD_OUT_SEED) + 10**6
     assert len(set(seeds)) == len(seeds)
 

@@ -35,7 +35,9 @@ def episode(
     return _steps(env, observation, policy, most)
 
 
-def _steps(env: gym.Env[Any, Any], observation: Any, policy: Policy | None, most: int | None) -> Iterator[EpisodeStep]:
+def _steps(
+    env: gym.Env[Any, Any], observation: Any, policy: Policy | None, most: int | None
+) -> Iterator[EpisodeStep]:
     action: Any = np.zeros(env.action_space.shape or (1,), dtype=np.float32)
     for _ in count() if most is None else range(most):
         if policy is not None:

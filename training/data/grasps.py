@@ -1,4 +1,6 @@
-"""Random grasps: points on random solids with force closure, or a known grasp with slightly moved contacts."""
+"""Random grasps: points on random solids with force closure, or a known grasp with slightly moved
+contacts.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,10 @@ class Recipe:
         shapes: keys of `SOLIDS`, with equal probability.
         friction: range of the coefficient.
         own_friction: True if each contact draws its own friction.
-        margin: least closure margin times the number of contacts; forces grow without bound near the loss of closure.
-        basis: True if a closed grasp must also have an offline basis (3 % of those with 3 contacts have none).
+        margin: least closure margin times the number of contacts; forces grow without bound near
+            the loss of closure.
+        basis: True if a closed grasp must also have an offline basis (3 % of those with 3 contacts
+            have none).
     """
 
     shapes: tuple[str, ...] = ("cuboid", "ellipsoid", "cylinder")
@@ -46,11 +50,16 @@ class Recipe:
     def draw(self, rng: np.random.Generator, count: int) -> Grasp:
         """Draw one grasp, with or without force closure."""
         places, inward = self.points(rng, count)
-        return Grasp.from_contacts(places, inward, rng.uniform(*self.friction, count if self.own_friction else None))
+        return Grasp.from_contacts(
+            places, inward, rng.uniform(*self.friction, count if self.own_friction else None)
+        )
 
     def closes(self, grasp: Grasp) -> bool:
         """Return True if a grasp has force closure with the recipe's margin."""
-        if grasp.rank < 6 or feasibility(grasp, np.zeros(6)).margin <= self.margin / grasp.n_contacts:
+        if (
+            grasp.rank < 6
+            or feasibility(grasp, np.zeros(6)).margin <= self.margin / grasp.n_contacts
+        ):
             return False
         if self.basis:
             try:
@@ -72,26 +81,34 @@ def _unit(vectors: Array) -> Array:
 
 
 def _cuboid(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    half, axis, side = rng.uniform(*HALF, 3), rng.integers(0, 3, count), rng.choice([-1.0, 1.0], count)
-    places, inward = rng.uniform(-1.0, 1.0, (count, 3)) * half, np.zeros((count, 3))
+    half = rng.uniform(*HALF, 3)
+    axis = rng.integers(0, 3, count)
+    side = rng.choice([-1.0, 1.0], count)
+    places = rng.uniform(-1.0, 1.0, (count, 3)) * half
+    inward = np.zeros((count, 3))
     places[np.arange(count), axis] = side * half[axis]
     inward[np.arange(count), axis] = -side
     return places, inward
 
 
 def _ellipsoid(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    half, outward = rng.uniform(*HALF, 3), _unit(rng.standard_normal((count, 3)))
+    half = rng.uniform(*HALF, 3)
+    outward = _unit(rng.standard_normal((count, 3)))
     return outward * half, -_unit(outward / half)
 
 
 def _cylinder(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     radius, half = rng.uniform(*HALF, 2)
-    angle, height = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(-half, half, count)
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    height = rng.uniform(-half, half, count)
     around = np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
-    ends, reach = rng.random(count) < ENDS, np.sqrt(rng.random(count))
+    ends = rng.random(count) < ENDS
+    reach = np.sqrt(rng.random(count))
     up = np.array([0.0, 0.0, 1.0])
-    side, top = np.where(height > 0.0, 1.0, -1.0)[:, None], ends[:, None]
-    flat, round_ = radius * (reach[:, None] * around) + side * half * up, radius * around + height[:, None] * up
+    side = np.where(height > 0.0, 1.0, -1.0)[:, None]
+    top = ends[:, None]
+    flat = radius * (reach[:, None] * around) + side * half * up
+    round_ = radius * around + height[:, None] * up
     places = np.where(top, flat, round_)
     return places, -np.where(top, side * up, around)
 
@@ -103,7 +120,9 @@ BENCH = Recipe(("ellipsoid",), friction=(0.3, 1.0), own_friction=True, margin=0.
 """Grasps on which solvers are timed, far from the loss of closure."""
 
 
-def slide_contacts(rng: np.random.Generator, grasp: Grasp, low: float, high: float, only: int | None = None) -> Grasp:
+def slide_contacts(
+    rng: np.random.Generator, grasp: Grasp, low: float, high: float, only: int | None = None
+) -> Grasp:
     """Move the contacts in their tangent planes by `low` to `high` [m], uniformly over the ring.
 
     Args:
@@ -114,8 +133,14 @@ def slide_contacts(rng: np.random.Generator, grasp: Grasp, low: float, high: flo
         only: index of the one contact to move; None: all.
     """
     count = grasp.n_contacts
-    distance, angle = np.sqrt(rng.uniform(low**2, high**2, count)), rng.uniform(0.0, 2.0 * np.pi, count)
+    distance = np.sqrt(rng.uniform(low**2, high**2, count))
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
     if only is not None:
         distance[np.arange(count) != only] = 0.0
-    moves = grasp.frames[:, :, 1] * np.cos(angle)[:, None] + grasp.frames[:, :, 2] * np.sin(angle)[:, None]
-    return Grasp.from_contacts(grasp.positions + distance[:, None] * moves, grasp.normals, grasp.friction)
+    moves = (
+        grasp.frames[:, :, 1] * np.cos(angle)[:, None]
+        + grasp.frames[:, :, 2] * np.sin(angle)[:, None]
+    )
+    return Grasp.from_contacts(
+        grasp.positions + distance[:, None] * moves, grasp.normals, grasp.friction
+    )

@@ -16,9 +16,11 @@ from grasp_env.inputs.arguments import Array
 
 LABEL_GAP, LABEL_ITERATIONS = 1e-10, 200
 BALL = 0.7
-"""Share of the wrenches from the ball, on which starts are compared; the others come from the whole range."""
+"""Share of the wrenches from the ball, on which starts are compared; the others come from the whole
+range."""
 LEAN = 0.3
-"""Slope of the density of frictions, from 1 - LEAN at the least to 1 + LEAN at the largest, where the flow takes more steps."""
+"""Slope of the density of frictions, from 1 - LEAN at the least to 1 + LEAN at the largest, where
+the flow takes more steps."""
 CHUNK = 4096
 """Samples whose metric is computed at once."""
 
@@ -31,7 +33,8 @@ class Source:
         grasp: the contacts; its mean friction is replaced.
         magnitudes: range of the wrenches' norm in the grasp's unit frame [N], log-uniform.
         frictions: range of the mean friction coefficient.
-        paper: True for the paper's ball, about the object's origin; else a ball of that size in the grasp's unit frame.
+        paper: True for the paper's ball, about the object's origin; else a ball of that size in the
+            grasp's unit frame.
     """
 
     grasp: Grasp
@@ -47,7 +50,8 @@ class Source:
     def draw(
         self, rng: np.random.Generator, count: int, groups: int, ball: float = BALL
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw about `count` wrenches (groups * per, 6) and their friction (groups * per,), equal within a group.
+        """Draw about `count` wrenches (groups * per, 6) and their friction (groups * per,), equal
+        within a group.
 
         Args:
             rng: source of every sample.
@@ -55,20 +59,31 @@ class Source:
             groups: number of frictions, each from its own part of the range.
             ball: share of the wrenches that are drawn from the ball.
         """
-        per, (low, high) = max(1, count // groups), self.frictions
+        per = max(1, count // groups)
+        (low, high) = self.frictions
         part = (np.arange(groups) + rng.random(groups)) / groups
-        friction = low + (high - low) * (np.sqrt((1.0 - LEAN) ** 2 + 4.0 * LEAN * part) - (1.0 - LEAN)) / (2.0 * LEAN)
+        friction = low + (high - low) * (
+            np.sqrt((1.0 - LEAN) ** 2 + 4.0 * LEAN * part) - (1.0 - LEAN)
+        ) / (2.0 * LEAN)
         wrenches = self._from_unit(sample_magnitudes(rng, groups * per, *self.magnitudes))
         inside = self.ball(rng, groups * per)
-        return np.where(rng.random(groups * per)[:, None] < ball, inside, wrenches), friction.repeat(per)
+        return np.where(
+            rng.random(groups * per)[:, None] < ball, inside, wrenches
+        ), friction.repeat(per)
 
     def _from_unit(self, drawn: Array) -> Array:
-        """Transform wrenches (B, 6), with moments over 0.05 m taken as coordinates of the unit frame, to the object frame."""
-        return (drawn / np.repeat([1.0, MAGNITUDE_LENGTH], 3)) @ np.linalg.inv(self.grasp.unit_frame).T
+        """Transform wrenches (B, 6), with moments over 0.05 m taken as coordinates of the unit
+        frame, to the object frame.
+        """
+        return (drawn / np.repeat([1.0, MAGNITUDE_LENGTH], 3)) @ np.linalg.inv(
+            self.grasp.unit_frame
+        ).T
 
 
 def with_mean_friction(grasp: Grasp, friction: float) -> Grasp:
-    """Return the grasp with all friction coefficients scaled by one factor, so that their mean is `friction`."""
+    """Return the grasp with all friction coefficients scaled by one factor, so that their mean is
+    `friction`.
+    """
     return grasp.with_friction(grasp.models.friction * (friction / float(grasp.friction.mean())))
 
 
@@ -80,7 +95,8 @@ class Dataset:
         wrenches: (B, 6) [N, N m].
         friction: (B,).
         coordinates: (B, K) null-space coordinates of the optimum [N].
-        metric: (B, K, K) upper factors R: |R (z - z*)|^2 is the relative gap of Phi to second order.
+        metric: (B, K, K) upper factors R: |R (z - z*)|^2 is the relative gap of Phi to second
+            order.
         least: (B,) min Phi [N].
     """
 
@@ -102,7 +118,8 @@ def label(
     friction: np.ndarray,
     workers: int = 2,
 ) -> Dataset:
-    """Label wrenches (B, 6) [N, N m] on a grasp with mean frictions (B,) by Newton's method, to a relative gap of 1e-10.
+    """Label wrenches (B, 6) [N, N m] on a grasp with mean frictions (B,) by Newton's method, to a
+    relative gap of 1e-10.
 
     For `reference` see `null_space_basis`; `workers` are threads, since the core releases the GIL.
 
@@ -111,14 +128,22 @@ def label(
     """
     count = len(wrenches)
     grasps = {mu: with_mean_friction(grasp, mu) for mu in np.unique(friction).tolist()}
-    options = {"tolerance": LABEL_GAP, "max_iterations": LABEL_ITERATIONS, "workers": workers, **vars(objective)}
+    options = {
+        "tolerance": LABEL_GAP,
+        "max_iterations": LABEL_ITERATIONS,
+        "workers": workers,
+        **vars(objective),
+    }
     solutions = optimize_forces([grasps[mu] for mu in friction.tolist()], wrenches, **options)
     null_space = null_space_basis(grasp, reference)
     dimension = null_space.shape[1]
     metric = np.empty((count, dimension, dimension), np.float32)
-    force, least = solutions.force.reshape(count, -1), solutions.objective
+    force = solutions.force.reshape(count, -1)
+    least = solutions.objective
     with np.errstate(divide="ignore", invalid="ignore"):
-        worst = np.where(solutions.lower_bound > 0.0, least / solutions.lower_bound - 1.0, np.inf).max(initial=0.0)
+        worst = np.where(
+            solutions.lower_bound > 0.0, least / solutions.lower_bound - 1.0, np.inf
+        ).max(initial=0.0)
     if not worst <= 1e-6:
         raise NotConvergedError(f"a training label has a relative gap of {worst:.2g}")
 
@@ -132,12 +157,16 @@ def label(
     return Dataset(wrenches, friction, (force @ null_space).astype(np.float32), metric, least)
 
 
-def _metric(force: Array, scales: Array, null_space: Array, objective: Objective, least: Array) -> Array:
-    """Return upper factors (B, K, K) of the Hessian of Phi over 2 min Phi, in null-space coordinates at the optimal forces (B, 3N) [N].
+def _metric(
+    force: Array, scales: Array, null_space: Array, objective: Objective, least: Array
+) -> Array:
+    """Return upper factors (B, K, K) of the Hessian of Phi over 2 min Phi, in null-space
+    coordinates at the optimal forces (B, 3N) [N].
 
     `scales` (B, N, 3) are those of cone coordinates, `null_space` is (3N, K), `least` (B,) min Phi.
     """
-    many, count = len(force), scales.shape[1]
+    many = len(force)
+    count = scales.shape[1]
     x = force * scales.reshape(many, -1)
     # all contacts at once: the Hessian is linear in lambda
     blocks = Objective(1.0, 1.0).hessian(x.reshape(-1)).reshape(many, count, 3, 3)

@@ -17,7 +17,8 @@ from training.evaluation.results.run import check_counts
 LEAST, MOST = 5 / 8, 3 / 2
 """Default range of the friction, as factors of the grasp's own."""
 CLOSURE = 0.01
-"""Least closure margin times the number of contacts, as for the random grasps on which starts are compared."""
+"""Least closure margin times the number of contacts, as for the random grasps on which starts are
+compared."""
 
 
 @dataclass(frozen=True)
@@ -28,17 +29,21 @@ class FitConfig:
         preset: name of the grasp.
         grasp: JSON file of a grasp instead, with at least three hard contacts.
         steps: optimisation steps. A training of a given number of steps repeats bit by bit.
-        seconds: processor time of all threads for the optimisation steps, instead of their number; 0: `steps` decides.
+        seconds: processor time of all threads for the optimisation steps, instead of their number;
+            0: `steps` decides.
         samples: labelled wrenches; for many contacts fewer are made, as the model card records.
         hidden: widths of the hidden layers.
-        degree: degree of the weights as polynomials of the friction; 0: friction is an input of the network instead.
+        degree: degree of the weights as polynomials of the friction; 0: friction is an input of the
+            network instead.
         batch_size: wrenches per optimisation step.
         learning_rate: peak of the one-cycle schedule.
         tail: exponent of the gap in the loss; a larger one gives more weight to the worst wrenches.
         seed: seed of data, weights and batches.
-        low: least |(force, moment about the contacts' centre / their length)| of the training wrenches [N].
+        low: least |(force, moment about the contacts' centre / their length)| of the training
+            wrenches [N].
         high: largest such norm [N].
-        friction_low: least mean friction coefficient; 0: 5/8 of the grasp's own, or the least with which the grasp closes.
+        friction_low: least mean friction coefficient; 0: 5/8 of the grasp's own, or the least with
+            which the grasp closes.
         friction_high: largest mean friction coefficient; 0: 3/2 of the grasp's own.
         force_weight: omega of Phi.
         barrier_weight: lambda of Phi [N^2].
@@ -102,15 +107,20 @@ class FitConfig:
         """Return the settings with every default filled in.
 
         Raises:
-            GraspFileError, InvalidInputError: see `contacts`; or the grasp does not close in the whole range of friction.
+            GraspFileError, InvalidInputError: see `contacts`; or the grasp does not close in the
+            whole range of friction.
         """
         grasp = self.contacts()
         own = float(grasp.friction.mean())
-        low = self.friction_low or next(mu for mu in own * np.linspace(LEAST, 1.0, 16) if closes(grasp, float(mu)))
+        low = self.friction_low or next(
+            mu for mu in own * np.linspace(LEAST, 1.0, 16) if closes(grasp, float(mu))
+        )
         high = self.friction_high or MOST * own
         _ordered("friction_low", low, "friction_high", high)
         if not closes(grasp, low):
-            raise InvalidInputError(f"friction_low must close the grasp, {low:g} does not: give more, or leave it out")
+            raise InvalidInputError(
+                f"friction_low must close the grasp, {low:g} does not: give more, or leave it out"
+            )
         made = replace(self, friction_low=float(low), friction_high=float(high))
         if not self.quick:
             return made
@@ -118,10 +128,17 @@ class FitConfig:
 
 
 def closes(grasp: Grasp, friction: float) -> bool:
-    """Return True if the grasp closes with that mean friction, with a margin that keeps forces bounded."""
-    return feasibility(with_mean_friction(grasp, friction), np.zeros(6)).margin > CLOSURE / grasp.n_contacts
+    """Return True if the grasp closes with that mean friction, with a margin that keeps forces
+    bounded.
+    """
+    return (
+        feasibility(with_mean_friction(grasp, friction), np.zeros(6)).margin
+        > CLOSURE / grasp.n_contacts
+    )
 
 
 def _ordered(low_name: str, low: float, high_name: str, high: float) -> None:
     if not low < high:
-        raise InvalidInputError(f"{low_name} must be less than {high_name}, got {low:g} and {high:g}")
+        raise InvalidInputError(
+            f"{low_name} must be less than {high_name}, got {low:g} and {high:g}"
+        )

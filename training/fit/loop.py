@@ -1,4 +1,6 @@
-"""Training loop: batches and loss, warm-up and cosine schedule, held-out scores, saved states, orderly interrupts."""
+"""Training loop: batches and loss, warm-up and cosine schedule, held-out scores, saved states,
+orderly interrupts.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,10 @@ WARM = 0.03
 CLIP = 5.0
 """Largest norm of a gradient."""
 PARTS = 2
-"""Parts of a batch. Each part's gradient is computed by one thread, and they are added in a fixed order, so that the sum has the same
+"""Parts of a batch.
+
+Each part's gradient is computed by one thread, and they are added in a fixed order, so that the sum
+has the same
 bits for any number of threads."""
 AT_ONCE = 16
 """Number of frictions in a batch; the network has separate weights for each friction."""
@@ -36,34 +41,48 @@ FLOOR = 1e-6
 """Gap below which a smaller one gains nothing."""
 PERCENTILES = (50, 95, 99)
 Samples = tuple[Tensor, Tensor, Tensor]
-"""Features (F, B, inputs), R m (F, B, K, K) and R z* (F, B, K), friction by friction; with the network's output y the gap to second
+"""Features (F, B, inputs), R m (F, B, K, K) and R z* (F, B, K), friction by friction; with the
+network's output y the gap to second
 order is |R m y - R z*|^2."""
 
 
 class NetworkTask:
-    """Regression of the optimum by a network: the loss is the mean of a small power of the gap of Phi, to second order."""
+    """Regression of the optimum by a network: the loss is the mean of a small power of the gap of
+    Phi, to second order.
+    """
 
-    def __init__(self, config: FitConfig, module: Network, train: Samples, held_out: tuple[Samples, ...]) -> None:
+    def __init__(
+        self, config: FitConfig, module: Network, train: Samples, held_out: tuple[Samples, ...]
+    ) -> None:
         self.config, self.module = config, module
         self._train, self._held_out = train, held_out
 
     def done(self, now: FitProgress) -> float:
         """Return the completed share of the training, 0 to 1 or above."""
-        return now.cpu_seconds / self.config.seconds if self.config.seconds else now.step / self.config.steps
+        return (
+            now.cpu_seconds / self.config.seconds
+            if self.config.seconds
+            else now.step / self.config.steps
+        )
 
     def batch(self, rng: np.random.Generator) -> list[Samples]:
         """Draw a batch, in `PARTS` parts."""
-        (frictions, each), size = self._train[0].shape[:2], self.config.batch_size // AT_ONCE
-        # one friction from each part of the range: the gradient of the polynomials varies less between batches
+        (frictions, each) = self._train[0].shape[:2]
+        size = self.config.batch_size // AT_ONCE
+        # one friction from each part of the range: the gradient of the polynomials varies less
+        # between batches
         chosen = ((np.arange(AT_ONCE) + rng.random(AT_ONCE)) * (frictions / AT_ONCE)).astype(int)
         begin = rng.integers(0, each - size + 1, AT_ONCE)
         places = [(k, slice(b, b + size)) for k, b in zip(chosen, begin, strict=True)]
         parts = (places[part::PARTS] for part in range(PARTS))
-        return [tuple(torch.stack([all_[at] for at in part]) for all_ in self._train) for part in parts]  # type: ignore[misc]
+        return [
+            tuple(torch.stack([all_[at] for at in part]) for all_ in self._train) for part in parts
+        ]  # type: ignore[misc]
 
     def loss(self, part: Samples) -> Tensor:
         """Return the loss of a part. Several threads call it at once."""
-        # the small power keeps few hard wrenches from dominating the loss; the constant bounds its derivative
+        # the small power keeps few hard wrenches from dominating the loss; the constant bounds its
+        # derivative
         return (gaps(self.module, part) + FLOOR).pow(self.config.tail).mean()
 
     @torch.no_grad()
@@ -77,17 +96,23 @@ def gaps(network: Network, samples: Samples) -> Tensor:
     """Return the relative gap of Phi (F * B,), to second order."""
     inputs, metric, goal = samples
     size = goal.shape[-1]
-    outputs, goal = network(inputs).reshape(-1, size, 1), goal.reshape(-1, size, 1)
-    return torch.baddbmm(goal, metric.reshape(-1, size, size), outputs, beta=-1).square().sum((1, 2))
+    outputs = network(inputs).reshape(-1, size, 1)
+    goal = goal.reshape(-1, size, 1)
+    return (
+        torch.baddbmm(goal, metric.reshape(-1, size, size), outputs, beta=-1).square().sum((1, 2))
+    )
 
 
-def optimise(task: NetworkTask, state: StateFile | None = None, resume: bool = False, words: str = "") -> FitProgress:
+def optimise(
+    task: NetworkTask, state: StateFile | None = None, resume: bool = False, words: str = ""
+) -> FitProgress:
     """Train `task.module`.
 
-    Unless time decides, the result has the same bits with any number of threads, and after an interrupt and resume.
+    Unless time decides, the result has the same bits with any number of threads, and after an
+    interrupt and resume.
 
-    The training is saved in the file `state`, from which `resume` continues. `words` label the progress on stderr (a bar on terminals,
-    else lines); empty: no progress.
+    The training is saved in the file `state`, from which `resume` continues. `words` label the
+    progress on stderr (a bar on terminals, else lines); empty: no progress.
 
     Returns:
         Steps, seconds and the curve: rows (step, seconds, *score).
@@ -99,7 +124,8 @@ def optimise(task: NetworkTask, state: StateFile | None = None, resume: bool = F
     rng = np.random.default_rng([config.seed, 2])
     parameters = list(task.module.parameters())
     optimiser = Soap(parameters, lr=config.learning_rate)
-    now, mark = FitProgress(), 0.0
+    now = FitProgress()
+    mark = 0.0
     if state is not None and resume:
         now = state.restore(task.module, optimiser, rng)
         mark = _next_mark(task.done(now))
@@ -127,21 +153,32 @@ def optimise(task: NetworkTask, state: StateFile | None = None, resume: bool = F
             if interrupted():
                 if state is not None:
                     state.save(task.module, optimiser, rng, now)
-                    sys.stderr.write(f"saved {state.path}: the same command with --resume continues from there\n")
+                    sys.stderr.write(
+                        f"saved {state.path}: the same command with --resume continues from there\n"
+                    )
                 raise KeyboardInterrupt
             for group in optimiser.param_groups:
                 group["lr"] = config.learning_rate * _schedule(done)
-            for parameter, *found in zip(parameters, *pool.map(gradients, task.batch(rng)), strict=True):
+            for parameter, *found in zip(
+                parameters, *pool.map(gradients, task.batch(rng)), strict=True
+            ):
                 parameter.grad = torch.stack(found).mean(dim=0)
             nn.utils.clip_grad_norm_(parameters, CLIP)
             optimiser.step()
             now.step += 1
-            now.seconds, now.cpu_seconds = since[0] + time.perf_counter(), since[1] + time.process_time()
+            now.seconds, now.cpu_seconds = (
+                since[0] + time.perf_counter(),
+                since[1] + time.process_time(),
+            )
 
 
 def _schedule(done: float) -> float:
     """Return the factor of the learning rate: a linear warm-up, then a cosine to zero."""
-    return done / WARM + 1e-3 if done < WARM else 0.5 * (1.0 + math.cos(math.pi * (done - WARM) / (1.0 - WARM))) + 1e-4
+    return (
+        done / WARM + 1e-3
+        if done < WARM
+        else 0.5 * (1.0 + math.cos(math.pi * (done - WARM) / (1.0 - WARM))) + 1e-4
+    )
 
 
 def _next_mark(done: float) -> float:
@@ -149,14 +186,19 @@ def _next_mark(done: float) -> float:
 
 
 @contextmanager
-def _reporting(task: NetworkTask, words: str) -> Iterator[Callable[[FitProgress, list[float]], None]]:
-    console, seconds = Console(stderr=True, quiet=not words), task.config.seconds
+def _reporting(
+    task: NetworkTask, words: str
+) -> Iterator[Callable[[FitProgress, list[float]], None]]:
+    console = Console(stderr=True, quiet=not words)
+    seconds = task.config.seconds
     total = round(seconds) or task.config.steps
     with progress(console) as bar:
         shown = bar.add_task(f"{words}, {'seconds' if seconds else 'steps'}", total=total)
 
         def report(now: FitProgress, row: list[float]) -> None:
-            ball, whole = (" ".join(f"{value:.0e}" for value in part) for part in (row[:3], row[3:]))
+            ball, whole = (
+                " ".join(f"{value:.0e}" for value in part) for part in (row[:3], row[3:])
+            )
             note = f"gaps, median p95 p99: ball {ball}, all {whole}"
             bar.update(shown, completed=round(total * min(1.0, task.done(now))), note=note)
             if words and not console.is_terminal:

@@ -34,9 +34,11 @@ from training.fit.state import FitProgress, StateFile
 FRICTIONS = 256
 """Number of frictions in the data."""
 HELD_OUT, HELD_OUT_SEED = 4096, 77_777
-"""Number and seed of the held-out wrenches, the same for every training, so that trainings can be compared."""
+"""Number and seed of the held-out wrenches, the same for every training, so that trainings can be
+compared."""
 MOST_NUMBERS = 60_000_000
-"""Largest number of floats in the samples, 240 MB; it reduces the number of samples for many contacts."""
+"""Largest number of floats in the samples, 240 MB; it reduces the number of samples for many
+contacts."""
 
 
 def fit(
@@ -52,7 +54,8 @@ def fit(
         config: all settings.
         progress: show the progress on stderr.
         command: command recorded in the model card.
-        out: stem of the model's files, beside which an interrupted training is kept; None: it is not kept.
+        out: stem of the model's files, beside which an interrupted training is kept; None: it is
+            not kept.
         resume: continue an interrupted training.
 
     Raises:
@@ -60,31 +63,50 @@ def fit(
         KeyboardInterrupt: interrupted; the training so far is kept.
     """
     config, grasp = config.resolved(), config.contacts()
-    magnitudes, friction = (config.low, config.high), (config.friction_low, config.friction_high)
+    magnitudes = (config.low, config.high)
+    friction = (config.friction_low, config.friction_high)
     source = Source(grasp, magnitudes, friction, paper=config.grasp is None)
-    contacts = digest(*(array.tobytes() for array in (grasp.positions, grasp.normals, grasp.models.friction)))
+    contacts = digest(
+        *(array.tobytes() for array in (grasp.positions, grasp.normals, grasp.models.friction))
+    )
     state = StateFile.begin(out, {**asdict(config), "grasp": contacts}, resume)
     torch.set_num_threads(1)
     reference = reference_basis(grasp)
-    features = Features(friction_mean=sum(friction) / 2, friction_scale=(friction[1] - friction[0]) / 3)
+    features = Features(
+        friction_mean=sum(friction) / 2, friction_scale=(friction[1] - friction[0]) / 3
+    )
     objective = Objective(config.force_weight, config.barrier_weight)
     pairs = surface_pairs(with_mean_friction(grasp, features.friction_mean), objective)
-    rng, held_out_rng = np.random.default_rng([config.seed, 0]), np.random.default_rng([HELD_OUT_SEED, 1])
+    rng = np.random.default_rng([config.seed, 0])
+    held_out_rng = np.random.default_rng([HELD_OUT_SEED, 1])
 
-    def labelled(generator: np.random.Generator, count: int, groups: int, **keywords: float) -> Samples:
+    def labelled(
+        generator: np.random.Generator, count: int, groups: int, **keywords: float
+    ) -> Samples:
         drawn = source.draw(generator, count, groups, **keywords)
         data = label(grasp, reference, objective, *drawn, config.threads)
         inputs, scale = features(data.wrenches @ grasp.unit_frame.T, data.friction, pairs)
-        columns = inputs, data.metric * scale[:, None, None], np.einsum("bij,bj->bi", data.metric, data.coordinates)
+        columns = (
+            inputs,
+            data.metric * scale[:, None, None],
+            np.einsum("bij,bj->bi", data.metric, data.coordinates),
+        )
         return tuple(  # type: ignore[return-value]
-            torch.from_numpy(column.astype(np.float32).reshape(groups, -1, *column.shape[1:])) for column in columns
+            torch.from_numpy(column.astype(np.float32).reshape(groups, -1, *column.shape[1:]))
+            for column in columns
         )
 
-    inputs, outputs = core.PLAIN_FEATURES + len(pairs) // 2, reference.shape[1]
-    count = max(2 * config.batch_size, min(config.samples, MOST_NUMBERS // (inputs + outputs * (outputs + 1))))
+    inputs = core.PLAIN_FEATURES + len(pairs) // 2
+    outputs = reference.shape[1]
+    count = max(
+        2 * config.batch_size,
+        min(config.samples, MOST_NUMBERS // (inputs + outputs * (outputs + 1))),
+    )
     # every friction has at least the samples that a batch takes of it
     train = labelled(rng, count, min(FRICTIONS, AT_ONCE * count // config.batch_size))
-    held_out = tuple(labelled(held_out_rng, HELD_OUT, min(FRICTIONS, HELD_OUT), ball=ball) for ball in (1.0, 0.0))
+    held_out = tuple(
+        labelled(held_out_rng, HELD_OUT, min(FRICTIONS, HELD_OUT), ball=ball) for ball in (1.0, 0.0)
+    )
     torch.manual_seed(config.seed)
     network = Network(inputs, config.hidden, outputs, config.degree)
     name = config.preset if config.grasp is None else Path(config.grasp).name
@@ -92,16 +114,23 @@ def fit(
     now = optimise(NetworkTask(config, network, train, held_out), state, resume, words)
     checkpoint = Checkpoint(
         tensors={
-            **{name: np.ascontiguousarray(value) for name, value in network.tensors().items()}, "reference": reference, "pairs": pairs,
+            **{name: np.ascontiguousarray(value) for name, value in network.tensors().items()},
+            "reference": reference,
+            "pairs": pairs,
         },
         numbers={
-            "sizes": [inputs, *config.hidden, outputs], "friction_degree": config.degree, "features": asdict(features),
-            "n_contacts": grasp.n_contacts, "force_weight": config.force_weight, "barrier_weight": config.barrier_weight,
+            "sizes": [inputs, *config.hidden, outputs],
+            "friction_degree": config.degree,
+            "features": asdict(features),
+            "n_contacts": grasp.n_contacts,
+            "force_weight": config.force_weight,
+            "barrier_weight": config.barrier_weight,
         },
         ranges={"magnitude": magnitudes, "friction": friction},
         card=_card(config, grasp, count, command, now),
-    )  # fmt: skip
-    model, ball = LearnedInitialForce(checkpoint), source.ball(held_out_rng, HELD_OUT)
+    )
+    model = LearnedInitialForce(checkpoint)
+    ball = source.ball(held_out_rng, HELD_OUT)
     nominal = np.full(HELD_OUT, float(grasp.friction.mean()))
     checkpoint.card["held_out_gap"] = {
         "ball": scores(model, grasp, ball, held_out_rng.uniform(*friction, HELD_OUT), flow=True),
@@ -111,10 +140,17 @@ def fit(
     return checkpoint
 
 
-def _card(config: FitConfig, grasp: Grasp, count: int, command: str, now: FitProgress) -> dict[str, Any]:
-    made, columns = provenance(), [f"{which} p{p}" for which in ("ball", "range") for p in PERCENTILES]
+def _card(
+    config: FitConfig, grasp: Grasp, count: int, command: str, now: FitProgress
+) -> dict[str, Any]:
+    made = provenance()
+    columns = [f"{which} p{p}" for which in ("ball", "range") for p in PERCENTILES]
     named = {"preset": config.preset} if config.grasp is None else {"file": Path(config.grasp).name}
-    contacts = {"positions": grasp.positions, "normals": grasp.normals, "friction": grasp.models.friction}
+    contacts = {
+        "positions": grasp.positions,
+        "normals": grasp.normals,
+        "friction": grasp.models.friction,
+    }
     moment = f"{MOMENT_RADIUS:g} N m about the origin"
     if config.grasp is not None:
         moment = f"1 N times {1e3 * grasp.length:.3g} mm about the contacts' centre"

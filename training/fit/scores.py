@@ -1,4 +1,6 @@
-"""Scores of a network on held-out wrenches: its gap, and the Newton steps and flow iterations that remain."""
+"""Scores of a network on held-out wrenches: its gap, and the Newton steps and flow iterations that
+remain.
+"""
 
 from __future__ import annotations
 
@@ -21,22 +23,31 @@ EXACT = 1e-10
 
 
 def scores(
-    model: LearnedInitialForce, grasp: Grasp, wrenches: np.ndarray, frictions: np.ndarray, flow: bool = False
+    model: LearnedInitialForce,
+    grasp: Grasp,
+    wrenches: np.ndarray,
+    frictions: np.ndarray,
+    flow: bool = False,
 ) -> dict[str, Any]:
-    """Score the network of a model, without its Newton steps, on wrenches (B, 6) [N, N m] on a grasp with mean frictions (B,).
+    """Score the network of a model, without its Newton steps, on wrenches (B, 6) [N, N m] on a
+    grasp with mean frictions (B,).
 
     Returns:
-        "gap" of the force before any step; "outside the cones": the share before the repair; "newton steps" to a certified gap of
+        "gap" of the force before any step; "outside the cones": the share before the repair;
+        "newton steps" to a certified gap of
         1e-4: the shares that need 0, 1, ...; with `flow`, "flow iterations" to 1e-4.
     """
     alone = NetworkAlone(model)
     rows: list[tuple[float, bool, int, int]] = []
     for friction, chosen in groupby(range(len(wrenches)), key=lambda k: float(frictions[k])):
         here = with_mean_friction(grasp, friction)
-        exact, newton = (optimizer(here, "newton", model.objective, gap) for gap in (EXACT, TOLERANCE))
+        exact, newton = (
+            optimizer(here, "newton", model.objective, gap) for gap in (EXACT, TOLERANCE)
+        )
         reduced = optimizer(here, FLOW, model.objective, TOLERANCE) if flow else newton
         for wrench in wrenches[list(chosen)]:
-            raw, start = model.raw(here, wrench), alone(here, wrench)
+            raw = model.raw(here, wrench)
+            start = alone(here, wrench)
             gap = model.objective.value(here.to_cone(start)) / exact.solve(wrench).objective - 1.0
             left = reduced.solve(wrench, initial=start).iterations if flow else 0
             taken = newton.solve(wrench, initial=start).iterations
@@ -44,8 +55,16 @@ def scores(
     gaps, outside, steps, iterations = np.array(rows).T
     names = [*map(str, range(MOST)), f"{MOST} or more"]
     shares = {name: float((np.minimum(steps, MOST) == k).mean()) for k, name in enumerate(names)}
-    found = {"wrenches": len(rows), "gap": quantiles(gaps), "outside the cones": float(outside.mean())}
-    return found | {"newton steps": shares} | ({"flow iterations": quantiles(iterations)} if flow else {})
+    found = {
+        "wrenches": len(rows),
+        "gap": quantiles(gaps),
+        "outside the cones": float(outside.mean()),
+    }
+    return (
+        found
+        | {"newton steps": shares}
+        | ({"flow iterations": quantiles(iterations)} if flow else {})
+    )
 
 
 def quantiles(values: np.ndarray) -> dict[str, float]:
@@ -55,5 +74,7 @@ def quantiles(values: np.ndarray) -> dict[str, float]:
         >>> quantiles(np.arange(101.0))
         {'n': 101, 'median': 50.0, 'p90': 90.0, 'p99': 99.0, 'max': 100.0}
     """
-    points = zip(("median", "p90", "p99", "max"), np.percentile(values, [50, 90, 99, 100]), strict=True)
+    points = zip(
+        ("median", "p90", "p99", "max"), np.percentile(values, [50, 90, 99, 100]), strict=True
+    )
     return {"n": len(values), **{name: float(point) for name, point in points}}

@@ -1,7 +1,8 @@
-"""SOAP: Adam in the eigenbasis of Shampoo's preconditioner (Vyas et al., 2024), for networks with small matrices.
+"""SOAP: Adam in the eigenbasis of Shampoo's preconditioner (Vyas et al., 2024), for networks with
+small matrices.
 
-A regression that must be exact needs far fewer steps than with Adam. With layers this narrow its few small products cost little
-compared with the batch.
+A regression that must be exact needs far fewer steps than with Adam. With layers this narrow its
+few small products cost little compared with the batch.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ EVERY = 10
 
 
 class Soap(torch.optim.Optimizer):
-    """Optimiser with momentum and squared gradients in the eigenbases of mean G G^T and mean G^T G, G a matrix of gradients.
+    """Optimiser with momentum and squared gradients in the eigenbases of mean G G^T and mean G^T G,
+    G a matrix of gradients.
 
     Args:
         parameters: matrices and vectors.
@@ -42,7 +44,8 @@ class Soap(torch.optim.Optimizer):
 
 
 def _direction(state: dict[str, Any], gradient: Tensor) -> Tensor:
-    # contiguous, as after loading: products of another layout round differently, and a resumed training must have the same bits
+    # contiguous, as after loading: products of another layout round differently, and a resumed
+    # training must have the same bits
     sides = {"rows": gradient @ gradient.T, "columns": gradient.T @ gradient}
     if not state:
         state["step"] = torch.zeros(())
@@ -51,14 +54,21 @@ def _direction(state: dict[str, Any], gradient: Tensor) -> Tensor:
             state[name] = product
             state[f"{name} basis"] = torch.linalg.eigh(product)[1].contiguous()
     state["step"] += 1
-    rows, columns = state["rows basis"], state["columns basis"]
+    rows = state["rows basis"]
+    columns = state["columns basis"]
     rotated = rows.T @ gradient @ columns
     state["mean"].lerp_(gradient, 1.0 - DECAY)
     state["square"].lerp_(rotated.square(), 1.0 - DECAY)
     correction = 1.0 - DECAY ** float(state["step"])
-    scaled = (rows.T @ state["mean"] @ columns / correction) / ((state["square"] / correction).sqrt() + SMALL)
+    scaled = (rows.T @ state["mean"] @ columns / correction) / (
+        (state["square"] / correction).sqrt() + SMALL
+    )
     for name, product in sides.items():
         state[name].lerp_(product, 1.0 - DECAY)
-        if int(state["step"]) % EVERY == 0:  # a power iteration follows the slowly turning eigenvectors
-            state[f"{name} basis"] = torch.linalg.qr(state[name] @ state[f"{name} basis"])[0].contiguous()
+        if (
+            int(state["step"]) % EVERY == 0
+        ):  # a power iteration follows the slowly turning eigenvectors
+            state[f"{name} basis"] = torch.linalg.qr(state[name] @ state[f"{name} basis"])[
+                0
+            ].contiguous()
     return rows @ scaled @ columns.T

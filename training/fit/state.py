@@ -1,4 +1,6 @@
-"""State of an interrupted training: one file with weights, the optimiser's moments, the generator's state and the curve."""
+"""State of an interrupted training: one file with weights, the optimiser's moments, the generator's
+state and the curve.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ from training.evaluation.results import Run
 
 SCHEMA = "grasp-force/training-state/1"
 SPACE = 32_000_000
-"""Free space needed before a training starts [bytes]: model and state, and a second copy of each while it is replaced."""
+"""Free space needed before a training starts [bytes]: model and state, and a second copy of each
+while it is replaced."""
 
 
 @dataclass
@@ -30,7 +33,8 @@ class FitProgress:
     Attributes:
         step: optimisation steps taken.
         seconds: wall time of these steps.
-        cpu_seconds: processor time of these steps, which other programs on the machine do not change.
+        cpu_seconds: processor time of these steps, which other programs on the machine do not
+            change.
         curve: rows of held-out scores.
     """
 
@@ -41,7 +45,8 @@ class FitProgress:
 
 
 class StateFile:
-    """File `<out>.state.safetensors`, replaced at every save and removed when the model is finished.
+    """File `<out>.state.safetensors`, replaced at every save and removed when the model is
+    finished.
 
     Args:
         out: stem of the model's files.
@@ -54,10 +59,13 @@ class StateFile:
 
     @classmethod
     def begin(cls, out: Path | None, settings: dict[str, Any], resume: bool) -> StateFile | None:
-        """Return the state file of a training, None if `out` is None. It can be written and, if asked for, resumed.
+        """Return the state file of a training, None if `out` is None.
+
+        It can be written and, if asked for, resumed.
 
         Raises:
-            InvalidInputError: the folder cannot be written, its disk is too full, or it holds an unfinished training.
+            InvalidInputError: the folder cannot be written, its disk is too full, or it holds an
+                unfinished training.
             ModelFileError: nothing to resume, or a damaged or foreign file.
         """
         if out is None:
@@ -78,16 +86,26 @@ class StateFile:
         return state
 
     def save(
-        self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator, now: FitProgress
+        self,
+        module: nn.Module,
+        optimiser: torch.optim.Optimizer,
+        rng: np.random.Generator,
+        now: FitProgress,
     ) -> None:
         """Write everything under a temporary name, then rename it."""
-        tensors = {f"weight.{name}": value.detach().numpy() for name, value in module.state_dict().items()}
+        tensors = {
+            f"weight.{name}": value.detach().numpy() for name, value in module.state_dict().items()
+        }
         for index, moments in optimiser.state_dict()["state"].items():
             tensors |= {f"moment.{index}.{name}": value.numpy() for name, value in moments.items()}
         tensors = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
         meta = {
-            "schema": SCHEMA, "settings": self._settings, **vars(now), "rng": rng.bit_generator.state, "sha256": _digest(tensors),
-        }  # fmt: skip
+            "schema": SCHEMA,
+            "settings": self._settings,
+            **vars(now),
+            "rng": rng.bit_generator.state,
+            "sha256": _digest(tensors),
+        }
         try:
             with replacing(self.path) as temporary:
                 temporary.write_bytes(save(tensors, {"training": json.dumps(meta)}))
@@ -96,7 +114,9 @@ class StateFile:
                 f"cannot write {self.path}, the last state is still whole: {file_fault(error, '--out')}"
             ) from None
 
-    def restore(self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator) -> FitProgress:
+    def restore(
+        self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator
+    ) -> FitProgress:
         """Restore the saved weights, moments and generator.
 
         Raises:
@@ -104,16 +124,22 @@ class StateFile:
         """
         tensors, meta = self._read()
         try:
-            module.load_state_dict({k[7:]: torch.from_numpy(v) for k, v in tensors.items() if k.startswith("weight.")})
+            module.load_state_dict(
+                {k[7:]: torch.from_numpy(v) for k, v in tensors.items() if k.startswith("weight.")}
+            )
             moments: dict[int, dict[str, torch.Tensor]] = {}
             for key, value in tensors.items():
                 if key.startswith("moment."):
                     _, index, name = key.split(".")
                     moments.setdefault(int(index), {})[name] = torch.from_numpy(value).clone()
-            optimiser.load_state_dict({"state": moments, "param_groups": optimiser.state_dict()["param_groups"]})
+            optimiser.load_state_dict(
+                {"state": moments, "param_groups": optimiser.state_dict()["param_groups"]}
+            )
             rng.bit_generator.state = meta["rng"]
             curve = [[float(value) for value in row] for row in meta["curve"]]
-            return FitProgress(int(meta["step"]), float(meta["seconds"]), float(meta["cpu_seconds"]), curve)
+            return FitProgress(
+                int(meta["step"]), float(meta["seconds"]), float(meta["cpu_seconds"]), curve
+            )
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             raise self._damaged(error) from None
 
@@ -123,13 +149,17 @@ class StateFile:
 
     def _read(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         if not self.path.is_file():
-            raise ModelFileError(f"{self.path} does not exist, there is nothing to resume: leave --resume out")
+            raise ModelFileError(
+                f"{self.path} does not exist, there is nothing to resume: leave --resume out"
+            )
         try:
             with safe_open(self.path, framework="numpy") as file:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  not a mapping
                 meta = json.loads((file.metadata() or {})["training"])
             if meta["schema"] != SCHEMA:
-                raise ModelFileError(f"{self.path} has schema {meta['schema']!r}, this version reads {SCHEMA!r}")
+                raise ModelFileError(
+                    f"{self.path} has schema {meta['schema']!r}, this version reads {SCHEMA!r}"
+                )
             if meta["sha256"] != _digest(tensors):
                 raise ValueError("its sha256 does not fit")
             settings = dict(meta["settings"])
@@ -140,14 +170,19 @@ class StateFile:
         names = sorted({*settings, *self._settings})
         other = [name for name in names if settings.get(name) != self._settings.get(name)]
         if other:
-            changes = "; ".join(f"{name} was {settings.get(name)!r}, is {self._settings.get(name)!r}" for name in other)
+            changes = "; ".join(
+                f"{name} was {settings.get(name)!r}, is {self._settings.get(name)!r}"
+                for name in other
+            )
             raise InvalidInputError(
                 f"{self.path} was begun with other settings ({changes}): give the same settings with --resume"
             )
         return tensors, meta
 
     def _damaged(self, error: Exception) -> ModelFileError:
-        return ModelFileError(f"{self.path} is truncated or was changed ({error}): remove it and train anew")
+        return ModelFileError(
+            f"{self.path} is truncated or was changed ({error}): remove it and train anew"
+        )
 
 
 def _digest(tensors: dict[str, np.ndarray]) -> str:

@@ -1,4 +1,6 @@
-"""Program `grasp`: run one sub-command, report errors in one line or as JSON, and return an exit code."""
+"""Program `grasp`: run one sub-command, report errors in one line or as JSON, and return an exit
+code.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ COMMANDS = {
     "rl": ("RL", "Train a reinforcement-learning agent, and score it."),
     "reproduce": ("Reproduce", "Study what the paper leaves open, and its claims."),
 }
-"""Class in `training.program.commands.<sub-command>`, and line in `grasp --help`, of each sub-command."""
+"""Class in `training.program.commands.<sub-command>`, and line in `grasp --help`, of each
+sub-command."""
 EXIT_CODES = {
     0: "done",
     1: "a fault of the program",
@@ -45,7 +48,11 @@ EXIT_CODES = {
     130: "interrupted",
 }
 """Exit codes of `grasp` and their meaning."""
-_CODES: dict[type[GraspError], int] = {InfeasibleWrenchError: 3, NotConvergedError: 4, InfeasibleStartError: 4}
+_CODES: dict[type[GraspError], int] = {
+    InfeasibleWrenchError: 3,
+    NotConvergedError: 4,
+    InfeasibleStartError: 4,
+}
 """Exit codes of errors other than wrong usage."""
 HELP = """usage: grasp COMMAND [OPTIONS]
 
@@ -70,7 +77,8 @@ class UsageError(InvalidInputError):
     """Options that a sub-command does not have.
 
     Attributes:
-        page: the message as the option parser printed it, with a "did you mean" line if a name is misspelt.
+        page: the message as the option parser printed it, with a "did you mean" line if a name is
+            misspelt.
     """
 
     def __init__(self, page: str, words: Sequence[str]) -> None:
@@ -78,13 +86,21 @@ class UsageError(InvalidInputError):
 
         text = " ".join(Text.from_ansi(page).plain.translate(_FRAME).split())
         super().__init__(text)
-        names = {name.strip("'(),.") for name in text.split()}  # both the given and the allowed ones
-        questions = [alike(word, names - {word}) for word in words if word in names and not word.startswith("-")]
+        names = {
+            name.strip("'(),.") for name in text.split()
+        }  # both the given and the allowed ones
+        questions = [
+            alike(word, names - {word})
+            for word in words
+            if word in names and not word.startswith("-")
+        ]
         self.page = page + "".join(f"grasp:{question}\n" for question in questions if question)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one sub-command. Errors are printed on stderr and, with --json among the arguments, as JSON on stdout.
+    """Run one sub-command.
+
+    Errors are printed on stderr and, with --json among the arguments, as JSON on stdout.
 
     Args:
         arguments: words of the command line; None: those of this process.
@@ -114,7 +130,8 @@ def _parse(words: list[str]) -> Any:
         UsageError: the sub-command has no such options.
         SystemExit: after printing help, the version or a completion.
     """
-    name, rest = (words or ["--help"])[0], words[1:]
+    name = (words or ["--help"])[0]
+    rest = words[1:]
     if name in ("--help", "-h", "--version"):
         sys.stdout.write(f"{_version()}\n" if name == "--version" else HELP)
         raise SystemExit(0)
@@ -128,7 +145,9 @@ def _parse(words: list[str]) -> Any:
         with redirect_stderr(printed):
             if name in COMMANDS:
                 return tyro.cli(_load(name), prog=f"grasp {name}", args=rest)
-            every: Any = reduce(or_, (Annotated[_load(each), tyro.conf.subcommand(each)] for each in COMMANDS))
+            every: Any = reduce(
+                or_, (Annotated[_load(each), tyro.conf.subcommand(each)] for each in COMMANDS)
+            )
             return tyro.cli(every, prog="grasp", args=words)  # a completion lists all options
     except SystemExit as stop:
         if stop.code:
@@ -149,25 +168,32 @@ def _version() -> str:
     from grasp_env.core import build_info
 
     built = build_info()
-    core = " ".join(built[part] for part in ("version", "compiler", "instruction_set", "build_type", "arch"))
+    core = " ".join(
+        built[part] for part in ("version", "compiler", "instruction_set", "build_type", "arch")
+    )
     return f"grasp {__version__}, core {core}, Python {platform.python_version()}"
 
 
 def _fail(error: BaseException, as_json: bool) -> int:
     """Print an error on stderr, and as JSON on stdout if `as_json`; return the exit code."""
-    code, message, page = 2, str(error), getattr(error, "page", "")
+    code = 2
+    message = str(error)
+    page = getattr(error, "page", "")
     if isinstance(error, GraspError):
         code = next((code for kind, code in _CODES.items() if isinstance(error, kind)), 2)
     elif isinstance(error, KeyboardInterrupt):
         code, message = 130, "interrupted"
-    elif isinstance(error, OSError):  # for any file: a full disk, no permission, a name that is too long
+    elif isinstance(
+        error, OSError
+    ):  # for any file: a full disk, no permission, a name that is too long
         from grasp_env.inputs.files import file_fault
 
         message = ("" if error.filename is None else f"{error.filename}: ") + file_fault(error)
     else:
         from traceback import format_exc
 
-        code, page = 1, f"{format_exc()}grasp: this is a fault of the program; please report it with the lines above\n"
+        code = 1
+        page = f"{format_exc()}grasp: this is a fault of the program; please report it with the lines above\n"
     sys.stderr.write(page or f"grasp: {message}\n")
     if as_json:
         from training.program.commands.answers import write_json

@@ -1,7 +1,8 @@
 """Pictures and videos of the hand, without a display.
 
 This command made the picture of the README and the site:
-grasp demo --video docs/static/hand.webp --task move --motion rotate --disturbance paper_path --seconds 4 --size 600 600
+grasp demo --video docs/static/hand.webp --task move --motion rotate --disturbance paper_path
+--seconds 4 --size 600 600
 """
 
 from __future__ import annotations
@@ -73,10 +74,12 @@ def record(
     policy: Policy | None = None,
     **settings: Any,
 ) -> Ending:
-    """Roll out the hand, save the last frame (.png) or a video (.mp4, .gif, .webp) at 25 frames/s, and return the outcome.
+    """Roll out the hand, save the last frame (.png) or a video (.mp4, .gif, .webp) at 25 frames/s,
+    and return the outcome.
 
-    Frames are written one by one, but those of .webp, the smallest format that browsers play, at the end. The file gets its
-    name when it is complete. If ctrl-C stops the recording, an older file stays unchanged.
+    Frames are written one by one, but those of .webp, the smallest format that browsers play, at
+    the end. The file gets its name when it is complete. If ctrl-C stops the recording, an older
+    file stays unchanged.
 
     Args:
         out: the file.
@@ -115,11 +118,15 @@ def record(
 def _frames(
     env: gym.Env[Any, Any], seed: int, policy: Policy | None, only_last: bool, ending: Ending
 ) -> Generator[np.ndarray]:
-    """Yield the pictures of one episode and keep `ending` up to date; a terminal shows a progress bar."""
+    """Yield the pictures of one episode and keep `ending` up to date; a terminal shows a progress
+    bar.
+    """
     rate = int(env.metadata["render_fps"])
     every = max(1, round(rate / FRAME_RATE))
     with progress(Console(stderr=True)) as bar:
-        task = bar.add_task("recording", total=getattr(env.unwrapped.spec, "max_episode_steps", None))
+        task = bar.add_task(
+            "recording", total=getattr(env.unwrapped.spec, "max_episode_steps", None)
+        )
         for place, step in enumerate(episode(env, seed, policy)):
             ending.seconds = (place + 1) / rate
             ending.drift = max(ending.drift, float(step.info.get("drift", 0.0)))
@@ -135,7 +142,12 @@ def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
         _write_film(path, first, frames)
         return
     rest: Any = map(Image.fromarray, frames)
-    options: dict[str, Any] = {"append_images": rest, "save_all": True, "duration": 1000 // FRAME_RATE, "loop": 0}
+    options: dict[str, Any] = {
+        "append_images": rest,
+        "save_all": True,
+        "duration": 1000 // FRAME_RATE,
+        "loop": 0,
+    }
     if path.suffix == ".webp":
         options |= {"append_images": list(rest), "quality": 65, "method": 4}
     made = io.BytesIO()  # writing to a file, an encoder would not tell why it failed
@@ -144,12 +156,17 @@ def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
 
 
 def _write_film(path: Path, first: np.ndarray, frames: Iterator[np.ndarray]) -> None:
-    """Write an .mp4; raise an OSError if ffmpeg, whose end imageio does not report, has not finished it."""
+    """Write an .mp4; raise an OSError if ffmpeg, whose end imageio does not report, has not
+    finished it.
+    """
     import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
 
     # H.264 stores colours in blocks of two pixels
-    size, ended = (first.shape[1], first.shape[0]), False
-    with closing(imageio_ffmpeg.write_frames(path, size, fps=FRAME_RATE, quality=8, macro_block_size=2)) as writer:
+    size = (first.shape[1], first.shape[0])
+    ended = False
+    with closing(
+        imageio_ffmpeg.write_frames(path, size, fps=FRAME_RATE, quality=8, macro_block_size=2)
+    ) as writer:
         writer.send(None)
         for frame in chain([first], frames):
             try:
@@ -160,17 +177,24 @@ def _write_film(path: Path, first: np.ndarray, frames: Iterator[np.ndarray]) -> 
     if ended or not _is_whole(path):
         if shutil.disk_usage(path.parent).free < FULL:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-        raise OSError(errno.EIO, "ffmpeg did not finish the film, for a reason that it printed", str(path))
+        raise OSError(
+            errno.EIO, "ffmpeg did not finish the film, for a reason that it printed", str(path)
+        )
 
 
 def _is_whole(path: Path) -> bool:
-    """Return True if the boxes of an .mp4 fill the file, the index among them, which ffmpeg writes last."""
-    names, place, size = set[bytes](), 0, os.path.getsize(path) if path.exists() else 0
+    """Return True if the boxes of an .mp4 fill the file, the index among them, which ffmpeg writes
+    last.
+    """
+    names = set[bytes]()
+    place = 0
+    size = os.path.getsize(path) if path.exists() else 0
     while place < size:
         with path.open("rb") as file:
             file.seek(place)
             head = file.read(16)
-        length, name = int.from_bytes(head[:4], "big"), head[4:8]
+        length = int.from_bytes(head[:4], "big")
+        name = head[4:8]
         if length == 1:  # the length of a large box follows its name
             length = int.from_bytes(head[8:], "big")
         if length < 8:

@@ -1,4 +1,6 @@
-"""stable-baselines3 agents that start near the zero policy, and conversion of their state to and from plain arrays."""
+"""stable-baselines3 agents that start near the zero policy, and conversion of their state to and
+from plain arrays.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +19,23 @@ from training.rl.rl_config import RLConfig
 
 _WIDTHS = [64, 64]
 _MEAN_GAIN = 0.01
-"""Gain of the last layer of the mean action: stable-baselines3's value for PPO, also used for SAC."""
+"""Gain of the last layer of the mean action: stable-baselines3's value for PPO, also used for SAC.
+"""
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 Arrays = dict[str, dict[str, np.ndarray]]
 
 
 def make_envs(settings: dict[str, Any], count: int, gamma: float) -> VecNormalize:
-    """Make parallel environments behind a normaliser of observations and rewards; seed them with `first_seed`.
+    """Make parallel environments behind a normaliser of observations and rewards; seed them with
+    `first_seed`.
 
-    They run in one process: one process each was no faster on two cores (steps/s: 4 environments 912 in one process, 844 in
-    four; 8 environments 737 and 820), since sending the data of a step costs almost as much as the step.
+    They run in one process: one process each was no faster on two cores (steps/s: 4 environments
+    912 in one process, 844 in four; 8 environments 737 and 820), since sending the data of a step
+    costs almost as much as the step.
 
-    Rewards are not clipped. `VecNormalize` divides them by their deviation and does not subtract their mean: with a discount of 0 they
-    exceed 10, so that its default clip at 10 would make them all equal.
+    Rewards are not clipped. `VecNormalize` divides them by their deviation and does not subtract
+    their mean: with a discount of 0 they exceed 10, so that its default clip at 10 would make them
+    all equal.
 
     Args:
         settings: settings of the environment, as from `EnvConfig.to_dict`.
@@ -37,14 +43,17 @@ def make_envs(settings: dict[str, Any], count: int, gamma: float) -> VecNormaliz
         gamma: discount of the return whose deviation scales rewards.
     """
     envs = make_vec_env(
-        f"grasp_env:{ENV_ID}", count, env_kwargs={"render_mode": None, "config": settings},
+        f"grasp_env:{ENV_ID}",
+        count,
+        env_kwargs={"render_mode": None, "config": settings},
         monitor_kwargs={"info_keywords": ("is_success",)},
-    )  # fmt: skip
+    )
     return VecNormalize(envs, gamma=gamma, clip_reward=np.inf)
 
 
 def first_seed(seed: int, steps: int) -> int:
-    """Return the seed of the first environment after a number of steps, in [2**30, 2**31); the other environments have the next ones.
+    """Return the seed of the first environment after a number of steps, in [2**30, 2**31); the
+    other environments have the next ones.
 
     A resumed training sees new episodes, and no training sees the episodes that score agents.
     """
@@ -53,22 +62,47 @@ def first_seed(seed: int, steps: int) -> int:
 
 
 def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
-    """Make an untrained agent whose mean action is nearly zero and whose exploration is `config.deviation`."""
+    """Make an untrained agent whose mean action is nearly zero and whose exploration is
+    `config.deviation`.
+    """
     torch.set_num_threads(1)  # more threads do not help networks this small
-    common: Any = {"learning_rate": config.learning_rate, "gamma": config.gamma, "seed": seed, "device": "cpu"}
+    common: Any = {
+        "learning_rate": config.learning_rate,
+        "gamma": config.gamma,
+        "seed": seed,
+        "device": "cpu",
+    }
     if config.algorithm == "ppo":
-        rollout = 8 * max(config.rollout // config.envs // 8, 1)  # steps of an environment: eight batches
+        # steps of an environment: eight batches
+        rollout = 8 * max(config.rollout // config.envs // 8, 1)
         policy = {"net_arch": _WIDTHS, "log_std_init": math.log(config.deviation)}
         size = rollout * config.envs // 8
-        return PPO("MlpPolicy", envs, n_steps=rollout, batch_size=size, n_epochs=10, policy_kwargs=policy, **common)
-    # entropy of a normal distribution with that deviation; SAC's temperature keeps the exploration there
+        return PPO(
+            "MlpPolicy",
+            envs,
+            n_steps=rollout,
+            batch_size=size,
+            n_epochs=10,
+            policy_kwargs=policy,
+            **common,
+        )
+    # entropy of a normal distribution with that deviation; SAC's temperature keeps the exploration
+    # there
     entropy = math.log(config.deviation * math.sqrt(2.0 * math.pi * math.e))
     agent = SAC(
-        "MlpPolicy", envs, buffer_size=config.buffer, learning_starts=config.warmup, batch_size=256,
-        train_freq=1, gradient_steps=max(config.envs // 2, 1), ent_coef="auto_0.01", tau=0.01,
+        "MlpPolicy",
+        envs,
+        buffer_size=config.buffer,
+        learning_starts=config.warmup,
+        batch_size=256,
+        train_freq=1,
+        gradient_steps=max(config.envs // 2, 1),
+        ent_coef="auto_0.01",
+        tau=0.01,
         target_entropy=entropy * envs.action_space.shape[0],  # type: ignore[index]
-        policy_kwargs={"net_arch": _WIDTHS}, **common,
-    )  # fmt: skip
+        policy_kwargs={"net_arch": _WIDTHS},
+        **common,
+    )
     with torch.no_grad():
         torch.nn.init.orthogonal_(agent.actor.mu.weight, _MEAN_GAIN)  # type: ignore[arg-type]
         agent.actor.mu.bias.zero_()  # type: ignore[operator, union-attr]
@@ -78,7 +112,9 @@ def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
 
 
 def arrays(agent: PPO | SAC, envs: VecNormalize) -> Arrays:
-    """Return weights ("policy"), optimisers ("optimiser"), the normaliser and, of SAC, the replay buffer ("replay") as arrays by name."""
+    """Return weights ("policy"), optimisers ("optimiser"), the normaliser and, of SAC, the replay
+    buffer ("replay") as arrays by name.
+    """
     found = agent.get_parameters()
     out: dict[str, dict[str, Any]] = {"policy": found.pop("policy")}
     out["optimiser"] = {
@@ -89,14 +125,19 @@ def arrays(agent: PPO | SAC, envs: VecNormalize) -> Arrays:
     }
     out["normaliser"] = {"epsilon": envs.epsilon, "clip": envs.clip_obs}
     for prefix, running in _running(envs).items():
-        out["normaliser"] |= {f"{prefix}{part}": getattr(running, part) for part in ("mean", "var", "count")}
+        out["normaliser"] |= {
+            f"{prefix}{part}": getattr(running, part) for part in ("mean", "var", "count")
+        }
     if isinstance(agent, SAC):
         replay: Any = agent.replay_buffer
         out["optimiser"]["log_ent_coef"] = agent.log_ent_coef
         filled = replay.buffer_size if replay.full else replay.pos
         out["replay"] = {name: getattr(replay, name)[:filled] for name in _REPLAY}
         out["replay"] |= {"pos": replay.pos, "full": replay.full}
-    return {stem: {name: _array(value) for name, value in values.items()} for stem, values in out.items()}
+    return {
+        stem: {name: _array(value) for name, value in values.items()}
+        for stem, values in out.items()
+    }
 
 
 def restore(agent: PPO | SAC, envs: VecNormalize, saved: Arrays) -> None:
@@ -114,18 +155,26 @@ def restore(agent: PPO | SAC, envs: VecNormalize, saved: Arrays) -> None:
             for name in _REPLAY:
                 getattr(replay, name)[: len(saved["replay"][name])] = saved["replay"][name]
             replay.pos, replay.full = int(saved["replay"]["pos"]), bool(saved["replay"]["full"])
-        parameters["policy"] = {name: torch.from_numpy(value.copy()) for name, value in saved["policy"].items()}
+        parameters["policy"] = {
+            name: torch.from_numpy(value.copy()) for name, value in saved["policy"].items()
+        }
         for path, value in held.items():
             name, place, key = path.split("/")
             parameters[name]["state"].setdefault(int(place), {})[key] = value
         agent.set_parameters(parameters)
         for prefix, running in _running(envs).items():
-            mean, var, count = (saved["normaliser"][f"{prefix}{part}"] for part in ("mean", "var", "count"))
+            mean, var, count = (
+                saved["normaliser"][f"{prefix}{part}"] for part in ("mean", "var", "count")
+            )
             if mean.shape != running.mean.shape:
-                raise ValueError(f"normaliser of {mean.shape}, observations of {running.mean.shape}")
+                raise ValueError(
+                    f"normaliser of {mean.shape}, observations of {running.mean.shape}"
+                )
             running.mean, running.var, running.count = mean, var, float(count)
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-        raise ModelFileError(f"the checkpoint does not fit the agent ({error}): train anew with `grasp rl`") from None
+        raise ModelFileError(
+            f"the checkpoint does not fit the agent ({error}): train anew with `grasp rl`"
+        ) from None
 
 
 def _running(envs: VecNormalize) -> dict[str, Any]:
@@ -134,4 +183,8 @@ def _running(envs: VecNormalize) -> dict[str, Any]:
 
 
 def _array(value: Any) -> np.ndarray:
-    return value.detach().cpu().numpy().copy() if isinstance(value, torch.Tensor) else np.asarray(value)
+    return (
+        value.detach().cpu().numpy().copy()
+        if isinstance(value, torch.Tensor)
+        else np.asarray(value)
+    )

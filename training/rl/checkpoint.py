@@ -1,4 +1,6 @@
-"""Checkpoints of a training: all that is needed to continue it, in the format of `policies.agent_files`."""
+"""Checkpoints of a training: all that is needed to continue it, in the format of
+`policies.agent_files`.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,13 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
 from grasp_env.errors import InvalidInputError
-from policies.agent_files import find_checkpoint, read_arrays, read_meta, read_tensors, write_checkpoint
+from policies.agent_files import (
+    find_checkpoint,
+    read_arrays,
+    read_meta,
+    read_tensors,
+    write_checkpoint,
+)
 from training.evaluation.results import provenance
 from training.rl.agent import arrays, first_seed, restore
 from training.rl.rl_config import RLConfig
@@ -20,7 +28,16 @@ from training.rl.rl_config import RLConfig
 FOLDER = "checkpoints"
 _TENSORS = ("policy", "optimiser")
 """Parts written as safetensors; the others are npz."""
-_FREE = ("steps", "seed", "seeds", "episodes", "curve_points", "curve_episodes", "checkpoint_every", "quick")
+_FREE = (
+    "steps",
+    "seed",
+    "seeds",
+    "episodes",
+    "curve_points",
+    "curve_episodes",
+    "checkpoint_every",
+    "quick",
+)
 """Settings that a resumed training may change, since they do not affect learning."""
 _SPARE = 50_000_000
 """Size of weights, logs and figures, without replay buffers [bytes]."""
@@ -49,7 +66,11 @@ class Training:
     curve: list[dict[str, Any]] = field(default_factory=list)
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[np.ndarray, Any]:
         """See `Policy`."""
         seen: Any = self.envs.normalize_obs(np.asarray(observation))
@@ -60,40 +81,64 @@ class Training:
         agent, config = self.agent, self.config
         seconds, cpu_seconds = self.spent.round(2).tolist()
         meta = {
-            "algorithm": config.algorithm, "action": config.action, **config.sizes, "seed": self.seed, "config": asdict(config),
-            "env_settings": config.env_settings, "provenance": provenance(), "updates": agent._n_updates,
-            "episodes": agent._episode_num, "seconds": seconds, "cpu_seconds": cpu_seconds, "curve": self.curve,
-        }  # fmt: skip
+            "algorithm": config.algorithm,
+            "action": config.action,
+            **config.sizes,
+            "seed": self.seed,
+            "config": asdict(config),
+            "env_settings": config.env_settings,
+            "provenance": provenance(),
+            "updates": agent._n_updates,
+            "episodes": agent._episode_num,
+            "seconds": seconds,
+            "cpu_seconds": cpu_seconds,
+            "curve": self.curve,
+        }
         held = arrays(agent, self.envs)
         tensors = {stem: held.pop(stem) for stem in _TENSORS}
         return write_checkpoint(self.folder / FOLDER, agent.num_timesteps, meta, tensors, held)
 
     def resume(self) -> None:
-        """Restore the newest checkpoint of the folder; new episodes start, with seeds not used before.
+        """Restore the newest checkpoint of the folder; new episodes start, with seeds not used
+        before.
 
         Raises:
             ModelFileError: no complete checkpoint, or one that does not fit.
             InvalidInputError: it was trained with other settings.
         """
-        found, meta = find_checkpoint(self.folder), check_settings(self.folder, self.config, self.seed)
+        found = find_checkpoint(self.folder)
+        meta = check_settings(self.folder, self.config, self.seed)
         stems = ("normaliser", *(("replay",) if self.config.algorithm == "sac" else ()))
         saved = {stem: read_tensors(found, meta, stem) for stem in _TENSORS}
-        restore(self.agent, self.envs, saved | {stem: read_arrays(found, meta, stem) for stem in stems})
+        restore(
+            self.agent, self.envs, saved | {stem: read_arrays(found, meta, stem) for stem in stems}
+        )
         agent = self.agent
-        agent.num_timesteps, agent._n_updates, agent._episode_num = meta["steps"], meta["updates"], meta["episodes"]
+        agent.num_timesteps = meta["steps"]
+        agent._n_updates = meta["updates"]
+        agent._episode_num = meta["episodes"]
         agent.set_random_seed(first_seed(self.seed, meta["steps"]))  # seeds the environments, too
-        self.spent, self.curve = np.array([meta["seconds"], meta["cpu_seconds"]]), meta["curve"]
+        self.spent = np.array([meta["seconds"], meta["cpu_seconds"]])
+        self.curve = meta["curve"]
 
 
 def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
-    """Return the metadata of the newest checkpoint of `folder`; raise as `Training.resume` does, before any change."""
+    """Return the metadata of the newest checkpoint of `folder`; raise as `Training.resume` does,
+    before any change.
+    """
     found = find_checkpoint(folder)
     meta = read_meta(found)
     now = {**asdict(config), "env_settings": config.env_settings}
     before = {**meta["config"], "env_settings": meta["env_settings"]}
-    wrong = {name: value for name, value in now.items() if name not in _FREE and before.get(name) != value}
+    wrong = {
+        name: value
+        for name, value in now.items()
+        if name not in _FREE and before.get(name) != value
+    }
     if wrong or meta["seed"] != seed:
-        changes = ", ".join(f"{name} {before.get(name)!r}, now {value!r}" for name, value in wrong.items())
+        changes = ", ".join(
+            f"{name} {before.get(name)!r}, now {value!r}" for name, value in wrong.items()
+        )
         raise InvalidInputError(
             f"{found} was trained with other settings ({changes or 'another seed'}): give the same, or another --out"
         )

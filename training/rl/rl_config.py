@@ -22,9 +22,11 @@ class RLConfig:
 
     Attributes:
         algorithm: ppo or sac of stable-baselines3.
-        env: JSON of the environment's settings, as keywords of `gym.make`: {"hand": "allegro", "shape": "sphere", "size": [0.06]}. The
-            default is the cuboid under a random wrench, with the paper's start and flow.
-        action: initial_force (adjusts the solver's start; zero is the paper's) or contact_force (no solver).
+        env: JSON of the environment's settings, as keywords of `gym.make`: {"hand": "allegro",
+            "shape": "sphere", "size": [0.06]}. The default is the cuboid under a random wrench,
+            with the paper's start and flow.
+        action: initial_force (adjusts the solver's start; zero is the paper's) or contact_force (no
+            solver).
         steps: environment steps per seed, rounded up to whole updates.
         seed: seed of everything random in training.
         seeds: several seeds, with one sub-folder each; empty: `seed` alone.
@@ -37,10 +39,10 @@ class RLConfig:
         warmup: sac: steps with random actions before the first update.
         buffer: sac: transitions in the replay buffer.
         learning_rate: learning rate of Adam; 0: 1e-3 for ppo, 5e-4 for sac.
-        gamma: discount; negative: 0 for initial_force, where an action affects only the iterations of its own step, 0.97 for
-            contact_force.
-        deviation: initial standard deviation of the exploration, for actions in [-1, 1]; 0: 0.1 (0.5 N) for initial_force, 0.3 for
-            contact_force.
+        gamma: discount; negative: 0 for initial_force, where an action affects only the iterations
+            of its own step, 0.97 for contact_force.
+        deviation: initial standard deviation of the exploration, for actions in [-1, 1]; 0: 0.1
+            (0.5 N) for initial_force, 0.3 for contact_force.
         quick: a small version that ends within a minute; its report is marked as quick.
     """
 
@@ -74,14 +76,20 @@ class RLConfig:
             number(getattr(self, name), name)
         if len(set(self.seeds)) != len(self.seeds):
             raise InvalidInputError(f"seeds must be different integers >= 0, got {self.seeds}")
-        if not 0.0 <= self.learning_rate < 1.0 or not self.gamma < 1.0 or not 0.0 <= self.deviation <= 1.0:
+        if (
+            not 0.0 <= self.learning_rate < 1.0
+            or not self.gamma < 1.0
+            or not 0.0 <= self.deviation <= 1.0
+        ):
             raise InvalidInputError(
                 "learning_rate must be in [0, 1), gamma below 1, deviation in [0, 1], "
                 f"got {self.learning_rate}, {self.gamma}, {self.deviation}"
             )
 
     def resolved(self) -> RLConfig:
-        """Return the settings with every default filled in, and smaller counts if `quick`; the protocol is the same."""
+        """Return the settings with every default filled in, and smaller counts if `quick`; the
+        protocol is the same.
+        """
         force = self.action == "initial_force"
         full = replace(
             self,
@@ -94,9 +102,13 @@ class RLConfig:
             return full
         steps = {"ppo": 8_192, "sac": 3_000}[self.algorithm]
         return replace(
-            full, steps=min(full.steps, steps), seeds=full.seeds[:1], episodes=min(full.episodes, 4), curve_points=3,
+            full,
+            steps=min(full.steps, steps),
+            seeds=full.seeds[:1],
+            episodes=min(full.episodes, 4),
+            curve_points=3,
             curve_episodes=2,
-        )  # fmt: skip
+        )
 
     @property
     def env_settings(self) -> dict[str, Any]:
@@ -110,12 +122,18 @@ class RLConfig:
         try:
             given = json.loads(self.env)
         except ValueError as error:
-            raise InvalidInputError(f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}') from None
+            raise InvalidInputError(
+                f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}'
+            ) from None
         if "action_mode" in instance(given, dict, "env"):
             raise InvalidInputError(
                 f"env has action_mode {given['action_mode']!r}: leave it out, action={self.action!r} sets it"
             )
-        return EnvConfig().override(**{"disturbance": "random", **given, "action_mode": self.action}).to_dict()
+        return (
+            EnvConfig()
+            .override(**{"disturbance": "random", **given, "action_mode": self.action})
+            .to_dict()
+        )
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -125,5 +143,11 @@ class RLConfig:
 
         hand = as_config(self.env_settings).hand_description
         fingers, joints = hand.finger_count, hand.joint_count
-        shown, given = len(bounds(fingers, joints)), action_size(self.action, fingers)
-        return {"fingers": fingers, "joints": joints, "observation_size": shown, "action_size": given}
+        shown = len(bounds(fingers, joints))
+        given = action_size(self.action, fingers)
+        return {
+            "fingers": fingers,
+            "joints": joints,
+            "observation_size": shown,
+            "action_size": given,
+        }

@@ -1,4 +1,6 @@
-"""Scores of a policy on held-out episodes, as rows; the same for agents and for the policies they are compared with."""
+"""Scores of a policy on held-out episodes, as rows; the same for agents and for the policies they
+are compared with.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +22,19 @@ def score(
     seeds: range,
     initial_force: str | InitialForceRule | None = None,
 ) -> list[dict[str, Any]]:
-    """Play the episodes of some seeds with deterministic actions, in one environment, and return their rows.
+    """Play the episodes of some seeds with deterministic actions, in one environment, and return
+    their rows.
 
     `initial_force` replaces the start rule of the settings.
 
     Returns:
-        A row for each step with "seed", "step", "reward" and, if a solver runs, "iterations". The last row of an episode also has the
+        A row for each step with "seed", "step", "reward" and, if a solver runs, "iterations". The
+        last row of an episode also has the
         columns of `outcome`.
     """
-    config = as_config(settings).override(**({} if initial_force is None else {"initial_force": initial_force}))
+    config = as_config(settings).override(
+        **({} if initial_force is None else {"initial_force": initial_force})
+    )
     solver = config.agent.action_mode != "contact_force"
     env = gym.make(f"grasp_env:{ENV_ID}", config=config)
     rows: list[dict[str, Any]] = []
@@ -46,15 +52,20 @@ def score(
 
 
 def outcome(steps: list[EpisodeStep], solver: bool = True) -> dict[str, Any]:
-    """Return the outcome of an episode: its return, whether the object was held to the end within the task's limits, and means."""
+    """Return the outcome of an episode: its return, whether the object was held to the end within
+    the task's limits, and means.
+    """
     infos = [step.info for step in steps]
     held = bool(infos[-1]["is_success"])
     return {
         "held": held,
         "failure": infos[-1]["fault"] or None,
         "return": sum(step.reward for step in steps),
-        "mean_iterations": sum(int(info["iterations"]) for info in infos) / len(infos) if solver else None,
-        "commanded_force": sum(float(info["commanded_force"][:, 0].sum()) for info in infos) / len(infos),
+        "mean_iterations": sum(int(info["iterations"]) for info in infos) / len(infos)
+        if solver
+        else None,
+        "commanded_force": sum(float(info["commanded_force"][:, 0].sum()) for info in infos)
+        / len(infos),
         "torque_share": sum(float(info["torque_share"]) for info in infos) / len(infos),
         "drift": 1e3 * max(float(info["drift"]) for info in infos) if held else None,
         "end_drift": 1e3 * float(infos[-1]["drift"]),

@@ -1,4 +1,6 @@
-"""Measurement of steps per second of environments alone, with an agent that acts, and with one that trains."""
+"""Measurement of steps per second of environments alone, with an agent that acts, and with one that
+trains.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,11 @@ def speeds(config: RLConfig) -> Iterator[dict[str, Any]]:
             agent.learn(STEPS, reset_num_timesteps=False)
 
         training()  # warm-up, which also resets the environments
-        for case, work in (("environment alone", alone), ("with inference", acting), ("with training", training)):
+        for case, work in (
+            ("environment alone", alone),
+            ("with inference", acting),
+            ("with training", training),
+        ):
             for _ in range(ROUNDS):
                 begun = time.perf_counter()
                 work()

@@ -1,4 +1,6 @@
-"""Training of agents (`grasp rl`) with checkpoints that a later call continues from, and scores beside policies that learn nothing."""
+"""Training of agents (`grasp rl`) with checkpoints that a later call continues from, and scores
+beside policies that learn nothing.
+"""
 
 from __future__ import annotations
 
@@ -34,14 +36,18 @@ from training.rl.score import score
 from training.rl.speed import speeds
 
 BASELINES = ("zero", "learned", "previous")
-"""Policies that agents are compared with: the zero policy (the paper's start), the shipped learned start, the previous solution."""
+"""Policies that agents are compared with: the zero policy (the paper's start), the shipped learned
+start, the previous solution."""
 STOP = ".stop"
-"""File in a run's folder that makes the seeds in training save and end, since worker processes ignore interrupts."""
+"""File in a run's folder that makes the seeds in training save and end, since worker processes
+ignore interrupts."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """Agent to train and score, or with no `seed` only to score, or with no `folder` one of `BASELINES`."""
+    """Agent to train and score, or with no `seed` only to score, or with no `folder` one of
+    `BASELINES`.
+    """
 
     name: str
     config: RLConfig
@@ -53,23 +59,43 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
     """Finish the training of a shard and score it; this runs in a worker.
 
     Returns:
-        Rows of the held-out episodes (case "held_out"), of those along the learning curve ("curve"; for the zero policy the same
+        Rows of the held-out episodes (case "held_out"), of those along the learning curve ("curve";
+        for the zero policy the same
         episodes), and one row with the cost of the training ("training").
     """
-    config, name, folder = shard.config, shard.name, shard.folder
-    who, extra = {"environment": config.env, "agent": name}, list[dict[str, Any]]()
+    config = shard.config
+    name = shard.name
+    folder = shard.folder
+    who = {"environment": config.env, "agent": name}
+    extra = list[dict[str, Any]]()
     if folder is not None:
         if shard.seed is not None:
-            train_seed(config, folder, shard.seed, bool(checkpoints(folder / FOLDER)), bar, folder.parent / STOP)
-        policy, rule = TrainedAgent.load(folder), None
+            train_seed(
+                config,
+                folder,
+                shard.seed,
+                bool(checkpoints(folder / FOLDER)),
+                bar,
+                folder.parent / STOP,
+            )
+        policy = TrainedAgent.load(folder)
+        rule = None
         meta = policy.meta
-        settings, who = meta["env_settings"], who | {"training_seed": meta["seed"]}
-        took = {"training_steps": meta["steps"], "seconds": meta["seconds"], "cpu_seconds": meta["cpu_seconds"]}
+        settings = meta["env_settings"]
+        who = who | {"training_seed": meta["seed"]}
+        took = {
+            "training_steps": meta["steps"],
+            "seconds": meta["seconds"],
+            "cpu_seconds": meta["cpu_seconds"],
+        }
         extra = [{"case": "curve", **row} for row in meta["curve"]] + [{"case": "training", **took}]
     else:
         config = replace(config, action="initial_force")
-        policy, settings = ZeroPolicy(config.sizes["action_size"]), config.env_settings
-        rule = {"learned": LearnedInitialForce.pretrained, "previous": lambda: "previous"}.get(name, lambda: None)()
+        policy = ZeroPolicy(config.sizes["action_size"])
+        settings = config.env_settings
+        rule = {"learned": LearnedInitialForce.pretrained, "previous": lambda: "previous"}.get(
+            name, lambda: None
+        )()
         if name == "zero":
             along = score(policy, settings, range(CURVE_SEED, CURVE_SEED + config.curve_episodes))
             extra = [{"case": "curve", **row} for row in along if "return" in row]
@@ -80,11 +106,12 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
 def train(config: RLConfig, out: Path, resume: bool = False, on: str = "") -> Run:
     """Train every seed and score the agents beside the baselines, in the run's folder `out`.
 
-    With `resume` each seed continues from its last complete checkpoint. For `on` see `map_shards`; empty: inline for one seed, else
-    one process with one thread per seed.
+    With `resume` each seed continues from its last complete checkpoint. For `on` see `map_shards`;
+    empty: inline for one seed, else one process with one thread per seed.
 
     Raises:
-        InvalidInputError: no such environment; the folder cannot be written, holds another or a finished run, or its disk is too full.
+        InvalidInputError: no such environment; the folder cannot be written, holds another or a
+            finished run, or its disk is too full.
         ModelFileError: a damaged checkpoint.
         KeyboardInterrupt: interrupted; every seed in training saves its last update.
     """
@@ -109,29 +136,46 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "") -> Ru
         finished.unlink()
     run = Run.create(out.parent, out.name)
     if begun and not resume:
-        raise InvalidInputError(f"{begun[0]} holds an unfinished training: add --resume, or choose another --out")
+        raise InvalidInputError(
+            f"{begun[0]} holds an unfinished training: add --resume, or choose another --out"
+        )
     if resume and not begun:
-        raise ModelFileError(f"{out} holds no checkpoint of seeds {config.seeds}: leave --resume out")
+        raise ModelFileError(
+            f"{out} holds no checkpoint of seeds {config.seeds}: leave --resume out"
+        )
     check_space(out, config)
     run.write_json("config.json", {**asdict(config), "env_settings": settings})
     name = f"{config.algorithm}/{config.action}"
-    shards = {folder.name: Shard(name, config, folder.absolute(), seed) for seed, folder in folders.items()}
+    shards = {
+        folder.name: Shard(name, config, folder.absolute(), seed)
+        for seed, folder in folders.items()
+    }
     return _finish(run, shards, config, on or ("inline" if len(shards) == 1 else "processes"))
 
 
 def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "") -> Run:
-    """Score the agents of all seeds of several runs, and measure how fast they act and train, alone in this process.
+    """Score the agents of all seeds of several runs, and measure how fast they act and train, alone
+    in this process.
 
-    The episodes are counted by `config`. For `on`, where agents are scored, see `map_shards`; empty: processes.
+    The episodes are counted by `config`. For `on`, where agents are scored, see `map_shards`;
+    empty: processes.
 
     Raises:
-        InvalidInputError: a folder is no finished run or holds no agent, or `out` cannot be written.
+        InvalidInputError: a folder is no finished run or holds no agent, or `out` cannot be
+            written.
     """
     runs = [Run.open(folder).folder for folder in folders]
-    metas = {seed: read_meta(find_checkpoint(seed)) for folder in runs for seed in sorted(folder.glob("seed-*"))}
+    metas = {
+        seed: read_meta(find_checkpoint(seed))
+        for folder in runs
+        for seed in sorted(folder.glob("seed-*"))
+    }
     if not metas:
-        raise InvalidInputError(f"no trained agent in {', '.join(map(str, folders))}: name folders of `grasp rl`")
-    config, shards = config.resolved(), dict[str, Shard]()
+        raise InvalidInputError(
+            f"no trained agent in {', '.join(map(str, folders))}: name folders of `grasp rl`"
+        )
+    config = config.resolved()
+    shards = dict[str, Shard]()
     for seed, meta in metas.items():  # the zero policy plays the episodes of the agents' curves
         names = ("algorithm", "action", "env", "envs", "rollout", "curve_episodes")
         kept = {name: meta["config"][name] for name in names}
@@ -139,20 +183,35 @@ def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "") 
         shards[str(seed)] = Shard(f"{meta['algorithm']}/{meta['action']}", mine, seed.absolute())
     run = Run.create(out.parent, out.name)
     kinds = {(shard.config.env, shard.name): shard.config for shard in shards.values()}
-    rates = ({"environment": env, "agent": name, **row} for (env, name), kind in kinds.items() for row in speeds(kind))
+    rates = (
+        {"environment": env, "agent": name, **row}
+        for (env, name), kind in kinds.items()
+        for row in speeds(kind)
+    )
     times = [] if config.quick else list(rates)
     return _finish(run, shards, config, on or "processes", times)
 
 
-def _finish(run: Run, shards: dict[str, Shard], config: RLConfig, on: str, more: Sequence[dict[str, Any]] = ()) -> Run:
+def _finish(
+    run: Run,
+    shards: dict[str, Shard],
+    config: RLConfig,
+    on: str,
+    more: Sequence[dict[str, Any]] = (),
+) -> Run:
     """Train and score agents, score the baselines in the same environments, and save the run."""
     worlds = {shard.config.env: shard.config for shard in shards.values()}
-    baselines = {f"{name} {env}": Shard(name, world) for env, world in worlds.items() for name in BASELINES}
-    every, stop = shards | baselines, run.path(STOP)
+    baselines = {
+        f"{name} {env}": Shard(name, world) for env, world in worlds.items() for name in BASELINES
+    }
+    every = shards | baselines
+    stop = run.path(STOP)
     stop.unlink(missing_ok=True)
     if on == "inline":
         with progress() as bar:  # also shows steps
-            rows = join([rows_of(shard, bar) for shard in bar.track(every.values(), description="agents")])
+            rows = join(
+                [rows_of(shard, bar) for shard in bar.track(every.values(), description="agents")]
+            )
     else:
         try:
             with interruptible(orderly=False):
@@ -165,17 +224,24 @@ def _finish(run: Run, shards: dict[str, Shard], config: RLConfig, on: str, more:
     metas = [read_meta(find_checkpoint(shard.folder)) for shard in shards.values() if shard.folder]
     kept_keys = ("algorithm", "action", "seed", "steps", "config", "env_settings", "provenance")
     agents = [{key: meta[key] for key in kept_keys} for meta in metas]
-    run.save(rows, {"kind": "rl", "quick": config.quick, "config": asdict(config), "agents": agents})
+    run.save(
+        rows, {"kind": "rl", "quick": config.quick, "config": asdict(config), "agents": agents}
+    )
     return run
 
 
 def train_seed(
-    config: RLConfig, folder: Path, seed: int, resume: bool, bar: Progress | None = None, stop: Path | None = None
+    config: RLConfig,
+    folder: Path,
+    seed: int,
+    resume: bool,
+    bar: Progress | None = None,
+    stop: Path | None = None,
 ) -> Path:
     """Train one agent to `config.steps`, from the start or from its checkpoint.
 
-    `config` is resolved, `folder` receives checkpoints and TensorBoard events, and `bar` shows the steps. If the file `stop` exists, it
-    interrupts the training as ctrl-C does.
+    `config` is resolved, `folder` receives checkpoints and TensorBoard events, and `bar` shows the
+    steps. If the file `stop` exists, it interrupts the training as ctrl-C does.
 
     Returns:
         The last checkpoint.
@@ -196,9 +262,18 @@ def train_seed(
         agent.set_logger(logger)
         try:
             with interruptible() as interrupted:
-                watch = _Watch(training, lambda: interrupted() or (stop is not None and stop.exists()), bar)
-                every = 1 if config.algorithm == "ppo" else config.envs  # PPO counts updates, SAC episodes
-                agent.learn(config.steps - agent.num_timesteps, watch, log_interval=every, reset_num_timesteps=False)
+                watch = _Watch(
+                    training, lambda: interrupted() or (stop is not None and stop.exists()), bar
+                )
+                every = (
+                    1 if config.algorithm == "ppo" else config.envs
+                )  # PPO counts updates, SAC episodes
+                agent.learn(
+                    config.steps - agent.num_timesteps,
+                    watch,
+                    log_interval=every,
+                    reset_num_timesteps=False,
+                )
                 return watch.finish()
         finally:
             logger.close()
@@ -207,13 +282,21 @@ def train_seed(
 
 
 class _Watch(BaseCallback):
-    """Callback between updates: it scores the agent, saves checkpoints, and ends after an interrupt."""
+    """Callback between updates: it scores the agent, saves checkpoints, and ends after an
+    interrupt.
+    """
 
-    def __init__(self, training: Training, interrupted: Callable[[], bool], bar: Progress | None) -> None:
+    def __init__(
+        self, training: Training, interrupted: Callable[[], bool], bar: Progress | None
+    ) -> None:
         super().__init__()
-        self._training, self._interrupted, self._bar = training, interrupted, bar
-        config, done = training.config, training.agent.num_timesteps
-        self._mark, self._saved = _clock(), done
+        self._training = training
+        self._interrupted = interrupted
+        self._bar = bar
+        config = training.config
+        done = training.agent.num_timesteps
+        self._mark = _clock()
+        self._saved = done
         label = f"{config.algorithm} {config.action} seed {training.seed}"
         self._task = bar.add_task(label, total=config.steps, completed=done) if bar else None
 
@@ -226,8 +309,12 @@ class _Watch(BaseCallback):
         return path
 
     def _on_rollout_start(self) -> None:
-        config, curve, steps = self._training.config, self._training.curve, self.num_timesteps
-        if config.algorithm == "ppo":  # the update comes after the log row of its rollout, so it gets its own
+        config = self._training.config
+        curve = self._training.curve
+        steps = self.num_timesteps
+        if (
+            config.algorithm == "ppo"
+        ):  # the update comes after the log row of its rollout, so it gets its own
             self.logger.dump(steps)
         if not curve or steps - curve[-1]["training_steps"] >= config.steps / config.curve_points:
             self._score()
@@ -240,7 +327,9 @@ class _Watch(BaseCallback):
         for info in self.locals["infos"]:
             self.logger.record_mean("rollout/iterations", float(info["iterations"]))
         if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=min(self.num_timesteps, self._training.config.steps))
+            self._bar.update(
+                self._task, completed=min(self.num_timesteps, self._training.config.steps)
+            )
         return True
 
     def _score(self) -> None:
@@ -251,7 +340,10 @@ class _Watch(BaseCallback):
         seeds = range(CURVE_SEED, CURVE_SEED + training.config.curve_episodes)
         rows = score(training, training.config.env_settings, seeds)
         ends = [row for row in rows if "return" in row]
-        point = {"return": np.mean([row["return"] for row in ends]), "held": np.mean([row["held"] for row in ends])}
+        point = {
+            "return": np.mean([row["return"] for row in ends]),
+            "held": np.mean([row["held"] for row in ends]),
+        }
         point |= {"length": len(rows) / len(ends)}
         if iterations := [row["iterations"] for row in rows if "iterations" in row]:
             point |= {"iterations": np.mean(iterations), "median_iterations": np.median(iterations)}

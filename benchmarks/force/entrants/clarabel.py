@@ -20,15 +20,21 @@ class Clarabel(Conic):
 
     def build(self) -> None:
         """See `Conic`."""
-        clarabel, form = import_module("clarabel"), self.form
+        clarabel = import_module("clarabel")
+        form = self.form
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         # either of these two would forbid the update
         settings.presolve_enable = False
         settings.chordal_decomposition_enable = False
         # forces are dual variables in the dual form: it needs more for the same accuracy
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-8 if form.in_cost else 1e-7
-        self._numbers, nothing = Numbers(form.rows, form.pattern), sparse.csc_matrix((len(form.c), len(form.c)))
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = (
+            1e-8 if form.in_cost else 1e-7
+        )
+        self._numbers, nothing = (
+            Numbers(form.rows, form.pattern),
+            sparse.csc_matrix((len(form.c), len(form.c))),
+        )
         self._solver = clarabel.DefaultSolver(
             nothing, form.c, self._numbers.matrix, form.sides, cones_of(clarabel, form), settings
         )

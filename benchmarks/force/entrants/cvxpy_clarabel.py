@@ -30,7 +30,9 @@ class CvxpyClarabel:
         if problem.moved and not self._moving:
             self._moving = True
             self._state(problem)
-        for parameter, value in zip(self._parameters, self._data(problem)[: len(self._parameters)], strict=True):
+        for parameter, value in zip(
+            self._parameters, self._data(problem)[: len(self._parameters)], strict=True
+        ):
             parameter.value = value
         self._problem.solve(solver="CLARABEL")
         if self._force.value is None:
@@ -40,30 +42,53 @@ class CvxpyClarabel:
         if problem.touching is not None:
             force *= np.repeat(problem.touching, problem.width)
         multipliers = [-self._balance.dual_value, *(limit.dual_value for limit in self._limits)]
-        return force, np.concatenate(multipliers), "solved" if self._problem.status == "optimal" else "failed"
+        return (
+            force,
+            np.concatenate(multipliers),
+            "solved" if self._problem.status == "optimal" else "failed",
+        )
 
     def _data(self, problem: Problem) -> tuple[Array, ...]:
-        return problem.wrench, problem.matrix, problem.friction, problem.limit_matrix, problem.limit_bound
+        return (
+            problem.wrench,
+            problem.matrix,
+            problem.friction,
+            problem.limit_matrix,
+            problem.limit_bound,
+        )
 
     def _state(self, problem: Problem) -> None:
         with need("cvxpy"):
             cp = import_module("cvxpy")
         data = self._data(problem)
-        self._parameters = [cp.Parameter(each.shape) for each in (data if self._moving else data[:1])]
-        wrench, matrix, friction, limits, bound = [*self._parameters, *data[len(self._parameters) :]]
+        self._parameters = [
+            cp.Parameter(each.shape) for each in (data if self._moving else data[:1])
+        ]
+        wrench, matrix, friction, limits, bound = [
+            *self._parameters,
+            *data[len(self._parameters) :],
+        ]
         self._force = force = cp.Variable((problem.n_contacts, problem.width))
-        x, u, tangential = cp.vec(force, order="C"), cp.multiply(friction, force[:, 0]), force[:, 1:3]
+        x = cp.vec(force, order="C")
+        u = cp.multiply(friction, force[:, 0])
+        tangential = force[:, 1:3]
         self._balance = matrix @ x + wrench == 0
         self._limits = [limits @ x <= bound] if len(problem.limit_bound) else []
         cones = [cp.norm(tangential, axis=1) <= u]
         if problem.torsional_friction is not None:
-            cones.append(cp.abs(force[:, 3]) <= cp.multiply(problem.torsional_friction, force[:, 0]))
+            cones.append(
+                cp.abs(force[:, 3]) <= cp.multiply(problem.torsional_friction, force[:, 0])
+            )
         cost = cp.sum(force[:, 0])
         if self._objective == "phi":
             # 2 u / (u^2 - o^2 - t^2) is 2 / v with the largest v that u (u - v) >= o^2 + t^2 allows
-            product, v = u, cp.Variable(problem.n_contacts)
+            product = u
+            v = cp.Variable(problem.n_contacts)
             u = cp.Variable(problem.n_contacts)  # with the product itself it is not DPP
-            inside = [cp.quad_over_lin(tangential[i], u[i]) <= u[i] - v[i] for i in range(problem.n_contacts)]
+            inside = [
+                cp.quad_over_lin(tangential[i], u[i]) <= u[i] - v[i]
+                for i in range(problem.n_contacts)
+            ]
             cones = [u == product, *inside]
             cost = 3 * cp.sum(u) + BARRIER_WEIGHT * cp.sum(cp.inv_pos(u) + 2 * cp.inv_pos(v))
         self._problem = cp.Problem(cp.Minimize(cost), [self._balance, *self._limits, *cones])

@@ -1,8 +1,11 @@
-"""The conic forms of the problem that a careful user hands to an interior-point solver, and what their entrants share.
+"""The conic forms of the problem that a careful user hands to an interior-point solver, and what
+their entrants share.
 
-    min c . x   s.t.  sides - rows x in {0}^equations x R+^nonneg x SOC(cones[0]) x SOC(cones[1]) ...
+    min c . x   s.t.  sides - rows x in {0}^equations x R+^nonneg x SOC(cones[0]) x SOC(cones[1])
+    ...
 
-`Dual` serves the sum of the normal forces, `Primal` the same sum where limits outnumber the forces, `Barrier` phi.
+`Dual` serves the sum of the normal forces, `Primal` the same sum where limits outnumber the forces,
+`Barrier` phi.
 """
 
 from __future__ import annotations
@@ -18,7 +21,8 @@ from benchmarks.force.entrant import Answer, Task
 from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
 
 SIZE = 30.0
-"""Length of the wrench that solvers are given for the sum, which scales with it: their tolerances are partly absolute."""
+"""Length of the wrench that solvers are given for the sum, which scales with it: their tolerances
+are partly absolute."""
 Mask = NDArray[np.bool_]
 
 
@@ -43,16 +47,19 @@ class Form:
     in_cost = False
 
     def __init__(self, problem: Problem) -> None:
-        self._limited, self._of = problem.limit_matrix != 0.0, problem
+        self._limited = problem.limit_matrix != 0.0
+        self._of = problem
         self._make(problem)
 
     def update(self, problem: Problem) -> str:
         """Take the numbers of another problem of the session, and says what has changed.
 
         Returns:
-            "wrench" alone; "numbers" of any kind; or "pattern", after which a solver must be set up again.
+            "wrench" alone; "numbers" of any kind; or "pattern", after which a solver must be set up
+            again.
         """
-        moved, self._of = problem.differs(self._of), problem
+        moved = problem.differs(self._of)
+        self._of = problem
         if moved:
             limited = problem.limit_matrix != 0.0
             if (limited & ~self._limited).any():
@@ -64,7 +71,9 @@ class Form:
         return "numbers" if moved else "wrench"
 
     def answer(self, x: Array, z: Array, status: str) -> Answer:
-        """The answer to the problem in a solver's variables x and multipliers z; a certificate in their place is a witness."""
+        """The answer to the problem in a solver's variables x and multipliers z; a certificate in
+        their place is a witness.
+        """
         if status == "infeasible":
             return None, self._witness(x, z), status
         return *self._read(x, z), status
@@ -72,19 +81,25 @@ class Form:
     def halves(self) -> tuple[Numbers | None, Numbers]:
         """The equations, where there are any, and the other rows as sparse matrices."""
         p = self.equations
-        return Numbers(self.rows[:p], self.pattern[:p]) if p else None, Numbers(self.rows[p:], self.pattern[p:])
+        return Numbers(self.rows[:p], self.pattern[:p]) if p else None, Numbers(
+            self.rows[p:], self.pattern[p:]
+        )
 
     def joined(self, y: Array, z: Array) -> Array:
         """The multipliers of all rows from those of the equations and of the others."""
         return np.concatenate([y, z]) if self.equations else z
 
     def _make(self, problem: Problem) -> None:
-        self.pattern = self._rows(problem, np.ones_like(problem.matrix), self._limited.astype(float)) != 0.0
+        self.pattern = (
+            self._rows(problem, np.ones_like(problem.matrix), self._limited.astype(float)) != 0.0
+        )
         self._numbers(problem)
         self._wrench(problem)
 
     def _numbers(self, problem: Problem) -> None:
-        self._touching = None if problem.touching is None else np.repeat(problem.touching, problem.width)
+        self._touching = (
+            None if problem.touching is None else np.repeat(problem.touching, problem.width)
+        )
         self.rows = self._rows(problem, problem.matrix, problem.limit_matrix)
 
     def _touched(self, force: Array) -> Array:
@@ -110,29 +125,38 @@ class Form:
 class Dual(Form):
     """The dual of the least sum: forces are the multipliers of the cones.
 
-        min w . nu + b . p   s.t.  p >= 0,  ((a_n - s) / mu, a_o, a_t) in SOC,  gamma abs(a_tau) <= s
+        min w . nu + b . p   s.t.  p >= 0,  ((a_n - s) / mu, a_o, a_t) in SOC,  gamma abs(a_tau) <=
+        s
 
-    with a = c - G^T nu + B^T p of each contact; the variables are nu (6), p (L), and s of each contact with torsion.
+    with a = c - G^T nu + B^T p of each contact; the variables are nu (6), p (L), and s of each
+    contact with torsion.
     """
 
     in_cost = True
 
     def _make(self, problem: Problem) -> None:
-        n, limits, soft = problem.n_contacts, len(problem.limit_bound), problem.n_contacts * (problem.width == 4)
-        self.nonneg, self.cones = 2 * soft + limits, [3] * n
+        n = problem.n_contacts
+        limits = len(problem.limit_bound)
+        soft = problem.n_contacts * (problem.width == 4)
+        self.nonneg = 2 * soft + limits
+        self.cones = [3] * n
         self._prices = 6 + limits
         self.c, self.sides = np.zeros(6 + limits + soft), np.zeros(self.nonneg + 3 * n)
         super()._make(problem)
 
     def _rows(self, problem: Problem, matrix: Array, limit_matrix: Array) -> Array:
         made = np.zeros((len(self.sides), len(self.c)))
-        n, end, mu = problem.n_contacts, self._prices, problem.friction
-        work = np.concatenate([matrix, -limit_matrix]).T.reshape(n, -1, end)  # c - a of each contact
+        n = problem.n_contacts
+        end = self._prices
+        mu = problem.friction
+        # c - a of each contact
+        work = np.concatenate([matrix, -limit_matrix]).T.reshape(n, -1, end)
         cones = made[self.nonneg :].reshape(n, 3, -1)
         cones[:, :, :end] = work[:, :3]
         cones[:, 0] /= mu[:, None]
         if problem.torsional_friction is not None:
-            each, turning = np.arange(n), problem.torsional_friction[:, None] * work[:, 3]
+            each = np.arange(n)
+            turning = problem.torsional_friction[:, None] * work[:, 3]
             made[:n, :end], made[n : 2 * n, :end] = -turning, turning
             made[each, end + each] = made[n + each, end + each] = -1.0
             cones[each, 0, end + each] = 1.0 / mu
@@ -157,7 +181,9 @@ class Dual(Form):
             force = z[self.nonneg :] * self._unit
             force[::3] *= self._per_normal
         else:
-            force = np.column_stack([z[self.nonneg :].reshape(n, 3), self._per_turning * (z[n : 2 * n] - z[:n])])
+            force = np.column_stack(
+                [z[self.nonneg :].reshape(n, 3), self._per_turning * (z[n : 2 * n] - z[:n])]
+            )
             force[:, 0] *= self._per_normal
             force *= self._unit
         return self._touched(force.ravel()), np.array(x[: self._prices])
@@ -172,8 +198,11 @@ class Primal(Form):
     equations = 6
 
     def _make(self, problem: Problem) -> None:
-        n, k, limits = problem.n_contacts, problem.width, len(problem.limit_bound)
-        self.nonneg, self.cones = limits + 2 * n * (k == 4), [3] * n
+        n = problem.n_contacts
+        k = problem.width
+        limits = len(problem.limit_bound)
+        self.nonneg = limits + 2 * n * (k == 4)
+        self.cones = [3] * n
         self.c = np.tile(np.eye(k)[0], n)
         self.sides = np.zeros(6 + self.nonneg + 3 * n)
         self._prices = slice(6, 6 + limits)
@@ -183,7 +212,12 @@ class Primal(Form):
         n, k = problem.n_contacts, problem.width
         parts = [matrix, limit_matrix]
         if problem.torsional_friction is not None:
-            turning = block_diag(*([[-gamma, 0, 0, sign] for sign in (1, -1)] for gamma in problem.torsional_friction))
+            turning = block_diag(
+                *(
+                    [[-gamma, 0, 0, sign] for sign in (1, -1)]
+                    for gamma in problem.torsional_friction
+                )
+            )
             parts.append(np.array(turning, dtype=float))
         cones = np.zeros((n, 3, n, k))
         each = np.arange(n)
@@ -203,17 +237,41 @@ class Primal(Form):
         return np.concatenate([z[:6], z[self._prices]])
 
 
-# rows of (u + r, u - r, .), (2 u - v, v, 2 o, 2 t) and (y + v, y - v, .) for (u, o, t) and for (r, y, v)
-_OF_FORCE = -np.array([[1.0, 0, 0], [1, 0, 0], [0, 0, 0], [2, 0, 0], [0, 0, 0], [0, 2, 0], [0, 0, 2], *[[0, 0, 0]] * 3])
+# rows of (u + r, u - r, .), (2 u - v, v, 2 o, 2 t) and (y + v, y - v, .) for (u, o, t) and for (r,
+# y, v)
+_OF_FORCE = -np.array(
+    [
+        [1.0, 0, 0],
+        [1, 0, 0],
+        [0, 0, 0],
+        [2, 0, 0],
+        [0, 0, 0],
+        [0, 2, 0],
+        [0, 0, 2],
+        *[[0, 0, 0]] * 3,
+    ]
+)
 _OF_REST = -np.array(
-    [[1.0, 0, 0], [-1, 0, 0], [0, 0, 0], [0, 0, -1], [0, 0, 1], *[[0, 0, 0]] * 2, [0, 1, 1], [0, 1, -1], [0, 0, 0]]
+    [
+        [1.0, 0, 0],
+        [-1, 0, 0],
+        [0, 0, 0],
+        [0, 0, -1],
+        [0, 0, 1],
+        *[[0, 0, 0]] * 2,
+        [0, 1, 1],
+        [0, 1, -1],
+        [0, 0, 0],
+    ]
 )
 
 
 class Barrier(Form):
-    """Phi by second-order cones; the variables are (u, o, t) of all contacts, then r, y, v of each with the cost 3 u + r + y.
+    """Phi by second-order cones; the variables are (u, o, t) of all contacts, then r, y, v of each
+    with the cost 3 u + r + y.
 
-    r >= lambda / u where u r >= lambda, and y >= lambda 2 u / (u^2 - o^2 - t^2) where u (u - v) >= o^2 + t^2 and y v >= 2 lambda.
+    r >= lambda / u where u r >= lambda, and y >= lambda 2 u / (u^2 - o^2 - t^2) where u (u - v) >=
+    o^2 + t^2 and y v >= 2 lambda.
     """
 
     equations = 6
@@ -222,8 +280,11 @@ class Barrier(Form):
         n = problem.n_contacts
         self.cones = [3, 4, 3] * n
         self.c = np.concatenate([np.tile([3.0, 0.0, 0.0], n), np.tile([1.0, 1.0, 0.0], n)])
-        least, each = 2.0 * np.sqrt(BARRIER_WEIGHT), np.eye(n)
-        self.sides = np.concatenate([np.zeros(6), np.tile([0, 0, least, 0, 0, 0, 0, 0, 0, np.sqrt(2.0) * least], n)])
+        least = 2.0 * np.sqrt(BARRIER_WEIGHT)
+        each = np.eye(n)
+        self.sides = np.concatenate(
+            [np.zeros(6), np.tile([0, 0, least, 0, 0, 0, 0, 0, 0, np.sqrt(2.0) * least], n)]
+        )
         cones = np.concatenate([np.kron(each, _OF_FORCE), np.kron(each, _OF_REST)], axis=1)
         self._constant = np.concatenate([np.zeros((6, 6 * n)), cones])
         super()._make(problem)
@@ -253,7 +314,8 @@ class Barrier(Form):
 def form(problem: Problem, objective: str) -> Form:
     """The form in which interior-point solvers are fastest.
 
-    With 32 torque limits on four contacts `Primal` takes 0.86 to 0.93 of the time of `Dual`, with 10 limits 1.04 to 1.2.
+    With 32 torque limits on four contacts `Primal` takes 0.86 to 0.93 of the time of `Dual`, with
+    10 limits 1.04 to 1.2.
 
     Raises:
         NotImplementedError: phi with torsion or limits, which is not defined.
@@ -275,7 +337,9 @@ class Numbers:
     def __init__(self, dense: Array, pattern: Mask) -> None:
         self._columns, self._rows = np.nonzero(pattern.T)
         begins = np.searchsorted(self._columns, np.arange(dense.shape[1] + 1))
-        self.matrix = sparse.csc_matrix((dense[self._rows, self._columns], self._rows, begins), shape=dense.shape)
+        self.matrix = sparse.csc_matrix(
+            (dense[self._rows, self._columns], self._rows, begins), shape=dense.shape
+        )
 
     def refresh(self, dense: Array) -> Array:
         """Take the numbers of a dense matrix, and returns those of the pattern."""
@@ -307,5 +371,7 @@ class Conic:
         raise NotImplementedError
 
     def run(self, moved: bool) -> tuple[Array, Array, str]:
-        """x, z and status for the numbers of `form`, of which only the wrench has changed unless `moved`."""
+        """x, z and status for the numbers of `form`, of which only the wrench has changed unless
+        `moved`.
+        """
         raise NotImplementedError

@@ -16,7 +16,8 @@ from benchmarks.force.problems import Array, Problem
 class Highs:
     """The dual simplex method on a model that stays while only the wrench changes."""
 
-    name, objectives = "highs", ("sum",)
+    name = "highs"
+    objectives = ("sum",)
     note = (
         "highspy, simplex without presolve (scipy's linprog takes ten times as long); in mode warm it keeps the basis. "
         "Pyramids of 8 sides miss the optimum by 2-3 %, up to 10 %, so that even 1e-4 is out of reach."
@@ -35,7 +36,8 @@ class Highs:
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         """See `Entrant`; with a `start` the simplex method begins at the last basis."""
         solver = self._solver
-        moved, self._of = problem.differs(self._of), problem
+        moved = problem.differs(self._of)
+        self._of = problem
         if moved:
             basis = solver.getBasis()
             self._model(problem)
@@ -49,16 +51,27 @@ class Highs:
         self.iterations = solver.getInfo().simplex_iteration_count
         # without a force in the pyramids, there may be one in the cones
         solved = solver.getModelStatus() == self._highspy.HighsModelStatus.kOptimal
-        return self._pyramids.force(np.array(solver.getSolution().col_value)), None, "solved" if solved else "failed"
+        return (
+            self._pyramids.force(np.array(solver.getSolution().col_value)),
+            None,
+            "solved" if solved else "failed",
+        )
 
     def _model(self, problem: Problem) -> None:
         self._pyramids = Pyramids(problem)
-        stored, infinity = sparse.csc_matrix(self._pyramids.columns), self._highspy.kHighsInf
+        stored = sparse.csc_matrix(self._pyramids.columns)
+        infinity = self._highspy.kHighsInf
         (rows, columns), lp = self._pyramids.columns.shape, self._highspy.HighsLp()
         lp.num_row_, lp.num_col_ = rows, columns
-        lp.col_cost_, lp.col_lower_, lp.col_upper_ = np.ones(columns), np.zeros(columns), np.full(columns, infinity)
+        lp.col_cost_, lp.col_lower_, lp.col_upper_ = (
+            np.ones(columns),
+            np.zeros(columns),
+            np.full(columns, infinity),
+        )
         lp.row_lower_ = np.concatenate([-problem.wrench, np.full(rows - 6, -infinity)])
         lp.row_upper_ = np.concatenate([-problem.wrench, problem.limit_bound])
         lp.a_matrix_.format_ = self._highspy.MatrixFormat.kColwise
-        lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = stored.indptr, stored.indices, stored.data
+        lp.a_matrix_.start_ = stored.indptr
+        lp.a_matrix_.index_ = stored.indices
+        lp.a_matrix_.value_ = stored.data
         self._solver.passModel(lp)

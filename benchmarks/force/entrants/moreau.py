@@ -12,9 +12,11 @@ from benchmarks.force.problems import Array, Problem
 
 
 class Moreau(Conic):
-    """Moreau's interior-point method on one thread of the CPU, its structure and values set up once.
+    """Moreau's interior-point method on one thread of the CPU, its structure and values set up
+    once.
 
-    The dual form takes 0.85 of the time of the primal with `DirectConeSpec`, and every `direct_solve_method` the same.
+    The dual form takes 0.85 of the time of the primal with `DirectConeSpec`, and every
+    `direct_solve_method` the same.
     """
 
     name = "moreau"
@@ -30,16 +32,23 @@ class Moreau(Conic):
 
     def build(self) -> None:
         """See `Conic`."""
-        moreau, form = import_module("moreau"), self.form
+        moreau = import_module("moreau")
+        form = self.form
         # its matrices are stored by rows: the transpose's by columns
         self._numbers = Numbers(form.rows.T, form.pattern.T)
-        cones = moreau.Cones(num_zero_cones=form.equations, num_nonneg_cones=form.nonneg, so_cone_dims=form.cones)
+        cones = moreau.Cones(
+            num_zero_cones=form.equations, num_nonneg_cones=form.nonneg, so_cone_dims=form.cones
+        )
         tolerance = 1e-8 if form.in_cost else 1e-7
-        limits = moreau.IPMSettings(tol_gap_abs=tolerance, tol_gap_rel=tolerance, tol_feas=tolerance)
+        limits = moreau.IPMSettings(
+            tol_gap_abs=tolerance, tol_gap_rel=tolerance, tol_feas=tolerance
+        )
         settings = moreau.Settings(device="cpu", solver="ipm", batch_size=1, ipm_settings=limits)
         stored, (m, n) = self._numbers.matrix, form.rows.shape
         begins = np.zeros(n + 1, dtype=np.int64)
-        self._solver = moreau.CompiledSolver(n, m, begins, [], stored.indptr, stored.indices, cones, settings)
+        self._solver = moreau.CompiledSolver(
+            n, m, begins, [], stored.indptr, stored.indices, cones, settings
+        )
         self._solver.setup(np.zeros(0), stored.data)
         self._last = None
         status = moreau.SolverStatus
@@ -49,7 +58,9 @@ class Moreau(Conic):
         }
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
-        """See `Entrant`; only whether there is a `start` counts, as a warm start has all variables and multipliers of the last call."""
+        """See `Entrant`; only whether there is a `start` counts, as a warm start has all variables
+        and multipliers of the last call.
+        """
         self._started = start is not None
         return super().solve(problem)
 
@@ -58,7 +69,9 @@ class Moreau(Conic):
         form = self.form
         if moved:
             self._solver.setup(np.zeros(0), self._numbers.refresh(form.rows.T))
-        found = self._solver.solve(form.c[None], form.sides[None], self._last if self._started else None)
+        found = self._solver.solve(
+            form.c[None], form.sides[None], self._last if self._started else None
+        )
         info = self._solver.info
         if self._warm:
             self._last = found.to_warm_start()

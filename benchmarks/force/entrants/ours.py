@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -26,7 +26,7 @@ class _FromPython:
     """`ForceOptimizer.solve`; changed contacts and limits are arguments of the call."""
 
     objectives: tuple[str, ...] = ("phi",)
-    options: dict[str, Any] = {"method": "newton"}  # noqa: RUF012  it is not changed
+    options: ClassVar[dict[str, Any]] = {"method": "newton"}
     note = "ForceOptimizer.solve, certified gap 1e-6, certificate included"
 
     def setup(self, task: Task) -> None:
@@ -41,10 +41,14 @@ class _FromPython:
         self._loses = first.touching is not None
 
     def _make(self, grasp: Grasp, initial: Any) -> ForceOptimizer:
-        return ForceOptimizer(grasp, limits=self._limits, initial=initial, tolerance=TOLERANCE, **self.options)
+        return ForceOptimizer(
+            grasp, limits=self._limits, initial=initial, tolerance=TOLERANCE, **self.options
+        )
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
-        now: dict[str, Any] = {name: getattr(problem, name) for name in self._moves} if problem.moved else {}
+        now: dict[str, Any] = (
+            {name: getattr(problem, name) for name in self._moves} if problem.moved else {}
+        )
         if self._loses:
             now["contacts"] = problem.touching
         if self._warm and start is None:
@@ -64,7 +68,9 @@ class _FromPython:
         return [self._answer(each) for each in self._optimizer.solve_many(wrenches, workers=1)]
 
     def _answer(self, solution: ForceSolution) -> Answer:
-        force = np.column_stack([solution.force, solution.torsion]) if self._soft else solution.force
+        force = (
+            np.column_stack([solution.force, solution.torsion]) if self._soft else solution.force
+        )
         multipliers = solution.multipliers
         if self._limits is not None:
             multipliers = np.concatenate([multipliers, solution.limit_multipliers])
@@ -76,7 +82,9 @@ class _FromPython:
 class ConicPython(_FromPython):
     """Least sum of normal forces by the interior point."""
 
-    name, objectives, options = "conic_python", ("sum",), {"method": "conic"}
+    name = "conic_python"
+    objectives = ("sum",)
+    options: ClassVar[dict[str, Any]] = {"method": "conic"}
 
 
 class NewtonPython(_FromPython):
@@ -88,11 +96,17 @@ class NewtonPython(_FromPython):
 class FlowPython(_FromPython):
     """Least Phi by the paper's reduced flow from its 12-basis."""
 
-    name, options = "flow_python", {"method": "reduced_flow", "step_rule": BarzilaiBorweinStep()}
+    name = "flow_python"
+    options: ClassVar[dict[str, Any]] = {
+        "method": "reduced_flow",
+        "step_rule": BarzilaiBorweinStep(),
+    }
 
 
 class LearnedPython(_FromPython):
-    """Newton from the shipped network for four contacts near the paper's cuboid; other problems have the default start."""
+    """Newton from the shipped network for four contacts near the paper's cuboid; other problems
+    have the default start.
+    """
 
     name, division = "learned_python", "learned"
 
@@ -111,24 +125,39 @@ class _Compiled(Library):
 
     def __init__(self) -> None:
         include = CORE / "include"
-        flags = ["-std=c++20", "-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"]  # fmt: skip
+        flags = [
+            "-std=c++20",
+            "-O3",
+            "-march=native",
+            "-ffp-contract=fast",
+            "-fno-math-errno",
+            "-fno-trapping-math",
+            "-Wno-psabi",
+        ]
         sources = [HERE.parents[1] / "force.h", *sorted(include.rglob("*.hpp"))]
-        super().__init__(str(library("ours", [HERE], [*flags, f"-I{include}"], sources, cpp=True)), self.name)
+        super().__init__(
+            str(library("ours", [HERE], [*flags, f"-I{include}"], sources, cpp=True)), self.name
+        )
 
 
 class Conic(_Compiled):
     """Least sum of normal forces by the interior point."""
 
-    name, objectives = "conic", ("sum",)
+    name = "conic"
+    objectives = ("sum",)
 
 
 class Newton(_Compiled):
     """Least Phi by Newton; warm: from the last solution."""
 
-    name, objectives = "newton", ("phi",)
+    name = "newton"
+    objectives = ("phi",)
 
 
 class Flow(_Compiled):
-    """Least Phi by the paper's reduced flow from its 12-basis, with the short Barzilai-Borwein step."""
+    """Least Phi by the paper's reduced flow from its 12-basis, with the short Barzilai-Borwein
+    step.
+    """
 
-    name, objectives = "flow", ("phi",)
+    name = "flow"
+    objectives = ("phi",)

@@ -12,9 +12,12 @@ from benchmarks.force.problems import Array, Problem
 
 
 class Piqp:
-    """PIQP's proximal interior-point method on the dual: 6 + L variables, the multipliers of the edges are their weights."""
+    """PIQP's proximal interior-point method on the dual: 6 + L variables, the multipliers of the
+    edges are their weights.
+    """
 
-    name, objectives = "piqp", ("sum",)
+    name = "piqp"
+    objectives = ("sum",)
     note = (
         "Dual form over pyramids of 8 sides, DenseSolver, updated in place, its default tolerances (1e-8); the release has no warm start. "
         "The pyramids miss the optimum by 2-3 %, up to 10 %, so that even 1e-4 is out of reach."
@@ -22,9 +25,12 @@ class Piqp:
 
     def setup(self, task: Task) -> None:
         """See `Entrant`."""
-        piqp, first = import_module("piqp"), task.first
-        self._solver, self._solved = piqp.DenseSolver(), piqp.PIQP_SOLVED
-        self._pyramids, self._of = Pyramids(first), first
+        piqp = import_module("piqp")
+        first = task.first
+        self._solver = piqp.DenseSolver()
+        self._solved = piqp.PIQP_SOLVED
+        self._pyramids = Pyramids(first)
+        self._of = first
         rows = self._rows()
         least = np.concatenate([np.full(6, -np.inf), np.zeros(len(first.limit_bound))])
         self._cost = np.concatenate([first.wrench, first.limit_bound])
@@ -34,7 +40,8 @@ class Piqp:
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         """See `Entrant`; `start` is not used."""
         self._cost[:6] = problem.wrench
-        moved, self._of = problem.differs(self._of), problem
+        moved = problem.differs(self._of)
+        self._of = problem
         if moved:
             self._pyramids = Pyramids(problem)
             self._cost[6:] = problem.limit_bound

@@ -1,6 +1,7 @@
 """Inner pyramids in place of friction cones, for solvers of linear and quadratic programs.
 
-min sum of weights >= 0   s.t.  columns @ weights = -w (6 rows), <= b (L rows);  force = edges @ weights
+min sum of weights >= 0   s.t.  columns @ weights = -w (6 rows), <= b (L rows);  force = edges @
+weights
 """
 
 from __future__ import annotations
@@ -17,13 +18,19 @@ class Pyramids:
     """The pyramids of a problem.
 
     Attributes:
-        columns: (6 + L, N E), what a unit of each edge adds to G f and B f; E is twice `SIDES` with torsion.
+        columns: (6 + L, N E), what a unit of each edge adds to G f and B f; E is twice `SIDES` with
+            torsion.
     """
 
     def __init__(self, problem: Problem) -> None:
         n, k = problem.n_contacts, problem.width
-        angle, one = 2.0 * np.pi / SIDES * np.arange(SIDES), np.ones((n, SIDES))
-        parts = [one, np.outer(problem.friction, np.cos(angle)), np.outer(problem.friction, np.sin(angle))]
+        angle = 2.0 * np.pi / SIDES * np.arange(SIDES)
+        one = np.ones((n, SIDES))
+        parts = [
+            one,
+            np.outer(problem.friction, np.cos(angle)),
+            np.outer(problem.friction, np.sin(angle)),
+        ]
         self._edges = np.stack(parts, axis=1)  # (N, k, E), with a normal force of 1
         if problem.torsional_friction is not None:
             most = problem.torsional_friction[:, None, None] * one[:, None]

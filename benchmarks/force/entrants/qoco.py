@@ -13,8 +13,9 @@ from benchmarks.force.problems import Array
 class Qoco(Conic):
     """QOCO's interior-point method.
 
-    At 1e-8 it stalls on a few wrenches in a thousand, and a stall raises the regularisation of every later solve of
-    the same object: hundreds fail. 1e-7 solves them all; the default is put back after a failure all the same.
+    At 1e-8 it stalls on a few wrenches in a thousand, and a stall raises the regularisation of
+    every later solve of the same object: hundreds fail. 1e-7 solves them all; the default is put
+    back after a failure all the same.
     """
 
     name = "qoco"
@@ -29,14 +30,28 @@ class Qoco(Conic):
         self._upper, self._lower = form.halves()
         self._solver = import_module("qoco").QOCO()
         self._solver.setup(
-            n=len(form.c), m=len(form.sides) - p, p=p, P=None, c=form.c, A=self._upper.matrix if self._upper else None, b=form.sides[:p],
-            G=self._lower.matrix, h=form.sides[p:], l=form.nonneg, nsoc=len(form.cones), q=np.array(form.cones), abstol=1e-7, reltol=1e-7,
-        )  # fmt: skip
+            n=len(form.c),
+            m=len(form.sides) - p,
+            p=p,
+            P=None,
+            c=form.c,
+            A=self._upper.matrix if self._upper else None,
+            b=form.sides[:p],
+            G=self._lower.matrix,
+            h=form.sides[p:],
+            l=form.nonneg,
+            nsoc=len(form.cones),
+            q=np.array(form.cones),
+            abstol=1e-7,
+            reltol=1e-7,
+        )
         self._regularisation = self._solver.settings.kkt_dynamic_reg
 
     def run(self, moved: bool) -> tuple[Array, Array, str]:
         """See `Conic`."""
-        form, p, solver = self.form, self.form.equations, self._solver
+        form = self.form
+        p = self.form.equations
+        solver = self._solver
         if moved:
             solver.update_vector_data(c=form.c, b=form.sides[:p] if p else None, h=form.sides[p:])
             upper = self._upper.refresh(form.rows[:p]) if self._upper else None

@@ -21,7 +21,8 @@ from benchmarks.force.entrants import forms
 OURS = Path(__file__).with_name("qocogen.c")
 HEADERS = Path(__file__).parents[1]
 SIZE = 10.0
-"""Length of the wrench that the solver is given, as `forms.SIZE`: 30 takes 0.6 iterations more, 3 gives less accurate forces."""
+"""Length of the wrench that the solver is given, as `forms.SIZE`: 30 takes 0.6 iterations more, 3
+gives less accurate forces."""
 
 
 class Description(ctypes.Structure):
@@ -35,7 +36,9 @@ class Description(ctypes.Structure):
 
 
 class Qocogen(Library):
-    """A generated solver; its code depends on the pattern of the form alone, its numbers come with the problems."""
+    """A generated solver; its code depends on the pattern of the form alone, its numbers come with
+    the problems.
+    """
 
     name = "qocogen"
     note = (
@@ -61,7 +64,9 @@ class Qocogen(Library):
         kind = (forms.Dual, forms.Primal, forms.Barrier).index(type(form))
         starts = [place[axis].ctypes.data for place in self._places for axis in (0, 1)]
         counts = [place.shape[1] for place in self._places]
-        self._library.qocogen_describe(ctypes.byref(Description(kind, self.refinements, *counts, *starts, SIZE)))
+        self._library.qocogen_describe(
+            ctypes.byref(Description(kind, self.refinements, *counts, *starts, SIZE))
+        )
         super().setup(task)
 
 
@@ -75,21 +80,37 @@ class QocogenFast(Qocogen):
 
 
 def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
-    """The shared library for a form's pattern, generated and compiled if it is not there, or a `RuntimeError`."""
+    """The shared library for a form's pattern, generated and compiled if it is not there, or a
+    `RuntimeError`.
+    """
     command = compiler("CC", "gcc", "clang", "cc")
     sizes = f"{form.pattern.shape} {form.equations} {form.nonneg} {form.cones}"
-    key = "\0".join([*_versions(), command, *flags, sizes]).encode() + np.packbits(form.pattern.astype(bool)).tobytes()
+    key = (
+        "\0".join([*_versions(), command, *flags, sizes]).encode()
+        + np.packbits(form.pattern.astype(bool)).tobytes()
+    )
 
     def make(built: Path) -> None:
         with tempfile.TemporaryDirectory() as scratch:
             _generate(form, scratch)
             names = ("qoco_custom", "cone", "utils", "ldl", "kkt")
             sources = [*(Path(scratch, "code", f"{name}.c") for name in names), OURS]
-            # GCC links -Ofast with code that makes the whole process flush small numbers to zero: compiled with it, linked without
+            # GCC links -Ofast with code that makes the whole process flush small numbers to zero:
+            # compiled with it, linked without
             objects = [str(Path(scratch, f"{source.stem}.o")) for source in sources]
             for source, target in zip(sources, objects, strict=True):
                 execute(
-                    [command, *flags, f"-I{scratch}/code", f"-I{HEADERS}", "-fPIC", "-c", str(source), "-o", target]
+                    [
+                        command,
+                        *flags,
+                        f"-I{scratch}/code",
+                        f"-I{HEADERS}",
+                        "-fPIC",
+                        "-c",
+                        str(source),
+                        "-o",
+                        target,
+                    ]
                 )
             links = [flag for flag in flags if flag != "-Ofast"]
             execute([command, *links, "-shared", "-o", str(built), *objects, "-lm"])
@@ -103,13 +124,27 @@ def _versions() -> tuple[str, ...]:
 
 
 def _generate(form: forms.Form, folder: str) -> None:
-    """Write the code into folder/code: the barrier's constants, else random numbers on the pattern, lest a cancellation look like a zero."""
+    """Write the code into folder/code: the barrier's constants, else random numbers on the pattern,
+    lest a cancellation look like a zero.
+    """
     rows = form.rows if isinstance(form, forms.Barrier) else np.zeros(form.pattern.shape)
     random = np.random.default_rng(0).uniform(0.5, 1.5, form.pattern.shape)
-    matrix, p = np.where(form.pattern & (rows == 0.0), random, rows), form.equations
+    matrix = np.where(form.pattern & (rows == 0.0), random, rows)
+    p = form.equations
     with contextlib.redirect_stdout(io.StringIO()):
         import_module("qocogen").generate_solver(
-            n=len(form.c), m=len(form.sides) - p, p=p, P=None, c=form.c, A=sparse.csc_matrix(matrix[:p]) if p else None,
-            b=form.sides[:p], G=sparse.csc_matrix(matrix[p:]), h=form.sides[p:], l=form.nonneg, nsoc=len(form.cones),
-            q=np.array(form.cones), output_dir=folder, name="code",
-        )  # fmt: skip
+            n=len(form.c),
+            m=len(form.sides) - p,
+            p=p,
+            P=None,
+            c=form.c,
+            A=sparse.csc_matrix(matrix[:p]) if p else None,
+            b=form.sides[:p],
+            G=sparse.csc_matrix(matrix[p:]),
+            h=form.sides[p:],
+            l=form.nonneg,
+            nsoc=len(form.cones),
+            q=np.array(form.cones),
+            output_dir=folder,
+            name="code",
+        )

@@ -26,11 +26,15 @@ class Slsqp:
         """See `Entrant`."""
         touching, k = problem.touching, problem.width
         on = np.ones(problem.n_contacts, dtype=bool) if touching is None else touching
-        mu, columns = problem.friction[on], np.repeat(on, k)
-        matrix, limits, bound = problem.matrix[:, columns], problem.limit_matrix, problem.limit_bound
+        mu = problem.friction[on]
+        columns = np.repeat(on, k)
+        matrix = problem.matrix[:, columns]
+        limits = problem.limit_matrix
+        bound = problem.limit_bound
         if problem.torsional_friction is not None:
             rows = _torsion(problem.torsional_friction)
-            limits, bound = np.concatenate([limits, rows]), np.append(bound, np.zeros(len(rows)))
+            limits = np.concatenate([limits, rows])
+            bound = np.append(bound, np.zeros(len(rows)))
         limits = limits[:, columns]
         begin = start[columns] if start is not None else -np.linalg.pinv(matrix) @ problem.wrench
         begin[::k] = np.maximum(begin[::k], 1.1 * np.hypot(begin[1::k], begin[2::k]) / mu)
@@ -40,7 +44,15 @@ class Slsqp:
             {"type": "ineq", "fun": lambda x: bound - limits @ x, "jac": lambda x: -limits},
         ]
         options = {"ftol": 1e-8, "maxiter": 300}
-        found = minimize(self._objective, begin, (mu, k), "SLSQP", jac=True, constraints=constraints, options=options)
+        found = minimize(
+            self._objective,
+            begin,
+            (mu, k),
+            "SLSQP",
+            jac=True,
+            constraints=constraints,
+            options=options,
+        )
         self.iterations = found.nit
         force = np.zeros(problem.matrix.shape[1])
         force[columns] = found.x
@@ -48,13 +60,17 @@ class Slsqp:
 
 
 def _room(x: Array, mu: Array, k: int) -> Array:
-    # from the same start, mu^2 n^2 - o^2 - t^2 >= 0 ends as a success far from the optimum on some wrenches
+    # from the same start, mu^2 n^2 - o^2 - t^2 >= 0 ends as a success far from the optimum on some
+    # wrenches
     return mu * x[::k] - np.sqrt(x[1::k] ** 2 + x[2::k] ** 2 + ROUND)
 
 
 def _room_jacobian(x: Array, mu: Array, k: int) -> Array:
-    o, t, each = x[1::k], x[2::k], np.arange(len(mu))
-    made, size = np.zeros((len(mu), len(mu), k)), np.sqrt(o**2 + t**2 + ROUND)
+    o = x[1::k]
+    t = x[2::k]
+    each = np.arange(len(mu))
+    made = np.zeros((len(mu), len(mu), k))
+    size = np.sqrt(o**2 + t**2 + ROUND)
     made[each, each, :3] = np.column_stack([mu, -o / size, -t / size])
     return made.reshape(len(mu), -1)
 
@@ -62,7 +78,9 @@ def _room_jacobian(x: Array, mu: Array, k: int) -> Array:
 def _torsion(gamma: Array) -> Array:
     """Rows for abs(torsion) - gamma n <= 0."""
     levers = np.kron(np.diag(gamma), [[1.0, 0, 0, 0]])
-    return np.concatenate([np.kron(np.eye(len(gamma)), [[0.0, 0, 0, sign]]) - levers for sign in (1, -1)])
+    return np.concatenate(
+        [np.kron(np.eye(len(gamma)), [[0.0, 0, 0, sign]]) - levers for sign in (1, -1)]
+    )
 
 
 def _sum(x: Array, mu: Array, k: int) -> tuple[float, Array]:
@@ -72,7 +90,9 @@ def _sum(x: Array, mu: Array, k: int) -> tuple[float, Array]:
 
 
 def _phi(x: Array, mu: Array, k: int) -> tuple[float, Array]:
-    u, o, t = mu * x[::k], x[1::k], x[2::k]
+    u = mu * x[::k]
+    o = x[1::k]
+    t = x[2::k]
     room = u**2 - o**2 - t**2
     if min(u.min(), room.min()) <= 0.0:
         return np.inf, np.zeros_like(x)

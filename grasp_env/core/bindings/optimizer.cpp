@@ -1,4 +1,5 @@
-// `grasp::ForceOptimizer`. Control loops call `solve`: it reads arrays in place and makes its solution without running Python.
+// `grasp::ForceOptimizer`. Control loops call `solve`: it reads arrays in place and makes its
+// solution without running Python.
 #include "optimizer.hpp"
 
 #include <grasp/many/basis.hpp>
@@ -15,244 +16,279 @@ using grasp::Doubles;
 using grasp::Record;
 using grasp::Request;
 
-// The numbers of an array that can be read in place. Subclasses are left to Python: a masked array, for one, hides some of its numbers.
+// The numbers of an array that can be read in place. Subclasses are left to Python: a masked array,
+// for one, hides some of its numbers.
 class ArrayArgument {
-public:
-    explicit ArrayArgument(PyObject* object) : given_(object != Py_None) {
-        if (!given_ || !PyArray_CheckExact(object)) return;
-        PyArrayObject* array = reinterpret_cast<PyArrayObject*>(object);
-        if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array)) array_ = array;
-    }
-    // True if the array has this shape.
-    bool has(std::initializer_list<npy_intp> shape) const {
-        return array_ && PyArray_NDIM(array_) == int(shape.size()) &&
-               std::equal(shape.begin(), shape.end(), PyArray_DIMS(array_));
-    }
-    const double* data() const { return static_cast<double*>(PyArray_DATA(array_)); }
-    Doubles numbers() const { return {data(), std::size_t(PyArray_SIZE(array_))}; }
-    // Take the numbers if the argument is given. Return false if they cannot be read.
-    bool take(std::initializer_list<npy_intp> shape, Doubles& to) const {
-        if (!given_) return true;
-        if (!has(shape)) return false;
-        to = numbers();
-        return true;
-    }
+ public:
+  explicit ArrayArgument(PyObject* object) : given_(object != Py_None) {
+    if (!given_ || !PyArray_CheckExact(object)) return;
+    PyArrayObject* array = reinterpret_cast<PyArrayObject*>(object);
+    if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array)) array_ = array;
+  }
+  // True if the array has this shape.
+  bool has(std::initializer_list<npy_intp> shape) const {
+    return array_ && PyArray_NDIM(array_) == int(shape.size()) &&
+           std::equal(shape.begin(), shape.end(), PyArray_DIMS(array_));
+  }
+  const double* data() const { return static_cast<double*>(PyArray_DATA(array_)); }
+  Doubles numbers() const { return {data(), std::size_t(PyArray_SIZE(array_))}; }
+  // Take the numbers if the argument is given. Return false if they cannot be read.
+  bool take(std::initializer_list<npy_intp> shape, Doubles& to) const {
+    if (!given_) return true;
+    if (!has(shape)) return false;
+    to = numbers();
+    return true;
+  }
 
-private:
-    PyArrayObject* array_ = nullptr;
-    bool given_;
+ private:
+  PyArrayObject* array_ = nullptr;
+  bool given_;
 };
 
 double* data(const nb::object& array) {
-    return static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array.ptr())));
+  return static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array.ptr())));
 }
 
 // The class of C++, with the class and the names of its solutions in Python.
 class ForceOptimizer : public grasp::ForceOptimizer {
-public:
-    const int count, joints;
+ public:
+  const int count, joints;
 
-    ForceOptimizer(const grasp::Problem& problem, const grasp::Options& options, nb::object kind, nb::object names)
-        : grasp::ForceOptimizer(problem, options), count(problem.contacts.count), joints(int(problem.limits.torque_limit.size())),
-          kind_(kind), names_(names), last_names_(names) {}
+  ForceOptimizer(const grasp::Problem& problem, const grasp::Options& options, nb::object kind,
+                 nb::object names)
+      : grasp::ForceOptimizer(problem, options),
+        count(problem.contacts.count),
+        joints(int(problem.limits.torque_limit.size())),
+        kind_(kind),
+        names_(names),
+        last_names_(names) {}
 
-    // Solve, and return a new solution with the constructor's names.
-    nb::object solved(const Request& ask) {
-        const Record& made = solve(ask);
-        if (made.has_force() && last_names_.ptr() != names_.ptr()) last_names_ = names_;
-        return solution(made, names_);
-    }
-    // The last solution with a force, or None.
-    nb::object last() {
-        const std::optional<Record> found = previous();
-        return found ? solution(*found, last_names_) : nb::none();
-    }
-    bool take(nb::handle solution) {
-        const bool taken = remember(Record(row_of(solution)));
-        if (taken) last_names_ = names_of(solution);
-        return taken;
-    }
-    // Return a new solution with the numbers of a row and the constructor's names.
-    nb::object solution(const nb::object& row) const { return solution(row, names_); }
-    static nb::object new_row(npy_intp length) {
-        nb::object row = nb::steal(PyArray_SimpleNew(1, &length, NPY_DOUBLE));
-        if (!row) throw nb::python_error();
-        return row;
-    }
+  // Solve, and return a new solution with the constructor's names.
+  nb::object solved(const Request& ask) {
+    const Record& made = solve(ask);
+    if (made.has_force() && last_names_.ptr() != names_.ptr()) last_names_ = names_;
+    return solution(made, names_);
+  }
+  // The last solution with a force, or None.
+  nb::object last() {
+    const std::optional<Record> found = previous();
+    return found ? solution(*found, last_names_) : nb::none();
+  }
+  bool take(nb::handle solution) {
+    const bool taken = remember(Record(row_of(solution)));
+    if (taken) last_names_ = names_of(solution);
+    return taken;
+  }
+  // Return a new solution with the numbers of a row and the constructor's names.
+  nb::object solution(const nb::object& row) const { return solution(row, names_); }
+  static nb::object new_row(npy_intp length) {
+    nb::object row = nb::steal(PyArray_SimpleNew(1, &length, NPY_DOUBLE));
+    if (!row) throw nb::python_error();
+    return row;
+  }
 
-    // Read wrench and changes in place. Return false if one is not a C-contiguous float64 array of the right shape.
-    bool read(nb::handle wrench, nb::handle changes, Request& ask) {
-        const ArrayArgument load(wrench.ptr());
-        if (!load.has({6})) return false;
-        ask.wrench = load.data();
-        return changes.is_none() || read(changes, ask.now);
-    }
-    bool read(nb::handle changes, Changes& now) {
-        enum { POSITIONS, NORMALS, FRICTION, JACOBIAN, TORQUE_BIAS, CONTACTS, ALL };
-        if (!PyTuple_Check(changes.ptr()) || PyTuple_GET_SIZE(changes.ptr()) != ALL)
-            throw nb::type_error("expected positions, normals, friction, jacobian, torque_bias and contacts");
-        const auto given = [&](int which) { return PyTuple_GET_ITEM(changes.ptr(), which); };
-        return ArrayArgument(given(POSITIONS)).take({count, 3}, now.positions) &&
-               ArrayArgument(given(NORMALS)).take({count, 3}, now.normals) &&
-               ArrayArgument(given(TORQUE_BIAS)).take({joints}, now.torque_bias) && read_friction(given(FRICTION), now) &&
-               read_jacobian(given(JACOBIAN), now) && read_contacts(given(CONTACTS), now);
-    }
+  // Read wrench and changes in place. Return false if one is not a C-contiguous float64 array of
+  // the right shape.
+  bool read(nb::handle wrench, nb::handle changes, Request& ask) {
+    const ArrayArgument load(wrench.ptr());
+    if (!load.has({6})) return false;
+    ask.wrench = load.data();
+    return changes.is_none() || read(changes, ask.now);
+  }
+  bool read(nb::handle changes, Changes& now) {
+    enum { POSITIONS, NORMALS, FRICTION, JACOBIAN, TORQUE_BIAS, CONTACTS, ALL };
+    if (!PyTuple_Check(changes.ptr()) || PyTuple_GET_SIZE(changes.ptr()) != ALL)
+      throw nb::type_error(
+          "expected positions, normals, friction, jacobian, torque_bias and contacts");
+    const auto given = [&](int which) { return PyTuple_GET_ITEM(changes.ptr(), which); };
+    return ArrayArgument(given(POSITIONS)).take({count, 3}, now.positions) &&
+           ArrayArgument(given(NORMALS)).take({count, 3}, now.normals) &&
+           ArrayArgument(given(TORQUE_BIAS)).take({joints}, now.torque_bias) &&
+           read_friction(given(FRICTION), now) && read_jacobian(given(JACOBIAN), now) &&
+           read_contacts(given(CONTACTS), now);
+  }
 
-private:
-    nb::object kind_, names_, last_names_;
-    double friction_ = 0.0;
+ private:
+  nb::object kind_, names_, last_names_;
+  double friction_ = 0.0;
 
-    nb::object solution(const Record& record, const nb::object& names) const {
-        nb::object row = new_row(record.size());
-        std::copy_n(&record.summary().code, record.size(), data(row));
-        return solution(row, names);
-    }
-    nb::object solution(const nb::object& row, const nb::object& names) const {
-        nb::object made = nb::steal(new_solution(kind_.ptr(), row.ptr(), names.ptr()));
-        if (!made) throw nb::python_error();
-        return made;
-    }
+  nb::object solution(const Record& record, const nb::object& names) const {
+    nb::object row = new_row(record.size());
+    std::copy_n(&record.summary().code, record.size(), data(row));
+    return solution(row, names);
+  }
+  nb::object solution(const nb::object& row, const nb::object& names) const {
+    nb::object made = nb::steal(new_solution(kind_.ptr(), row.ptr(), names.ptr()));
+    if (!made) throw nb::python_error();
+    return made;
+  }
 
-    bool read_friction(PyObject* given, Changes& now) {
-        if (given == Py_None) return true;
-        if (PyFloat_CheckExact(given)) {
-            friction_ = PyFloat_AsDouble(given);
-            now.friction = {&friction_, 1};
-            return true;
-        }
-        const ArrayArgument array(given);
-        if (!array.has({count}) && !array.has({count, 2})) return false;
-        now.friction = array.numbers();
-        return true;
+  bool read_friction(PyObject* given, Changes& now) {
+    if (given == Py_None) return true;
+    if (PyFloat_CheckExact(given)) {
+      friction_ = PyFloat_AsDouble(given);
+      now.friction = {&friction_, 1};
+      return true;
     }
-    bool read_jacobian(PyObject* given, Changes& now) const {
-        const ArrayArgument array(given);
-        return array.take({count, 3, joints}, now.jacobian) || array.take({count, 6, joints}, now.jacobian);
-    }
-    bool read_contacts(PyObject* given, Changes& now) const {
-        if (given == Py_None) return true;
-        if (!PyArray_CheckExact(given)) return false;
-        PyArrayObject* which = reinterpret_cast<PyArrayObject*>(given);
-        if (PyArray_TYPE(which) != NPY_BOOL || PyArray_NDIM(which) != 1 || PyArray_DIM(which, 0) != count || count > 64)
-            return false;
-        now.contacts = 0;
-        for (int i = 0; i < count; ++i)
-            now.contacts |= std::uint64_t(*static_cast<npy_bool*>(PyArray_GETPTR1(which, i)) != 0) << i;
-        return true;
-    }
+    const ArrayArgument array(given);
+    if (!array.has({count}) && !array.has({count, 2})) return false;
+    now.friction = array.numbers();
+    return true;
+  }
+  bool read_jacobian(PyObject* given, Changes& now) const {
+    const ArrayArgument array(given);
+    return array.take({count, 3, joints}, now.jacobian) ||
+           array.take({count, 6, joints}, now.jacobian);
+  }
+  bool read_contacts(PyObject* given, Changes& now) const {
+    if (given == Py_None) return true;
+    if (!PyArray_CheckExact(given)) return false;
+    PyArrayObject* which = reinterpret_cast<PyArrayObject*>(given);
+    if (PyArray_TYPE(which) != NPY_BOOL || PyArray_NDIM(which) != 1 ||
+        PyArray_DIM(which, 0) != count || count > 64)
+      return false;
+    now.contacts = 0;
+    for (int i = 0; i < count; ++i)
+      now.contacts |= std::uint64_t(*static_cast<npy_bool*>(PyArray_GETPTR1(which, i)) != 0) << i;
+    return true;
+  }
 };
 
-void make(ForceOptimizer* self, const OwnProblem& problem, const grasp::Options& options, nb::object kind, nb::object names) {
-    if (!is_solution_class(kind)) throw nb::type_error("kind must be `Solution` or a class derived from it");
-    new (self) ForceOptimizer(problem.view(), options, kind, names);
+void make(ForceOptimizer* self, const OwnProblem& problem, const grasp::Options& options,
+          nb::object kind, nb::object names) {
+  if (!is_solution_class(kind))
+    throw nb::type_error("kind must be `Solution` or a class derived from it");
+  new (self) ForceOptimizer(problem.view(), options, kind, names);
 }
 
-nb::object solve(ForceOptimizer& on, nb::handle wrench, nb::handle changes, const OwnRequest* request) {
-    Request ask{};
-    if (request) ask = request->request;
-    if (!on.read(wrench, changes, ask)) return nb::borrow(Py_NotImplemented);
-    return on.solved(ask);
+nb::object solve(ForceOptimizer& on, nb::handle wrench, nb::handle changes,
+                 const OwnRequest* request) {
+  Request ask{};
+  if (request) ask = request->request;
+  if (!on.read(wrench, changes, ask)) return nb::borrow(Py_NotImplemented);
+  return on.solved(ask);
 }
 
-nb::object start(ForceOptimizer& on, nb::handle wrench, nb::handle changes, const OwnRequest& request) {
-    Request ask = request.request;
-    if (!on.read(wrench, changes, ask)) return nb::borrow(Py_NotImplemented);
-    nb::object row = on.new_row(on.size());
-    on.start(ask, data(row));
-    return on.solution(row);
+nb::object start(ForceOptimizer& on, nb::handle wrench, nb::handle changes,
+                 const OwnRequest& request) {
+  Request ask = request.request;
+  if (!on.read(wrench, changes, ask)) return nb::borrow(Py_NotImplemented);
+  nb::object row = on.new_row(on.size());
+  on.start(ask, data(row));
+  return on.solution(row);
 }
 
 bool update(ForceOptimizer& on, nb::handle changes) {
-    Changes now;
-    if (!on.read(changes, now)) throw nb::type_error("expected C-contiguous float64 arrays");
-    return on.update(now);
+  Changes now;
+  if (!on.read(changes, now)) throw nb::type_error("expected C-contiguous float64 arrays");
+  return on.update(now);
 }
 
 void solve_many(const ForceOptimizer& on, nb::handle wrenches, nb::handle rows) {
-    const Numbers loads = in(wrenches, -1, 6);
-    const std::size_t many = loads.length(0);
-    const Numbers to = out(rows, Py_ssize_t(many), on.size());
-    grasp::ForceOptimizer own = on;  // copied while the GIL still protects it
-    nb::gil_scoped_release free;
-    own.solve_many({loads.data(), 6 * many}, {to.data(), many * own.size()});
+  const Numbers loads = in(wrenches, -1, 6);
+  const std::size_t many = loads.length(0);
+  const Numbers to = out(rows, Py_ssize_t(many), on.size());
+  grasp::ForceOptimizer own = on;  // copied while the GIL still protects it
+  nb::gil_scoped_release free;
+  own.solve_many({loads.data(), 6 * many}, {to.data(), many * own.size()});
 }
 
 void times(ForceOptimizer& on, nb::handle wrenches, int passes, nb::handle rows, nb::handle best) {
-    time_calls(wrenches, passes, on.size(), rows, best, [&](const double* wrench, double* row) {
-        Request ask{};
-        ask.wrench = wrench;
-        on.solve(ask, row);
-    });
+  time_calls(wrenches, passes, on.size(), rows, best, [&](const double* wrench, double* row) {
+    Request ask{};
+    ask.wrench = wrench;
+    on.solve(ask, row);
+  });
 }
 
-nb::typed<nb::tuple, int, int, double> deepest(ForceOptimizer& on, nb::handle wrench, nb::handle force, nb::handle torsion,
+nb::typed<nb::tuple, int, int, double> deepest(ForceOptimizer& on, nb::handle wrench,
+                                               nb::handle force, nb::handle torsion,
                                                nb::handle twist) {
-    const Numbers load = in(wrench, 6), to = out(force, on.count, 3), turn = out(torsion, on.count), proof = out(twist, 6);
-    const std::size_t count = on.count;
-    const grasp::Deepest found = on.deepest(grasp::Wrench(load.data(), 6), {to.data(), 3 * count}, {turn.data(), count});
-    std::copy(found.twist.begin(), found.twist.end(), proof.data());
-    return nb::make_tuple(int(found.code), found.iterations, found.margin);
+  const Numbers load = in(wrench, 6);
+  const Numbers to = out(force, on.count, 3);
+  const Numbers turn = out(torsion, on.count);
+  const Numbers proof = out(twist, 6);
+  const std::size_t count = on.count;
+  const grasp::Deepest found =
+      on.deepest(grasp::Wrench(load.data(), 6), {to.data(), 3 * count}, {turn.data(), count});
+  std::copy(found.twist.begin(), found.twist.end(), proof.data());
+  return nb::make_tuple(int(found.code), found.iterations, found.margin);
 }
 
 void set_basis(ForceOptimizer& on, nb::handle basis) {
-    on.set_basis({in(basis, 13, 3 * on.count).data(), std::size_t(39 * on.count)});
+  on.set_basis({in(basis, 13, 3 * on.count).data(), std::size_t(39 * on.count)});
 }
 double make_basis(ForceOptimizer& on, nb::handle basis, bool warm) {
-    return on.make_basis({out(basis, 13, 3 * on.count).data(), std::size_t(39 * on.count)}, warm);
+  return on.make_basis({out(basis, 13, 3 * on.count).data(), std::size_t(39 * on.count)}, warm);
 }
 
 // combine a 12-basis (13, M) into (M,)
 void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
-    const Numbers rows = in(basis, 13, -1), load = in(wrench, 6);
-    const Py_ssize_t size = rows.length(1);
-    const Numbers sum = out(to, size);
-    const grasp::Combination made(load.data(), printed);
-    std::fill(sum.data(), sum.data() + size, 0.0);
-    for (int k = 0; k < 7; ++k)
-        for (Py_ssize_t j = 0; j < size; ++j) sum.data()[j] += made.weights[k] * rows.data()[size * made.rows[k] + j];
+  const Numbers rows = in(basis, 13, -1);
+  const Numbers load = in(wrench, 6);
+  const Py_ssize_t size = rows.length(1);
+  const Numbers sum = out(to, size);
+  const grasp::Combination made(load.data(), printed);
+  std::fill(sum.data(), sum.data() + size, 0.0);
+  for (int k = 0; k < 7; ++k)
+    for (Py_ssize_t j = 0; j < size; ++j)
+      sum.data()[j] += made.weights[k] * rows.data()[size * made.rows[k] + j];
 }
 
 }  // namespace
 
-const grasp::ForceOptimizer& optimizer_of(nb::handle optimizer) { return nb::cast<const ForceOptimizer&>(optimizer); }
+const grasp::ForceOptimizer& optimizer_of(nb::handle optimizer) {
+  return nb::cast<const ForceOptimizer&>(optimizer);
+}
 
 void bind_optimizer(nb::module_& m) {
-    if (_import_array() < 0) throw nb::python_error();
-    m.attr("ACCEPTED_GAP") = grasp::ACCEPTED_GAP;
-    m.attr("CLEAR") = grasp::CLEAR;
-    m.def("combine", &combine, "basis"_a, "wrench"_a, "printed"_a, "to"_a,
-          "Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,). printed: without the optimum at rest\n"
-          "(Eqs. 33, 34).");
-    nb::class_<ForceOptimizer>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`.")
-        .def("__init__", &make, "problem"_a, nb::arg("options").sig("...") = grasp::Options{},
-             nb::arg("kind").sig("...") = m.attr("Solution"), "names"_a.none() = nb::none(),
-             "kind: the class of solutions; names: what `Solution._names` returns.")
-        .def("solve", &solve, "wrench"_a.none(), "changes"_a.none() = nb::none(), "request"_a.none() = nb::none(),
-             "Return a solution, whose code says whether it holds a force; NotImplemented if wrench or changes are not "
-             "C-contiguous\n"
-             "float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, torque_bias, contacts), each "
-             "None if\n"
-             "it did not change.")
-        .def("start", &start, "wrench"_a, "changes"_a.none(), "request"_a,
-             "The same for the start alone: code `started`, and the start in `initial_force`.")
-        .def("update", &update, "changes"_a,
-             "Replace contacts and limits for later calls. Return False, with nothing changed, if they are not possible.")
-        .def_prop_ro("previous", &ForceOptimizer::last, "The last solution with a force, or None.")
-        .def("remember", &ForceOptimizer::take, "solution"_a,
-             "Take a solution as the last one. Return False if it holds no force or has another number of contacts.")
-        .def("forget", &ForceOptimizer::forget, "Forget the last solution.")
-        .def("set_basis", &set_basis, "basis"_a, "Set the 12-basis with the optimum at rest, (13, 3N) cone coordinates.")
-        .def("make_basis", &make_basis, "basis"_a, "warm"_a,
-             "Compute that basis into `basis` and use it. Return the worst relative gap; inf: not converged, nan: no force "
-             "closure.\n"
-             "warm: `basis` holds that of nearby contacts.")
-        .def(
-            "deepest", &deepest, "wrench"_a, "force"_a, "torsion"_a, "twist"_a,
-            "Find the force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist (6,) that proves that none is\n"
-            "inside. Return (code, iterations, margin).")
-        .def("solve_many", &solve_many, "wrenches"_a, "rows"_a, "Solve (M, 6) wrenches into (M, size); releases the GIL.")
-        .def("times", &times, "wrenches"_a, "passes"_a, "rows"_a, "best"_a,
-             "Measure the best time (M,) [s] of `passes` independent calls for each of (M, 6) wrenches, and write the last rows.")
-        .def_ro("count", &ForceOptimizer::count, "Number of contacts.")
-        .def_prop_ro("size", &ForceOptimizer::size, "Number of values in a row.");
+  if (_import_array() < 0) throw nb::python_error();
+  m.attr("ACCEPTED_GAP") = grasp::ACCEPTED_GAP;
+  m.attr("CLEAR") = grasp::CLEAR;
+  m.def("combine", &combine, "basis"_a, "wrench"_a, "printed"_a, "to"_a,
+        "Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,). printed: "
+        "without the optimum at rest\n"
+        "(Eqs. 33, 34).");
+  nb::class_<ForceOptimizer>(m, "ForceOptimizer",
+                             "`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`.")
+      .def("__init__", &make, "problem"_a, nb::arg("options").sig("...") = grasp::Options{},
+           nb::arg("kind").sig("...") = m.attr("Solution"), "names"_a.none() = nb::none(),
+           "kind: the class of solutions; names: what `Solution._names` returns.")
+      .def("solve", &solve, "wrench"_a.none(), "changes"_a.none() = nb::none(),
+           "request"_a.none() = nb::none(),
+           "Return a solution, whose code says whether it holds a force; NotImplemented if wrench "
+           "or changes are not "
+           "C-contiguous\n"
+           "float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, "
+           "torque_bias, contacts), each "
+           "None if\n"
+           "it did not change.")
+      .def("start", &start, "wrench"_a, "changes"_a.none(), "request"_a,
+           "The same for the start alone: code `started`, and the start in `initial_force`.")
+      .def("update", &update, "changes"_a,
+           "Replace contacts and limits for later calls. Return False, with nothing changed, if "
+           "they are not possible.")
+      .def_prop_ro("previous", &ForceOptimizer::last, "The last solution with a force, or None.")
+      .def("remember", &ForceOptimizer::take, "solution"_a,
+           "Take a solution as the last one. Return False if it holds no force or has another "
+           "number of contacts.")
+      .def("forget", &ForceOptimizer::forget, "Forget the last solution.")
+      .def("set_basis", &set_basis, "basis"_a,
+           "Set the 12-basis with the optimum at rest, (13, 3N) cone coordinates.")
+      .def("make_basis", &make_basis, "basis"_a, "warm"_a,
+           "Compute that basis into `basis` and use it. Return the worst relative gap; inf: not "
+           "converged, nan: no force "
+           "closure.\n"
+           "warm: `basis` holds that of nearby contacts.")
+      .def("deepest", &deepest, "wrench"_a, "force"_a, "torsion"_a, "twist"_a,
+           "Find the force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist "
+           "(6,) that proves that none is\n"
+           "inside. Return (code, iterations, margin).")
+      .def("solve_many", &solve_many, "wrenches"_a, "rows"_a,
+           "Solve (M, 6) wrenches into (M, size); releases the GIL.")
+      .def("times", &times, "wrenches"_a, "passes"_a, "rows"_a, "best"_a,
+           "Measure the best time (M,) [s] of `passes` independent calls for each of (M, 6) "
+           "wrenches, and write the last rows.")
+      .def_ro("count", &ForceOptimizer::count, "Number of contacts.")
+      .def_prop_ro("size", &ForceOptimizer::size, "Number of values in a row.");
 }

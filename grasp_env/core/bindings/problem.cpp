@@ -14,109 +14,122 @@ namespace {
 
 // The numbers of an array of this shape, -1: any length; empty for None.
 template <class... Sizes> std::vector<double> copied(nb::handle array, Sizes... sizes) {
-    if (array.is_none()) return {};
-    const Numbers given = in(array, sizes...);
-    std::size_t total = 1;
-    for (int a = 0; a < given.axes(); ++a) total *= std::size_t(given.length(a));
-    return {given.data(), given.data() + total};
+  if (array.is_none()) return {};
+  const Numbers given = in(array, sizes...);
+  std::size_t total = 1;
+  for (int a = 0; a < given.axes(); ++a) total *= std::size_t(given.length(a));
+  return {given.data(), given.data() + total};
 }
 
 // A step rule from the numbers of `StepRule.parameters`.
 StepRule rule_of(nb::handle numbers) {
-    const Numbers rule = in(numbers, 5);
-    const double* p = rule.data();
-    if (!(p[0] >= 0.0 && p[0] <= double(StepRule::EXACT))) throw nb::value_error("no such kind of step rule");
-    return {int(p[0]), p[1], p[2], p[3], p[4]};
+  const Numbers rule = in(numbers, 5);
+  const double* p = rule.data();
+  if (!(p[0] >= 0.0 && p[0] <= double(StepRule::EXACT)))
+    throw nb::value_error("no such kind of step rule");
+  return {int(p[0]), p[1], p[2], p[3], p[4]};
 }
 
-// weights: omega and lambda of all contacts, or (N, 2), or None: those of `Objective`; limits: in the order of `ForceLimits`
-void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights, nb::handle limits) {
-    OwnProblem made{contacts};
-    if (weights.is_none()) {
-        made.contacts.set_weights(Objective{});
-    } else if (PyTuple_Check(weights.ptr())) {
-        const auto [omega, lambda] = nb::cast<std::pair<double, double>>(weights);
-        made.contacts.set_weights(Objective{omega, lambda});
-    } else {
-        made.contacts.set_weights(in(weights, contacts.count, 2).data());
-    }
-    if (!limits.is_none()) {
-        const nb::tuple given = nb::cast<nb::tuple>(limits);
-        if (given.size() != 5) throw nb::type_error("expected the five arrays of `ForceLimits`");
-        made.min_normal = copied(given[0], contacts.count);
-        made.max_normal = copied(given[1], contacts.count);
-        made.torque_limit = copied(given[3], -1);
-        made.jacobian = copied(given[2], contacts.count, -1, made.torque_limit.size());
-        made.torque_bias = copied(given[4], made.torque_limit.size());
-    }
-    new (self) OwnProblem(std::move(made));
+// weights: omega and lambda of all contacts, or (N, 2), or None: those of `Objective`; limits: in
+// the order of `ForceLimits`
+void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights,
+                  nb::handle limits) {
+  OwnProblem made{contacts};
+  if (weights.is_none()) {
+    made.contacts.set_weights(Objective{});
+  } else if (PyTuple_Check(weights.ptr())) {
+    const auto [omega, lambda] = nb::cast<std::pair<double, double>>(weights);
+    made.contacts.set_weights(Objective{omega, lambda});
+  } else {
+    made.contacts.set_weights(in(weights, contacts.count, 2).data());
+  }
+  if (!limits.is_none()) {
+    const nb::tuple given = nb::cast<nb::tuple>(limits);
+    if (given.size() != 5) throw nb::type_error("expected the five arrays of `ForceLimits`");
+    made.min_normal = copied(given[0], contacts.count);
+    made.max_normal = copied(given[1], contacts.count);
+    made.torque_limit = copied(given[3], -1);
+    made.jacobian = copied(given[2], contacts.count, -1, made.torque_limit.size());
+    made.torque_bias = copied(given[4], made.torque_limit.size());
+  }
+  new (self) OwnProblem(std::move(made));
 }
 
 Method method_of(std::string_view name) {
-    constexpr std::array<std::pair<std::string_view, Method>, 4> METHODS{{{"newton", Method::newton},
-                                                                          {"reduced_flow", Method::reduced_flow},
-                                                                          {"full_flow", Method::full_flow},
-                                                                          {"conic", Method::conic}}};
-    for (const auto& [known, method] : METHODS)
-        if (name == known) return method;
-    throw nb::value_error("no such method");
+  constexpr std::array<std::pair<std::string_view, Method>, 4> METHODS{
+      {{"newton", Method::newton},
+       {"reduced_flow", Method::reduced_flow},
+       {"full_flow", Method::full_flow},
+       {"conic", Method::conic}}};
+  for (const auto& [known, method] : METHODS)
+    if (name == known) return method;
+  throw nb::value_error("no such method");
 }
 Start start_of(int start) {
-    if (start < 0 || start > int(Start::central)) throw nb::value_error("no such start");
-    return Start(start);
+  if (start < 0 || start > int(Start::central)) throw nb::value_error("no such start");
+  return Start(start);
 }
 
-void make_options(Options* self, const char* method, bool largest, int start, double tolerance, int limit, bool elastic,
-                  nb::handle step_rule, const Model* model, bool remembers) {
-    Options made{.method = method_of(method),
-                 .criterion = largest ? Criterion::largest : Criterion::sum,
-                 .start = start_of(start),
-                 .tolerance = tolerance,
-                 .limit = limit,
-                 .elastic = elastic,
-                 .remembers = remembers};
-    if (!step_rule.is_none()) made.step_rule = rule_of(step_rule);
-    if (model) made.model = std::make_shared<const Model>(*model);
-    new (self) Options(std::move(made));
+void make_options(Options* self, const char* method, bool largest, int start, double tolerance,
+                  int limit, bool elastic, nb::handle step_rule, const Model* model,
+                  bool remembers) {
+  Options made{.method = method_of(method),
+               .criterion = largest ? Criterion::largest : Criterion::sum,
+               .start = start_of(start),
+               .tolerance = tolerance,
+               .limit = limit,
+               .elastic = elastic,
+               .remembers = remembers};
+  if (!step_rule.is_none()) made.step_rule = rule_of(step_rule);
+  if (model) made.model = std::make_shared<const Model>(*model);
+  new (self) Options(std::move(made));
 }
 
-void make_request(OwnRequest* self, int start, nb::object force, nb::object previous, double optimum, nb::object trace) {
-    OwnRequest made{.force = force, .previous = previous, .trace = trace};
-    made.request.start = start_of(start);
-    made.request.optimum = optimum;
-    if (!force.is_none()) {
-        const Numbers given = in(force, -1, 3);
-        made.request.force = {given.data(), std::size_t(3 * given.length(0))};
-    }
-    if (!previous.is_none()) made.request.previous = row_of(previous);
-    if (!trace.is_none()) {
-        const Numbers values = out(trace, -1);
-        made.request.trace = {values.data(), std::size_t(values.length(0))};
-    }
-    new (self) OwnRequest(std::move(made));
+void make_request(OwnRequest* self, int start, nb::object force, nb::object previous,
+                  double optimum, nb::object trace) {
+  OwnRequest made{.force = force, .previous = previous, .trace = trace};
+  made.request.start = start_of(start);
+  made.request.optimum = optimum;
+  if (!force.is_none()) {
+    const Numbers given = in(force, -1, 3);
+    made.request.force = {given.data(), std::size_t(3 * given.length(0))};
+  }
+  if (!previous.is_none()) made.request.previous = row_of(previous);
+  if (!trace.is_none()) {
+    const Numbers values = out(trace, -1);
+    made.request.trace = {values.data(), std::size_t(values.length(0))};
+  }
+  new (self) OwnRequest(std::move(made));
 }
 
 }  // namespace
 
 void bind_problem(nb::module_& m) {
-    nb::class_<OwnProblem>(m, "Problem", "`grasp::Problem`: contacts with the weights of Phi, and limits besides friction.")
-        .def("__init__", &make_problem, "contacts"_a, "weights"_a.none() = nb::none(), "limits"_a.none() = nb::none(),
-             "weights: omega and lambda of all contacts, or an array (N, 2); None: 1 and 0.01. limits: (min_normal, max_normal, "
-             "jacobian, "
-             "torque_limit,\n"
-             "torque_bias), each an array or None; None: no limits.");
-    nb::class_<Options>(m, "Options", "`grasp::Options`.")
-        .def("__init__", &make_options, nb::kw_only(), "method"_a = "newton", "largest"_a = false, "start"_a = 0,
-             "tolerance"_a = 0.0, "limit"_a = 20000, "elastic"_a = false, "step_rule"_a.none() = nb::none(),
-             "model"_a.none() = nb::none(), "remembers"_a = true,
-             "largest: True for `Criterion::largest`; start: index into the names of `Start`; step_rule: (5,) kind, first, grow, "
-             "shrink,\n"
-             "decrease.");
-    nb::class_<OwnRequest>(m, "Request",
-                           "`grasp::Request` without its wrench and changes: the start of a call, and a study of it.")
-        .def("__init__", &make_request, nb::kw_only(), "start"_a = 0, "force"_a.none() = nb::none(),
-             "previous"_a.none() = nb::none(), "optimum"_a = std::numeric_limits<double>::quiet_NaN(),
-             "trace"_a.none() = nb::none(),
-             "force: (N, 3) [N]; previous: a solution; optimum: a known minimum of Phi; trace: (T,) receives Phi of the first "
-             "iterates.");
+  nb::class_<OwnProblem>(
+      m, "Problem",
+      "`grasp::Problem`: contacts with the weights of Phi, and limits besides friction.")
+      .def("__init__", &make_problem, "contacts"_a, "weights"_a.none() = nb::none(),
+           "limits"_a.none() = nb::none(),
+           "weights: omega and lambda of all contacts, or an array (N, 2); None: 1 and 0.01. "
+           "limits: (min_normal, max_normal, "
+           "jacobian, "
+           "torque_limit,\n"
+           "torque_bias), each an array or None; None: no limits.");
+  nb::class_<Options>(m, "Options", "`grasp::Options`.")
+      .def("__init__", &make_options, nb::kw_only(), "method"_a = "newton", "largest"_a = false,
+           "start"_a = 0, "tolerance"_a = 0.0, "limit"_a = 20000, "elastic"_a = false,
+           "step_rule"_a.none() = nb::none(), "model"_a.none() = nb::none(), "remembers"_a = true,
+           "largest: True for `Criterion::largest`; start: index into the names of `Start`; "
+           "step_rule: (5,) kind, first, grow, "
+           "shrink,\n"
+           "decrease.");
+  nb::class_<OwnRequest>(
+      m, "Request",
+      "`grasp::Request` without its wrench and changes: the start of a call, and a study of it.")
+      .def("__init__", &make_request, nb::kw_only(), "start"_a = 0, "force"_a.none() = nb::none(),
+           "previous"_a.none() = nb::none(), "optimum"_a = std::numeric_limits<double>::quiet_NaN(),
+           "trace"_a.none() = nb::none(),
+           "force: (N, 3) [N]; previous: a solution; optimum: a known minimum of Phi; trace: (T,) "
+           "receives Phi of the first "
+           "iterates.");
 }

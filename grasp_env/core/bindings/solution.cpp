@@ -1,5 +1,6 @@
-// The base class of `ForceSolution`: a record, the names of its method and starts, and the force read from it. Plain CPython and
-// numpy, since the control loop is sensitive to every nanosecond here: Python or a nanobind class take four times as long.
+// The base class of `ForceSolution`: a record, the names of its method and starts, and the force
+// read from it. Plain CPython and numpy, since the control loop is sensitive to every nanosecond
+// here: Python or a nanobind class take four times as long.
 #include <grasp/record.hpp>
 
 #include "solution.hpp"
@@ -10,9 +11,12 @@ namespace {
 
 using grasp::SUMMARY;
 
-struct Solution { PyObject_HEAD PyObject *record, *names, *objective_trace; };
+struct Solution {
+  PyObject_HEAD PyObject *record, *names, *objective_trace;
+};
 
-constexpr PyObject* Solution::* FIELDS[] = {&Solution::record, &Solution::names, &Solution::objective_trace};
+constexpr PyObject* Solution::* FIELDS[] = {&Solution::record, &Solution::names,
+                                            &Solution::objective_trace};
 PyObject* empty_array = nullptr;  // an empty array, read-only
 PyTypeObject* solution_type = nullptr;
 
@@ -20,168 +24,202 @@ PyArrayObject* array(PyObject* object) { return reinterpret_cast<PyArrayObject*>
 
 // Raise the project's own error, imported only when needed.
 PyObject* raise_invalid_input(const char* said) {
-    nb::object kind = nb::module_::import_("grasp_env.errors").attr("InvalidInputError");
-    PyErr_SetString(kind.ptr(), said);
-    return nullptr;
+  nb::object kind = nb::module_::import_("grasp_env.errors").attr("InvalidInputError");
+  PyErr_SetString(kind.ptr(), said);
+  return nullptr;
 }
 
 bool is_record(PyObject* object) {
-    if (!PyArray_Check(object)) return false;
-    const PyArrayObject* a = array(object);
-    if (PyArray_TYPE(a) != NPY_DOUBLE || PyArray_NDIM(a) != 1 || !PyArray_IS_C_CONTIGUOUS(a) || !PyArray_ISBEHAVED_RO(a))
-        return false;
-    if (PyArray_DIM(a, 0) < SUMMARY) return false;
-    const double* row = static_cast<const double*>(PyArray_DATA(const_cast<PyArrayObject*>(a)));
-    const auto& s = *reinterpret_cast<const grasp::Summary*>(row);
-    const double size = SUMMARY + 16.0 * s.contacts + s.joints + s.limits;
-    for (double whole : {s.contacts, s.joints, s.limits, s.iterations, s.trials, s.start, s.code})
-        if (!(whole >= 0.0 && whole < 1e18)) return false;
-    for (double whole : {s.contacts, s.joints, s.limits, s.start, s.code})
-        if (whole > 1e9 || whole != double(int(whole))) return false;
-    const int code = int(s.code);
-    if (size != double(PyArray_DIM(a, 0)) || s.start > double(grasp::Start::central)) return false;
-    return code <= grasp::UNDECIDED && code != grasp::REFUSED && code != grasp::RANK_LOST;
+  if (!PyArray_Check(object)) return false;
+  const PyArrayObject* a = array(object);
+  if (PyArray_TYPE(a) != NPY_DOUBLE || PyArray_NDIM(a) != 1 || !PyArray_IS_C_CONTIGUOUS(a) ||
+      !PyArray_ISBEHAVED_RO(a))
+    return false;
+  if (PyArray_DIM(a, 0) < SUMMARY) return false;
+  const double* row = static_cast<const double*>(PyArray_DATA(const_cast<PyArrayObject*>(a)));
+  const auto& s = *reinterpret_cast<const grasp::Summary*>(row);
+  const double size = SUMMARY + 16.0 * s.contacts + s.joints + s.limits;
+  for (double whole : {s.contacts, s.joints, s.limits, s.iterations, s.trials, s.start, s.code})
+    if (!(whole >= 0.0 && whole < 1e18)) return false;
+  for (double whole : {s.contacts, s.joints, s.limits, s.start, s.code})
+    if (whole > 1e9 || whole != double(int(whole))) return false;
+  const int code = int(s.code);
+  if (size != double(PyArray_DIM(a, 0)) || s.start > double(grasp::Start::central)) return false;
+  return code <= grasp::UNDECIDED && code != grasp::REFUSED && code != grasp::RANK_LOST;
 }
 
 PyObject* made_of(PyTypeObject* type, PyObject* record, PyObject* names, PyObject* trace) {
-    Solution* made = reinterpret_cast<Solution*>(PyType_GenericAlloc(type, 0));
-    if (!made) return nullptr;
-    PyObject* given[] = {record, names, trace};
-    for (int k = 0; k < 3; ++k) made->*FIELDS[k] = Py_NewRef(given[k]);
-    return reinterpret_cast<PyObject*>(made);
+  Solution* made = reinterpret_cast<Solution*>(PyType_GenericAlloc(type, 0));
+  if (!made) return nullptr;
+  PyObject* given[] = {record, names, trace};
+  for (int k = 0; k < 3; ++k) made->*FIELDS[k] = Py_NewRef(given[k]);
+  return reinterpret_cast<PyObject*>(made);
 }
 
 PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
-    PyObject *record, *names, *trace = empty_array;
-    static const char* keywords[] = {"record", "names", "objective_trace", nullptr};
-    if (!PyArg_ParseTupleAndKeywords(arguments, named, "OO|O", const_cast<char**>(keywords), &record, &names, &trace))
-        return nullptr;
-    if (!is_record(record)) {
-        try {
-            return raise_invalid_input(
-                "expected the record of a ForceSolution: a C-contiguous float64 row whose header matches its length");
-        } catch (nb::python_error& error) {
-            error.restore();
-            return nullptr;
-        }
+  PyObject *record, *names, *trace = empty_array;
+  static const char* keywords[] = {"record", "names", "objective_trace", nullptr};
+  if (!PyArg_ParseTupleAndKeywords(arguments, named, "OO|O", const_cast<char**>(keywords), &record,
+                                   &names, &trace))
+    return nullptr;
+  if (!is_record(record)) {
+    try {
+      return raise_invalid_input(
+          "expected the record of a ForceSolution: a C-contiguous float64 row whose header matches "
+          "its length");
+    } catch (nb::python_error& error) {
+      error.restore();
+      return nullptr;
     }
-    return made_of(type, record, names, trace);
+  }
+  return made_of(type, record, names, trace);
 }
 
 void drop(PyObject* self) {
-    PyTypeObject* type = Py_TYPE(self);
-    for (const auto field : FIELDS) Py_CLEAR(reinterpret_cast<Solution*>(self)->*field);
-    reinterpret_cast<freefunc>(PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
+  PyTypeObject* type = Py_TYPE(self);
+  for (const auto field : FIELDS) Py_CLEAR(reinterpret_cast<Solution*>(self)->*field);
+  reinterpret_cast<freefunc>(PyType_GetSlot(type, Py_tp_free))(self);
+  Py_DECREF(type);
 }
 
-// Numbers of the record as a read-only array that keeps it alive. The certificates belong to these numbers, and the next solve may
-// start from them.
+// Numbers of the record as a read-only array that keeps it alive. The certificates belong to these
+// numbers, and the next solve may start from them.
 PyObject* view(PyObject* self, Py_ssize_t first, int axes, const npy_intp* shape) {
-    PyArrayObject* record = array(reinterpret_cast<Solution*>(self)->record);
-    PyArray_Descr* type = PyArray_DESCR(record);
-    Py_INCREF(reinterpret_cast<PyObject*>(type));
-    PyObject* made = PyArray_NewFromDescr(&PyArray_Type, type, axes, shape, nullptr,
-                                          static_cast<double*>(PyArray_DATA(record)) + first, NPY_ARRAY_CARRAY_RO, nullptr);
-    if (!made) return nullptr;
-    if (PyArray_SetBaseObject(array(made), Py_NewRef(reinterpret_cast<PyObject*>(record))) < 0) Py_CLEAR(made);
-    return made;
+  PyArrayObject* record = array(reinterpret_cast<Solution*>(self)->record);
+  PyArray_Descr* type = PyArray_DESCR(record);
+  Py_INCREF(reinterpret_cast<PyObject*>(type));
+  PyObject* made = PyArray_NewFromDescr(&PyArray_Type, type, axes, shape, nullptr,
+                                        static_cast<double*>(PyArray_DATA(record)) + first,
+                                        NPY_ARRAY_CARRAY_RO, nullptr);
+  if (!made) return nullptr;
+  if (PyArray_SetBaseObject(array(made), Py_NewRef(reinterpret_cast<PyObject*>(record))) < 0)
+    Py_CLEAR(made);
+  return made;
 }
 grasp::Record record(PyObject* self) {
-    return grasp::Record(static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(self)->record))));
+  return grasp::Record(
+      static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(self)->record))));
 }
 Py_ssize_t count(PyObject* self) { return record(self).contacts(); }
 
 PyObject* n_contacts(PyObject* self, void*) { return PyLong_FromSsize_t(count(self)); }
 PyObject* code(PyObject* self, void*) {
-    return PyLong_FromLong(long(*static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(self)->record)))));
+  return PyLong_FromLong(
+      long(*static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(self)->record)))));
 }
 PyObject* has_force(PyObject* self, void*) { return PyBool_FromLong(record(self).has_force()); }
 PyObject* forces(PyObject* self, Py_ssize_t rows_before) {
-    const npy_intp shape[] = {count(self), 3};
-    return view(self, SUMMARY + 3 * rows_before, 2, shape);
+  const npy_intp shape[] = {count(self), 3};
+  return view(self, SUMMARY + 3 * rows_before, 2, shape);
 }
 PyObject* force(PyObject* self, void*) { return forces(self, 0); }
 PyObject* initial_force(PyObject* self, void*) { return forces(self, count(self)); }
 PyObject* torsion(PyObject* self, void*) {
-    const npy_intp many = count(self);
-    return view(self, SUMMARY + 6 * many, 1, &many);
+  const npy_intp many = count(self);
+  return view(self, SUMMARY + 6 * many, 1, &many);
 }
 
 PyObject* frames(PyObject* self, void*) {
-    const npy_intp shape[] = {count(self), 3, 3};
-    return view(self, SUMMARY + 7 * count(self), 3, shape);
+  const npy_intp shape[] = {count(self), 3, 3};
+  return view(self, SUMMARY + 7 * count(self), 3, shape);
 }
 PyObject* torques(PyObject* self, void*) {
-    const npy_intp many = npy_intp(record(self).summary().joints);
-    return view(self, SUMMARY + 16 * count(self), 1, &many);
+  const npy_intp many = npy_intp(record(self).summary().joints);
+  return view(self, SUMMARY + 16 * count(self), 1, &many);
 }
 PyObject* prices(PyObject* self, void*) {
-    const grasp::Record row = record(self);
-    const grasp::Summary& s = row.summary();
-    const npy_intp many = int(s.code) == grasp::LIMITS_EXCEEDED ? 0 : npy_intp(s.limits);
-    return view(self, SUMMARY + 16 * count(self) + npy_intp(s.joints), 1, &many);
+  const grasp::Record row = record(self);
+  const grasp::Summary& s = row.summary();
+  const npy_intp many = int(s.code) == grasp::LIMITS_EXCEEDED ? 0 : npy_intp(s.limits);
+  return view(self, SUMMARY + 16 * count(self) + npy_intp(s.joints), 1, &many);
 }
 PyObject* object_force(PyObject* self, void*) {
-    const npy_intp shape[] = {count(self), 3};
-    PyObject* made = PyArray_SimpleNew(2, shape, NPY_DOUBLE);
-    if (!made) return nullptr;
-    for (int i = 0; i < int(shape[0]); ++i) record(self).object_force(i, static_cast<double*>(PyArray_DATA(array(made))) + 3 * i);
-    return made;
+  const npy_intp shape[] = {count(self), 3};
+  PyObject* made = PyArray_SimpleNew(2, shape, NPY_DOUBLE);
+  if (!made) return nullptr;
+  for (int i = 0; i < int(shape[0]); ++i)
+    record(self).object_force(i, static_cast<double*>(PyArray_DATA(array(made))) + 3 * i);
+  return made;
 }
 template <double grasp::Summary::* field> PyObject* number(PyObject* self, void*) {
-    return PyFloat_FromDouble(record(self).summary().*field);
+  return PyFloat_FromDouble(record(self).summary().*field);
 }
 PyObject* gap(PyObject* self, void*) { return PyFloat_FromDouble(record(self).gap()); }
 template <double grasp::Summary::* field> PyObject* whole(PyObject* self, void*) {
-    return PyLong_FromDouble(record(self).summary().*field);
+  return PyLong_FromDouble(record(self).summary().*field);
 }
 template <double grasp::Summary::* field> PyObject* truth(PyObject* self, void*) {
-    return PyBool_FromLong(record(self).summary().*field != 0.0);
+  return PyBool_FromLong(record(self).summary().*field != 0.0);
 }
 template <grasp::Vec6 grasp::Summary::* field> PyObject* six(PyObject* self, void*) {
-    const npy_intp many = 6;
-    const grasp::Record row = record(self);
-    const grasp::Summary& s = row.summary();
-    return view(self, (s.*field).data() - &s.code, 1, &many);
+  const npy_intp many = 6;
+  const grasp::Record row = record(self);
+  const grasp::Summary& s = row.summary();
+  return view(self, (s.*field).data() - &s.code, 1, &many);
 }
 
 using grasp::Summary;
 PyGetSetDef read[] = {
-    {"wrench", six<&Summary::wrench>, nullptr, "(6,) external wrench that `force` balances [N, N m].", nullptr},
+    {"wrench", six<&Summary::wrench>, nullptr,
+     "(6,) external wrench that `force` balances [N, N m].", nullptr},
     {"multipliers", six<&Summary::multipliers>, nullptr,
-     "(6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu.", nullptr},
-    {"iterations", whole<&Summary::iterations>, nullptr, "Accepted steps.", nullptr},
-    {"trials", whole<&Summary::trials>, nullptr, "All steps tried, rejected ones included.", nullptr},
-    {"objective", number<&Summary::objective>, nullptr,
-     "Phi of `force`; for `conic` the sum or maximum of the normal forces [N]; `limit_excess` if that is > 0.", nullptr},
-    {"lower_bound", number<&Summary::lower_bound>, nullptr,
-     "A dual bound: no balanced force has a smaller objective (-inf: none). If `optimum` is given, that value.", nullptr},
-    {"equilibrium_residual", number<&Summary::residual>, nullptr,
-     "Largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length.", nullptr},
-    {"cone_margin", number<&Summary::margin>, nullptr,
-     "Smallest mu * normal - |tangential| over the contacts [N] (in cone coordinates); > 0 strictly inside.", nullptr},
-    {"limit_excess", number<&Summary::limit_excess>, nullptr,
-     "Largest excess of a limit, as a fraction of that limit; 0 within all. See `elastic` of `optimize_force`.", nullptr},
-    {"optimality_gap", gap, nullptr, "(objective - lower_bound) / lower_bound, certified; +inf without a positive bound.",
+     "(6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d "
+     "wrench = -nu.",
      nullptr},
+    {"iterations", whole<&Summary::iterations>, nullptr, "Accepted steps.", nullptr},
+    {"trials", whole<&Summary::trials>, nullptr, "All steps tried, rejected ones included.",
+     nullptr},
+    {"objective", number<&Summary::objective>, nullptr,
+     "Phi of `force`; for `conic` the sum or maximum of the normal forces [N]; `limit_excess` if "
+     "that is > 0.",
+     nullptr},
+    {"lower_bound", number<&Summary::lower_bound>, nullptr,
+     "A dual bound: no balanced force has a smaller objective (-inf: none). If `optimum` is given, "
+     "that value.",
+     nullptr},
+    {"equilibrium_residual", number<&Summary::residual>, nullptr,
+     "Largest |component| of G f + w [N], moments about the contacts' centre, divided by the "
+     "grasp's length.",
+     nullptr},
+    {"cone_margin", number<&Summary::margin>, nullptr,
+     "Smallest mu * normal - |tangential| over the contacts [N] (in cone coordinates); > 0 "
+     "strictly inside.",
+     nullptr},
+    {"limit_excess", number<&Summary::limit_excess>, nullptr,
+     "Largest excess of a limit, as a fraction of that limit; 0 within all. See `elastic` of "
+     "`optimize_force`.",
+     nullptr},
+    {"optimality_gap", gap, nullptr,
+     "(objective - lower_bound) / lower_bound, certified; +inf without a positive bound.", nullptr},
     {"start_replaced", truth<&Summary::replaced>, nullptr,
-     "True if the requested start could not be used, so that the solve began from another; see `initial`.", nullptr},
-    {"frames", frames, nullptr, "(N, 3, 3) columns (n, o, t) of each contact, in the frame of the positions.", nullptr},
-    {"object_force", object_force, nullptr, "(N, 3) N: `force` along the axes of the frame of the positions.", nullptr},
+     "True if the requested start could not be used, so that the solve began from another; see "
+     "`initial`.",
+     nullptr},
+    {"frames", frames, nullptr,
+     "(N, 3, 3) columns (n, o, t) of each contact, in the frame of the positions.", nullptr},
+    {"object_force", object_force, nullptr,
+     "(N, 3) N: `force` along the axes of the frame of the positions.", nullptr},
     {"torques", torques, nullptr,
-     "(J,) [N m] torques of the joints with torque limits, including the torque bias; empty without such limits.", nullptr},
+     "(J,) [N m] torques of the joints with torque limits, including the torque bias; empty "
+     "without such limits.",
+     nullptr},
     {"limit_multipliers", prices, nullptr,
-     "(M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; for INFEASIBLE those of the proof;\n"
+     "(M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; for "
+     "INFEASIBLE those of the proof;\n"
      "otherwise empty.",
      nullptr},
     {"n_contacts", n_contacts, nullptr, "Number of contacts.", nullptr},
     {"code", code, nullptr, "Code of the solve, see `codes`.", nullptr},
-    {"has_force", has_force, nullptr, "True if the solution holds a force; otherwise its force is zero.", nullptr},
-    {"force", force, nullptr, "(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.", nullptr},
+    {"has_force", has_force, nullptr,
+     "True if the solution holds a force; otherwise its force is zero.", nullptr},
+    {"force", force, nullptr,
+     "(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.",
+     nullptr},
     {"initial_force", initial_force, nullptr, "(N, 3) start [N].", nullptr},
     {"torsion", torsion, nullptr,
-     "(N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft.", nullptr},
+     "(N,) N m: torsion of each finger on the object about its normal; zero unless the contact is "
+     "soft.",
+     nullptr},
     {},
 };
 PyMemberDef held[] = {
@@ -190,36 +228,43 @@ PyMemberDef held[] = {
     {"objective_trace", T_OBJECT, offsetof(Solution, objective_trace), 0, nullptr},
     {},
 };
-PyType_Slot slots[] = {{Py_tp_new, reinterpret_cast<void*>(make)},
-                       {Py_tp_dealloc, reinterpret_cast<void*>(drop)},
-                       {Py_tp_getset, read},
-                       {Py_tp_members, held},
-                       {Py_tp_doc, const_cast<char*>("The data of a solution; see `grasp_env.force.ForceSolution`.")},
-                       {}};
-PyType_Spec spec{"grasp_env.core._core.Solution", sizeof(Solution), 0, Py_TPFLAGS_DEFAULT | Py_TPFLAGS_BASETYPE, slots};
+PyType_Slot slots[] = {
+    {Py_tp_new, reinterpret_cast<void*>(make)},
+    {Py_tp_dealloc, reinterpret_cast<void*>(drop)},
+    {Py_tp_getset, read},
+    {Py_tp_members, held},
+    {Py_tp_doc, const_cast<char*>("The data of a solution; see `grasp_env.force.ForceSolution`.")},
+    {}};
+PyType_Spec spec{"grasp_env.core._core.Solution", sizeof(Solution), 0,
+                 Py_TPFLAGS_DEFAULT | Py_TPFLAGS_BASETYPE, slots};
 
 }  // namespace
 
 PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* names) {
-    return made_of(reinterpret_cast<PyTypeObject*>(kind), record, names, empty_array);
+  return made_of(reinterpret_cast<PyTypeObject*>(kind), record, names, empty_array);
 }
 bool is_solution_class(nb::handle kind) {
-    return PyType_Check(kind.ptr()) && PyType_IsSubtype(reinterpret_cast<PyTypeObject*>(kind.ptr()), solution_type);
+  return PyType_Check(kind.ptr()) &&
+         PyType_IsSubtype(reinterpret_cast<PyTypeObject*>(kind.ptr()), solution_type);
 }
 double* row_of(nb::handle solution) {
-    if (!PyObject_TypeCheck(solution.ptr(), solution_type)) throw nb::type_error("expected a solution");
-    return static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(solution.ptr())->record)));
+  if (!PyObject_TypeCheck(solution.ptr(), solution_type))
+    throw nb::type_error("expected a solution");
+  return static_cast<double*>(
+      PyArray_DATA(array(reinterpret_cast<Solution*>(solution.ptr())->record)));
 }
-nb::object names_of(nb::handle solution) { return nb::borrow(reinterpret_cast<Solution*>(solution.ptr())->names); }
+nb::object names_of(nb::handle solution) {
+  return nb::borrow(reinterpret_cast<Solution*>(solution.ptr())->names);
+}
 
 void bind_solution(nb::module_& m) {
-    if (_import_array() < 0) throw nb::python_error();
-    npy_intp none = 0;
-    empty_array = PyArray_SimpleNew(1, &none, NPY_DOUBLE);
-    if (!empty_array) throw nb::python_error();
-    PyArray_CLEARFLAGS(array(empty_array), NPY_ARRAY_WRITEABLE);
-    nb::object type = nb::steal(PyType_FromSpec(&spec));
-    if (!type) throw nb::python_error();
-    solution_type = reinterpret_cast<PyTypeObject*>(type.ptr());
-    m.attr("Solution") = type;
+  if (_import_array() < 0) throw nb::python_error();
+  npy_intp none = 0;
+  empty_array = PyArray_SimpleNew(1, &none, NPY_DOUBLE);
+  if (!empty_array) throw nb::python_error();
+  PyArray_CLEARFLAGS(array(empty_array), NPY_ARRAY_WRITEABLE);
+  nb::object type = nb::steal(PyType_FromSpec(&spec));
+  if (!type) throw nb::python_error();
+  solution_type = reinterpret_cast<PyTypeObject*>(type.ptr());
+  m.attr("Solution") = type;
 }

@@ -12,20 +12,24 @@
 using View = nb::ndarray<nb::numpy, double, nb::c_contig>;
 
 // A view that keeps its owner alive.
-inline View view(nb::handle owner, std::vector<double>& numbers, std::initializer_list<size_t> shape) {
-    return View(numbers.data(), shape, owner);
+inline View view(nb::handle owner, std::vector<double>& numbers,
+                 std::initializer_list<size_t> shape) {
+  return View(numbers.data(), shape, owner);
 }
 
 // A read-only view, and a new read-only array.
 using ReadOnly = nb::ndarray<nb::numpy, const double, nb::c_contig>;
 inline ReadOnly view(nb::handle owner, const double* numbers, std::initializer_list<size_t> shape) {
-    return ReadOnly(numbers, shape, owner);
+  return ReadOnly(numbers, shape, owner);
 }
 inline ReadOnly kept(std::vector<double> numbers, std::initializer_list<size_t> shape) {
-    auto* made = new std::vector<double>(std::move(numbers));
-    return ReadOnly(made->data(), shape,
-                    nb::capsule(made, [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); }));
+  auto* made = new std::vector<double>(std::move(numbers));
+  return ReadOnly(made->data(), shape, nb::capsule(made, [](void* p) noexcept {
+                    delete static_cast<std::vector<double>*>(p);
+                  }));
 }
 
 // A new array (3,).
-inline nb::object array_of(const grasp::Point& p) { return nb::cast(View(const_cast<double*>(&p.u), {3}), nb::rv_policy::copy); }
+inline nb::object array_of(const grasp::Point& p) {
+  return nb::cast(View(const_cast<double*>(&p.u), {3}), nb::rv_policy::copy);
+}

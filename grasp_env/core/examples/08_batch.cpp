@@ -1,4 +1,5 @@
-// Many wrenches: in C++ a batch is a loop, with one solver per thread. The same in Python: examples/08_batch.py.
+// Many wrenches: in C++ a batch is a loop, with one solver per thread. The same in Python:
+// examples/08_batch.py.
 #include <grasp/optimizer.hpp>
 
 #include <chrono>
@@ -13,27 +14,34 @@ constexpr double NORMALS[] = {0, 0, 1, 0, 0, -1, 0, 0, -1, 0, 0, -1};
 constexpr int AROUND = 360, UP = 169, THREADS = 2;  // steps of one degree
 
 int main() {
-    const auto contacts = grasp::Contacts::from(POSITIONS, NORMALS, 0.4);
-    std::vector<double> least(AROUND * UP);  // sum of normal forces [N] for 5 N in each direction
-    const auto begin = std::chrono::steady_clock::now();
-    const auto work = [&](int part) {
-        grasp::ForceOptimizer solver({contacts}, {.method = grasp::Method::conic});  // one per thread; nothing is shared
-        for (int k = part; k < AROUND * UP; k += THREADS) {
-            const double azimuth = (k % AROUND - 180) * std::numbers::pi / 180;
-            const double elevation = (k / AROUND - 84) * std::numbers::pi / 180;
-            const double flat = 5 * std::cos(elevation);
-            const double wrench[] = {flat * std::cos(azimuth), flat * std::sin(azimuth), 5 * std::sin(elevation), 0, 0, 0};
-            const grasp::Record& solution = solver.solve(wrench);
-            least[k] = solution.code() == grasp::CONVERGED ? solution.summary().objective : INFINITY;
-        }
-    };
-    std::vector<std::thread> threads;
-    for (int part = 0; part < THREADS; ++part) threads.emplace_back(work, part);
-    for (auto& thread : threads) thread.join();
-    const double took = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  const auto contacts = grasp::Contacts::from(POSITIONS, NORMALS, 0.4);
+  std::vector<double> least(AROUND * UP);  // sum of normal forces [N] for 5 N in each direction
+  const auto begin = std::chrono::steady_clock::now();
+  const auto work = [&](int part) {
+    grasp::ForceOptimizer solver(
+        {contacts}, {.method = grasp::Method::conic});  // one per thread; nothing is shared
+    for (int k = part; k < AROUND * UP; k += THREADS) {
+      const double azimuth = (k % AROUND - 180) * std::numbers::pi / 180;
+      const double elevation = (k / AROUND - 84) * std::numbers::pi / 180;
+      const double flat = 5 * std::cos(elevation);
+      const double wrench[] = {
+          flat * std::cos(azimuth), flat * std::sin(azimuth), 5 * std::sin(elevation), 0, 0, 0};
+      const grasp::Record& solution = solver.solve(wrench);
+      least[k] = solution.code() == grasp::CONVERGED ? solution.summary().objective : INFINITY;
+    }
+  };
+  std::vector<std::thread> threads;
+  for (int part = 0; part < THREADS; ++part) threads.emplace_back(work, part);
+  for (auto& thread : threads) thread.join();
+  const double took =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
 
-    double sum = 0, most = 0;
-    for (double each : least) sum += each, most = std::max(most, each);
-    std::printf("%zu wrenches on one grasp, %.2f million a second\n", least.size(), 1e-6 * double(least.size()) / took);
-    std::printf("they take %.3f N on average, %.3f N at most\n", sum / double(least.size()), most);
+  double sum = 0, most = 0;
+  for (double each : least) {
+    sum += each;
+    most = std::max(most, each);
+  }
+  std::printf("%zu wrenches on one grasp, %.2f million a second\n", least.size(),
+              1e-6 * double(least.size()) / took);
+  std::printf("they take %.3f N on average, %.3f N at most\n", sum / double(least.size()), most);
 }

@@ -1,4 +1,5 @@
-// The parts of the general program with twice the digits, which it takes where doubles do not suffice.
+// The parts of the general program with twice the digits, which it takes where doubles do not
+// suffice.
 #include "instances.hpp"
 
 namespace grasp {

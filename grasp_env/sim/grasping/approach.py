@@ -14,20 +14,33 @@ from grasp_env.inputs.arguments import Array, as_array, choice
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
 
-DEVIATION = math.radians(30.0)  # largest angle between the direction from the palm to the object and the wanted one
+# largest angle between the direction from the palm to the object and the wanted one
+DEVIATION = math.radians(30.0)
 DIRECTIONS = {"down": (0.0, -1.0, 0.0), "up": (0.0, 1.0, 0.0), "side": None}
-"""Directions by name, world frame; "side" is any horizontal one. Gravity is along -y: with "down" the palm is above the object."""
+"""Directions by name, world frame; "side" is any horizontal one.
+
+Gravity is along -y: with "down" the palm is above the object.
+"""
 _PROBE, _STEP = 0.002, 1e-4  # diameter of the ball that probes for the palm, and its steps [m]
 
 
 def as_approach(value: Any, name: str) -> str | tuple[float, float, float]:
-    """Check a wanted direction, world frame: return a name in `DIRECTIONS`, or a vector (3,) with unit length."""
+    """Check a wanted direction, world frame: return a name in `DIRECTIONS`, or a vector (3,) with
+    unit length.
+    """
     if isinstance(value, str):
-        return choice(value, name, DIRECTIONS, ", or give the direction (3,) from the palm to the object, world frame")
+        return choice(
+            value,
+            name,
+            DIRECTIONS,
+            ", or give the direction (3,) from the palm to the object, world frame",
+        )
     given = as_array(value, (3,), name)
     largest = float(np.abs(given).max())
     if largest == 0.0:
-        raise InvalidInputError(f"{name}={given.tolist()} must have a direction; 'down' is (0, -1, 0)")
+        raise InvalidInputError(
+            f"{name}={given.tolist()} must have a direction; 'down' is (0, -1, 0)"
+        )
     direction = given / largest
     x, y, z = (direction / np.linalg.norm(direction)).tolist()
     return x, y, z
@@ -40,7 +53,11 @@ class Approach:
     wanted: str | tuple[float, float, float]
 
     def __str__(self) -> str:
-        return repr(self.wanted) if isinstance(self.wanted, str) else f"({', '.join(f'{x:.3g}' for x in self.wanted)})"
+        return (
+            repr(self.wanted)
+            if isinstance(self.wanted, str)
+            else f"({', '.join(f'{x:.3g}' for x in self.wanted)})"
+        )
 
     def allows(self, direction: Array) -> bool:
         """True if a direction (3,), unit, is within `DEVIATION` of the wanted one."""
@@ -51,7 +68,8 @@ class Approach:
 
     def draw(self, rng: np.random.Generator) -> Array:
         """Return the wanted unit direction (3,); a random horizontal one for "side"."""
-        wanted, turn = self._vector, rng.uniform(0.0, 2.0 * np.pi)
+        wanted = self._vector
+        turn = rng.uniform(0.0, 2.0 * np.pi)
         return np.array([np.cos(turn), 0.0, np.sin(turn)]) if wanted is None else np.array(wanted)
 
     @property
@@ -62,7 +80,8 @@ class Approach:
 def palm_direction(kinematics: HandKinematics, limbs: core.HandLimbs, center: Array) -> Array:
     """Return the unit direction (3,) from the palm to the object's centre [m], (3,), hand frame.
 
-    It starts at the nearest point of the palm, or at the mean of the fingers' first joints if the palm has no shapes.
+    It starts at the nearest point of the palm, or at the mean of the fingers' first joints if the
+    palm has no shapes.
     """
     probe = ObjectDescription("sphere", (_PROBE,)).surface
     still = np.eye(3).ravel().tolist()

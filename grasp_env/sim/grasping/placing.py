@@ -24,7 +24,8 @@ from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
-_ATTEMPTS, _MAX_ATTEMPTS = 3, 6  # attempts to find a good grasp; attempts to find any, or one that is not weak
+# attempts to find a good grasp; attempts to find any, or one that is not weak
+_ATTEMPTS, _MAX_ATTEMPTS = 3, 6
 _SITES, _TURNS = 60, 6  # sites per attempt, and rotations of the object at each
 _RAYS = 60  # rays per finger
 _ENOUGH = 24  # candidates to choose from
@@ -37,7 +38,8 @@ _LISTED = 6  # joints or pairs of fingers listed in a message
 _WIDE = 2.5  # range from which joints are listed in a message [rad]
 _MADE = 4.0  # exponent of the penalty on normal forces that motors do not make
 _MIN_MADE = 0.1  # lower bound of the motors' share
-_EVEN, _PLANAR = 0.25, 1e-3  # ratio of a tip's smallest to largest singular value: not penalised; counted as zero
+# ratio of a tip's smallest to largest singular value: not penalised; counted as zero
+_EVEN, _PLANAR = 0.25, 1e-3
 
 
 def place_hand(
@@ -48,26 +50,29 @@ def place_hand(
     least: int | None = None,
     approach: ArrayLike | str | None = None,
 ) -> HandDescription:
-    """Place a hand where it holds the object well, by choosing palm pose, rest posture and fingertips.
+    """Place a hand where it holds the object well, by choosing palm pose, rest posture and
+    fingertips.
 
-    The object is at the origin of the world, gravity along -y, and the hand may come from any side. Fingers that find no contact are
-    left out if at least three others (two with soft contacts) hold the object. The pads of a two-finger gripper must protrude at least
-    1.5 mm from its jaws: its tips are moved towards each other for that.
+    The object is at the origin of the world, gravity along -y, and the hand may come from any side.
+    Fingers that find no contact are left out if at least three others (two with soft contacts) hold
+    the object. The pads of a two-finger gripper must protrude at least 1.5 mm from its jaws: its
+    tips are moved towards each other for that.
 
     Args:
         hand: The hand; its pose and rest posture do not matter.
         item: The object.
         seed: Seed of the search, >= 0.
         least: Smallest number of fingers that touch; None for three, or two with soft contacts.
-        approach: Direction from the palm to the object, world frame, met within 30 degrees: "down", "up", "side", or a vector (3,).
-            None for any.
+        approach: Direction from the palm to the object, world frame, met within 30 degrees: "down",
+            "up", "side", or a vector (3,). None for any.
 
     Returns:
-        A hand for which `plan_grasp` finds a grasp. Equal arguments give an equal result, which is cached in the process.
+        A hand for which `plan_grasp` finds a grasp. Equal arguments give an equal result, which is
+        cached in the process.
 
     Raises:
-        InvalidInputError: No palm pose was found; the message counts the reasons. Or the hand has two fingers and the object no
-            `torsional_friction`.
+        InvalidInputError: No palm pose was found; the message counts the reasons. Or the hand has
+            two fingers and the object no `torsional_friction`.
 
     Example:
         >>> ball = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
@@ -83,11 +88,15 @@ def place_hand(
             f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape}: two fingers hold with soft contacts only. "
             f"Give the object torsional_friction [m], {torsion_of(item.friction):.2g} with soft pads that touch within {1e3 * PATCH_RADIUS:g} mm"
         )
-    return _placed(hand, item, whole(seed, "seed", 0), fingers, None if wanted is None else Approach(wanted))
+    return _placed(
+        hand, item, whole(seed, "seed", 0), fingers, None if wanted is None else Approach(wanted)
+    )
 
 
 class _Candidate(NamedTuple):
-    """A candidate grasp: fingers that touch, rest posture (M,) [rad], and the hand's rotation (3, 3) and translation (3,) [m]."""
+    """A candidate grasp: fingers that touch, rest posture (M,) [rad], and the hand's rotation (3,
+    3) and translation (3,) [m].
+    """
 
     fingers: tuple[int, ...]
     home: Array
@@ -99,7 +108,8 @@ class _Candidate(NamedTuple):
 def _placed(
     hand: HandDescription, item: ObjectDescription, seed: int, least: int, approach: Approach | None
 ) -> HandDescription:
-    rng, trials = np.random.default_rng(seed), _Trials(hand, item)
+    rng = np.random.default_rng(seed)
+    trials = _Trials(hand, item)
     hand = trials.hand
     places = astray = 0
     faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
@@ -107,7 +117,8 @@ def _placed(
     for attempt in range(_MAX_ATTEMPTS):
         pushed = (attempt % 2 == 0) == (item.shape != "cuboid")
         sites, facing = find_sites(hand, item, rng, least, _SITES, pushed)
-        places, faced = places + len(sites), faced | facing
+        places = places + len(sites)
+        faced = faced | facing
         palms = [None if approach is None else trials.palm(site) for site in sites]
         found: list[_Candidate] = []
         for tries in (0, 1):  # with the largest margins, then with easier ones
@@ -143,7 +154,9 @@ def _placed(
     if best is not None:
         return best[2]
     counts = ", ".join(f"{count} {what}" for what, count in trials.faults.most_common() if count)
-    aside = f", at {min(astray, places)} of which no side of the object comes from approach={approach}"
+    aside = (
+        f", at {min(astray, places)} of which no side of the object comes from approach={approach}"
+    )
     raise InvalidInputError(
         f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape} of "
         f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{aside if astray else ''}; of the "
@@ -155,7 +168,11 @@ def _placed(
 def _never_facing(hand: HandDescription, faced: NDArray[np.bool_]) -> str:
     """Return a sentence about fingers that never face each other, or ""."""
     names = hand.finger_names
-    pairs = [f"{names[i]} and {names[j]}" for i, j in combinations(range(len(names)), 2) if not faced[i, j]]
+    pairs = [
+        f"{names[i]} and {names[j]}"
+        for i, j in combinations(range(len(names)), 2)
+        if not faced[i, j]
+    ]
     if pairs and not faced.any():
         return f"No two of its fingers ({', '.join(names)}) face each other with room for the object between them. "
     text = f"Within their ranges these fingers never face each other: {_listed(pairs, '; ', ' pairs')}. "
@@ -164,7 +181,11 @@ def _never_facing(hand: HandDescription, faced: NDArray[np.bool_]) -> str:
 
 def _wide_joints(hand: HandDescription) -> str:
     """Return a sentence about joints whose ranges are wider than those of fingers, or ""."""
-    wide = [link.joint for link in hand.links if not link.sliding and not link.upper - link.lower < _WIDE]
+    wide = [
+        link.joint
+        for link in hand.links
+        if not link.sliding and not link.upper - link.lower < _WIDE
+    ]
     text = (
         f"Joints that turn by more than {_WIDE:g} rad are seldom those of a finger: {_listed(wide)}; give the true ranges as "
         "joint_limits={joint: (lower, upper)} to from_urdf. "
@@ -178,17 +199,23 @@ def _listed(names: list[str], between: str = ", ", kind: str = "") -> str:
 
 
 class _Trials:
-    """Trial grasps of one object by one hand in many poses, and the number of rejected candidates by reason."""
+    """Trial grasps of one object by one hand in many poses, and the number of rejected candidates
+    by reason.
+    """
 
     def __init__(self, hand: HandDescription, item: ObjectDescription) -> None:
-        self.hand, self.item = with_protruding_tips(hand), item
+        self.hand = with_protruding_tips(hand)
+        self.item = item
         self.faults = Counter[str]()
         self._pairs = touching_pairs(hand, at_home=False)
         self._parts: dict[tuple[int, ...], tuple[HandKinematics, core.HandLimbs]] = {}
 
-    def grasp(self, site: Site, turn: Array, least: int, tries: int, rng: np.random.Generator) -> _Candidate | None:
+    def grasp(
+        self, site: Site, turn: Array, least: int, tries: int, rng: np.random.Generator
+    ) -> _Candidate | None:
         """Try a grasp with the fingers of a site, or with those of them that find contacts."""
-        fingers, shift = site.fingers, -turn @ site.center
+        fingers = site.fingers
+        shift = -turn @ site.center
         while len(fingers) >= least:
             candidate = self._met(_Candidate(fingers, site.posture, turn, shift))
             search = self._search(candidate)
@@ -198,15 +225,20 @@ class _Trials:
                 return candidate._replace(home=plan.start)
             if not max(search.short):
                 return None
-            fingers = tuple(finger for finger, short in zip(fingers, search.short, strict=True) if not short)
+            fingers = tuple(
+                finger for finger, short in zip(fingers, search.short, strict=True) if not short
+            )
         return None
 
     def _met(self, candidate: _Candidate) -> _Candidate:
-        """Move the hand and its motors until all tips touch at once, if no finger has a motor of its own."""
+        """Move the hand and its motors until all tips touch at once, if no finger has a motor of
+        its own.
+        """
         kinematics = self._part(candidate.fingers)[0]
         if not one_motor(kinematics):
             return candidate
-        angles, shift = candidate.home.copy(), candidate.shift.copy()
+        angles = candidate.home.copy()
+        shift = candidate.shift.copy()
         for _ in range(_MEETINGS):
             tips = kinematics.tips(angles) @ candidate.turn.T + shift
             found = [self.item.surface.nearest(tip) for tip in tips]
@@ -218,7 +250,9 @@ class _Trials:
             moves = [turned[i] @ kinematics.jacobian(angles, i) for i in range(len(tips))]
             step = np.linalg.pinv(np.hstack([inward, np.array(moves)])) @ missed
             shift = shift + step[:3]
-            angles = kinematics.coupled(np.clip(angles + step[3:], kinematics.lower, kinematics.upper))
+            angles = kinematics.coupled(
+                np.clip(angles + step[3:], kinematics.lower, kinematics.upper)
+            )
         return candidate._replace(home=angles, shift=shift)
 
     def palm(self, site: Site) -> Array:
@@ -226,17 +260,21 @@ class _Trials:
         return palm_direction(*self._part(site.fingers), site.center)
 
     def rating(self, candidate: _Candidate) -> float:
-        """Return the weighted force of the grasp found for a candidate [N], or inf if there is none; smaller is better.
+        """Return the weighted force of the grasp found for a candidate [N], or inf if there is
+        none; smaller is better.
 
-        Penalties multiply the force. With more than two fingers, one is on normal forces that motors do not make, but the structure.
-        Another is on little clearance, and one on tips that hardly move in some direction, as these are slow to close. The last is on
-        each finger that does not touch: with more fingers, a grasp loses less when one slips.
+        Penalties multiply the force. With more than two fingers, one is on normal forces that
+        motors do not make, but the structure. Another is on little clearance, and one on tips that
+        hardly move in some direction, as these are slow to close. The last is on each finger that
+        does not touch: with more fingers, a grasp loses less when one slips.
         """
         plan: GraspPlan | None = self._search(candidate).run(np.random.default_rng(0))
         if plan is None:
             return np.inf
         kinematics = self._part(candidate.fingers)[0]
-        moves = [kinematics.jacobian(plan.angles, finger) for finger in range(len(candidate.fingers))]
+        moves = [
+            kinematics.jacobian(plan.angles, finger) for finger in range(len(candidate.fingers))
+        ]
         levers = [np.linalg.svd(move, compute_uv=False) for move in moves]
         made = [
             float(np.linalg.norm(motor_force_basis(move[:, own]).T @ candidate.turn.T @ normal))
@@ -246,7 +284,9 @@ class _Trials:
         ratios = [values[-1] / values[0] for values in levers if values[-1] > _PLANAR * values[0]]
         idle = self.hand.finger_count - len(candidate.fingers)
         uneven = max(1.0, _EVEN / min(ratios, default=1.0))
-        return plan.force * _IDLE**idle * uneven**2 * share**-_MADE * (_ROOM / plan.clearance) ** 0.5
+        return (
+            plan.force * _IDLE**idle * uneven**2 * share**-_MADE * (_ROOM / plan.clearance) ** 0.5
+        )
 
     def placed(self, candidate: _Candidate) -> HandDescription:
         """Return the hand in the pose of a candidate."""
@@ -255,15 +295,21 @@ class _Trials:
         return part.moved((x, y, z), roll_pitch_yaw(candidate.turn))
 
     def _part(self, fingers: tuple[int, ...]) -> tuple[HandKinematics, core.HandLimbs]:
-        """Return kinematics and limbs of the hand with only some of its fingertips, in the given pose."""
+        """Return kinematics and limbs of the hand with only some of its fingertips, in the given
+        pose.
+        """
         if fingers not in self._parts:
             tips = tuple(self.hand.fingertips[finger] for finger in fingers)
             kinematics = HandKinematics(replace(self.hand, fingertips=tips))
-            limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home, self._pairs)
+            limbs = core.HandLimbs.make(
+                kinematics.tree, hand_limbs(kinematics.hand), kinematics.home, self._pairs
+            )
             self._parts[fingers] = kinematics, limbs
         return self._parts[fingers]
 
     def _search(self, candidate: _Candidate) -> GraspSearch:
         kinematics, limbs = self._part(candidate.fingers)
-        moved = limbs.moved(candidate.turn.ravel().tolist(), candidate.shift.tolist(), candidate.home)
+        moved = limbs.moved(
+            candidate.turn.ravel().tolist(), candidate.shift.tolist(), candidate.home
+        )
         return GraspSearch(self.item, moved, kinematics.hand)

@@ -25,10 +25,18 @@ LARGEST_FORCE = 500.0  # largest total normal force of a grasp in the worst case
 _GRAVITY, _PUSH, _TURN = 9.81, 2.0, 0.06  # loads that rate a grasp [m/s^2], [N], [N m]
 _ASIDE = 1e-3  # distance at which a given normal is tested [m]
 _SPACE = 0.003  # least distance between fingers [m]
-_PLACES, _RAYS, _STARTS, _ROUNDS = 20, 140, 20, 8
+_PLACES = 20
+_RAYS = 140
+_STARTS = 20
+_ROUNDS = 8
 _SPREAD = 0.7  # spread of the directions in which places are sought
-# flat surface [m], distance from joint limits [rad], clearance [m], distance to a mesh's pieces [m]; easier row by row
-_MARGINS = ((0.005, 0.1, 0.003, 0.0003), (0.003, 0.02, 0.0015, 0.0006), (0.001, 0.0, 0.0005, 0.0015))
+# flat surface [m], distance from joint limits [rad], clearance [m], distance to a mesh's pieces
+# [m]; easier row by row
+_MARGINS = (
+    (0.005, 0.1, 0.003, 0.0003),
+    (0.003, 0.02, 0.0015, 0.0006),
+    (0.001, 0.0, 0.0005, 0.0015),
+)
 _DIRECTIONS = 120
 _TRIES = 3  # runs with the easier margins
 _MISSES = (
@@ -57,9 +65,12 @@ class GraspPlan:
         points: Contacts [m], (N, 3), object frame, in the order of the fingers.
         normals: Inward unit normals at the contacts, (N, 3).
         angles: Joint angles at the contacts [rad], (M,).
-        start: Joint angles before the fingers close [rad], (M,), with every tip `START_CLEARANCE` from the object.
-        force: Total normal force in the worst case [N], or the load of the most loaded joint if that is more: 30 N is its torque limit.
-        clearance: Clearance of the links from the object [m]. It also stands for the margins from edges and joint limits.
+        start: Joint angles before the fingers close [rad], (M,), with every tip `START_CLEARANCE`
+            from the object.
+        force: Total normal force in the worst case [N], or the load of the most loaded joint if
+            that is more: 30 N is its torque limit.
+        clearance: Clearance of the links from the object [m]. It also stands for the margins from
+            edges and joint limits.
     """
 
     points: Array
@@ -73,7 +84,8 @@ class GraspPlan:
 def grasp_points(
     item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None
 ) -> tuple[Array, Array]:
-    """Find contacts with which the hand holds the object: points [m] and inward unit normals, (N, 3) each, of `plan_grasp`.
+    """Find contacts with which the hand holds the object: points [m] and inward unit normals, (N,
+    3) each, of `plan_grasp`.
 
     Example:
         >>> hand = HandKinematics(HandDescription.four_finger())
@@ -90,9 +102,11 @@ def plan_grasp(
 ) -> GraspPlan:
     """Find the best of some thousand choices of contacts for the hand in its pose.
 
-    The fingers reach the contacts from the rest posture, away from edges, with margins to joint limits and between links. With 0.85 of
-    the friction the contacts balance the weight, +-2 N and +-0.06 N m. The rating is the total normal force in the worst case and its
-    share of the torques that the weight of the links leaves. The default cuboid in the four-finger hand keeps the reference grasp.
+    The fingers reach the contacts from the rest posture, away from edges, with margins to joint
+    limits and between links. With 0.85 of the friction the contacts balance the weight, +-2 N and
+    +-0.06 N m. The rating is the total normal force in the worst case and its share of the torques
+    that the weight of the links leaves. The default cuboid in the four-finger hand keeps the
+    reference grasp.
 
     Args:
         item: The object; its body frame is the world frame.
@@ -100,10 +114,18 @@ def plan_grasp(
         rng: Random generator of the places that are tried; None for a fixed seed.
 
     Raises:
-        InvalidInputError: The object is out of reach, too large for the hand, or cannot be held; the message counts the reasons.
+        InvalidInputError: The object is out of reach, too large for the hand, or cannot be held;
+            the message counts the reasons.
     """
-    if rng is None and item.shape == "cuboid" and item.size == (0.1, 0.1, 0.1) and kinematics.hand == _four_finger():
-        return _plan_of_points(item, kinematics, np.array(paper_cuboid().positions), np.array(paper_cuboid().normals))
+    if (
+        rng is None
+        and item.shape == "cuboid"
+        and item.size == (0.1, 0.1, 0.1)
+        and kinematics.hand == _four_finger()
+    ):
+        return _plan_of_points(
+            item, kinematics, np.array(paper_cuboid().positions), np.array(paper_cuboid().normals)
+        )
     search = GraspSearch(item, _limbs(kinematics), kinematics.hand)
     found = search.run(np.random.default_rng(0) if rng is None else rng)
     if found is None:
@@ -111,34 +133,44 @@ def plan_grasp(
     return found
 
 
-def _plan_of_points(item: ObjectDescription, kinematics: HandKinematics, points: Array, normals: Array) -> GraspPlan:
+def _plan_of_points(
+    item: ObjectDescription, kinematics: HandKinematics, points: Array, normals: Array
+) -> GraspPlan:
     """Return the plan for given contacts."""
     engine = engine_of(quiet=True)  # nothing is simulated
     at = SceneConfig(kinematics.hand, item, tuple(map(tuple, points.tolist())), engine=engine)
-    angles, start = (kinematics.solve(config.nominal_tips()) for config in (at, replace(at, clearance=START_CLEARANCE)))
+    angles, start = (
+        kinematics.solve(config.nominal_tips())
+        for config in (at, replace(at, clearance=START_CLEARANCE))
+    )
     return GraspPlan(points, normals, angles, start, np.inf, 0.0)
 
 
-def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike | None = None) -> tuple[Array, Array]:
+def check_points(
+    item: ObjectDescription, points: ArrayLike, normals: ArrayLike | None = None
+) -> tuple[Array, Array]:
     """Project given contacts onto the surface, and check or find their normals.
 
     Args:
         item: The object.
         points: Contacts [m], (N, 3), object frame, at most 0.1 mm off the surface.
-        normals: Inward normals, (N, 3), of any length; on an edge any direction between the normals of its faces. None to find them.
+        normals: Inward normals, (N, 3), of any length; on an edge any direction between the normals
+            of its faces. None to find them.
 
     Returns:
         Points [m] and unit normals, (N, 3) each.
 
     Raises:
-        InvalidInputError: A point is off the surface, or a normal points out of the object or is not that of the surface.
+        InvalidInputError: A point is off the surface, or a normal points out of the object or is
+            not that of the surface.
 
     Example:
         >>> check_points(ObjectDescription("sphere"), [[0.0, 0.0, -0.05]])[1]
         array([[0., 0., 1.]])
     """
     given = as_array(points, (None, 3), "points")
-    on, inward = np.empty_like(given), np.empty_like(given)
+    on = np.empty_like(given)
+    inward = np.empty_like(given)
     for index, point in enumerate(given):
         on[index], inward[index], distance = item.surface.nearest(point)
         if abs(distance) > ON_SURFACE:
@@ -151,9 +183,12 @@ def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike 
         wanted = as_array(normals, given.shape, "normals")
         lengths = np.linalg.norm(wanted, axis=1)
         if not (lengths > 0.0).all():
-            raise InvalidInputError(f"normals={wanted.tolist()} must not be zero; leave them out to use the surface's")
+            raise InvalidInputError(
+                f"normals={wanted.tolist()} must not be zero; leave them out to use the surface's"
+            )
         for index, unit in enumerate(wanted / lengths[:, None]):
-            # every normal of an edge has the property that the surface point nearest to a point outside along it is the contact
+            # every normal of an edge has the property that the surface point nearest to a point
+            # outside along it is the contact
             there, seen, _ = item.surface.nearest(on[index] - _ASIDE * unit)
             if np.abs(there - on[index]).max() > 0.01 * _ASIDE or seen @ unit < 0.0:
                 raise InvalidInputError(
@@ -167,11 +202,14 @@ def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike 
 class GraspSearch:
     """Search for a grasp of one object by a hand, whose limbs are in its pose.
 
-    It makes pools of places for each finger, chooses among them, and finds postures of the whole hand. It counts rejected candidates by
-    reason in `faults`, and how often each finger found no place in `short`.
+    It makes pools of places for each finger, chooses among them, and finds postures of the whole
+    hand. It counts rejected candidates by reason in `faults`, and how often each finger found no
+    place in `short`.
     """
 
-    def __init__(self, item: ObjectDescription, limbs: core.HandLimbs, hand: HandDescription) -> None:
+    def __init__(
+        self, item: ObjectDescription, limbs: core.HandLimbs, hand: HandDescription
+    ) -> None:
         self.item, self.limbs, self.hand = item, limbs, hand
         self.faults = Counter[str]()
         self.short = [0] * hand.finger_count
@@ -179,13 +217,24 @@ class GraspSearch:
         length = 0.5 * float(np.mean(item.extent))
         self._spread = [*item.extent, *[2.0 * _SPREAD] * 3]
         self.core = core.GraspSearch.make(
-            limbs, item.surface, friction=FRICTION_MARGIN * item.friction * hand.tip_friction,
-            torsion=FRICTION_MARGIN * item.torsional_friction * hand.tip_friction, length=length, space=_SPACE, start=START_CLEARANCE,
-            gravity=(0.0, -_GRAVITY, 0.0), loads=_loads(item.mass, length), directions=_spread_directions(),
-        )  # fmt: skip
+            limbs,
+            item.surface,
+            friction=FRICTION_MARGIN * item.friction * hand.tip_friction,
+            torsion=FRICTION_MARGIN * item.torsional_friction * hand.tip_friction,
+            length=length,
+            space=_SPACE,
+            start=START_CLEARANCE,
+            gravity=(0.0, -_GRAVITY, 0.0),
+            loads=_loads(item.mass, length),
+            directions=_spread_directions(),
+        )
 
-    def run(self, rng: np.random.Generator, tries: int = _TRIES, rays: int = _RAYS) -> GraspPlan | None:
-        """Search for a grasp, with new places along `rays` and easier margins, `tries` times each, after each failure; None if none is found."""
+    def run(
+        self, rng: np.random.Generator, tries: int = _TRIES, rays: int = _RAYS
+    ) -> GraspPlan | None:
+        """Search for a grasp, with new places along `rays` and easier margins, `tries` times each,
+        after each failure; None if none is found.
+        """
         if self._gap < _MARGINS[-1][2]:
             return None
         for margins in _MARGINS[:1] + _MARGINS[1:] * tries:
@@ -202,7 +251,9 @@ class GraspSearch:
 
     def reason(self) -> str:
         """Return the reason why `run` found none."""
-        name = f"the {self.item.shape} of {' x '.join(f'{side:.3g}' for side in self.item.extent)} m"
+        name = (
+            f"the {self.item.shape} of {' x '.join(f'{side:.3g}' for side in self.item.extent)} m"
+        )
         if self._gap < _MARGINS[-1][2]:
             return (
                 f"{name} reaches {-1e3 * self._gap:.1f} mm into the palm of the hand {self.hand.name!r}; "
@@ -223,29 +274,44 @@ class GraspSearch:
         )
 
     def _best(self, rng: np.random.Generator, clearance: float) -> GraspPlan | None:
-        """Return the best choice for which the whole hand has a posture that touches at the tips only, or None."""
-        fingers, joints = self.hand.finger_count, self.hand.joint_count
+        """Return the best choice for which the whole hand has a posture that touches at the tips
+        only, or None.
+        """
+        fingers = self.hand.finger_count
+        joints = self.hand.joint_count
         picks = rng.integers(0, 1 << 30, (_STARTS, fingers))
-        forces, shape = np.full(_ROUNDS, np.inf), (_ROUNDS, fingers, 3)
-        points, normals, choices = np.empty(shape), np.empty(shape), np.empty(shape[:2])
+        forces = np.full(_ROUNDS, np.inf)
+        shape = (_ROUNDS, fingers, 3)
+        points = np.empty(shape)
+        normals = np.empty(shape)
+        choices = np.empty(shape[:2])
         self.core.choose(picks.tolist(), forces, points, normals, choices)
         for turn in np.argsort(forces, kind="stable"):
             if forces[turn] > LARGEST_FORCE:
                 self.faults["without force closure"] += 1
                 return None
-            angles, start = np.empty(joints), np.empty(joints)
-            fault = self.core.assemble([int(place) for place in choices[turn]], clearance, angles, start)
+            angles = np.empty(joints)
+            start = np.empty(joints)
+            fault = self.core.assemble(
+                [int(place) for place in choices[turn]], clearance, angles, start
+            )
             if fault == 0:
-                return GraspPlan(points[turn], normals[turn], angles, start, float(forces[turn]), clearance)
+                return GraspPlan(
+                    points[turn], normals[turn], angles, start, float(forces[turn]), clearance
+                )
             self.faults[_FAULTS[fault - 1]] += 1
         return None
 
 
 def _loads(mass: float, length: float) -> Array:
-    """Return the wrenches that the contacts must balance, moments over `length` [N], (14, 6); their convex hull contains 0."""
+    """Return the wrenches that the contacts must balance, moments over `length` [N], (14, 6); their
+    convex hull contains 0.
+    """
     weight = np.array([0.0, mass * _GRAVITY, 0.0, 0.0, 0.0, 0.0])
     steps = np.concatenate([np.full(3, _PUSH), np.full(3, _TURN / length)])
-    return np.concatenate([weight + np.diag(steps), weight - np.diag(steps), [weight, -0.5 * weight]])
+    return np.concatenate(
+        [weight + np.diag(steps), weight - np.diag(steps), [weight, -0.5 * weight]]
+    )
 
 
 @lru_cache(maxsize=1)
@@ -256,7 +322,9 @@ def _four_finger() -> HandDescription:
 @lru_cache(maxsize=8)
 def _limbs(kinematics: HandKinematics) -> core.HandLimbs:
     hand = kinematics.hand
-    return core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home, touching_pairs(hand))
+    return core.HandLimbs.make(
+        kinematics.tree, hand_limbs(hand), kinematics.home, touching_pairs(hand)
+    )
 
 
 @lru_cache(maxsize=1)

@@ -1,7 +1,8 @@
 """Sites in a hand where its fingertips can surround an object.
 
-Some hundred random postures show where each fingertip can be. A site is the centre of a ball as large as the object that touches tips of
-several fingers which oppose one another. For a cuboid, two of them meet one side and a third the opposite one.
+Some hundred random postures show where each fingertip can be. A site is the centre of a ball as
+large as the object that touches tips of several fingers which oppose one another. For a cuboid, two
+of them meet one side and a third the opposite one.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ _CENTERS, _DRAWS = 1000, 6  # centres in a round; postures drawn for each furthe
 _NEAR = 0.008  # largest gap between a tip and the ball [m]
 _CLEAR = 0.001  # least distance between the rest of a finger and the object [m]
 _FLATTER = 1.6  # factor on the ball that fingers must clear for a cuboid, whose sides are flat
-_ALIGNED = 1.0, 3.0  # weight of fingers pushing along one axis of a cuboid: if all tips can move freely, otherwise
+# weight of fingers pushing along one axis of a cuboid: if all tips can move freely, otherwise
+_ALIGNED = 1.0, 3.0
 _OPPOSED = 0.45  # largest norm of the shortest convex combination of normals
 _PUSHED = 0.3  # weight of normal forces that motors do not make
 _APART = 0.004  # least distance between sites of the same fingers [m]
@@ -53,16 +55,25 @@ class Site:
     score: float  # smaller is better
 
     def turned(
-        self, rng: np.random.Generator, item: ObjectDescription, palm: Array | None, approach: Approach | None
+        self,
+        rng: np.random.Generator,
+        item: ObjectDescription,
+        palm: Array | None,
+        approach: Approach | None,
     ) -> Array | None:
-        """Draw a rotation (3, 3) from the hand's frame to the object's that turns `axis` into one of its axes, or any direction if it is round.
+        """Draw a rotation (3, 3) from the hand's frame to the object's that turns `axis` into one
+        of its axes, or any direction if it is round.
 
-        None if none of those drawn turns `palm`, the unit direction from the palm to the object, into a wanted `approach`.
+        None if none of those drawn turns `palm`, the unit direction from the palm to the object,
+        into a wanted `approach`.
         """
         if approach is None or palm is None:
             return self._drawn(rng, item)
         if item.shape in ("sphere", "mesh"):
-            return _frame(approach.draw(rng), _directions(rng, 1)[0]) @ _frame(palm, _directions(rng, 1)[0]).T
+            return (
+                _frame(approach.draw(rng), _directions(rng, 1)[0])
+                @ _frame(palm, _directions(rng, 1)[0]).T
+            )
         for _ in range(_LOOKS):
             turn = self._drawn(rng, item)
             if approach.allows(turn @ palm):
@@ -78,15 +89,23 @@ class Site:
 
 
 def find_sites(
-    hand: HandDescription, item: ObjectDescription, rng: np.random.Generator, least: int, most: int, pushed: bool = True
+    hand: HandDescription,
+    item: ObjectDescription,
+    rng: np.random.Generator,
+    least: int,
+    most: int,
+    pushed: bool = True,
 ) -> tuple[list[Site], NDArray[np.bool_]]:
-    """Find at most `most` places, best first, at which at least `least` of the hand's fingers can surround an object.
+    """Find at most `most` places, best first, at which at least `least` of the hand's fingers can
+    surround an object.
 
-    Also return an array (N, N), True if two fingers faced each other with room for the object between them. If `pushed`, sites are
-    preferred at which motors push along the normals; they are rare for some cuboids.
+    Also return an array (N, N), True if two fingers faced each other with room for the object
+    between them. If `pushed`, sites are preferred at which motors push along the normals; they are
+    rare for some cuboids.
     """
     kinematics = HandKinematics(hand)
-    low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
+    low = np.maximum(kinematics.lower, -np.pi)
+    high = np.minimum(kinematics.upper, np.pi)
     end = np.minimum(_END, _INSIDE * (high - low))
     wide = low + end, high - end
     low, high = low + _INSIDE * (high - low), high - _INSIDE * (high - low)
@@ -100,11 +119,17 @@ def find_sites(
         postures = rng.random((_POSTURES, hand.joint_count))
         if narrow:
             span = np.minimum(wide[1] - wide[0], _SPAN)
-            postures = wide[0] + turn % _PARTS * (wide[1] - wide[0] - span) / (_PARTS - 1) + postures * span
+            postures = (
+                wide[0]
+                + turn % _PARTS * (wide[1] - wide[0] - span) / (_PARTS - 1)
+                + postures * span
+            )
         else:
             postures = low + postures * (high - low)
         if narrow and sites:
-            around = np.array([site.posture for site in sites])[rng.integers(len(sites), size=_POSTURES // 2)]
+            around = np.array([site.posture for site in sites])[
+                rng.integers(len(sites), size=_POSTURES // 2)
+            ]
             near = around + _BESIDE * rng.standard_normal(around.shape)
             postures[: len(near)] = np.clip(near, *wide)
         if not locked:
@@ -140,41 +165,66 @@ class _Reach:
         rng: np.random.Generator,
         pushed: bool,
     ) -> None:
-        self.kinematics, self.item, self.postures, self.rng = kinematics, item, postures, rng
-        self.limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)
+        self.kinematics = kinematics
+        self.item = item
+        self.postures = postures
+        self.rng = rng
+        self.limbs = core.HandLimbs.make(
+            kinematics.tree, hand_limbs(kinematics.hand), kinematics.home
+        )
         self.tips = np.array([kinematics.tips(posture) for posture in postures])
-        self.radii, self.fingers = kinematics.tip_radii, kinematics.hand.finger_count
+        self.radii = kinematics.tip_radii
+        self.fingers = kinematics.hand.finger_count
         self.aligned = _ALIGNED[0] if all(self.limbs.free) else _ALIGNED[1]
         self.locked = one_motor(kinematics)
         self.pushes = self._pushes() if pushed else None
         # two fingers hold the narrowest side between them, more fingers surround the object
-        self.radius = 0.5 * float(np.min(item.extent) if kinematics.hand.finger_count == 2 else np.median(item.extent))
+        self.radius = 0.5 * float(
+            np.min(item.extent) if kinematics.hand.finger_count == 2 else np.median(item.extent)
+        )
         self.flatter = _FLATTER if item.shape == "cuboid" else 1.0
 
     def around(self, least: int, faced: NDArray[np.bool_]) -> list[Site]:
-        """Find centres of a ball that tips of several fingers touch; note pairs that face each other in `faced`."""
-        tips, fingers, rng, item, radius = self.tips, self.fingers, self.rng, self.item, self.radius
+        """Find centres of a ball that tips of several fingers touch; note pairs that face each
+        other in `faced`.
+        """
+        tips = self.tips
+        fingers = self.fingers
+        rng = self.rng
+        item = self.item
+        radius = self.radius
         centers, pairs, samples = self._between(radius + self.radii)
         for side in (0, 1):
             good = self._clear(pairs[:, side], samples[:, side], centers)
-            centers, pairs, samples = centers[good], pairs[good], samples[good]
+            centers = centers[good]
+            pairs = pairs[good]
+            samples = samples[good]
         faced[pairs[:, 0], pairs[:, 1]] = faced[pairs[:, 1], pairs[:, 0]] = True
-        centers, pairs, samples = centers[:_CENTERS], pairs[:_CENTERS], samples[:_CENTERS]
-        away = np.linalg.norm(tips[None] - centers[:, None, None], axis=3) - radius - self.radii  # (C, K, N)
-        near, rows = np.abs(away) < _NEAR, np.arange(len(centers))
+        centers = centers[:_CENTERS]
+        pairs = pairs[:_CENTERS]
+        samples = samples[:_CENTERS]
+        # (C, K, N)
+        away = np.linalg.norm(tips[None] - centers[:, None, None], axis=3) - radius - self.radii
+        near = np.abs(away) < _NEAR
+        rows = np.arange(len(centers))
         if self.locked:  # all fingers have the same posture
             near &= (np.arange(len(tips)) == samples[:, :1])[:, :, None]
-        members, chosen = np.zeros((len(centers), fingers), dtype=bool), np.zeros((len(centers), fingers), np.int64)
+        members = np.zeros((len(centers), fingers), dtype=bool)
+        chosen = np.zeros((len(centers), fingers), np.int64)
         for side in (0, 1):
             members[rows, pairs[:, side]], chosen[rows, pairs[:, side]] = True, samples[:, side]
         for finger in range(fingers):
             for _ in range(_DRAWS):
                 left = np.flatnonzero(~members[:, finger] & near[:, :, finger].any(axis=1))
-                at: Indices = (near[left, :, finger] * rng.random((len(left), len(tips)))).argmax(axis=1)
+                at: Indices = (near[left, :, finger] * rng.random((len(left), len(tips)))).argmax(
+                    axis=1
+                )
                 chosen[left, finger] = at
                 members[left, finger] = self._clear(np.full(len(left), finger), at, centers[left])
         rows = np.flatnonzero(members.sum(axis=1) >= least)
-        centers, members, chosen = centers[rows], members[rows], chosen[rows]
+        centers = centers[rows]
+        members = members[rows]
+        chosen = chosen[rows]
         arms = centers[:, None] - tips[chosen, np.arange(fingers)]
         normals = arms / np.linalg.norm(arms, axis=2, keepdims=True)
         opposed = _shortest(normals, members)
@@ -186,26 +236,34 @@ class _Reach:
             askew = 1.0 - float(np.abs(pushing @ axis).mean()) if item.shape == "cuboid" else 0.0
             score = float(opposed[row]) + 0.1 * (fingers - len(pushing)) + self.aligned * askew
             if self.pushes is not None:
-                made = np.einsum("nij,nj->ni", self.pushes[chosen[row, touching], touching], pushing)
+                made = np.einsum(
+                    "nij,nj->ni", self.pushes[chosen[row, touching], touching], pushing
+                )
                 score += _PUSHED * (1.0 - float(np.linalg.norm(made, axis=1).min()))
             posture = self._posture(centers[row], touching, chosen[row, touching])
             out.append(Site(centers[row], posture, tuple(touching.tolist()), axis, score))
         return out
 
     def _pushes(self) -> Array | None:
-        """Return projectors (K, N, 3, 3) onto the forces that motors make at the tips; None if every finger has three motors or more."""
+        """Return projectors (K, N, 3, 3) onto the forces that motors make at the tips; None if
+        every finger has three motors or more.
+        """
         kinematics = self.kinematics
         if self.locked or kinematics.carries.sum(axis=1).min() > 2:
             return None
         out = np.empty((len(self.postures), self.fingers, 3, 3))
         for row, posture in enumerate(self.postures):
             for finger in range(self.fingers):
-                span = motor_force_basis(kinematics.jacobian(posture, finger)[:, kinematics.carries[finger]])
+                span = motor_force_basis(
+                    kinematics.jacobian(posture, finger)[:, kinematics.carries[finger]]
+                )
                 out[row, finger] = span @ span.T
         return out
 
     def _posture(self, center: Array, fingers: Indices, samples: Indices) -> Array:
-        """Return joint angles (M,) with these fingers as in these samples and the others away from the object."""
+        """Return joint angles (M,) with these fingers as in these samples and the others away from
+        the object.
+        """
         if self.locked:
             return self.postures[samples[0]]
         posture = self.kinematics.home.copy()
@@ -217,7 +275,9 @@ class _Reach:
         return self.kinematics.coupled(posture)
 
     def _clear(self, fingers: Indices, samples: Indices, middles: Array) -> NDArray[np.bool_]:
-        """Return True (C,) if fingers (C,) in samples (C,) touch balls around `middles` (C, 3), larger ones for cuboids, with their tips alone."""
+        """Return True (C,) if fingers (C,) in samples (C,) touch balls around `middles` (C, 3),
+        larger ones for cuboids, with their tips alone.
+        """
         gaps = np.empty(len(fingers))
         tips = self.tips[samples, fingers]
         middles = tips + self.flatter * (middles - tips)
@@ -230,25 +290,40 @@ class _Reach:
         return gaps > _CLEAR
 
     def _between(self, sizes: Array) -> tuple[Array, Indices, Indices]:
-        """Find centres (C, 3) at distances `sizes` (N,) [m] from tips of two nearly opposite fingers; return them, fingers and samples (C, 2)."""
+        """Find centres (C, 3) at distances `sizes` (N,) [m] from tips of two nearly opposite
+        fingers; return them, fingers and samples (C, 2).
+        """
         rng, tips, fingers = self.rng, self.tips, self.fingers
         samples = rng.integers(len(tips), size=(_PAIRS, 2))
         if self.locked:
             samples[:, 1] = samples[:, 0]
         one = rng.integers(fingers, size=_PAIRS)
         other = (one + rng.integers(1, max(fingers, 2), size=_PAIRS)) % fingers
-        start, way = tips[samples[:, 0], one], tips[samples[:, 1], other] - tips[samples[:, 0], one]
-        apart, most = np.linalg.norm(way, axis=1), sizes[one] + sizes[other]
+        start = tips[samples[:, 0], one]
+        way = tips[samples[:, 1], other] - tips[samples[:, 0], one]
+        apart = np.linalg.norm(way, axis=1)
+        most = sizes[one] + sizes[other]
         kept = np.flatnonzero((one != other) & (apart < most) & (apart > _ACROSS * most))
-        way, apart, one, other = way[kept] / apart[kept, None], apart[kept], one[kept], other[kept]
+        way = way[kept] / apart[kept, None]
+        apart = apart[kept]
+        one = one[kept]
+        other = other[kept]
         along = (apart**2 + sizes[one] ** 2 - sizes[other] ** 2) / (2.0 * apart)
         aside = np.cross(way, _directions(rng, len(kept)))
-        aside *= (np.sqrt(np.maximum(sizes[one] ** 2 - along**2, 0.0)) / np.linalg.norm(aside, axis=1))[:, None]
-        return start[kept] + along[:, None] * way + aside, np.column_stack([one, other]), samples[kept]
+        aside *= (
+            np.sqrt(np.maximum(sizes[one] ** 2 - along**2, 0.0)) / np.linalg.norm(aside, axis=1)
+        )[:, None]
+        return (
+            start[kept] + along[:, None] * way + aside,
+            np.column_stack([one, other]),
+            samples[kept],
+        )
 
 
 def _shortest(normals: Array, members: NDArray[np.bool_]) -> Array:
-    """Return the norm (C,) of the shortest convex combination of unit normals (C, N, 3) of the members (C, N), by Frank and Wolfe."""
+    """Return the norm (C,) of the shortest convex combination of unit normals (C, N, 3) of the
+    members (C, N), by Frank and Wolfe.
+    """
     weight = members / members.sum(axis=1, keepdims=True)
     total = np.einsum("cn,cnk->ck", weight, normals)
     for _ in range(12):
@@ -261,7 +336,9 @@ def _shortest(normals: Array, members: NDArray[np.bool_]) -> Array:
 
 
 def _frame(first: Array, second: Array) -> Array:
-    """Return a rotation with first column `first` and second column as near to `second` as possible."""
+    """Return a rotation with first column `first` and second column as near to `second` as
+    possible.
+    """
     second = second - (second @ first) * first
     second /= np.linalg.norm(second)
     return np.column_stack([first, second, np.cross(first, second)])

@@ -18,7 +18,9 @@ Vector3: TypeAlias = tuple[float, float, float]
 
 
 def numbers(values: Any, count: int | None, name: str) -> tuple[float, ...]:
-    """Return `count` numbers (None: any) up to 1e9 as a tuple, so that every description can be hashed, or raise an `InvalidInputError`."""
+    """Return `count` numbers (None: any) up to 1e9 as a tuple, so that every description can be
+    hashed, or raise an `InvalidInputError`.
+    """
     return tuple(as_array(values, (count,), name, Range(-LARGEST, LARGEST)).tolist())
 
 
@@ -40,7 +42,9 @@ def parts(values: Any, kind: type[T], name: str) -> tuple[T, ...]:
         raise InvalidInputError(f"{name}={shown(values)} must be a list of {kind.__name__}s")
     for value in values:
         if not isinstance(value, kind):
-            raise InvalidInputError(f"{name} must be a list of {kind.__name__}s, got {shown(value)} in it")
+            raise InvalidInputError(
+                f"{name} must be a list of {kind.__name__}s, got {shown(value)} in it"
+            )
     return tuple(values)
 
 
@@ -49,7 +53,9 @@ def unit(values: Any, name: str) -> Vector3:
     x, y, z = numbers(values, 3, name)
     length = math.sqrt(x * x + y * y + z * z)
     if abs(length - 1.0) > 1e-9:
-        raise InvalidInputError(f"{name}={(x, y, z)} must have length 1, not {length:.6g}; normalise it")
+        raise InvalidInputError(
+            f"{name}={(x, y, z)} must have length 1, not {length:.6g}; normalise it"
+        )
     return x, y, z
 
 
@@ -59,7 +65,9 @@ def limits(lower: Any, upper: Any, name: str) -> tuple[float, float]:
         return -math.inf, math.inf
     low, high = numbers((lower, upper), 2, f"{name}: (lower, upper)")
     if low >= high:
-        raise InvalidInputError(f"{name}: lower={low} must be below upper={high}; exchange them or widen the range")
+        raise InvalidInputError(
+            f"{name}: lower={low} must be below upper={high}; exchange them or widen the range"
+        )
     return low, high
 
 
@@ -68,5 +76,7 @@ def hull_corners(values: Any, name: str) -> tuple[Vector3, ...]:
     rows = as_array(values, (None, 3), f"{name}: corners")
     spread = np.linalg.svd(rows - rows.mean(axis=0), compute_uv=False)
     if len(rows) < 4 or not spread[2] > 1e-9 or np.abs(rows).max() > LARGEST:
-        raise InvalidInputError(f"{name}: {len(rows)} corners must be at least 4 points that do not lie in a plane")
+        raise InvalidInputError(
+            f"{name}: {len(rows)} corners must be at least 4 points that do not lie in a plane"
+        )
     return tuple((x, y, z) for x, y, z in rows.tolist())

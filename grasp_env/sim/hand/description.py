@@ -1,6 +1,7 @@
 """Describe a hand as data: a tree of links on a palm, with the fingertips that touch the object.
 
-The engines' files and `HandKinematics` are derived from this one record. Longer than most modules: `from_file` documents each argument.
+The engines' files and `HandKinematics` are derived from this one record. Longer than most modules:
+`from_file` documents each argument.
 """
 
 from __future__ import annotations
@@ -19,14 +20,34 @@ from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand.fingers import FingerDescription
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import inertia_matrix, with_rotor
-from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm, check_fingertips, check_mimics, check_tree
+from grasp_env.sim.hand.tree import (
+    Fingertip,
+    Geometry,
+    Link,
+    Mimic,
+    Palm,
+    check_fingertips,
+    check_mimics,
+    check_tree,
+)
 
-__all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescription", "Link", "Mimic", "Palm", "Vector3"]
+__all__ = [
+    "HANDS",
+    "FingerDescription",
+    "Fingertip",
+    "Geometry",
+    "HandDescription",
+    "Link",
+    "Mimic",
+    "Palm",
+    "Vector3",
+]
 
 
 ROTOR_INERTIA = 1e-4  # default rotor inertia at a joint [kg m^2]; see `HandDescription.with_rotors`
 _LIGHT_INERTIA = 1e-5
-"""End links with less inertia about their joint than this [kg m^2] get `ROTOR_INERTIA` added: a torque error of 50 mN m would change
+"""End links with less inertia about their joint than this [kg m^2] get `ROTOR_INERTIA` added: a
+torque error of 50 mN m would change
 their speed by 50 rad/s in one control tick."""
 
 
@@ -34,20 +55,21 @@ their speed by 50 rad/s in one control tick."""
 class HandDescription:
     """A hand: a fixed palm, moving links with torque-controlled joints, and fingertips.
 
-    Joints turn or slide, and may be coupled to other joints. Joint i moves link i, and finger i ends in fingertip i; i is the index in
-    `links` or `fingertips`. The palm's frame is the world frame.
+    Joints turn or slide, and may be coupled to other joints. Joint i moves link i, and finger i
+    ends in fingertip i; i is the index in `links` or `fingertips`. The palm's frame is the world
+    frame.
 
     Attributes:
         name: Name of the hand.
         palm: The fixed base.
         links: The moving links, parents before children.
         fingertips: One per finger, in the order of the contacts.
-        home: Rest posture [rad], (M,), within the limits. () stands for the middle of each range, and 0 for joints without limits.
-            Coupled joints follow their drivers.
-        tip_friction: Friction coefficient of all links, tips included. The coefficient of a contact is this times the object's, in both
-            engines. With 1 it is the object's.
-        placed: True if the palm's pose and `home` suit an object at the origin. If False, as for a hand just read from a file,
-            an environment chooses both.
+        home: Rest posture [rad], (M,), within the limits. () stands for the middle of each range,
+            and 0 for joints without limits. Coupled joints follow their drivers.
+        tip_friction: Friction coefficient of all links, tips included. The coefficient of a contact
+            is this times the object's, in both engines. With 1 it is the object's.
+        placed: True if the palm's pose and `home` suit an object at the origin. If False, as for a
+            hand just read from a file, an environment chooses both.
 
     Raises:
         InvalidInputError: The hand is not valid; the message gives the reason.
@@ -72,7 +94,9 @@ class HandDescription:
         object.__setattr__(self, "name", word(self.name, "name of a hand"))
         name = f"hand {self.name!r}"
         object.__setattr__(self, "links", parts(self.links, Link, f"{name}: links"))
-        object.__setattr__(self, "fingertips", parts(self.fingertips, Fingertip, f"{name}: fingertips"))
+        object.__setattr__(
+            self, "fingertips", parts(self.fingertips, Fingertip, f"{name}: fingertips")
+        )
         instance(self.palm, Palm, f"{name}: palm")
         positive(self.tip_friction, f"{name}: tip_friction")
         object.__setattr__(self, "placed", flag(self.placed, f"{name}: placed"))
@@ -84,7 +108,9 @@ class HandDescription:
             if isinstance(self.home, list | tuple) and not self.home
             else self.home
         )
-        object.__setattr__(self, "home", self._coupled(numbers(home, len(self.links), f"{name}: home [rad]")))
+        object.__setattr__(
+            self, "home", self._coupled(numbers(home, len(self.links), f"{name}: home [rad]"))
+        )
         for link, angle in zip(self.links, self.home, strict=True):
             if link.mimic is None and not link.lower <= angle <= link.upper:
                 raise InvalidInputError(
@@ -131,7 +157,9 @@ class HandDescription:
         return np.array([link.torque_limit for link in self.links])
 
     def moved(self, position: Vector3, rotation: Vector3 = (0.0, 0.0, 0.0)) -> HandDescription:
-        """Return the hand with its palm frame at `position`, turned by `rotation`. It is then `placed`.
+        """Return the hand with its palm frame at `position`, turned by `rotation`.
+
+        It is then `placed`.
 
         Args:
             position: Origin of the palm frame [m], (3,), world frame.
@@ -147,7 +175,9 @@ class HandDescription:
                 origin, angles = place.carry(link.origin, link.rotation)
                 links[index] = replace(link, origin=origin, rotation=angles)
         palm = self.palm
-        solid, drawn = (tuple(shape.carried(place) for shape in each) for each in (palm.collision, palm.visual))
+        solid, drawn = (
+            tuple(shape.carried(place) for shape in each) for each in (palm.collision, palm.visual)
+        )
         palm = replace(palm, collision=solid, visual=drawn)
         return replace(self, palm=palm, links=tuple(links), placed=True)
 
@@ -156,15 +186,19 @@ class HandDescription:
         links = tuple(replace(link, visual=()) for link in self.links)
         return replace(self, palm=replace(self.palm, visual=()), links=links)
 
-    def with_rotors(self, inertia: float = ROTOR_INERTIA, links: Sequence[str] | None = None) -> HandDescription:
+    def with_rotors(
+        self, inertia: float = ROTOR_INERTIA, links: Sequence[str] | None = None
+    ) -> HandDescription:
         """Return the hand with the inertia of its motors' rotors, which most files leave out.
 
-        The inertia at the joint is that of the rotor times the gear ratio squared: a rotor of 5e-8 kg m^2 behind 1:288 adds
-        4e-3 kg m^2. This inertia is added to a link about all axes.
+        The inertia at the joint is that of the rotor times the gear ratio squared: a rotor of 5e-8
+        kg m^2 behind 1:288 adds 4e-3 kg m^2. This inertia is added to a link about all axes.
 
         Args:
-            inertia: Inertia that is added to the link of each turning joint [kg m^2]. The default is far below that of geared servos.
-            links: Names of the links to which it is added; None: every link whose joint has a motor.
+            inertia: Inertia that is added to the link of each turning joint [kg m^2]. The default
+                is far below that of geared servos.
+            links: Names of the links to which it is added; None: every link whose joint has a
+                motor.
         """
         (added,) = numbers((inertia,), 1, "inertia [kg m^2]")
         if added < 0.0:
@@ -176,19 +210,27 @@ class HandDescription:
         return replace(self, links=tuple(heavier))
 
     def _light_ends(self) -> list[str]:
-        """Return the end links with less inertia about their joint than `_LIGHT_INERTIA`; a coupled link is replaced by its driver's."""
+        """Return the end links with less inertia about their joint than `_LIGHT_INERTIA`; a coupled
+        link is replaced by its driver's.
+        """
         carriers = {link.parent for link in self.links}
         light: dict[str, None] = {}
         for link, driver in zip(self.links, self.drivers, strict=True):
-            center, axis = np.array(link.center), np.array(link.axis)
-            own = axis @ inertia_matrix(link.inertia) @ axis + link.mass * (center @ center - (axis @ center) ** 2)
+            center = np.array(link.center)
+            axis = np.array(link.axis)
+            own = axis @ inertia_matrix(link.inertia) @ axis + link.mass * (
+                center @ center - (axis @ center) ** 2
+            )
             if not link.sliding and link.name not in carriers and own < _LIGHT_INERTIA:
                 light[self.links[driver].name] = None
         return list(light)
 
     @staticmethod
     def of_fingers(
-        fingers: Sequence[FingerDescription], name: str = "hand", palm: Palm | None = None, tip_friction: float = 1.0
+        fingers: Sequence[FingerDescription],
+        name: str = "hand",
+        palm: Palm | None = None,
+        tip_friction: float = 1.0,
     ) -> HandDescription:
         """Make a hand of hanging fingers, each with three or four joints.
 
@@ -232,54 +274,67 @@ class HandDescription:
         xacro: bool | None = None,
         xacro_args: Mapping[str, str | float | bool] | None = None,
     ) -> HandDescription:
-        """Read a hand from a URDF, a xacro file or a MuJoCo model (MJCF). `from_urdf` and `from_mjcf` are aliases.
+        """Read a hand from a URDF, a xacro file or a MuJoCo model (MJCF).
 
-        Joints may turn, slide, be fixed or mimic others. Links behind a fixed joint are merged into their parent. Collision
-        meshes become convex hulls, or several convex pieces if one hull would fill hollows; visual meshes are drawn.
+        `from_urdf` and `from_mjcf` are aliases.
+
+        Joints may turn, slide, be fixed or mimic others. Links behind a fixed joint are merged into
+        their parent. Collision meshes become convex hulls, or several convex pieces if one hull
+        would fill hollows; visual meshes are drawn.
 
         Missing and implausible values are replaced. Each kind has an argument that overrides it:
 
         - `inertials`: masses, centres of mass and inertias that do not fit the size of the link.
-        - `torque_limit`: efforts that no motor of such a finger has. The assumed torques give 15 N at the tip of a straight finger; the
-          assumed force of a sliding joint is 20 N.
+        - `torque_limit`: efforts that no motor of such a finger has. The assumed torques give 15 N
+          at the tip of a straight finger; the assumed force of a sliding joint is 20 N.
         - `joint_limits`: ranges in degrees. Other wide ranges are kept.
 
-        One warning lists the replaced values, the assumed ones, the wide ranges, and the arguments that override them.
+        One warning lists the replaced values, the assumed ones, the wide ranges, and the arguments
+        that override them.
 
-        To read the hand of an arm or of a whole robot, name its `palm`. The palm is then fixed, the joints that carry it are
-        frozen, and all other limbs are left out.
+        To read the hand of an arm or of a whole robot, name its `palm`. The palm is then fixed, the
+        joints that carry it are frozen, and all other limbs are left out.
 
-        Each fingertip is a sphere. It is the only sphere among the collision shapes of the named link if that is at the link's end; else
-        one of `tip_radius` at the link's origin, if given; else the largest sphere that fits in the link's end. The link's other
-        collision shapes are cut back behind the sphere, so that the sphere touches first.
+        Each fingertip is a sphere. It is the only sphere among the collision shapes of the named
+        link if that is at the link's end; else one of `tip_radius` at the link's origin, if given;
+        else the largest sphere that fits in the link's end. The link's other collision shapes are
+        cut back behind the sphere, so that the sphere touches first.
 
         Args:
-            path: Path of the file. Meshes are looked for under their names, beside the file, and in the folders above it.
-            fingertips: Names of links in the order of the contacts, for a MuJoCo model also of sites and geometries. The fingers get
-                these names. Or a dict from the name of a link to the centre (3,) [m], link frame, and radius [m] of its sphere. None:
-                every moving link at the end of a branch.
-            palm: Name of the link that becomes the palm, together with everything fixed to it; the hand is what it carries.
-                None: the root link.
-            tip_radius: Radius of the sphere [m] at the origin of each named link that has no sphere at its end.
-            torque_limit: Torque limit [N m] of all joints, or one for each in the order of `joint_names`, or a dict by joint
-                name. It overrides the file.
-            joint_limits: Dict from the name of a joint to its limits (lower, upper) [rad], for sliding joints [m]. It overrides the
-                file. A joint without limits has (-math.inf, math.inf).
-            inertials: Dict from the name of a moving link to its mass [kg], with which the file's inertia is scaled. Or to its mass
-                [kg], its centre of mass (3,) [m] and its inertia (ixx, ixy, ixz, iyy, iyz, izz) about that centre [kg m^2], in the
-                link's frame. The values include all links that are fixed to the link.
+            path: Path of the file. Meshes are looked for under their names, beside the file, and in
+                the folders above it.
+            fingertips: Names of links in the order of the contacts, for a MuJoCo model also of
+                sites and geometries. The fingers get these names. Or a dict from the name of a link
+                to the centre (3,) [m], link frame, and radius [m] of its sphere. None: every moving
+                link at the end of a branch.
+            palm: Name of the link that becomes the palm, together with everything fixed to it; the
+                hand is what it carries. None: the root link.
+            tip_radius: Radius of the sphere [m] at the origin of each named link that has no sphere
+                at its end.
+            torque_limit: Torque limit [N m] of all joints, or one for each in the order of
+                `joint_names`, or a dict by joint name. It overrides the file.
+            joint_limits: Dict from the name of a joint to its limits (lower, upper) [rad], for
+                sliding joints [m]. It overrides the file. A joint without limits has (-math.inf,
+                math.inf).
+            inertials: Dict from the name of a moving link to its mass [kg], with which the file's
+                inertia is scaled. Or to its mass [kg], its centre of mass (3,) [m] and its inertia
+                (ixx, ixy, ixz, iyy, iyz, izz) about that centre [kg m^2], in the link's frame. The
+                values include all links that are fixed to the link.
             home: Rest posture [rad], (M,), in the order of `joint_names`; () as in the class.
-            position: Position of the palm's link [m], (3,), world frame. If none of `position`, `rotation` and `home` is given, the
-                hand is not `placed`.
+            position: Position of the palm's link [m], (3,), world frame. If none of `position`,
+                `rotation` and `home` is given, the hand is not `placed`.
             rotation: Roll, pitch and yaw of the palm's link [rad], (3,).
             tip_friction: See the class.
-            rotor_inertia: Rotor inertia at every motor [kg m^2]. None: the armature of a MuJoCo model, and the default of
-                `with_rotors` for end links with less than 1e-5 kg m^2 about their joint.
+            rotor_inertia: Rotor inertia at every motor [kg m^2]. None: the armature of a MuJoCo
+                model, and the default of `with_rotors` for end links with less than 1e-5 kg m^2
+                about their joint.
             xacro: True if xacro expands the file; None: if its name ends in .xacro.
-            xacro_args: Dict from the names of arguments of a xacro file to their values. The others have their defaults.
+            xacro_args: Dict from the names of arguments of a xacro file to their values. The others
+                have their defaults.
 
         Raises:
-            InvalidInputError: The file is not such a hand; the message lists everything that must be changed.
+            InvalidInputError: The file is not such a hand; the message lists everything that must
+                be changed.
 
         Warns:
             UserWarning: A value was replaced or assumed, or a part of the file was left out.
@@ -288,11 +343,20 @@ class HandDescription:
         from grasp_env.sim.hand.files.options import HandOptions  # these need the parts above
 
         options = HandOptions(
-            fingertips, tip_radius, torque_limit, joint_limits, inertials, palm, rotor_inertia, xacro, xacro_args
+            fingertips,
+            tip_radius,
+            torque_limit,
+            joint_limits,
+            inertials,
+            palm,
+            rotor_inertia,
+            xacro,
+            xacro_args,
         )
         read = read_hand(path, options)
         angles = numbers(home, None, "home [rad]")
-        hand, repairs = HandDescription(*read[:4], angles, tip_friction, placed=bool(angles)), read.repairs
+        hand = HandDescription(*read[:4], angles, tip_friction, placed=bool(angles))
+        repairs = read.repairs
         if rotor_inertia is not None:
             hand = hand.with_rotors(rotor_inertia)
         elif light := hand._light_ends():
@@ -303,7 +367,9 @@ class HandDescription:
             )
         if position is not None or rotation is not None:
             nowhere = (0.0, 0.0, 0.0)
-            hand = hand.moved(nowhere if position is None else position, nowhere if rotation is None else rotation)
+            hand = hand.moved(
+                nowhere if position is None else position, nowhere if rotation is None else rotation
+            )
         if repairs:
             warnings.warn(f"{path}: {'; '.join(repairs)}", stacklevel=2)
         return hand
@@ -340,22 +406,41 @@ class HandDescription:
 
     @staticmethod
     def allegro() -> HandDescription:
-        """Return the right Allegro Hand V4 with its largest torques of 0.7 N m; see `presets`. It is not placed."""
+        """Return the right Allegro Hand V4 with its largest torques of 0.7 N m; see `presets`.
+
+        It is not placed.
+        """
         return HandDescription(**presets.allegro()).with_rotors()
 
     @staticmethod
     def leap() -> HandDescription:
-        """Return the right LEAP Hand with torques up to 0.95 N m; see `presets`. It is not placed."""
+        """Return the right LEAP Hand with torques up to 0.95 N m; see `presets`.
+
+        It is not placed.
+        """
         return HandDescription(**presets.leap()).with_rotors()
 
 
 HANDS: dict[str, Callable[[], HandDescription]] = {
     name: getattr(HandDescription, name)
-    for name in ("four_finger", "three_finger", "five_finger", "four_finger_4dof", "allegro", "leap")
+    for name in (
+        "four_finger",
+        "three_finger",
+        "five_finger",
+        "four_finger_4dof",
+        "allegro",
+        "leap",
+    )
 }
 """The built-in hands by name."""
 
-_COLORS = ((0.85, 0.33, 0.24), (0.20, 0.50, 0.80), (0.95, 0.69, 0.20), (0.27, 0.65, 0.42), (0.55, 0.40, 0.70))
+_COLORS = (
+    (0.85, 0.33, 0.24),
+    (0.20, 0.50, 0.80),
+    (0.95, 0.69, 0.20),
+    (0.27, 0.65, 0.42),
+    (0.55, 0.40, 0.70),
+)
 _FOUR_JOINTS = {
     "link_lengths": (0.035, 0.065, 0.05, 0.04),
     "link_masses": (0.02, 0.025, 0.015, 0.01),
@@ -370,11 +455,19 @@ def _thumb() -> FingerDescription:
 
 
 def _four_fingers() -> list[FingerDescription]:
-    return [_thumb(), _front("middle", 0.0, 1), _front("left", -0.045, 2), _front("right", 0.045, 3)]
+    return [
+        _thumb(),
+        _front("middle", 0.0, 1),
+        _front("left", -0.045, 2),
+        _front("right", 0.045, 3),
+    ]
 
 
 def _front(name: str, x: float, color: int) -> FingerDescription:
-    """Return a finger opposite the thumb. Fingers near the middle touch high contacts and start farther away."""
+    """Return a finger opposite the thumb.
+
+    Fingers near the middle touch high contacts and start farther away.
+    """
     depth = 0.105 if abs(x) < 0.02 else 0.09
     return FingerDescription(name, (x, 0.135, depth), (0.0, 0.0, -1.0), color=_COLORS[color])
 

@@ -1,7 +1,8 @@
 """Describe hanging fingers of three or four joints, and turn them into links.
 
-The finger frame has x along the straight finger, z along its pressing direction and y = z x x. At zero angles the finger is
-straight. The first joint swings it sideways (about z). The other joints flex it: a positive flexion moves the tip along z.
+The finger frame has x along the straight finger, z along its pressing direction and y = z x x. At
+zero angles the finger is straight. The first joint swings it sideways (about z). The other joints
+flex it: a positive flexion moves the tip along z.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ _JOINT_TO_LINK = 1.5  # radius of the ball drawn at a joint, relative to the rad
 class FingerDescription:
     """The mounting, lengths, masses and strength of one finger.
 
-    The fields with one number per joint all have three numbers (swing, two flexions) or four (swing, three flexions).
+    The fields with one number per joint all have three numbers (swing, two flexions) or four
+    (swing, three flexions).
 
     Attributes:
         name: Prefix of the names of its links and joints, and name of its fingertip.
@@ -68,7 +70,8 @@ class FingerDescription:
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", word(self.name, "name of a finger"))
         name = f"finger {self.name!r}"
-        press, hang = unit(self.press, f"{name}: press"), unit(self.hang, f"{name}: hang")
+        press = unit(self.press, f"{name}: press")
+        hang = unit(self.hang, f"{name}: hang")
         if abs(np.dot(press, hang)) > 1e-9:
             raise InvalidInputError(
                 f"{name}: press={press} and hang={hang} must be orthogonal; turn one of them by 90 degrees"
@@ -79,7 +82,10 @@ class FingerDescription:
                 f"{name}: link_lengths={lengths} has {len(lengths)} links; a finger has 3 or 4. "
                 "Build other hands of Link objects, or from a URDF"
             )
-        rows = {field: numbers(getattr(self, field), len(lengths), f"{name}: {field}") for field in _ROWS}
+        rows = {
+            field: numbers(getattr(self, field), len(lengths), f"{name}: {field}")
+            for field in _ROWS
+        }
         for field in ("link_lengths", "link_masses"):
             for value in rows[field]:
                 positive(value, f"{name}: {field}")
@@ -94,24 +100,35 @@ class FingerDescription:
     @property
     def rotation(self) -> np.ndarray:
         """Rotation from finger frame to world frame, (3, 3)."""
-        hang, press = np.array(self.hang), np.array(self.press)
+        hang = np.array(self.hang)
+        press = np.array(self.press)
         return np.column_stack([hang, np.cross(press, hang), press])
 
     def links(self, palm: str) -> tuple[Link, ...]:
         """Return the links of the finger; the parent of the first is the link `palm`."""
         names = [palm, *(f"{self.name}_{kind}" for kind in _LINK_NAMES[len(self.link_lengths)])]
-        return tuple(self._link(index, names[index + 1], names[index]) for index in range(len(self.link_lengths)))
+        return tuple(
+            self._link(index, names[index + 1], names[index])
+            for index in range(len(self.link_lengths))
+        )
 
     def fingertip(self) -> Fingertip:
         """Return the sphere at the end of the distal link."""
-        return Fingertip(self.name, f"{self.name}_distal", (self.link_lengths[-1], 0.0, 0.0), self.tip_radius)
+        return Fingertip(
+            self.name, f"{self.name}_distal", (self.link_lengths[-1], 0.0, 0.0), self.tip_radius
+        )
 
     def _link(self, index: int, name: str, parent: str) -> Link:
-        first, last = index == 0, index == len(self.link_lengths) - 1
-        length, radius = self.link_lengths[index], self.link_radius
+        first = index == 0
+        last = index == len(self.link_lengths) - 1
+        length = self.link_lengths[index]
+        radius = self.link_radius
         mass, center, along, across = _rod(self.link_masses[index], length, radius)
         collision = (_capsule(radius, length),)
-        visual = (_capsule(radius, length), Geometry("sphere", (_JOINT_TO_LINK * radius,), color=_JOINT_COLOR))
+        visual = (
+            _capsule(radius, length),
+            Geometry("sphere", (_JOINT_TO_LINK * radius,), color=_JOINT_COLOR),
+        )
         if last:
             mass, center, along, across = self._with_tip(mass, center, along, across)
             tip: Vector3 = (length, 0.0, 0.0)
@@ -124,13 +141,28 @@ class FingerDescription:
         axis = (0.0, 0.0, 1.0) if first else (0.0, -1.0, 0.0)
         inertia = (along, 0.0, 0.0, across, 0.0, across)
         return Link(
-            name, parent, origin, rotation, axis, self.joint_lower[index], self.joint_upper[index], self.torque_limit, mass,
-            (center, 0.0, 0.0), inertia, collision, visual, self.color,
-        )  # fmt: skip
+            name,
+            parent,
+            origin,
+            rotation,
+            axis,
+            self.joint_lower[index],
+            self.joint_upper[index],
+            self.torque_limit,
+            mass,
+            (center, 0.0, 0.0),
+            inertia,
+            collision,
+            visual,
+            self.color,
+        )
 
-    def _with_tip(self, mass: float, center: float, along: float, across: float) -> tuple[float, float, float, float]:
+    def _with_tip(
+        self, mass: float, center: float, along: float, across: float
+    ) -> tuple[float, float, float, float]:
         """Return mass, centre and moments of the distal link including the solid sphere of its tip."""
-        length, ball = self.link_lengths[-1], 0.4 * self.tip_mass * self.tip_radius**2
+        length = self.link_lengths[-1]
+        ball = 0.4 * self.tip_mass * self.tip_radius**2
         total = mass + self.tip_mass
         middle = (mass * center + self.tip_mass * length) / total
         across += mass * (middle - center) ** 2 + self.tip_mass * (length - middle) ** 2
@@ -145,5 +177,7 @@ def _capsule(radius: float, length: float) -> Geometry:
 
 
 def _rod(mass: float, length: float, radius: float) -> tuple[float, float, float, float]:
-    """Return mass [kg], centre [m] and the moments along and across [kg m^2] of a solid cylinder along x."""
+    """Return mass [kg], centre [m] and the moments along and across [kg m^2] of a solid cylinder
+    along x.
+    """
     return mass, 0.5 * length, 0.5 * mass * radius**2, mass * (length**2 / 12 + radius**2 / 4)

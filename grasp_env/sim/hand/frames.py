@@ -14,11 +14,13 @@ from grasp_env.sim.hand.check import Vector3
 def rotation_matrix(angles: Vector3) -> Array:
     """Return Rz(yaw) Ry(pitch) Rx(roll), (3, 3), for roll, pitch and yaw [rad]."""
     (sr, sp, sy), (cr, cp, cy) = np.sin(angles), np.cos(angles)
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def axis_rotation(axis: Array, angle: float) -> Array:
@@ -29,12 +31,17 @@ def axis_rotation(axis: Array, angle: float) -> Array:
 
 
 def roll_pitch_yaw(rotation: Array) -> Vector3:
-    """Return roll, pitch and yaw [rad] of a rotation matrix, accurate to the last digits also near gimbal lock."""
+    """Return roll, pitch and yaw [rad] of a rotation matrix, accurate to the last digits also near
+    gimbal lock.
+    """
     yaw = math.atan2(rotation[1, 0], rotation[0, 0])
-    c, s = math.cos(yaw), math.sin(yaw)
+    c = math.cos(yaw)
+    s = math.sin(yaw)
     pitch = math.atan2(-rotation[2, 0], c * rotation[0, 0] + s * rotation[1, 0])
     # the roll of Rz(-yaw) times the rotation: it makes up for an inexact yaw
-    roll = math.atan2(s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1])
+    roll = math.atan2(
+        s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1]
+    )
     return roll, pitch, yaw
 
 
@@ -52,14 +59,20 @@ class Frame(NamedTuple):
     @staticmethod
     def of_joint(axis: Array, angle: float, sliding: bool) -> Frame:
         """Return the motion of a joint about, or of a sliding one along, its unit axis (3,)."""
-        return Frame(np.eye(3), angle * axis) if sliding else Frame(axis_rotation(axis, angle), np.zeros(3))
+        return (
+            Frame(np.eye(3), angle * axis)
+            if sliding
+            else Frame(axis_rotation(axis, angle), np.zeros(3))
+        )
 
     def inverse(self) -> Frame:
         """Return the pose of the outer frame in the inner one."""
         return Frame(self.rotation.T, -self.rotation.T @ self.origin)
 
     def carry(self, origin: Vector3, angles: Vector3) -> tuple[Vector3, Vector3]:
-        """Transform an origin [m] and roll, pitch, yaw [rad] to the outer frame; the identity changes no digit."""
+        """Transform an origin [m] and roll, pitch, yaw [rad] to the outer frame; the identity
+        changes no digit.
+        """
         if not self.origin.any() and np.array_equal(self.rotation, np.eye(3)):
             return origin, angles
         return (self @ Frame.of(origin, angles)).numbers()

@@ -15,7 +15,9 @@ Inertia: TypeAlias = tuple[float, float, float, float, float, float]
 
 
 def inertia_of(values: Any, name: str) -> Inertia:
-    """Return the inertia of a body that can exist, positive and no principal moment above the sum of the others, or raise an error."""
+    """Return the inertia of a body that can exist, positive and no principal moment above the sum
+    of the others, or raise an error.
+    """
     given = numbers(values, 6, f"{name}: inertia")
     moments = np.linalg.eigvalsh(inertia_matrix(given))
     if moments[0] <= 0.0:
@@ -33,14 +35,17 @@ def inertia_of(values: Any, name: str) -> Inertia:
 
 
 def nearest_inertia(values: Inertia, mass: float) -> Inertia | None:
-    """Return the nearest inertia that a body of this mass [kg] can have; None if the given one is possible. Gyration is at least 1 mm."""
+    """Return the nearest inertia that a body of this mass [kg] can have; None if the given one is
+    possible. Gyration is at least 1 mm.
+    """
     from scipy.optimize import nnls
 
     moments, axes = np.linalg.eigh(inertia_matrix(values))
     if moments[0] > 0.0 and moments[2] < moments[0] + moments[1]:
         return None
     least = max(mass * 1e-6, 1e-3 * float(moments[2]))
-    sums = np.ones((3, 3)) - np.eye(3)  # moments are sums of the second moments along the other two axes
+    # moments are sums of the second moments along the other two axes
+    sums = np.ones((3, 3)) - np.eye(3)
     seconds = nnls(sums, moments - 2.0 * least)[0] + least
     return inertia_numbers((axes * (sums @ seconds)) @ axes.T)
 
@@ -58,5 +63,7 @@ def inertia_numbers(matrix: Array) -> Inertia:
 
 
 def with_rotor(values: Inertia, rotor: float) -> Inertia:
-    """Return an inertia plus that of a rotor [kg m^2] about all axes, see `HandDescription.with_rotors`."""
+    """Return an inertia plus that of a rotor [kg m^2] about all axes, see
+    `HandDescription.with_rotors`.
+    """
     return inertia_numbers(inertia_matrix(values) + rotor * np.eye(3))

@@ -1,4 +1,6 @@
-"""Kinematics and statics of a hand: link poses, Jacobians, gravity torques, mass matrix and inverse kinematics."""
+"""Kinematics and statics of a hand: link poses, Jacobians, gravity torques, mass matrix and inverse
+kinematics.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ from grasp_env.sim.hand.tree import Mimic
 
 _OTHER_STARTS = 11
 _LIMIT = 1e-6  # [rad], largest excess of an angle over a limit
-_SMALLEST_LEVER = 0.01  # singular values of a Jacobian up to this, relative to the largest, count as 0
+# singular values of a Jacobian up to this, relative to the largest, count as 0
+_SMALLEST_LEVER = 0.01
 
 
 class HandKinematics:
@@ -28,7 +31,8 @@ class HandKinematics:
         hand: The description.
         tree: Its links and fingertips in the core.
         home: Rest posture [rad], (M,).
-        lower, upper: Joint limits [rad], (M,), -inf and inf without limits, so narrow that coupled joints stay within theirs.
+        lower, upper: Joint limits [rad], (M,), -inf and inf without limits, so narrow that coupled
+        joints stay within theirs.
         torque_limits: Torque limits [N m], (M,).
         drivers: The index of each joint's driver, (M,); a joint that is not coupled drives itself.
         motors: Indices of the joints with a motor, ascending.
@@ -54,17 +58,37 @@ class HandKinematics:
         self.lower, self.upper = _ranges(hand)
         links = list[core.Link]()
         for index, link in enumerate(hand.links):
-            driver, mimic = (-1, Mimic("none")) if link.mimic is None else (hand.drivers[index], link.mimic)
-            links.append(core.Link(
-                parent=parents[index], offset=link.origin, rotation=rotation_matrix(link.rotation).ravel().tolist(), axis=link.axis,
-                mass=link.mass, center=link.center, lower=self.lower[index], upper=self.upper[index], torque_limit=link.torque_limit,
-                sliding=link.sliding, driver=driver, ratio=mimic.ratio, shift=mimic.offset, inertia=link.inertia,
-            ))  # fmt: skip
-        tips = [core.Tip(link=numbers[tip.link], center=tip.center, radius=tip.radius) for tip in hand.fingertips]
+            driver, mimic = (
+                (-1, Mimic("none")) if link.mimic is None else (hand.drivers[index], link.mimic)
+            )
+            links.append(
+                core.Link(
+                    parent=parents[index],
+                    offset=link.origin,
+                    rotation=rotation_matrix(link.rotation).ravel().tolist(),
+                    axis=link.axis,
+                    mass=link.mass,
+                    center=link.center,
+                    lower=self.lower[index],
+                    upper=self.upper[index],
+                    torque_limit=link.torque_limit,
+                    sliding=link.sliding,
+                    driver=driver,
+                    ratio=mimic.ratio,
+                    shift=mimic.offset,
+                    inertia=link.inertia,
+                )
+            )
+        tips = [
+            core.Tip(link=numbers[tip.link], center=tip.center, radius=tip.radius)
+            for tip in hand.fingertips
+        ]
         self.tree = core.Tree.make(links, tips)
         self.home = np.array(hand.home)
         self.torque_limits = hand.torque_limits
-        self.tip_links: Indices = np.array([numbers[tip.link] for tip in hand.fingertips], dtype=np.int64)
+        self.tip_links: Indices = np.array(
+            [numbers[tip.link] for tip in hand.fingertips], dtype=np.int64
+        )
         self.tip_radii = np.array([tip.radius for tip in hand.fingertips])
         self.carries = np.zeros((hand.finger_count, hand.joint_count), dtype=bool)
         self.reach, self.roots = np.zeros(hand.finger_count), np.zeros((hand.finger_count, 3))
@@ -74,27 +98,38 @@ class HandKinematics:
                 chain.append(parents[chain[-1]])
             self.carries[finger, self.drivers[chain]] = True
             arms = [tip.center, *(hand.links[link].origin for link in chain[:-1])]
-            slides = [max(-self.lower[link], self.upper[link]) for link in chain if hand.links[link].sliding]
+            slides = [
+                max(-self.lower[link], self.upper[link])
+                for link in chain
+                if hand.links[link].sliding
+            ]
             self.reach[finger] = sum([*(float(np.linalg.norm(arm)) for arm in arms), *slides])
             self.roots[finger] = hand.links[chain[-1]].origin
-        self._within, self._beyond = core.Reach.make(self.tree), core.Reach.make(self.tree, limited=False)
+        self._within, self._beyond = (
+            core.Reach.make(self.tree),
+            core.Reach.make(self.tree, limited=False),
+        )
         self._starts = _other_starts(self.lower, self.upper)
 
     def __repr__(self) -> str:
         return f"HandKinematics({self.hand.name}, {self.hand.joint_count} joints, {self.hand.finger_count} fingertips)"
 
     def links(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """Return the link poses at joint angles (M,) [rad]: rotations to the world frame (M, 3, 3) and origins (M, 3) [m].
+        """Return the link poses at joint angles (M,) [rad]: rotations to the world frame (M, 3, 3)
+        and origins (M, 3) [m].
 
         The origin of a link lies on the axis of its joint.
         """
         count = self.hand.joint_count
-        rotations, origins = np.empty((count, 3, 3)), np.empty((count, 3))
+        rotations = np.empty((count, 3, 3))
+        origins = np.empty((count, 3))
         self.tree.trace(self._angles(angles), rotations, origins)
         return rotations, origins
 
     def tips(self, angles: ArrayLike) -> Array:
-        """Return the centres of the fingertips [m], (N, 3), world frame, at joint angles (M,) [rad]."""
+        """Return the centres of the fingertips [m], (N, 3), world frame, at joint angles (M,)
+        [rad].
+        """
         centers = np.empty((self.hand.finger_count, 3))
         self.tree.tips(self._angles(angles), centers)
         return centers
@@ -122,14 +157,18 @@ class HandKinematics:
         return self.link_jacobian(angles, int(self.tip_links[finger]), place)
 
     def link_jacobian(self, angles: ArrayLike, link: int, point: ArrayLike) -> Array:
-        """Return the Jacobian (3, M) of a `point` (3,) [m], world frame, on the link of index `link`, at joint `angles` (M,) [rad]."""
+        """Return the Jacobian (3, M) of a `point` (3,) [m], world frame, on the link of index
+        `link`, at joint `angles` (M,) [rad].
+        """
         whole(link, "link", 0, self.hand.joint_count - 1)
         out = np.empty((3, self.hand.joint_count))
         self.tree.jacobian(self._angles(angles), link, as_array(point, (3,), "point"), out)
         return out
 
     def gravity_torques(self, angles: ArrayLike, gravity: ArrayLike = (0.0, -9.81, 0.0)) -> Array:
-        """Return the joint torques (M,) [N m] that carry the hand's weight at `angles` (M,) [rad], `gravity` (3,) [m/s^2], world frame."""
+        """Return the joint torques (M,) [N m] that carry the hand's weight at `angles` (M,) [rad],
+        `gravity` (3,) [m/s^2], world frame.
+        """
         out = np.empty(self.hand.joint_count)
         self.tree.gravity_torques(self._angles(angles), as_array(gravity, (3,), "gravity"), out)
         return out
@@ -137,7 +176,8 @@ class HandKinematics:
     def statics(
         self, angles: ArrayLike, positions: ArrayLike, gravity: ArrayLike = (0.0, -9.81, 0.0)
     ) -> tuple[Array, Array]:
-        """Compute the Jacobians of the contact points and the torques that carry the hand's weight, in one call.
+        """Compute the Jacobians of the contact points and the torques that carry the hand's weight,
+        in one call.
 
         Args:
             angles: Joint angles [rad], (M,).
@@ -145,7 +185,8 @@ class HandKinematics:
             gravity: Gravity [m/s^2], (3,), world frame.
 
         Returns:
-            The Jacobians (N, 3, M) [m/rad] of these points, as `ForceLimits` takes them, and the torques (M,) [N m] of
+            The Jacobians (N, 3, M) [m/rad] of these points, as `ForceLimits` takes them, and the
+            torques (M,) [N m] of
             `gravity_torques`.
 
         Example:
@@ -156,12 +197,16 @@ class HandKinematics:
         """
         count = self.hand.joint_count
         points = as_array(positions, (self.hand.finger_count, 3), "positions")
-        jacobian, torques = np.empty((len(points), 3, count)), np.empty(count)
-        self.tree.statics(self._angles(angles), points, as_array(gravity, (3,), "gravity"), jacobian, torques)
+        jacobian = np.empty((len(points), 3, count))
+        torques = np.empty(count)
+        self.tree.statics(
+            self._angles(angles), points, as_array(gravity, (3,), "gravity"), jacobian, torques
+        )
         return jacobian, torques
 
     def export(self, path: str | Path) -> Path:
-        """Write links, masses, limits and fingertips, without shapes, to a file for `grasp::TreeFile::load` in C++.
+        """Write links, masses, limits and fingertips, without shapes, to a file for
+        `grasp::TreeFile::load` in C++.
 
         Args:
             path: Path of the file, which is written completely or not at all.
@@ -184,7 +229,8 @@ class HandKinematics:
         return file
 
     def mass_matrix(self, angles: ArrayLike) -> Array:
-        """Return the mass matrix (M, M) [kg m^2] at `angles` (M,) [rad]: the kinetic energy is 1/2 rates^T out rates.
+        """Return the mass matrix (M, M) [kg m^2] at `angles` (M,) [rad]: the kinetic energy is 1/2
+        rates^T out rates.
 
         Rows and columns of coupled joints are 0.
         """
@@ -193,10 +239,12 @@ class HandKinematics:
         return out
 
     def mobility(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """Return the mobility of tips and joints at `angles` (M,) [rad], for the gains of springs and dampers.
+        """Return the mobility of tips and joints at `angles` (M,) [rad], for the gains of springs
+        and dampers.
 
         Returns:
-            The largest acceleration of each tip per force on it, (N,) [1/kg]. An upper bound on the acceleration of each joint per
+            The largest acceleration of each tip per force on it, (N,) [1/kg]. An upper bound on the
+            acceleration of each joint per
             torque, when all joints have springs, (M,) [1/(kg m^2)]; 0 for coupled joints.
         """
         free = self.motors
@@ -213,18 +261,20 @@ class HandKinematics:
     def solve(self, tips: ArrayLike, start: ArrayLike | None = None) -> Array:
         """Find joint angles within the limits that bring the tips to the given centres.
 
-        The search begins at `start`. Fingers that do not arrive are tried from a few other fixed postures. Redundant fingers
-        stay near the start.
+        The search begins at `start`. Fingers that do not arrive are tried from a few other fixed
+        postures. Redundant fingers stay near the start.
 
         Args:
             tips: Centres of the tips [m], (N, 3), world frame.
             start: Initial angles [rad], (M,); None: the rest posture.
 
         Returns:
-            Angles [rad], (M,), at which every tip is within 1e-9 m of its target. Joints that move no fingertip keep their angle.
+            Angles [rad], (M,), at which every tip is within 1e-9 m of its target. Joints that move
+            no fingertip keep their angle.
 
         Raises:
-            InvalidInputError: A finger cannot reach its tip; the message gives the distance or the limit that is hit.
+            InvalidInputError: A finger cannot reach its tip; the message gives the distance or the
+                limit that is hit.
         """
         targets = as_array(tips, (self.hand.finger_count, 3), "tips")
         first = self.home if start is None else as_array(start, self.home.shape, "start")
@@ -234,7 +284,9 @@ class HandKinematics:
         return angles
 
     def reachable(self, tips: ArrayLike, start: ArrayLike | None = None) -> bool:
-        """Return True if `solve` finds angles for `tips` (N, 3) [m], world frame, from `start` (M,) [rad]; None: the rest posture."""
+        """Return True if `solve` finds angles for `tips` (N, 3) [m], world frame, from `start` (M,)
+        [rad]; None: the rest posture.
+        """
         targets = as_array(tips, (self.hand.finger_count, 3), "tips")
         if (np.square(targets - self.roots).sum(axis=1) > self.reach**2).any():
             return False
@@ -251,9 +303,12 @@ class HandKinematics:
         return as_array(angles, (self.hand.joint_count,), "angles")
 
     def _search(self, reach: core.Reach, targets: Array, first: Array) -> tuple[Array, Array]:
-        """Return angles (M,) and the largest error of a tip [m] in each group of fingers that share joints."""
+        """Return angles (M,) and the largest error of a tip [m] in each group of fingers that share
+        joints.
+        """
         starts = np.vstack([np.clip(first, self.lower, self.upper), self._starts])
-        angles, missed = np.empty(len(first)), np.empty(len(reach.groups))
+        angles = np.empty(len(first))
+        missed = np.empty(len(reach.groups))
         reach.solve(np.ascontiguousarray(targets), starts, angles, missed)
         return angles, missed
 
@@ -261,7 +316,8 @@ class HandKinematics:
         """Return the message that explains why the fingers miss their targets."""
         away = np.linalg.norm(self.tips(angles) - targets, axis=1)
         finger = int(np.argmax(away))
-        name, target = self.hand.finger_names[finger], np.round(targets[finger], 4).tolist()
+        name = self.hand.finger_names[finger]
+        target = np.round(targets[finger], 4).tolist()
         distance = float(np.linalg.norm(targets[finger] - self.roots[finger]))
         if distance > self.reach[finger]:
             return (
@@ -276,7 +332,8 @@ class HandKinematics:
             beyond = [
                 f"{link.joint} = {turned[joint]:.3f} rad, allowed are {link.lower:.3f} to {link.upper:.3f}"
                 for joint, link in enumerate(self.hand.links)
-                if joint in joints and not link.lower - _LIMIT <= turned[joint] <= link.upper + _LIMIT
+                if joint in joints
+                and not link.lower - _LIMIT <= turned[joint] <= link.upper + _LIMIT
             ]
             if not beyond:
                 return (
@@ -294,17 +351,23 @@ class HandKinematics:
 
 
 def motor_force_basis(jacobian: Array) -> Array:
-    """Return an orthonormal basis (K, R) of the forces that motors with the Jacobian (K, J) can produce."""
+    """Return an orthonormal basis (K, R) of the forces that motors with the Jacobian (K, J) can
+    produce.
+    """
     ways, levers, _ = np.linalg.svd(jacobian, full_matrices=False)
     return ways[:, levers > _SMALLEST_LEVER * levers[0]]
 
 
 def _ranges(hand: HandDescription) -> tuple[Array, Array]:
     """Return lower and upper joint limits (M,), narrowed so that coupled joints stay within theirs."""
-    lower, upper = (np.array([getattr(link, side) for link in hand.links]) for side in ("lower", "upper"))
+    lower, upper = (
+        np.array([getattr(link, side) for link in hand.links]) for side in ("lower", "upper")
+    )
     for link, driver in zip(hand.links, hand.drivers, strict=True):
         if link.mimic is not None:
-            low, high = sorted((end - link.mimic.offset) / link.mimic.ratio for end in (link.lower, link.upper))
+            low, high = sorted(
+                (end - link.mimic.offset) / link.mimic.ratio for end in (link.lower, link.upper)
+            )
             lower[driver], upper[driver] = max(lower[driver], low), min(upper[driver], high)
     for index, (link, driver) in enumerate(zip(hand.links, hand.drivers, strict=True)):
         if lower[driver] >= upper[driver]:
@@ -319,7 +382,8 @@ def _ranges(hand: HandDescription) -> tuple[Array, Array]:
 
 def _other_starts(lower: Array, upper: Array) -> Array:
     """Return postures (S, M): the middle of the joint ranges, then points spread over them."""
-    lower, upper = np.maximum(lower, -math.pi), np.minimum(upper, math.pi)
+    lower = np.maximum(lower, -math.pi)
+    upper = np.minimum(upper, math.pi)
     starts: list[Array] = [0.5 * (lower + upper)]
     for index in range(1, _OTHER_STARTS):
         # golden-ratio steps: spread for any number of joints, and the same in every process

@@ -1,4 +1,6 @@
-"""Links of a hand as convex solids for collision checks in the grasp search, and pairs of links that always touch."""
+"""Links of a hand as convex solids for collision checks in the grasp search, and pairs of links
+that always touch.
+"""
 
 from __future__ import annotations
 
@@ -26,51 +28,78 @@ def hand_limbs(hand: HandDescription) -> list[core.Limb]:
     tips = {number for number, _, _ in spheres}
     parts = [(-1, shape) for shape in hand.palm.collision]
     parts += [(index, shape) for index, link in enumerate(hand.links) for shape in link.collision]
-    return [_limb(link, shape, link in tips, spheres) for link, shape in parts if shape.kind != "mesh"]
+    return [
+        _limb(link, shape, link in tips, spheres) for link, shape in parts if shape.kind != "mesh"
+    ]
 
 
-def _limb(link: int, shape: Geometry, tipped: bool, spheres: set[tuple[int, float, tuple[float, ...]]]) -> core.Limb:
-    origin, frame = np.array(shape.origin), rotation_matrix(shape.rotation)
+def _limb(
+    link: int, shape: Geometry, tipped: bool, spheres: set[tuple[int, float, tuple[float, ...]]]
+) -> core.Limb:
+    origin = np.array(shape.origin)
+    frame = rotation_matrix(shape.rotation)
     if shape.kind in ("sphere", "capsule"):
         half = 0.0 if shape.kind == "sphere" else 0.5 * shape.size[1]
-        start, end = origin - half * frame[:, 2], origin + half * frame[:, 2]
+        start = origin - half * frame[:, 2]
+        end = origin + half * frame[:, 2]
         is_tip = shape.kind == "sphere" and (link, shape.size[0], shape.origin) in spheres
-        return core.Limb.line(link=link, start=start.tolist(), end=end.tolist(), radius=shape.size[0], tip=is_tip)
-    half, corners = (0.0, 0.0, 0.0), np.zeros((0, 3))
+        return core.Limb.line(
+            link=link, start=start.tolist(), end=end.tolist(), radius=shape.size[0], tip=is_tip
+        )
+    half = (0.0, 0.0, 0.0)
+    corners = np.zeros((0, 3))
     if shape.kind == "hull":
         corners = np.array(shape.corners)
         middle = corners.mean(axis=0)
-        corners, origin = corners - middle, origin + frame @ middle
+        corners = corners - middle
+        origin = origin + frame @ middle
     elif shape.kind == "box":
         half = tuple(0.5 * side for side in shape.size)
     else:
         half = (shape.size[0], shape.size[0], 0.5 * shape.size[1])
     # the other shapes of a link with a tip surround the sphere and may touch the object with it
-    center, rotation = origin.tolist(), frame.ravel().tolist()
+    center = origin.tolist()
+    rotation = frame.ravel().tolist()
     return core.Limb.solid(
-        link=link, kind=shape.kind, half=half, center=center, rotation=rotation, corners=corners, tip=tipped
+        link=link,
+        kind=shape.kind,
+        half=half,
+        center=center,
+        rotation=rotation,
+        corners=corners,
+        tip=tipped,
     )
 
 
 def touching_pairs(hand: HandDescription, at_home: bool = True) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of links whose contact must be ignored, because their coarse shapes always touch; as indices, -1 for the palm.
+    """Return the pairs of links whose contact must be ignored, because their coarse shapes always
+    touch; as indices, -1 for the palm.
 
-    Two links form such a pair if they overlap in the rest posture, or in at least half of the random postures, or if they overlap in
-    some posture and are within 2 mm in nearly all. Links that share a joint are left out, and the rest posture unless `at_home`.
+    Two links form such a pair if they overlap in the rest posture, or in at least half of the
+    random postures, or if they overlap in some posture and are within 2 mm in nearly all. Links
+    that share a joint are left out, and the rest posture unless `at_home`.
     """
     overlaps, nears, home = _pairs(hand)
-    always = {pair for pair, count in overlaps.items() if 2 * count >= _POSTURES or nears[pair] >= _MOSTLY * _POSTURES}
+    always = {
+        pair
+        for pair, count in overlaps.items()
+        if 2 * count >= _POSTURES or nears[pair] >= _MOSTLY * _POSTURES
+    }
     return tuple(sorted(always | home if at_home else always))
 
 
 @lru_cache(maxsize=32)
 def _pairs(hand: HandDescription) -> tuple[Counter[_Pair], Counter[_Pair], set[_Pair]]:
-    """Count, for pairs of links, the random postures with overlap and with a gap below `_NEAR`; find overlaps in the rest posture."""
+    """Count, for pairs of links, the random postures with overlap and with a gap below `_NEAR`;
+    find overlaps in the rest posture.
+    """
     kinematics = HandKinematics(hand)
     limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home)
-    low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
+    low = np.maximum(kinematics.lower, -np.pi)
+    high = np.minimum(kinematics.upper, np.pi)
     draws = np.random.default_rng(0).random((_POSTURES, hand.joint_count))
-    overlaps, nears = Counter[_Pair](), Counter[_Pair]()
+    overlaps = Counter[_Pair]()
+    nears = Counter[_Pair]()
     for draw in draws:
         gaps = limbs.link_gaps(low + draw * (high - low), _NEAR)
         nears.update({(first, second) for first, second, _ in gaps})

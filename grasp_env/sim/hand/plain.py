@@ -9,9 +9,22 @@ from typing import Any
 
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.inputs.arguments import choice
-from grasp_env.sim.hand.description import HANDS, Fingertip, Geometry, HandDescription, Link, Mimic, Palm
+from grasp_env.sim.hand.description import (
+    HANDS,
+    Fingertip,
+    Geometry,
+    HandDescription,
+    Link,
+    Mimic,
+    Palm,
+)
 
-_LISTS: dict[str, type[Any]] = {"links": Link, "fingertips": Fingertip, "collision": Geometry, "visual": Geometry}
+_LISTS: dict[str, type[Any]] = {
+    "links": Link,
+    "fingertips": Fingertip,
+    "collision": Geometry,
+    "visual": Geometry,
+}
 _SINGLE: dict[str, type[Any]] = {"palm": Palm, "mimic": Mimic}
 _UNLIMITED = {"lower": -math.inf, "upper": math.inf}
 """Limits of a joint without limits, which JSON writes as null."""
@@ -32,7 +45,8 @@ def hand_to_plain(hand: HandDescription) -> dict[str, Any]:
 
 
 def hand_of(value: Any, name: str) -> HandDescription:
-    """Return the hand in a dict of its fields, or of the name of a built-in hand alone; fields with a default may be left out.
+    """Return the hand in a dict of its fields, or of the name of a built-in hand alone; fields with
+    a default may be left out.
 
     Args:
         value: dict, as from `hand_to_plain`.
@@ -44,7 +58,9 @@ def hand_of(value: Any, name: str) -> HandDescription:
         InvalidInputError: a field is missing or has another kind, or the hand is not valid.
     """
     if isinstance(value, dict) and list(value) == ["name"]:
-        return HANDS[choice(value["name"], name, HANDS, ", or give all fields of a HandDescription")]()
+        return HANDS[
+            choice(value["name"], name, HANDS, ", or give all fields of a HandDescription")
+        ]()
     return _made(HandDescription, value, name)
 
 
@@ -63,13 +79,17 @@ def _plain(value: Any) -> Any:
 
 def _made(kind: type[Any], value: Any, name: str) -> Any:
     if not isinstance(value, dict):
-        raise InvalidInputError(f"{name} must be a dict of the fields of a {kind.__name__}, got {shown(value)}")
+        raise InvalidInputError(
+            f"{name} must be a dict of the fields of a {kind.__name__}, got {shown(value)}"
+        )
     known = {item.name: item.default is MISSING for item in fields(kind)}
     for key in value:
         if key not in known:
             raise UnknownSettingError(f"{name}.{key}", [f"{name}.{each}" for each in known])
     if missing := [f"{name}.{key}" for key, needed in known.items() if needed and key not in value]:
-        raise InvalidInputError(f"{', '.join(missing)} must be given: the dict of a {kind.__name__} needs them")
+        raise InvalidInputError(
+            f"{', '.join(missing)} must be given: the dict of a {kind.__name__} needs them"
+        )
     return kind(**{key: _part(key, each, f"{name}.{key}") for key, each in value.items()})
 
 

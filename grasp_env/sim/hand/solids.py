@@ -1,4 +1,6 @@
-"""Convex shapes as the corners of their hulls: outlines of shapes, simplified hulls, cut and shrunk hulls."""
+"""Convex shapes as the corners of their hulls: outlines of shapes, simplified hulls, cut and shrunk
+hulls.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +15,19 @@ from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry, Vector3
 from grasp_env.sim.mesh_shape import numbered, sides_of
 
-MAX_CORNERS = 40  # of a hull; one that contains it replaces a larger one, and protrudes by 1/8 of a round end's radius
+# of a hull; one that contains it replaces a larger one, and protrudes by 1/8 of a round end's
+# radius
+MAX_CORNERS = 40
 _FLAT = 3e-8  # [m], largest ratio of volume to area (about half of the thickness) of a flat shape
 _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 _THIN = 5e-4  # [m], thickness that is added to a flat shape on either side
 
 
 def outline(shape: Geometry) -> Array:
-    """Return points (K, 3) [m], link frame, whose hull is the shape. The hull of a round shape is up to 4 % larger. A mesh has no points."""
+    """Return points (K, 3) [m], link frame, whose hull is the shape.
+
+    The hull of a round shape is up to 4 % larger. A mesh has no points.
+    """
     place = Frame.of(shape.origin, shape.rotation)
     if shape.kind == "box":
         points = 0.5 * _SIGNS * shape.size
@@ -28,21 +35,32 @@ def outline(shape: Geometry) -> Array:
         points = _BALL * shape.size[0]
     elif shape.kind in ("capsule", "cylinder"):
         ends = 0.5 * shape.size[1] * np.array([[[0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0]]])
-        points = ((_BALL if shape.kind == "capsule" else _RING) * shape.size[0] + ends).reshape(-1, 3)
+        points = ((_BALL if shape.kind == "capsule" else _RING) * shape.size[0] + ends).reshape(
+            -1, 3
+        )
     else:
         points = np.array(shape.corners, dtype=float).reshape(-1, 3)
     return points @ place.rotation.T + place.origin
 
 
 def hull_shape(
-    corners: Array, origin: Vector3 = _NOWHERE, rotation: Vector3 = _NOWHERE, color: Vector3 | None = None
+    corners: Array,
+    origin: Vector3 = _NOWHERE,
+    rotation: Vector3 = _NOWHERE,
+    color: Vector3 | None = None,
 ) -> Geometry:
-    """Return the hull of corners (K, 3) [m] as a shape at `origin` [m], turned by roll, pitch and yaw `rotation` [rad]."""
-    return Geometry("hull", (), origin, rotation, color, tuple((x, y, z) for x, y, z in corners.tolist()))
+    """Return the hull of corners (K, 3) [m] as a shape at `origin` [m], turned by roll, pitch and
+    yaw `rotation` [rad].
+    """
+    return Geometry(
+        "hull", (), origin, rotation, color, tuple((x, y, z) for x, y, z in corners.tolist())
+    )
 
 
 def hull_of(points: Array) -> ConvexHull:
-    """Return the hull of points (K, 3) [m], of which there must be one and all finite; flat hulls are made 1 mm thick."""
+    """Return the hull of points (K, 3) [m], of which there must be one and all finite; flat hulls
+    are made 1 mm thick.
+    """
     try:
         hull = ConvexHull(points)
         if hull.volume > _FLAT * hull.area:
@@ -65,9 +83,11 @@ def principal_axes(points: Array) -> Array:
 
 
 def few_corners(points: Array, most: int = MAX_CORNERS) -> Array:
-    """Return at most `most` corners (K, 3) whose hull contains all points (K, 3); the hull's own corners if they are few.
+    """Return at most `most` corners (K, 3) whose hull contains all points (K, 3); the hull's own
+    corners if they are few.
 
-    The point farthest outside is added until `most` is reached. Then all corners move outward until no point is outside.
+    The point farthest outside is added until `most` is reached. Then all corners move outward until
+    no point is outside.
     """
     hull = hull_of(points)
     points = hull.points[hull.vertices]
@@ -87,10 +107,13 @@ def few_corners(points: Array, most: int = MAX_CORNERS) -> Array:
     corners = points[chosen]
     for _ in range(30):
         small = ConvexHull(corners)
-        excess = np.maximum((points @ small.equations[:, :3].T).max(axis=0) + small.equations[:, 3], 0.0)
+        excess = np.maximum(
+            (points @ small.equations[:, :3].T).max(axis=0) + small.equations[:, 3], 0.0
+        )
         if excess.max() <= grain:
             break
-        moves, weights = np.zeros_like(corners), np.full(len(corners), 1e-300)
+        moves = np.zeros_like(corners)
+        weights = np.full(len(corners), 1e-300)
         np.add.at(moves, small.simplices, (excess**2)[:, None, None] * small.equations[:, None, :3])
         np.add.at(weights, small.simplices, excess[:, None])
         corners = corners + 0.7 * moves / weights[:, None]
@@ -103,11 +126,14 @@ def few_corners(points: Array, most: int = MAX_CORNERS) -> Array:
 
 
 def cut_below(points: Array, normal: Array, offset: float) -> Array:
-    """Return corners of the part of the hull of points (K, 3) with normal @ x <= offset; none if that part is empty or flat."""
+    """Return corners of the part of the hull of points (K, 3) with normal @ x <= offset; none if
+    that part is empty or flat.
+    """
     hull = hull_of(points)
     heights = hull.points @ normal - offset
     edges = numbered(sides_of(hull.simplices))[0]
-    a, b = heights[edges[:, 0]], heights[edges[:, 1]]
+    a = heights[edges[:, 0]]
+    b = heights[edges[:, 1]]
     crossing = a * b < 0.0
     at = (a[crossing] / (a[crossing] - b[crossing]))[:, None]
     cut = hull.points[edges[crossing, 0]] * (1.0 - at) + hull.points[edges[crossing, 1]] * at
@@ -118,10 +144,14 @@ def cut_below(points: Array, normal: Array, offset: float) -> Array:
 
 
 def shrunk(points: Array, depth: float) -> Array:
-    """Return corners of the hull of points (K, 3) [m] shrunk by `depth`, at most by a third of its largest inner ball's radius."""
+    """Return corners of the hull of points (K, 3) [m] shrunk by `depth`, at most by a third of its
+    largest inner ball's radius.
+    """
     faces = np.unique(hull_of(points).equations.round(12), axis=0)
     rows = np.column_stack([faces[:, :3], np.ones(len(faces))])
-    ball = linprog((0.0, 0.0, 0.0, -1.0), A_ub=rows, b_ub=-faces[:, 3], bounds=(None, None), method="highs").x
+    ball = linprog(
+        (0.0, 0.0, 0.0, -1.0), A_ub=rows, b_ub=-faces[:, 3], bounds=(None, None), method="highs"
+    ).x
     faces[:, 3] += min(depth, float(ball[3]) / 3.0)
     return np.unique(HalfspaceIntersection(faces, ball[:3]).intersections.round(9), axis=0)
 

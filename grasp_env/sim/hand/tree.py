@@ -1,4 +1,6 @@
-"""Parts of a hand, links with their joints, geometries, fingertips and the palm, and checks that they fit together."""
+"""Parts of a hand, links with their joints, geometries, fingertips and the palm, and checks that
+they fit together.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,16 @@ from typing import Any
 
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.inputs.arguments import choice, instance
-from grasp_env.sim.hand.check import Vector3, hull_corners, limits, numbers, parts, positive, unit, word
+from grasp_env.sim.hand.check import (
+    Vector3,
+    hull_corners,
+    limits,
+    numbers,
+    parts,
+    positive,
+    unit,
+    word,
+)
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.inertia import Inertia, inertia_of
 
@@ -19,7 +30,10 @@ SIZES = {
     "hull": (),
     "mesh": ("x", "y", "z"),
 }
-"""Kinds of geometry and their sizes [m]. The length of a capsule is that of its cylinder; its axis is z. A mesh has scale factors."""
+"""Kinds of geometry and their sizes [m].
+
+The length of a capsule is that of its cylinder; its axis is z. A mesh has scale factors.
+"""
 
 _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 
@@ -35,14 +49,15 @@ class Geometry:
     """A shape fixed to a link.
 
     Attributes:
-        kind: "sphere", "capsule", "cylinder" or "box"; the axis of capsule and cylinder is z. "hull": the convex hull of
-            `corners`. "mesh": a file that is drawn and touches nothing.
-        size: Radius; radius and length (of a capsule without its ends); or three sides [m]. () for a hull; scale factors for a
-            mesh.
+        kind: "sphere", "capsule", "cylinder" or "box"; the axis of capsule and cylinder is z.
+            "hull": the convex hull of `corners`. "mesh": a file that is drawn and touches nothing.
+        size: Radius; radius and length (of a capsule without its ends); or three sides [m]. () for
+            a hull; scale factors for a mesh.
         origin: Position of the centre, or of the frame of a hull or mesh [m], (3,), link frame.
         rotation: Roll, pitch and yaw of its axes [rad], (3,), link frame.
         color: Red, green and blue in [0, 1]; None: the link's color.
-        corners: Corners of a hull [m], (K, 3), in its own frame: at least 4 that are not in a plane.
+        corners: Corners of a hull [m], (K, 3), in its own frame: at least 4 that are not in a
+            plane.
         file: Path of a mesh.
     """
 
@@ -57,7 +72,9 @@ class Geometry:
     def __post_init__(self) -> None:
         choice(self.kind, "kind of geometry", SIZES)
         name = f"geometry {self.kind!r}"
-        size = numbers(self.size, len(SIZES[self.kind]), f"{name}: size ({', '.join(SIZES[self.kind])})")
+        size = numbers(
+            self.size, len(SIZES[self.kind]), f"{name}: size ({', '.join(SIZES[self.kind])})"
+        )
         if min(size, default=1.0) <= 0.0:
             raise InvalidInputError(f"{name}: size={size} m must be above 0")
         none = isinstance(self.corners, list | tuple) and not self.corners
@@ -86,7 +103,8 @@ class Mimic:
 
     Attributes:
         joint: Name of the driver, which is not coupled itself.
-        ratio: Ratio of the angles, not 0; [m/rad] if a sliding joint follows a turning one, and so on.
+        ratio: Ratio of the angles, not 0; [m/rad] if a sliding joint follows a turning one, and so
+            on.
         offset: Angle of the joint when the driver is at 0 [rad], for a sliding joint [m].
     """
 
@@ -96,13 +114,18 @@ class Mimic:
 
     def __post_init__(self) -> None:
         name = f"mimic of joint {self.joint!r}"
-        (ratio,), (offset,) = numbers((self.ratio,), 1, f"{name}: ratio"), numbers((self.offset,), 1, f"{name}: offset")
+        (ratio,), (offset,) = (
+            numbers((self.ratio,), 1, f"{name}: ratio"),
+            numbers((self.offset,), 1, f"{name}: offset"),
+        )
         if ratio == 0.0:
             raise InvalidInputError(f"{name}: ratio=0.0 does not move the joint; make it fixed")
         _fix(self, joint=word(self.joint, "mimic: joint"), ratio=ratio, offset=offset)
 
     def angle(self, driver: float) -> float:
-        """Return the angle of the coupled joint for the angle `driver` [rad], for sliding joints [m]."""
+        """Return the angle of the coupled joint for the angle `driver` [rad], for sliding joints
+        [m].
+        """
         return self.ratio * driver + self.offset
 
 
@@ -110,8 +133,8 @@ class Mimic:
 class Link:
     """A moving link and its joint.
 
-    At angle 0 the link frame lies at `origin`, turned by `rotation`, in the frame of its parent. The joint turns it about
-    `axis` through its own origin; a sliding joint moves it along `axis`.
+    At angle 0 the link frame lies at `origin`, turned by `rotation`, in the frame of its parent.
+    The joint turns it about `axis` through its own origin; a sliding joint moves it along `axis`.
 
     Attributes:
         name: Name of the link.
@@ -119,10 +142,11 @@ class Link:
         origin: Position of the joint [m], (3,), parent's frame.
         rotation: Roll, pitch and yaw at angle 0 [rad], (3,), parent's frame.
         axis: Unit axis of the joint, (3,), link frame.
-        lower: Lower joint limit [rad], of a sliding joint [m]. A joint without limits has lower=-inf and upper=inf.
+        lower: Lower joint limit [rad], of a sliding joint [m]. A joint without limits has
+            lower=-inf and upper=inf.
         upper: Upper joint limit [rad], of a sliding joint [m].
-        torque_limit: Largest torque in both directions [N m], for a sliding joint the largest force [N]. It is not used for a coupled
-            joint, because the driver carries the load.
+        torque_limit: Largest torque in both directions [N m], for a sliding joint the largest force
+            [N]. It is not used for a coupled joint, because the driver carries the load.
         mass: Mass of the link [kg].
         center: Centre of mass [m], (3,), link frame.
         inertia: ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2], link axes.
@@ -237,9 +261,13 @@ def check_tree(name: str, palm: Palm, links: tuple[Link, ...]) -> None:
     for index, link in enumerate(links):
         known = names[: index + 1]
         if link.parent not in known:
-            late = "stands after it in `links`, or is the link itself; order parents before children"
+            late = (
+                "stands after it in `links`, or is the link itself; order parents before children"
+            )
             hint = late if link.parent in names else f"is not a link; known are {', '.join(known)}"
-            raise InvalidInputError(f"{name}: the parent {link.parent!r} of link {link.name!r} {hint}")
+            raise InvalidInputError(
+                f"{name}: the parent {link.parent!r} of link {link.name!r} {hint}"
+            )
 
 
 def _check_different(name: str, kind: str, names: list[str]) -> None:
@@ -260,9 +288,13 @@ def check_mimics(name: str, links: tuple[Link, ...]) -> None:
 
 
 def check_fingertips(name: str, links: tuple[Link, ...], tips: tuple[Fingertip, ...]) -> None:
-    """Check that there is a fingertip, that names differ, and that every fingertip is on a moving link."""
+    """Check that there is a fingertip, that names differ, and that every fingertip is on a moving
+    link.
+    """
     if not tips:
-        raise InvalidInputError(f"{name}: fingertips=() is empty; name at least one, as a hand only touches with them")
+        raise InvalidInputError(
+            f"{name}: fingertips=() is empty; name at least one, as a hand only touches with them"
+        )
     _check_different(name, "fingertips", [tip.name for tip in tips])
     known = [link.name for link in links]
     for tip in tips:

@@ -1,4 +1,6 @@
-"""Write a hand as URDF text, with its hulls as mesh files, for PyBullet; the numbers are those of the kinematics."""
+"""Write a hand as URDF text, with its hulls as mesh files, for PyBullet; the numbers are those of
+the kinematics.
+"""
 
 from __future__ import annotations
 
@@ -18,19 +20,24 @@ from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
 from grasp_env.sim.mesh_files import obj_text
 
-HULL_MARGIN = 1e-3  # that Bullet adds around the hulls of a URDF [m]; changeDynamics cannot change it
+# that Bullet adds around the hulls of a URDF [m]; changeDynamics cannot change it
+HULL_MARGIN = 1e-3
 _SPEED_LIMIT = "100"  # [rad/s]; Bullet's default, far above what a grasp needs
 
 
 def hand_files(hand: HandDescription, margin: float = 0.0) -> dict[str, str]:
     """Return names and texts of all files of the hand: "hand.urdf", and each of its hulls once.
 
-    Collision hulls are shrunk by `margin` [m], for an engine that adds it around them, but by no more than a third of the radius of
-    their largest inner ball, so that thin hulls keep their shape.
+    Collision hulls are shrunk by `margin` [m], for an engine that adds it around them, but by no
+    more than a third of the radius of their largest inner ball, so that thin hulls keep their
+    shape.
     """
     files = {"hand.urdf": hand_urdf(hand)}
     for body in (hand.palm, *hand.links):
-        for role, shapes, depth in (("visual", body.visual, 0.0), ("collision", body.collision, margin)):
+        for role, shapes, depth in (
+            ("visual", body.visual, 0.0),
+            ("collision", body.collision, margin),
+        ):
             hulls = {shape.corners for shape in shapes if shape.kind == "hull"}
             files |= {_hull_name(role, corners): _hull_obj(corners, depth) for corners in hulls}
     return files
@@ -46,8 +53,8 @@ def write_hand(hand: HandDescription, folder: str, margin: float = 0.0) -> str:
 def hand_urdf(hand: HandDescription) -> str:
     """Return the hand as a URDF document whose palm frame is the world frame.
 
-    Joints keep their names; PyBullet may number them in another order, see `bullet.joint_indices`. Hulls are mesh files beside
-    the URDF, see `hand_files`.
+    Joints keep their names; PyBullet may number them in another order, see `bullet.joint_indices`.
+    Hulls are mesh files beside the URDF, see `hand_files`.
     """
     robot = Element("robot", name=hand.name)
     palm = SubElement(robot, "link", name=hand.palm.name)
@@ -76,7 +83,10 @@ def _add_origin(element: Element, origin: Vector3, rotation: Vector3 = (0.0, 0.0
 def _add_joint(robot: Element, link: Link) -> None:
     turning = math.isinf(link.lower)
     joint = SubElement(
-        robot, "joint", name=link.joint, type="prismatic" if link.sliding else "continuous" if turning else "revolute"
+        robot,
+        "joint",
+        name=link.joint,
+        type="prismatic" if link.sliding else "continuous" if turning else "revolute",
     )
     SubElement(joint, "parent", link=link.parent)
     SubElement(joint, "child", link=link.name)
@@ -84,7 +94,8 @@ def _add_joint(robot: Element, link: Link) -> None:
     SubElement(joint, "axis", xyz=digits(link.axis))
     limit = SubElement(joint, "limit", effort=repr(link.torque_limit), velocity=_SPEED_LIMIT)
     if link.mimic is not None:
-        ratio, offset = repr(link.mimic.ratio), repr(link.mimic.offset)
+        ratio = repr(link.mimic.ratio)
+        offset = repr(link.mimic.offset)
         SubElement(joint, "mimic", joint=link.mimic.joint, multiplier=ratio, offset=offset)
     if not turning:
         limit.attrib |= {"lower": repr(link.lower), "upper": repr(link.upper)}
@@ -101,7 +112,9 @@ def _add_inertial(element: Element, link: Link) -> None:
 def _add_shapes(element: Element, body: Link | Palm) -> None:
     for index, geometry in enumerate(body.visual):
         visual = _add_geometry(element, "visual", geometry)
-        material = SubElement(visual, "material", name=f"{body.name}_{index}")  # PyBullet keeps one color for each name
+        material = SubElement(
+            visual, "material", name=f"{body.name}_{index}"
+        )  # PyBullet keeps one color for each name
         SubElement(material, "color", rgba=digits((*(geometry.color or body.color), 1.0)))
     for geometry in body.collision:
         _add_geometry(element, "collision", geometry)
@@ -130,10 +143,14 @@ def _hull_name(role: str, corners: tuple[Vector3, ...]) -> str:
 
 @lru_cache(maxsize=512)
 def _hull_obj(corners: tuple[Vector3, ...], margin: float) -> str:
-    """Return a hull as a Wavefront file, shrunk by a margin [m], with faces counterclockwise from outside."""
+    """Return a hull as a Wavefront file, shrunk by a margin [m], with faces counterclockwise from
+    outside.
+    """
     from grasp_env.sim.hand.solids import shrunk
 
-    return obj_text([hull_faces(shrunk(np.array(corners), margin) if margin > 0.0 else np.array(corners))])
+    return obj_text(
+        [hull_faces(shrunk(np.array(corners), margin) if margin > 0.0 else np.array(corners))]
+    )
 
 
 def hull_faces(points: Array) -> tuple[Array, Any]:

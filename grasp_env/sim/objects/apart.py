@@ -19,7 +19,11 @@ import numpy as np
 from grasp_env.inputs.arguments import Array
 from grasp_env.sim.progress import ProgressLine
 
-_NEEDED = ("LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONHOME")  # variables without which some Pythons do not start
+_NEEDED = (
+    "LD_LIBRARY_PATH",
+    "DYLD_LIBRARY_PATH",
+    "PYTHONHOME",
+)  # variables without which some Pythons do not start
 
 
 def apart(
@@ -31,14 +35,16 @@ def apart(
     variables: Mapping[str, str] | None = None,
     **given: Array,
 ) -> dict[str, Array]:
-    """Run a function (module:function), which takes and returns arrays by name, in a process of its own; Ctrl-C ends both processes.
+    """Run a function (module:function), which takes and returns arrays by name, in a process of its
+    own; Ctrl-C ends both processes.
 
     Args:
         task: The function.
         text: Description of the task on the progress line.
         seconds: Longest time [s].
         memory: Largest memory that the function may take [bytes]; 0: any.
-        variables: The environment of the process, besides what Python needs to start; None: that of this process.
+        variables: The environment of the process, besides what Python needs to start; None: that of
+            this process.
         given: Arguments of the function.
 
     Raises:
@@ -64,7 +70,12 @@ def apart(
         with open(Path(folder, "output"), "w+b") as output:
             # not in the user's folder, from which modules would be imported
             child = subprocess.Popen(
-                command, env=environment, cwd=folder, stdin=subprocess.DEVNULL, stdout=output, stderr=output
+                command,
+                env=environment,
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
             )
             try:
                 _wait(child, text, seconds)
@@ -94,7 +105,9 @@ def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
 
 
 def work() -> None:
-    """Run the task in the child process; Ctrl-C and the limits of time and memory end it even within third-party code."""
+    """Run the task in the child process; Ctrl-C and the limits of time and memory end it even
+    within third-party code.
+    """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     (module, _, function), folder = sys.argv[1].partition(":"), Path(sys.argv[2])
     if hasattr(signal, "alarm"):  # not on Windows

@@ -1,4 +1,6 @@
-"""Cache of processed meshes of objects and hands in the user's cache folder, keyed by content and safe between processes."""
+"""Cache of processed meshes of objects and hands in the user's cache folder, keyed by content and
+safe between processes.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +21,16 @@ _ENTRIES = "[!.]*.npz"  # not the temporary files that other processes are writi
 
 try:
     import fcntl
-except ImportError:  # not on Windows: two processes may make the same entry, and the later one stays
+except (
+    ImportError
+):  # not on Windows: two processes may make the same entry, and the later one stays
     fcntl = None
 
 
 class Entry(NamedTuple):
-    """An entry of the cache: its file, its mesh's name and use ("object" or "hand"), its size [bytes] and its time of creation [s]."""
+    """An entry of the cache: its file, its mesh's name and use ("object" or "hand"), its size
+    [bytes] and its time of creation [s].
+    """
 
     path: Path
     name: str
@@ -40,11 +46,15 @@ def folder() -> Path:
     return user_cache_path("grasp-force", appauthor=False) / "objects"
 
 
-def cached(key: str, name: str, make: Callable[[], dict[str, Any]], use: str = "object") -> dict[str, Any]:
-    """Return the arrays that `make` returns, from the cache if possible; otherwise make them and keep them there.
+def cached(
+    key: str, name: str, make: Callable[[], dict[str, Any]], use: str = "object"
+) -> dict[str, Any]:
+    """Return the arrays that `make` returns, from the cache if possible; otherwise make them and
+    keep them there.
 
-    The key, of letters and digits, identifies the content. Name and use ("object" or "hand") of the mesh are for the list of entries. A
-    folder that cannot be written or an entry that cannot be read only costs time.
+    The key, of letters and digits, identifies the content. Name and use ("object" or "hand") of the
+    mesh are for the list of entries. A folder that cannot be written or an entry that cannot be
+    read only costs time.
     """
     if found := lookup(key):
         return found
@@ -63,9 +73,16 @@ def entries() -> list[Entry]:
     out = list[Entry]()
     for path in folder().glob(_ENTRIES):
         with suppress(OSError):
-            status, name, use = path.stat(), "(not readable)", "object"
-            with suppress(Exception), open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
-                name, use = str(arrays[_NAME]), str(arrays[_USE])
+            status = path.stat()
+            name = "(not readable)"
+            use = "object"
+            with (
+                suppress(Exception),
+                open(path, "rb") as file,
+                np.load(file, allow_pickle=False) as arrays,
+            ):
+                name = str(arrays[_NAME])
+                use = str(arrays[_USE])
             out.append(Entry(path, name, use, status.st_size, status.st_mtime))
     return sorted(out, key=lambda entry: -entry.time)
 
@@ -93,7 +110,9 @@ def _locked(path: Path) -> Iterator[None]:
     """Keep other processes from making the entry, for at most `LONGEST_WAIT`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle = os.open(path.with_suffix(".lock"), os.O_CREAT | os.O_RDWR | getattr(os, "O_CLOEXEC", 0), 0o600)
+        handle = os.open(
+            path.with_suffix(".lock"), os.O_CREAT | os.O_RDWR | getattr(os, "O_CLOEXEC", 0), 0o600
+        )
     except OSError:
         yield
         return

@@ -1,4 +1,6 @@
-"""Repair of a mesh to a closed solid with faces counterclockwise from outside, and a list of the changes."""
+"""Repair of a mesh to a closed solid with faces counterclockwise from outside, and a list of the
+changes.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,16 @@ import numpy as np
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.arguments import Array
-from grasp_env.sim.mesh_shape import WELD, extent_of, grouped, numbered, open_edges, sides_of, volume, weld
+from grasp_env.sim.mesh_shape import (
+    WELD,
+    extent_of,
+    grouped,
+    numbered,
+    open_edges,
+    sides_of,
+    volume,
+    weld,
+)
 
 _SEAM = 1e-5  # distance within which corners of open seams are merged, relative to the extent
 _MIN_VOLUME = 1e-6  # least volume of a solid, relative to the cube of its extent
@@ -20,10 +31,12 @@ _SAMPLED = 8  # corners of a part that are tested for being inside another part
 
 
 def close_mesh(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[str]]:
-    """Return a closed solid, corners (V, 3) and faces (F, 3), and descriptions of the repairs, none if the mesh was closed.
+    """Return a closed solid, corners (V, 3) and faces (F, 3), and descriptions of the repairs, none
+    if the mesh was closed.
 
-    Coincident corners and faces are merged. Then, until the mesh is closed, trimesh orients faces alike, seams are welded, and trimesh
-    fills holes. Manifold unites overlapping parts; a part inside out within another is a cavity.
+    Coincident corners and faces are merged. Then, until the mesh is closed, trimesh orients faces
+    alike, seams are welded, and trimesh fills holes. Manifold unites overlapping parts; a part
+    inside out within another is a cavity.
     """
     extent = extent_of(corners)
     corners, faces = weld(corners, faces, WELD * extent)
@@ -56,12 +69,18 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
         gone = len(mesh.vertices) - len(points)
         if gone:
             mesh.vertices, mesh.faces = points, again
-        return f"{gone} corners were joined with others within {_SEAM:g} of its size" if gone else ""
+        return (
+            f"{gone} corners were joined with others within {_SEAM:g} of its size" if gone else ""
+        )
 
     def fill(mesh: Any) -> str:
         before = len(mesh.faces)
         trimesh.repair.fill_holes(mesh, use_fan=True)
-        return f"holes were filled with {len(mesh.faces) - before} faces" if len(mesh.faces) > before else ""
+        return (
+            f"holes were filled with {len(mesh.faces) - before} faces"
+            if len(mesh.faces) > before
+            else ""
+        )
 
     mesh = trimesh.Trimesh(corners, faces, process=False)
     for repair in (turn, weld_seams, fill, turn):
@@ -73,11 +92,16 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
 
 
 def _without_walls(faces: Any) -> Any:
-    """Keep one of several faces on the same corners; none if they cancel, as walls between touching parts do."""
+    """Keep one of several faces on the same corners; none if they cancel, as walls between touching
+    parts do.
+    """
     first = faces.argmin(axis=1)[:, None]
-    turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)  # start at the smallest index
+    # start at the smallest index
+    turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
     ahead = turned[:, 1] < turned[:, 2]
-    _, kept, number = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True)
+    _, kept, number = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True
+    )
     number = number.reshape(-1)
     surplus = np.bincount(number, np.where(ahead, 1.0, -1.0))
     if len(kept) == len(faces):
@@ -88,7 +112,9 @@ def _without_walls(faces: Any) -> Any:
     return faces[np.sort(right[right >= 0])]
 
 
-def _solid(corners: Array, faces: Any, extent: float, name: str, changes: list[str]) -> tuple[Array, Any]:
+def _solid(
+    corners: Array, faces: Any, extent: float, name: str, changes: list[str]
+) -> tuple[Array, Any]:
     """Make one solid: turn parts outward, subtract cavities, and unite parts that overlap."""
     parts = _parts(corners, faces)
     if len(parts) > _MAX_PARTS:
@@ -97,14 +123,19 @@ def _solid(corners: Array, faces: Any, extent: float, name: str, changes: list[s
         )
     volumes = [volume(corners, part) for part in parts]
     if sum(map(abs, volumes)) <= _MIN_VOLUME * extent**3:
-        raise InvalidInputError(f"{name} encloses no volume; it must be a solid, such as a plate with two sides")
+        raise InvalidInputError(
+            f"{name} encloses no volume; it must be a solid, such as a plate with two sides"
+        )
     solid = [k for k, size in enumerate(volumes) if abs(size) > _FLAT_VOLUME * extent**3]
     if len(solid) < len(parts) and _WALLS not in changes:
         changes.append(_WALLS)
-    parts, volumes = [parts[k] for k in solid], [volumes[k] for k in solid]
+    parts = [parts[k] for k in solid]
+    volumes = [volumes[k] for k in solid]
     within = _nested(corners, parts, volumes)
     # the outermost part is solid: if it is inside out, so is everything within it
-    outermost = [min([number, *around], key=lambda k: len(within[k])) for number, around in enumerate(within)]
+    outermost = [
+        min([number, *around], key=lambda k: len(within[k])) for number, around in enumerate(within)
+    ]
     flips = [volumes[number] < 0.0 for number in outermost]
     if any(flips):
         changes.append("faces that pointed inward were turned")
@@ -115,7 +146,9 @@ def _solid(corners: Array, faces: Any, extent: float, name: str, changes: list[s
 
 
 def _nested(corners: Array, parts: list[Any], volumes: list[float]) -> list[list[int]]:
-    """Return for each part the indices of the parts that contain it, judged by a few of its corners."""
+    """Return for each part the indices of the parts that contain it, judged by a few of its
+    corners.
+    """
     from grasp_env import core
 
     out: list[list[int]] = [[] for _ in parts]
@@ -125,7 +158,9 @@ def _nested(corners: Array, parts: list[Any], volumes: list[float]) -> list[list
     low = np.array([corners[each].min(axis=0) for each in used])
     high = np.array([corners[each].max(axis=0) for each in used])
     for outer, (part, size) in enumerate(zip(parts, volumes, strict=True)):
-        inner = np.flatnonzero((low > low[outer]).all(axis=1) & (high < high[outer]).all(axis=1)).tolist()
+        inner = np.flatnonzero(
+            (low > low[outer]).all(axis=1) & (high < high[outer]).all(axis=1)
+        ).tolist()
         if inner:
             outward = part if size > 0.0 else part[:, ::-1]
             solid = core.Surface.mesh(corners, outward.astype(float), [corners[used[outer]]])
@@ -137,10 +172,13 @@ def _nested(corners: Array, parts: list[Any], volumes: list[float]) -> list[list
 
 
 def _parts(corners: Array, faces: Any) -> list[Any]:
-    """Return the faces of each part connected by edges; parts that are not closed by themselves are merged."""
+    """Return the faces of each part connected by edges; parts that are not closed by themselves are
+    merged.
+    """
     ends = np.sort(sides_of(faces), axis=1)
     number = numbered(ends)[1]
-    sides, order = np.bincount(number), np.argsort(number, kind="stable")
+    sides = np.bincount(number)
+    order = np.argsort(number, kind="stable")
     first = np.cumsum(sides) - sides
     plain = first[sides == 2]
     pairs = [np.column_stack([order[plain], order[plain + 1]]) // 3]
@@ -154,7 +192,9 @@ def _parts(corners: Array, faces: Any) -> list[Any]:
 
 
 def _pairs_around(corners: Array, faces: Any, around: Any, a: int, b: int) -> Any:
-    """Return the pairs (P, 2) of faces around the edge from corner a to b that have the solid between them."""
+    """Return the pairs (P, 2) of faces around the edge from corner a to b that have the solid
+    between them.
+    """
     away = corners[b] - corners[a]
     frame = np.linalg.svd(away[None])[2]
     if frame[0] @ away < 0.0:
@@ -163,9 +203,12 @@ def _pairs_around(corners: Array, faces: Any, around: Any, a: int, b: int) -> An
     across = (corners[faces[rows, (first + 2) % 3]] - corners[a]) @ frame[1:].T
     turn = 1.0 if np.linalg.det(frame) > 0.0 else -1.0
     angles = (np.arctan2(turn * across[:, 1], across[:, 0]) / _SAME_ANGLE).round()
-    ahead = faces[rows, first] == a  # True if the face's solid lies at smaller angles, else at larger ones
+    # True if the face's solid lies at smaller angles, else at larger ones
+    ahead = faces[rows, first] == a
     order = np.lexsort([ahead, angles]).tolist()
-    waiting, pairs, done = list[int](), list[tuple[int, int]](), set[int]()
+    waiting = list[int]()
+    pairs = list[tuple[int, int]]()
+    done = set[int]()
     for k in [*order, *order]:
         if k in done or (ahead[k] and not waiting):
             continue
@@ -177,8 +220,12 @@ def _pairs_around(corners: Array, faces: Any, around: Any, a: int, b: int) -> An
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def _united(corners: Array, parts: list[Any], depths: list[int], changes: list[str]) -> tuple[Array, Any]:
-    """Add solid parts and subtract cavities, from outside inward; unchanged if Manifold rejects a part."""
+def _united(
+    corners: Array, parts: list[Any], depths: list[int], changes: list[str]
+) -> tuple[Array, Any]:
+    """Add solid parts and subtract cavities, from outside inward; unchanged if Manifold rejects a
+    part.
+    """
     import manifold3d
 
     whole = np.concatenate(parts)
@@ -189,7 +236,9 @@ def _united(corners: Array, parts: list[Any], depths: list[int], changes: list[s
             for part in (part for part, at in zip(parts, depths, strict=True) if at == depth):
                 if (volume(corners, part) < 0.0) == hollow:
                     points, numbers = weld(corners, part[:, ::-1] if hollow else part, 1e-300)
-                    solids.append(manifold3d.Manifold(manifold3d.Mesh64(points, numbers.astype(np.uint64))))
+                    solids.append(
+                        manifold3d.Manifold(manifold3d.Mesh64(points, numbers.astype(np.uint64)))
+                    )
             if any(solid.status() != manifold3d.Error.NoError for solid in solids):
                 return corners, whole
             if len(solids) > 1:
@@ -199,4 +248,6 @@ def _united(corners: Array, parts: list[Any], depths: list[int], changes: list[s
         return corners, whole  # they do not overlap
     made = one.to_mesh64()
     changes.append(f"its {len(parts)} parts overlap and were united")
-    return np.asarray(made.vert_properties, dtype=float)[:, :3], np.asarray(made.tri_verts, dtype=np.int64)
+    return np.asarray(made.vert_properties, dtype=float)[:, :3], np.asarray(
+        made.tri_verts, dtype=np.int64
+    )

@@ -32,7 +32,13 @@ SIZES = {
 """Dimensions in the size of each shape."""
 SHAPES = tuple(SIZES)
 SHAPES_WITHOUT_MESH = tuple(shape for shape in SHAPES if shape != "mesh")
-_DEFAULTS = {"cuboid": (0.1,) * 3, "cylinder": (0.1,) * 2, "sphere": (0.1,), "capsule": (0.07, 0.1), "mesh": (1.0,)}
+_DEFAULTS = {
+    "cuboid": (0.1,) * 3,
+    "cylinder": (0.1,) * 2,
+    "sphere": (0.1,),
+    "capsule": (0.07, 0.1),
+    "mesh": (1.0,),
+}
 _MAX_MASS, _MAX_FRICTION = 1000.0, 10.0  # [kg], [1]; more is a mistake of units
 
 
@@ -61,7 +67,8 @@ class ObjectDescription(Settings):
 
     Raises:
         UnknownNameError: No such shape.
-        InvalidInputError: A size, mass, friction, inertia or file is not allowed; the message gives the reason.
+        InvalidInputError: A size, mass, friction, inertia or file is not allowed; the message gives
+            the reason.
 
     Example:
         >>> can = ObjectDescription("cylinder", (0.066, 0.115), mass=0.35)
@@ -72,45 +79,63 @@ class ObjectDescription(Settings):
         (array([0.   , 0.   , 0.033]), 0.017)
     """
 
-    shape: str = setting("cuboid", one_of(SHAPES), "Shape; the axis of cylinder and capsule is y.", random=True)
+    shape: str = setting(
+        "cuboid", one_of(SHAPES), "Shape; the axis of cylinder and capsule is y.", random=True
+    )
     size: tuple[float, ...] = setting(
-        (), Kind(_numbers, "0.001 to 1 each way"),
+        (),
+        Kind(_numbers, "0.001 to 1 each way"),
         "Cuboid: sides x, y, z. Cylinder: diameter, height. Sphere: diameter. Capsule: diameter, total length. Mesh: factor from its "
         "coordinates to metres, 0.001 for a file in millimetres. (): 0.1 m along each axis (capsule: 0.07 m thick), 1 for a mesh.",
-        unit="m", random=True,
-    )  # fmt: skip
+        unit="m",
+        random=True,
+    )
     mass: float = setting(0.2, real(Range(1e-9, _MAX_MASS)), "Mass.", unit="kg", random=True)
     friction: float = setting(
-        0.4, real(Range(1e-9, _MAX_FRICTION)), "Coefficient of Coulomb friction; it is multiplied by the fingertips'.",
+        0.4,
+        real(Range(1e-9, _MAX_FRICTION)),
+        "Coefficient of Coulomb friction; it is multiplied by the fingertips'.",
         random=True,
-    )  # fmt: skip
+    )
     inertia: tuple[float, ...] | None = setting(
-        None, Kind(_moments, "3 numbers"), "Moments of inertia about the body axes through the centre of mass.",
-        unit="kg m^2", none="those of the solid of uniform density",
-    )  # fmt: skip
+        None,
+        Kind(_moments, "3 numbers"),
+        "Moments of inertia about the body axes through the centre of mass.",
+        unit="kg m^2",
+        none="those of the solid of uniform density",
+    )
     mesh: str | None = setting(
-        None, Kind(lambda value, name: str(as_path(value, InvalidInputError, name)), "path"),
-        "Path of a mesh (.obj, .stl, .ply, .off, .glb, .dae) of up to 200,000 faces in shape \"mesh\", convex or not; its axes become the "
-        "principal axes of inertia nearest to those of the file, its origin the centre of mass.", none="the other shapes have none",
-    )  # fmt: skip
+        None,
+        Kind(lambda value, name: str(as_path(value, InvalidInputError, name)), "path"),
+        'Path of a mesh (.obj, .stl, .ply, .off, .glb, .dae) of up to 200,000 faces in shape "mesh", convex or not; its axes become the '
+        "principal axes of inertia nearest to those of the file, its origin the centre of mass.",
+        none="the other shapes have none",
+    )
     torsional_friction: float = setting(
-        0.0, real(Range(0.0, LARGEST)),
+        0.0,
+        real(Range(0.0, LARGEST)),
         "Largest friction moment about a contact's normal over the normal force; it is multiplied by the fingertips' friction. Soft fingertips "
         "have a few millimetres, and two of them can hold an object. All methods then solve for forces by Newton within all limits.",
         unit="m",
-    )  # fmt: skip
+    )
 
     @classmethod
     def from_mesh(
-        cls, path: str | os.PathLike[str], scale: float = 1.0, *, density: float | None = None, **settings: Any
+        cls,
+        path: str | os.PathLike[str],
+        scale: float = 1.0,
+        *,
+        density: float | None = None,
+        **settings: Any,
     ) -> ObjectDescription:
         """Make the object in a mesh file, convex or not.
 
-        Contact points, normals, mass and inertia are those of the mesh. It is also cut into convex pieces, once for each content, which
-        takes seconds and at most two minutes. Distances to links are measured to the pieces. Engines use them for collisions, unless
-        Bullet's `mesh_contacts` is "faces". The pieces are kept in the user's cache folder; `grasp object list` and `grasp object clear`
-        show and empty it. A mesh that is not closed is repaired if possible, with a warning that lists the changes. Other processes read
-        the file again.
+        Contact points, normals, mass and inertia are those of the mesh. It is also cut into convex
+        pieces, once for each content, which takes seconds and at most two minutes. Distances to
+        links are measured to the pieces. Engines use them for collisions, unless Bullet's
+        `mesh_contacts` is "faces". The pieces are kept in the user's cache folder; `grasp object
+        list` and `grasp object clear` show and empty it. A mesh that is not closed is repaired if
+        possible, with a warning that lists the changes. Other processes read the file again.
 
         Args:
             path: Path of an .obj, .stl, .ply, .off, .glb or .dae of up to 200,000 faces.
@@ -119,7 +144,8 @@ class ObjectDescription(Settings):
             settings: Other fields, such as `friction`.
 
         Raises:
-            InvalidInputError: It is not a mesh, cannot be closed, or is too large or too small; the message says what to do.
+            InvalidInputError: It is not a mesh, cannot be closed, or is too large or too small; the
+                message says what to do.
 
         Example:
             >>> import tempfile, trimesh
@@ -130,10 +156,17 @@ class ObjectDescription(Settings):
             (0.048, [0.06, 0.04, 0.02])
         """
         times = real(POSITIVE).take(scale, "scale")
-        given = {"shape": "mesh", "mesh": str(as_path(path, InvalidInputError, "path")), "size": (times,), **settings}
+        given = {
+            "shape": "mesh",
+            "mesh": str(as_path(path, InvalidInputError, "path")),
+            "size": (times,),
+            **settings,
+        }
         if density is not None:
             if "mass" in settings:
-                raise InvalidInputError("give mass or density, not both: each follows from the other")
+                raise InvalidInputError(
+                    "give mass or density, not both: each follows from the other"
+                )
             mesh = load_mesh(given["mesh"], times, tell=False)
             given["mass"] = real(POSITIVE).take(density, "density") * mesh.volume
         return cls(**given)
@@ -155,11 +188,17 @@ class ObjectDescription(Settings):
                 f"{placed('size')}={self.size} of a capsule: its total length must be at least its diameter; "
                 "exchange them or use a cylinder"
             )
-        scale = "; give the scale of the file in size=(0.001,) if it is in millimetres" if self.mesh else ""
+        scale = (
+            "; give the scale of the file in size=(0.001,) if it is in millimetres"
+            if self.mesh
+            else ""
+        )
         check_extent(self.extent, self.shape, f"sizes are in metres{scale}", "sizes are in metres")
 
     def replaced(self, given: Mapping[str, Any], path: str = "") -> ObjectDescription:
-        """Return a copy with some settings replaced. Another shape gets its default size and no mesh, unless they are given.
+        """Return a copy with some settings replaced.
+
+        Another shape gets its default size and no mesh, unless they are given.
 
         Args:
             given: Settings by name.
@@ -183,7 +222,9 @@ class ObjectDescription(Settings):
     def surface(self) -> core.Surface:
         """Surface of the object, which finds nearest points."""
         if self._mesh is not None:
-            return core.Surface.mesh(self._mesh.vertices, self._mesh.faces.astype(float), list(self._mesh.pieces))
+            return core.Surface.mesh(
+                self._mesh.vertices, self._mesh.faces.astype(float), list(self._mesh.pieces)
+            )
         half = np.zeros(3)
         half[: len(self.size)] = 0.5 * np.array(self.size)
         if self.shape == "capsule":
@@ -193,13 +234,19 @@ class ObjectDescription(Settings):
     @cached_property
     def moments(self) -> tuple[float, float, float]:
         """Moments of inertia about the body axes, which are principal axes [kg m^2]."""
-        gyration = _solid_gyration(self.shape, self.size) if self._mesh is None else self._mesh.gyration
-        x, y, z = np.multiply(self.mass, gyration).tolist() if self.inertia is None else self.inertia
+        gyration = (
+            _solid_gyration(self.shape, self.size) if self._mesh is None else self._mesh.gyration
+        )
+        x, y, z = (
+            np.multiply(self.mass, gyration).tolist() if self.inertia is None else self.inertia
+        )
         return x, y, z
 
     @cached_property
     def inertia_matrix(self) -> Array:
-        """Inertia about the centre of mass [kg m^2], (3, 3), body axes; that of the uniform solid unless `inertia` is given."""
+        """Inertia about the centre of mass [kg m^2], (3, 3), body axes; that of the uniform solid
+        unless `inertia` is given.
+        """
         return np.diag(self.moments)
 
     @cached_property
@@ -217,7 +264,9 @@ class ObjectDescription(Settings):
 
     @property
     def pieces(self) -> tuple[Array, ...]:
-        """Corners (K, 3) [m] of convex pieces that together cover a mesh, body frame; raises as `faces`."""
+        """Corners (K, 3) [m] of convex pieces that together cover a mesh, body frame; raises as
+        `faces`.
+        """
         return self._required_mesh.pieces
 
     @property
@@ -228,7 +277,9 @@ class ObjectDescription(Settings):
 
     def __getstate__(self) -> dict[str, object]:
         """Return the state without surface and mesh, which are made anew."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("surface", "_mesh")}
+        return {
+            name: value for name, value in self.__dict__.items() if name not in ("surface", "_mesh")
+        }
 
 
 def check_extent(extent: Sequence[float], shape: str, too_large: str, too_small: str) -> None:
@@ -245,7 +296,8 @@ def _solid_gyration(shape: str, size: tuple[float, ...]) -> tuple[float, float, 
     if shape == "cuboid":
         x, y, z = (side * side / 12.0 for side in size)
         return y + z, x + z, x + y
-    radius, length = 0.5 * size[0], size[-1]
+    radius = 0.5 * size[0]
+    length = size[-1]
     square = radius * radius
     if shape == "sphere":
         return 0.4 * square, 0.4 * square, 0.4 * square

@@ -14,28 +14,35 @@ from grasp_env.sim.objects.apart import apart
 
 CONVEX = 1e-3  # share of its hull's volume that a mesh may lack and still count as convex
 CONCAVITY = 0.03
-"""Largest concavity of a piece as CoACD defines it: about the distance it may protrude from the mesh, over half the mesh's size."""
+"""Largest concavity of a piece as CoACD defines it: about the distance it may protrude from the
+mesh, over half the mesh's size."""
 MAX_PIECES = 32  # of a connected mesh
 MAX_CORNERS = 256  # of a piece: the faces of a ball of 66 mm are then within 0.7 mm
 FINE = 2e-4  # distance by which omitted corners may stand out of a piece, relative to its size
 LONGEST = 60.0  # longest time to cut a mesh [s]; 1 to 12 s are usual
 _MAX_CUT_FACES = 5000  # faces, above which a mesh is simplified before it is cut
 _SEARCH = {"mcts_iterations": 60, "mcts_max_depth": 2, "resolution": 1000, "preprocess_mode": "off"}
-"""A third of CoACD's default search. Its preprocessing is off, as it adds a shell of a hundredth of the mesh's size."""
+"""A third of CoACD's default search.
+
+Its preprocessing is off, as it adds a shell of a hundredth of the mesh's size.
+"""
 
 
 def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
-    """Cut a mesh into convex pieces with corners (K, 3): by CoACD (Wei et al. 2022), or by V-HACD if that fails; one if it is convex.
+    """Cut a mesh into convex pieces with corners (K, 3): by CoACD (Wei et al.
 
-    The pieces contain all corners of the mesh, except for what `MAX_CORNERS` leaves out. In hollows they protrude from the mesh by a few
-    hundredths of its size.
+    2022), or by V-HACD if that fails; one if it is convex.
+
+    The pieces contain all corners of the mesh, except for what `MAX_CORNERS` leaves out. In hollows
+    they protrude from the mesh by a few hundredths of its size.
     """
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(corners)
     if volume(corners, faces) >= (1.0 - CONVEX) * hull.volume:
         return [reduce_hull(corners[hull.vertices], MAX_CORNERS, FINE)]
-    coarse, reason = _simplified(corners, faces), ""
+    coarse = _simplified(corners, faces)
+    reason = ""
     for task in ("by_coacd", "by_vhacd"):
         try:
             text = f"{name}: cutting it into convex pieces, once for this content"
@@ -44,7 +51,9 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
             # CoACD crashes or never ends if faces cross, and is not available on every machine
             reason = str(error).strip().rsplit("\n", 1)[-1]
             continue
-        found = _covering(np.split(made["points"], np.cumsum(made["counts"].astype(int))[:-1]), corners)
+        found = _covering(
+            np.split(made["points"], np.cumsum(made["counts"].astype(int))[:-1]), corners
+        )
         if found:
             return found
     raise InvalidInputError(
@@ -58,7 +67,9 @@ def by_coacd(corners: Array, faces: Any) -> dict[str, Array]:
     import coacd
 
     coacd.set_log_level("error")
-    found = coacd.run_coacd(coacd.Mesh(corners, faces), threshold=CONCAVITY, max_convex_hull=MAX_PIECES, **_SEARCH)
+    found = coacd.run_coacd(
+        coacd.Mesh(corners, faces), threshold=CONCAVITY, max_convex_hull=MAX_PIECES, **_SEARCH
+    )
     return _packed(found)
 
 
@@ -72,7 +83,10 @@ def by_vhacd(corners: Array, faces: Any) -> dict[str, Array]:
 
 def _packed(found: list[Any]) -> dict[str, Array]:
     pieces = [np.empty((0, 3)), *(np.asarray(points, dtype=float) for points, _ in found)]
-    return {"points": np.concatenate(pieces), "counts": np.array([len(each) for each in pieces[1:]], dtype=int)}
+    return {
+        "points": np.concatenate(pieces),
+        "counts": np.array([len(each) for each in pieces[1:]], dtype=int),
+    }
 
 
 def _simplified(corners: Array, faces: Any) -> tuple[Array, Any]:
@@ -80,14 +94,19 @@ def _simplified(corners: Array, faces: Any) -> tuple[Array, Any]:
         return corners, faces
     import fast_simplification
 
-    middle, size = corners.mean(axis=0), float(np.ptp(corners, axis=0).max())
+    middle = corners.mean(axis=0)
+    size = float(np.ptp(corners, axis=0).max())
     unit = ((corners - middle) / size).astype(np.float32)
-    points, triangles = fast_simplification.simplify(unit, faces.astype(np.int32), target_count=_MAX_CUT_FACES)[:2]
+    points, triangles = fast_simplification.simplify(
+        unit, faces.astype(np.int32), target_count=_MAX_CUT_FACES
+    )[:2]
     return np.asarray(points, dtype=float) * size + middle, np.asarray(triangles, dtype=np.int32)
 
 
 def _covering(pieces: list[Array], corners: Array) -> list[Array]:
-    """Grow the pieces until they contain all corners of the mesh, each by those that are nearest to it."""
+    """Grow the pieces until they contain all corners of the mesh, each by those that are nearest to
+    it.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     hulls: list[Any] = []
@@ -96,8 +115,14 @@ def _covering(pieces: list[Array], corners: Array) -> list[Array]:
             hulls.append(ConvexHull(piece))
     if not hulls:
         return []
-    heights = np.array([(corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in hulls])
-    nearest, outside = heights.argmin(axis=0), heights.min(axis=0) > 0.0
+    heights = np.array(
+        [(corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in hulls]
+    )
+    nearest = heights.argmin(axis=0)
+    outside = heights.min(axis=0) > 0.0
     added = [corners[outside & (nearest == number)] for number in range(len(hulls))]
-    grown = [ConvexHull(np.vstack([hull.points[hull.vertices], more])) for hull, more in zip(hulls, added, strict=True)]
+    grown = [
+        ConvexHull(np.vstack([hull.points[hull.vertices], more]))
+        for hull, more in zip(hulls, added, strict=True)
+    ]
     return [reduce_hull(hull.points[hull.vertices], MAX_CORNERS, FINE) for hull in grown]

@@ -1,4 +1,6 @@
-"""Reading of mesh files by trimesh, in a process of its own: no file makes the user's process hang, grow or crash."""
+"""Reading of mesh files by trimesh, in a process of its own: no file makes the user's process hang,
+grow or crash.
+"""
 
 from __future__ import annotations
 
@@ -30,10 +32,14 @@ class MeshFile(NamedTuple):
 
 
 def open_mesh(path: str | os.PathLike[str], name: str) -> MeshFile:
-    """Return the bytes of a mesh file, or raise an InvalidInputError: it has another kind, is missing, empty or too large."""
+    """Return the bytes of a mesh file, or raise an InvalidInputError: it has another kind, is
+    missing, empty or too large.
+    """
     kind = Path(path).suffix.lower()
     if kind not in KINDS:
-        raise InvalidInputError(f"{name} is of no kind that is read: {', '.join(KINDS)}; export it as one of them")
+        raise InvalidInputError(
+            f"{name} is of no kind that is read: {', '.join(KINDS)}; export it as one of them"
+        )
     try:
         content = read_bytes(path, KINDS[kind])
     except OSError as problem:
@@ -48,7 +54,9 @@ def open_mesh(path: str | os.PathLike[str], name: str) -> MeshFile:
 
 
 def read_mesh(file: MeshFile) -> tuple[Array, Any]:
-    """Return the corners (V, 3) float64 of the faces of a mesh file, in its units, and the faces (F, 3) int64, or raise an InvalidInputError."""
+    """Return the corners (V, 3) float64 of the faces of a mesh file, in its units, and the faces
+    (F, 3) int64, or raise an InvalidInputError.
+    """
     (found,) = read_meshes([file])
     if isinstance(found, InvalidInputError):
         raise found
@@ -69,9 +77,14 @@ def read_meshes(files: Sequence[MeshFile]) -> list[tuple[Array, Any] | InvalidIn
     seconds = SECONDS + len(files) - 1
     try:
         made = apart(
-            "grasp_env.sim.mesh_files:read_files", text, seconds, memory=MAX_MEMORY, variables=variables,
-            kinds=kinds, **contents,
-        )  # fmt: skip
+            "grasp_env.sim.mesh_files:read_files",
+            text,
+            seconds,
+            memory=MAX_MEMORY,
+            variables=variables,
+            kinds=kinds,
+            **contents,
+        )
     except (TimeoutError, ChildProcessError) as error:
         if len(files) > 1:  # one of them is at fault
             return [found for file in files for found in read_meshes([file])]

@@ -16,17 +16,28 @@ from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.urdf import write_hand
 from grasp_env.sim.objects.description import OBJECT_COLOR
 from grasp_env.sim.picture.annotation import Annotation
-from grasp_env.sim.picture.painter import AMBIENT, DIFFUSE, LIGHT, SPECULAR, Painter, before_background, lines_of
+from grasp_env.sim.picture.painter import (
+    AMBIENT,
+    DIFFUSE,
+    LIGHT,
+    SPECULAR,
+    Painter,
+    before_background,
+    lines_of,
+)
 from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
 from grasp_env.sim.scene import Scene
 
 
 class BulletPainter(Painter):
-    """Renderer of the bodies in a PyBullet server, which it closes unless a scene owns it; see `Painter`."""
+    """Renderer of the bodies in a PyBullet server, which it closes unless a scene owns it; see
+    `Painter`.
+    """
 
     def __init__(self, client: Client, scene: Scene | None = None) -> None:
         self._client, self._scene = client, scene
-        self._lines: list[int] = []  # PyBullet's numbers of the lines in the window, drawn for `_world`
+        # PyBullet's numbers of the lines in the window, drawn for `_world`
+        self._lines: list[int] = []
         self._world: object = None
 
     @classmethod
@@ -39,21 +50,38 @@ class BulletPainter(Painter):
         """See `Painter`."""
         client = Client()
         with tempfile.TemporaryDirectory() as folder:
-            body = bullet.loadURDF(write_hand(hand, folder), useFixedBase=True, physicsClientId=client.number)
-        for joint, angle in zip(joint_indices(client.number, body, hand), angles.tolist(), strict=True):
+            body = bullet.loadURDF(
+                write_hand(hand, folder), useFixedBase=True, physicsClientId=client.number
+            )
+        for joint, angle in zip(
+            joint_indices(client.number, body, hand), angles.tolist(), strict=True
+        ):
             bullet.resetJointState(body, joint, angle, physicsClientId=client.number)
         return cls(client)
 
-    def shoot(self, view: View, factor: int = 1, shadows: bool = False) -> tuple[Image.Image, Array]:
+    def shoot(
+        self, view: View, factor: int = 1, shadows: bool = False
+    ) -> tuple[Image.Image, Array]:
         """See `Painter`."""
-        width, height = factor * view.width, factor * view.height
+        width = factor * view.width
+        height = factor * view.height
         _, _, pixels, depth, _ = bullet.getCameraImage(
-            width, height, bullet.computeViewMatrix(view.eye, view.target, (0.0, 1.0, 0.0)),
-            bullet.computeProjectionMatrixFOV(view.field_of_view, view.width / view.height, NEAR_PLANE, FAR_PLANE),
-            lightDirection=LIGHT, lightColor=(1.0, 1.0, 1.0), lightAmbientCoeff=AMBIENT, lightDiffuseCoeff=DIFFUSE,
-            lightSpecularCoeff=SPECULAR, shadow=int(shadows), renderer=bullet.ER_TINY_RENDERER,
-            flags=bullet.ER_NO_SEGMENTATION_MASK, physicsClientId=self._client.number,
-        )  # fmt: skip
+            width,
+            height,
+            bullet.computeViewMatrix(view.eye, view.target, (0.0, 1.0, 0.0)),
+            bullet.computeProjectionMatrixFOV(
+                view.field_of_view, view.width / view.height, NEAR_PLANE, FAR_PLANE
+            ),
+            lightDirection=LIGHT,
+            lightColor=(1.0, 1.0, 1.0),
+            lightAmbientCoeff=AMBIENT,
+            lightDiffuseCoeff=DIFFUSE,
+            lightSpecularCoeff=SPECULAR,
+            shadow=int(shadows),
+            renderer=bullet.ER_TINY_RENDERER,
+            flags=bullet.ER_NO_SEGMENTATION_MASK,
+            physicsClientId=self._client.number,
+        )
         colors = np.reshape(pixels, (height, width, 4)).astype(np.uint8)[..., :3]
         return before_background(np.ascontiguousarray(colors), np.reshape(depth, (height, width)))
 
@@ -70,15 +98,22 @@ class BulletPainter(Painter):
         """See `Painter`. The lines are drawn once in the server's window and then moved."""
         assert self._scene is not None
         if self._scene.simulator.world is not self._world:  # newly loaded bodies have no lines yet
-            self._world, self._lines = self._scene.simulator.world, []
+            self._world = self._scene.simulator.world
+            self._lines = []
         lines = lines_of(annotation)
         self._lines = [
             bullet.addUserDebugLine(
-                start.tolist(), end.tolist(), color.tolist(), lineWidth=4.0, physicsClientId=self._client.number,
+                start.tolist(),
+                end.tolist(),
+                color.tolist(),
+                lineWidth=4.0,
+                physicsClientId=self._client.number,
                 replaceItemUniqueId=line,
             )
-            for (start, end, color), line in zip(lines, self._lines or [-1] * len(lines), strict=True)
-        ]  # fmt: skip
+            for (start, end, color), line in zip(
+                lines, self._lines or [-1] * len(lines), strict=True
+            )
+        ]
 
     def close(self) -> None:
         """See `Painter`."""
@@ -88,4 +123,6 @@ class BulletPainter(Painter):
     def _show_object(self, opacity: float) -> None:
         assert self._scene is not None
         body = self._scene.simulator.world.object
-        bullet.changeVisualShape(body, -1, rgbaColor=(*OBJECT_COLOR, opacity), physicsClientId=self._client.number)
+        bullet.changeVisualShape(
+            body, -1, rgbaColor=(*OBJECT_COLOR, opacity), physicsClientId=self._client.number
+        )

@@ -33,13 +33,14 @@ class CameraConfig:
 
     Attributes:
         width, height: Size of the picture [pixels].
-        direction: Direction from the object towards the camera, world frame, not vertical. None for `DIRECTION`, turned about the
-            vertical if more contacts are visible then.
+        direction: Direction from the object towards the camera, world frame, not vertical. None for
+            `DIRECTION`, turned about the vertical if more contacts are visible then.
         field_of_view: Vertical opening angle [degrees].
         margin: Share of the width and of the height left free beside and above hand and object.
         footer: Share of the height left free below them for the text of annotations.
         arrows: Distance from the object's centre along each axis that is also in the picture [m].
-        object_opacity: Opacity of the object. Below 1 the tips behind it are visible, and drawing takes twice the time.
+        object_opacity: Opacity of the object. Below 1 the tips behind it are visible, and drawing
+            takes twice the time.
         supersampling: Rendered pixels per delivered pixel along each side; 1 is fastest, 3 is fine.
 
     Raises:
@@ -69,15 +70,19 @@ class CameraConfig:
         number(self.arrows, "arrows", Range(0.0, 1.0, "m"))
         number(self.object_opacity, "object_opacity", Range(0.0, 1.0))
         if self.direction is not None and (
-            not np.isfinite(self.direction).all() or np.hypot(self.direction[0], self.direction[2]) < 1e-3
+            not np.isfinite(self.direction).all()
+            or np.hypot(self.direction[0], self.direction[2]) < 1e-3
         ):
-            raise InvalidInputError(f"direction={self.direction} must be finite and not vertical (y is up)")
+            raise InvalidInputError(
+                f"direction={self.direction} must be finite and not vertical (y is up)"
+            )
 
 
 class Camera:
     """Camera of one scene; make it when the first picture is needed.
 
-    Hand and object fill its picture. It moves only when the scene loads other bodies or `fit` is called.
+    Hand and object fill its picture. It moves only when the scene loads other bodies or `fit` is
+    called.
 
     Args:
         scene: The scene.
@@ -88,7 +93,8 @@ class Camera:
         view: Current position and opening.
 
     Raises:
-        SimulationError: This machine has no OpenGL, which MuJoCo's pictures need. The message says how to install it.
+        SimulationError: This machine has no OpenGL, which MuJoCo's pictures need. The message says
+            how to install it.
 
     Example:
         >>> scene = Scene(visuals=True)
@@ -115,14 +121,24 @@ class Camera:
         """
         config = self.config
         shrink = _SURVEY / max(config.width, config.height)
-        width, height = max(1, round(shrink * config.width)), max(1, round(shrink * config.height))
+        width = max(1, round(shrink * config.width))
+        height = max(1, round(shrink * config.height))
         x, y, z = DIRECTION
         turns = 0.25 * np.pi * np.array([0, 1, -1, 2, -2, 3, -3, 4])
-        around = [(x * np.cos(turn) + z * np.sin(turn), y, z * np.cos(turn) - x * np.sin(turn)) for turn in turns]
+        around = [
+            (x * np.cos(turn) + z * np.sin(turn), y, z * np.cos(turn) - x * np.sin(turn))
+            for turn in turns
+        ]
         surveys = [
-            View(tuple((_SURVEY_DISTANCE / np.linalg.norm(way) * np.array(way)).tolist()), (0.0, 0.0, 0.0), 40.0, width, height)
+            View(
+                tuple((_SURVEY_DISTANCE / np.linalg.norm(way) * np.array(way)).tolist()),
+                (0.0, 0.0, 0.0),
+                40.0,
+                width,
+                height,
+            )
             for way in (around if config.direction is None else [config.direction])
-        ]  # fmt: skip
+        ]
         with self.painter.object_hidden():
             survey = max(surveys, key=self._contacts_seen)  # the first of the best
         _, depth = self.painter.shoot(survey)
@@ -130,7 +146,9 @@ class Camera:
         if config.arrows > 0.0:
             ends = config.arrows * np.vstack([np.eye(3), -np.eye(3)])
             drawn = np.vstack([drawn, self._scene.look().position + ends])
-        self.view = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
+        self.view = View(
+            survey.eye, survey.target, config.field_of_view, config.width, config.height
+        )
         if len(drawn):
             self.view = self.view.fitted(drawn, config.margin, config.footer)
         self._fitted_to = self._scene.core
@@ -157,7 +175,8 @@ class Camera:
         """
         if self._scene.core is not self._fitted_to:
             self.fit()
-        opacity, factor = self.config.object_opacity, self.config.supersampling
+        opacity = self.config.object_opacity
+        factor = self.config.supersampling
         picture, depth = self.painter.shoot(self.view, factor, shadows=True)
         if opacity < 1.0:  # renderers have no opacity: blend pictures with and without the object
             with self.painter.object_hidden():  # without shadows, which saves a tenth of the time

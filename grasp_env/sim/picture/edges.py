@@ -15,14 +15,16 @@ _BRIGHTNESS = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue
 def smooth_edges(picture: Image.Image) -> Image.Image:
     """Smooth jagged edges of an RGB picture by blending along them.
 
-    This is the fast approximate anti-aliasing of T. Lottes (FXAA, 2009). The brightness of four neighbours gives the direction of an
-    edge. Two samples along it replace the pixel, or four if these stay within the brightness around it.
+    This is the fast approximate anti-aliasing of T. Lottes (FXAA, 2009). The brightness of four
+    neighbours gives the direction of an edge. Two samples along it replace the pixel, or four if
+    these stay within the brightness around it.
     """
     image = np.array(picture)
     height, width, _ = image.shape
     bright = np.pad(np.asarray(picture.convert("L"), np.int16), 1, mode="edge")
     around = [bright[r : r + height, c : c + width] for r in range(3) for c in range(3)]
-    low, high = np.minimum.reduce(around[::2]), np.maximum.reduce(around[::2])  # over the corners and the middle
+    low = np.minimum.reduce(around[::2])
+    high = np.maximum.reduce(around[::2])  # over the corners and the middle
     row, column = np.nonzero(high - low >= _CONTRAST)  # the rest is computed for these pixels only
     nw, up, ne, left, _, right, sw, down, se = (each[row, column].astype(float) for each in around)
     across = (sw + 2.0 * down + se) - (nw + 2.0 * up + ne)
@@ -32,13 +34,21 @@ def smooth_edges(picture: Image.Image) -> Image.Image:
     pixels = image.reshape(-1, 3)
 
     def sample(part: float) -> Array:
-        """Return bilinear values (n, 3) at this distance along the edge; the border extends outside."""
+        """Return bilinear values (n, 3) at this distance along the edge; the border extends
+        outside.
+        """
         y, x = np.clip([row, column] + part * way, 0.0, [[height - 1.0], [width - 1.0]])
-        r, c = y.astype(int), x.astype(int)
-        v, u = (y - r)[:, None], (x - c)[:, None]
-        at, right, down = r * width + c, (c < width - 1).astype(int), np.where(r < height - 1, width, 0)
+        r = y.astype(int)
+        c = x.astype(int)
+        v = (y - r)[:, None]
+        u = (x - c)[:, None]
+        at = r * width + c
+        right = (c < width - 1).astype(int)
+        down = np.where(r < height - 1, width, 0)
         above = (1.0 - u) * pixels.take(at, axis=0) + u * pixels.take(at + right, axis=0)
-        below = (1.0 - u) * pixels.take(at + down, axis=0) + u * pixels.take(at + down + right, axis=0)
+        below = (1.0 - u) * pixels.take(at + down, axis=0) + u * pixels.take(
+            at + down + right, axis=0
+        )
         return (1.0 - v) * above + v * below
 
     near = 0.5 * (sample(-1.0 / 6.0) + sample(1.0 / 6.0))

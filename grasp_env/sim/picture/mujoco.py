@@ -26,12 +26,19 @@ from grasp_env.sim.picture.painter import Painter, before_background
 from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
 from grasp_env.sim.scene import Scene
 
-_BACKENDS = ("egl", "osmesa", "glfw", "cgl")  # modules of MuJoCo that make an OpenGL context, as MUJOCO_GL names them
+_BACKENDS = (
+    "egl",
+    "osmesa",
+    "glfw",
+    "cgl",
+)  # modules of MuJoCo that make an OpenGL context, as MUJOCO_GL names them
 _MOST_SHAPES = 10_000
 
 
 class MujocoPainter(Painter):
-    """Renderer with a model of its own, which has only the visual shapes of hand and object; see `Painter`."""
+    """Renderer with a model of its own, which has only the visual shapes of hand and object; see
+    `Painter`.
+    """
 
     def __init__(self, scene: Scene | None = None) -> None:
         self._scene = scene
@@ -55,28 +62,44 @@ class MujocoPainter(Painter):
         made._place(angles)
         return made
 
-    def shoot(self, view: View, factor: int = 1, shadows: bool = False) -> tuple[Image.Image, Array]:
+    def shoot(
+        self, view: View, factor: int = 1, shadows: bool = False
+    ) -> tuple[Image.Image, Array]:
         """See `Painter`."""
         self._context.make_current()
         self._follow()
-        width, height = factor * view.width, factor * view.height
+        width = factor * view.width
+        height = factor * view.height
         (brush,), scene = self._brushes, self._shapes
         if (brush.offWidth, brush.offHeight) != (width, height):
             mujoco.mjr_resizeOffscreen(width, height, brush)
         mujoco.mjv_updateScene(
-            self._model, self._data, self._option, None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL.value, scene
+            self._model,
+            self._data,
+            self._option,
+            None,
+            mujoco.MjvCamera(),
+            mujoco.mjtCatBit.mjCAT_ALL.value,
+            scene,
         )
         slope = float(view.slope[1])
         for camera in scene.camera:  # of both eyes: MuJoCo takes their mean
-            camera.pos, camera.forward, camera.up = view.eye, -view.axes[2], view.axes[1]
-            camera.frustum_near, camera.frustum_far, camera.frustum_center = NEAR_PLANE, FAR_PLANE, 0.0
-            camera.frustum_top, camera.frustum_bottom = NEAR_PLANE * slope, -NEAR_PLANE * slope
+            camera.pos = view.eye
+            camera.forward = -view.axes[2]
+            camera.up = view.axes[1]
+            camera.frustum_near = NEAR_PLANE
+            camera.frustum_far = FAR_PLANE
+            camera.frustum_center = 0.0
+            camera.frustum_top = NEAR_PLANE * slope
+            camera.frustum_bottom = -NEAR_PLANE * slope
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
-        pixels, depth = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
+        pixels = np.empty((height, width, 3), np.uint8)
+        depth = np.empty((height, width), np.float32)
         frame = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(frame, scene, brush)
         mujoco.mjr_readPixels(pixels, depth, frame, brush)
-        return before_background(np.ascontiguousarray(pixels[::-1]), depth[::-1])  # OpenGL's rows go upwards
+        # OpenGL's rows go upwards
+        return before_background(np.ascontiguousarray(pixels[::-1]), depth[::-1])
 
     @contextmanager
     def object_hidden(self) -> Iterator[None]:
@@ -112,34 +135,50 @@ class MujocoPainter(Painter):
         for name, shape in files.items():
             corners, faces = meshes[shape.file]
             spec.add_mesh(
-                name=name, uservert=(corners * shape.size).ravel().tolist(), userface=faces.ravel().tolist(),
+                name=name,
+                uservert=(corners * shape.size).ravel().tolist(),
+                userface=faces.ravel().tolist(),
                 inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-            )  # fmt: skip
+            )
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        joints = [self._model.joint(link_name(index)).qposadr[0] for index in range(hand.joint_count)]
+        joints = [
+            self._model.joint(link_name(index)).qposadr[0] for index in range(hand.joint_count)
+        ]
         self._order = np.array([*joints, *range(hand.joint_count, self._model.nq)])
         self._shapes = mujoco.MjvScene(self._model, _MOST_SHAPES)
         self._context.make_current()
         while self._brushes:
             self._brushes.pop().free()
-        self._brushes.append(mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value))
+        self._brushes.append(
+            mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        )
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._brushes[0])
 
     def _place(self, state: Array) -> None:
         """Set joint angles, then position and quaternion (w first) of the object, if any."""
-        self._data.qpos[self._order] = np.nan_to_num(state)  # after divergence the place does not matter
+        # after divergence the place does not matter
+        self._data.qpos[self._order] = np.nan_to_num(state)
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
 
 
 def _gl_context() -> Any:
-    """Make an OpenGL context without a window, with the module that MUJOCO_GL names or else the best available one."""
+    """Make an OpenGL context without a window, with the module that MUJOCO_GL names or else the
+    best available one.
+    """
     name = os.environ.get("MUJOCO_GL", "").strip().lower()
     if name not in _BACKENDS:
         windowless = "egl" if find_library("EGL") or not find_library("OSMesa") else "osmesa"
-        name = windowless if sys.platform.startswith("linux") else "cgl" if sys.platform == "darwin" else "glfw"
-    # PyTorch for CUDA installs triton; imported after Mesa's software renderer, its other version of LLVM crashes Python
+        name = (
+            windowless
+            if sys.platform.startswith("linux")
+            else "cgl"
+            if sys.platform == "darwin"
+            else "glfw"
+        )
+    # PyTorch for CUDA installs triton; imported after Mesa's software renderer, its other version
+    # of LLVM crashes Python
     if find_spec("triton"):
         import_module("triton")
     try:

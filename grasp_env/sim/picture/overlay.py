@@ -19,7 +19,11 @@ Color: TypeAlias = tuple[int, ...]
 """Red, green, blue and optional opacity, 0 to 255."""
 CONE_LENGTH = 0.036  # length of the sides of the drawn friction cones [m]
 VEIL = 0.2  # share of contrast removed from the picture below
-_WHITE, _INK, _FAINT, _INACTIVE, _ALARM = (255, 255, 255), (38, 42, 51), (112, 119, 132), (150, 154, 162), (190, 38, 30)
+_WHITE = (255, 255, 255)
+_INK = (38, 42, 51)
+_FAINT = (112, 119, 132)
+_INACTIVE = (150, 154, 162)
+_ALARM = (190, 38, 30)
 _FINE = 2  # drawn pixels per delivered pixel along each side, for smooth edges
 _BAR = 0.03  # longest arrow of the legend [m]
 _LINE = 1.3  # line spacing over font size
@@ -31,9 +35,10 @@ _TURN_RADIUS, _LEAST_TURN = 0.03, 0.15  # radius of the moment's arc [m]; least 
 def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Image:
     """Return the picture with an annotation over it.
 
-    A force arrow ends at its contact and its length is `scale` times the force, so that a force inside its friction cone is drawn
-    inside the drawn cone. The wrench's force starts at `center`. Its moment is an arc about the moment's axis, by `turn` times the
-    moment. Bodies in front hide nothing. The RGB picture, taken with `view`, is not changed.
+    A force arrow ends at its contact and its length is `scale` times the force, so that a force
+    inside its friction cone is drawn inside the drawn cone. The wrench's force starts at `center`.
+    Its moment is an arc about the moment's axis, by `turn` times the moment. Bodies in front hide
+    nothing. The RGB picture, taken with `view`, is not changed.
     """
     veiled = picture.point(lambda value: 255.0 - (1.0 - VEIL) * (255.0 - value))
     view = replace(view, width=_FINE * view.width, height=_FINE * view.height)
@@ -51,7 +56,10 @@ def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Imag
 
 
 class _Pen:
-    """Pen on an enlarged picture. Widths and radii are for a picture of 480 delivered pixels and scale with its size."""
+    """Pen on an enlarged picture.
+
+    Widths and radii are for a picture of 480 delivered pixels and scale with its size.
+    """
 
     def __init__(self, fine: Image.Image) -> None:
         self.unit = min(fine.size) / 480.0
@@ -67,7 +75,8 @@ class _Pen:
         self._pen.circle(center.tolist(), self.unit * radius, color)
 
     def ring(self, center: Array, radius: float, color: Color, width: float) -> None:
-        outside, wide = self.unit * (radius + 0.5 * width), max(1, round(self.unit * width))
+        outside = self.unit * (radius + 0.5 * width)
+        wide = max(1, round(self.unit * width))
         self._pen.circle(center.tolist(), outside, outline=color, width=wide)
 
     def panel(self, box: Array) -> None:
@@ -75,13 +84,18 @@ class _Pen:
         self._pen.rounded_rectangle(box.tolist(), 6.0 * self.unit, (*_WHITE, 205))
 
     def arrow(self, tail: Array, tip: Array, color: Color, width: float) -> None:
-        """Draw an arrow with a light rim. Short ones get a smaller head; those below a pixel are left out."""
-        length, wide = float(np.hypot(*(tip - tail))), width * self.unit
+        """Draw an arrow with a light rim.
+
+        Short ones get a smaller head; those below a pixel are left out.
+        """
+        length = float(np.hypot(*(tip - tail)))
+        wide = width * self.unit
         if length < _FINE:
             return
         along = (tip - tail) / length
         head = min(3.6 * wide, 0.75 * length)
-        half, side = 0.5 * wide * min(1.0, length / (2.0 * wide)), 0.42 * head
+        half = 0.5 * wide * min(1.0, length / (2.0 * wide))
+        side = 0.42 * head
         right = np.array([(0.0, half), (length - head, half), (length - head, side), (length, 0.0)])
         there = np.vstack([right, right[-2::-1] * (1.0, -1.0)])  # along and across the arrow
         outline = tail + there @ np.array([along, (-along[1], along[0])])
@@ -90,7 +104,9 @@ class _Pen:
 
 
 def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None:
-    point, normal, friction = annotation.points[i], annotation.normals[i], annotation.friction[i]
+    point = annotation.points[i]
+    normal = annotation.normals[i]
+    friction = annotation.friction[i]
     if not annotation.active[i]:
         for color, width in (((*_WHITE, 220), 4.6), (_INACTIVE, 2.0)):
             pen.ring(view.project(point[None])[0], 6.0, color, width)
@@ -100,9 +116,13 @@ def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None
     rim = point - length * normal + length * friction * (_circle(24) @ across)
     tails = point - annotation.scale * np.array([annotation.forces[i], annotation.measured[i]])
     pixels = view.project(np.vstack([rim, point, tails]))
-    mouth, cone, (place, tail, measured) = pixels[:-3], pixels[:-2], pixels[-3:]
-    outline = cone[np.argmax(cone @ _circle(64).T, axis=0)]  # convex hull: the farthest point in each direction
-    color = tuple((215.0 * annotation.colors[i]).clip(0.0, 255.0).astype(int).tolist())  # darker than the links
+    mouth = pixels[:-3]
+    cone = pixels[:-2]
+    (place, tail, measured) = pixels[-3:]
+    # convex hull: the farthest point in each direction
+    outline = cone[np.argmax(cone @ _circle(64).T, axis=0)]
+    # darker than the links
+    color = tuple((215.0 * annotation.colors[i]).clip(0.0, 255.0).astype(int).tolist())
     for shape, fill, edge in ((outline, 70, 170), (mouth, 45, 190)):
         pen.polygon(shape, (*color, fill))
         pen.line(shape, (*color, edge), 1.1)
@@ -113,7 +133,9 @@ def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None
 
 
 def _draw_wrench(pen: _Pen, view: View, annotation: Annotation) -> None:
-    center, force, moment = annotation.center, annotation.wrench[:3], annotation.wrench[3:]
+    center = annotation.center
+    force = annotation.wrench[:3]
+    moment = annotation.wrench[3:]
     if not annotation.wrench.any():
         return
     turn = annotation.turn * float(np.linalg.norm(moment))
@@ -122,20 +144,27 @@ def _draw_wrench(pen: _Pen, view: View, annotation: Annotation) -> None:
         first = np.cross(view.axes[1] if abs(axis @ view.axes[1]) < 0.9 else view.axes[0], axis)
         first /= np.linalg.norm(first)
         angles = np.linspace(0.0, min(turn, 1.1 * LONGEST_TURN), 28)
-        circle = np.column_stack([np.cos(angles), np.sin(angles)]) @ np.array([first, np.cross(axis, first)])
+        circle = np.column_stack([np.cos(angles), np.sin(angles)]) @ np.array(
+            [first, np.cross(axis, first)]
+        )
         arc = view.project(center + _TURN_RADIUS * circle)
         pen.line(arc[:-3], (*_WHITE, 220), 5.0)
         pen.line(arc[:-3], WRENCH_COLOR, 2.6)
         pen.arrow(arc[-7], arc[-1], WRENCH_COLOR, 3.4)
-    start, end = view.project(np.array([center, center + WRENCH_STRETCH * annotation.scale * force]))
+    start, end = view.project(
+        np.array([center, center + WRENCH_STRETCH * annotation.scale * force])
+    )
     pen.arrow(start, end, WRENCH_COLOR, 5.0)
     pen.disc(start, 3.4, WRENCH_COLOR)
 
 
 def room(width: int, height: int) -> tuple[float, float]:
-    """Return margin and footer of a camera, as shares of the height, that leave room for the text of a picture."""
+    """Return margin and footer of a camera, as shares of the height, that leave room for the text
+    of a picture.
+    """
     pad, text, small = _sizes(width, height)
-    above, below = pad + _LINE * text, 5.1 * pad + _LINE * (text + 3.0 * small)
+    above = pad + _LINE * text
+    below = 5.1 * pad + _LINE * (text + 3.0 * small)
     return min(max(0.06, above / height), 0.2), min(max(0.06, below / height), _HIGHEST)
 
 
@@ -145,45 +174,80 @@ def _sizes(width: int, height: int) -> tuple[float, int, int]:
     return 8.0 * unit, max(10, round(14.0 * unit)), max(9, round(13.0 * unit))
 
 
-def _draw_legend(pen: _Pen, view: View, annotation: Annotation, width: int, height: int) -> list[dict[str, Any]]:
-    """Draw the band at the bottom and its icons, unless the picture is too small for it; return the texts of the picture.
+def _draw_legend(
+    pen: _Pen, view: View, annotation: Annotation, width: int, height: int
+) -> list[dict[str, Any]]:
+    """Draw the band at the bottom and its icons, unless the picture is too small for it; return the
+    texts of the picture.
 
-    The texts are arguments of `ImageDraw.text`. Positions do not depend on the numbers, so that nothing jumps in a film.
+    The texts are arguments of `ImageDraw.text`. Positions do not depend on the numbers, so that
+    nothing jumps in a film.
     """
     words: list[dict[str, Any]] = []
     pad, normal, small = _sizes(width, height)
-    left, wide, step, legend = 2.0 * pad, width - 4.0 * pad, _LINE * small, _legend(pen, view, annotation)
-    columns = (0.0, 0.385, 0.77) if width >= _THREE_COLUMNS else (0.0,)  # shares of the band's width
+    left = 2.0 * pad
+    wide = width - 4.0 * pad
+    step = _LINE * small
+    legend = _legend(pen, view, annotation)
+    # shares of the band's width
+    columns = (0.0, 0.385, 0.77) if width >= _THREE_COLUMNS else (0.0,)
     numbers = step + _LINE * normal + 0.6 * pad if annotation.lines else 0.0
     band = numbers + step * len(legend) / len(columns)
     if band + 3.0 * pad > _HIGHEST * height:
         return words
 
-    def write(x: float, y: float, text: str, color: Color = _INK, size: int = small, **options: Any) -> None:
-        words.append({"xy": (round(x), round(y)), "text": text, "fill": color, "font": _font(size), **options})
+    def write(
+        x: float, y: float, text: str, color: Color = _INK, size: int = small, **options: Any
+    ) -> None:
+        words.append(
+            {
+                "xy": (round(x), round(y)),
+                "text": text,
+                "fill": color,
+                "font": _font(size),
+                **options,
+            }
+        )
 
     top = height - 2.0 * pad - band
     pen.panel(_FINE * np.array([pad, top - pad, width - pad, height - pad]))
     for k, (label, value) in enumerate(annotation.lines):
-        x, alarmed = left + k * wide / len(annotation.lines), bool(annotation.alarm) and k == 0
+        x = left + k * wide / len(annotation.lines)
+        alarmed = bool(annotation.alarm) and k == 0
         write(x, top, label, _ALARM if alarmed else _FAINT)
         write(x, top + step, value, _ALARM if alarmed else _INK, normal)
     for k, (text, icon, draw_icon) in enumerate(legend):
-        x, y = left + columns[k % len(columns)] * wide, top + numbers + k // len(columns) * step
+        x = left + columns[k % len(columns)] * wide
+        y = top + numbers + k // len(columns) * step
         draw_icon(_FINE * np.array([x, y + 0.5 * step]))
         write(x + icon / _FINE + 0.75 * pad, y, text)
     if _font(normal).getlength(annotation.title + annotation.hand) + 2.0 * pad < wide:
         write(width - left, pad, annotation.hand, _FAINT, normal, anchor="ra")
     write(left, pad, annotation.title, _INK, normal)
     if annotation.alarm:  # over the hand
-        write(left, pad + _LINE * normal, annotation.alarm, _ALARM, normal, stroke_width=2, stroke_fill=_WHITE)
+        write(
+            left,
+            pad + _LINE * normal,
+            annotation.alarm,
+            _ALARM,
+            normal,
+            stroke_width=2,
+            stroke_fill=_WHITE,
+        )
     return words
 
 
-def _legend(pen: _Pen, view: View, annotation: Annotation) -> list[tuple[str, float, Callable[[Array], None]]]:
-    """Return entries: text, width of the icon, and a function that draws it to the right of a point. The first three are of fingers."""
-    unit, right, stretched = pen.unit, np.array([1.0, 0.0]), WRENCH_STRETCH * annotation.scale
-    newtons, wrench = round_down(_BAR / annotation.scale), round_down(_BAR / stretched)
+def _legend(
+    pen: _Pen, view: View, annotation: Annotation
+) -> list[tuple[str, float, Callable[[Array], None]]]:
+    """Return entries: text, width of the icon, and a function that draws it to the right of a
+    point. The first three are of fingers.
+    """
+    unit = pen.unit
+    right = np.array([1.0, 0.0])
+    stretched = WRENCH_STRETCH * annotation.scale
+    newtons = round_down(_BAR / annotation.scale)
+    wrench = round_down(_BAR / stretched)
     lengths = [0.0, _BAR, newtons * annotation.scale, wrench * stretched]
     ends = view.project(annotation.center + np.outer(lengths, view.axes[0]))[:, 0]
     longest, bar, longer = (ends[1:, None] - ends[0]) * right
@@ -204,9 +268,17 @@ def _legend(pen: _Pen, view: View, annotation: Annotation) -> list[tuple[str, fl
         (f"commanded {newtons:g} N", longest[0], lambda at: pen.arrow(at, at + bar, _INK, 3.2)),
         ("measured", longest[0], lambda at: pen.line(np.array([at, at + bar]), _INK, 1.4)),
         ("friction cone", 18.0 * unit, draw_cone),
-        (f"wrench {wrench:g} N", longest[0], lambda at: pen.arrow(at, at + longer, WRENCH_COLOR, 3.2)),
+        (
+            f"wrench {wrench:g} N",
+            longest[0],
+            lambda at: pen.arrow(at, at + longer, WRENCH_COLOR, 3.2),
+        ),
         (f"moment {moment:g} N m", longest[0], draw_arc),
-        ("contact lost", 18.0 * unit, lambda at: pen.ring(at + 6.0 * unit * right, 4.5, _INACTIVE, 1.8)),
+        (
+            "contact lost",
+            18.0 * unit,
+            lambda at: pen.ring(at + 6.0 * unit * right, 4.5, _INACTIVE, 1.8),
+        ),
     ]
 
 

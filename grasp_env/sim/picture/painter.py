@@ -33,8 +33,11 @@ class Painter(Protocol):
         """Make a painter of a hand alone, with its joints at `angles` (M,) [rad]."""
         ...
 
-    def shoot(self, view: View, factor: int = 1, shadows: bool = False) -> tuple[Image.Image, Array]:
-        """Render hand and object before a light background; return the picture and its OpenGL depth.
+    def shoot(
+        self, view: View, factor: int = 1, shadows: bool = False
+    ) -> tuple[Image.Image, Array]:
+        """Render hand and object before a light background; return the picture and its OpenGL
+        depth.
 
         Both have `factor` pixels per pixel of the view along each side.
 
@@ -48,21 +51,29 @@ class Painter(Protocol):
         ...
 
     def show(self, annotation: Annotation) -> None:
-        """Draw the forces of the fingers and of the wrench as lines in the window, for engines that have one."""
+        """Draw the forces of the fingers and of the wrench as lines in the window, for engines that
+        have one.
+        """
 
     def close(self) -> None:
         """Free the renderer, but not the scene."""
 
 
 def before_background(pixels: Any, depth: Any) -> tuple[Image.Image, Array]:
-    """Put pixels (H, W, 3) before the background, which is visible where the depth (H, W) is that of nothing."""
+    """Put pixels (H, W, 3) before the background, which is visible where the depth (H, W) is that
+    of nothing.
+    """
     height, width = depth.shape
     picture = Image.fromarray(pixels)
-    return Image.composite(picture, _background(width, height), Image.fromarray(depth < BACKGROUND_DEPTH)), depth
+    return Image.composite(
+        picture, _background(width, height), Image.fromarray(depth < BACKGROUND_DEPTH)
+    ), depth
 
 
 def lines_of(annotation: Annotation) -> list[tuple[Array, Array, Array]]:
-    """Return start [m], end [m] and colour of a line for each finger, without length if inactive, and of one for the wrench's force."""
+    """Return start [m], end [m] and colour of a line for each finger, without length if inactive,
+    and of one for the wrench's force.
+    """
     starts = annotation.points - annotation.scale * annotation.active[:, None] * annotation.forces
     tip = annotation.center + WRENCH_STRETCH * annotation.scale * annotation.wrench[:3]
     wrench = annotation.center, tip, np.divide(WRENCH_COLOR, 255.0)
@@ -72,4 +83,6 @@ def lines_of(annotation: Annotation) -> list[tuple[Array, Array, Array]]:
 @lru_cache(maxsize=4)
 def _background(width: int, height: int) -> Image.Image:
     """Make the background, nearly white at the top and light grey at the bottom."""
-    return ImageOps.colorize(Image.linear_gradient("L").resize((width, height)), (253, 253, 254), (226, 231, 238))
+    return ImageOps.colorize(
+        Image.linear_gradient("L").resize((width, height)), (253, 253, 254), (226, 231, 238)
+    )

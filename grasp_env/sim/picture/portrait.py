@@ -21,18 +21,22 @@ from grasp_env.sim.objects.description import OBJECT_COLOR
 from grasp_env.sim.objects.mesh import Mesh
 from grasp_env.sim.picture.view import View
 
-_TIP, _SOLID, _PALM = (0.90, 0.25, 0.15), (0.62, 0.70, 0.80), (0.45, 0.50, 0.58)
+_TIP = (0.90, 0.25, 0.15)
+_SOLID = (0.62, 0.70, 0.80)
+_PALM = (0.45, 0.50, 0.58)
 _FINE = 2  # rendered pixels per delivered pixel along each side
 _ROOM = 0.04  # share of the picture left free around the hand or mesh
-_DRAWN = 0.2  # size to which a mesh is scaled for its picture, as a camera cannot come nearer to small ones [m]
+# size to which a mesh is scaled for its picture, as a camera cannot come nearer to small ones [m]
+_DRAWN = 0.2
 _NOWHERE = (0.0, 0.0, 0.0)
 
 
 def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None) -> np.ndarray:
-    """Return a picture (size, 2 size, 3) uint8 of a hand's visual shapes, and of its collision shapes with red fingertips.
+    """Return a picture (size, 2 size, 3) uint8 of a hand's visual shapes, and of its collision
+    shapes with red fingertips.
 
-    The palm is below the fingertips, which close towards the camera, as far as a hand has such sides. The joints are at `angles` (M,)
-    [rad], or at `home`.
+    The palm is below the fingertips, which close towards the camera, as far as a hand has such
+    sides. The joints are at `angles` (M,) [rad], or at `home`.
     """
     posture = np.array(hand.home) if angles is None else angles
     upright = hand.moved((0.0, 0.0, 0.0), roll_pitch_yaw(_upright(hand, posture)))
@@ -47,10 +51,14 @@ def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None
 
 
 def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
-    """Return a picture (size, 2 size, 3) uint8 of a mesh, with its y axis up, and of its convex pieces, each in a colour of its own."""
+    """Return a picture (size, 2 size, 3) uint8 of a mesh, with its y axis up, and of its convex
+    pieces, each in a colour of its own.
+    """
     scale = _DRAWN / max(mesh.extent)
     pieces = [
-        Geometry("hull", (), color=_color(index), corners=tuple(map(tuple, (scale * piece).tolist())))
+        Geometry(
+            "hull", (), color=_color(index), corners=tuple(map(tuple, (scale * piece).tolist()))
+        )
         for index, piece in enumerate(mesh.pieces)
     ]
     points = scale * np.vstack([mesh.vertices, *mesh.pieces])
@@ -59,19 +67,25 @@ def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
         file = Path(folder, "mesh.obj")
         file.write_text(obj_text([(scale * mesh.vertices, mesh.faces)]), encoding="ascii")
         whole = Geometry("mesh", (1.0, 1.0, 1.0), color=OBJECT_COLOR, file=str(file))
-        return np.hstack([_shot(_lookalike(shapes), np.zeros(1), view) for shapes in ((whole,), tuple(pieces))])
+        return np.hstack(
+            [_shot(_lookalike(shapes), np.zeros(1), view) for shapes in ((whole,), tuple(pieces))]
+        )
 
 
 def _color(index: int) -> Vector3:
     """Return a colour; hues are a golden section apart, so that consecutive ones differ."""
-    return hsv_to_rgb(0.08 + 0.618034 * index, (0.55, 0.35, 0.7)[index % 3], (0.9, 0.95, 0.75)[index % 3])
+    return hsv_to_rgb(
+        0.08 + 0.618034 * index, (0.55, 0.35, 0.7)[index % 3], (0.9, 0.95, 0.75)[index % 3]
+    )
 
 
 def _lookalike(shapes: tuple[Geometry, ...]) -> HandDescription:
     """Make a hand whose only visual shapes are these, as painters draw hands."""
     body = 1.0, _NOWHERE, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # mass, centre, inertia
     link = Link("unseen", "palm", _NOWHERE, _NOWHERE, (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, *body)
-    return HandDescription("mesh", Palm(visual=shapes), (link,), (Fingertip("tip", "unseen", _NOWHERE, 1.0),))
+    return HandDescription(
+        "mesh", Palm(visual=shapes), (link,), (Fingertip("tip", "unseen", _NOWHERE, 1.0),)
+    )
 
 
 def _shot(hand: HandDescription, angles: Array, view: View) -> np.ndarray:
@@ -95,19 +109,30 @@ def _solid(hand: HandDescription) -> HandDescription:
 
 
 def _upright(hand: HandDescription, angles: Array) -> Array:
-    """Return a rotation (3, 3) that brings the hand's tips above its palm, along y, and its closing direction to z."""
+    """Return a rotation (3, 3) that brings the hand's tips above its palm, along y, and its closing
+    direction to z.
+    """
     kinematics = HandKinematics(hand)
     tips = kinematics.tips(angles)
     solid = [outline(shape) for shape in hand.palm.collision]
-    up = _first([tips.mean(axis=0) - (np.vstack(solid).mean(axis=0) if solid else 0.0), np.eye(3)[1]], np.zeros(3))
+    up = _first(
+        [tips.mean(axis=0) - (np.vstack(solid).mean(axis=0) if solid else 0.0), np.eye(3)[1]],
+        np.zeros(3),
+    )
     # fingers close towards the farther limit of each joint
-    far = np.where(np.abs(kinematics.upper) > np.abs(kinematics.lower), kinematics.upper, kinematics.lower)
+    far = np.where(
+        np.abs(kinematics.upper) > np.abs(kinematics.lower), kinematics.upper, kinematics.lower
+    )
     closing = kinematics.tips(np.where(np.isfinite(far), 0.8 * angles + 0.2 * far, angles)) - tips
     ahead = _first([closing.mean(axis=0), *np.eye(3)], up)
     return np.array([np.cross(up, ahead), up, ahead])
 
 
 def _first(vectors: list[Array], normal: Array) -> Array:
-    """Return the unit direction, perpendicular to the normal, of the first vector that is not along it."""
+    """Return the unit direction, perpendicular to the normal, of the first vector that is not along
+    it.
+    """
     across = (vector - (vector @ normal) * normal for vector in vectors)
-    return next(vector / np.linalg.norm(vector) for vector in across if np.linalg.norm(vector) > 1e-6)
+    return next(
+        vector / np.linalg.norm(vector) for vector in across if np.linalg.norm(vector) > 1e-6
+    )

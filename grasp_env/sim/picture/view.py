@@ -1,4 +1,6 @@
-"""Geometry of a camera: projection of points to pixels, and the pose in which all points are in the picture."""
+"""Geometry of a camera: projection of points to pixels, and the pose in which all points are in the
+picture.
+"""
 
 from __future__ import annotations
 
@@ -47,14 +49,19 @@ class View:
     @cached_property
     def slope(self) -> Array:
         """Tangents of half the horizontal and vertical opening angles, (2,)."""
-        return np.tan(0.5 * np.radians(self.field_of_view)) * np.array([self.width / self.height, 1.0])
+        return np.tan(0.5 * np.radians(self.field_of_view)) * np.array(
+            [self.width / self.height, 1.0]
+        )
 
     def depth(self, points: ArrayLike) -> Array:
-        """Return the distance in front of the camera along its axis [m], (N,), of points (N, 3) [m], world frame."""
+        """Return the distance in front of the camera along its axis [m], (N,), of points (N, 3)
+        [m], world frame.
+        """
         return (self.eye - np.asarray(points, dtype=float)) @ self.axes[2]
 
     def project(self, points: ArrayLike) -> Array:
-        """Return pixels (N, 2), right and down from the top left corner of the picture, inside it or not, of points (N, 3) [m].
+        """Return pixels (N, 2), right and down from the top left corner of the picture, inside it
+        or not, of points (N, 3) [m].
 
         Points behind the camera are treated as just in front of it.
         """
@@ -63,25 +70,35 @@ class View:
         return (0.5 + part * (0.5, -0.5)) * (self.width, self.height)
 
     def unproject(self, depth: Array) -> Array:
-        """Return the world points (H, W, 3) [m] of the pixel centres of OpenGL's depth buffer (H, W)."""
+        """Return the world points (H, W, 3) [m] of the pixel centres of OpenGL's depth buffer (H,
+        W).
+        """
         along = FAR_PLANE * NEAR_PLANE / (FAR_PLANE - (FAR_PLANE - NEAR_PLANE) * depth)
         down, right = ((np.arange(count) + 0.5) / count * 2.0 - 1.0 for count in depth.shape)
         across, up = np.meshgrid(self.slope[0] * right, -self.slope[1] * down)
-        return along[..., None] * np.dstack([across, up, np.full_like(up, -1.0)]) @ self.axes + self.eye
+        return (
+            along[..., None] * np.dstack([across, up, np.full_like(up, -1.0)]) @ self.axes
+            + self.eye
+        )
 
     def fitted(self, points: Array, margin: float, below: float) -> View:
-        """Return the view moved, with the same direction and opening, so that all points (N, 3) [m] are in the picture and centred.
+        """Return the view moved, with the same direction and opening, so that all points (N, 3) [m]
+        are in the picture and centred.
 
-        The share `margin` of width and height stays free on the left, on the right and above, `below` of the height below. Both their
-        sum and `2 margin` are less than 1.
+        The share `margin` of width and height stays free on the left, on the right and above,
+        `below` of the height below. Both their sum and `2 margin` are less than 1.
         """
         local = points @ self.axes.T
-        # x + s_high z <= c_x + s_high c_z and x - s_low z >= c_x - s_low c_z for every point, and the same for y
+        # x + s_high z <= c_x + s_high c_z and x - s_low z >= c_x - s_low c_z for every point, and
+        # the same for y
         high = self.slope * (1.0 - 2.0 * margin)
         low = self.slope * (1.0 - 2.0 * np.array([margin, below]))
         above = (local[:, :2] + high * local[:, 2:]).max(axis=0)
         under = (local[:, :2] - low * local[:, 2:]).min(axis=0)
-        back = max(float(((above - under) / (high + low)).max()), float(local[:, 2].max()) + 2.0 * NEAR_PLANE)
+        back = max(
+            float(((above - under) / (high + low)).max()),
+            float(local[:, 2].max()) + 2.0 * NEAR_PLANE,
+        )
         across = 0.5 * (above - high * back + under + low * back)
         eye = np.append(across, back) @ self.axes
         return replace(self, eye=tuple(eye.tolist()), target=tuple((eye - self.axes[2]).tolist()))

@@ -11,15 +11,15 @@ long allocations = 0;
 
 #ifndef GRASP_SANITIZE
 void* operator new(std::size_t size) {
-    ++allocations;
-    if (void* made = std::malloc(size ? size : 1)) return made;
-    throw std::bad_alloc();
+  ++allocations;
+  if (void* made = std::malloc(size ? size : 1)) return made;
+  throw std::bad_alloc();
 }
 void* operator new(std::size_t size, std::align_val_t align) {
-    ++allocations;
-    const std::size_t a = std::size_t(align);
-    if (void* made = std::aligned_alloc(a, (size + a - 1) / a * a)) return made;
-    throw std::bad_alloc();
+  ++allocations;
+  const std::size_t a = std::size_t(align);
+  if (void* made = std::aligned_alloc(a, (size + a - 1) / a * a)) return made;
+  throw std::bad_alloc();
 }
 void* operator new[](std::size_t size) { return operator new(size); }
 void* operator new[](std::size_t size, std::align_val_t align) { return operator new(size, align); }

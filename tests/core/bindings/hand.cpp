@@ -11,124 +11,169 @@ using namespace grasp;
 
 namespace {
 
-// Three joints a finger, across the links; `more` joints besides, for the rest posture. shared: one joint carries all fingers.
+// Three joints a finger, across the links; `more` joints besides, for the rest posture. shared: one
+// joint carries all fingers.
 std::shared_ptr<Tree> tree_of(int more, double torque_limit = 3.0, bool shared = false) {
-    auto tree = std::make_shared<Tree>();
-    if (shared) tree->links.push_back({-1, {}, {}, {0.0, 1.0, 0.0}, 0.02, {}, -2.0, 2.0, torque_limit});
-    for (int finger = 0; finger < 4; ++finger)
-        for (int j = 0; j < 3 + more; ++j) {
-            const Point offset = j ? Point{0.0, -0.05, 0.0} : Point{finger % 2 ? 0.09 : -0.09, 0.12, finger < 2 ? 0.03 : -0.03};
-            const Point axis = j == 0 ? Point{1.0, 0.0, 0.0} : Point{0.0, 0.0, 1.0};
-            const int parent = j ? tree->joints() - 1 : shared - 1;
-            tree->links.push_back({parent, offset, {}, axis, 0.02, {0.0, -0.02, 0.0}, -2.0, 2.0, torque_limit});
-            if (j == 2 + more) tree->tips.push_back({tree->joints() - 1, {0.0, -0.03, 0.0}, 0.01});
-        }
-    return tree;
+  auto tree = std::make_shared<Tree>();
+  if (shared)
+    tree->links.push_back({-1, {}, {}, {0.0, 1.0, 0.0}, 0.02, {}, -2.0, 2.0, torque_limit});
+  for (int finger = 0; finger < 4; ++finger)
+    for (int j = 0; j < 3 + more; ++j) {
+      const Point offset = j ? Point{0.0, -0.05, 0.0}
+                             : Point{finger % 2 ? 0.09 : -0.09, 0.12, finger < 2 ? 0.03 : -0.03};
+      const Point axis = j == 0 ? Point{1.0, 0.0, 0.0} : Point{0.0, 0.0, 1.0};
+      const int parent = j ? tree->joints() - 1 : shared - 1;
+      tree->links.push_back(
+          {parent, offset, {}, axis, 0.02, {0.0, -0.02, 0.0}, -2.0, 2.0, torque_limit});
+      if (j == 2 + more) tree->tips.push_back({tree->joints() - 1, {0.0, -0.03, 0.0}, 0.01});
+    }
+  return tree;
 }
 
 struct Case {
-    int more = 0;        // joints of each finger
-    bool late = false;   // sensors
-    bool soft = false, shared = false;  // contacts; a joint
-    double torque_limit = 3.0;          // [N m]
-    Method method = Method::reduced_flow;
+  int more = 0;                       // joints of each finger
+  bool late = false;                  // sensors
+  bool soft = false, shared = false;  // contacts; a joint
+  double torque_limit = 3.0;          // [N m]
+  Method method = Method::reduced_flow;
 };
 
 struct Trial {
-    std::shared_ptr<Tree> tree;
-    std::shared_ptr<Scene> scene;
-    std::unique_ptr<Controller> controller;
-    std::vector<double> reading, noise, measured;
-    int ticks = 0;
-    double sum = 0.0;  // of all torques, so that nothing is left out
+  std::shared_ptr<Tree> tree;
+  std::shared_ptr<Scene> scene;
+  std::unique_ptr<Controller> controller;
+  std::vector<double> reading, noise, measured;
+  int ticks = 0;
+  double sum = 0.0;  // of all torques, so that nothing is left out
 
-    explicit Trial(const Case& given) : tree(tree_of(given.more, given.torque_limit, given.shared)) {
-        scene = std::make_shared<Scene>(tree, Surface{Cuboid{{0.05, 0.05, 0.05}}}, Point{0.0, -9.81, 0.0});
-        std::vector<double> places, inwards;
-        for (int i = 0; i < 4; ++i) {
-            const double side = i % 2 ? 0.05 : -0.05, z = i < 2 ? 0.03 : -0.03;
-            for (double each : {side, i == 3 ? 0.02 : 0.0, z}) places.push_back(each);
-            for (double each : {-side / 0.05, 0.0, 0.0}) inwards.push_back(each);
-        }
-        const double friction[] = {0.6}, torsion[] = {0.01, 0.01, 0.01, 0.01};
-        const Contacts contacts =
-            given.soft ? Contacts::from(places, inwards, friction, {}, {}, torsion) : Contacts::from(places, inwards, friction);
-        const ForceOptimizer method({contacts}, {.method = given.method, .tolerance = 1e-6, .limit = 5000});
-        ControlSettings settings;
-        settings.body.mass = 0.2, settings.body.position_gain = 100.0, settings.body.position_damping = 8.0;
-        settings.body.rotation_gain = 400.0, settings.body.rotation_damping = 40.0;
-        for (int k = 0; k < 3; ++k)
-            settings.body.inertia.rows[k] = Point{k == 0 ? 1e-4 : 0.0, k == 1 ? 1e-4 : 0.0, k == 2 ? 1e-4 : 0.0};
-        settings.reach.assign(4, {60.0, 2.0, 1.0}), settings.spring = {800.0, 4.0, infinity};
-        settings.posture.assign(tree->joints(), {0.01, 0.001}), settings.most_change = 0.05, settings.reach_depth = 0.005;
-        settings.squeeze = 20.0, settings.directions.resize(12 * 2);
-        for (int j = 0; j < 12; ++j)
-            settings.directions[2 * j] = inwards[j], settings.directions[2 * j + 1] = j % 3 == 2 ? 0.1 : 0.0;
-        SensorSettings sensors;
-        sensors.tick = 0.004, sensors.keep = 0.5;
-        if (given.late)
-            sensors.wrench = WrenchSource::estimated, sensors.delay = 2, sensors.pose_noise = 1e-5, sensors.tactile_noise = 0.02;
-        controller = std::make_unique<Controller>(scene, method, settings, sensors);
-        for (int i = 0; i < 4; ++i) controller->goals[i] = point(&places[3 * i]), controller->inwards[i] = point(&inwards[3 * i]);
-        reading.resize(Reading::size(tree->joints(), 4));
-        noise.resize(15), measured.resize(12);
-        read();
-        controller->reset();
+  explicit Trial(const Case& given) : tree(tree_of(given.more, given.torque_limit, given.shared)) {
+    scene =
+        std::make_shared<Scene>(tree, Surface{Cuboid{{0.05, 0.05, 0.05}}}, Point{0.0, -9.81, 0.0});
+    std::vector<double> places, inwards;
+    for (int i = 0; i < 4; ++i) {
+      const double side = i % 2 ? 0.05 : -0.05;
+      const double z = i < 2 ? 0.03 : -0.03;
+      for (double each : {side, i == 3 ? 0.02 : 0.0, z}) places.push_back(each);
+      for (double each : {-side / 0.05, 0.0, 0.0}) inwards.push_back(each);
     }
+    const double friction[] = {0.6};
+    const double torsion[] = {0.01, 0.01, 0.01, 0.01};
+    const Contacts contacts = given.soft
+                                  ? Contacts::from(places, inwards, friction, {}, {}, torsion)
+                                  : Contacts::from(places, inwards, friction);
+    const ForceOptimizer method({contacts},
+                                {.method = given.method, .tolerance = 1e-6, .limit = 5000});
+    ControlSettings settings;
+    settings.body.mass = 0.2;
+    settings.body.position_gain = 100.0;
+    settings.body.position_damping = 8.0;
+    settings.body.rotation_gain = 400.0;
+    settings.body.rotation_damping = 40.0;
+    for (int k = 0; k < 3; ++k)
+      settings.body.inertia.rows[k] =
+          Point{k == 0 ? 1e-4 : 0.0, k == 1 ? 1e-4 : 0.0, k == 2 ? 1e-4 : 0.0};
+    settings.reach.assign(4, {60.0, 2.0, 1.0});
+    settings.spring = {800.0, 4.0, infinity};
+    settings.posture.assign(tree->joints(), {0.01, 0.001});
+    settings.most_change = 0.05;
+    settings.reach_depth = 0.005;
+    settings.squeeze = 20.0;
+    settings.directions.resize(12 * 2);
+    for (int j = 0; j < 12; ++j) {
+      settings.directions[2 * j] = inwards[j];
+      settings.directions[2 * j + 1] = j % 3 == 2 ? 0.1 : 0.0;
+    }
+    SensorSettings sensors;
+    sensors.tick = 0.004;
+    sensors.keep = 0.5;
+    if (given.late) {
+      sensors.wrench = WrenchSource::estimated;
+      sensors.delay = 2;
+      sensors.pose_noise = 1e-5;
+      sensors.tactile_noise = 0.02;
+    }
+    controller = std::make_unique<Controller>(scene, method, settings, sensors);
+    for (int i = 0; i < 4; ++i) {
+      controller->goals[i] = point(&places[3 * i]);
+      controller->inwards[i] = point(&inwards[3 * i]);
+    }
+    reading.resize(Reading::size(tree->joints(), 4));
+    noise.resize(15);
+    measured.resize(12);
+    read();
+    controller->reset();
+  }
 
-    // The next of a sequence: all wander a little, and now and then a finger loses its force.
-    void read() {
-        const int m = tree->joints();
-        for (int j = 0; j < m; ++j)
-            reading[j] = 0.3 * std::sin(0.1 * ticks + j), reading[m + j] = 0.1 * std::cos(0.1 * ticks + j);
-        BodyRow body{{1e-3 * std::sin(0.03 * ticks), 0.0, 0.0}, {0.0, 0.0, 0.0, 1.0}, {0.01, 0.0, 0.0}, {0.0, 0.1, 0.0}};
-        const double turn = 0.02 * std::sin(0.05 * ticks);
-        body.quaternion[2] = std::sin(turn), body.quaternion[3] = std::cos(turn);
-        std::memcpy(&reading[2 * m], &body, sizeof body);
-        for (int i = 0; i < 4; ++i) {
-            const Point touch = scene->now.touch[i];
-            const double force = ticks % 50 > 40 && i > 1 ? 0.0 : 2.0;
-            const ContactRow row{double(tree->tips[i].link), touch, {i % 2 ? -force : force, 0.1 * force, 0.0}};
-            std::memcpy(&reading[2 * m + Reading::BODY + Reading::CONTACT * i], &row, sizeof row);
-        }
-        scene->read(reading.data(), reading.size());
+  // The next of a sequence: all wander a little, and now and then a finger loses its force.
+  void read() {
+    const int m = tree->joints();
+    for (int j = 0; j < m; ++j) {
+      reading[j] = 0.3 * std::sin(0.1 * ticks + j);
+      reading[m + j] = 0.1 * std::cos(0.1 * ticks + j);
     }
+    BodyRow body{{1e-3 * std::sin(0.03 * ticks), 0.0, 0.0},
+                 {0.0, 0.0, 0.0, 1.0},
+                 {0.01, 0.0, 0.0},
+                 {0.0, 0.1, 0.0}};
+    const double turn = 0.02 * std::sin(0.05 * ticks);
+    body.quaternion[2] = std::sin(turn);
+    body.quaternion[3] = std::cos(turn);
+    std::memcpy(&reading[2 * m], &body, sizeof body);
+    for (int i = 0; i < 4; ++i) {
+      const Point touch = scene->now.touch[i];
+      const double force = ticks % 50 > 40 && i > 1 ? 0.0 : 2.0;
+      const ContactRow row{
+          double(tree->tips[i].link), touch, {i % 2 ? -force : force, 0.1 * force, 0.0}};
+      std::memcpy(&reading[2 * m + Reading::BODY + Reading::CONTACT * i], &row, sizeof row);
+    }
+    scene->read(reading.data(), reading.size());
+  }
 
-    // A step of the method every fifth tick, an adjusted one now and then, all ways to hold in turn; fingers come and go.
-    void tick() {
-        read();
-        Target target{};
-        target.quaternion[3] = 1.0;
-        const double wrench[] = {0.5, -0.2, 0.1, 0.01, 0.0, -0.01}, adjustment[] = {0.5, -0.3};
-        const double forces[12] = {2.0, 0.1, 0.0, 2.0, 0.0, 0.1, 2.0, 0.0, 0.0, 2.0, 0.1, 0.0};
-        ++ticks;
-        for (std::size_t j = 0; j < noise.size(); ++j) noise[j] = std::sin(1.7 * ticks + double(j));
-        constexpr Hold KINDS[] = {Hold::optimized, Hold::optimized, Hold::squeeze, Hold::direct, Hold::place, Hold::reach};
-        controller->hold = KINDS[ticks / 50 % 6];
-        Controller::StepRequest step;
-        if (controller->hold == Hold::direct) step.force = forces;
-        else if (ticks % 3 == 0) step.adjustment = adjustment;
-        const Controller::Known known{reading, wrench, noise.data(), {0.0, -9.81, 0.0}, target};
-        if (!controller->tick(known, ticks % 5 == 0 ? &step : nullptr)) throw std::runtime_error("a bad reading");
-        for (double torque : controller->torques) sum += torque;
-        sum += controller->outcome(target, measured.data()).drift;
-    }
+  // A step of the method every fifth tick, an adjusted one now and then, all ways to hold in turn;
+  // fingers come and go.
+  void tick() {
+    read();
+    Target target{};
+    target.quaternion[3] = 1.0;
+    const double wrench[] = {0.5, -0.2, 0.1, 0.01, 0.0, -0.01};
+    const double adjustment[] = {0.5, -0.3};
+    const double forces[12] = {2.0, 0.1, 0.0, 2.0, 0.0, 0.1, 2.0, 0.0, 0.0, 2.0, 0.1, 0.0};
+    ++ticks;
+    for (std::size_t j = 0; j < noise.size(); ++j) noise[j] = std::sin(1.7 * ticks + double(j));
+    constexpr Hold KINDS[] = {Hold::optimized, Hold::optimized, Hold::squeeze,
+                              Hold::direct,    Hold::place,     Hold::reach};
+    controller->hold = KINDS[ticks / 50 % 6];
+    Controller::StepRequest step;
+    if (controller->hold == Hold::direct)
+      step.force = forces;
+    else if (ticks % 3 == 0)
+      step.adjustment = adjustment;
+    const Controller::Known known{reading, wrench, noise.data(), {0.0, -9.81, 0.0}, target};
+    if (!controller->tick(known, ticks % 5 == 0 ? &step : nullptr))
+      throw std::runtime_error("a bad reading");
+    for (double torque : controller->torques) sum += torque;
+    sum += controller->outcome(target, measured.data()).drift;
+  }
 };
 
-nb::tuple ticks(int count, int more, bool late, bool soft, bool shared, double torque_limit, bool flow) {
-    Trial trial({more, late, soft, shared, torque_limit, flow ? Method::reduced_flow : Method::newton});
-    for (int k = 0; k < 10; ++k) trial.tick();
-    const long made = counted([&] {
-        for (int k = 0; k < count; ++k) trial.tick();
-    });
-    const Controller& c = *trial.controller;
-    return nb::make_tuple(made, trial.sum, c.effort.followed + c.effort.limited, c.changes, c.peak);
+nb::tuple ticks(int count, int more, bool late, bool soft, bool shared, double torque_limit,
+                bool flow) {
+  Trial trial(
+      {more, late, soft, shared, torque_limit, flow ? Method::reduced_flow : Method::newton});
+  for (int k = 0; k < 10; ++k) trial.tick();
+  const long made = counted([&] {
+    for (int k = 0; k < count; ++k) trial.tick();
+  });
+  const Controller& c = *trial.controller;
+  return nb::make_tuple(made, trial.sum, c.effort.followed + c.effort.limited, c.changes, c.peak);
 }
 
 }  // namespace
 
 void bind_hand(nb::module_& m) {
-    m.def("ticks", &ticks, "count"_a, "more"_a, "late"_a, "soft"_a, "shared"_a, "torque_limit"_a, "flow"_a,
-          "Control ticks of a hand with 3 + `more` joints a finger: allocations, the sum of all torques, iterations within the "
-          "torque limits, changes of the contacts, the largest torque.");
+  m.def("ticks", &ticks, "count"_a, "more"_a, "late"_a, "soft"_a, "shared"_a, "torque_limit"_a,
+        "flow"_a,
+        "Control ticks of a hand with 3 + `more` joints a finger: allocations, the sum of all "
+        "torques, iterations within the "
+        "torque limits, changes of the contacts, the largest torque.");
 }

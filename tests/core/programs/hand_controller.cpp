@@ -1,7 +1,8 @@
 // For test_hand_controller.py. `hand_controller FD HAND_FILE RATE FRICTION` is the example itself.
-// `hand_controller HAND_FILE FRICTION` reads doubles: the points of a calibration's tables, torques and units of each joint, then rows
-// of a period and a state; period 0 deactivates, a negative one activates. It writes a row for each: status, late, commands, torques;
-// at last the status after a message of another size, and the number of allocations.
+// `hand_controller HAND_FILE FRICTION` reads doubles: the points of a calibration's tables, torques
+// and units of each joint, then rows of a period and a state; period 0 deactivates, a negative one
+// activates. It writes a row for each: status, late, commands, torques; at last the status after a
+// message of another size, and the number of allocations.
 #define main serve
 #include "../../../grasp_env/core/examples/hand_controller.cpp"
 #undef main
@@ -9,29 +10,38 @@
 #include "../bindings/counting.hpp"
 
 int main(int given, char** arguments) {
-    if (given != 3) return serve(given, arguments);
-    const auto hand = grasp::TreeFile::load(arguments[1]);
-    const auto read = [](Numbers& to) { return std::fread(to.data(), sizeof(double), to.size(), stdin) == to.size(); };
-    const auto write = [](const Numbers& from) { std::fwrite(from.data(), sizeof(double), from.size(), stdout); };
-    Numbers points(1);
-    read(points);
-    Calibration calibration;
-    for (auto* table : {&calibration.torques, &calibration.units})
-        for (int j = 0; j < hand->joints(); ++j) read(table->emplace_back(std::size_t(points[0])));
-    HandController controller;
-    controller.configure(hand, {.friction = std::atof(arguments[2])}, calibration);
-    HandState state(hand->joints(), hand->fingers());
-    long allocated = 0;
-    for (Numbers period(1); read(period);) {
-        for (auto part : PARTS) read(state.*part);
-        if (period[0] == 0.0) controller.deactivate();
-        else if (period[0] < 0.0) controller.activate(state);
-        allocated += counted([&] { controller.update(state, std::abs(period[0])); });
-        write({double(controller.status), double(controller.late)}), write(controller.commands), write(controller.torques);
-    }
-    HandState short_of_one = state;
-    short_of_one.rates.pop_back();
-    controller.activate(short_of_one);
-    controller.update(short_of_one, 1e-3);
-    write({double(controller.status), double(allocated), double(std::isfinite(controller.torques[0]))});
+  if (given != 3) return serve(given, arguments);
+  const auto hand = grasp::TreeFile::load(arguments[1]);
+  const auto read = [](Numbers& to) {
+    return std::fread(to.data(), sizeof(double), to.size(), stdin) == to.size();
+  };
+  const auto write = [](const Numbers& from) {
+    std::fwrite(from.data(), sizeof(double), from.size(), stdout);
+  };
+  Numbers points(1);
+  read(points);
+  Calibration calibration;
+  for (auto* table : {&calibration.torques, &calibration.units})
+    for (int j = 0; j < hand->joints(); ++j) read(table->emplace_back(std::size_t(points[0])));
+  HandController controller;
+  controller.configure(hand, {.friction = std::atof(arguments[2])}, calibration);
+  HandState state(hand->joints(), hand->fingers());
+  long allocated = 0;
+  for (Numbers period(1); read(period);) {
+    for (auto part : PARTS) read(state.*part);
+    if (period[0] == 0.0)
+      controller.deactivate();
+    else if (period[0] < 0.0)
+      controller.activate(state);
+    allocated += counted([&] { controller.update(state, std::abs(period[0])); });
+    write({double(controller.status), double(controller.late)});
+    write(controller.commands);
+    write(controller.torques);
+  }
+  HandState short_of_one = state;
+  short_of_one.rates.pop_back();
+  controller.activate(short_of_one);
+  controller.update(short_of_one, 1e-3);
+  write(
+      {double(controller.status), double(allocated), double(std::isfinite(controller.torques[0]))});
 }

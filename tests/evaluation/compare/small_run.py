@@ -1,4 +1,5 @@
-"""One small run of `grasp evaluate` for all tests of comparison and report: a few sets, cases, starts and scenarios."""
+"""One small run of `grasp evaluate` for all tests of comparison and report: a few sets, cases,
+starts and scenarios."""
 
 from __future__ import annotations
 
@@ -49,7 +50,9 @@ def shrunk(names: tuple[str, ...] = NAMES, holds: tuple[str, ...] = HOLDS) -> It
     with (
         patch.object(comparison, "SETS", {name: SETS[name] for name in names}),
         patch.object(comparison, "make_cases", lambda *given: make_cases(*given)[:6]),
-        patch.object(comparison, "HOLDS_OF_STARTS", {name: scenarios.HOLDS_OF_STARTS[name] for name in holds}),
+        patch.object(
+            comparison, "HOLDS_OF_STARTS", {name: scenarios.HOLDS_OF_STARTS[name] for name in holds}
+        ),
         patch.object(comparison, "HELD_WITH", {"linear_combination": "linear_combination"}),
     ):
         yield
@@ -66,14 +69,24 @@ def own_file() -> Path:
 
 @cache
 def small_run() -> SimpleNamespace:
-    """Run the command once in this process; return the run's folder, the words of the command, stdout and stderr."""
-    out, own = own_file().parent, own_file()
+    """Run the command once in this process; return the run's folder, the words of the command,
+    stdout and stderr."""
+    out = own_file().parent
+    own = own_file()
     words = ["evaluate", "--quick", "--on", "inline", "--out", str(out), "--name", "small"]
     for name in ("wrenches", "timed", "repeats", "episodes", "steps"):
         words += [f"--{name}", str(getattr(CONFIG, name))]
     for given in (f"sometimes={own}:Sometimes", f"outside={own}:outside"):
         words += ["--start", given]
-    printed, errors = StringIO(), StringIO()
-    with shrunk(), patch.multiple(comparison, _QUICK={}, WARM_UP=2), redirect_stdout(printed), redirect_stderr(errors):
+    printed = StringIO()
+    errors = StringIO()
+    with (
+        shrunk(),
+        patch.multiple(comparison, _QUICK={}, WARM_UP=2),
+        redirect_stdout(printed),
+        redirect_stderr(errors),
+    ):
         assert main(words) == 0, errors.getvalue()
-    return SimpleNamespace(folder=Run(out / "small"), words=words, out=printed.getvalue(), err=errors.getvalue())
+    return SimpleNamespace(
+        folder=Run(out / "small"), words=words, out=printed.getvalue(), err=errors.getvalue()
+    )

@@ -1,4 +1,5 @@
-"""Cases are the same for the same seed, and have the sizes, places and predecessors that their sets promise."""
+"""Cases are the same for the same seed, and have the sizes, places and predecessors that their sets
+promise."""
 
 from __future__ import annotations
 
@@ -13,7 +14,15 @@ from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
 from grasp_env.quality import feasibility
 from training.data.grasps import BENCH, EVALUATION, HALF, SOLIDS
-from training.evaluation.compare.cases import DISPLACEMENT, FRICTIONS, MAGNITUDES, SETS, directions, make_cases, scaled
+from training.evaluation.compare.cases import (
+    DISPLACEMENT,
+    FRICTIONS,
+    MAGNITUDES,
+    SETS,
+    directions,
+    make_cases,
+    scaled,
+)
 from training.evaluation.compare.recorded import IMPACT, changes_of, record, without
 from training.evaluation.compare.starts import DoesNotApply, carry_force, require_near_fixed
 
@@ -22,7 +31,8 @@ RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
 
 @pytest.mark.parametrize("name", [name for name in SETS if not name.startswith("rollout")])
 def test_cases_repeat_and_depend_on_the_seed(name):
-    first, again = make_cases(name, 12, 3), make_cases(name, 12, 3)
+    first = make_cases(name, 12, 3)
+    again = make_cases(name, 12, 3)
     assert len(first) == len(again) >= 1
     for one, two in zip(first, again, strict=True):
         np.testing.assert_array_equal(one.wrench, two.wrench)
@@ -34,7 +44,9 @@ def test_cases_repeat_and_depend_on_the_seed(name):
 @pytest.mark.parametrize(("name", "size"), [("jump_10", 0.1), ("jump_50", 0.5), ("jump_100", 1.0)])
 def test_jumps_have_their_size_and_stay_in_the_ball(name, size):
     for case in make_cases(name, 30, 0):
-        now, move = ((each / RADII).reshape(2, 3) for each in (case.wrench, case.wrench - case.before[1]))
+        now, move = (
+            (each / RADII).reshape(2, 3) for each in (case.wrench, case.wrench - case.before[1])
+        )
         np.testing.assert_allclose(np.linalg.norm(move, axis=1), size)
         assert np.linalg.norm(now, axis=1).max() <= 1.0
 
@@ -49,7 +61,9 @@ def test_paths_are_chained_and_cover_what_they_promise():
     line = make_cases("lines", 500, 0)
     assert len(line) == 2 * 401
     assert (np.sign(line[0].wrench) == -np.sign(line[400].wrench)).all()
-    sizes = np.linalg.norm([scaled(case.wrench) for case in make_cases("six_decades", 100, 0)], axis=1)
+    sizes = np.linalg.norm(
+        [scaled(case.wrench) for case in make_cases("six_decades", 100, 0)], axis=1
+    )
     assert MAGNITUDES[0] <= sizes.min() < 0.01
     assert 100.0 < sizes.max() <= MAGNITUDES[1]
     named = np.array([wrench for _, wrench in directions()])
@@ -61,11 +75,13 @@ def test_paths_are_chained_and_cover_what_they_promise():
 @pytest.mark.parametrize("shape", SOLIDS)
 @pytest.mark.parametrize("base", [EVALUATION, BENCH])
 def test_contacts_lie_on_a_solid_and_press_into_it(base, shape):
-    recipe, rng = replace(base, shapes=(shape,)), np.random.default_rng(0)
+    recipe = replace(base, shapes=(shape,))
+    rng = np.random.default_rng(0)
     for _ in range(20):
         places, inward = recipe.points(rng, 6)
         np.testing.assert_allclose(np.linalg.norm(inward, axis=1), 1.0, rtol=1e-12)
-        assert ((places * inward).sum(axis=1) < 0.0).all()  # the centre of a convex solid lies behind every face
+        # the centre of a convex solid lies behind every face
+        assert ((places * inward).sum(axis=1) < 0.0).all()
         assert np.linalg.norm(places, axis=1).min() >= HALF[0] * 0.99
         assert np.abs(places).max() <= HALF[1]
     grasp = recipe.closed(rng, 4)
@@ -74,16 +90,20 @@ def test_contacts_lie_on_a_solid_and_press_into_it(base, shape):
 
 
 def test_near_grasps_are_near_and_random_ones_are_not():
-    fixed, far = presets.paper_cuboid(), list[float]()
+    fixed = presets.paper_cuboid()
+    far = list[float]()
     assert {case.event for case in make_cases("friction", 10, 0)} == {f"{mu:g}" for mu in FRICTIONS}
     for case in make_cases("positions", 100, 0):
         moved = case.grasp.positions - fixed.positions
         assert np.abs((moved * fixed.normals).sum(axis=1)).max() < 1e-12  # along the faces
         far += np.linalg.norm(moved, axis=1).tolist()
         require_near_fixed(case.grasp)
-    # uniform over the disc: half of its area lies within 0.71 of its radius; three standard deviations
+    # uniform over the disc: half of its area lies within 0.71 of its radius; three standard
+    # deviations
     assert max(far) <= DISPLACEMENT
-    assert np.median(far) == pytest.approx(DISPLACEMENT / np.sqrt(2.0), abs=3 * DISPLACEMENT / np.sqrt(2 * len(far)))
+    assert np.median(far) == pytest.approx(
+        DISPLACEMENT / np.sqrt(2.0), abs=3 * DISPLACEMENT / np.sqrt(2 * len(far))
+    )
     for count in (3, 4, 5):
         with pytest.raises(DoesNotApply):
             require_near_fixed(EVALUATION.closed(np.random.default_rng(count), count))
@@ -91,20 +111,28 @@ def test_near_grasps_are_near_and_random_ones_are_not():
 
 def test_changes_of_contact_carry_the_forces_by_place():
     """Persisting fingers keep their force as a vector; a finger that lands is inside its cone."""
-    rng, events = np.random.default_rng(0), set[str]()
+    rng = np.random.default_rng(0)
+    events = set[str]()
     (problems,) = record(1, rng, "impulses", ("five_finger",), 6)
     for old_problem, new_problem in pairwise(problems):
         for case in changes_of(rng, old_problem, new_problem, 0):
-            old, now = case.before[0], case.grasp
+            old = case.before[0]
+            now = case.grasp
             events.add(case.event)
-            assert now.n_contacts - old.n_contacts == {"lost": -1, "landed": 1, "slipped": 0}[case.event]
+            assert (
+                now.n_contacts - old.n_contacts
+                == {"lost": -1, "landed": 1, "slipped": 0}[case.event]
+            )
             force = rng.uniform(0.5, 1.0, (old.n_contacts, 3))
             new = carry_force(old, force, now, Objective())
-            vectors, before = now.to_object_frame(new), old.to_object_frame(force)
+            vectors = now.to_object_frame(new)
+            before = old.to_object_frame(force)
             apart = np.linalg.norm(now.positions[:, None] - old.positions, axis=2)
             for finger in range(now.n_contacts):
                 if apart[finger].min() < 0.012:
-                    np.testing.assert_allclose(vectors[finger], before[apart[finger].argmin()], atol=1e-12)
+                    np.testing.assert_allclose(
+                        vectors[finger], before[apart[finger].argmin()], atol=1e-12
+                    )
                 else:
                     assert case.event == "landed"
                     np.testing.assert_allclose(new[finger], [0.1 / now.friction[finger], 0.0, 0.0])
@@ -113,8 +141,11 @@ def test_changes_of_contact_carry_the_forces_by_place():
 
 
 def test_recordings_move_and_impacts_are_impacts():
-    problems, *others = record(4, np.random.default_rng(0), "random", ("four_finger", "three_finger"), 5)
-    assert [len(each) for each in (problems, *others)] == [5] * 4  # one for each step, none of closing the fingers
+    problems, *others = record(
+        4, np.random.default_rng(0), "random", ("four_finger", "three_finger"), 5
+    )
+    # one for each step, none of closing the fingers
+    assert [len(each) for each in (problems, *others)] == [5] * 4
     assert not np.array_equal(problems[0][0].positions, problems[-1][0].positions)
     for case in make_cases("rollout_fixed", 5, 0):
         assert np.linalg.norm((case.wrench - case.before[1]) / RADII) >= IMPACT

@@ -1,4 +1,5 @@
-"""The whole of `grasp evaluate` in small: rows of sets, starts, methods and roll-outs, times, resumed runs, given starts."""
+"""The whole of `grasp evaluate` in small: rows of sets, starts, methods and roll-outs, times,
+resumed runs, given starts."""
 
 from __future__ import annotations
 
@@ -27,7 +28,10 @@ def given() -> Given:
 
 def test_the_plan_and_the_rows_have_every_set_start_method_and_scenario():
     starts = (*HELD_WITH, "learned_fixed", "sometimes", "outside")
-    assert {*plan(given())} == {*SETS, *(f"holds/{name}/{start}" for name in HOLDS_OF_STARTS for start in starts)}
+    assert {*plan(given())} == {
+        *SETS,
+        *(f"holds/{name}/{start}" for name in HOLDS_OF_STARTS for start in starts),
+    }
     rows, about = small_run().folder.load()
     holds = [f"hold_{name}" for name in HOLDS]
     assert list(dict.fromkeys(rows["case"])) == [*NAMES, *holds, "model"]
@@ -40,19 +44,25 @@ def test_the_plan_and_the_rows_have_every_set_start_method_and_scenario():
     for name in HOLDS:
         assert {*counts[f"hold_{name}"]} == {CONFIG.episodes if name in RANDOM_STARTS else 1}
     episodes = chosen(held, "case == 'hold_random' and start == 'linear_combination'")
-    assert episodes["normal_force"].nunique() == CONFIG.episodes  # every episode has a seed of its own
+    assert (
+        episodes["normal_force"].nunique() == CONFIG.episodes
+    )  # every episode has a seed of its own
     assert 0 < rows["bytes"].iloc[-1] < 2_000_000
 
 
 def test_given_starts_are_counted_with_their_failures():
     rows = small_run().folder.load()[0]
     flow = chosen(rows, "method == 'reduced_flow'")
-    assert {*chosen(flow, "case == 'ball' and start == 'outside'")["reason"]} == {"outside the cones"}
+    assert {*chosen(flow, "case == 'ball' and start == 'outside'")["reason"]} == {
+        "outside the cones"
+    }
     sometimes = chosen(flow, "case == 'ball' and start == 'sometimes'")
     failed = sometimes[sometimes["status"] == "no_start"]
     assert 0 < len(failed) < len(sometimes)
     assert {*failed["reason"]} == {"ArithmeticError: not to the right"}
-    assert {*chosen(flow, "case == 'hold_gravity' and start == 'outside'")["failure"]} == {"no_start"}
+    assert {*chosen(flow, "case == 'hold_gravity' and start == 'outside'")["failure"]} == {
+        "no_start"
+    }
 
 
 def test_times_are_those_of_the_first_problems_and_of_starts_that_exist():
@@ -71,7 +81,9 @@ def test_times_are_those_of_the_first_problems_and_of_starts_that_exist():
 
 
 def test_an_interrupted_run_continues_and_gives_the_rows_of_a_whole_one(tmp_path, monkeypatch):
-    whole, real, done = small_run().folder.load()[0], comparison.work, list[str]()
+    whole = small_run().folder.load()[0]
+    real = comparison.work
+    done = list[str]()
     folder = comparison.Run.create(tmp_path, "run")
     monkeypatch.setattr(comparison, "TIMED_SETS", ("ball",))
 
@@ -87,13 +99,17 @@ def test_an_interrupted_run_continues_and_gives_the_rows_of_a_whole_one(tmp_path
             run(CONFIG, given(), folder, on="inline")
         assert len(list(folder.path("shards").glob("*.csv"))) == 2
         again: list[str] = []
-        monkeypatch.setattr(comparison, "work", lambda shard: (again.append(shard.name), real(shard))[1])
+        monkeypatch.setattr(
+            comparison, "work", lambda shard: (again.append(shard.name), real(shard))[1]
+        )
         rows, _ = run(CONFIG, given(), folder, on="inline")
         assert [*done, *again] == plan(given())
     expected = whole[whole["case"].isin(rows["case"])]
     columns = [name for name in rows.columns if name not in TIMES]
     order = ["case", "problem", "start", "method"]
-    mine, theirs = (each[columns].sort_values(order, ignore_index=True) for each in (rows, expected))
+    mine, theirs = (
+        each[columns].sort_values(order, ignore_index=True) for each in (rows, expected)
+    )
     assert mine.equals(theirs)
 
 
@@ -140,12 +156,24 @@ REFUSED = [
     (starts_of("b={own}"), "names nothing: give --start NAME=module:rule"),
     (starts_of("a={own}:held"), "cannot be sent to the worker processes"),
     (lambda: StartsConfig(wrenches=0), "wrenches"),
-    (lambda: HoldsConfig("hands", ("nobody",)), "unknown hand 'nobody': choose one of .* or the path of a URDF"),
+    (
+        lambda: HoldsConfig("hands", ("nobody",)),
+        "unknown hand 'nobody': choose one of .* or the path of a URDF",
+    ),
     (lambda: HoldsConfig("transfer", ("leap", "leap")), "hands need different names"),
-    (lambda: HoldsConfig("hands", ("leap",), ("havok",)), "unknown engine 'havok': choose one of 'bullet', 'mujoco'"),
+    (
+        lambda: HoldsConfig("hands", ("leap",), ("havok",)),
+        "unknown engine 'havok': choose one of 'bullet', 'mujoco'",
+    ),
     (lambda: HoldsConfig("hands"), "at least one hand"),
-    (lambda: HoldsConfig("objects", ("leap",), objects=("a/mug.obj", "b/mug.stl")), "objects need different names"),
-    (lambda: HoldsConfig("objects", ("leap",), objects=("mug.obj=small",)), "must be FILE or FILE=SCALE"),
+    (
+        lambda: HoldsConfig("objects", ("leap",), objects=("a/mug.obj", "b/mug.stl")),
+        "objects need different names",
+    ),
+    (
+        lambda: HoldsConfig("objects", ("leap",), objects=("mug.obj=small",)),
+        "must be FILE or FILE=SCALE",
+    ),
 ]
 
 

@@ -1,4 +1,5 @@
-"""Episodes are counted right, depend on their seed alone, and are the same whatever runs them; plans are sound."""
+"""Episodes are counted right, depend on their seed alone, and are the same whatever runs them;
+plans are sound."""
 
 from __future__ import annotations
 
@@ -13,7 +14,15 @@ from engines import needs_bullet
 
 from grasp_env.errors import InvalidInputError, SimulationError
 from training.evaluation.compare import holds, scenarios
-from training.evaluation.compare.holds import HoldsConfig, draw_object, episode_columns, run, settings_of, trial, work
+from training.evaluation.compare.holds import (
+    HoldsConfig,
+    draw_object,
+    episode_columns,
+    run,
+    settings_of,
+    trial,
+    work,
+)
 from training.evaluation.compare.scenarios import RANDOM_WRENCH, Scenario, mesh_settings
 from training.evaluation.results.run import Run
 from training.evaluation.results.table import summary
@@ -27,15 +36,35 @@ def info(**changes):
     """The report of a step of the environment."""
     force = np.array([[2.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     return {
-        "fault": "", "is_success": True, "overlap": 2e-5, "stray_share": 0.01, "saturated": 0.0, "drift": 1e-4, "tilt": 0.01,
-        "slip_distance": 2e-4, "force_error": 0.1, "stray_force": 0.0, "torque_margin": 0.3, "limited": 1, "iterations": 40,
-        "status": "optimal", "time": 0.1, "measured_force": force, "commanded_force": 2.0 * force, "peak_torque": 0.5,
-        "touching": np.array([True, True]), "contact_changes": 0, **changes,
-    }  # fmt: skip
+        "fault": "",
+        "is_success": True,
+        "overlap": 2e-5,
+        "stray_share": 0.01,
+        "saturated": 0.0,
+        "drift": 1e-4,
+        "tilt": 0.01,
+        "slip_distance": 2e-4,
+        "force_error": 0.1,
+        "stray_force": 0.0,
+        "torque_margin": 0.3,
+        "limited": 1,
+        "iterations": 40,
+        "status": "optimal",
+        "time": 0.1,
+        "measured_force": force,
+        "commanded_force": 2.0 * force,
+        "peak_torque": 0.5,
+        "touching": np.array([True, True]),
+        "contact_changes": 0,
+        **changes,
+    }
 
 
 def test_the_columns_of_an_episode_are_those_of_its_steps():
-    steps = [info(drift=5e-4), info(drift=3e-4, tilt=0.02, iterations=20, time=0.2, stray_force=0.7, torque_margin=0.1)]
+    steps = [
+        info(drift=5e-4),
+        info(drift=3e-4, tilt=0.02, iterations=20, time=0.2, stray_force=0.7, torque_margin=0.1),
+    ]
     row = episode_columns(steps)
     assert (row["held"], row["failure"]) == (True, None)
     assert (row["drift"], row["end_drift"]) == pytest.approx((0.5, 0.3))  # millimetres
@@ -50,9 +79,10 @@ def test_the_columns_of_an_episode_are_those_of_its_steps():
 
 def test_a_failure_has_its_cause_and_no_drift_of_held_episodes():
     for last, failure in (
-        ({"fault": "slid"}, "slid"), ({"fault": "dropped", "saturated": 0.5}, "torque"),
+        ({"fault": "slid"}, "slid"),
+        ({"fault": "dropped", "saturated": 0.5}, "torque"),
         ({"fault": "dropped", "saturated": 0.5, "drift": 2e-3}, "dropped"),
-    ):  # fmt: skip
+    ):
         row = episode_columns([info(), info(is_success=False, **last)])
         assert (row["held"], row["failure"]) == (False, failure)
         assert not {"drift", "tilt", "slip"} & {*row}
@@ -81,7 +111,11 @@ def test_a_grasp_that_does_not_settle_or_cannot_be_placed_counts_as_not_held(mon
 
         monkeypatch.setattr(holds, "FourFingerGrasp", refuse)
         row = trial(SHORT, False, 0)
-        assert (row["held"], row["failure"], row["detail"]) == (False, failure, "cannot reach the object")
+        assert (row["held"], row["failure"], row["detail"]) == (
+            False,
+            failure,
+            "cannot reach the object",
+        )
 
 
 @needs_bullet
@@ -92,7 +126,9 @@ def test_a_seed_is_the_same_object_in_every_engine():
     assert rows["seed"].tolist() == [3, 3, 4, 4]
     for seed in (3, 4):
         one, other = rows[rows["seed"] == seed].to_dict("records")
-        assert [one[name] for name in OBJECT if name in one] == [other[name] for name in OBJECT if name in other]
+        assert [one[name] for name in OBJECT if name in one] == [
+            other[name] for name in OBJECT if name in other
+        ]
         assert one["end_drift"] != other["end_drift"]  # they are different engines
         assert other["normal_force"] == pytest.approx(one["normal_force"], rel=0.01)
 
@@ -101,17 +137,28 @@ def test_a_seed_is_the_same_object_in_every_engine():
 def test_an_object_of_a_mesh_file_is_held_and_named(tmp_path):
     path = str(tmp_path / "brick.stl")
     trimesh.creation.box((50, 50, 50)).export(path)
-    plan = HoldsConfig("objects", ("allegro",), ("bullet", "faces"), objects=(f"{path}=0.001",)).plan()
+    plan = HoldsConfig(
+        "objects", ("allegro",), ("bullet", "faces"), objects=(f"{path}=0.001",)
+    ).plan()
     rows = work((next(scenario for scenario in plan if scenario.case == "mesh_gravity"), (0,)))
     assert rows["held"].all()
-    assert rows[["object", "engine"]].to_numpy().tolist() == [["brick", "bullet"], ["brick", "faces"]]
+    assert rows[["object", "engine"]].to_numpy().tolist() == [
+        ["brick", "bullet"],
+        ["brick", "faces"],
+    ]
     np.testing.assert_allclose(rows["mass"], 0.15)
 
 
 PLAN = [
     Scenario("objects", {"controller": "paper"}, 5, SHORT),
     Scenario("objects", {"controller": "pd"}, 1, {**SHORT, "controller.kind": "pd"}),
-    Scenario("friction", {"controller": "paper"}, 1, {**SHORT, "controller.friction_error": 2.0}, random_objects=False),
+    Scenario(
+        "friction",
+        {"controller": "paper"},
+        1,
+        {**SHORT, "controller.friction_error": 2.0},
+        random_objects=False,
+    ),
 ]
 
 
@@ -121,9 +168,13 @@ def test_an_interrupted_run_continues_and_every_episode_counts(tmp_path, monkeyp
     assert rows["seed"].tolist() == [*range(7, 12), 7, 7]
     means = summary(rows)
     assert means[["case", "controller", "n", "held_sum"]].to_numpy().tolist() == [
-        ["objects", "paper", 5, 5.0], ["objects", "pd", 1, 1.0], ["friction", "paper", 1, 0.0],
-    ]  # fmt: skip
-    folder, real, seen = Run.create(tmp_path, "again"), holds.trial, []
+        ["objects", "paper", 5, 5.0],
+        ["objects", "pd", 1, 1.0],
+        ["friction", "paper", 1, 0.0],
+    ]
+    folder = Run.create(tmp_path, "again")
+    real = holds.trial
+    seen = []
 
     def stopping(settings, random_objects, seed, rule=None):
         if len(seen) == 5:
@@ -141,19 +192,34 @@ def test_an_interrupted_run_continues_and_every_episode_counts(tmp_path, monkeyp
 
 
 def test_plans_are_sound(tmp_path):
-    objects = HoldsConfig("objects", ("allegro", "leap"), episodes=5, objects=("parts/duck.obj=0.06", "mug.stl")).plan()
+    objects = HoldsConfig(
+        "objects", ("allegro", "leap"), episodes=5, objects=("parts/duck.obj=0.06", "mug.stl")
+    ).plan()
     hands = scenarios.hands_plan(("leap", str(tmp_path / "mine.urdf")), ("bullet",), 50)
-    controllers, transfer = scenarios.controllers_plan(500), scenarios.transfer_plan(("four_finger", "allegro"), 300)
+    controllers = scenarios.controllers_plan(500)
+    transfer = scenarios.transfer_plan(("four_finger", "allegro"), 300)
     for plan in (controllers, [*transfer, *hands], objects):
         assert len({one.name for one in plan}) == len(plan)
-        assert all({*one.engines} <= {*scenarios.ENGINES} and one.case in scenarios.LABELS for one in plan)
+        assert all(
+            {*one.engines} <= {*scenarios.ENGINES} and one.case in scenarios.LABELS for one in plan
+        )
         json.dumps([asdict(one) for one in plan], allow_nan=False)
     episodes = {one.name: one.episodes for one in (*controllers, *transfer, *hands)}
     for name, count in {
-        "objects/paper": 500, "objects/pd": 500, "six_directions/paper": 500, "six_directions/pd": 62, "mild/paper/0.6": 100,
-        "mild/pd/40": 60, "path_1/paper": 1, "weak/allegro": 300, "estimated/four_finger": 300, "all_safe/four_finger": 100,
-        "cube_gravity/mine": 1, "random_gravity/mine": 50, "cube_random/mine": 50,
-    }.items():  # fmt: skip
+        "objects/paper": 500,
+        "objects/pd": 500,
+        "six_directions/paper": 500,
+        "six_directions/pd": 62,
+        "mild/paper/0.6": 100,
+        "mild/pd/40": 60,
+        "path_1/paper": 1,
+        "weak/allegro": 300,
+        "estimated/four_finger": 300,
+        "all_safe/four_finger": 100,
+        "cube_gravity/mine": 1,
+        "random_gravity/mine": 50,
+        "cube_random/mine": 50,
+    }.items():
         assert episodes[name] == count, name
     settings = {one.name: one.settings for one in controllers}
     errors = {"controller.friction_error": 0.25, "controller.friction_margin": 0.6}
@@ -167,7 +233,9 @@ def test_plans_are_sound(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", [["env"], ["env", "--hands", "four_finger"], ["transfer", "--hands", "four_finger"]])
+@pytest.mark.parametrize(
+    "words", [["env"], ["env", "--hands", "four_finger"], ["transfer", "--hands", "four_finger"]]
+)
 def test_quick_runs_from_the_command_line(words, tmp_path, capsys):
     assert main(["evaluate", *words, "--quick", "--out", str(tmp_path), "--name", "q"]) == 0
     assert capsys.readouterr().out.startswith("QUICK RUN")

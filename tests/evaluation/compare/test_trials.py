@@ -1,4 +1,5 @@
-"""Rows of starts agree with single runs of the solvers; starts are feasible, timed as compared, and their failures are kept."""
+"""Rows of starts agree with single runs of the solvers; starts are feasible, timed as compared, and
+their failures are kept."""
 
 from __future__ import annotations
 
@@ -50,20 +51,30 @@ def test_every_start_has_a_row_for_every_case_that_agrees_with_a_single_run(ball
         first = 1 if key.startswith("previous") else 0  # nothing lies before the first case
         for method in METHODS:
             assert of(rows, key, method)["problem"].tolist() == list(range(first, len(cases)))
-    for key, k in product(("linear_combination", "basis_tangent", "previous_tangent", "learned_fixed"), (1, 5)):
+    for key, k in product(
+        ("linear_combination", "basis_tangent", "previous_tangent", "learned_fixed"), (1, 5)
+    ):
         grasp, load = cases[k].grasp, cases[k].wrench
         exact = ForceOptimizer(grasp, method="newton", tolerance=1e-10)
-        optimum, before = exact.solve(load), exact.solve(cases[k].before[1]).force
+        optimum = exact.solve(load)
+        before = exact.solve(cases[k].before[1]).force
         force = starts[key].start(grasp, load, before)
         gap = PHI.value(grasp.to_cone(force)) / optimum.objective - 1.0
         for method in METHODS:
             row = of(rows, key, method).set_index("problem").loc[k]
             assert row["start_gap"] == pytest.approx(max(0.0, gap), abs=1e-12)
             for column, level in (("iterations", TOLERANCE), ("iterations_fine", FINE)):
-                solution = optimizer(grasp, method, PHI, level).solve(load, initial=force, optimum=optimum.objective)
+                solution = optimizer(grasp, method, PHI, level).solve(
+                    load, initial=force, optimum=optimum.objective
+                )
                 assert row[column] == solution.iterations
                 assert row["status"] == solution.status.value == "optimal"
-            assert row["iterations_coarse"] <= row["iterations"] <= row["iterations_fine"] <= row["trials"]
+            assert (
+                row["iterations_coarse"]
+                <= row["iterations"]
+                <= row["iterations_fine"]
+                <= row["trials"]
+            )
             assert row["gap"] <= FINE
             assert row["margin"] > 0.0
 
@@ -72,11 +83,14 @@ def test_a_level_that_was_not_reached_counts_as_more_than_the_limit(monkeypatch,
     monkeypatch.setattr(trial, "ITERATION_LIMIT", 3)
     some = {key: starts[key] for key in ("linear_combination", "learned_fixed")}
     rows = table(trials("ball", make_cases("ball", 40, 0), some, PHI))
-    paper, learned = of(rows, "linear_combination"), of(rows, "learned_fixed")
+    paper = of(rows, "linear_combination")
+    learned = of(rows, "learned_fixed")
     assert {*paper["status"]} == {"iteration_limit"}
     assert {*paper["iterations"]} == {*paper["iterations_fine"]} == {4}
     assert {*learned["status"]} == {"optimal", "iteration_limit"}
-    assert (learned["iterations"] == 4).tolist() == (learned["status"] == "iteration_limit").tolist()
+    assert (learned["iterations"] == 4).tolist() == (
+        learned["status"] == "iteration_limit"
+    ).tolist()
 
 
 def test_starts_are_feasible_balanced_and_corrected_ones_no_worse(ball, starts):
@@ -84,19 +98,31 @@ def test_starts_are_feasible_balanced_and_corrected_ones_no_worse(ball, starts):
     assert (numbers(rows, "start_margin") > 0.0).all()
     assert (numbers(rows, "start_residual") < 1e-9).all()
     for one, other in (
-        ("basis_tangent", "linear_combination"), ("basis_newton", "basis_tangent"), ("learned_previous", "linear_combination"),
-        ("learned_previous", "previous_tangent"), ("learned_fixed", "linear_combination"), ("nearest_tangent", "linear_combination"),
-    ):  # fmt: skip
+        ("basis_tangent", "linear_combination"),
+        ("basis_newton", "basis_tangent"),
+        ("learned_previous", "linear_combination"),
+        ("learned_previous", "previous_tangent"),
+        ("learned_fixed", "linear_combination"),
+        ("nearest_tangent", "linear_combination"),
+    ):
         both = of(rows, one).merge(of(rows, other), on="problem")
         assert len(both) >= 11
-        assert (numbers(both, "start_gap_x") <= numbers(both, "start_gap_y") + 1e-12).all(), (one, other)
+        assert (numbers(both, "start_gap_x") <= numbers(both, "start_gap_y") + 1e-12).all(), (
+            one,
+            other,
+        )
     paper = of(rows, "linear_combination").set_index("problem")["start_gap"]
     learned = of(rows, "learned_fixed").set_index("problem")
-    np.testing.assert_allclose(1.0 + learned["start_excess"], (1.0 + learned["start_gap"]) / (1.0 + paper), rtol=1e-9)
-    grasp, load = presets.paper_cuboid(), np.array(wrench.PAPER_CONSTANT)
+    np.testing.assert_allclose(
+        1.0 + learned["start_excess"], (1.0 + learned["start_gap"]) / (1.0 + paper), rtol=1e-9
+    )
+    grasp = presets.paper_cuboid()
+    load = np.array(wrench.PAPER_CONSTANT)
     best = ForceOptimizer(grasp, method="newton", tolerance=1e-10).solve(load)
     for key in ("previous_tangent", "previous_pseudoinverse"):  # exact if nothing changed
-        np.testing.assert_allclose(starts[key].start(grasp, load, best.force), best.force, atol=1e-6)
+        np.testing.assert_allclose(
+            starts[key].start(grasp, load, best.force), best.force, atol=1e-6
+        )
 
 
 def test_a_start_that_does_not_apply_has_no_row_and_one_that_fails_has_one():
@@ -113,7 +139,11 @@ def test_a_start_that_does_not_apply_has_no_row_and_one_that_fails_has_one():
         assert of(rows, key).empty
         with pytest.raises(DoesNotApply):
             more[key].start(cases[0].grasp, cases[0].wrench, None)
-    reasons = {"lagrange": "no feasible start", "boom": "ValueError: many words", "flat": "InvalidInputError: "}
+    reasons = {
+        "lagrange": "no feasible start",
+        "boom": "ValueError: many words",
+        "flat": "InvalidInputError: ",
+    }
     for key, method in product(reasons, METHODS):
         found = of(rows, key, method)
         assert found["status"].tolist() == ["no_start"] * len(cases)
@@ -127,7 +157,9 @@ def test_invalid_forces_are_told_from_each_other():
         "unbalanced": lambda grasp, load: np.tile([1.0, 0.0, 0.0], (grasp.n_contacts, 1)),
         "outside": lambda grasp, load: -(grasp.pseudoinverse @ load).reshape(-1, 3),
         "own": lambda grasp, load: CoreRule("single_value")(grasp, load),
-        "discarded": lambda grasp, load: Repair()(grasp, load, np.tile([10.0, 0.0, 0.0], (grasp.n_contacts, 1))),
+        "discarded": lambda grasp, load: Repair()(
+            grasp, load, np.tile([10.0, 0.0, 0.0], (grasp.n_contacts, 1))
+        ),
     }
     made = StartContext(PHI, given).made()
     some = {key: made[key] for key in ("single_value", "linear_combination", *given)}
@@ -143,7 +175,9 @@ def test_invalid_forces_are_told_from_each_other():
     assert mine.equals(ours)  # the same rule
     assert of(rows, "discarded")["start_replaced"].tolist() == [True] * 5
     assert not of(rows, "own")["start_replaced"].any()
-    np.testing.assert_array_equal(of(rows, "discarded")["iterations"], of(rows, "linear_combination")["iterations"])
+    np.testing.assert_array_equal(
+        of(rows, "discarded")["iterations"], of(rows, "linear_combination")["iterations"]
+    )
 
 
 def test_the_nearest_stored_solution_is_that_of_its_wrench_and_optima_are_of_their_grasp(factory):
@@ -158,22 +192,32 @@ def test_the_nearest_stored_solution_is_that_of_its_wrench_and_optima_are_of_the
 
 
 def test_slopes_are_differences_along_a_path():
-    grasp, start = presets.paper_cuboid(), StartContext(PHI).named("linear_combination")
+    grasp = presets.paper_cuboid()
+    start = StartContext(PHI).named("linear_combination")
     loads = np.array([[1, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0.05], [0, 0, 0, 0, 0, 0.05]], float)
-    cases = [Case(grasp, loads[0]), Case(grasp, loads[1], (grasp, loads[0])), Case(grasp, loads[2], (grasp, loads[0]))]
-    slopes = numbers(table(trials("x", cases, {"linear_combination": start}, PHI, solved=False)), "start_slope")
+    cases = [
+        Case(grasp, loads[0]),
+        Case(grasp, loads[1], (grasp, loads[0])),
+        Case(grasp, loads[2], (grasp, loads[0])),
+    ]
+    slopes = numbers(
+        table(trials("x", cases, {"linear_combination": start}, PHI, solved=False)), "start_slope"
+    )
     move = start.start(grasp, loads[1], None) - start.start(grasp, loads[0], None)
     assert slopes[1] == pytest.approx(np.linalg.norm(move) / 1.0)  # 0.05 N m over 0.05 m is 1 N
     assert np.isnan(slopes[[0, 2]]).all()  # the last case does not follow the one before it
 
 
 def test_timed_calls_start_where_the_compared_starts_are(starts):
-    grasp, (first, second) = presets.paper_cuboid(), wrench.sample_ball(np.random.default_rng(5), 2)
+    grasp = presets.paper_cuboid()
+    (first, second) = wrench.sample_ball(np.random.default_rng(5), 2)
     paper = PHI.value(grasp.to_cone(starts["linear_combination"].start(grasp, second, None)))
     for key, made in starts.items():
         loop = ForceOptimizer(grasp, method="reduced_flow", **made.options)
         before = loop.solve(first).force
-        solution = loop.solve(second, initial=None if made.options else made.start(grasp, second, before))
+        solution = loop.solve(
+            second, initial=None if made.options else made.start(grasp, second, before)
+        )
         assert solution.status is Status.OPTIMAL
         if key.startswith("learned"):
             assert PHI.value(grasp.to_cone(solution.initial_force)) <= paper * (1.0 + 1e-12)

@@ -1,4 +1,5 @@
-"""Pages show the numbers of the table, need no other file, and are readable in a browser, wide and narrow."""
+"""Pages show the numbers of the table, need no other file, and are readable in a browser, wide and
+narrow."""
 
 from __future__ import annotations
 
@@ -24,16 +25,26 @@ EXECUTABLE = find_browser()
 @pytest.fixture(scope="module")
 def held(tmp_path_factory):
     """Made-up episodes of every scenario of `grasp evaluate env`, with their page."""
-    folder, rng, rows = Run.create(tmp_path_factory.mktemp("runs"), "env"), np.random.default_rng(0), []
+    folder = Run.create(tmp_path_factory.mktemp("runs"), "env")
+    rng = np.random.default_rng(0)
+    rows = []
     rates = {"paper": 0.97, "estimated": 0.9, "constant_squeeze": 0.6, "pd": 0.3}
     for scenario in controllers_plan(20):
         for seed in range(scenario.episodes):
             ok = bool(rng.random() < rates[scenario.keys["controller"]])
-            rows.append({
-                "case": scenario.case, **scenario.keys, "engine": "bullet", "seed": seed, "held": ok,
-                "failure": None if ok else "dropped", "drift": 0.1 if ok else None,
-                "normal_force": 10.0 / scenario.keys.get("friction_margin", 1.0) + scenario.keys.get("squeeze", 0.0),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "case": scenario.case,
+                    **scenario.keys,
+                    "engine": "bullet",
+                    "seed": seed,
+                    "held": ok,
+                    "failure": None if ok else "dropped",
+                    "drift": 0.1 if ok else None,
+                    "normal_force": 10.0 / scenario.keys.get("friction_margin", 1.0)
+                    + scenario.keys.get("squeeze", 0.0),
+                }
+            )
     folder.save(table(rows), {"kind": "env", "quick": False, "settings": {"episodes": 20}})
     return folder, write(folder)[0].read_text()
 
@@ -49,11 +60,16 @@ def test_pages_need_no_other_file(held):
 
 def test_tables_and_charts_of_starts_are_recomputed_from_the_rows():
     rows = small_run().folder.load()[0]
-    rows = rows[~rows["start"].isin(["sometimes", "outside"])]  # without the user's starts, which fail
-    means, keys = summary(rows), starts_page.shown(summary(rows))
+    rows = rows[
+        ~rows["start"].isin(["sometimes", "outside"])
+    ]  # without the user's starts, which fail
+    means = summary(rows)
+    keys = starts_page.shown(summary(rows))
     cells = starts_page.all_starts(rows, means).set_index("start")
     (panel,) = starts_page.bars("iterations", "iterations")(rows, means).axes
-    assert [tick.get_text() for tick in panel.get_yticklabels()] == [starts_page.start_info(key).short for key in keys]
+    assert [tick.get_text() for tick in panel.get_yticklabels()] == [
+        starts_page.start_info(key).short for key in keys
+    ]
     flow = chosen(rows, "method == 'reduced_flow'")
     for key in ("linear_combination", "lagrange", "network"):
         ball = chosen(flow, f"case == 'ball' and start == '{key}'")
@@ -63,14 +79,26 @@ def test_tables_and_charts_of_starts_are_recomputed_from_the_rows():
             assert [float(part) for part in parts] == pytest.approx(expected, rel=5e-3)
             if column == "iterations" and key in keys:
                 place = keys.index(key) - 0.2
-                lines = [line for line in panel.lines if len(line.get_xdata()) == 2 and line.get_ydata()[0] == place]
+                lines = [
+                    line
+                    for line in panel.lines
+                    if len(line.get_xdata()) == 2 and line.get_ydata()[0] == place
+                ]
                 assert {tuple(line.get_xdata()) for line in lines} == {tuple(expected)}
     hard = starts_page.hardest_problems(rows, means)
     assert hard["iterations"].iloc[0] == flow[flow["start"].isin(keys)]["iterations"].max()
     assert hard["iterations"].is_monotonic_decreasing
-    none = {"case": "ball", "start": "network", "method": "newton", "status": "no_start", "reason": "no feasible start"}
+    none = {
+        "case": "ball",
+        "start": "network",
+        "method": "newton",
+        "status": "no_start",
+        "reason": "no feasible start",
+    }
     broken = join([rows, table([none] * 3)])
-    failures = starts_page.failures(broken, summary(broken)).query("why == 'no feasible start' and start == 'network'")
+    failures = starts_page.failures(broken, summary(broken)).query(
+        "why == 'no feasible start' and start == 'network'"
+    )
     assert failures["count"].tolist() == [3]
 
 
@@ -86,8 +114,13 @@ def test_claims_are_all_measured_missed_ones_first_and_can_be_missed(held, capsy
     assert verdicts == sorted(verdicts, key=[False, None, True].index)
     assert {*starts_page.CLAIMS} <= {row.claim for row in claims if row.met is not None}
     means = summary(rows)
-    worse = means.assign(iterations_median=means["iterations_median"].where(means["start"] != "network", 99.0))
-    assert [judge(starts_page.CLAIMS[:1], found)[0].met for found in (means, worse)] == [True, False]
+    worse = means.assign(
+        iterations_median=means["iterations_median"].where(means["start"] != "network", 99.0)
+    )
+    assert [judge(starts_page.CLAIMS[:1], found)[0].met for found in (means, worse)] == [
+        True,
+        False,
+    ]
 
 
 def test_hold_rates_mark_the_chosen_setting_and_count_failures(held):
@@ -103,7 +136,14 @@ def test_hold_rates_mark_the_chosen_setting_and_count_failures(held):
         else:
             assert best["held_mean"] == curve["held_mean"].max()
     assert any((means["chosen"] & (means["held_mean"] >= holds_page.ASKED_RATE)).tolist())
-    lost = {"case": "objects", "controller": "pd", "held": False, "failure": "no_start", "seed": 77, "detail": "none"}
+    lost = {
+        "case": "objects",
+        "controller": "pd",
+        "held": False,
+        "failure": "no_start",
+        "seed": 77,
+        "detail": "none",
+    }
     more = join([rows, table([lost])])
     failures = holds_page.failures(more, means)
     assert failures["count"].sum() == (numbers(more, "held") == 0.0).sum()
@@ -113,7 +153,10 @@ def test_hold_rates_mark_the_chosen_setting_and_count_failures(held):
 
 def test_any_table_gets_a_page_and_changed_files_are_refused(tmp_path):
     folder = Run.create(tmp_path, "other")
-    folder.save(table([{"case": "a", "per_second": 2.0}, {"case": "a", "per_second": 4.0}]), {"kind": "something"})
+    folder.save(
+        table([{"case": "a", "per_second": 2.0}, {"case": "a", "per_second": 4.0}]),
+        {"kind": "something"},
+    )
     assert "<td>3</td><td>4</td>" in write(folder)[0].read_text()  # median and maximum
     folder.path("rows.csv").write_bytes(b"no table")
     with pytest.raises(InvalidInputError, match="is not a table of results"):
@@ -124,9 +167,14 @@ def test_two_runs_are_compared_with_intervals(tmp_path, capsys):
     def rows(factor: float, rate: float) -> pd.DataFrame:
         rng = np.random.default_rng(1)
         return table(
-            {"case": "ball", "problem": k, "held": bool(rng.random() < rate), "microseconds": factor * rng.uniform(3.0, 4.0)}
+            {
+                "case": "ball",
+                "problem": k,
+                "held": bool(rng.random() < rate),
+                "microseconds": factor * rng.uniform(3.0, 4.0),
+            }
             for k in range(200)
-        )  # fmt: skip
+        )
 
     for name, factor, rate in (("a", 1.0, 0.9), ("b", 1.2, 0.5), ("c", 1.0, 0.9)):
         Run.create(tmp_path, name).save(rows(factor, rate), {"kind": "starts"})
@@ -156,8 +204,12 @@ def test_a_page_opens_from_disk_without_requests_errors_or_overflow():
         for size, scheme in (((390, 800), "light"), ((1280, 900), "dark")):
             tab.show(path, *size, prefers_color_scheme=scheme)
             assert tab.value("document.documentElement.scrollWidth") <= size[0]
-            broken = tab.value("Promise.all([...document.images].map(i => i.decode().then(() => !i.naturalWidth, () => true)))")  # fmt: skip
+            broken = tab.value(
+                "Promise.all([...document.images].map(i => i.decode().then(() => !i.naturalWidth, () => true)))"
+            )
             assert len(broken) >= 6
             assert not any(broken)
-        assert {request for request in tab.requests if not request.startswith("data:")} == {path.as_uri()}
+        assert {request for request in tab.requests if not request.startswith("data:")} == {
+            path.as_uri()
+        }
         assert tab.errors == []

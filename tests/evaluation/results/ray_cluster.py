@@ -1,4 +1,5 @@
-"""Program of test_shards.py, for a network namespace of its own: two Ray nodes on this machine, and the map on them."""
+"""Program of test_shards.py, for a network namespace of its own: two Ray nodes on this machine, and
+the map on them."""
 
 from __future__ import annotations
 
@@ -20,7 +21,9 @@ def main(folder: Path) -> None:
     import ray
     from ray.cluster_utils import Cluster
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "object_store_memory": 80_000_000})
+    cluster = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 1, "object_store_memory": 80_000_000}
+    )
     cluster.add_node(num_cpus=1, object_store_memory=80_000_000)
     os.environ["RAY_ADDRESS"] = cluster.address
     try:
@@ -28,8 +31,12 @@ def main(folder: Path) -> None:
         rows, about = map_shards(work.squares, shards, on="ray")
         write(folder / "ray.csv", rows)
         write(folder / "inline.csv", map_shards(work.squares, shards, on="inline")[0])
-        where = map_shards(work.process, names([(k, folder) for k in range(8)]), on="ray")[0]["bytes"].nunique()
-        dead = map_shards(work.dies_once, names([(k, folder) for k in range(4)]), on="ray")[0]["problem"].tolist()
+        where = map_shards(work.process, names([(k, folder) for k in range(8)]), on="ray")[0][
+            "bytes"
+        ].nunique()
+        dead = map_shards(work.dies_once, names([(k, folder) for k in range(4)]), on="ray")[0][
+            "problem"
+        ].tolist()
         print(f"workers {about['workers']}, processes {where}, dead {dead}")
     finally:
         ray.shutdown()

@@ -1,4 +1,5 @@
-"""The map gives the same rows wherever it runs, and loses nothing if a worker dies or the work is interrupted."""
+"""The map gives the same rows wherever it runs, and loses nothing if a worker dies or the work is
+interrupted."""
 
 from __future__ import annotations
 
@@ -46,7 +47,8 @@ def test_the_shard_of_a_killed_worker_runs_again_and_finished_ones_do_not(tmp_pa
 
 @pytest.mark.parametrize("on", ["inline", "processes"])
 def test_an_interrupted_map_continues(tmp_path, on):
-    shards, keep = names([(place, tmp_path) for place in range(4)]), tmp_path / "shards"
+    shards = names([(place, tmp_path) for place in range(4)])
+    keep = tmp_path / "shards"
     with pytest.raises(RuntimeError, match="out of luck"):
         map_shards(work.fails, shards, on=on, workers=1, keep=keep)
     kept = {path.stem for path in keep.glob("*.csv")}
@@ -65,10 +67,15 @@ def test_rows_keep_the_order_of_the_shards_on_a_cluster_that_ends_them_backwards
     """A stub of Ray's functions, without a cluster."""
     started: list[dict] = []
     stub = SimpleNamespace(
-        init=lambda **options: started.append(options), shutdown=lambda: started.clear(), get=lambda reference: reference[0](),
-        remote=lambda **options: lambda call: SimpleNamespace(remote=lambda *given: (lambda: call(*given),)),
-        wait=lambda waiting: (waiting[-1:], waiting[:-1]), cluster_resources=lambda: {"CPU": 2.0},
-    )  # fmt: skip
+        init=lambda **options: started.append(options),
+        shutdown=lambda: started.clear(),
+        get=lambda reference: reference[0](),
+        remote=lambda **options: (
+            lambda call: SimpleNamespace(remote=lambda *given: (lambda: call(*given),))
+        ),
+        wait=lambda waiting: (waiting[-1:], waiting[:-1]),
+        cluster_resources=lambda: {"CPU": 2.0},
+    )
     monkeypatch.setitem(sys.modules, "ray", stub)
     monkeypatch.setattr("training.evaluation.results.shards.need", lambda extra: None)
     rows, about = map_shards(work.squares, SHARDS, on="ray")
@@ -79,7 +86,10 @@ def test_rows_keep_the_order_of_the_shards_on_a_cluster_that_ends_them_backwards
         raise ConnectionError("nobody answers")
 
     stub.init = refuse
-    for on, message in (("ray", "no Ray cluster was found for --on ray"), ("cloud", "on must be inline, processes")):
+    for on, message in (
+        ("ray", "no Ray cluster was found for --on ray"),
+        ("cloud", "on must be inline, processes"),
+    ):
         with pytest.raises(InvalidInputError, match=message):
             map_shards(work.squares, SHARDS, on=on)
 
@@ -88,12 +98,17 @@ def test_rows_keep_the_order_of_the_shards_on_a_cluster_that_ends_them_backwards
 def test_two_ray_nodes_give_the_bytes_of_the_loop_and_a_killed_worker_loses_nothing(tmp_path):
     """Ray listens on all interfaces, so it runs in a network namespace with nothing but loopback."""
     pytest.importorskip("ray", reason="the extra 'ray' is not installed")
-    if not all(map(shutil.which, ("unshare", "ip"))) or subprocess.run([*NAMESPACE, "true"], timeout=30).returncode:
+    if (
+        not all(map(shutil.which, ("unshare", "ip")))
+        or subprocess.run([*NAMESPACE, "true"], timeout=30).returncode
+    ):
         pytest.skip("no network namespace can be made here")
     paths = [str(path) for path in (HERE.parents[1], HERE.parent)]
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
     command = [*NAMESPACE, sys.executable, str(HERE / "ray_cluster.py"), str(tmp_path)]
-    run = subprocess.run(command, env=env, cwd=HERE.parents[1], capture_output=True, text=True, timeout=240)
+    run = subprocess.run(
+        command, env=env, cwd=HERE.parents[1], capture_output=True, text=True, timeout=240
+    )
     assert run.returncode == 0, run.stderr[-3000:]
     assert "workers 2, processes 2, dead [0, 1, 2, 3]" in run.stdout
     assert (tmp_path / "ray.csv").read_bytes() == (tmp_path / "inline.csv").read_bytes()

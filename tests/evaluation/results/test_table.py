@@ -1,4 +1,5 @@
-"""Run folders hold whole files; tables keep every value; summaries and claims agree with a plain recomputation."""
+"""Run folders hold whole files; tables keep every value; summaries and claims agree with a plain
+recomputation."""
 
 from __future__ import annotations
 
@@ -31,10 +32,19 @@ from training.evaluation.results.table import (
 def made() -> pd.DataFrame:
     rng = np.random.default_rng(0)
     rows = [
-        {"case": case, "start": start, "problem": k, "iterations": int(rng.integers(0, 99)), "start_gap": rng.random(),
-         "held": bool(rng.random() < 0.7), "status": "optimal"}
-        for case in ("ball", "jump") for start in ("paper", None) for k in range(50)
-    ]  # fmt: skip
+        {
+            "case": case,
+            "start": start,
+            "problem": k,
+            "iterations": int(rng.integers(0, 99)),
+            "start_gap": rng.random(),
+            "held": bool(rng.random() < 0.7),
+            "status": "optimal",
+        }
+        for case in ("ball", "jump")
+        for start in ("paper", None)
+        for k in range(50)
+    ]
     rows[3] |= {"iterations": None, "status": "no_start", "start_gap": None, "held": None}
     return table(rows)
 
@@ -67,10 +77,17 @@ def test_a_finished_run_records_how_it_was_made(tmp_path):
     assert about["columns"]["drift"].startswith("[mm] largest distance of the object")
     assert {"command", "time", "machine", "versions", "commit", "settings"} <= {*about}
     assert run.load()[0]["drift"].tolist() == [0.5]
-    assert [path.name for path in run.folder.iterdir() if path.is_dir()] == []  # no shards of what is finished
+    # no shards of what is finished
+    assert [path.name for path in run.folder.iterdir() if path.is_dir()] == []
     for call, message in (
-        (lambda: run.begin({"seed": 2, "hands": ("allegro",)}), r"was begun with other settings \(seed\)"),
-        (lambda: Run.create(tmp_path, "a"), "holds a finished run: choose another name or remove it"),
+        (
+            lambda: run.begin({"seed": 2, "hands": ("allegro",)}),
+            r"was begun with other settings \(seed\)",
+        ),
+        (
+            lambda: Run.create(tmp_path, "a"),
+            "holds a finished run: choose another name or remove it",
+        ),
         (lambda: Run.open(tmp_path / "nothing"), "is not a finished run"),
         (lambda: check_counts(type("Settings", (), {"seed": -1}), {"seed": 0}), "seed"),
         (lambda: table([{"speed": 1.0}]), "unknown columns speed: add them to COLUMNS"),
@@ -86,9 +103,29 @@ def test_a_finished_run_records_how_it_was_made(tmp_path):
 @pytest.mark.parametrize("end", [".csv", ".csv.xz"])
 def test_files_keep_every_value_and_type(tmp_path, end):
     rng = np.random.default_rng(1)
-    odd = [-0.0, np.inf, -np.inf, 5e-324, *rng.normal(size=300) * 10.0 ** rng.integers(-300, 300, 300)]
-    texts = ["NA", "nan", "true", " a ", "a\rb", 'a\n"b",', "\u2028"]  # what readers of CSV take for something else
-    rows = join([made(), table([{"start_gap": each} for each in odd]), table([{"detail": each} for each in texts])])
+    odd = [
+        -0.0,
+        np.inf,
+        -np.inf,
+        5e-324,
+        *rng.normal(size=300) * 10.0 ** rng.integers(-300, 300, 300),
+    ]
+    texts = [
+        "NA",
+        "nan",
+        "true",
+        " a ",
+        "a\rb",
+        'a\n"b",',
+        "\u2028",
+    ]  # what readers of CSV take for something else
+    rows = join(
+        [
+            made(),
+            table([{"start_gap": each} for each in odd]),
+            table([{"detail": each} for each in texts]),
+        ]
+    )
     for name in ("rows", "again"):
         write(tmp_path / f"{name}{end}", rows)
     found = read(tmp_path / f"rows{end}")
@@ -98,13 +135,18 @@ def test_files_keep_every_value_and_type(tmp_path, end):
 
 
 def test_summaries_have_seven_digits(tmp_path):
-    means = pd.DataFrame({"case": ["a"], "n": [12345678], "gap_max": [123456789.123], "gap_min": [1 / 3]})
+    means = pd.DataFrame(
+        {"case": ["a"], "n": [12345678], "gap_max": [123456789.123], "gap_min": [1 / 3]}
+    )
     write_summary(tmp_path / "summary.csv", means)
-    assert (tmp_path / "summary.csv").read_text() == "case,n,gap_max,gap_min\na,12345678,1.234568e+08,0.3333333\n"
+    assert (
+        tmp_path / "summary.csv"
+    ).read_text() == "case,n,gap_max,gap_min\na,12345678,1.234568e+08,0.3333333\n"
 
 
 def test_damaged_tables_are_refused(tmp_path, monkeypatch):
-    plain, packed = tmp_path / "rows.csv", tmp_path / "rows.csv.xz"
+    plain = tmp_path / "rows.csv"
+    packed = tmp_path / "rows.csv.xz"
     for path, message in ((plain, "its last line is cut off"), (packed, "it is cut off, or has")):
         write(path, made())
         blob = path.read_bytes()
@@ -113,11 +155,17 @@ def test_damaged_tables_are_refused(tmp_path, monkeypatch):
             with pytest.raises(InvalidInputError, match=f"is not a table of results: {message}"):
                 read(path)
     for text, message in (
-        ("case,speed\na,1\n", "it has the unknown column 'speed'"), ("iterations\nmany\n", "many"), ("held\n2.5\n", "2.5"),
-        ("gap\nsmall\n", "small"), ("case,gap\na,1\na,1,2\n", "fields"),
-    ):  # fmt: skip
+        ("case,speed\na,1\n", "it has the unknown column 'speed'"),
+        ("iterations\nmany\n", "many"),
+        ("held\n2.5\n", "2.5"),
+        ("gap\nsmall\n", "small"),
+        ("case,gap\na,1\na,1,2\n", "fields"),
+    ):
         plain.write_text(text)
-        with pytest.raises(InvalidInputError, match=f"is not a table of results: .*{message}.*; give a run's rows.csv"):
+        with pytest.raises(
+            InvalidInputError,
+            match=f"is not a table of results: .*{message}.*; give a run's rows.csv",
+        ):
             read(plain)
     monkeypatch.setattr("training.evaluation.results.table.WEIGHTS", 1000)
     packed.write_bytes(lzma.compress(b"case\n" + b"a\n" * 10_000))
@@ -155,7 +203,9 @@ def test_the_summary_is_recomputed_by_numpy():
         assert row["iterations_missing"] == 50 - len(steps)
         assert row["iterations_median"] == np.median(steps)
         place = 0.99 * (len(steps) - 1)  # p99 by its definition: linear between order statistics
-        assert row["iterations_p99"] == pytest.approx(np.interp(place, np.arange(len(steps)), steps))
+        assert row["iterations_p99"] == pytest.approx(
+            np.interp(place, np.arange(len(steps)), steps)
+        )
         held = mine["held"].dropna().to_numpy(float)
         assert row["held_sum"] == held.sum()
         assert row["held_rate_low"] < held.mean() < row["held_rate_high"]
@@ -172,8 +222,10 @@ def test_the_interquartile_mean_cuts_a_quarter_at_each_end_rounded_down(count):
 
 
 def test_ends_of_a_ratio_leave_out_a_fortieth_of_the_resamples_each():
-    rng, seen = np.random.default_rng(2), list[np.ndarray]()
-    numerator, denominator = rng.uniform(1.0, 3.0, 50), rng.uniform(1.0, 2.0, 50)
+    rng = np.random.default_rng(2)
+    seen = list[np.ndarray]()
+    numerator = rng.uniform(1.0, 3.0, 50)
+    denominator = rng.uniform(1.0, 2.0, 50)
 
     def recorded(values, axis):
         seen.append(values.mean(axis=axis))
@@ -194,26 +246,63 @@ def test_ends_of_a_ratio_leave_out_a_fortieth_of_the_resamples_each():
     ("claim", "measured", "met"),
     [
         (Claim("a", "case == 'ball'", "iterations_median", "<=", 60), 50.0, True),
-        (Claim("the worst row counts", "start == 'paper'", "iterations_median", "<=", 60), 70.0, False),
-        (Claim("a ratio of pairs", "start == 'net'", "iterations_median", "<", 0.2, "start == 'paper'"), 0.1, True),
-        (Claim("a difference", "start == 'net'", "iterations_median", "within", 50, "start == 'paper'", True), -63.0, False),
+        (
+            Claim("the worst row counts", "start == 'paper'", "iterations_median", "<=", 60),
+            70.0,
+            False,
+        ),
+        (
+            Claim(
+                "a ratio of pairs",
+                "start == 'net'",
+                "iterations_median",
+                "<",
+                0.2,
+                "start == 'paper'",
+            ),
+            0.1,
+            True,
+        ),
+        (
+            Claim(
+                "a difference",
+                "start == 'net'",
+                "iterations_median",
+                "within",
+                50,
+                "start == 'paper'",
+                True,
+            ),
+            -63.0,
+            False,
+        ),
         (Claim("least", "start == 'net'", "iterations_median", ">=", 6), 5.0, False),
         (Claim("no such start", "start == 'other'", "iterations_median", "<=", 60), None, None),
         (Claim("no such column", "case == 'ball'", "drift_max", "<=", 60), None, None),
         (Claim("no such key", "hand == 'ball'", "iterations_median", "<=", 60), None, None),
     ],
-)  # fmt: skip
+)
 def test_a_claim_holds_in_every_row_of_its_query(claim, measured, met):
-    rows = pd.DataFrame({
-        "case": ["ball", "ball", "jump", "jump"], "start": ["paper", "net", "net", "paper"],
-        "iterations_median": [50.0, 5.0, 7.0, 70.0],
-    })  # fmt: skip
+    rows = pd.DataFrame(
+        {
+            "case": ["ball", "ball", "jump", "jump"],
+            "start": ["paper", "net", "net", "paper"],
+            "iterations_median": [50.0, 5.0, 7.0, 70.0],
+        }
+    )
     (judged,) = judge([claim], rows)
     assert (judged.measured, judged.met) == (measured, met)
 
 
 def test_missing_numbers_miss_a_claim_and_missed_claims_come_first():
-    rows = pd.DataFrame({"case": ["ball", "jump"], "drift_max": [np.nan, 0.5], "gap_p99": [4.0, 4.0], "gap_missing": [1, 0]})  # fmt: skip
+    rows = pd.DataFrame(
+        {
+            "case": ["ball", "jump"],
+            "drift_max": [np.nan, 0.5],
+            "gap_p99": [4.0, 4.0],
+            "gap_missing": [1, 0],
+        }
+    )
     claims = [
         Claim("met", "case == 'jump'", "drift_max", "<=", 1, unit="mm"),
         Claim("unknown", "case == 'other'", "drift_max", "<=", 1, unit="mm"),
@@ -223,8 +312,12 @@ def test_missing_numbers_miss_a_claim_and_missed_claims_come_first():
     ]
     judged = judge(claims, rows)
     assert [(row.claim.name, row.met) for row in judged] == [
-        ("missed", False), ("one case lacks it", False), ("unknown", None), ("met", True), ("no case lacks it", True),
-    ]  # fmt: skip
+        ("missed", False),
+        ("one case lacks it", False),
+        ("unknown", None),
+        ("met", True),
+        ("no case lacks it", True),
+    ]
     text = "\n".join(lines(judged))
     assert text.startswith("MISSED  missed\n        asked <= 1 mm; measured 0.5 mm\n")
     assert "not measured in this run" in text

@@ -23,7 +23,9 @@ def squares(shard: tuple[int, int]) -> pd.DataFrame:
     """Rows of random numbers from the shard's own generator."""
     first, count = shard
     rng = np.random.default_rng(first)
-    return table([{"case": f"shard {first}", "problem": k, "gap": rng.random()} for k in range(count)])
+    return table(
+        [{"case": f"shard {first}", "problem": k, "gap": rng.random()} for k in range(count)]
+    )
 
 
 def dies_once(shard: tuple[int, Path]) -> pd.DataFrame:

@@ -1,1 +1,3 @@
-"""Comparisons of starts, controllers, hands and engines: each is a function of settings that returns rows."""
+"""Comparisons of starts, controllers, hands and engines: each is a function of settings that
+returns rows.
+"""

@@ -23,7 +23,8 @@ MAGNITUDES = (1e-3, 1e3)
 """Range of |(force, moment / 0.05 m)| of the set "six_decades" [N], log-uniform."""
 DIRECTION_SIZES = (0.5, 1.0, 2.0)
 TRAINED, _LEVELS = (0.25, 0.6), 20
-"""Range of friction on which the model of the fixed grasp is trained, and number of frictions compared in it."""
+"""Range of friction on which the model of the fixed grasp is trained, and number of frictions
+compared in it."""
 FRICTIONS = (0.2, 0.7, 0.8)
 """Frictions outside that range."""
 DISPLACEMENT = 0.010
@@ -72,24 +73,37 @@ def make_cases(name: str, count: int, seed: int) -> list[Case]:
 
 
 def path_cases(grasp: Grasp, path: Array, group: int = 0, event: str = "") -> list[Case]:
-    """Return the cases of a path of wrenches (n, 6) on one grasp, each with its predecessor; the first is cold."""
-    return [Case(grasp, load, (grasp, path[k - 1]) if k else None, group, event) for k, load in enumerate(path)]
+    """Return the cases of a path of wrenches (n, 6) on one grasp, each with its predecessor; the
+    first is cold.
+    """
+    return [
+        Case(grasp, load, (grasp, path[k - 1]) if k else None, group, event)
+        for k, load in enumerate(path)
+    ]
 
 
 def directions() -> list[tuple[str, Array]]:
-    """Return 18 named wrenches (6,) of 1 N or 0.05 N m: both directions of every axis, and six pairs of axes.
+    """Return 18 named wrenches (6,) of 1 N or 0.05 N m: both directions of every axis, and six
+    pairs of axes.
 
     Example:
         >>> [name for name, _ in directions()][::5]
         ['+x', '-z', '+mz', '+mx+my']
     """
     unit = np.diag([1.0, 1.0, 1.0, MOMENT_RADIUS, MOMENT_RADIUS, MOMENT_RADIUS])
-    single = [(f"{sign}{_AXES[k]}", (1.0 if sign == "+" else -1.0) * unit[k]) for k in range(6) for sign in "+-"]
-    return single + [(f"+{_AXES[a]}+{_AXES[b]}", (unit[a] + unit[b]) / np.sqrt(2.0)) for a, b in _PAIRS]
+    single = [
+        (f"{sign}{_AXES[k]}", (1.0 if sign == "+" else -1.0) * unit[k])
+        for k in range(6)
+        for sign in "+-"
+    ]
+    return single + [
+        (f"+{_AXES[a]}+{_AXES[b]}", (unit[a] + unit[b]) / np.sqrt(2.0)) for a, b in _PAIRS
+    ]
 
 
 def trajectory(rng: np.random.Generator, samples: int, rate: float = 100.0) -> Array:
-    """Return wrenches (samples, 6) inside the standard ball; each component is the sum of two sines of 0.2 to 2 Hz.
+    """Return wrenches (samples, 6) inside the standard ball; each component is the sum of two sines
+    of 0.2 to 2 Hz.
 
     Args:
         rng: draws frequencies, phases and amplitudes.
@@ -97,7 +111,8 @@ def trajectory(rng: np.random.Generator, samples: int, rate: float = 100.0) -> A
         rate: sampling rate [Hz].
     """
     time = np.arange(samples)[:, None, None] / rate
-    frequency, phase = rng.uniform(0.2, 2.0, (2, 6)), rng.uniform(0.0, 2.0 * np.pi, (2, 6))
+    frequency = rng.uniform(0.2, 2.0, (2, 6))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (2, 6))
     size = rng.uniform(0.2, 1.0, (2, 6))
     waves = (size * np.sin(2.0 * np.pi * frequency * time + phase)).sum(axis=1) / size.sum(axis=0)
     return waves * _RADII / np.sqrt(3.0)
@@ -113,7 +128,11 @@ def _paths(paths: Callable[[np.random.Generator, int], Iterable[Array]]) -> Make
 
     def make(rng: np.random.Generator, count: int) -> list[Case]:
         grasp = presets.paper_cuboid()
-        return [case for group, path in enumerate(paths(rng, count)) for case in path_cases(grasp, path, group)]
+        return [
+            case
+            for group, path in enumerate(paths(rng, count))
+            for case in path_cases(grasp, path, group)
+        ]
 
     return make
 
@@ -123,7 +142,8 @@ def _ball(scale: float) -> Maker:
 
 
 def _constant(rng: np.random.Generator, count: int) -> list[Case]:
-    grasp, load = presets.paper_cuboid(), np.array(wrench.PAPER_CONSTANT)
+    grasp = presets.paper_cuboid()
+    load = np.array(wrench.PAPER_CONSTANT)
     return [Case(grasp, load, (grasp, 0.97 * load))]
 
 
@@ -138,7 +158,8 @@ def _directions(rng: np.random.Generator, count: int) -> list[Case]:
 
 def _jumps(size: float, rng: np.random.Generator, count: int) -> list[Case]:
     """Make pairs of wrenches in the ball, `size` times its radius apart in force and in moment."""
-    grasp, cases = presets.paper_cuboid(), list[Case]()
+    grasp = presets.paper_cuboid()
+    cases = list[Case]()
     while len(cases) < count:
         old = wrench.sample_ball(rng, 1)[0]
         direction = rng.standard_normal((2, 3))
@@ -159,7 +180,8 @@ def _lines(rng: np.random.Generator, count: int) -> list[Array]:
 
 
 def _frictions(rng: np.random.Generator, count: int) -> list[Case]:
-    cases, fixed = list[Case](), presets.paper_cuboid()
+    cases = list[Case]()
+    fixed = presets.paper_cuboid()
     for group, mu in enumerate(FRICTIONS):
         path = wrench.sample_ball(rng, max(2, count // len(FRICTIONS)))
         cases += path_cases(fixed.with_friction(mu), path, group, f"{mu:g}")
@@ -167,7 +189,9 @@ def _frictions(rng: np.random.Generator, count: int) -> list[Case]:
 
 
 def _ball_frictions(rng: np.random.Generator, count: int) -> list[Case]:
-    """Make cold starts on the ball, cycling through frictions that are each drawn from one part of the trained range."""
+    """Make cold starts on the ball, cycling through frictions that are each drawn from one part of
+    the trained range.
+    """
     low, high = TRAINED
     drawn = low + (high - low) * (np.arange(_LEVELS) + rng.random(_LEVELS)) / _LEVELS
     grasps = [presets.paper_cuboid().with_friction(mu) for mu in drawn.tolist()]
@@ -178,15 +202,21 @@ def _ball_frictions(rng: np.random.Generator, count: int) -> list[Case]:
 
 
 def _positions(rng: np.random.Generator, count: int) -> list[Case]:
-    cases, fixed = list[Case](), presets.paper_cuboid()
+    cases = list[Case]()
+    fixed = presets.paper_cuboid()
     for group in range(max(1, count // _PER_GRASP)):
-        cases += path_cases(slide_contacts(rng, fixed, 0.0, DISPLACEMENT), wrench.sample_ball(rng, _PER_GRASP), group)
+        cases += path_cases(
+            slide_contacts(rng, fixed, 0.0, DISPLACEMENT),
+            wrench.sample_ball(rng, _PER_GRASP),
+            group,
+        )
     return cases
 
 
 def _random(contacts: int, rng: np.random.Generator, count: int) -> list[Case]:
     return [
-        Case(EVALUATION.closed(rng, contacts), wrench.sample_ball(rng, 1)[0], None, group) for group in range(count)
+        Case(EVALUATION.closed(rng, contacts), wrench.sample_ball(rng, 1)[0], None, group)
+        for group in range(count)
     ]
 
 
@@ -201,63 +231,119 @@ _STEP = "the step before it"
 _COLD = "none: every case is a cold start"
 _JUMP = "the wrench before the jump"
 SETS: dict[str, CaseSet] = {
-    "constant": CaseSet("the paper's constant wrench", "the same wrench, 3 % smaller", _constant, 0.0),
+    "constant": CaseSet(
+        "the paper's constant wrench", "the same wrench, 3 % smaller", _constant, 0.0
+    ),
     "paper_path": CaseSet(
-        "the paper's W_ext(t), full size, 2 s in 200 samples", _STEP,
-        _paths(lambda rng, count: [wrench.paper_path(np.arange(200) * 0.01)]), 0.0,
+        "the paper's W_ext(t), full size, 2 s in 200 samples",
+        _STEP,
+        _paths(lambda rng, count: [wrench.paper_path(np.arange(200) * 0.01)]),
+        0.0,
     ),
     "ball": CaseSet("ball: force <= 2 N, moment <= 0.05 N m, independent draws", _DRAW, _ball(1.0)),
     "ball_double": CaseSet("the same ball, twice as large", _DRAW, _ball(2.0)),
     "ball_half": CaseSet("the same ball, half as large", _DRAW, _ball(0.5)),
     "smooth": CaseSet(
-        "random walk in the ball, 3 % of its radius per step", _STEP, _paths(lambda rng, count: [wrench.sample_path(rng, count)])
+        "random walk in the ball, 3 % of its radius per step",
+        _STEP,
+        _paths(lambda rng, count: [wrench.sample_path(rng, count)]),
     ),
     "trajectories": CaseSet(
-        "sums of sines through the ball, 100 samples per second", _STEP,
+        "sums of sines through the ball, 100 samples per second",
+        _STEP,
         _paths(lambda rng, count: (trajectory(rng, 200) for _ in range(max(1, count // 200)))),
     ),
     "directions": CaseSet(
-        "18 directions: 6 axes both ways, 6 pairs; of 0.5, 1 and 2 N or 0.025, 0.05 and 0.1 N m", "the solution for no wrench",
-        _directions, 0.0,
+        "18 directions: 6 axes both ways, 6 pairs; of 0.5, 1 and 2 N or 0.025, 0.05 and 0.1 N m",
+        "the solution for no wrench",
+        _directions,
+        0.0,
     ),
     "jump_10": CaseSet("jumps of 10 % of the ball's radius", _JUMP, partial(_jumps, 0.1), 0.6),
     "jump_50": CaseSet("jumps of 50 %", _JUMP, partial(_jumps, 0.5), 0.6),
     "jump_100": CaseSet("jumps of 100 %", _JUMP, partial(_jumps, 1.0), 0.6),
     "friction": CaseSet("friction 0.2, 0.7 and 0.8, the ball", _DRAW, _frictions, 0.6),
-    "positions": CaseSet("every contact up to 10 mm off on its face, the ball", _DRAW, _positions, 0.6),
-    "random_4": CaseSet("random grasps of 4 contacts, the ball", _COLD, partial(_random, 4), fixed=False),
-    "random_3": CaseSet("random grasps of 3 contacts, the ball", _COLD, partial(_random, 3), 0.4, fixed=False),
-    "random_5": CaseSet("random grasps of 5 contacts, the ball", _COLD, partial(_random, 5), 0.4, fixed=False),
+    "positions": CaseSet(
+        "every contact up to 10 mm off on its face, the ball", _DRAW, _positions, 0.6
+    ),
+    "random_4": CaseSet(
+        "random grasps of 4 contacts, the ball", _COLD, partial(_random, 4), fixed=False
+    ),
+    "random_3": CaseSet(
+        "random grasps of 3 contacts, the ball", _COLD, partial(_random, 3), 0.4, fixed=False
+    ),
+    "random_5": CaseSet(
+        "random grasps of 5 contacts, the ball", _COLD, partial(_random, 5), 0.4, fixed=False
+    ),
     "rollout_cold": CaseSet(
-        "first optimisation of an episode, random object", _COLD, partial(_recorded, "rollout_cold"), 0.15, fixed=False, cost=6.0
+        "first optimisation of an episode, random object",
+        _COLD,
+        partial(_recorded, "rollout_cold"),
+        0.15,
+        fixed=False,
+        cost=6.0,
     ),
     "rollout_moving": CaseSet(
-        "random wrench, moving contacts, 50 per second", _STEP, partial(_recorded, "rollout_moving"), fixed=False, cost=2.0
+        "random wrench, moving contacts, 50 per second",
+        _STEP,
+        partial(_recorded, "rollout_moving"),
+        fixed=False,
+        cost=2.0,
     ),
     "rollout_impulses": CaseSet(
-        "impacts on random objects: the wrench moves by a quarter of the ball's radius or more in a step", _STEP,
-        partial(_recorded, "rollout_impulses"), 0.4, fixed=False, cost=5.0,
+        "impacts on random objects: the wrench moves by a quarter of the ball's radius or more in a step",
+        _STEP,
+        partial(_recorded, "rollout_impulses"),
+        0.4,
+        fixed=False,
+        cost=5.0,
     ),
     "rollout_fixed": CaseSet(
-        "the same impacts on the 0.1 m cuboid, contacts near the fixed grasp's", _STEP, partial(_recorded, "rollout_fixed"), 0.4,
-        fixed=False, cost=4.0,
+        "the same impacts on the 0.1 m cuboid, contacts near the fixed grasp's",
+        _STEP,
+        partial(_recorded, "rollout_fixed"),
+        0.4,
+        fixed=False,
+        cost=4.0,
     ),
     "rollout_changes": CaseSet(
         "changes of contact: a finger lost, landed or slipped 3 to 10 mm",
         "the solution with the contacts before, the finger that lands with its own optimum of no load",
-        partial(_recorded, "rollout_changes"), 0.6, fixed=False, cost=4.0,
+        partial(_recorded, "rollout_changes"),
+        0.6,
+        fixed=False,
+        cost=4.0,
     ),
     "six_decades": CaseSet(
-        "wrenches of 0.001 to 1000 N, the starts alone", _COLD,
+        "wrenches of 0.001 to 1000 N, the starts alone",
+        _COLD,
         lambda rng, count: [
-            Case(grasp, load) for grasp in [presets.paper_cuboid()] for load in wrench.sample_magnitudes(rng, count, *MAGNITUDES)
+            Case(grasp, load)
+            for grasp in [presets.paper_cuboid()]
+            for load in wrench.sample_magnitudes(rng, count, *MAGNITUDES)
         ],
-        10.0, solved=False, starts=("linear_combination", "learned_fixed"), cost=0.02,
+        10.0,
+        solved=False,
+        starts=("linear_combination", "learned_fixed"),
+        cost=0.02,
     ),
-    "lines": CaseSet("straight lines through the ball in 401 points, the starts alone", _STEP, _paths(_lines), 2.0, solved=False, cost=0.4),
+    "lines": CaseSet(
+        "straight lines through the ball in 401 points, the starts alone",
+        _STEP,
+        _paths(_lines),
+        2.0,
+        solved=False,
+        cost=0.4,
+    ),
     "ball_frictions": CaseSet(
-        "the ball, friction 0.25 to 0.6", _COLD, _ball_frictions, 4.0,  # so that 40 wrenches lie above its p99
+        "the ball, friction 0.25 to 0.6",
+        _COLD,
+        _ball_frictions,
+        4.0,  # so that 40 wrenches lie above its p99
         starts=("internal_force", "linear_combination", "network", "learned_fixed"),
     ),
-}  # fmt: skip
-"""All sets, in the order of the tables. Add a new set at the end, since the position is part of its seed."""
+}
+"""All sets, in the order of the tables.
+
+Add a new set at the end, since the position is part of its seed.
+"""

@@ -1,4 +1,6 @@
-"""Comparison of starts (`grasp evaluate`): rows of every start, set of cases and method, of roll-outs of the hand, and times."""
+"""Comparison of starts (`grasp evaluate`): rows of every start, set of cases and method, of
+roll-outs of the hand, and times.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,13 @@ WARM_UP = 20
 TIMED_SETS = ("ball", "ball_frictions")
 MODEL = "model"
 """Case of the row about the shipped model."""
-HELD_WITH = {"single_value": "single_value", "linear_combination": "linear_combination", "previous_tangent": "previous"}
-"""Starts of the roll-outs, besides the shipped model and a user's, and their names in the environment."""
+HELD_WITH = {
+    "single_value": "single_value",
+    "linear_combination": "linear_combination",
+    "previous_tangent": "previous",
+}
+"""Starts of the roll-outs, besides the shipped model and a user's, and their names in the
+environment."""
 _QUICK = {"wrenches": 50, "timed": 50, "repeats": 3, "episodes": 1}
 
 
@@ -43,7 +50,8 @@ class StartsConfig:
     """Settings of the comparison of starts.
 
     Attributes:
-        wrenches, timed, repeats, episodes, steps, seed, quick: the options of `grasp evaluate starts`.
+        wrenches, timed, repeats, episodes, steps, seed, quick: the options of `grasp evaluate
+        starts`.
     """
 
     wrenches: int = 1000
@@ -66,7 +74,9 @@ class StartsConfig:
 
 @dataclass(frozen=True)
 class Shard:
-    """Part of the comparison for a worker: a set of cases, or the roll-outs of a scenario from one start."""
+    """Part of the comparison for a worker: a set of cases, or the roll-outs of a scenario from one
+    start.
+    """
 
     name: str
     config: StartsConfig
@@ -75,29 +85,46 @@ class Shard:
 
 
 def run(
-    config: StartsConfig, given: Given, folder: Run | None = None, *, on: str = "processes", workers: int = 0
+    config: StartsConfig,
+    given: Given,
+    folder: Run | None = None,
+    *,
+    on: str = "processes",
+    workers: int = 0,
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Run the comparison; return its rows, and the settings for run.json.
 
-    `folder` keeps finished shards; for `on` and `workers` see `map_shards`. Times are measured in this process alone.
+    `folder` keeps finished shards; for `on` and `workers` see `map_shards`. Times are measured in
+    this process alone.
     """
-    config, objective = config.resolved(), Objective()
+    config = config.resolved()
+    objective = Objective()
     shards = {name: Shard(name, config, given, objective) for name in plan(given)}
     keep = folder and folder.folder / SHARDS
-    rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="comparing starts")
+    rows, mapped = map_shards(
+        work, shards, on=on, workers=workers, keep=keep, label="comparing starts"
+    )
     timed = join([time_calls(name, config, given, objective) for name in TIMED_SETS])
     rows = join([rows.merge(timed, "left", ["case", "problem", "start", "method"]), _shipped()])
     order = [*SETS, *(f"hold_{name}" for name in HOLDS_OF_STARTS), MODEL].index
-    rows = rows.sort_values("case", kind="stable", key=lambda cases: cases.map(order), ignore_index=True)
+    rows = rows.sort_values(
+        "case", kind="stable", key=lambda cases: cases.map(order), ignore_index=True
+    )
     about = {
-        "kind": "starts", "settings": asdict(config), "quick": config.quick, "given": dict(given.names),
-        "objective": dict(vars(objective)), "map": mapped,
-    }  # fmt: skip
+        "kind": "starts",
+        "settings": asdict(config),
+        "quick": config.quick,
+        "given": dict(given.names),
+        "objective": dict(vars(objective)),
+        "map": mapped,
+    }
     return rows, about
 
 
 def _shipped() -> pd.DataFrame:
-    """Return one row about the shipped model: processor time of its training, and size of its files."""
+    """Return one row about the shipped model: processor time of its training, and size of its
+    files.
+    """
     stem = PRETRAINED / "four_finger"
     card = StartContext(Objective()).model.checkpoint.card
     size = sum(path.stat().st_size for path in stem.parent.glob(f"{stem.name}.*"))
@@ -110,7 +137,9 @@ def plan(given: Given) -> list[str]:
     rules = given.unpack()
     sets = sorted(SETS, key=lambda name: -SETS[name].share * SETS[name].cost)
     holds = [
-        f"holds/{scenario}/{start}" for scenario in HOLDS_OF_STARTS for start in (*HELD_WITH, "learned_fixed", *rules)
+        f"holds/{scenario}/{start}"
+        for scenario in HOLDS_OF_STARTS
+        for start in (*HELD_WITH, "learned_fixed", *rules)
     ]
     return sets + holds
 
@@ -122,15 +151,20 @@ def work(shard: Shard) -> pd.DataFrame:
     if shard.name.startswith("holds/"):
         _, scenario, start = shard.name.split("/")
         rule = HELD_WITH.get(start) or rules.get(start) or StartContext(shard.objective).model
-        return table(hold_of_start(scenario, start, rule, config.episodes, config.seed, config.steps))
-    which, starts = SETS[shard.name], _looked_at(shard.name, made, rules)
+        return table(
+            hold_of_start(scenario, start, rule, config.episodes, config.seed, config.steps)
+        )
+    which = SETS[shard.name]
+    starts = _looked_at(shard.name, made, rules)
     cases = make_cases(shard.name, config.wrenches, config.seed)
     rows = trials(shard.name, cases, starts, shard.objective, which.solved)
     return table({**row, "seed": config.seed} for row in rows)
 
 
 @cache
-def _made(given: Given, objective: Objective) -> tuple[Mapping[str, InitialForceRule], dict[str, ComparedStart]]:
+def _made(
+    given: Given, objective: Objective
+) -> tuple[Mapping[str, InitialForceRule], dict[str, ComparedStart]]:
     rules = given.unpack()
     return rules, StartContext(objective, rules).made()
 
@@ -144,13 +178,16 @@ def _looked_at(
 
 
 def time_calls(name: str, config: StartsConfig, given: Given, objective: Objective) -> pd.DataFrame:
-    """Measure the microseconds of every start on wrenches of a set: the shortest of the repeats, the starts taking turns.
+    """Measure the microseconds of every start on wrenches of a set: the shortest of the repeats,
+    the starts taking turns.
 
-    All calls of one start on one grasp are made in a row, so code and data are in the cache as in a control loop that does nothing
-    else. The previous solution is that of the wrench before, as in a loop. A call that raises has no time.
+    All calls of one start on one grasp are made in a row, so code and data are in the cache as in a
+    control loop that does nothing else. The previous solution is that of the wrench before, as in a
+    loop. A call that raises has no time.
 
     Returns:
-        Columns case, problem, start, method, microseconds (the whole public call), start_microseconds (the start alone) and, of starts
+        Columns case, problem, start, method, microseconds (the whole public call),
+        start_microseconds (the start alone) and, of starts
         that the core makes from the wrench alone, compiled_microseconds (the call without Python).
     """
     rules, every = _made(given, objective)
@@ -165,7 +202,9 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
         for k in block:
             optima[k] = newton.solve(cases[k].wrench).force
     before = {k: block[place - 1] for block in blocks.values() for place, k in enumerate(block)}
-    calls: dict[tuple[str, str], tuple[Callable[[int], object], Callable[[int], object] | None]] = {}
+    calls: dict[
+        tuple[str, str], tuple[Callable[[int], object], Callable[[int], object] | None]
+    ] = {}
     compiled = dict[tuple[str, str], np.ndarray]()
     for key, start in made.items():
 
@@ -173,7 +212,10 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
             return start.start(cases[k].grasp, cases[k].wrench, optima[before[k]])
 
         for method in METHODS:
-            loops = {grasp: optimizer(grasp, method, objective, TOLERANCE, **start.options) for grasp in blocks}
+            loops = {
+                grasp: optimizer(grasp, method, objective, TOLERANCE, **start.options)
+                for grasp in blocks
+            }
             force = None if start.options else alone
             calls[key, method] = (
                 lambda k, loops=loops, force=force: loops[cases[k].grasp].solve(
@@ -184,7 +226,8 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
             if start.compiled:
                 compiled[key, method] = best = np.empty(len(cases))
                 for grasp, block in blocks.items():
-                    core, found = loops[grasp].core, np.empty(len(block))
+                    core = loops[grasp].core
+                    found = np.empty(len(block))
                     loads = np.array([cases[k].wrench for k in block])
                     core.times(loads, 2 + config.repeats, np.empty((len(block), core.size)), found)
                     best[block] = 1e6 * found
@@ -205,16 +248,25 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
             gc.enable()
     return table(
         {
-            "case": name, "problem": k, "start": start, "method": method, "microseconds": total[k],
+            "case": name,
+            "problem": k,
+            "start": start,
+            "method": method,
+            "microseconds": total[k],
             "start_microseconds": best_of[start, FLOW][1][k],
-            "compiled_microseconds": compiled[start, method][k] if (start, method) in compiled else np.nan,
+            "compiled_microseconds": compiled[start, method][k]
+            if (start, method) in compiled
+            else np.nan,
         }
-        for (start, method), (total, _) in best_of.items() for k in range(len(cases))
-    ).replace(np.inf, np.nan)  # fmt: skip
+        for (start, method), (total, _) in best_of.items()
+        for k in range(len(cases))
+    ).replace(np.inf, np.nan)
 
 
 def _time(call: Callable[[int], object], best: np.ndarray, block: list[int], counted: bool) -> None:
-    """Warm up on the problems of a block, then, if `counted`, time one call on each; `best` (n,) keeps the shortest time [us]."""
+    """Warm up on the problems of a block, then, if `counted`, time one call on each; `best` (n,)
+    keeps the shortest time [us].
+    """
     for k in range(WARM_UP):
         with suppress(Exception):  # a user's rule may raise; the trials count its errors
             call(block[k % len(block)])

@@ -33,7 +33,8 @@ class Given:
     """Starts of a user, ready to be sent to workers.
 
     Attributes:
-        packed: starts by name, pickled; code from files is pickled by value, so other machines need no copy.
+        packed: starts by name, pickled; code from files is pickled by value, so other machines need
+            no copy.
         names: pairs (name, origin as text).
     """
 
@@ -45,7 +46,8 @@ class Given:
         """Load and check all starts (texts of the form `START`) before anything runs.
 
         Raises:
-            InvalidInputError: an invalid or used name, a missing object, or one that is no rule. It lists all of them.
+            InvalidInputError: an invalid or used name, a missing object, or one that is no rule. It
+                lists all of them.
         """
         origins = [(name, what) for name, _, what in (text.partition("=") for text in starts)]
         names = [name for name, _ in origins]
@@ -85,16 +87,26 @@ def _check_names(names: list[str]) -> None:
 
 
 def model_path(what: str) -> Path | None:
-    """Return the path of the saved model that a text names, of a folder its only one; None if it names no model."""
+    """Return the path of the saved model that a text names, of a folder its only one; None if it
+    names no model.
+    """
     if os.path.isdir(what):
         stems = sorted(path.with_suffix("") for path in Path(what).glob("*.safetensors"))
         if len(stems) != 1:
-            held = f"holds {', '.join(stem.name for stem in stems)}" if stems else "holds no saved model"
+            held = (
+                f"holds {', '.join(stem.name for stem in stems)}"
+                if stems
+                else "holds no saved model"
+            )
             raise InvalidInputError(
                 f"the folder {what} {held}: give the path of one that `grasp fit` saved, or {START}"
             )
         return stems[0]
-    return Path(what) if what.endswith((".json", ".safetensors")) or os.path.isfile(f"{what}.json") else None
+    return (
+        Path(what)
+        if what.endswith((".json", ".safetensors")) or os.path.isfile(f"{what}.json")
+        else None
+    )
 
 
 def _start(text: str) -> InitialForceRule:
@@ -103,7 +115,9 @@ def _start(text: str) -> InitialForceRule:
     if path is not None:
         return LearnedInitialForce.load(path)
     if what and ":" not in what and not os.path.exists(what):
-        raise InvalidInputError(f"--start {text}: no such file or saved model is there (nor {what}.json): give {START}")
+        raise InvalidInputError(
+            f"--start {text}: no such file or saved model is there (nor {what}.json): give {START}"
+        )
     made = _instance(_read(text), f"--start {text}")
     if not callable(made):
         raise InvalidInputError(
@@ -135,15 +149,22 @@ def _read(text: str) -> Any:
     try:
         return reduce(getattr, attribute.split("."), module)
     except AttributeError:
-        callables = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        callables = [
+            key
+            for key, value in vars(module).items()
+            if callable(value) and not key.startswith("_")
+        ]
         raise InvalidInputError(
             f"--start {text}: {place} has no {attribute!r}; it has {', '.join(callables[:20]) or 'nothing that can be called'}"
         ) from None
 
 
 def _imported(place: str, context: str) -> ModuleType:
-    """Import a module of the working directory, an installed module, or a file, which is then pickled by value."""
-    if os.getcwd() not in sys.path:  # as with `python -m`; at the end, where it hides no other module
+    """Import a module of the working directory, an installed module, or a file, which is then
+    pickled by value.
+    """
+    # as with `python -m`; at the end, where it hides no other module
+    if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
     try:
         if not place.endswith(".py"):
@@ -152,7 +173,8 @@ def _imported(place: str, context: str) -> ModuleType:
         spec = importlib.util.spec_from_file_location(name, place)
         assert spec is not None
         assert spec.loader is not None
-        module = sys.modules[name] = importlib.util.module_from_spec(spec)  # dataclasses look up their module there
+        # dataclasses look up their module there
+        module = sys.modules[name] = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
         cloudpickle.register_pickle_by_value(module)
         return module

@@ -1,4 +1,5 @@
-"""Hold rates: episodes of the simulated hand under scenarios, controllers, hands, engines and starts, one row each.
+"""Hold rates: episodes of the simulated hand under scenarios, controllers, hands, engines and
+starts, one row each.
 
 An episode depends on its scenario and seed alone, so everything compared uses the same seeds.
 """
@@ -42,13 +43,15 @@ from training.evaluation.results.shards import map_shards
 from training.evaluation.results.table import pd, table
 
 NO_START, NOT_PLACED = "no_start", "not_placed"
-"""Failures of an episode whose grasp did not close or settle, and of one for which no pose of hand or fingers was found."""
+"""Failures of an episode whose grasp did not close or settle, and of one for which no pose of hand
+or fingers was found."""
 QUICK_EPISODES = {"env": 4, "hands": 2, "objects": 2, "transfer": 2}
 _CHUNK = 4
 """Number of seeds in a shard."""
 _REDRAWS = 100
 _BEFORE, _IN_PLACE = 25, 1e-3
-"""Last agent steps of an episode, and drift [m], in which a cut torque counts as the cause of the loss."""
+"""Last agent steps of an episode, and drift [m], in which a cut torque counts as the cause of the
+loss."""
 _TIMED, _ROUNDS = 100, 3
 """Number of agent steps whose rate is measured, and of repetitions."""
 Shard = tuple[Scenario, Sequence[int]]
@@ -60,8 +63,9 @@ class HoldsConfig:
     """Settings of a comparison of hold rates.
 
     Attributes:
-        kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and disturbances), "objects" (the same with
-            objects from mesh files) or "transfer" (the same hands in both engines).
+        kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and
+            disturbances), "objects" (the same with objects from mesh files) or "transfer" (the same
+            hands in both engines).
         hands, engines, episodes, objects, seed, quick: the options of `grasp evaluate`.
     """
 
@@ -76,7 +80,9 @@ class HoldsConfig:
     def __post_init__(self) -> None:
         def hand(name: str) -> None:
             if not os.path.isfile(name):
-                choice(name, "hand", HANDS, ", or the path of a URDF, xacro or MJCF file that exists")
+                choice(
+                    name, "hand", HANDS, ", or the path of a URDF, xacro or MJCF file that exists"
+                )
 
         with AllFaults() as check:
             check(check_counts, self, {"episodes": 0, "seed": 0})
@@ -89,7 +95,9 @@ class HoldsConfig:
             ("objects", [mesh_settings(text)[0] for text in self.objects]),
         ):
             if len(set(names)) < len(names):
-                raise InvalidInputError(f"{what} need different names, got {', '.join(names)}: rename a file")
+                raise InvalidInputError(
+                    f"{what} need different names, got {', '.join(names)}: rename a file"
+                )
         if self.kind in ("hands", "objects") and not self.hands:
             raise InvalidInputError("name at least one hand, got none")
 
@@ -100,7 +108,9 @@ class HoldsConfig:
         if self.kind == "env":
             return scenarios.controllers_plan(episodes, self.quick)
         if self.kind in ("hands", "objects"):
-            return scenarios.hands_plan(self.hands, self.engines or scenarios.usual_engines(), episodes, self.objects)
+            return scenarios.hands_plan(
+                self.hands, self.engines or scenarios.usual_engines(), episodes, self.objects
+            )
         return scenarios.transfer_plan(self.hands or scenarios.PRESETS, episodes)
 
 
@@ -114,10 +124,13 @@ def run(
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Play the episodes; return their rows, and the settings for run.json.
 
-    `folder` keeps finished shards, `plan` replaces the scenarios of the config; for `on` and `workers` see `map_shards`.
+    `folder` keeps finished shards, `plan` replaces the scenarios of the config; for `on` and
+    `workers` see `map_shards`.
     """
     plan = config.plan() if plan is None else plan
-    for name in {ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines}:
+    for name in {
+        ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines
+    }:
         class_of(engine_of(name), "simulator")  # reports a missing engine here, not in the workers
     for name in config.hands:
         if name not in HANDS:
@@ -132,43 +145,66 @@ def run(
     keep = folder and folder.folder / SHARDS
     rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes")
     about = {
-        "kind": config.kind, "settings": asdict(config), "quick": config.quick,
-        "scenarios": [asdict(scenario) for scenario in plan], "steps_per_second": _speeds(plan),
+        "kind": config.kind,
+        "settings": asdict(config),
+        "quick": config.quick,
+        "scenarios": [asdict(scenario) for scenario in plan],
+        "steps_per_second": _speeds(plan),
         "map": mapped,
-    }  # fmt: skip
+    }
     return rows, about
 
 
 def work(shard: Shard) -> pd.DataFrame:
-    """Return the rows of a shard; this runs in a worker. A seed runs in all engines before the next seed."""
+    """Return the rows of a shard; this runs in a worker.
+
+    A seed runs in all engines before the next seed.
+    """
     scenario, seeds = shard
     return table(
         {
-            **scenario.keys, "case": scenario.case, "engine": engine, "seed": seed,
+            **scenario.keys,
+            "case": scenario.case,
+            "engine": engine,
+            "seed": seed,
             **trial({**scenario.settings, **ENGINES[engine]}, scenario.random_objects, seed),
         }
-        for seed in seeds for engine in scenario.engines
-    )  # fmt: skip
+        for seed in seeds
+        for engine in scenario.engines
+    )
 
 
 def hold_of_start(
     scenario: str, start: str, rule: str | InitialForceRule, episodes: int, seed: int, steps: int
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the roll-outs of a scenario from a start: one episode if it is deterministic, else one for each seed."""
+    """Yield the rows of the roll-outs of a scenario from a start: one episode if it is
+    deterministic, else one for each seed.
+    """
     settings = {**HOLDS_OF_STARTS[scenario], "duration": steps / 50}
     for k in range(episodes if scenario in RANDOM_STARTS else 1):
-        keys = {"case": f"hold_{scenario}", "start": start, "method": "reduced_flow", "seed": seed + k, "problem": k}
+        keys = {
+            "case": f"hold_{scenario}",
+            "start": start,
+            "method": "reduced_flow",
+            "seed": seed + k,
+            "problem": k,
+        }
         yield {**keys, **trial(settings, False, seed + k, rule)}
 
 
 def trial(
-    settings: dict[str, Any], random_objects: bool, seed: int, rule: str | InitialForceRule | None = None
+    settings: dict[str, Any],
+    random_objects: bool,
+    seed: int,
+    rule: str | InitialForceRule | None = None,
 ) -> dict[str, Any]:
     """Play one episode in a new environment (see `settings_of`) and return its columns.
 
-    With `random_objects` the seed draws the object, too. `rule` is the start of the optimisations; None: the environment's own.
+    With `random_objects` the seed draws the object, too. `rule` is the start of the optimisations;
+    None: the environment's own.
     """
-    config, redrawn = settings_of(settings), 0
+    config = settings_of(settings)
+    redrawn = 0
     if random_objects:
         item, points, redrawn = draw_object(seed, config)
         config = config.override(object=item, contact_points=points, randomize=())
@@ -188,12 +224,15 @@ def trial(
 
 
 def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
-    """Draw the random object of a seed: shape, size, mass and friction in the ranges of `randomize`, within reach of the hand.
+    """Draw the random object of a seed: shape, size, mass and friction in the ranges of
+    `randomize`, within reach of the hand.
 
-    Returns the object, its contact points (N, 3) [m] in the object frame, and the number of objects drawn before it without a grasp.
-    None of these depends on the controller or the engine. A hand without a fixed pose is placed anew for every object: no points.
+    Returns the object, its contact points (N, 3) [m] in the object frame, and the number of objects
+    drawn before it without a grasp. None of these depends on the controller or the engine. A hand
+    without a fixed pose is placed anew for every object: no points.
     """
-    rng, kinematics = np.random.default_rng([seed, 0x0B1EC7]), _kinematics(config.hand)
+    rng = np.random.default_rng([seed, 0x0B1EC7])
+    kinematics = _kinematics(config.hand)
     drawn = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})
     for redrawn in range(_REDRAWS):
         item = drawn.drawn(rng).object
@@ -215,7 +254,10 @@ def settings_of(settings: dict[str, Any]) -> EnvConfig:
 
 
 def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return the columns of an episode from the `info` of its steps. Drift, tilt and slip are given only if the object was held."""
+    """Return the columns of an episode from the `info` of its steps.
+
+    Drift, tilt and slip are given only if the object was held.
+    """
     last = infos[-1]
     held = bool(last["is_success"])
     cut = any(info["saturated"] and info["drift"] < _IN_PLACE for info in infos[-_BEFORE:])
@@ -225,28 +267,42 @@ def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "slip": 1e3 * last["slip_distance"],
     }
     columns: dict[str, tuple[Callable[[Any], Any], str]] = {
-        "force_error": (np.mean, "force_error"), "stray_force": (max, "stray_force"), "torque_margin": (min, "torque_margin"),
-        "limited": (sum, "limited"), "saturated": (np.mean, "saturated"), "iterations": (np.mean, "iterations"),
-    }  # fmt: skip
-    numbers = {name: float(how([info[key] for info in infos])) for name, (how, key) in columns.items()}
+        "force_error": (np.mean, "force_error"),
+        "stray_force": (max, "stray_force"),
+        "torque_margin": (min, "torque_margin"),
+        "limited": (sum, "limited"),
+        "saturated": (np.mean, "saturated"),
+        "iterations": (np.mean, "iterations"),
+    }
+    numbers = {
+        name: float(how([info[key] for info in infos])) for name, (how, key) in columns.items()
+    }
     return {
         "held": held,
         "failure": None if held else "torque" if cut else str(last["fault"]),
         "status": str(last["status"]),
-        **(kept if held else {}), **numbers,
-        "iterations": round(numbers["iterations"]), "limited": round(numbers["limited"]),
-        "overlap": 1e3 * last["overlap"], "stray_share": float(last["stray_share"]), "end_slip": 1e3 * last["slip_distance"],
-        "time": float(last["time"]), "end_drift": 1e3 * last["drift"], "end_tilt": float(np.degrees(last["tilt"])),
+        **(kept if held else {}),
+        **numbers,
+        "iterations": round(numbers["iterations"]),
+        "limited": round(numbers["limited"]),
+        "overlap": 1e3 * last["overlap"],
+        "stray_share": float(last["stray_share"]),
+        "end_slip": 1e3 * last["slip_distance"],
+        "time": float(last["time"]),
+        "end_drift": 1e3 * last["drift"],
+        "end_tilt": float(np.degrees(last["tilt"])),
         "normal_force": float(np.mean([info["measured_force"][:, 0].sum() for info in infos])),
         "commanded_force": float(np.mean([info["commanded_force"][:, 0].sum() for info in infos])),
-        "peak_torque": float(last["peak_torque"]), "touching": int(last["touching"].sum()),
+        "peak_torque": float(last["peak_torque"]),
+        "touching": int(last["touching"].sum()),
         "contact_changes": int(last["contact_changes"]),
         "contact_always": bool(all(info["touching"].all() for info in infos)),
-    }  # fmt: skip
+    }
 
 
 def _object(config: EnvConfig, info: dict[str, Any] | None = None) -> dict[str, Any]:
-    item, size = config.object, [*config.object.size, None, None, None][:3]
+    item = config.object
+    size = [*config.object.size, None, None, None][:3]
     return {
         "shape": info["object_shape"] if info else item.shape,
         **dict(zip(("size_x", "size_y", "size_z"), size, strict=True)),
@@ -269,7 +325,9 @@ def _print_repairs(read: Callable[[], Any]) -> None:
 
 
 def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
-    """Measure agent steps per second of every hand in every engine, alone in this process: the best round of its first scenario."""
+    """Measure agent steps per second of every hand in every engine, alone in this process: the best
+    round of its first scenario.
+    """
     first: dict[str, dict[str, Any]] = {}
     for scenario in plan:
         for engine in scenario.engines:
@@ -277,9 +335,13 @@ def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
             first.setdefault(hand, {**scenario.settings, **ENGINES[engine]})
     out: dict[str, float] = {}
     for name, settings in first.items():
-        with suppress(GraspError), closing(FourFingerGrasp(config=settings_of(settings).override(randomize=()))) as env:
+        with (
+            suppress(GraspError),
+            closing(FourFingerGrasp(config=settings_of(settings).override(randomize=()))) as env,
+        ):
             for seed in range(_ROUNDS):
-                running, begun = episode(env, seed, most=_TIMED), time.perf_counter()
+                running = episode(env, seed, most=_TIMED)
+                begun = time.perf_counter()
                 steps = sum(1 for _ in running)
                 out[name] = max(out.get(name, 0.0), steps / (time.perf_counter() - begun))
     return out

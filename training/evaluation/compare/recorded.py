@@ -1,4 +1,6 @@
-"""Cases recorded from the simulated hand: the problems its solver gets, step by step, and changes of contact in them."""
+"""Cases recorded from the simulated hand: the problems its solver gets, step by step, and changes
+of contact in them.
+"""
 
 from __future__ import annotations
 
@@ -39,18 +41,26 @@ def record(
     steps: int = STEPS,
     **settings: Any,
 ) -> list[list[Problem]]:
-    """Record the problems of `episodes` episodes in all, of at most `steps` steps each, in order; the hands take turns.
+    """Record the problems of `episodes` episodes in all, of at most `steps` steps each, in order;
+    the hands take turns.
 
     Without further `settings` of the environment the objects are random.
     """
-    seeds, paper, noted = rng.integers(0, 2**31, episodes).tolist(), LinearCombination(), list[Problem]()
+    seeds = rng.integers(0, 2**31, episodes).tolist()
+    paper = LinearCombination()
+    noted = list[Problem]()
 
     def rule(grasp: Grasp, wrench: Wrench) -> ContactForces:
         noted.append((grasp, np.array(wrench)))
         return paper(grasp, wrench)
 
     found: list[list[Problem]] = [[] for _ in range(episodes)]
-    own = {"disturbance": disturbance, "initial_force": rule, "duration": STEPS / 50, **(settings or RANDOM_OBJECTS)}
+    own = {
+        "disturbance": disturbance,
+        "initial_force": rule,
+        "duration": STEPS / 50,
+        **(settings or RANDOM_OBJECTS),
+    }
     for place, hand in enumerate(hands):
         with closing(FourFingerGrasp(hand=hand, **own)) as env:
             for k in range(place, episodes, len(hands)):
@@ -98,17 +108,24 @@ CASES: dict[str, Callable[[np.random.Generator, int], list[Case]]] = {
     "rollout_fixed": partial(_impulses, hands=("four_finger",), randomize=()),
     "rollout_changes": _changes,
 }
-"""Makers of the recorded sets. They return fewer cases than requested only if the roll-outs have fewer."""
+"""Makers of the recorded sets.
+
+They return fewer cases than requested only if the roll-outs have fewer.
+"""
 
 
 def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int) -> list[Case]:
-    """Return the cases of a finger that is lost, one that lands and one that slips, between two recorded steps.
+    """Return the cases of a finger that is lost, one that lands and one that slips, between two
+    recorded steps.
 
-    The finger that is lost is one without which the others still have force closure; hands with three fingers only slip.
+    The finger that is lost is one without which the others still have force closure; hands with
+    three fingers only slip.
     """
-    cases, count = [], now[0].n_contacts
+    cases = []
+    count = now[0].n_contacts
     for finger in rng.permutation(count).tolist():
-        fewer, fewer_before = without(now[0], finger), without(old[0], finger)
+        fewer = without(now[0], finger)
+        fewer_before = without(old[0], finger)
         if fewer is not None and fewer_before is not None:
             cases.append(Case(fewer, now[1], old, group, "lost"))
             cases.append(Case(*now, (fewer_before, old[1]), group, "landed"))
@@ -123,7 +140,9 @@ def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int)
 
 
 def without(grasp: Grasp, finger: int) -> Grasp | None:
-    """Return the grasp without one contact; None if the rest does not close with the margin of `EVALUATION`."""
+    """Return the grasp without one contact; None if the rest does not close with the margin of
+    `EVALUATION`.
+    """
     keep = np.arange(grasp.n_contacts) != finger
     if keep.sum() < 3:
         return None
@@ -137,4 +156,6 @@ def without(grasp: Grasp, finger: int) -> Grasp | None:
 def _distance(old: Wrench, now: Wrench) -> float:
     """Return the change of the wrench, in radii of the ball."""
     move = now - old
-    return float(max(np.linalg.norm(move[:3]) / FORCE_RADIUS, np.linalg.norm(move[3:]) / MOMENT_RADIUS))
+    return float(
+        max(np.linalg.norm(move[:3]) / FORCE_RADIUS, np.linalg.norm(move[3:]) / MOMENT_RADIUS)
+    )

@@ -1,4 +1,6 @@
-"""Scenarios of the hold rates, as data: controllers, sensor errors, hands, objects, disturbances, engines, starts."""
+"""Scenarios of the hold rates, as data: controllers, sensor errors, hands, objects, disturbances,
+engines, starts.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ class Scenario:
     @property
     def name(self) -> str:
         """Name that is unique in a plan."""
-        keys = (f"{value:g}" if isinstance(value, float) else str(value) for value in self.keys.values())
+        keys = (
+            f"{value:g}" if isinstance(value, float) else str(value) for value in self.keys.values()
+        )
         return "/".join([self.case, *keys])
 
 
@@ -49,9 +53,16 @@ ENGINES: dict[str, dict[str, Any]] = {
     "faces": {"engine": {"name": "bullet", "mesh_contacts": "faces"}},
     "bullet_1000": {"engine": {"name": "bullet", "rate": 1000}},
     "pyramidal": {"engine": {"name": "mujoco", "cone": "pyramidal"}},
-    "soft": {"engine": {"name": "mujoco", "time_constant": 0.02, "impedance": (0.9, 0.95, 1e-3, 0.5, 2.0), "impratio": 1.0}},
+    "soft": {
+        "engine": {
+            "name": "mujoco",
+            "time_constant": 0.02,
+            "impedance": (0.9, 0.95, 1e-3, 0.5, 2.0),
+            "impratio": 1.0,
+        }
+    },
     "noslip": {"engine": {"name": "mujoco", "noslip_iterations": 20}},
-}  # fmt: skip
+}
 """Settings of the environment by name of the engine."""
 BOTH = ("bullet", "mujoco")
 PRESETS = ("four_finger", "allegro", "leap")
@@ -70,12 +81,21 @@ ERRORS: dict[str, dict[str, Any]] = {
     "force": {"controller.force_noise": 0.05},
 }
 SAFE_START = {"controller.friction_margin": 0.6}
-"""Friction margin of the baselines if friction is over-estimated. All controllers start from the optimised grasp, which settles with it."""
-ALL_ERRORS: dict[str, Any] = {name: value for error in ERRORS.values() for name, value in error.items()}
+"""Friction margin of the baselines if friction is over-estimated.
+
+All controllers start from the optimised grasp, which settles with it.
+"""
+ALL_ERRORS: dict[str, Any] = {
+    name: value for error in ERRORS.values() for name, value in error.items()
+}
 RANDOM_WRENCH: dict[str, Any] = {
-    "disturbance": {"name": "random", "force": 2.0, "moment": 0.06}, "duration": 4.0,
-}  # fmt: skip
-WEAK_WRENCH: dict[str, Any] = {"disturbance": {"name": "random", "force": 0.6, "moment": 0.02}, "duration": 4.0}
+    "disturbance": {"name": "random", "force": 2.0, "moment": 0.06},
+    "duration": 4.0,
+}
+WEAK_WRENCH: dict[str, Any] = {
+    "disturbance": {"name": "random", "force": 0.6, "moment": 0.02},
+    "duration": 4.0,
+}
 CURVES: dict[str, dict[str, Any]] = {
     "mild": {**ERRORS["friction"], **ERRORS["force"], **SAFE_START},
     "all": {**ALL_ERRORS, **SAFE_START},
@@ -85,7 +105,7 @@ MARGINS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0)
 SQUEEZES = (10.0, 20.0, 40.0, 60.0, 80.0, 120.0)
 SMALL_OBJECTS: dict[str, Any] = {
     "randomize": {"shape": True, "size": (0.04, 0.08), "mass": (0.05, 0.3), "friction": (0.5, 1.0)},
-}  # fmt: skip
+}
 """Objects for hands of human size."""
 OBJECTS: dict[str, dict[str, Any]] = {
     "cube": {"shape": "cuboid", "size": (0.05, 0.05, 0.05), "mass": 0.15, "friction": 0.7},
@@ -108,7 +128,8 @@ HOLDS_OF_STARTS: dict[str, dict[str, Any]] = {
     "unknown": {"disturbance": "random", "sensors.wrench": "none"},
     "impulses": {"disturbance": "impulses", "randomize": ("shape", "size", "mass", "friction")},
 }
-"""Scenarios of the four-finger hand in which starts are compared; their rows have the case hold_<name>."""
+"""Scenarios of the four-finger hand in which starts are compared; their rows have the case
+hold_<name>."""
 RANDOM_STARTS = ("random", "late", "unknown", "impulses")
 """Those of them that are random."""
 
@@ -136,7 +157,11 @@ LABELS: dict[str, str] = {
     "all_safe": "all four errors, margin 0.6",
     "squeeze": "constant squeeze",
     "pd": "PD only",
-    **{f"{item}_{push}": f"{_OBJECT_LABELS[item]}, {_PUSH_LABELS[push]}" for item in OBJECTS for push in PUSHES},
+    **{
+        f"{item}_{push}": f"{_OBJECT_LABELS[item]}, {_PUSH_LABELS[push]}"
+        for item in OBJECTS
+        for push in PUSHES
+    },
     **{f"mesh_{push}": label for push, label in _PUSH_LABELS.items()},
     "hold_gravity": "gravity alone",
     "hold_constant": "gravity + the paper's constant wrench",
@@ -156,23 +181,40 @@ CONTROLLER_LABELS = {
 
 
 def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
-    """Plan the scenarios of all controllers of the four-finger hand: `episodes` of the main scenarios, fewer of the others.
+    """Plan the scenarios of all controllers of the four-finger hand: `episodes` of the main
+    scenarios, fewer of the others.
 
-    Scenarios with errors have at most 100 episodes (60 for the varied settings of the baselines). The six directions have an eighth
-    of `episodes` for controllers other than the paper's.
+    Scenarios with errors have at most 100 episodes (60 for the varied settings of the baselines).
+    The six directions have an eighth of `episodes` for controllers other than the paper's.
     """
     robust, long = (episodes, episodes) if quick else (min(episodes, 100), max(1, episodes // 8))
 
     def scenario(
-        case: str, key: str, count: int, settings: dict[str, Any], swept: dict[str, float] | None = None
+        case: str,
+        key: str,
+        count: int,
+        settings: dict[str, Any],
+        swept: dict[str, float] | None = None,
     ) -> Scenario:
         swept = swept or {}
-        own = {**settings, **CONTROLLERS[key], **{f"controller.{name}": value for name, value in swept.items()}}
-        return Scenario(case, {"controller": key, **swept}, count, own, random_objects=not case.startswith("path"))
+        own = {
+            **settings,
+            **CONTROLLERS[key],
+            **{f"controller.{name}": value for name, value in swept.items()},
+        }
+        return Scenario(
+            case,
+            {"controller": key, **swept},
+            count,
+            own,
+            random_objects=not case.startswith("path"),
+        )
 
     plan = [scenario("objects", key, episodes, RANDOM_WRENCH) for key in CONTROLLERS]
     plan += [
-        scenario("six_directions", key, episodes if key == "paper" else long, {"task": "six_directions"})
+        scenario(
+            "six_directions", key, episodes if key == "paper" else long, {"task": "six_directions"}
+        )
         for key in CONTROLLERS
     ]
     for scale in (0.25, 1.0):  # deterministic: one episode suffices
@@ -186,32 +228,57 @@ def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
     for case, wrong in CURVES.items():
         for key in CONTROLLERS:
             if key != "estimated":
-                name, values = ("squeeze", squeezes) if key in BASELINES else ("friction_margin", margins)
+                name, values = (
+                    ("squeeze", squeezes) if key in BASELINES else ("friction_margin", margins)
+                )
                 count = robust if key == "paper" else min(robust, 60)
-                plan += [scenario(case, key, count, {**RANDOM_WRENCH, **wrong}, {name: value}) for value in values]
+                plan += [
+                    scenario(case, key, count, {**RANDOM_WRENCH, **wrong}, {name: value})
+                    for value in values
+                ]
     return plan
 
 
 def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
     """Plan the same hands (names or files), objects and controllers in both engines.
 
-    Each hand has `episodes` of random objects under a random wrench, and a third in other scenarios. Only the four-finger hand
-    varies the contact models.
+    Each hand has `episodes` of random objects under a random wrench, and a third in other
+    scenarios. Only the four-finger hand varies the contact models.
     """
     plan: list[Scenario] = []
     for hand in hands:
         keys = {"hand": short_name(hand)}
         if hand != "four_finger":
-            plan.append(Scenario("weak", keys, episodes, {"hand": hand, **SMALL_OBJECTS, **WEAK_WRENCH}, BOTH))
+            plan.append(
+                Scenario(
+                    "weak", keys, episodes, {"hand": hand, **SMALL_OBJECTS, **WEAK_WRENCH}, BOTH
+                )
+            )
             continue
-        third, safe = max(1, episodes // 3), {"controller.friction_margin": 0.6}
+        third = max(1, episodes // 3)
+        safe = {"controller.friction_margin": 0.6}
         wrong = {**ERRORS["friction"], **ERRORS["force"]}
         for case, engines, count, settings in (
             ("objects", BOTH, episodes, RANDOM_WRENCH),
-            ("contacts", ("bullet", "mujoco", "bullet_1000", "noslip", "pyramidal", "soft"), third, RANDOM_WRENCH),
-            ("margin", (*BOTH, "pyramidal", "soft"), third, {**RANDOM_WRENCH, "controller.friction_margin": 0.7}),
+            (
+                "contacts",
+                ("bullet", "mujoco", "bullet_1000", "noslip", "pyramidal", "soft"),
+                third,
+                RANDOM_WRENCH,
+            ),
+            (
+                "margin",
+                (*BOTH, "pyramidal", "soft"),
+                third,
+                {**RANDOM_WRENCH, "controller.friction_margin": 0.7},
+            ),
             ("six_directions", BOTH, third, {"task": "six_directions"}),
-            ("estimated", (*BOTH, "bullet_1000"), episodes, {**RANDOM_WRENCH, "sensors.wrench": "estimated"}),
+            (
+                "estimated",
+                (*BOTH, "bullet_1000"),
+                episodes,
+                {**RANDOM_WRENCH, "sensors.wrench": "estimated"},
+            ),
             ("friction_force", BOTH, third, {**RANDOM_WRENCH, **wrong, **safe}),
             ("all_safe", BOTH, third, {**RANDOM_WRENCH, **ALL_ERRORS, **safe}),
             ("squeeze", BOTH, third, {**RANDOM_WRENCH, "controller.kind": "constant_squeeze"}),
@@ -226,7 +293,8 @@ def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
 
     Example:
         >>> mesh_settings("parts/duck.obj=0.06")
-        ('duck', {'object': {'shape': 'mesh', 'mesh': 'parts/duck.obj', 'size': (0.06,), 'mass': 0.15, 'friction': 0.7}})
+        ('duck', {'object': {'shape': 'mesh', 'mesh': 'parts/duck.obj', 'size': (0.06,), 'mass':
+        0.15, 'friction': 0.7}})
     """
     path, equals, scale = text.rpartition("=")
     if not equals or "/" in scale or "\\" in scale:  # the sign belongs to a folder's name
@@ -234,7 +302,9 @@ def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
     try:
         size = (float(scale),)
     except ValueError:
-        raise InvalidInputError(f"object {text!r} must be FILE or FILE=SCALE, such as duck.obj=0.001") from None
+        raise InvalidInputError(
+            f"object {text!r} must be FILE or FILE=SCALE, such as duck.obj=0.001"
+        ) from None
     name = path.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
     alike = {name: OBJECTS["cube"][name] for name in ("mass", "friction")}
     return name, {"object": {"shape": "mesh", "mesh": path, "size": size, **alike}}
@@ -243,18 +313,27 @@ def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
 def hands_plan(
     hands: Iterable[str], engines: Sequence[str], episodes: int, objects: Sequence[str] = ()
 ) -> list[Scenario]:
-    """Plan all combinations of hands (names or files), objects (mesh files, see `mesh_settings`, or those of `OBJECTS`) and pushes.
+    """Plan all combinations of hands (names or files), objects (mesh files, see `mesh_settings`, or
+    those of `OBJECTS`) and pushes.
 
     Each random scenario has `episodes`, a deterministic one has one.
     """
-    meshes: list[Any] = [("mesh", {"object": name}, own) for name, own in map(mesh_settings, objects)]
+    meshes: list[Any] = [
+        ("mesh", {"object": name}, own) for name, own in map(mesh_settings, objects)
+    ]
     return [
         Scenario(
-            f"{item}_{push}", {"hand": short_name(hand), **keys}, episodes if "random" in (item, push) else 1,
-            {"hand": hand, **own, **PUSHES[push]}, tuple(engines), item == "random",
+            f"{item}_{push}",
+            {"hand": short_name(hand), **keys},
+            episodes if "random" in (item, push) else 1,
+            {"hand": hand, **own, **PUSHES[push]},
+            tuple(engines),
+            item == "random",
         )
-        for hand in hands for item, keys, own in meshes or [(item, {}, own) for item, own in OBJECTS.items()] for push in PUSHES
-    ]  # fmt: skip
+        for hand in hands
+        for item, keys, own in meshes or [(item, {}, own) for item, own in OBJECTS.items()]
+        for push in PUSHES
+    ]
 
 
 def short_name(hand: str) -> str:

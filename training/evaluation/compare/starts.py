@@ -1,4 +1,6 @@
-"""Starts of the comparison, one entry of `STARTS` each: its label, its looks in charts and its maker."""
+"""Starts of the comparison, one entry of `STARTS` each: its label, its looks in charts and its
+maker.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from grasp_env.core import record_size
-from grasp_env.force import ForceOptimizer, ForceSolution, Objective, OfflineBasis, optimize_force, optimize_forces
+from grasp_env.force import (
+    ForceOptimizer,
+    ForceSolution,
+    Objective,
+    OfflineBasis,
+    optimize_force,
+    optimize_forces,
+)
 from grasp_env.force.initial import CompiledRule, InitialForceRule, call_rule
 from grasp_env.force.record import CONTACTS, FORCE
 from grasp_env.force.repair import Correction, carry_over
@@ -23,22 +32,29 @@ from policies import LearnedInitialForce
 from training.evaluation.compare.cases import HELD_OUT, scaled
 
 Start = Callable[[Grasp, Wrench, "ContactForces | None"], ContactForces]
-"""Function (grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3) [N]."""
+"""Function (grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3)
+[N]."""
 
 BASIS = "linear_combination"
 """Start of the paper, with which the others are compared."""
 STORED = 10_000
 STORED_RANGE = (0.1, 20.0)
-"""Range of magnitudes of the stored solutions [N], the same as in the training of the shipped model."""
+"""Range of magnitudes of the stored solutions [N], the same as in the training of the shipped
+model."""
 KEPT = 0.95
-"""Share of the way from the 12-basis to the cones that is kept of a network's force outside them."""
+"""Share of the way from the 12-basis to the cones that is kept of a network's force outside them.
+"""
 NEAR_PLACE, NEAR_NORMAL = 0.02, 0.95
-"""Largest distance [m], and least cosine between normals, for starts that apply near the fixed grasp only."""
+"""Largest distance [m], and least cosine between normals, for starts that apply near the fixed
+grasp only."""
 _FIXED = presets.paper_cuboid()
 
 
 class DoesNotApply(Exception):
-    """Raised by a start that does not apply to this grasp, or needs a previous solution. Such cases have no row."""
+    """Raised by a start that does not apply to this grasp, or needs a previous solution.
+
+    Such cases have no row.
+    """
 
 
 @dataclass(frozen=True)
@@ -47,7 +63,8 @@ class ComparedStart:
 
     Attributes:
         start: function for the trials.
-        options: options of a `ForceOptimizer` with this start, for the timing; none: the optimizer gets the force.
+        options: options of a `ForceOptimizer` with this start, for the timing; none: the optimizer
+            gets the force.
         compiled: True if the core computes it from the wrench alone.
     """
 
@@ -56,15 +73,25 @@ class ComparedStart:
     compiled: bool = False
 
     @classmethod
-    def of(cls, rule: InitialForceRule, timed: str | InitialForceRule | None = None) -> ComparedStart:
-        """Make the start of a rule that ignores the previous solution; `timed` replaces the rule in timings."""
-        return cls(lambda grasp, load, before: rule(grasp, load), {"initial": timed or rule}, timed is not None)
+    def of(
+        cls, rule: InitialForceRule, timed: str | InitialForceRule | None = None
+    ) -> ComparedStart:
+        """Make the start of a rule that ignores the previous solution; `timed` replaces the rule in
+        timings.
+        """
+        return cls(
+            lambda grasp, load, before: rule(grasp, load),
+            {"initial": timed or rule},
+            timed is not None,
+        )
 
 
 class StartContext:
     """Maker of starts for one Phi; `given` are rules of a user by name, saved models among them."""
 
-    def __init__(self, objective: Objective, given: Mapping[str, InitialForceRule] | None = None) -> None:
+    def __init__(
+        self, objective: Objective, given: Mapping[str, InitialForceRule] | None = None
+    ) -> None:
         self.objective, self.given = objective, dict(given or {})
 
     @cached_property
@@ -74,24 +101,36 @@ class StartContext:
 
     @cached_property
     def stored(self) -> tuple[Array, KDTree]:
-        """Optimal forces (n, N, 3) of the fixed grasp for `STORED` wrenches, and the tree of these wrenches, moments over 0.05 m."""
-        loads = wrench.sample_magnitudes(np.random.default_rng([HELD_OUT, 1 << 20]), STORED, *STORED_RANGE)
+        """Optimal forces (n, N, 3) of the fixed grasp for `STORED` wrenches, and the tree of these
+        wrenches, moments over 0.05 m.
+        """
+        loads = wrench.sample_magnitudes(
+            np.random.default_rng([HELD_OUT, 1 << 20]), STORED, *STORED_RANGE
+        )
         forces = optimize_forces(_FIXED, loads, workers=1, **vars(self.objective)).force
         return forces, KDTree(scaled(loads))
 
     def made(self) -> dict[str, ComparedStart]:
         """Make every start of `STARTS`, then the package's other rules, then those of the user."""
         named = {key: STARTS[key].make(self) for key in STARTS}
-        own = {key: self.rule(rule.make(self.objective)) for key, rule in RULES.items() if key not in named}
+        own = {
+            key: self.rule(rule.make(self.objective))
+            for key, rule in RULES.items()
+            if key not in named
+        }
         return {**named, **own, **{key: self.rule(rule) for key, rule in self.given.items()}}
 
     def named(self, name: str) -> ComparedStart:
         """Make a start that optimizers know by name."""
-        rule = initial_rule(name, self.objective) if name in RULES else CoreRule(name, self.objective)
+        rule = (
+            initial_rule(name, self.objective) if name in RULES else CoreRule(name, self.objective)
+        )
         return ComparedStart.of(rule, name)
 
     def previous(self, correction: Correction) -> ComparedStart:
-        """Make the previous solution, corrected to the new balance as optimizers do ("tangent") or by the least change."""
+        """Make the previous solution, corrected to the new balance as optimizers do ("tangent") or
+        by the least change.
+        """
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
             if before is None:
@@ -106,7 +145,9 @@ class StartContext:
         self, grasp: Grasp, load: Wrench, before: ContactForces, initial: str | InitialForceRule
     ) -> ContactForces:
         """Return the start of an optimizer that has solved before; the paper's if it has no other."""
-        optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=initial, **vars(self.objective))
+        optimizer = ForceOptimizer(
+            grasp, method="reduced_flow", initial=initial, **vars(self.objective)
+        )
         optimizer.previous = as_solution(grasp, before)
         return optimizer.start(load)
 
@@ -116,14 +157,18 @@ class StartContext:
         def rule(grasp: Grasp, load: Wrench) -> ContactForces:
             require_near_fixed(grasp)
             forces, tree = self.stored
-            return carry_over(grasp, load, forces[int(tree.query(scaled(load))[1])], self.objective, correction)
+            return carry_over(
+                grasp, load, forces[int(tree.query(scaled(load))[1])], self.objective, correction
+            )
 
         return ComparedStart.of(rule)
 
     def stepped(self, rule: InitialForceRule | str, steps: int) -> ComparedStart:
-        """Make another start followed by a few Newton steps, as a control for starts that take such steps inside.
+        """Make another start followed by a few Newton steps, as a control for starts that take such
+        steps inside.
 
-        One such step equals the tangent correction of a previous optimum, so the other starts get the same.
+        One such step equals the tangent correction of a previous optimum, so the other starts get
+        the same.
         """
         first = initial_rule(rule, self.objective) if isinstance(rule, str) else rule
 
@@ -145,7 +190,9 @@ class StartContext:
         return rule
 
     def remembering(self) -> ComparedStart:
-        """Make the shipped model that starts from the previous solution instead if that has less Phi."""
+        """Make the shipped model that starts from the previous solution instead if that has less
+        Phi.
+        """
         return self.rule(type(self.model)(self.model.checkpoint, self.model.objective, True))
 
     def rule(self, rule: InitialForceRule) -> ComparedStart:
@@ -159,7 +206,9 @@ class StartContext:
                 return call_rule(rule, rule, grasp, load.copy())
             return self._after(grasp, load, before, rule)
 
-        return ComparedStart(start, {"initial": rule}, isinstance(rule, CompiledRule) and not remembers)
+        return ComparedStart(
+            start, {"initial": rule}, isinstance(rule, CompiledRule) and not remembers
+        )
 
 
 @dataclass(frozen=True)
@@ -184,59 +233,138 @@ class StartEntry:
 
 
 STARTS: dict[str, StartEntry] = {
-    "single_value": StartEntry("single value", "single value", "#8a8a8b", lambda context: context.named("single_value")),
-    "phase_one": StartEntry(
-        "phase one, any force inside", "phase one", "#8a9a22", lambda context: ComparedStart.of(initial_rule("phase_one", context.objective))
+    "single_value": StartEntry(
+        "single value", "single value", "#8a8a8b", lambda context: context.named("single_value")
     ),
-    "lagrange": StartEntry("Lagrange", "Lagrange", "#b3852d", lambda context: context.named("lagrange")),
+    "phase_one": StartEntry(
+        "phase one, any force inside",
+        "phase one",
+        "#8a9a22",
+        lambda context: ComparedStart.of(initial_rule("phase_one", context.objective)),
+    ),
+    "lagrange": StartEntry(
+        "Lagrange", "Lagrange", "#b3852d", lambda context: context.named("lagrange")
+    ),
     "linear_combination_printed": StartEntry(
-        "12-basis, as printed", "12-basis, printed", "#5fa7e9", lambda context: context.named("linear_combination_printed"), dashed=True
+        "12-basis, as printed",
+        "12-basis, printed",
+        "#5fa7e9",
+        lambda context: context.named("linear_combination_printed"),
+        dashed=True,
     ),
     "internal_force": StartEntry(
-        "one internal force (Newton's own)", "internal force", "#6b6b3f", lambda context: context.named("internal_force"), main=True
+        "one internal force (Newton's own)",
+        "internal force",
+        "#6b6b3f",
+        lambda context: context.named("internal_force"),
+        main=True,
     ),
-    BASIS: StartEntry("12-basis (the paper, fixed at w = 0)", "12-basis", "#2f7fd8", lambda context: context.named(BASIS), main=True),
+    BASIS: StartEntry(
+        "12-basis (the paper, fixed at w = 0)",
+        "12-basis",
+        "#2f7fd8",
+        lambda context: context.named(BASIS),
+        main=True,
+    ),
     "basis_tangent": StartEntry(
-        "12-basis, one Newton correction", "12-basis + Newton", "#1e9ca6", lambda context: context.stepped(BASIS, 1)
+        "12-basis, one Newton correction",
+        "12-basis + Newton",
+        "#1e9ca6",
+        lambda context: context.stepped(BASIS, 1),
     ),
     "basis_newton_2": StartEntry(
-        "12-basis, two Newton corrections", "12-basis + 2 Newton", "#1a9b7c", lambda context: context.stepped(BASIS, 2)
+        "12-basis, two Newton corrections",
+        "12-basis + 2 Newton",
+        "#1a9b7c",
+        lambda context: context.stepped(BASIS, 2),
     ),
     "basis_newton": StartEntry(
-        "12-basis, four Newton corrections", "12-basis + 4 Newton", "#5a72ca", lambda context: context.stepped(BASIS, 4), main=True
+        "12-basis, four Newton corrections",
+        "12-basis + 4 Newton",
+        "#5a72ca",
+        lambda context: context.stepped(BASIS, 4),
+        main=True,
     ),
     "previous_pseudoinverse": StartEntry(
-        "previous solution, G^+", "previous, G^+", "#74b374", lambda context: context.previous("pseudoinverse"), dashed=True
+        "previous solution, G^+",
+        "previous, G^+",
+        "#74b374",
+        lambda context: context.previous("pseudoinverse"),
+        dashed=True,
     ),
     "previous_tangent": StartEntry(
-        "previous solution, tangent", "previous, tangent", "#2e9a4e", lambda context: context.previous("tangent"), main=True
+        "previous solution, tangent",
+        "previous, tangent",
+        "#2e9a4e",
+        lambda context: context.previous("tangent"),
+        main=True,
     ),
     "nearest_pseudoinverse": StartEntry(
-        "nearest of 10,000 stored, G^+", "nearest, G^+", "#a293d4", lambda context: context.nearest("pseudoinverse"), dashed=True
+        "nearest of 10,000 stored, G^+",
+        "nearest, G^+",
+        "#a293d4",
+        lambda context: context.nearest("pseudoinverse"),
+        dashed=True,
     ),
     "nearest_tangent": StartEntry(
-        "nearest of 10,000 stored, tangent", "nearest, tangent", "#8a5fc0", lambda context: context.nearest("tangent"), main=True
+        "nearest of 10,000 stored, tangent",
+        "nearest, tangent",
+        "#8a5fc0",
+        lambda context: context.nearest("tangent"),
+        main=True,
     ),
-    "network": StartEntry("network alone, fixed grasp", "network alone", "#b36cd0", lambda context: ComparedStart.of(context.network), main=True),
+    "network": StartEntry(
+        "network alone, fixed grasp",
+        "network alone",
+        "#b36cd0",
+        lambda context: ComparedStart.of(context.network),
+        main=True,
+    ),
     "network_newton_1": StartEntry(
-        "network, one Newton step", "network + Newton", "#c069af", lambda context: context.stepped(context.network, 1)
+        "network, one Newton step",
+        "network + Newton",
+        "#c069af",
+        lambda context: context.stepped(context.network, 1),
     ),
     "network_newton_2": StartEntry(
-        "network, two Newton steps", "network + 2 Newton", "#8a4faa", lambda context: context.stepped(context.network, 2)
+        "network, two Newton steps",
+        "network + 2 Newton",
+        "#8a4faa",
+        lambda context: context.stepped(context.network, 2),
     ),
-    "learned_fixed": StartEntry("learned, fixed grasp", "learned, fixed", "#e0463e", lambda context: context.rule(context.model), main=True),
+    "learned_fixed": StartEntry(
+        "learned, fixed grasp",
+        "learned, fixed",
+        "#e0463e",
+        lambda context: context.rule(context.model),
+        main=True,
+    ),
     "learned_previous": StartEntry(
-        "learned, with the previous solution", "learned + previous", "#e2489a", lambda context: context.remembering(),
-        main=True, dashed=True,
+        "learned, with the previous solution",
+        "learned + previous",
+        "#e2489a",
+        lambda context: context.remembering(),
+        main=True,
+        dashed=True,
     ),
-}  # fmt: skip
+}
 """All starts, in the order of the tables."""
-GIVEN_COLOURS = ("#aa7454", "#208dbc", "#c8528e", "#6b8b20", "#7c64e4", "#20908b", "#bc6a20", "#7f7f20")
+GIVEN_COLOURS = (
+    "#aa7454",
+    "#208dbc",
+    "#c8528e",
+    "#6b8b20",
+    "#7c64e4",
+    "#20908b",
+    "#bc6a20",
+    "#7f7f20",
+)
 """Colours of the starts of a user, in turn; their number is the most that a run compares."""
 
 
 def start_info(key: str) -> StartEntry:
-    """Return the description of a start; that of a user's start is made from its name, that of a rule from its label.
+    """Return the description of a start; that of a user's start is made from its name, that of a
+    rule from its label.
 
     Example:
         >>> start_info("lagrange").label, start_info("my_rule").label, start_info("my_rule").main
@@ -246,7 +374,12 @@ def start_info(key: str) -> StartEntry:
         return STARTS[key]
     name = RULES[key].label if key in RULES else key.replace("_", " ")
     return StartEntry(
-        name, name, GIVEN_COLOURS[0], lambda context: context.rule(context.given[key]), main=True, dashed=True
+        name,
+        name,
+        GIVEN_COLOURS[0],
+        lambda context: context.rule(context.given[key]),
+        main=True,
+        dashed=True,
     )
 
 
@@ -258,7 +391,9 @@ def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:
 
 
 class NetworkAlone:
-    """Start rule: the force of a network without any step. If it lies outside the cones, it is moved towards the 12-basis."""
+    """Start rule: the force of a network without any step. If it lies outside the cones, it is
+    moved towards the 12-basis.
+    """
 
     def __init__(self, model: LearnedInitialForce) -> None:
         self.model = model
@@ -287,15 +422,19 @@ def require_near_fixed(grasp: Grasp) -> None:
         raise DoesNotApply
 
 
-def carry_force(old: Grasp, force: ContactForces, new: Grasp, objective: Objective) -> ContactForces:
+def carry_force(
+    old: Grasp, force: ContactForces, new: Grasp, objective: Objective
+) -> ContactForces:
     """Carry a force of one grasp over to the contact frames of another.
 
-    Each contact takes the force (N, 3) [N] of the nearest old contact within 20 mm, as a vector in the object frame. A new finger gets
-    its optimum without load, u = sqrt(lambda / omega), which is strictly inside its cone, unlike zero.
+    Each contact takes the force (N, 3) [N] of the nearest old contact within 20 mm, as a vector in
+    the object frame. A new finger gets its optimum without load, u = sqrt(lambda / omega), which is
+    strictly inside its cone, unlike zero.
     """
     if old is new:
         return force
-    vectors, weights = old.to_object_frame(force), objective.weights(new.n_contacts)
+    vectors = old.to_object_frame(force)
+    weights = objective.weights(new.n_contacts)
     apart = np.linalg.norm(new.positions[:, None] - old.positions, axis=2)
     out = np.zeros((new.n_contacts, 3))
     out[:, 0] = np.sqrt(weights[:, 1] / weights[:, 0]) / new.friction

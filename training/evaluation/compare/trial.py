@@ -3,8 +3,8 @@
 Column `status` of a row:
 
 - "optimal": the relative gap of Phi reached `TOLERANCE`.
-- "iteration_limit", "stalled", ...: the method stopped before that. The value is its own status; if it reported "optimal" by its own
-  criterion without reaching `TOLERANCE`, the value is "stalled".
+- "iteration_limit", "stalled", ...: the method stopped before that. The value is its own status; if
+  it reported "optimal" by its own criterion without reaching `TOLERANCE`, the value is "stalled".
 - "no_start": the start is missing or invalid; `reason` says why.
 """
 
@@ -34,7 +34,8 @@ TOLERANCE = 1e-4
 COARSE, FINE = 1e-2, 1e-6
 """Relative gaps of Phi to which iterations are counted as well."""
 END_GAP = {"reduced_flow": 1e-6, "newton": 1e-8}
-"""Relative gap of Phi at which each method is stopped; at most `FINE`, so that a run passes all counted gaps."""
+"""Relative gap of Phi at which each method is stopped; at most `FINE`, so that a run passes all
+counted gaps."""
 ITERATION_LIMIT = 5000
 """Iteration limit of a run; a gap that is not reached counts as one iteration more."""
 OPTIMUM_GAP = 1e-10
@@ -62,11 +63,15 @@ class Quality:
     residual: float
 
     @classmethod
-    def of(cls, grasp: Grasp, load: Array, force: ContactForces, least_phi: float, objective: Objective) -> Quality:
+    def of(
+        cls, grasp: Grasp, load: Array, force: ContactForces, least_phi: float, objective: Objective
+    ) -> Quality:
         """Evaluate a force (N, 3) in contact frames; `least_phi` is Phi at the optimum."""
         size = max(float(np.abs(force).max()), 1e-300)
         gap = objective.value(grasp.to_cone(force)) / least_phi - 1.0
-        return cls(max(0.0, gap), grasp.cone_margin(force) / size, grasp.residual(force, load) / size)
+        return cls(
+            max(0.0, gap), grasp.cone_margin(force) / size, grasp.residual(force, load) / size
+        )
 
     def reason(self) -> str | None:
         """Return why the force is invalid; None if it balances the wrench inside the cones."""
@@ -76,7 +81,9 @@ class Quality:
 
     def columns(self, prefix: str = "") -> dict[str, float]:
         """Return the columns of a row, with a prefix; an infinite gap is left out."""
-        return {f"{prefix}{name}": value for name, value in vars(self).items() if np.isfinite(value)}
+        return {
+            f"{prefix}{name}": value for name, value in vars(self).items() if np.isfinite(value)
+        }
 
 
 class Optimizers:
@@ -95,7 +102,9 @@ class Optimizers:
             known = self._cached_optimum = grasp, load, solution.force, solution.objective
         return known[2:]
 
-    def run(self, method: str, grasp: Grasp, load: Array, start: ContactForces, least_phi: float) -> dict[str, Any]:
+    def run(
+        self, method: str, grasp: Grasp, load: Array, start: ContactForces, least_phi: float
+    ) -> dict[str, Any]:
         """Run a method from a start and return its columns."""
         solution = self._of(grasp)[method].solve(load, initial=start, optimum=least_phi, trace=True)
         gaps = np.maximum(solution.objective_trace / least_phi - 1.0, 0.0)
@@ -105,24 +114,39 @@ class Optimizers:
         }
         ended = solution.status.value
         return {
-            "status": "optimal" if reached[TOLERANCE] <= ITERATION_LIMIT else "stalled" if ended == "optimal" else ended,
-            "iterations": reached[TOLERANCE], "iterations_coarse": reached[COARSE], "iterations_fine": reached[FINE],
-            "trials": solution.trials, **Quality.of(grasp, load, solution.force, least_phi, self.objective).columns(),
-        }  # fmt: skip
+            "status": "optimal"
+            if reached[TOLERANCE] <= ITERATION_LIMIT
+            else "stalled"
+            if ended == "optimal"
+            else ended,
+            "iterations": reached[TOLERANCE],
+            "iterations_coarse": reached[COARSE],
+            "iterations_fine": reached[FINE],
+            "trials": solution.trials,
+            **Quality.of(grasp, load, solution.force, least_phi, self.objective).columns(),
+        }
 
     def _of(self, grasp: Grasp) -> dict[str, ForceOptimizer]:
         if grasp not in self._made:
             while len(self._made) > 3:
                 del self._made[next(iter(self._made))]
-            self._made[grasp] = {"optimum": optimizer(grasp, "newton", self.objective, OPTIMUM_GAP)} | {
-                method: optimizer(grasp, method, self.objective, END_GAP[method], max_iterations=ITERATION_LIMIT)
+            self._made[grasp] = {
+                "optimum": optimizer(grasp, "newton", self.objective, OPTIMUM_GAP)
+            } | {
+                method: optimizer(
+                    grasp, method, self.objective, END_GAP[method], max_iterations=ITERATION_LIMIT
+                )
                 for method in METHODS
             }
         return self._made[grasp]
 
 
 def trials(
-    name: str, cases: list[Case], starts: Mapping[str, ComparedStart], objective: Objective, solved: bool = True
+    name: str,
+    cases: list[Case],
+    starts: Mapping[str, ComparedStart],
+    objective: Objective,
+    solved: bool = True,
 ) -> Iterator[dict[str, Any]]:
     """Yield the rows of a set: one for each case, start and method.
 
@@ -138,7 +162,9 @@ def trials(
     for number, case in enumerate(cases):
         grasp, load, carried_force = case.grasp, case.wrench, None
         if case.before is not None:
-            carried_force = carry_force(case.before[0], optimizers.optimum(*case.before)[0], grasp, objective)
+            carried_force = carry_force(
+                case.before[0], optimizers.optimum(*case.before)[0], grasp, objective
+            )
         _, least_phi = optimizers.optimum(grasp, load)
         common = {"case": name, "problem": number, "group": case.group, "event": case.event or None}
         paper_force = _paper_start(starts, grasp, load)
@@ -151,7 +177,9 @@ def trials(
                 continue
             except GraspError as error:
                 row |= {"status": "no_start", "reason": failure_reason(error)}
-                yield from ({**row, "method": method} for method in (METHODS if solved else (None,)))
+                yield from (
+                    {**row, "method": method} for method in (METHODS if solved else (None,))
+                )
                 continue
             quality = Quality.of(grasp, load, force, least_phi, objective)
             row |= quality.columns("start_")
@@ -169,22 +197,33 @@ def trials(
                 try:
                     run = optimizers.run(method, grasp, load, force, least_phi)
                 except InfeasibleStartError:  # outside the cones, or not balanced up to rounding
-                    yield {**row, "method": method, "status": "no_start", "reason": reason or "out of balance"}
+                    yield {
+                        **row,
+                        "method": method,
+                        "status": "no_start",
+                        "reason": reason or "out of balance",
+                    }
                     continue
                 yield {**row, "method": method, **run}
 
 
-def attempt(made: ComparedStart, grasp: Grasp, load: Array, carried_force: ContactForces | None) -> ContactForces:
+def attempt(
+    made: ComparedStart, grasp: Grasp, load: Array, carried_force: ContactForces | None
+) -> ContactForces:
     """Return the force (N, 3) [N] of a start, which may be a user's.
 
-    `carried_force` (N, 3) is the optimum of the preceding case, carried over to these contacts; None if there is no preceding case.
+    `carried_force` (N, 3) is the optimum of the preceding case, carried over to these contacts;
+    None if there is no preceding case.
 
     Raises:
         DoesNotApply: the start does not apply to this case.
-        GraspError: the start has no force, fails, or returns something else; `failure_reason` gives the reason.
+        GraspError: the start has no force, fails, or returns something else; `failure_reason` gives
+            the reason.
     """
     try:
-        return as_array(made.start(grasp, load, carried_force), (grasp.n_contacts, 3), "a start", ranges.SIZE)
+        return as_array(
+            made.start(grasp, load, carried_force), (grasp.n_contacts, 3), "a start", ranges.SIZE
+        )
     except (DoesNotApply, GraspError):
         raise
     except Exception as error:
@@ -192,14 +231,18 @@ def attempt(made: ComparedStart, grasp: Grasp, load: Array, carried_force: Conta
 
 
 def failure_reason(error: Exception) -> str:
-    """Return why there is no force: the exception's class and message, cut at `REASON_LENGTH`, or "no feasible start"."""
+    """Return why there is no force: the exception's class and message, cut at `REASON_LENGTH`, or
+    "no feasible start".
+    """
     cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
     if isinstance(cause, InfeasibleStartError):
         return "no feasible start"
     return shortened(f"{type(cause).__name__}: {cause!s}", REASON_LENGTH)
 
 
-def _paper_start(starts: Mapping[str, ComparedStart], grasp: Grasp, load: Array) -> ContactForces | None:
+def _paper_start(
+    starts: Mapping[str, ComparedStart], grasp: Grasp, load: Array
+) -> ContactForces | None:
     """Return the force of the paper's start; None if the grasp has no such start."""
     try:
         return starts[BASIS].start(grasp, load, None)
@@ -207,8 +250,12 @@ def _paper_start(starts: Mapping[str, ComparedStart], grasp: Grasp, load: Array)
         return None
 
 
-def _slope(previous_start: tuple[Case, ContactForces] | None, case: Case, force: ContactForces) -> float:
-    """Return |change of start| / |change of wrench| relative to the preceding case (moments / 0.05 m); NaN if there is none."""
+def _slope(
+    previous_start: tuple[Case, ContactForces] | None, case: Case, force: ContactForces
+) -> float:
+    """Return |change of start| / |change of wrench| relative to the preceding case (moments / 0.05
+    m); NaN if there is none.
+    """
     if previous_start is None or case.before is None or previous_start[0].grasp is not case.grasp:
         return float("nan")
     preceding, preceding_force = previous_start

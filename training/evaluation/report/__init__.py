@@ -1,1 +1,3 @@
-"""Reports: one module and one template turn the table of any run into a page; each kind of run describes its content as data."""
+"""Reports: one module and one template turn the table of any run into a page; each kind of run
+describes its content as data.
+"""

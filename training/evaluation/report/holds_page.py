@@ -20,34 +20,93 @@ INTRO = (
     "The words are defined at the end of this page, the columns of the table in run.json."
 )
 WORDS = (
-    ("held", "The object was not dropped and did not move by more than the task allows, to the end of the episode. No fingertip slid on it by more than 3 mm or penetrated it by more than 0.5 mm, and links other than fingertips never pushed it with more than 10 % of the load."),
-    ("drift", "Largest distance of the object in an episode from where it was grasped; only for episodes in which it was held."),
+    (
+        "held",
+        "The object was not dropped and did not move by more than the task allows, to the end of the episode. No fingertip slid on it by more than 3 mm or penetrated it by more than 0.5 mm, and links other than fingertips never pushed it with more than 10 % of the load.",
+    ),
+    (
+        "drift",
+        "Largest distance of the object in an episode from where it was grasped; only for episodes in which it was held.",
+    ),
     ("squeeze", "Sum of the normal forces."),
-    ("friction margin", "Share of the friction that the solver may use: a reserve against friction estimated too high."),
-    ("chosen", "Among the values of a varied setting, the least squeeze that holds 99 % of the episodes; if none does, the value that holds most."),
+    (
+        "friction margin",
+        "Share of the friction that the solver may use: a reserve against friction estimated too high.",
+    ),
+    (
+        "chosen",
+        "Among the values of a varied setting, the least squeeze that holds 99 % of the episodes; if none does, the value that holds most.",
+    ),
     ("interval", "95 % Wilson interval of a rate."),
-)  # fmt: skip
+)
 ASKED_RATE = 0.99
 _PAPER = "controller == 'paper'"
 CLAIMS = {
     "env": (
-        Claim("the paper's pipeline holds random objects against a random wrench for 4 s", f"case == 'objects' and {_PAPER}", "held_mean", ">=", ASKED_RATE),
-        Claim("the paper's pipeline holds random objects in six directions", f"case == 'six_directions' and {_PAPER}", "held_mean", ">=", ASKED_RATE),
-        Claim("random objects that were held: mean of the largest drift", f"case == 'objects' and {_PAPER}", "drift_mean", "<", 1, unit="mm"),
-        Claim("W_ext(t) x 0.25 on the 0.1 m cuboid is held", f"case == 'path_0.25' and {_PAPER}", "held_mean", ">=", 1),
-        Claim("W_ext(t) x 0.25 on the 0.1 m cuboid: drift", f"case == 'path_0.25' and {_PAPER}", "drift_max", "<", 0.1, unit="mm"),
+        Claim(
+            "the paper's pipeline holds random objects against a random wrench for 4 s",
+            f"case == 'objects' and {_PAPER}",
+            "held_mean",
+            ">=",
+            ASKED_RATE,
+        ),
+        Claim(
+            "the paper's pipeline holds random objects in six directions",
+            f"case == 'six_directions' and {_PAPER}",
+            "held_mean",
+            ">=",
+            ASKED_RATE,
+        ),
+        Claim(
+            "random objects that were held: mean of the largest drift",
+            f"case == 'objects' and {_PAPER}",
+            "drift_mean",
+            "<",
+            1,
+            unit="mm",
+        ),
+        Claim(
+            "W_ext(t) x 0.25 on the 0.1 m cuboid is held",
+            f"case == 'path_0.25' and {_PAPER}",
+            "held_mean",
+            ">=",
+            1,
+        ),
+        Claim(
+            "W_ext(t) x 0.25 on the 0.1 m cuboid: drift",
+            f"case == 'path_0.25' and {_PAPER}",
+            "drift_max",
+            "<",
+            0.1,
+            unit="mm",
+        ),
         *(
-            Claim(f"{LABELS[case]}: rate of the paper's pipeline minus that of {CONTROLLER_LABELS[key]}, each at its chosen setting",
-                  f"case == '{case}' and {_PAPER} and chosen", "held_mean", ">=", 0, f"case == '{case}' and controller == '{key}' and chosen", True)
-            for case in CURVES for key in BASELINES
+            Claim(
+                f"{LABELS[case]}: rate of the paper's pipeline minus that of {CONTROLLER_LABELS[key]}, each at its chosen setting",
+                f"case == '{case}' and {_PAPER} and chosen",
+                "held_mean",
+                ">=",
+                0,
+                f"case == '{case}' and controller == '{key}' and chosen",
+                True,
+            )
+            for case in CURVES
+            for key in BASELINES
         ),
     ),
     "transfer": tuple(
-        Claim(f"MuJoCo holds what Bullet holds: rate minus rate, {LABELS[case]}", f"case == '{case}' and engine == 'mujoco'", "held_mean", "within", 0.05,
-              f"case == '{case}' and engine == 'bullet'", True)
+        Claim(
+            f"MuJoCo holds what Bullet holds: rate minus rate, {LABELS[case]}",
+            f"case == '{case}' and engine == 'mujoco'",
+            "held_mean",
+            "within",
+            0.05,
+            f"case == '{case}' and engine == 'bullet'",
+            True,
+        )
         for case in ("objects", "estimated", "weak")
     ),
-}  # fmt: skip
+}
 
 
 def derive(means: Rows) -> Rows:
@@ -74,7 +133,9 @@ def held_cell(row: dict[str, Any]) -> str:
         '3 of 4 at 12.1 N'
     """
     force = row.get("normal_force_mean", np.nan)
-    return f"{row['held_sum']:.0f} of {row['n']}" + ("" if not np.isfinite(force) else f" at {number(force)} N")
+    return f"{row['held_sum']:.0f} of {row['n']}" + (
+        "" if not np.isfinite(force) else f" at {number(force)} N"
+    )
 
 
 def names_of(row: dict[str, Any]) -> str:
@@ -82,13 +143,18 @@ def names_of(row: dict[str, Any]) -> str:
     keys = ("hand", "object", "engine", "controller", "start", "friction_margin", "squeeze")
     values = [row[key] for key in keys if key in row and not pd.isna(row[key])]
     return ", ".join(
-        CONTROLLER_LABELS.get(str(value), f"{value:g}" if isinstance(value, float) else str(value)) for value in values
+        CONTROLLER_LABELS.get(str(value), f"{value:g}" if isinstance(value, float) else str(value))
+        for value in values
     )
 
 
 def arranged(means: Rows) -> tuple[Rows, str, list[str]]:
-    """Return the rows with hold rates (of varied settings the chosen ones), the key of a grid's columns, and the keys of its rows."""
-    found: Rows = means[means["held_mean"].notna()] if "held_mean" in means.columns else means.iloc[:0]
+    """Return the rows with hold rates (of varied settings the chosen ones), the key of a grid's
+    columns, and the keys of its rows.
+    """
+    found: Rows = (
+        means[means["held_mean"].notna()] if "held_mean" in means.columns else means.iloc[:0]
+    )
     if "chosen" in found.columns:
         found = found[found["chosen"] | ~found["case"].isin(list(CURVES))]
     varied = [
@@ -97,11 +163,17 @@ def arranged(means: Rows) -> tuple[Rows, str, list[str]]:
         if key in found.columns and found[key].nunique() > 1
     ]
     across = next((key for key in varied if key != "object"), "engine")
-    return found, across, [key for key in ("hand", "object") if key in varied and key != across] + ["case"]
+    return (
+        found,
+        across,
+        [key for key in ("hand", "object") if key in varied and key != across] + ["case"],
+    )
 
 
 def grid(rows: Rows, means: Rows) -> Rows:
-    """Make a grid of episodes held and squeeze: rows for scenarios (and hands, if several), columns for controllers, starts or engines."""
+    """Make a grid of episodes held and squeeze: rows for scenarios (and hands, if several), columns
+    for controllers, starts or engines.
+    """
     found, across, down = arranged(means)
     if found.empty:
         return found
@@ -110,7 +182,9 @@ def grid(rows: Rows, means: Rows) -> Rows:
     made = made.reindex(columns=found[across].unique()).fillna("–")
     made.columns = [CONTROLLER_LABELS.get(name, str(name)) for name in made.columns]
     made = made.reset_index()
-    return made.assign(case=[LABELS[case] for case in made["case"]]).rename(columns={"case": "held"})
+    return made.assign(case=[LABELS[case] for case in made["case"]]).rename(
+        columns={"case": "held"}
+    )
 
 
 def rates_figure(rows: Rows, means: Rows) -> Figure | None:
@@ -118,7 +192,9 @@ def rates_figure(rows: Rows, means: Rows) -> Figure | None:
     found, across, down = arranged(means)
     if found.empty:
         return None
-    made = found.pivot(index=down, columns=across, values="held_mean").reindex(columns=found[across].unique())
+    made = found.pivot(index=down, columns=across, values="held_mean").reindex(
+        columns=found[across].unique()
+    )
     figure, panel = axes(1.3 + 0.3 * len(made))
     panel.grid(visible=False)
     rates = made.to_numpy(np.float64)
@@ -127,8 +203,14 @@ def rates_figure(rows: Rows, means: Rows) -> Figure | None:
         if np.isfinite(rate):
             panel.text(other, place, f"{100 * rate:.0f}", ha="center", va="center", fontsize=8)
     names = [", ".join(name) if isinstance(name, tuple) else name for name in made.index]
-    panel.set_xticks(range(len(made.columns)), list(made.columns), rotation=40, ha="right", fontsize=8)
-    panel.set_yticks(range(len(names)), [name.removeprefix("hold_").replace("_", " ") for name in names], fontsize=8)
+    panel.set_xticks(
+        range(len(made.columns)), list(made.columns), rotation=40, ha="right", fontsize=8
+    )
+    panel.set_yticks(
+        range(len(names)),
+        [name.removeprefix("hold_").replace("_", " ") for name in names],
+        fontsize=8,
+    )
     return figure
 
 
@@ -139,31 +221,60 @@ def curves_figure(rows: Rows, means: Rows) -> Figure | None:
     figure, panel = axes(3.0)
     for case, style in zip(CURVES, ("-", "--"), strict=True):
         for key, tint in zip(("paper", *BASELINES), ("#2f7fd8", "#e0463e", "#8a8a8b"), strict=True):
-            curve = means[(means["case"] == case) & (means["controller"] == key)].sort_values("normal_force_mean")
-            panel.plot(numbers(curve, "normal_force_mean"), numbers(curve, "held_mean"), style, marker="o", markersize=3, color=tint,
-                       label=f"{CONTROLLER_LABELS[key]}, {case}")  # fmt: skip
+            curve = means[(means["case"] == case) & (means["controller"] == key)].sort_values(
+                "normal_force_mean"
+            )
+            panel.plot(
+                numbers(curve, "normal_force_mean"),
+                numbers(curve, "held_mean"),
+                style,
+                marker="o",
+                markersize=3,
+                color=tint,
+                label=f"{CONTROLLER_LABELS[key]}, {case}",
+            )
     panel.set(xlabel="sum of the normal forces, mean [N]", ylabel="share held", ylim=(0, 1.02))
     panel.legend(fontsize=7.5, frameon=False)
     return figure
 
 
 FIGURES = (
-    ("Hold rates", "Per cent of the episodes that were held; for a varied setting, at the chosen value.", rates_figure),
-    ("The cost of robustness", "Hold rate against squeeze; solid: friction and torque errors, dashed: all four errors.", curves_figure),
-)  # fmt: skip
+    (
+        "Hold rates",
+        "Per cent of the episodes that were held; for a varied setting, at the chosen value.",
+        rates_figure,
+    ),
+    (
+        "The cost of robustness",
+        "Hold rate against squeeze; solid: friction and torque errors, dashed: all four errors.",
+        curves_figure,
+    ),
+)
 
 
 def rates(rows: Rows, means: Rows) -> Rows:
     """Make a table of rates with intervals, drift and squeeze; the lowest rate first."""
     made = [
-        {"scenario": LABELS.get(row["case"], row["case"]), "with": names_of(row), "held": held_cell(row),
-         "interval, %": f"{100 * row['held_rate_low']:.1f} to {100 * row['held_rate_high']:.1f}",
-         **{name: row.get(column) for name, column in
-            (("drift, mean [mm]", "drift_mean"), ("largest [mm]", "drift_max"), ("iterations", "iterations_median"),
-             ("force error [N]", "force_error_mean"), ("least torque margin [N m]", "torque_margin_min"), ("redrawn", "redrawn_sum"))
-            if column in means.columns}}
+        {
+            "scenario": LABELS.get(row["case"], row["case"]),
+            "with": names_of(row),
+            "held": held_cell(row),
+            "interval, %": f"{100 * row['held_rate_low']:.1f} to {100 * row['held_rate_high']:.1f}",
+            **{
+                name: row.get(column)
+                for name, column in (
+                    ("drift, mean [mm]", "drift_mean"),
+                    ("largest [mm]", "drift_max"),
+                    ("iterations", "iterations_median"),
+                    ("force error [N]", "force_error_mean"),
+                    ("least torque margin [N m]", "torque_margin_min"),
+                    ("redrawn", "redrawn_sum"),
+                )
+                if column in means.columns
+            },
+        }
         for row in means.sort_values("held_mean", kind="stable").to_dict("records")
-    ]  # fmt: skip
+    ]
     return pd.DataFrame(made)
 
 
@@ -172,17 +283,38 @@ def failures(rows: Rows, means: Rows) -> Rows:
     found = chosen(rows, "held == False")
     if found.empty:
         return found
-    names = ("case", "hand", "object", "engine", "controller", "friction_margin", "squeeze", "failure")
+    names = (
+        "case",
+        "hand",
+        "object",
+        "engine",
+        "controller",
+        "friction_margin",
+        "squeeze",
+        "failure",
+    )
     keys = [key for key in names if key in found.columns]
     found = found.assign(detail=found.get("detail", pd.Series("", found.index)))
     columns = {"count": ("seed", "size"), "seed": ("seed", "first"), "detail": ("detail", "first")}
     made = found.groupby(keys, sort=False, dropna=False).agg(**columns).reset_index()
     made["detail"] = made["detail"].fillna("").str.slice(0, 160)
-    return made.sort_values("count", ascending=False).dropna(axis=1, how="all").rename(columns={"seed": "first seed"})
+    return (
+        made.sort_values("count", ascending=False)
+        .dropna(axis=1, how="all")
+        .rename(columns={"seed": "first seed"})
+    )
 
 
 TABLES = (
-    ("Episodes held", "Held of all, and the mean of the measured normal force; for a varied setting, at the chosen value.", grid),
-    ("Hold rates, the lowest first", "Episodes held, and the mean of the measured normal force.", rates),
+    (
+        "Episodes held",
+        "Held of all, and the mean of the measured normal force; for a varied setting, at the chosen value.",
+        grid,
+    ),
+    (
+        "Hold rates, the lowest first",
+        "Episodes held, and the mean of the measured normal force.",
+        rates,
+    ),
     ("Failures", "The first seed reproduces such an episode.", failures),
-)  # fmt: skip
+)

@@ -21,17 +21,36 @@ from training.evaluation.results.table import Rows, described, pd, summary, writ
 from training.evaluation.results.words import number, small
 
 KINDS = {
-    "starts": "starts", "env": "holds", "hands": "holds", "objects": "holds", "transfer": "holds", "rl": "rl", "reproduce": "reproduce",
-}  # fmt: skip
-"""Module of this package that describes the page of a kind of run; other kinds show their summary."""
+    "starts": "starts",
+    "env": "holds",
+    "hands": "holds",
+    "objects": "holds",
+    "transfer": "holds",
+    "rl": "rl",
+    "reproduce": "reproduce",
+}
+"""Module of this package that describes the page of a kind of run; other kinds show their summary.
+"""
 WIDTH = 4.6
-"""Width of a figure [in]: 331 points, so that its text is 10 pixels high on a phone 360 pixels wide."""
+"""Width of a figure [in]: 331 points, so that its text is 10 pixels high on a phone 360 pixels
+wide."""
 INK, LINE = "#101010", "#d5d8dd"
 STYLE: Any = {
-    "font.size": 10, "axes.labelsize": 10, "xtick.labelsize": 9.5, "ytick.labelsize": 9.5, "axes.linewidth": 0.8,
-    "lines.linewidth": 1.4, "svg.fonttype": "none", "svg.hashsalt": "grasp", "text.parse_math": False, "text.color": INK,
-    "axes.labelcolor": INK, "axes.edgecolor": INK, "xtick.color": INK, "ytick.color": INK,
-}  # fmt: skip
+    "font.size": 10,
+    "axes.labelsize": 10,
+    "xtick.labelsize": 9.5,
+    "ytick.labelsize": 9.5,
+    "axes.linewidth": 0.8,
+    "lines.linewidth": 1.4,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "grasp",
+    "text.parse_math": False,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+}
 MOST_ROWS = 40
 """Largest number of rows that a table of a page shows."""
 
@@ -42,24 +61,32 @@ Make = Callable[[Rows, Rows], Rows]
 
 
 def write(run: Run) -> tuple[Path, list[Judged]]:
-    """Write report.html and summary.csv of a finished run; return the page's path and the judged claims. Nothing is solved.
+    """Write report.html and summary.csv of a finished run; return the page's path and the judged
+    claims. Nothing is solved.
 
     Raises:
         InvalidInputError: its files are missing or were changed.
     """
     with understood(run.folder, "repeat the command that made it"):
         rows, about = run.load()
-        shown, means = module_of(about), summary(rows)
+        shown = module_of(about)
+        means = summary(rows)
         write_summary(run.path("summary.csv"), means)
         derived = getattr(shown, "derive", lambda means: means)(means)
         claims = judge(claims_of(about), derived)
         figures = [
-            (title, caption, base64.b64encode(svg(figure).encode()).decode("ascii"), f"{title}. {caption}")
+            (
+                title,
+                caption,
+                base64.b64encode(svg(figure).encode()).decode("ascii"),
+                f"{title}. {caption}",
+            )
             for title, caption, draw in getattr(shown, "FIGURES", ())
             if (figure := draw(rows, derived)) is not None
         ]
         tables = [
-            (title, note, make(rows, derived)) for title, note, make in getattr(shown, "TABLES", [_summary_table])
+            (title, note, make(rows, derived))
+            for title, note, make in getattr(shown, "TABLES", [_summary_table])
         ]
         page = render(
             title=f"{getattr(shown, 'TITLE', 'Results')}: {run.folder.name}",
@@ -68,7 +95,9 @@ def write(run: Run) -> tuple[Path, list[Judged]]:
             figures=figures,
             tables=[(title, note, made) for title, note, made in tables if len(made)],
             claims=claims,
-            words=getattr(shown, "WORDS", [(name, text) for name, text in described(rows.columns).items()]),
+            words=getattr(
+                shown, "WORDS", [(name, text) for name, text in described(rows.columns).items()]
+            ),
             facts=facts_of(about),
             load=(
                 "import pandas",
@@ -87,7 +116,9 @@ def module_of(about: dict[str, Any]) -> ModuleType | None:
 
 
 def claims_of(about: dict[str, Any]) -> list[Claim]:
-    """Return the claims of this kind of run, those about each start of a user, and those saved with the run."""
+    """Return the claims of this kind of run, those about each start of a user, and those saved with
+    the run.
+    """
     shown = module_of(about)
     own = [make(name) for name in about.get("given", {}) for make in getattr(shown, "GIVEN", ())]
     claims = getattr(shown, "CLAIMS", ())
@@ -100,13 +131,22 @@ def facts_of(about: dict[str, Any]) -> list[tuple[str, str]]:
     machine = about.get("machine", {})
     facts = {
         "machine": f"{machine.get('processor', '–')}, {machine.get('cores', '–')} cores, {machine.get('system', '–')}",
-        "versions": ", ".join([f"Python {machine.get('python', '–')}", *(f"{k} {v}" for k, v in about.get("versions", {}).items())]),
+        "versions": ", ".join(
+            [
+                f"Python {machine.get('python', '–')}",
+                *(f"{k} {v}" for k, v in about.get("versions", {}).items()),
+            ]
+        ),
         **{name: str(about[name]) for name in ("commit", "time", "command") if name in about},
         **{
-            name: ", ".join(f"{key} {number(value) if isinstance(value, float) else value}" for key, value in about[name].items())
-            for name in ("settings", "objective", "given", "steps_per_second", "map") if about.get(name)
+            name: ", ".join(
+                f"{key} {number(value) if isinstance(value, float) else value}"
+                for key, value in about[name].items()
+            )
+            for name in ("settings", "objective", "given", "steps_per_second", "map")
+            if about.get(name)
         },
-    }  # fmt: skip
+    }
     return list(facts.items())
 
 
@@ -114,9 +154,10 @@ def render(**page: Any) -> str:
     """Return a page as HTML that needs no other file.
 
     Args:
-        page: title; intro (what is compared, how, and where the words are defined); quick, which marks the page; tables, each (title,
-            note, table); facts, each (name, value); if it has them, figures, each (title, caption, base64 of the SVG, alternative
-            text), judged claims, words, each (word, meaning), and the lines of Python that load the table.
+        page: title; intro (what is compared, how, and where the words are defined); quick, which
+            marks the page; tables, each (title, note, table); facts, each (name, value); if it has
+            them, figures, each (title, caption, base64 of the SVG, alternative text), judged
+            claims, words, each (word, meaning), and the lines of Python that load the table.
     """
     whole = {"figures": (), "claims": (), "words": (), "load": (), **page}
     environment = Environment(
@@ -127,7 +168,9 @@ def render(**page: Any) -> str:
         lstrip_blocks=True,
     )
     environment.filters["cell"] = cell
-    return environment.get_template("page.html.j2").render(page=whole, verdicts=VERDICTS, most=MOST_ROWS)
+    return environment.get_template("page.html.j2").render(
+        page=whole, verdicts=VERDICTS, most=MOST_ROWS
+    )
 
 
 def cell(value: Any) -> str:
@@ -145,7 +188,9 @@ def cell(value: Any) -> str:
 
 
 def axes(height: float, width: float = WIDTH, rows: int = 1) -> tuple[Figure, Any]:
-    """Make a styled figure and its axes, an array of them if there are several rows; sizes in inches."""
+    """Make a styled figure and its axes, an array of them if there are several rows; sizes in
+    inches.
+    """
     with rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         made = figure.subplots(rows, sharex=True)
@@ -157,7 +202,9 @@ def axes(height: float, width: float = WIDTH, rows: int = 1) -> tuple[Figure, An
 
 
 def decades(axis: Any, first: int, last: int, every: int = 1) -> None:
-    """Label the decades of a logarithmic axis, from 10^first to 10^last, in plain text: `svg` does not parse the usual labels."""
+    """Label the decades of a logarithmic axis, from 10^first to 10^last, in plain text: `svg` does
+    not parse the usual labels.
+    """
     ticks = [10.0**k for k in range(first, last + 1, every)]
     axis.set_ticks(ticks, [small(tick) for tick in ticks])
     axis.minorticks_off()
@@ -167,9 +214,13 @@ def svg(figure: Figure) -> str:
     """Return the figure as SVG: text stays text, and its ink is light on a dark page."""
     out = io.StringIO()
     with rc_context(STYLE):
-        figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        figure.savefig(
+            out, format="svg", transparent=True, metadata={"Date": None, "Creator": None}
+        )
     text = out.getvalue()
-    text = text[text.index("<svg") :].replace(INK, "currentColor").replace("#000000", "currentColor")
+    text = (
+        text[text.index("<svg") :].replace(INK, "currentColor").replace("#000000", "currentColor")
+    )
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"(\d+\.\d{2})\d+", r"\1", text)
     ink = "svg{color:#101010}text{fill:currentColor;font-family:system-ui,sans-serif!important}@media(prefers-color-scheme:dark){svg{color:#e8e8e8}}"
@@ -181,5 +232,7 @@ _INTRO = (
     "repetitions of one experiment, and the table below summarises them. The columns are defined at the end of this page."
 )
 _summary_table: tuple[str, str, Make] = (
-    "Summary", "One row for each combination of keys; summary.csv has all of them.", lambda rows, means: means,
-)  # fmt: skip
+    "Summary",
+    "One row for each combination of keys; summary.csv has all of them.",
+    lambda rows, means: means,
+)

@@ -1,4 +1,6 @@
-"""Page of `grasp rl`, as data: figures and tables as functions of the rows and their summary, and claims."""
+"""Page of `grasp rl`, as data: figures and tables as functions of the rows and their summary, and
+claims.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +37,29 @@ INTRO = (
 CLAIMS = tuple(
     claim
     for name in ("ppo/initial_force", "sac/initial_force")
-    for query, paper in ((f"case == 'held_out' and agent == '{name}'", "case == 'held_out' and agent == 'zero'"),)
-    for claim in (
-        Claim(f"{AGENTS[name][0]}: fewer iterations than the paper's start", query, "mean_iterations_median", "<", 1, paper),
-        Claim(f"{AGENTS[name][0]}: holds no less than the paper's start", query, "held_mean", ">=", 0, paper, True),
+    for query, paper in (
+        (f"case == 'held_out' and agent == '{name}'", "case == 'held_out' and agent == 'zero'"),
     )
-)  # fmt: skip
+    for claim in (
+        Claim(
+            f"{AGENTS[name][0]}: fewer iterations than the paper's start",
+            query,
+            "mean_iterations_median",
+            "<",
+            1,
+            paper,
+        ),
+        Claim(
+            f"{AGENTS[name][0]}: holds no less than the paper's start",
+            query,
+            "held_mean",
+            ">=",
+            0,
+            paper,
+            True,
+        ),
+    )
+)
 
 
 def _environments(rows: pd.DataFrame) -> list[str]:
@@ -50,7 +69,9 @@ def _environments(rows: pd.DataFrame) -> list[str]:
 def _by_agent(rows: pd.DataFrame, case: str, environment: str) -> dict[str, Any]:
     """Return the rows of every agent in one environment, in the order of `AGENTS`."""
     found: Any = rows[(rows["case"] == case) & (rows["environment"] == environment)]
-    return {agent: found[found["agent"] == agent] for agent in AGENTS if (found["agent"] == agent).any()}
+    return {
+        agent: found[found["agent"] == agent] for agent in AGENTS if (found["agent"] == agent).any()
+    }
 
 
 def place(environment: str) -> str:
@@ -71,18 +92,24 @@ def _interval(value: float, low: float, high: float) -> str:
 
 
 def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Make a table of hold rate, iterations, force, torque, drift and return of every policy on the held-out episodes."""
+    """Make a table of hold rate, iterations, force, torque, drift and return of every policy on the
+    held-out episodes.
+    """
     out = []
     for environment in _environments(rows):
         played = _by_agent(rows, "held_out", environment)
         several = {agent: steps[steps["held"].notna()] for agent, steps in played.items()}
-        iterations = {agent: ends.groupby("seed")["mean_iterations"].mean() for agent, ends in several.items()}
+        iterations = {
+            agent: ends.groupby("seed")["mean_iterations"].mean() for agent, ends in several.items()
+        }
         for agent, found in _by_agent(summary, "held_out", environment).items():
-            row, ends = found.iloc[0], several[agent]
+            row = found.iloc[0]
+            ends = several[agent]
             cells = {
-                "environment": place(environment), "policy": AGENTS[agent][0],
+                "environment": place(environment),
+                "policy": AGENTS[agent][0],
                 "training seeds": ends["training_seed"].nunique() or None,
-            }  # fmt: skip
+            }
             rates = (f"{number(100.0 * row[f'held_rate_{part}'])} %" for part in ("low", "high"))
             cells["held"] = f"{row['held_sum']:.0f} of {len(ends)} [{', '.join(rates)}]"
             if iterations[agent].notna().all():  # a solver runs
@@ -94,11 +121,16 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
                 }
             force = (row[f"commanded_force_{part}"] for part in ("mean", "mean_low", "mean_high"))
             cells |= {
-                "squeeze [N]": _interval(*force), "torque, share of the limit": row["torque_share_mean"],
+                "squeeze [N]": _interval(*force),
+                "torque, share of the limit": row["torque_share_mean"],
                 "largest drift [mm]": row.get("drift_mean"),
-            }  # fmt: skip
+            }
             # training seeds and episodes are drawn anew, so that an agent's interval is over both
-            returns = ends.fillna({"training_seed": -1}).pivot_table("return", "training_seed", "seed").to_numpy(float)
+            returns = (
+                ends.fillna({"training_seed": -1})
+                .pivot_table("return", "training_seed", "seed")
+                .to_numpy(float)
+            )
             out.append(cells | {"return": _interval(iqm(returns), *iqm_interval(returns))})
     return pd.DataFrame(out)
 
@@ -112,37 +144,54 @@ def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
             for _, row in trained.iterrows():
                 mine: Any = curves[agent][curves[agent]["training_seed"] == row["training_seed"]]
                 cells = {
-                    "environment": place(environment), "agent": AGENTS[agent][0], "seed": row["training_seed"],
-                    "environment steps": row["training_steps"], "seconds": row["seconds"], "of processor": row["cpu_seconds"],
-                    "steps per processor second": round(row["training_steps"] / max(row["cpu_seconds"], 1e-9)),
-                }  # fmt: skip
+                    "environment": place(environment),
+                    "agent": AGENTS[agent][0],
+                    "seed": row["training_seed"],
+                    "environment steps": row["training_steps"],
+                    "seconds": row["seconds"],
+                    "of processor": row["cpu_seconds"],
+                    "steps per processor second": round(
+                        row["training_steps"] / max(row["cpu_seconds"], 1e-9)
+                    ),
+                }
                 for name, label in (("mean_iterations", "iterations"), ("return", "return")):
                     means = mine.groupby("training_steps")[name].mean().dropna().tolist()
-                    cells[f"{label}, first → last"] = f"{number(means[0])} → {number(means[-1])}" if means else None
+                    cells[f"{label}, first → last"] = (
+                        f"{number(means[0])} → {number(means[-1])}" if means else None
+                    )
                 out.append(cells)
     return pd.DataFrame(out)
 
 
 def speed_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Make a table of steps per second of the environments alone, with an agent that acts and with one that trains."""
+    """Make a table of steps per second of the environments alone, with an agent that acts and with
+    one that trains.
+    """
     out = []
     for environment in _environments(rows):
         for agent, (label, _) in AGENTS.items():
             rates = {
-                case: round(found[agent]["per_second_median"].iloc[0]) for case in SPEEDS
+                case: round(found[agent]["per_second_median"].iloc[0])
+                for case in SPEEDS
                 if agent in (found := _by_agent(summary, case, environment))
-            }  # fmt: skip
+            }
             if rates:
                 out.append({"environment": place(environment), "agent": label, **rates})
     return pd.DataFrame(out)
 
 
 def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure | None:
-    """Draw a mean against environment steps, one panel per environment: seeds thin, their mean thick, the zero policy dashed."""
+    """Draw a mean against environment steps, one panel per environment: seeds thin, their mean
+    thick, the zero policy dashed.
+    """
     rows = rows.assign(length=rows["step"] + 1)
-    shown = {environment: _by_agent(rows, "curve", environment) for environment in _environments(rows)}
     shown = {
-        name: curves for name, curves in shown.items() if any(agent.endswith(ending) for agent in {*curves} - {"zero"})
+        environment: _by_agent(rows, "curve", environment) for environment in _environments(rows)
+    }
+    shown = {
+        name: curves
+        for name, curves in shown.items()
+        if any(agent.endswith(ending) for agent in {*curves} - {"zero"})
     }
     if not shown:
         return None
@@ -152,36 +201,75 @@ def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure 
             if agent == "zero" or not agent.endswith(ending):
                 continue
             name, colour = AGENTS[agent]
-            lines = [one.groupby("training_steps")[column].mean() for _, one in found.groupby("training_seed")]
+            lines = [
+                one.groupby("training_steps")[column].mean()
+                for _, one in found.groupby("training_seed")
+            ]
             for line in lines:
                 panel.plot(line, color=colour, linewidth=0.7, alpha=0.55)
             steps = np.linspace(0.0, min(line.index[-1] for line in lines), 60)
-            means = [np.interp(steps, line.index.to_numpy(float), line.to_numpy(float)) for line in lines]
+            means = [
+                np.interp(steps, line.index.to_numpy(float), line.to_numpy(float)) for line in lines
+            ]
             panel.plot(steps, np.mean(means, axis=0), color=colour, linewidth=2.2, label=name)
-        panel.axhline(curves["zero"][column].mean(), color="black", linestyle="--", label=AGENTS["zero"][0])
+        panel.axhline(
+            curves["zero"][column].mean(), color="black", linestyle="--", label=AGENTS["zero"][0]
+        )
         panel.set(ylabel=label, xlim=(0, None))
         panel.set_title(place(environment), loc="left", fontsize=9)
         panel.locator_params(axis="x", nbins=5)
     figure.axes[-1].set(xlabel="environment steps")
-    lines = {text: line for panel in figure.axes for line, text in zip(*panel.get_legend_handles_labels(), strict=True)}
-    figure.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=2, fontsize=8.5, frameon=False)
+    lines = {
+        text: line
+        for panel in figure.axes
+        for line, text in zip(*panel.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        lines.values(), lines.keys(), loc="outside upper left", ncols=2, fontsize=8.5, frameon=False
+    )
     return figure
 
 
 _CURVES = "Thin: training seeds. Thick: their mean. Dashed: the zero policy, on the same episodes. All actions are deterministic."
 FIGURES = (
-    ("Iterations along the training", _CURVES,
-     lambda rows, summary: _curves(rows, "mean_iterations", "iterations per step, mean", "/initial_force")),
-    ("Time held along the training", f"Agents without solver. {_CURVES}",
-     lambda rows, summary: _curves(rows, "length", "steps until the object is lost", "/contact_force")),
-    ("Return along the training", _CURVES, lambda rows, summary: _curves(rows, "return", "return of an episode", "")),
-)  # fmt: skip
+    (
+        "Iterations along the training",
+        _CURVES,
+        lambda rows, summary: _curves(
+            rows, "mean_iterations", "iterations per step, mean", "/initial_force"
+        ),
+    ),
+    (
+        "Time held along the training",
+        f"Agents without solver. {_CURVES}",
+        lambda rows, summary: _curves(
+            rows, "length", "steps until the object is lost", "/contact_force"
+        ),
+    ),
+    (
+        "Return along the training",
+        _CURVES,
+        lambda rows, summary: _curves(rows, "return", "return of an episode", ""),
+    ),
+)
 TABLES = (
-    ("Scores on the held-out episodes", "Iterations: median / p95 / p99. Of the paper's: ratio of the medians per episode. Return: "
-     "interquartile mean. Intervals are 95 %: Wilson for the rate, bootstrap for the rest. Agents see the wrench of the control tick "
-     "before; the solver, with the learned start and the previous solution, sees the current one. Agents without solver make no "
-     "iterations. The paper's start replaces the shipped learned start on contacts that it does not know.", scores_table),
-    ("Training, every seed", "Seconds are those of training alone, without the scores along the curve, on one thread. If wall and "
-     "processor time differ, other programs shared the cores.", training_table),
-    ("Steps per second", "All environments of a training together, on an otherwise idle core: median of three rounds.", speed_table),
-)  # fmt: skip
+    (
+        "Scores on the held-out episodes",
+        "Iterations: median / p95 / p99. Of the paper's: ratio of the medians per episode. Return: "
+        "interquartile mean. Intervals are 95 %: Wilson for the rate, bootstrap for the rest. Agents see the wrench of the control tick "
+        "before; the solver, with the learned start and the previous solution, sees the current one. Agents without solver make no "
+        "iterations. The paper's start replaces the shipped learned start on contacts that it does not know.",
+        scores_table,
+    ),
+    (
+        "Training, every seed",
+        "Seconds are those of training alone, without the scores along the curve, on one thread. If wall and "
+        "processor time differ, other programs shared the cores.",
+        training_table,
+    ),
+    (
+        "Steps per second",
+        "All environments of a training together, on an otherwise idle core: median of three rounds.",
+        speed_table,
+    ),
+)

@@ -1,4 +1,6 @@
-"""`grasp report --compare A B`: comparison of two runs, with intervals; a difference within its interval is a tie."""
+"""`grasp report --compare A B`: comparison of two runs, with intervals; a difference within its
+interval is a tie.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,16 @@ from training.evaluation.results.run import Run, understood
 from training.evaluation.results.statistics import mean_interval, ratio_interval
 from training.evaluation.results.table import Rows, numbers, pd
 
-METRICS: dict[str, bool] = {"iterations": True, "microseconds": True, "per_second": True, "nanoseconds": True, "held": False, "drift": True, "normal_force": True, "return": False}  # fmt: skip
+METRICS: dict[str, bool] = {
+    "iterations": True,
+    "microseconds": True,
+    "per_second": True,
+    "nanoseconds": True,
+    "held": False,
+    "drift": True,
+    "normal_force": True,
+    "return": False,
+}
 """Columns to compare; True: by the ratio of medians, False: by the difference of means."""
 INTRO = (
     "This page compares two runs row by row: rows with equal keys, problem and seed are pairs. "
@@ -27,12 +38,15 @@ def compare(a: Rows, b: Rows) -> Rows:
     """Compare two tables: one row for each combination of keys and metric that both have.
 
     Returns:
-        The keys, "metric", "pairs", "A" and "B" (medians, or means), the ratio or difference as "change" with "low" and "high", and
+        The keys, "metric", "pairs", "A" and "B" (medians, or means), the ratio or difference as
+        "change" with "low" and "high", and
         "verdict": "lower", "higher" or "tie". Ties come last.
     """
     shared = a.columns.intersection(b.columns)
     keys = [name for name in KEYS if name in shared]
-    pairing = keys + [name for name in ("problem", "seed", "training_seed", "step") if name in shared]
+    pairing = keys + [
+        name for name in ("problem", "seed", "training_seed", "step") if name in shared
+    ]
     if not pairing:
         raise InvalidInputError("the two runs have no key in common: compare runs of one command")
     both = a.merge(b, on=pairing, suffixes=("_a", "_b"))
@@ -40,10 +54,17 @@ def compare(a: Rows, b: Rows) -> Rows:
     for _, group in both.groupby(keys or pairing[:1], sort=False, dropna=False):
         named = {key: group[key].iloc[0] for key in keys}
         for metric in (name for name in METRICS if name in shared):
-            first, second = numbers(group, f"{metric}_a"), numbers(group, f"{metric}_b")
+            first = numbers(group, f"{metric}_a")
+            second = numbers(group, f"{metric}_b")
             known = np.isfinite(first) & np.isfinite(second)
             if known.any():
-                made.append({**named, "metric": metric, **_row(first[known], second[known], METRICS[metric])})
+                made.append(
+                    {
+                        **named,
+                        "metric": metric,
+                        **_row(first[known], second[known], METRICS[metric]),
+                    }
+                )
     made.sort(key=lambda row: row["verdict"] == "tie")
     return pd.DataFrame(made)
 
@@ -51,12 +72,15 @@ def compare(a: Rows, b: Rows) -> Rows:
 def _row(first: np.ndarray, second: np.ndarray, by_ratio: bool) -> dict[str, Any]:
     if by_ratio:
         change, low, high = ratio_interval(second, first)
-        level, middles = 1.0, (np.median(first), np.median(second))
+        level = 1.0
+        middles = (np.median(first), np.median(second))
         if middles == (0.0, 0.0):
             change = low = high = 1.0
     else:
-        change, (low, high) = float((second - first).mean()), mean_interval(second - first)
-        level, middles = 0.0, (first.mean(), second.mean())
+        change = float((second - first).mean())
+        (low, high) = mean_interval(second - first)
+        level = 0.0
+        middles = (first.mean(), second.mean())
     verdict = "tie" if low <= level <= high else "lower" if high < level else "higher"
     columns = {"pairs": len(first), "A": float(middles[0]), "B": float(middles[1])}
     return {**columns, "change": change, "low": low, "high": high, "verdict": verdict}
@@ -73,7 +97,9 @@ def write(a: Run, b: Run, out: Run) -> Rows:
         (mine, about_a), (theirs, about_b) = a.load(), b.load()
         made = compare(mine, theirs)
     if made.empty:
-        raise InvalidInputError(f"{a.folder} and {b.folder} have no rows in common: compare runs of one command")
+        raise InvalidInputError(
+            f"{a.folder} and {b.folder} have no rows in common: compare runs of one command"
+        )
     ties = int((made["verdict"] == "tie").sum())
     note = f"{len(made) - ties} of {len(made)} comparisons differ, {ties} are ties."
     page = render(

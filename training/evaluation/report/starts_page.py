@@ -1,4 +1,6 @@
-"""Page of the comparison of starts, as data: figures and tables are queries on its rows, claims are records."""
+"""Page of the comparison of starts, as data: figures and tables are queries on its rows, claims are
+records.
+"""
 
 from __future__ import annotations
 
@@ -26,24 +28,61 @@ INTRO = (
     "The words are defined at the end of this page, the columns of the table in run.json."
 )
 WORDS = (
-    ("Phi", "The objective omega tr P + lambda tr P^-1: squeeze, and a barrier at the friction cones."),
+    (
+        "Phi",
+        "The objective omega tr P + lambda tr P^-1: squeeze, and a barrier at the friction cones.",
+    ),
     ("gap", "Excess of Phi over its least value, relative to that."),
-    ("flow", "The paper's reduced gradient flow on Phi, with Barzilai-Borwein steps. `grasp reproduce` compares the step rules, among them the constant one."),
-    ("start", "The force from which a method begins: it balances the wrench strictly inside the friction cones."),
-    ("internal force", "The least force that balances the wrench, plus enough of one internal force to bring it inside the cones: Newton's default start."),
-    ("12-basis", "The paper's start: a non-negative combination of the optimal forces of twelve unit wrenches."),
-    ("network alone", "The output of the network without any step; outside the cones it is moved towards the 12-basis."),
-    ("learned, fixed", "The shipped model: the network, its repair, and for Newton the steps that follow in the same compiled call."),
-    ("previous", "The last solution, carried to the new wrench by a Newton step within balance (tangent) or by the least change (G^+)."),
+    (
+        "flow",
+        "The paper's reduced gradient flow on Phi, with Barzilai-Borwein steps. `grasp reproduce` compares the step rules, among them the constant one.",
+    ),
+    (
+        "start",
+        "The force from which a method begins: it balances the wrench strictly inside the friction cones.",
+    ),
+    (
+        "internal force",
+        "The least force that balances the wrench, plus enough of one internal force to bring it inside the cones: Newton's default start.",
+    ),
+    (
+        "12-basis",
+        "The paper's start: a non-negative combination of the optimal forces of twelve unit wrenches.",
+    ),
+    (
+        "network alone",
+        "The output of the network without any step; outside the cones it is moved towards the 12-basis.",
+    ),
+    (
+        "learned, fixed",
+        "The shipped model: the network, its repair, and for Newton the steps that follow in the same compiled call.",
+    ),
+    (
+        "previous",
+        "The last solution, carried to the new wrench by a Newton step within balance (tangent) or by the least change (G^+).",
+    ),
     ("ball", SETS["ball"].label),
-    ("fixed grasp", "The contacts of presets.paper_cuboid(): a thumb against three fingers on a 0.1 m cuboid."),
-    ("replaced", "The start was discarded for the 12-basis's, from which the optimisation then began."),
-    ("performance profile", "Share of the problems that a start solves within a factor of the best start on each (Dolan and Moré, 2002)."),
-    ("held", "The object was not dropped and did not move by more than the task allows, to the end of the episode."),
+    (
+        "fixed grasp",
+        "The contacts of presets.paper_cuboid(): a thumb against three fingers on a 0.1 m cuboid.",
+    ),
+    (
+        "replaced",
+        "The start was discarded for the 12-basis's, from which the optimisation then began.",
+    ),
+    (
+        "performance profile",
+        "Share of the problems that a start solves within a factor of the best start on each (Dolan and Moré, 2002).",
+    ),
+    (
+        "held",
+        "The object was not dropped and did not move by more than the task allows, to the end of the episode.",
+    ),
     ("median / p99", "The value below which half of the problems, and 99 of 100, lie."),
-)  # fmt: skip
+)
 
-FLOW, NEWTON = "method == 'reduced_flow'", "method == 'newton'"
+FLOW = "method == 'reduced_flow'"
+NEWTON = "method == 'newton'"
 _BALL = "case == 'ball'"
 _VARIED = "case == 'ball_frictions'"
 _PAPER = f"start == '{BASIS}'"
@@ -51,46 +90,189 @@ _OWN = "start == 'internal_force'"
 _LEARNED = "start in ['learned_fixed', 'learned_previous']"
 _STEADY = "case in ['hold_gravity', 'hold_constant', 'hold_paper_path']"
 CLAIMS = (
-    Claim("network alone: median of the flow's iterations, friction varied", f"{_VARIED} and start == 'network' and {FLOW}", "iterations_median", "<=", 3),
-    Claim("network alone: p99 of the flow's iterations, friction varied", f"{_VARIED} and start == 'network' and {FLOW}", "iterations_p99", "<=", 15),
-    Claim("network alone: every start is inside the cones, friction varied (least margin)", f"{_VARIED} and start == 'network' and {FLOW}", "start_margin_min", ">", 0),
-    *(Claim(f"network and {which}: {word} time over that {of}, {where}", f"{_VARIED} and start == 'learned_fixed' and {method}",
-            f"{column}_{stat}", "<=", limit, f"{_VARIED} and {beside} and {method}")
-      for which, method, of, beside, where, column, limits in (
-          ("flow", FLOW, "from the 12-basis", _PAPER, "compiled", "compiled_microseconds", (0.6, 1.0)),
-          ("Newton", NEWTON, "from its internal force", _OWN, "compiled", "compiled_microseconds", (0.55, 0.75)),
-          ("Newton", NEWTON, "from its internal force", _OWN, "from Python", "microseconds", (0.75, 0.9)))
-      for word, stat, limit in zip(("median", "p99"), ("median", "p99"), limits, strict=True)),
-    Claim("learned starts: Phi never above the 12-basis's, wrenches of 0.001 to 1000 N (largest excess)", f"case == 'six_decades' and {_LEARNED}", "start_excess_max", "<=", PHI_ROUNDING),
-    Claim("learned starts: Phi never above the 12-basis's, all sets (largest excess)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_excess_max", "<=", PHI_ROUNDING),
-    Claim("learned starts: inside the cones, all sets (least margin)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_margin_min", ">", 0),
-    Claim("learned starts: balanced, all sets (largest residual over the largest force)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_residual_max", "<=", 1e-9),
-    Claim("learned, with the previous solution: median of the flow's iterations on smooth paths", f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}", "iterations_median", "<=", 0),
-    Claim("learned, with the previous solution: p99 of the flow's iterations on smooth paths", f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}", "iterations_p99", "<=", 7),
-    Claim("processor time that trained the shipped model", "case == 'model'", "cpu_seconds_max", "<=", 1800, unit="s"),
+    Claim(
+        "network alone: median of the flow's iterations, friction varied",
+        f"{_VARIED} and start == 'network' and {FLOW}",
+        "iterations_median",
+        "<=",
+        3,
+    ),
+    Claim(
+        "network alone: p99 of the flow's iterations, friction varied",
+        f"{_VARIED} and start == 'network' and {FLOW}",
+        "iterations_p99",
+        "<=",
+        15,
+    ),
+    Claim(
+        "network alone: every start is inside the cones, friction varied (least margin)",
+        f"{_VARIED} and start == 'network' and {FLOW}",
+        "start_margin_min",
+        ">",
+        0,
+    ),
+    *(
+        Claim(
+            f"network and {which}: {word} time over that {of}, {where}",
+            f"{_VARIED} and start == 'learned_fixed' and {method}",
+            f"{column}_{stat}",
+            "<=",
+            limit,
+            f"{_VARIED} and {beside} and {method}",
+        )
+        for which, method, of, beside, where, column, limits in (
+            (
+                "flow",
+                FLOW,
+                "from the 12-basis",
+                _PAPER,
+                "compiled",
+                "compiled_microseconds",
+                (0.6, 1.0),
+            ),
+            (
+                "Newton",
+                NEWTON,
+                "from its internal force",
+                _OWN,
+                "compiled",
+                "compiled_microseconds",
+                (0.55, 0.75),
+            ),
+            (
+                "Newton",
+                NEWTON,
+                "from its internal force",
+                _OWN,
+                "from Python",
+                "microseconds",
+                (0.75, 0.9),
+            ),
+        )
+        for word, stat, limit in zip(("median", "p99"), ("median", "p99"), limits, strict=True)
+    ),
+    Claim(
+        "learned starts: Phi never above the 12-basis's, wrenches of 0.001 to 1000 N (largest excess)",
+        f"case == 'six_decades' and {_LEARNED}",
+        "start_excess_max",
+        "<=",
+        PHI_ROUNDING,
+    ),
+    Claim(
+        "learned starts: Phi never above the 12-basis's, all sets (largest excess)",
+        f"{_LEARNED} and start_margin_min == start_margin_min",
+        "start_excess_max",
+        "<=",
+        PHI_ROUNDING,
+    ),
+    Claim(
+        "learned starts: inside the cones, all sets (least margin)",
+        f"{_LEARNED} and start_margin_min == start_margin_min",
+        "start_margin_min",
+        ">",
+        0,
+    ),
+    Claim(
+        "learned starts: balanced, all sets (largest residual over the largest force)",
+        f"{_LEARNED} and start_margin_min == start_margin_min",
+        "start_residual_max",
+        "<=",
+        1e-9,
+    ),
+    Claim(
+        "learned, with the previous solution: median of the flow's iterations on smooth paths",
+        f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}",
+        "iterations_median",
+        "<=",
+        0,
+    ),
+    Claim(
+        "learned, with the previous solution: p99 of the flow's iterations on smooth paths",
+        f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}",
+        "iterations_p99",
+        "<=",
+        7,
+    ),
+    Claim(
+        "processor time that trained the shipped model",
+        "case == 'model'",
+        "cpu_seconds_max",
+        "<=",
+        1800,
+        unit="s",
+    ),
     Claim("size of the shipped model", "case == 'model'", "bytes_max", "<=", 2_000_000, unit="B"),
-    Claim("the paper's pipeline holds the cuboid: share of the episodes", f"{_STEADY} and {_PAPER}", "held_mean", ">=", 1),
-    Claim("the paper's pipeline holds the cuboid: largest drift", f"{_STEADY} and {_PAPER}", "drift_max", "<", 1, unit="mm"),
-    Claim("the paper's pipeline holds the cuboid: no contact lost (share of the episodes)", f"{_STEADY} and {_PAPER}", "contact_always_mean", ">=", 1),
-)  # fmt: skip
+    Claim(
+        "the paper's pipeline holds the cuboid: share of the episodes",
+        f"{_STEADY} and {_PAPER}",
+        "held_mean",
+        ">=",
+        1,
+    ),
+    Claim(
+        "the paper's pipeline holds the cuboid: largest drift",
+        f"{_STEADY} and {_PAPER}",
+        "drift_max",
+        "<",
+        1,
+        unit="mm",
+    ),
+    Claim(
+        "the paper's pipeline holds the cuboid: no contact lost (share of the episodes)",
+        f"{_STEADY} and {_PAPER}",
+        "contact_always_mean",
+        ">=",
+        1,
+    ),
+)
 GIVEN = (
-    lambda name: Claim(f"{name}: cases without a start, all sets", f"start == '{name}' and {FLOW} and not case.str.startswith('hold_')", "iterations_missing", "<=", 0),
-    lambda name: Claim(f"{name}: median of the flow's iterations over that of the 12-basis, held-out ball", f"{_BALL} and start == '{name}' and {FLOW}", "iterations_median", "<=", 1, f"{_BALL} and {_PAPER} and {FLOW}"),
-    lambda name: Claim(f"{name}: median time over that of the 12-basis, held-out ball", f"{_BALL} and start == '{name}' and {FLOW}", "microseconds_median", "<=", 1, f"{_BALL} and {_PAPER} and {FLOW}"),
-    lambda name: Claim(f"{name}: share of the starts that were replaced, held-out ball", f"{_BALL} and start == '{name}' and {FLOW}", "start_replaced_mean", "<=", 0),
-)  # fmt: skip
+    lambda name: Claim(
+        f"{name}: cases without a start, all sets",
+        f"start == '{name}' and {FLOW} and not case.str.startswith('hold_')",
+        "iterations_missing",
+        "<=",
+        0,
+    ),
+    lambda name: Claim(
+        f"{name}: median of the flow's iterations over that of the 12-basis, held-out ball",
+        f"{_BALL} and start == '{name}' and {FLOW}",
+        "iterations_median",
+        "<=",
+        1,
+        f"{_BALL} and {_PAPER} and {FLOW}",
+    ),
+    lambda name: Claim(
+        f"{name}: median time over that of the 12-basis, held-out ball",
+        f"{_BALL} and start == '{name}' and {FLOW}",
+        "microseconds_median",
+        "<=",
+        1,
+        f"{_BALL} and {_PAPER} and {FLOW}",
+    ),
+    lambda name: Claim(
+        f"{name}: share of the starts that were replaced, held-out ball",
+        f"{_BALL} and start == '{name}' and {FLOW}",
+        "start_replaced_mean",
+        "<=",
+        0,
+    ),
+)
 """Claims about each start of a user."""
 
 
 def colours(starts: list[str]) -> dict[str, str]:
     """Return the colour of every start; those of a user get the reserved colours in turn."""
-    given = dict(zip((key for key in starts if key not in STARTS), cycle(GIVEN_COLOURS), strict=False))
+    given = dict(
+        zip((key for key in starts if key not in STARTS), cycle(GIVEN_COLOURS), strict=False)
+    )
     return {key: start_info(key).colour for key in starts} | given
 
 
 def shown(means: Rows) -> list[str]:
     """Return the starts that charts show: the main ones of the ball, in the order of the table."""
-    keys = chosen(means, f"{_BALL} and {FLOW}")["start"].tolist() if "start" in means.columns else []
+    keys = (
+        chosen(means, f"{_BALL} and {FLOW}")["start"].tolist() if "start" in means.columns else []
+    )
     return [key for key in keys if start_info(key).main]
 
 
@@ -105,34 +287,53 @@ def pair(row: Any, column: str) -> str:
     if not all(isinstance(part, (int, float)) and np.isfinite(part) for part in parts):
         return "–"
     return " / ".join(
-        f"> {ITERATION_LIMIT}" if column == "iterations" and part > ITERATION_LIMIT else number(part) for part in parts
+        f"> {ITERATION_LIMIT}"
+        if column == "iterations" and part > ITERATION_LIMIT
+        else number(part)
+        for part in parts
     )
 
 
 def bars(column: str, label: str) -> Any:
-    """Return a chart with a line for each start: dots are medians, whiskers end at p99, the flow above and Newton below."""
+    """Return a chart with a line for each start: dots are medians, whiskers end at p99, the flow
+    above and Newton below.
+    """
 
     def draw(rows: Rows, means: Rows) -> Figure | None:
         keys = shown(means)
         if not keys or f"{column}_median" not in means.columns:
             return None
         figure, panel = axes(0.62 + 0.5 * len(keys))
-        tint, ends = colours(keys), [1.0]
+        tint = colours(keys)
+        ends = [1.0]
         for place, key in enumerate(keys):
-            for method, name, off, marker in (("reduced_flow", "flow", -0.2, "o"), ("newton", "Newton", 0.2, "D")):
+            for method, name, off, marker in (
+                ("reduced_flow", "flow", -0.2, "o"),
+                ("newton", "Newton", 0.2, "D"),
+            ):
                 found = chosen(means, f"{_BALL} and start == '{key}' and method == '{method}'")
                 if found.empty or not np.isfinite(numbers(found, f"{column}_median")[0]):
                     continue
                 row = found.iloc[0].to_dict()
-                low, high = float(row[f"{column}_median"]), float(row[f"{column}_p99"])
+                low = float(row[f"{column}_median"])
+                high = float(row[f"{column}_p99"])
                 ends.append(high)
-                panel.plot([low, high], [place + off] * 2, color=tint[key], linewidth=2.6 if name == "flow" else 1.1)
+                panel.plot(
+                    [low, high],
+                    [place + off] * 2,
+                    color=tint[key],
+                    linewidth=2.6 if name == "flow" else 1.1,
+                )
                 panel.plot([high], [place + off], marker="|", markersize=7, color=tint[key])
                 panel.plot([low], [place + off], marker=marker, markersize=5, color=tint[key])
                 panel.annotate(
-                    f"{name} {pair(row, column)}", (high, place + off), (6, 0), textcoords="offset points", va="center",
+                    f"{name} {pair(row, column)}",
+                    (high, place + off),
+                    (6, 0),
+                    textcoords="offset points",
+                    va="center",
                     fontsize=8.5,
-                )  # fmt: skip
+                )
         panel.set_xscale("symlog", linthresh=1.0, linscale=0.5)
         panel.set_xlim(-0.05, (max(ends) + 2.0) ** 1.6)
         ticks = [0.0, *(10.0**k for k in range(int(np.log10(max(ends) + 2.0)) + 1))]
@@ -147,7 +348,9 @@ def bars(column: str, label: str) -> Any:
 
 
 def network_figure(rows: Rows, means: Rows) -> Figure | None:
-    """Draw the share of the ball's problems solved against steps of the flow, from the network alone and from the 12-basis."""
+    """Draw the share of the ball's problems solved against steps of the flow, from the network
+    alone and from the 12-basis.
+    """
     figure, panel = axes(2.8)
     drawn = False
     for key in (BASIS, "basis_tangent", "network", "network_newton_1"):
@@ -158,26 +361,42 @@ def network_figure(rows: Rows, means: Rows) -> Figure | None:
         done = np.sort(np.where(np.isfinite(steps), steps, ITERATION_LIMIT + 1))
         style = "--" if "Newton" in start_info(key).short else "-"
         share = np.arange(1, len(done) + 1) / len(done)
-        panel.step(1 + done, share, style, where="post", color=start_info(key).colour, label=start_info(key).short)
+        panel.step(
+            1 + done,
+            share,
+            style,
+            where="post",
+            color=start_info(key).colour,
+            label=start_info(key).short,
+        )
     if not drawn:
         return None
-    panel.set(xscale="log", xlabel="1 + accepted steps of the flow", ylabel="share of the problems", ylim=(0, 1.02))
+    panel.set(
+        xscale="log",
+        xlabel="1 + accepted steps of the flow",
+        ylabel="share of the problems",
+        ylim=(0, 1.02),
+    )
     panel.set_xticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
     panel.legend(fontsize=8.5, frameon=False, loc="lower right")
     return figure
 
 
 def profile(query: str, column: str, across: str, by: str = "start") -> Any:
-    """Return a performance profile: the share of problems that each start solves within a factor of the best one."""
+    """Return a performance profile: the share of problems that each start solves within a factor of
+    the best one.
+    """
 
     def draw(rows: Rows, means: Rows) -> Figure | None:
-        found, keys = chosen(rows, query), shown(means)
+        found = chosen(rows, query)
+        keys = shown(means)
         found: Rows = found[found["start"].isin(keys)]
         found = found[found[column].notna()] if column == "microseconds" else found
         if found.empty or column not in found.columns or found[column].isna().all():
             return None
         counted = column == "iterations"
-        values = numbers(found, column) + counted  # plus one, so that the ratio to a start without steps is finite
+        # plus one, so that the ratio to a start without steps is finite
+        values = numbers(found, column) + counted
         values[(values > ITERATION_LIMIT + 1) & counted] = np.nan
         name = found["start"] + (" · " + found["method"] if by == "both" else "")
         grid: Rows = found.assign(value=values, who=name).pivot(
@@ -185,14 +404,21 @@ def profile(query: str, column: str, across: str, by: str = "start") -> Any:
         )
         ratio = grid.div(grid.min(axis=1), axis=0).to_numpy()
         figure, panel = axes(3.1)
-        factor, tint = np.geomspace(1.0, 100.0, 120), colours(keys)
+        factor = np.geomspace(1.0, 100.0, 120)
+        tint = colours(keys)
         for place, who in enumerate(grid.columns):
             key, _, method = str(who).partition(" · ")
             share = [(ratio[:, place] <= tau * (1 + 1e-12)).mean() for tau in factor]
             style = "--" if start_info(key).dashed else ":" if method == "newton" else "-"
             label = start_info(key).short + (" · Newton" if method == "newton" else "")
             panel.plot(factor, share, style, color=tint[key], label=label)
-        panel.set(xscale="log", xlabel=across, ylabel="share of the problems", ylim=(0, 1.02), xlim=(1, 100))
+        panel.set(
+            xscale="log",
+            xlabel=across,
+            ylabel="share of the problems",
+            ylim=(0, 1.02),
+            xlim=(1, 100),
+        )
         panel.set_xticks([1, 10, 100], ["1", "10", "100"])
         panel.legend(fontsize=7.5, frameon=False, loc="lower right", ncols=2 if by == "both" else 1)
         return figure
@@ -203,32 +429,82 @@ def profile(query: str, column: str, across: str, by: str = "start") -> Any:
 _FIXED = [name for name, which in SETS.items() if which.fixed and which.solved and which.share > 0]
 _OTHER = [name for name, which in SETS.items() if not which.fixed and which.solved]
 FIGURES = (
-    ("Iterations", f"Dot: median, whisker: p99. Cases: {SETS['ball'].label}, to a gap of {small(TOLERANCE)}.", bars("iterations", "iterations")),
-    ("Microseconds", "The whole call from Python to a certified gap of 1e-4, best of the repeats, on wrenches of the ball.", bars("microseconds", "microseconds of the whole call")),
-    ("The network alone against the paper's 12-basis", "Share of the held-out ball solved within a number of steps; dashed: after one Newton step.", network_figure),
-    ("Performance profile, iterations, fixed grasp", "The flow on all sets of the fixed grasp; starts that do not apply or fail count as not solved.", profile(f"case in {_FIXED} and {FLOW}", "iterations", "1 + iterations over those of the best start")),
-    ("Performance profile, iterations, other contacts", "The flow on random grasps and on contacts recorded from the hand.", profile(f"case in {_OTHER} and {FLOW}", "iterations", "1 + iterations over those of the best start")),
-    ("Performance profile, time", "Whole calls on the ball, starts and both methods.", profile(_BALL, "microseconds", "time over that of the fastest", "both")),
-    ("Hold rates", "Episodes of the simulated hand that were held, with 95 % intervals.", rates_figure),
-)  # fmt: skip
+    (
+        "Iterations",
+        f"Dot: median, whisker: p99. Cases: {SETS['ball'].label}, to a gap of {small(TOLERANCE)}.",
+        bars("iterations", "iterations"),
+    ),
+    (
+        "Microseconds",
+        "The whole call from Python to a certified gap of 1e-4, best of the repeats, on wrenches of the ball.",
+        bars("microseconds", "microseconds of the whole call"),
+    ),
+    (
+        "The network alone against the paper's 12-basis",
+        "Share of the held-out ball solved within a number of steps; dashed: after one Newton step.",
+        network_figure,
+    ),
+    (
+        "Performance profile, iterations, fixed grasp",
+        "The flow on all sets of the fixed grasp; starts that do not apply or fail count as not solved.",
+        profile(
+            f"case in {_FIXED} and {FLOW}",
+            "iterations",
+            "1 + iterations over those of the best start",
+        ),
+    ),
+    (
+        "Performance profile, iterations, other contacts",
+        "The flow on random grasps and on contacts recorded from the hand.",
+        profile(
+            f"case in {_OTHER} and {FLOW}",
+            "iterations",
+            "1 + iterations over those of the best start",
+        ),
+    ),
+    (
+        "Performance profile, time",
+        "Whole calls on the ball, starts and both methods.",
+        profile(_BALL, "microseconds", "time over that of the fastest", "both"),
+    ),
+    (
+        "Hold rates",
+        "Episodes of the simulated hand that were held, with 95 % intervals.",
+        rates_figure,
+    ),
+)
 
 
 def hardest_sets(rows: Rows, means: Rows) -> Rows:
-    """Make a table of the flow's iterations per set of cases and start; the set that is hardest from the 12-basis comes first."""
+    """Make a table of the flow's iterations per set of cases and start; the set that is hardest
+    from the 12-basis comes first.
+    """
     flow = chosen(means, f"{FLOW} and case in {list(SETS)}")
     if flow.empty:
         return flow
     flow = flow.assign(text=[pair(row, "iterations") for row in flow.to_dict("records")])
-    grid = flow[flow["start"].isin(shown(means))].pivot(index="case", columns="start", values="text").fillna("–")
-    hard = flow[flow["start"] == BASIS].set_index("case")["iterations_p99"].sort_values(ascending=False)
-    grid = grid.reindex(index=hard.index, columns=[key for key in shown(means) if key in grid.columns])
+    grid = (
+        flow[flow["start"].isin(shown(means))]
+        .pivot(index="case", columns="start", values="text")
+        .fillna("–")
+    )
+    hard = (
+        flow[flow["start"] == BASIS]
+        .set_index("case")["iterations_p99"]
+        .sort_values(ascending=False)
+    )
+    grid = grid.reindex(
+        index=hard.index, columns=[key for key in shown(means) if key in grid.columns]
+    )
     grid.insert(0, "cases", [SETS[case].label for case in grid.index])
     names = {key: start_info(key).short for key in grid.columns if key != "cases"}
     return grid.rename(columns=names).reset_index(drop=True)
 
 
 def hardest_problems(rows: Rows, means: Rows) -> Rows:
-    """Make a table of the problems on which a main start needs the most iterations of the flow; those without a start come first."""
+    """Make a table of the problems on which a main start needs the most iterations of the flow;
+    those without a start come first.
+    """
     columns = ["case", "problem", "seed", "start", "status", "iterations", "start_gap"]
     found: Rows = chosen(rows, f"{FLOW} and case in {list(SETS)}")
     found = found[found["start"].isin(shown(means))]
@@ -236,34 +512,69 @@ def hardest_problems(rows: Rows, means: Rows) -> Rows:
         return found
     order = found["iterations"].fillna(ITERATION_LIMIT + 2).astype(float)
     worst = found.assign(order=order).sort_values("order", ascending=False, kind="stable")
-    return worst.drop_duplicates(["case", "problem"]).groupby("case", sort=False).head(2).head(12)[columns]
+    return (
+        worst.drop_duplicates(["case", "problem"])
+        .groupby("case", sort=False)
+        .head(2)
+        .head(12)[columns]
+    )
 
 
 def learned_steps(rows: Rows, means: Rows) -> Rows:
-    """Make a table of the network alone and the 12-basis, friction varied: for the flow, and for Newton beside its own start."""
-    found = {(row["start"], row["method"]): row for row in chosen(means, _VARIED).to_dict("records")}
+    """Make a table of the network alone and the 12-basis, friction varied: for the flow, and for
+    Newton beside its own start.
+    """
+    found = {
+        (row["start"], row["method"]): row for row in chosen(means, _VARIED).to_dict("records")
+    }
     flow, newton = "reduced_flow", "newton"
     made = [
-        {"start": start_info(alone).short, "method": label, "start gap": pair(found.get((alone, flow), {}), "start_gap"),
-         "iterations": pair(found.get((alone, method), {}), "iterations"),
-         "compiled call, us": pair(found.get((timed, method), {}), "compiled_microseconds"),
-         "from Python, us": pair(found.get((timed, method), {}), "microseconds")}
-        for label, method, starts in (("flow", flow, ((BASIS, BASIS), ("network", "learned_fixed"))),
-                                     ("Newton", newton, (("internal_force", "internal_force"), (BASIS, BASIS), ("network", "learned_fixed"))))
+        {
+            "start": start_info(alone).short,
+            "method": label,
+            "start gap": pair(found.get((alone, flow), {}), "start_gap"),
+            "iterations": pair(found.get((alone, method), {}), "iterations"),
+            "compiled call, us": pair(found.get((timed, method), {}), "compiled_microseconds"),
+            "from Python, us": pair(found.get((timed, method), {}), "microseconds"),
+        }
+        for label, method, starts in (
+            ("flow", flow, ((BASIS, BASIS), ("network", "learned_fixed"))),
+            (
+                "Newton",
+                newton,
+                (
+                    ("internal_force", "internal_force"),
+                    (BASIS, BASIS),
+                    ("network", "learned_fixed"),
+                ),
+            ),
+        )
         for alone, timed in starts
-    ]  # fmt: skip
+    ]
     return pd.DataFrame(made if (BASIS, flow) in found else [])
 
 
 def newton_first(rows: Rows, means: Rows) -> Rows:
-    """Make a table of the flow's iterations from the 12-basis and from the network, after zero, one and two Newton steps."""
+    """Make a table of the flow's iterations from the 12-basis and from the network, after zero, one
+    and two Newton steps.
+    """
     ball = {row["start"]: row for row in chosen(means, f"{_BALL} and {FLOW}").to_dict("records")}
     made = [
-        {"plain Newton steps first": steps, "12-basis": pair(ball.get(a, {}), "iterations"),
-         "its gap": pair(ball.get(a, {}), "start_gap"), "network": pair(ball.get(b, {}), "iterations"),
-         "gap of the network": pair(ball.get(b, {}), "start_gap")}
-        for steps, (a, b) in enumerate(((BASIS, "network"), ("basis_tangent", "network_newton_1"), ("basis_newton_2", "network_newton_2")))
-    ]  # fmt: skip
+        {
+            "plain Newton steps first": steps,
+            "12-basis": pair(ball.get(a, {}), "iterations"),
+            "its gap": pair(ball.get(a, {}), "start_gap"),
+            "network": pair(ball.get(b, {}), "iterations"),
+            "gap of the network": pair(ball.get(b, {}), "start_gap"),
+        }
+        for steps, (a, b) in enumerate(
+            (
+                (BASIS, "network"),
+                ("basis_tangent", "network_newton_1"),
+                ("basis_newton_2", "network_newton_2"),
+            )
+        )
+    ]
     return pd.DataFrame(made if BASIS in ball else [])
 
 
@@ -273,33 +584,60 @@ def all_starts(rows: Rows, means: Rows) -> Rows:
     keys = dict.fromkeys(start for start, _ in by)
     made = []
     for key in keys:
-        flow, newton = by.get((key, "reduced_flow"), {}), by.get((key, "newton"), {})
-        made.append({
-            "start": start_info(key).label, "no start": flow.get("iterations_missing"), "replaced": flow.get("start_replaced_sum"),
-            "start gap": pair(flow, "start_gap"), "flow": pair(flow, "iterations"), "Newton": pair(newton, "iterations"),
-            "start alone, us": pair(flow, "start_microseconds"), "flow, us": pair(flow, "microseconds"),
-            "Newton, us": pair(newton, "microseconds"),
-        })  # fmt: skip
+        flow = by.get((key, "reduced_flow"), {})
+        newton = by.get((key, "newton"), {})
+        made.append(
+            {
+                "start": start_info(key).label,
+                "no start": flow.get("iterations_missing"),
+                "replaced": flow.get("start_replaced_sum"),
+                "start gap": pair(flow, "start_gap"),
+                "flow": pair(flow, "iterations"),
+                "Newton": pair(newton, "iterations"),
+                "start alone, us": pair(flow, "start_microseconds"),
+                "flow, us": pair(flow, "microseconds"),
+                "Newton, us": pair(newton, "microseconds"),
+            }
+        )
     return pd.DataFrame(made)
 
 
 def failures(rows: Rows, means: Rows) -> Rows:
     """Count the failures of starts by case and reason."""
-    found: Rows = chosen(rows, "status in ['no_start', 'stalled', 'iteration_limit'] or held == False")
+    found: Rows = chosen(
+        rows, "status in ['no_start', 'stalled', 'iteration_limit'] or held == False"
+    )
     if found.empty:
         return found
     why = found["reason"].fillna(found.get("failure", found["status"])).fillna(found["status"])
-    found, keys = found.assign(why=why), ["case", "start", "method", "why"]
+    found = found.assign(why=why)
+    keys = ["case", "start", "method", "why"]
     counts = found.groupby(keys, dropna=False, sort=False).size().reset_index(name="count")
     return counts.sort_values("count", ascending=False)
 
 
 TABLES = (
-    ("The hardest sets first", "Iterations of the flow, median / p99. A dash: the start does not apply.", hardest_sets),
-    ("The hardest problems", "The main start that needs the most iterations of the flow on each; case, problem and seed reproduce it.", hardest_problems),
-    ("The network alone against the paper's 12-basis", f"{SETS['ball_frictions'].label}, held out; median / p99. Times are those of the network with its repair.", learned_steps),
-    ("After Newton steps", "Iterations of the flow and gap of the start on the held-out ball, median / p99.", newton_first),
+    (
+        "The hardest sets first",
+        "Iterations of the flow, median / p99. A dash: the start does not apply.",
+        hardest_sets,
+    ),
+    (
+        "The hardest problems",
+        "The main start that needs the most iterations of the flow on each; case, problem and seed reproduce it.",
+        hardest_problems,
+    ),
+    (
+        "The network alone against the paper's 12-basis",
+        f"{SETS['ball_frictions'].label}, held out; median / p99. Times are those of the network with its repair.",
+        learned_steps,
+    ),
+    (
+        "After Newton steps",
+        "Iterations of the flow and gap of the start on the held-out ball, median / p99.",
+        newton_first,
+    ),
     ("Every start on the ball", "Iterations and microseconds, median / p99.", all_starts),
     ("Hold rates", "Episodes held, and the mean of the measured normal force.", grid),
     ("Failures", "Cases without a start, without an answer, or not held.", failures),
-)  # fmt: skip
+)

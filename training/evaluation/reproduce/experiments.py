@@ -1,7 +1,8 @@
-"""Study of what the paper leaves open: weights, step rules, rates, forms, forces along W_ext(t) and Table I.
+"""Study of what the paper leaves open: weights, step rules, rates, forms, forces along W_ext(t) and
+Table I.
 
-The paper prints neither omega, lambda nor alpha_k and names their influence as future work. `run` computes one table of rows;
-`training.evaluation.report.reproduce_page` shows it.
+The paper prints neither omega, lambda nor alpha_k and names their influence as future work. `run`
+computes one table of rows; `training.evaluation.report.reproduce_page` shows it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,14 @@ from grasp_env.force.description import METRIC
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.force.record import CODE, CONVERGED, ITERATIONS, LIMIT, TRIALS
 from grasp_env.force.rules import initial_rule
-from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep, StepRule
+from grasp_env.force.step_size import (
+    AdaptiveStep,
+    ArmijoStep,
+    BarzilaiBorweinStep,
+    ExactStep,
+    FixedStep,
+    StepRule,
+)
 from grasp_env.grasp import Grasp, presets, wrench
 from grasp_env.inputs.arguments import Array
 from policies import LearnedInitialForce
@@ -33,14 +41,22 @@ TOLERANCE = 1e-4
 LAMBDA = 0.01
 """Barrier weight of Phi [N^2] where it is not varied."""
 _BARRIERS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
-WEIGHTS = (*((1.0, x) for x in _BARRIERS), *((omega, x) for omega in (0.5, 2.0) for x in (0.01, 0.1)))
-"""Pairs (omega, lambda [N^2]) to compare. Scaling Phi by omega changes neither its optimum nor, with steps in units of 1 / omega, the
-iterates: only lambda / omega matters. Rows with omega != 1 show the one remaining effect, the first trial step."""
+WEIGHTS = (
+    *((1.0, x) for x in _BARRIERS),
+    *((omega, x) for omega in (0.5, 2.0) for x in (0.01, 0.1)),
+)
+"""Pairs (omega, lambda [N^2]) to compare.
+
+Scaling Phi by omega changes neither its optimum nor, with steps in units of 1 / omega, the
+iterates: only lambda / omega matters. Rows with omega != 1 show the one remaining effect, the first
+trial step.
+"""
 FIXED_SIZES = tuple(float(size) for size in 10.0 ** np.arange(0.5, -4.6, -0.125))
 """Constant steps to try [N / omega], longest first."""
 ITERATION_LIMIT = 20_000
 FORMS = ("full", "paper", "reduced")
-"""Ways to compute the same step: Q times vec(P^-1 W_i P^-1 - W_p) (Eqs. 9-12), Q_bar times VWP (Eqs. 18-26), and the fewest products."""
+"""Ways to compute the same step: Q times vec(P^-1 W_i P^-1 - W_p) (Eqs. 9-12), Q_bar times VWP
+(Eqs. 18-26), and the fewest products."""
 PAPER_TABLE: dict[str, tuple[tuple[float, ...], int | None]] = {
     "single_value": ((8.30, 2.73, 2.57, 2.40), 160),
     "lagrange": ((5.19, 1.59, 1.50, 1.51), 120),
@@ -53,24 +69,31 @@ Rows = Iterator[dict[str, Any]]
 
 
 def run(quick: bool = False) -> pd.DataFrame:
-    """Compute every part, one after another in this process, since some parts measure times; if `quick`, of few wrenches and samples.
+    """Compute every part, one after another in this process, since some parts measure times; if
+    `quick`, of few wrenches and samples.
 
     Returns:
-        The rows. Cases: "weights", "times", "rates", "gaps", "forms", "costs_product", "costs_iteration", "path_<grasp>",
+        The rows. Cases: "weights", "times", "rates", "gaps", "forms", "costs_product",
+        "costs_iteration", "path_<grasp>",
         "table_one" and "table_one_paper".
     """
-    grasp, five = presets.paper_cuboid(), presets.preset("five_finger_cuboid")
+    grasp = presets.paper_cuboid()
+    five = presets.preset("five_finger_cuboid")
     wrenches = wrench.sample_ball(np.random.default_rng([0, 101]), 20 if quick else 200)
-    load, fine = np.array(wrench.PAPER_CONSTANT), 0.005 if quick else 0.001
+    load = np.array(wrench.PAPER_CONSTANT)
+    fine = 0.005 if quick else 0.001
     parts = {
-        **{f"omega {omega:g}, lambda {barrier:g}": weights(grasp, wrenches, omega, barrier) for omega, barrier in WEIGHTS},
+        **{
+            f"omega {omega:g}, lambda {barrier:g}": weights(grasp, wrenches, omega, barrier)
+            for omega, barrier in WEIGHTS
+        },
         "times": times(grasp, wrenches),
         "rates": rates(grasp, load),
         "costs": costs((presets.tripod(), grasp, five), 9 if quick else 41),
         "path, paper_cuboid": path("paper_cuboid", grasp, fine),
         "path, five_finger_cuboid": path("five_finger_cuboid", five, fine),
         "Table I": table_one(grasp, load),
-    }  # fmt: skip
+    }
     rows: list[dict[str, Any]] = []
     with progress() as bar:
         task = bar.add_task("reproduce", total=len(parts))
@@ -96,7 +119,8 @@ def step_rules(fixed: float) -> dict[str, StepRule]:
 
 
 def operations(form: str, count: int) -> int:
-    """Multiplications of one product step for N = `count` contacts; see the core's `projection.hpp`.
+    """Multiplications of one product step for N = `count` contacts; see the core's
+    `projection.hpp`.
 
     Example:
         >>> [operations(form, 4) for form in FORMS]
@@ -107,7 +131,8 @@ def operations(form: str, count: int) -> int:
 
 
 class Cases:
-    """One Phi on one grasp: the 12-basis starts of some wrenches, their optima, and the flow in one form.
+    """One Phi on one grasp: the 12-basis starts of some wrenches, their optima, and the flow in one
+    form.
 
     Attributes:
         starts: (n, N, 3) forces [N].
@@ -116,11 +141,22 @@ class Cases:
     """
 
     def __init__(
-        self, grasp: Grasp, wrenches: Array, omega: float = 1.0, barrier: float = LAMBDA, form: str = "reduced"
+        self,
+        grasp: Grasp,
+        wrenches: Array,
+        omega: float = 1.0,
+        barrier: float = LAMBDA,
+        form: str = "reduced",
     ) -> None:
-        self.grasp, self.wrenches, self.omega, self.form = grasp, wrenches, omega, form
+        self.grasp = grasp
+        self.wrenches = wrenches
+        self.omega = omega
+        self.form = form
         self.objective = Objective(omega, barrier)
-        self.contacts, basis = core_contacts(grasp, self.objective), OfflineBasis.of(grasp, self.objective)
+        self.contacts, basis = (
+            core_contacts(grasp, self.objective),
+            OfflineBasis.of(grasp, self.objective),
+        )
         self.starts = np.array([basis.combine(load) for load in wrenches])
         newton = ForceOptimizer(grasp, method="newton", tolerance=1e-11, **vars(self.objective))
         solutions = [newton.solve(load) for load in wrenches]
@@ -148,38 +184,65 @@ class Cases:
         return [self.run(rule, k, float(self.optima[k])) for k in range(len(self.wrenches[:count]))]
 
     def gaps(self, rule: StepRule, limit: int = 5000) -> Array:
-        """Return the relative gap of Phi (steps + 1,) at every iterate of the first wrench, down to 1e-12."""
-        trace, best = np.full(limit + 1, np.nan), float(self.optima[0])
+        """Return the relative gap of Phi (steps + 1,) at every iterate of the first wrench, down to
+        1e-12.
+        """
+        trace = np.full(limit + 1, np.nan)
+        best = float(self.optima[0])
         record = self.run(rule, 0, best, 1e-12, limit, trace)
         return trace[: int(record[ITERATIONS]) + 1] / best - 1.0
 
-    def certified(self, rule: StepRule, initial: str | InitialForceRule, repeats: int = 5) -> tuple[Array, Array]:
-        """Return the shortest time (n,) [us] of `repeats` certified compiled calls per wrench, and their iterations (n,)."""
-        options = {"method": "reduced_flow", "step_rule": rule, "initial": initial, **vars(self.objective)}
+    def certified(
+        self, rule: StepRule, initial: str | InitialForceRule, repeats: int = 5
+    ) -> tuple[Array, Array]:
+        """Return the shortest time (n,) [us] of `repeats` certified compiled calls per wrench, and
+        their iterations (n,).
+        """
+        options = {
+            "method": "reduced_flow",
+            "step_rule": rule,
+            "initial": initial,
+            **vars(self.objective),
+        }
         flow = ForceOptimizer(self.grasp, **options)
-        best, rows = np.empty(len(self.wrenches)), np.empty((len(self.wrenches), flow.core.size))
+        best = np.empty(len(self.wrenches))
+        rows = np.empty((len(self.wrenches), flow.core.size))
         flow.core.times(self.wrenches, repeats, rows, best)
         return 1e6 * best, rows[:, ITERATIONS]
 
     def tuned_step(self, count: int = 20) -> float:
-        """Return the longest constant step that is never halved on the first `count` wrenches; it is the fastest on them."""
+        """Return the longest constant step that is never halved on the first `count` wrenches; it
+        is the fastest on them.
+        """
         for size in FIXED_SIZES:
             records = self.descents(FixedStep(size / self.omega), count)
-            if all(record[CODE] == CONVERGED and record[ITERATIONS] == record[TRIALS] for record in records):
+            if all(
+                record[CODE] == CONVERGED and record[ITERATIONS] == record[TRIALS]
+                for record in records
+            ):
                 return size / self.omega
         return FIXED_SIZES[-1] / self.omega
 
 
 def weights(grasp: Grasp, wrenches: Array, omega: float, barrier: float) -> Rows:
-    """Yield the iterations of every step rule on every wrench with these weights, and the excess over the least normal force."""
+    """Yield the iterations of every step rule on every wrench with these weights, and the excess
+    over the least normal force.
+    """
     conic = ForceOptimizer(grasp, method="conic")
     least = np.array([conic.solve(load).raise_for_status().total_normal_force for load in wrenches])
     cases = Cases(grasp, wrenches, omega, barrier)
-    excess, fixed = cases.forces[:, :, 0].sum(axis=1) / least - 1.0, cases.tuned_step()
+    excess = cases.forces[:, :, 0].sum(axis=1) / least - 1.0
+    fixed = cases.tuned_step()
     statuses = {CONVERGED: "optimal", LIMIT: "iteration_limit"}
     for name, rule in step_rules(fixed).items():
         for k, record in enumerate(cases.descents(rule)):
-            row = {"case": "weights", "rule": name, "force_weight": omega, "barrier_weight": barrier, "problem": k}
+            row = {
+                "case": "weights",
+                "rule": name,
+                "force_weight": omega,
+                "barrier_weight": barrier,
+                "problem": k,
+            }
             row |= {"status": statuses.get(int(record[CODE]), "stalled"), "force_excess": excess[k]}
             if record[CODE] == CONVERGED:
                 row |= {"iterations": int(record[ITERATIONS]), "trials": int(record[TRIALS])}
@@ -187,19 +250,34 @@ def weights(grasp: Grasp, wrenches: Array, omega: float, barrier: float) -> Rows
 
 
 def times(grasp: Grasp, wrenches: Array) -> Rows:
-    """Yield microseconds and iterations of a compiled call to a certified gap of 1e-4, lambda 0.01, per rule and start."""
+    """Yield microseconds and iterations of a compiled call to a certified gap of 1e-4, lambda 0.01,
+    per rule and start.
+    """
     cases = Cases(grasp, wrenches)
-    starts = {"linear_combination": "linear_combination", "learned_fixed": LearnedInitialForce.pretrained()}
+    starts = {
+        "linear_combination": "linear_combination",
+        "learned_fixed": LearnedInitialForce.pretrained(),
+    }
     for name, rule in step_rules(cases.tuned_step()).items():
         for start, initial in starts.items():
             for k, (value, steps) in enumerate(zip(*cases.certified(rule, initial), strict=True)):
-                yield {"case": "times", "rule": name, "start": start, "barrier_weight": LAMBDA, "problem": k, "microseconds": value,
-                       "iterations": int(steps)}  # fmt: skip
+                yield {
+                    "case": "times",
+                    "rule": name,
+                    "start": start,
+                    "barrier_weight": LAMBDA,
+                    "problem": k,
+                    "microseconds": value,
+                    "iterations": int(steps),
+                }
 
 
 def spectrum(cases: Cases) -> tuple[float, float]:
-    """Return the least and largest eigenvalue of the Hessian of Phi at the first optimum, on ker G in the metric of P."""
-    grasp, force = cases.grasp, cases.forces[0]
+    """Return the least and largest eigenvalue of the Hessian of Phi at the first optimum, on ker G
+    in the metric of P.
+    """
+    grasp = cases.grasp
+    force = cases.forces[0]
     root = np.sqrt(np.tile(METRIC, grasp.n_contacts))
     basis = null_space(grasp.cone_matrix / root) / root[:, None]
     whole = block_diag(*cases.objective.hessian(grasp.to_cone(force)))
@@ -208,22 +286,30 @@ def spectrum(cases: Cases) -> tuple[float, float]:
 
 
 def rates(grasp: Grasp, load: Array) -> Rows:
-    """Yield the gap along the iterations on one wrench per rule, fitted and predicted rates, and the difference between the forms.
+    """Yield the gap along the iterations on one wrench per rule, fitted and predicted rates, and
+    the difference between the forms.
 
-    A fitted rate is the factor per iteration of the gap between 1e-3 and 1e-9. Predicted, kappa = L / m the condition
-    number of the projected Hessian at the optimum: (1 - alpha m)^2 for a constant step alpha < 2 / (L + m), at worst
-    ((kappa - 1) / (kappa + 1))^2 for the exact line search. The other rules have no such formula.
+    A fitted rate is the factor per iteration of the gap between 1e-3 and 1e-9. Predicted, kappa = L
+    / m the condition number of the projected Hessian at the optimum: (1 - alpha m)^2 for a constant
+    step alpha < 2 / (L + m), at worst ((kappa - 1) / (kappa + 1))^2 for the exact line search. The
+    other rules have no such formula.
     """
     cases = Cases(grasp, load[None])
     least, largest = spectrum(cases)
-    kappa, fixed = largest / least, 2.0 / (least + largest)
+    kappa = largest / least
+    fixed = 2.0 / (least + largest)
     predicted = {"fixed": (1.0 - fixed * least) ** 2, "exact": ((kappa - 1.0) / (kappa + 1.0)) ** 2}
     for name, rule in step_rules(fixed).items():
         gaps = cases.gaps(rule)
         yield {
-            "case": "rates", "rule": name, "rate": _fitted(gaps), "rate_predicted": predicted.get(name),
-            "eigenvalue_least": least, "eigenvalue_largest": largest, "step_size": fixed if name == "fixed" else None,
-        }  # fmt: skip
+            "case": "rates",
+            "rule": name,
+            "rate": _fitted(gaps),
+            "rate_predicted": predicted.get(name),
+            "eigenvalue_least": least,
+            "eigenvalue_largest": largest,
+            "step_size": fixed if name == "fixed" else None,
+        }
         for step, gap in enumerate(np.maximum(gaps, 1e-14)):
             yield {"case": "gaps", "rule": name, "step": step, "gap": gap}
     reference = cases.gaps(AdaptiveStep(), 40)
@@ -234,7 +320,9 @@ def rates(grasp: Grasp, load: Array) -> Rows:
 
 
 def _fitted(gaps: Array) -> float | None:
-    """Fit the factor per iteration by least squares on the logarithm; None with fewer than three points."""
+    """Fit the factor per iteration by least squares on the logarithm; None with fewer than three
+    points.
+    """
     inside = np.flatnonzero((gaps < 1e-3) & (gaps > 1e-9))
     if len(inside) < 3:
         return None
@@ -242,10 +330,11 @@ def _fitted(gaps: Array) -> float | None:
 
 
 def costs(grasps: tuple[Grasp, ...], repeats: int) -> Rows:
-    """Yield counted multiplications and measured nanoseconds, per product step and per whole iteration of every form.
+    """Yield counted multiplications and measured nanoseconds, per product step and per whole
+    iteration of every form.
 
-    The forms take turns, `repeats` times. The rest of an iteration is Phi, its gradient and the step rule. The matrices are in
-    the cache, as in a control loop that does nothing else.
+    The forms take turns, `repeats` times. The rest of an iteration is Phi, its gradient and the
+    step rule. The matrices are in the cache, as in a control loop that does nothing else.
     """
     load = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
     for grasp in grasps:
@@ -253,7 +342,12 @@ def costs(grasps: tuple[Grasp, ...], repeats: int) -> Rows:
         cases = {form: Cases(grasp, load[None], form=form) for form in FORMS}
         for k in range(repeats):
             for form in FORMS:
-                row = {"form": form, "contacts": count, "problem": k, "operations": operations(form, count)}
+                row = {
+                    "form": form,
+                    "contacts": count,
+                    "problem": k,
+                    "operations": operations(form, count),
+                }
                 yield {"case": "costs_product", **row, "nanoseconds": _product(cases[form])}
                 yield {"case": "costs_iteration", **row, "nanoseconds": _iteration(cases[form])}
 
@@ -263,12 +357,15 @@ def _product(cases: Cases) -> float:
     x = cases.grasp.to_cone(cases.starts[0])
     # a measurement takes a fifth of a millisecond, so it is rarely interrupted
     return _time_repetition(
-        lambda count: core.repeat_step(cases.contacts, cases.form, x, count), 100 if cases.form == "full" else 5000
+        lambda count: core.repeat_step(cases.contacts, cases.form, x, count),
+        100 if cases.form == "full" else 5000,
     )
 
 
 def _iteration(cases: Cases) -> float:
-    """Return the nanoseconds per accepted step, with a step so short that no trial fails and the optimum stays far."""
+    """Return the nanoseconds per accepted step, with a step so short that no trial fails and the
+    optimum stays far.
+    """
 
     def descend(count: int) -> None:
         record = cases.run(FixedStep(1e-6), 0, 1e-9, limit=count)
@@ -290,11 +387,13 @@ def _time_repetition(call: Callable[[int], object], count: int) -> float:
 
 
 def path(name: str, grasp: Grasp, fine: float) -> Rows:
-    """Yield the forces along W_ext(t), 2 s, of the pyramid linear program, of Phi and of the exact cones.
+    """Yield the forces along W_ext(t), 2 s, of the pyramid linear program, of Phi and of the exact
+    cones.
 
-    "jump" is the change of a finger's force since the sample before. With samples ten times closer it becomes ten times smaller if
-    the forces are continuous, and stays the same at a jump. "kink", the change of the rate, tells smooth forces from kinks likewise.
-    `fine` is the time between samples [s]; the coarse samples are ten times as far apart.
+    "jump" is the change of a finger's force since the sample before. With samples ten times closer
+    it becomes ten times smaller if the forces are continuous, and stays the same at a jump. "kink",
+    the change of the rate, tells smooth forces from kinks likewise. `fine` is the time between
+    samples [s]; the coarse samples are ten times as far apart.
     """
     times = np.arange(0.0, 2.0, fine)
     loads = wrench.paper_path(times)
@@ -307,9 +406,16 @@ def path(name: str, grasp: Grasp, fine: float) -> Rows:
     for key, values in forces.items():
         excess = values[:, :, 0].sum(axis=1) / least - 1.0
         for interval, part in ((10.0 * fine, values[::10]), (fine, values)):
-            jumps, kinks = (np.linalg.norm(np.diff(part, order, axis=0), axis=2) for order in (1, 2))
+            jumps, kinks = (
+                np.linalg.norm(np.diff(part, order, axis=0), axis=2) for order in (1, 2)
+            )
             for k, contact in np.ndindex(part.shape[:2]):
-                row = {"case": f"path_{name}", "method": key, "interval": interval, "time": interval * k}
+                row = {
+                    "case": f"path_{name}",
+                    "method": key,
+                    "interval": interval,
+                    "time": interval * k,
+                }
                 row |= {"contact": contact, "contact_force": part[k, contact, 0]}
                 if interval == fine and contact == 0:  # once for all fingers
                     row["force_excess"] = excess[k]
@@ -321,20 +427,33 @@ def path(name: str, grasp: Grasp, fine: float) -> Rows:
 
 
 def table_one(grasp: Grasp, load: Array) -> Rows:
-    """Yield normal forces and flow steps of the paper's starts and the optimum on its constant wrench, beside the printed ones.
+    """Yield normal forces and flow steps of the paper's starts and the optimum on its constant
+    wrench, beside the printed ones.
 
-    This is no acceptance test: the paper does not print contact positions, weights, step size and two of the three starts. The
-    balance of 0.6 N, the order of the starts, and ratios can be compared.
+    This is no acceptance test: the paper does not print contact positions, weights, step size and
+    two of the three starts. The balance of 0.6 N, the order of the starts, and ratios can be
+    compared.
     """
     phi = Objective(1.0, LAMBDA)
-    optimum = ForceOptimizer(grasp, method="newton", barrier_weight=LAMBDA, tolerance=1e-10).solve(load)
+    optimum = ForceOptimizer(grasp, method="newton", barrier_weight=LAMBDA, tolerance=1e-10).solve(
+        load
+    )
     flow = ForceOptimizer(grasp, method="reduced_flow", barrier_weight=LAMBDA, tolerance=TOLERANCE)
     for start, (normals, steps) in PAPER_TABLE.items():
         force, iterations = optimum.force, None
         if start != "optimum":
             force = initial_rule(start, phi)(grasp, load)
             iterations = flow.solve(load, initial=force, optimum=optimum.objective).iterations
-        for case, values, count in (("table_one", force[:, 0], iterations), ("table_one_paper", normals, steps)):
+        for case, values, count in (
+            ("table_one", force[:, 0], iterations),
+            ("table_one_paper", normals, steps),
+        ):
             for contact, value in enumerate(values):
                 first = {"iterations": count, "force_sum": sum(values)} if contact == 0 else {}
-                yield {"case": case, "start": start, "contact": contact, "contact_force": value, **first}
+                yield {
+                    "case": case,
+                    "start": start,
+                    "contact": contact,
+                    "contact_force": value,
+                    **first,
+                }

@@ -1,7 +1,9 @@
-"""Linear program of grasp forces: least total normal force with a friction pyramid inside every cone, by HiGHS.
+"""Linear program of grasp forces: least total normal force with a friction pyramid inside every
+cone, by HiGHS.
 
-`grasp reproduce` compares with it. Its forces lie on edges of the pyramids: along a path of the wrench they have kinks, and they may
-jump where several forces cost the same. Kerr, Roth 1986 and Cheng, Orin 1990 used it for hands.
+`grasp reproduce` compares with it. Its forces lie on edges of the pyramids: along a path of the
+wrench they have kinks, and they may jump where several forces cost the same. Kerr, Roth 1986 and
+Cheng, Orin 1990 used it for hands.
 """
 
 from __future__ import annotations
@@ -18,18 +20,22 @@ _TOLERANCE = 1e-10
 
 
 def pyramid_forces(grasp: Grasp, wrench: Wrench, facets: int = 8) -> ContactForces:
-    """Return the (N, 3) forces [N] of least total normal force that balance a wrench, each inside an inscribed friction pyramid.
+    """Return the (N, 3) forces [N] of least total normal force that balance a wrench, each inside
+    an inscribed friction pyramid.
 
-    min sum normal_i s.t. G f + w = 0, f_i = sum_k c_ik e_ik, c >= 0, where the `facets` edges e_ik lie on the cone of contact i, the
-    first at normal + mu_o o. 8 facets cost 3 % more than the cones in the median, at most 8 %.
+    min sum normal_i s.t. G f + w = 0, f_i = sum_k c_ik e_ik, c >= 0, where the `facets` edges e_ik
+    lie on the cone of contact i, the first at normal + mu_o o. 8 facets cost 3 % more than the
+    cones in the median, at most 8 %.
 
     Args:
         grasp: hard contacts.
-        wrench: (6,) external wrench on the object [N, N m], object frame; about 1 N, since balance holds to 1e-10 N.
+        wrench: (6,) external wrench on the object [N, N m], object frame; about 1 N, since balance
+            holds to 1e-10 N.
         facets: edges of each pyramid, at least 3.
 
     Raises:
-        NotConvergedError: HiGHS found no force inside the pyramids that balances the wrench. One inside the cones may exist.
+        NotConvergedError: HiGHS found no force inside the pyramids that balances the wrench. One
+            inside the cones may exist.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -44,9 +50,17 @@ def pyramid_forces(grasp: Grasp, wrench: Wrench, facets: int = 8) -> ContactForc
     edges = across[:, :, None] * around  # (N, 3, facets)
     frame = grasp.unit_frame
     balance = np.einsum("rni,nik->rnk", (frame @ grasp.matrix).reshape(6, -1, 3), edges)
-    options = {"presolve": False, "primal_feasibility_tolerance": _TOLERANCE, "dual_feasibility_tolerance": _TOLERANCE}
-    total, left, right = np.ones(edges[:, 0].size), balance.reshape(6, -1), -frame @ wrench
+    options = {
+        "presolve": False,
+        "primal_feasibility_tolerance": _TOLERANCE,
+        "dual_feasibility_tolerance": _TOLERANCE,
+    }
+    total = np.ones(edges[:, 0].size)
+    left = balance.reshape(6, -1)
+    right = -frame @ wrench
     answer = linprog(total, A_eq=left, b_eq=right, method="highs-ds", options=options)
     if answer.status != 0:
-        raise NotConvergedError(f"the linear program of wrench {wrench.tolist()} found no force: {answer.message}")
+        raise NotConvergedError(
+            f"the linear program of wrench {wrench.tolist()} found no force: {answer.message}"
+        )
     return np.einsum("nik,nk->ni", edges, answer.x.reshape(-1, facets))

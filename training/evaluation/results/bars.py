@@ -5,13 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rich.console import Console, RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Column
 from rich.text import Text
 
 
 class Bars(Progress):
-    """Bars as wide as the terminal, with the field `note` of each task below them; no line is wrapped."""
+    """Bars as wide as the terminal, with the field `note` of each task below them; no line is
+    wrapped.
+    """
 
     def get_renderables(self) -> Iterator[RenderableType]:
         """Yield the lines, from the top."""
@@ -33,4 +42,6 @@ def progress(console: Console | None = None) -> Bars:
         TimeElapsedColumn(table_column=Column(no_wrap=True)),
         TimeRemainingColumn(table_column=Column(no_wrap=True)),
     )
-    return Bars(*columns, console=console, transient=False, disable=not console.is_terminal, expand=True)
+    return Bars(
+        *columns, console=console, transient=False, disable=not console.is_terminal, expand=True
+    )

@@ -17,7 +17,10 @@ COMPARISONS: dict[str, tuple[Callable[[Any, Any], Any], Callable[[Any], Any]]] =
     "<": (operator.lt, np.max),
     ">=": (operator.ge, np.min),
     ">": (operator.gt, np.min),
-    "within": (lambda value, bound: abs(value) <= bound, lambda values: values[np.abs(values).argmax()]),
+    "within": (
+        lambda value, bound: abs(value) <= bound,
+        lambda values: values[np.abs(values).argmax()],
+    ),
 }
 """Comparison of a measured number with the bound, and choice of the worst of several numbers."""
 VERDICTS = {False: "MISSED", None: "not measured", True: "met"}
@@ -30,11 +33,13 @@ class Claim:
 
     Attributes:
         name: the claim in words.
-        query: query for rows of the run's summary, as for `pandas.DataFrame.query`. The claim must hold in each of them.
+        query: query for rows of the run's summary, as for `pandas.DataFrame.query`. The claim must
+            hold in each of them.
         column: column of the summary.
         comparison: one of `COMPARISONS`.
         asked: the bound.
-        over: a second query. Its rows, paired by the other keys, divide the column, or are subtracted from it if `difference`.
+        over: a second query. Its rows, paired by the other keys, divide the column, or are
+            subtracted from it if `difference`.
         difference: see `over`.
         unit: unit of the bound.
     """
@@ -49,24 +54,36 @@ class Claim:
     unit: str = ""
 
     def values(self, rows: pd.DataFrame) -> np.ndarray:
-        """Return the measured numbers, one for each row that the query selects; nan if the row, or one of its cases, has no number."""
-        mine, other = chosen(rows, self.query), chosen(rows, self.over) if self.over else None
+        """Return the measured numbers, one for each row that the query selects; nan if the row, or
+        one of its cases, has no number.
+        """
+        mine = chosen(rows, self.query)
+        other = chosen(rows, self.over) if self.over else None
         if self.column not in rows.columns:
             return np.empty(0)
         lacking = f"{self.column.rpartition('_')[0]}_missing"
-        if lacking in rows.columns and lacking != self.column:  # percentiles ignore the cases without a number
+        # percentiles ignore the cases without a number
+        if lacking in rows.columns and lacking != self.column:
             known = np.where(numbers(mine, lacking) > 0, np.nan, numbers(mine, self.column))
             mine = mine.assign(**{self.column: known})
         if other is None:
             return numbers(mine, self.column)
         # pair the rows by the keys that still have several values after both queries
-        keys = [name for name in KEYS if name in rows.columns and min(mine[name].nunique(), other[name].nunique()) > 1]
+        keys = [
+            name
+            for name in KEYS
+            if name in rows.columns and min(mine[name].nunique(), other[name].nunique()) > 1
+        ]
         if not keys:
-            mine, other = mine.iloc[:1], other.iloc[:1]
-        paired: Any = mine.merge(other, "left" if keys else "cross", keys or None, suffixes=("", "_over"))
+            mine = mine.iloc[:1]
+            other = other.iloc[:1]
+        paired: Any = mine.merge(
+            other, "left" if keys else "cross", keys or None, suffixes=("", "_over")
+        )
         if other.empty or paired.empty:
             return np.empty(0)
-        value, base = numbers(paired, self.column), numbers(paired, f"{self.column}_over")
+        value = numbers(paired, self.column)
+        base = numbers(paired, f"{self.column}_over")
         return value - base if self.difference else value / base
 
 
@@ -96,7 +113,9 @@ class Judged:
 
 
 def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Judged]:
-    """Judge claims against the summary of a run. Missed claims come first, then those not measured, then those met.
+    """Judge claims against the summary of a run.
+
+    Missed claims come first, then those not measured, then those met.
 
     A claim is missed if one of its rows lacks the number.
 
@@ -112,7 +131,11 @@ def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Judged]:
         values = claim.values(rows)
         compare, worst = COMPARISONS[claim.comparison]
         finite = values[np.isfinite(values)]
-        met = len(finite) == len(values) and bool(np.all(compare(values, claim.asked))) if len(values) else None
+        met = (
+            len(finite) == len(values) and bool(np.all(compare(values, claim.asked)))
+            if len(values)
+            else None
+        )
         judged.append(Judged(claim, float(worst(finite)) if len(finite) else None, met))
     order = list(VERDICTS)
     return sorted(judged, key=lambda row: order.index(row.met))

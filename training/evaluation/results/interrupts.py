@@ -16,8 +16,8 @@ def interruptible(*, orderly: bool = True) -> Iterator[Callable[[], bool]]:
         A function that returns True once a signal has come.
 
     Args:
-        orderly: the first signal only sets that flag, so that a step can end, and the next raises KeyboardInterrupt. Otherwise the
-            first one raises.
+        orderly: the first signal only sets that flag, so that a step can end, and the next raises
+            KeyboardInterrupt. Otherwise the first one raises.
     """
     signals: list[int] = []
 

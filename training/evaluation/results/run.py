@@ -1,4 +1,6 @@
-"""Run folders: the outputs of a command, each file written whole or not at all, with all that is needed to repeat the run."""
+"""Run folders: the outputs of a command, each file written whole or not at all, with all that is
+needed to repeat the run.
+"""
 
 from __future__ import annotations
 
@@ -29,9 +31,24 @@ SHARDS = "shards"
 MAX_COUNT = 1_000_000_000
 """Largest count in a setting."""
 _PACKAGES = (
-    "numpy", "scipy", "pandas", "torch", "gymnasium", "stable-baselines3", "pybullet", "mujoco", "ray",
-    "clarabel", "qoco", "qocogen", "moreau", "ecos", "highspy", "piqp", "cvxpy",
-)  # fmt: skip
+    "numpy",
+    "scipy",
+    "pandas",
+    "torch",
+    "gymnasium",
+    "stable-baselines3",
+    "pybullet",
+    "mujoco",
+    "ray",
+    "clarabel",
+    "qoco",
+    "qocogen",
+    "moreau",
+    "ecos",
+    "highspy",
+    "piqp",
+    "cvxpy",
+)
 
 
 class Run:
@@ -49,14 +66,18 @@ class Run:
         """
         folder = Path(out) / name
         if (folder / "run.json").exists():
-            raise InvalidInputError(f"{folder} holds a finished run: choose another name or remove it")
+            raise InvalidInputError(
+                f"{folder} holds a finished run: choose another name or remove it"
+            )
         try:
             folder.mkdir(parents=True, exist_ok=True)
             probe = folder / f".probe-{os.getpid()}"
             probe.write_bytes(b"")
             probe.unlink()
         except OSError as error:
-            raise InvalidInputError(f"cannot write to {folder}: {file_fault(error, '--out')}") from None
+            raise InvalidInputError(
+                f"cannot write to {folder}: {file_fault(error, '--out')}"
+            ) from None
         return cls(folder)
 
     @classmethod
@@ -68,7 +89,9 @@ class Run:
         """
         folder = Path(folder)
         if not os.path.isfile(folder / "run.json"):
-            raise InvalidInputError(f"{folder} is not a finished run: run.json is missing; run `grasp evaluate` first")
+            raise InvalidInputError(
+                f"{folder} is not a finished run: run.json is missing; run `grasp evaluate` first"
+            )
         return cls(folder)
 
     def path(self, name: str) -> Path:
@@ -86,21 +109,30 @@ class Run:
 
     def write_json(self, name: str, value: Any) -> Path:
         """Write JSON; raise ValueError for NaN and infinity."""
-        return self.write_text(name, json.dumps(value, indent=2, allow_nan=False, default=_plain) + "\n")
+        return self.write_text(
+            name, json.dumps(value, indent=2, allow_nan=False, default=_plain) + "\n"
+        )
 
     def read_json(self, name: str) -> Any:
         """Read JSON; raise `InvalidInputError` if the file is not JSON."""
         return read_json(self.path(name), InvalidInputError, "the run's file")
 
     def save(self, rows: pd.DataFrame, about: dict[str, Any]) -> None:
-        """Write rows.csv and, last, run.json, which marks the run as finished; then remove the finished shards.
+        """Write rows.csv and, last, run.json, which marks the run as finished; then remove the
+        finished shards.
 
-        To `about`, its kind and settings, machine, versions, commit and the meaning of the columns are added.
+        To `about`, its kind and settings, machine, versions, commit and the meaning of the columns
+        are added.
         """
         from training.evaluation.results import table  # importing this module needs no pandas
 
         table.write(self.path("rows.csv"), rows)
-        about = {**about, **provenance(), "rows": len(rows), "columns": table.described(rows.columns)}
+        about = {
+            **about,
+            **provenance(),
+            "rows": len(rows),
+            "columns": table.described(rows.columns),
+        }
         self.write_json("run.json", about)
         shutil.rmtree(self.folder / SHARDS, ignore_errors=True)
 
@@ -113,13 +145,17 @@ class Run:
         from training.evaluation.results import table
 
         path = self.path("rows.csv")
-        rows, about = table.read(path), self.read_json("run.json")
+        rows = table.read(path)
+        about = self.read_json("run.json")
         if len(rows) != (saved := about.get("rows", len(rows))):
-            raise InvalidInputError(f"{path} has {len(rows)} of {saved} rows: copy the run again, or repeat it")
+            raise InvalidInputError(
+                f"{path} has {len(rows)} of {saved} rows: copy the run again, or repeat it"
+            )
         return rows, about
 
     def begin(self, plan: dict[str, Any]) -> None:
-        """Save in plan.json the settings that decide the results, or check that an interrupted run was begun with the same.
+        """Save in plan.json the settings that decide the results, or check that an interrupted run
+        was begun with the same.
 
         Raises:
             InvalidInputError: it was begun with other settings.
@@ -127,7 +163,8 @@ class Run:
         if not self.path("plan.json").is_file():
             self.write_json("plan.json", plan)
             return
-        before, now = self.read_json("plan.json"), json.loads(json.dumps(plan, default=_plain))
+        before = self.read_json("plan.json")
+        now = json.loads(json.dumps(plan, default=_plain))
         if before != now:
             other = [key for key in {**before, **now} if before.get(key) != now.get(key)]
             raise InvalidInputError(
@@ -138,7 +175,8 @@ class Run:
 
 @contextmanager
 def understood(folder: Path, again: str) -> Iterator[None]:
-    """Turn any error in the block into the message that the run's files were changed or made by another version.
+    """Turn any error in the block into the message that the run's files were changed or made by
+    another version.
 
     `again` is advice how to make such files again.
 
@@ -222,7 +260,10 @@ def commit(folder: Path) -> str:
     """Return the commit of a checkout, with `-dirty` if files differ from it."""
     try:
         run = subprocess.run(
-            ["git", "-C", str(folder), "describe", "--always", "--dirty"], capture_output=True, text=True, timeout=10
+            ["git", "-C", str(folder), "describe", "--always", "--dirty"],
+            capture_output=True,
+            text=True,
+            timeout=10,
         )
         return run.stdout.strip() or "unknown"
     except (OSError, subprocess.SubprocessError):

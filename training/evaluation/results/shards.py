@@ -1,6 +1,8 @@
-"""Map of a function over shards of long work: inline, in processes of this machine, or on a Ray cluster.
+"""Map of a function over shards of long work: inline, in processes of this machine, or on a Ray
+cluster.
 
-The rows and their order do not depend on where the shards run. Times are never measured inside the map.
+The rows and their order do not depend on where the shards run. Times are never measured inside the
+map.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ ON = "inline, processes, ray or ray://HOST:PORT"
 ATTEMPTS = 3
 """Number of times in a row that workers may be killed without finishing a shard."""
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Environment that gives each worker one thread of BLAS and torch; the libraries read it when they are loaded."""
+"""Environment that gives each worker one thread of BLAS and torch; the libraries read it when they
+are loaded."""
 
 Work = Callable[[Any], "pd.DataFrame"]
 """Function from a shard to its rows, of a module, so that workers can import it."""
@@ -52,16 +55,21 @@ def map_shards(
 
     Args:
         function: takes a shard and returns its rows, which must depend on the shard alone.
-        shards: picklable shards by name, in the order in which they start; the longest should come first.
-        on: "inline" (this process), "processes" (spawned on this machine), "ray" (the cluster of RAY_ADDRESS, or the one that runs
-            on this machine) or "ray://HOST:PORT" (the Ray client server of another machine).
+        shards: picklable shards by name, in the order in which they start; the longest should come
+            first.
+        on: "inline" (this process), "processes" (spawned on this machine), "ray" (the cluster of
+            RAY_ADDRESS, or the one that runs on this machine) or "ray://HOST:PORT" (the Ray client
+            server of another machine).
         workers: number of processes; 0: one per core. Ray uses the cores of its cluster.
-        keep: folder that keeps finished shards, so that an interrupted map can continue; None: nothing is kept.
+        keep: folder that keeps finished shards, so that an interrupted map can continue; None:
+            nothing is kept.
         label: label of the progress bar.
 
     Returns:
-        The rows, and the description of the map for run.json: "on"; "workers", the number of shards that ran in parallel;
-        "wall_seconds" from the first shard's start to the last one's end, without the start of Ray; "cpu_seconds" of the shards that
+        The rows, and the description of the map for run.json: "on"; "workers", the number of shards
+        that ran in parallel;
+        "wall_seconds" from the first shard's start to the last one's end, without the start of Ray;
+        "cpu_seconds" of the shards that
         ran, in which kept shards count as zero.
 
     Raises:
@@ -75,12 +83,14 @@ def map_shards(
         keep.mkdir(parents=True, exist_ok=True)
     found = {name: table.read(file) for name, file in files.items() if file and file.is_file()}
     left = {name: shard for name, shard in shards.items() if name not in found}
-    count, cpu = min(workers or os.cpu_count() or 1, max(1, len(left))), 0.0
+    count = min(workers or os.cpu_count() or 1, max(1, len(left)))
+    cpu = 0.0
     with progress() as bar, _runner(on, count) as (run, count):
         task = bar.add_task(label, total=len(shards), completed=len(found))
         begun = time.perf_counter()
         for name, (rows, seconds) in run(function, left):
-            found[name], cpu = rows, cpu + seconds
+            found[name] = rows
+            cpu = cpu + seconds
             if file := files[name]:
                 table.write(file, rows)
             bar.update(task, advance=1, description=f"{label}: {name}")
@@ -100,7 +110,14 @@ def _call(function: Work, shard: Any) -> Answer:
 def _runner(on: str, workers: int) -> Iterator[tuple[Runner, int]]:
     """Yield the runner of a place, and the number of shards that it runs in parallel."""
     if on == "inline":
-        yield (lambda function, shards: ((name, _call(function, shard)) for name, shard in shards.items())), 1
+        yield (
+            (
+                lambda function, shards: (
+                    (name, _call(function, shard)) for name, shard in shards.items()
+                )
+            ),
+            1,
+        )
     elif on == "processes":
         yield partial(_processes, workers=workers), workers
     else:
@@ -108,11 +125,17 @@ def _runner(on: str, workers: int) -> Iterator[tuple[Runner, int]]:
             yield runner
 
 
-def _processes(function: Work, shards: dict[str, Any], workers: int) -> Iterator[tuple[str, Answer]]:
+def _processes(
+    function: Work, shards: dict[str, Any], workers: int
+) -> Iterator[tuple[str, Answer]]:
     """Run shards in spawned processes. If one is killed, its shards run again in new processes."""
-    left, attempts = dict(shards), 0
+    left = dict(shards)
+    attempts = 0
     while left:
-        pool, problem = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _ignore_interrupts), None
+        pool = ProcessPoolExecutor(
+            workers, multiprocessing.get_context("spawn"), _ignore_interrupts
+        )
+        problem = None
         attempts += 1
         try:
             waiting: dict[Future[Answer], str] = {}
@@ -162,7 +185,9 @@ def _ray(on: str) -> Iterator[tuple[Runner, int]]:
 
         def run(function: Work, shards: dict[str, Any]) -> Iterator[tuple[str, Answer]]:
             task = ray.remote(num_cpus=1, max_retries=ATTEMPTS)(_call)
-            waiting: dict[Any, str] = {task.remote(function, shard): name for name, shard in shards.items()}
+            waiting: dict[Any, str] = {
+                task.remote(function, shard): name for name, shard in shards.items()
+            }
             while waiting:
                 done, _ = ray.wait(list(waiting))
                 for reference in done:

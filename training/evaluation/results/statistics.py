@@ -12,15 +12,18 @@ _RESAMPLES = 1000
 
 
 def median_interval(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return a 95 % interval of the median, between order statistics, which assumes no distribution.
+    """Return a 95 % interval of the median, between order statistics, which assumes no
+    distribution.
 
     Example:
         >>> median_interval(np.arange(101.0))
         (40.0, 60.0)
     """
     order = np.sort(values)
-    half, centre = 0.98 * np.sqrt(order.size), 0.5 * (order.size - 1)
-    low, high = int(np.floor(centre - half + 0.5)), int(np.ceil(centre + half - 0.5))
+    half = 0.98 * np.sqrt(order.size)
+    centre = 0.5 * (order.size - 1)
+    low = int(np.floor(centre - half + 0.5))
+    high = int(np.ceil(centre + half - 0.5))
     return float(order[max(low, 0)]), float(order[min(high, order.size - 1)])
 
 
@@ -37,9 +40,13 @@ def mean_interval(values: NDArray[np.float64], seed: int = 0) -> tuple[float, fl
 
 
 def ratio_interval(
-    numerator: NDArray[np.float64], denominator: NDArray[np.float64], seed: int = 0, of: Callable[..., Any] = np.median
+    numerator: NDArray[np.float64],
+    denominator: NDArray[np.float64],
+    seed: int = 0,
+    of: Callable[..., Any] = np.median,
 ) -> tuple[float, float, float]:
-    """Return median(numerator) / median(denominator) of paired samples, with its 95 % paired bootstrap interval.
+    """Return median(numerator) / median(denominator) of paired samples, with its 95 % paired
+    bootstrap interval.
 
     `of` replaces the median: a function of an array and `axis`.
 
@@ -49,10 +56,17 @@ def ratio_interval(
     """
     rng = np.random.default_rng(seed)
     picks = rng.integers(0, numerator.size, (_RESAMPLES, numerator.size))
-    tops, bottoms = of(numerator[picks], axis=1), of(denominator[picks], axis=1)
-    ratios = np.sort(np.minimum(tops / np.maximum(bottoms, 1e-12), 1e12))  # infinite medians stay comparable
-    low, high = ratios[int(0.025 * _RESAMPLES)], ratios[int(0.975 * _RESAMPLES)]
-    return float(of(numerator, axis=0) / max(float(of(denominator, axis=0)), 1e-12)), float(low), float(high)
+    tops = of(numerator[picks], axis=1)
+    bottoms = of(denominator[picks], axis=1)
+    # infinite medians stay comparable
+    ratios = np.sort(np.minimum(tops / np.maximum(bottoms, 1e-12), 1e12))
+    low = ratios[int(0.025 * _RESAMPLES)]
+    high = ratios[int(0.975 * _RESAMPLES)]
+    return (
+        float(of(numerator, axis=0) / max(float(of(denominator, axis=0)), 1e-12)),
+        float(low),
+        float(high),
+    )
 
 
 def wilson(count: int, total: int) -> tuple[float, float]:
@@ -64,14 +78,20 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     """
     if total == 0:
         return 0.0, 1.0
-    z, rate = 1.959963984540054, count / total
+    z = 1.959963984540054
+    rate = count / total
     centre = (rate + z * z / (2 * total)) / (1 + z * z / total)
-    half = z * np.sqrt(rate * (1 - rate) / total + z * z / (4 * total * total)) / (1 + z * z / total)
-    return (0.0 if count == 0 else float(centre - half)), (1.0 if count == total else float(centre + half))
+    half = (
+        z * np.sqrt(rate * (1 - rate) / total + z * z / (4 * total * total)) / (1 + z * z / total)
+    )
+    return (0.0 if count == 0 else float(centre - half)), (
+        1.0 if count == total else float(centre + half)
+    )
 
 
 def iqm(values: ArrayLike) -> float:
-    """Return the interquartile mean, that of the middle half of all values, for an array of any shape.
+    """Return the interquartile mean, that of the middle half of all values, for an array of any
+    shape.
 
     Example:
         >>> iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]))
@@ -83,14 +103,19 @@ def iqm(values: ArrayLike) -> float:
 
 
 def iqm_interval(values: ArrayLike, seed: int = 0) -> tuple[float, float]:
-    """Return a 95 % bootstrap interval of the interquartile mean of (n,) or (seeds, episodes), resampling both axes.
+    """Return a 95 % bootstrap interval of the interquartile mean of (n,) or (seeds, episodes),
+    resampling both axes.
 
     Example:
         >>> iqm_interval(np.full((3, 8), 2.0))
         (2.0, 2.0)
     """
     values = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    rng, (rows, columns) = np.random.default_rng(seed), values.shape
-    draws = [iqm(values[rng.integers(0, rows, rows)][:, rng.integers(0, columns, columns)]) for _ in range(_RESAMPLES)]
+    rng = np.random.default_rng(seed)
+    (rows, columns) = values.shape
+    draws = [
+        iqm(values[rng.integers(0, rows, rows)][:, rng.integers(0, columns, columns)])
+        for _ in range(_RESAMPLES)
+    ]
     low, high = np.percentile(draws, [2.5, 97.5])
     return float(low), float(high)

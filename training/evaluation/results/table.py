@@ -16,7 +16,13 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.extras import need
 from grasp_env.inputs.files import MEGABYTE, WEIGHTS, parsed, replacing
 from training.evaluation.results.columns import COLUMNS, KEYS
-from training.evaluation.results.statistics import iqm, iqm_interval, mean_interval, median_interval, wilson
+from training.evaluation.results.statistics import (
+    iqm,
+    iqm_interval,
+    mean_interval,
+    median_interval,
+    wilson,
+)
 
 with need("report"):
     import pandas as pd
@@ -38,19 +44,41 @@ STATISTICS: dict[str, tuple[str, Callable[[NDArray[np.float64]], float]]] = {
     "max": ("largest", lambda x: float(x.max())),
     "sum": ("sum", lambda x: float(x.sum())),
     "mean": ("mean", lambda x: float(x.mean())),
-    "mean_low": ("lower end of the 95 % bootstrap interval of the mean", lambda x: mean_interval(x)[0]),
-    "mean_high": ("upper end of the 95 % bootstrap interval of the mean", lambda x: mean_interval(x)[1]),
-    "rate_low": ("lower end of the 95 % Wilson interval of the rate", lambda x: wilson(int(x.sum()), len(x))[0]),
-    "rate_high": ("upper end of the 95 % Wilson interval of the rate", lambda x: wilson(int(x.sum()), len(x))[1]),
+    "mean_low": (
+        "lower end of the 95 % bootstrap interval of the mean",
+        lambda x: mean_interval(x)[0],
+    ),
+    "mean_high": (
+        "upper end of the 95 % bootstrap interval of the mean",
+        lambda x: mean_interval(x)[1],
+    ),
+    "rate_low": (
+        "lower end of the 95 % Wilson interval of the rate",
+        lambda x: wilson(int(x.sum()), len(x))[0],
+    ),
+    "rate_high": (
+        "upper end of the 95 % Wilson interval of the rate",
+        lambda x: wilson(int(x.sum()), len(x))[1],
+    ),
     "iqm": ("interquartile mean", iqm),
-    "iqm_low": ("lower end of the 95 % bootstrap interval of the interquartile mean", lambda x: iqm_interval(x)[0]),
-    "iqm_high": ("upper end of the 95 % bootstrap interval of the interquartile mean", lambda x: iqm_interval(x)[1]),
-}  # fmt: skip
-"""Statistics of finite values (n,), n > 0. The number of rows without a value, "missing", is computed by `summary`."""
+    "iqm_low": (
+        "lower end of the 95 % bootstrap interval of the interquartile mean",
+        lambda x: iqm_interval(x)[0],
+    ),
+    "iqm_high": (
+        "upper end of the 95 % bootstrap interval of the interquartile mean",
+        lambda x: iqm_interval(x)[1],
+    ),
+}
+"""Statistics of finite values (n,), n > 0.
+
+The number of rows without a value, "missing", is computed by `summary`.
+"""
 
 
 def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
-    """Make a table of rows: columns in the order of `COLUMNS`, each with its type, without empty columns.
+    """Make a table of rows: columns in the order of `COLUMNS`, each with its type, without empty
+    columns.
 
     Raises:
         InvalidInputError: a column is not in `COLUMNS`, or a value does not fit its kind.
@@ -77,15 +105,18 @@ def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
 
 def join(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
     """Concatenate tables."""
-    # a part may lack a column, so its values are concatenated as Python objects; `table` restores the type
+    # a part may lack a column, so its values are concatenated as Python objects; `table` restores
+    # the type
     untyped = [part.astype(object) for part in parts]
     return table(pd.concat(untyped, ignore_index=True) if untyped else [])
 
 
 def write(path: Path, rows: pd.DataFrame, number: str | None = None) -> None:
-    """Write a CSV file with a header, compressed if its name ends in .xz; equal tables give equal bytes.
+    """Write a CSV file with a header, compressed if its name ends in .xz; equal tables give equal
+    bytes.
 
-    Missing values are empty, and so are empty texts. `number` is the format of real numbers; None: their digits restore the same number.
+    Missing values are empty, and so are empty texts. `number` is the format of real numbers; None:
+    their digits restore the same number.
     """
     with replacing(path) as temporary:
         rows.to_csv(temporary, index=False, float_format=number)
@@ -108,17 +139,29 @@ def read(path: Path) -> pd.DataFrame:
             unpacker = lzma.LZMADecompressor()
             blob = unpacker.decompress(blob, WEIGHTS)
             if not unpacker.eof:
-                raise ValueError(f"it is cut off, or has more than {WEIGHTS // MEGABYTE} MB when unpacked")
+                raise ValueError(
+                    f"it is cut off, or has more than {WEIGHTS // MEGABYTE} MB when unpacked"
+                )
         if not blob.endswith(b"\n"):
             raise ValueError("its last line is cut off")
         # as text first: not every version of pandas reads the same real number from it
         read_as = {name: "str" if kind == "float64" else kind for name, kind in KINDS.items()}
-        made = pd.read_csv(io.BytesIO(blob), dtype=read_as, keep_default_na=False, na_values=[""], lineterminator="\n")
+        made = pd.read_csv(
+            io.BytesIO(blob),
+            dtype=read_as,
+            keep_default_na=False,
+            na_values=[""],
+            lineterminator="\n",
+        )
         if unknown := [name for name, text in described(made.columns).items() if not text]:
             raise ValueError(f"it has the unknown column {unknown[0][:100]!r}")
         return made.astype({name: KINDS[name] for name in made.columns if name in KINDS})
 
-    words = {"name": f"the table {path}", "form": "a table of results", "hint": "; give a run's rows.csv"}
+    words = {
+        "name": f"the table {path}",
+        "form": "a table of results",
+        "hint": "; give a run's rows.csv",
+    }
     return parsed(path, read=columns, error=InvalidInputError, most=WEIGHTS, **words)
 
 
@@ -132,8 +175,10 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     """Summarise a table: one row for each combination of keys, with the statistics of every column.
 
     Returns:
-        The keys that the table has, the number of rows `n`, and one `<column>_<statistic>` for each statistic that `COLUMNS` lists
-        for the column. Rows are in the order in which their keys first appear. In a group without finite values, all statistics except
+        The keys that the table has, the number of rows `n`, and one `<column>_<statistic>` for each
+        statistic that `COLUMNS` lists
+        for the column. Rows are in the order in which their keys first appear. In a group without
+        finite values, all statistics except
         `missing` are NaN. Columns without any value are left out.
 
     Example:
@@ -146,9 +191,13 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     keys = [name for name in KEYS if name in rows.columns]
     values = {name: numbers(rows, name) for name in rows.columns if COLUMNS[name].statistics}
     out = []
-    groups = rows.groupby(keys, sort=False, dropna=False).indices if keys else {(): np.arange(len(rows))}
+    groups = (
+        rows.groupby(keys, sort=False, dropna=False).indices if keys else {(): np.arange(len(rows))}
+    )
     for places in groups.values():
-        row: dict[str, Any] = {name: rows[name].iloc[places[0]] for name in keys} | {"n": len(places)}
+        row: dict[str, Any] = {name: rows[name].iloc[places[0]] for name in keys} | {
+            "n": len(places)
+        }
         for name, column in values.items():
             some = column[places]
             finite = some[np.isfinite(some)]
@@ -156,7 +205,9 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
                 if statistic == "missing":
                     row[f"{name}_missing"] = int(np.isnan(some).sum())
                 else:
-                    row[f"{name}_{statistic}"] = STATISTICS[statistic][1](finite) if len(finite) else np.nan
+                    row[f"{name}_{statistic}"] = (
+                        STATISTICS[statistic][1](finite) if len(finite) else np.nan
+                    )
         out.append(row)
     made = pd.DataFrame(out).dropna(axis=1, how="all")
     return made.astype({name: KINDS[name] for name in keys if name in made.columns})
@@ -167,7 +218,8 @@ def described(columns: Iterable[str]) -> dict[str, str]:
 
     Example:
         >>> described(["drift_mean"])
-        {'drift_mean': '[mm] mean over rows of: largest distance of the object from where it was grasped, if it was held'}
+        {'drift_mean': '[mm] mean over rows of: largest distance of the object from where it was
+        grasped, if it was held'}
     """
     out = {}
     for name in columns:
@@ -188,8 +240,14 @@ def described(columns: Iterable[str]) -> dict[str, str]:
 
 
 def chosen(rows: pd.DataFrame, query: str) -> pd.DataFrame:
-    """Return the rows that a query of `pandas.DataFrame.query` selects; none if it names a missing column."""
+    """Return the rows that a query of `pandas.DataFrame.query` selects; none if it names a missing
+    column.
+    """
     names = set(re.findall(r"[A-Za-z_]\w*", re.sub(r"'[^']*'|\"[^\"]*\"", "", query)))
     lacking = (names & {*COLUMNS}) - {*rows.columns}
     # of the named columns alone, since `query` reads all
-    return rows.iloc[:0] if lacking else rows.loc[rows[[*names.intersection(rows.columns)]].eval(query)]
+    return (
+        rows.iloc[:0]
+        if lacking
+        else rows.loc[rows[[*names.intersection(rows.columns)]].eval(query)]
+    )

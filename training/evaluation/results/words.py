@@ -6,7 +6,8 @@ import textwrap
 
 
 def number(value: float | None) -> str:
-    """Format a number with three significant digits and no exponent between 1e-4 and 1e6; None as a dash.
+    """Format a number with three significant digits and no exponent between 1e-4 and 1e6; None as a
+    dash.
 
     Example:
         >>> number(1234.5678), number(0.00012345), number(None), number(42)
@@ -28,7 +29,11 @@ def small(value: float) -> str:
     """
     if value <= 0:
         return "0"
-    return f"{value:g}" if 0.05 < value < 1e5 else f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
+    return (
+        f"{value:g}"
+        if 0.05 < value < 1e5
+        else f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
+    )
 
 
 def shortened(text: str, most: int) -> str:

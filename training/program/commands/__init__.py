@@ -1,1 +1,3 @@
-"""Sub-commands of `grasp`, one per file: a dataclass of options with a method `execute`, which does the heavy imports."""
+"""Sub-commands of `grasp`, one per file: a dataclass of options with a method `execute`, which does
+the heavy imports.
+"""

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 
 def write_json(answer: dict[str, Any]) -> None:
-    """Print one object on a line of stdout. Arrays become lists; NaN and infinity, which JSON lacks, become null."""
+    """Print one object on a line of stdout.
+
+    Arrays become lists; NaN and infinity, which JSON lacks, become null.
+    """
     sys.stdout.write(json.dumps(_plain(answer), allow_nan=False, default=str) + "\n")
 
 
@@ -31,7 +34,9 @@ def _plain(value: Any) -> Any:
 
 
 def make_table(title: str, *columns: str) -> Table:
-    """Return an empty table with its first column on the left; without `columns` it has two, and no header."""
+    """Return an empty table with its first column on the left; without `columns` it has two, and no
+    header.
+    """
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", show_header=bool(columns))

@@ -24,11 +24,12 @@ class Demo:
 
     Attributes:
         video: .webp or .gif for a video, .mp4 with the extra "video", .png for its last picture.
-        setting: further settings of the environment, each PATH=VALUE: sensors.delay=0.01, controller.kind=pd,
-            disturbance='{"name": "random", "force": 2}'.
+        setting: further settings of the environment, each PATH=VALUE: sensors.delay=0.01,
+            controller.kind=pd, disturbance='{"name": "random", "force": 2}'.
         seconds: simulated time.
         initial: start rule, "learned" for the shipped network, or the path of a fitted one.
-        agent: the folder of one seed of `grasp rl`, such as runs/rl/agent/seed-0. The agent acts in the environment it was trained in.
+        agent: the folder of one seed of `grasp rl`, such as runs/rl/agent/seed-0. The agent acts in
+            the environment it was trained in.
         size: width and height [pixels].
         seed: seed of the episode.
     """
@@ -40,10 +41,14 @@ class Demo:
     ] = ""
     motion: Annotated[str, one_of(MOTIONS), setting_help("task.motion")] = "lift"
     shape: Annotated[
-        str, listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH"), setting_help("object.shape")
+        str,
+        listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH"),
+        setting_help("object.shape"),
     ] = "cuboid"
     hand: Annotated[str, listed("grasp_env.sim", "HANDS"), setting_help("hand")] = "four_finger"
-    setting: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH=VALUE")] = ()
+    setting: Annotated[
+        tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH=VALUE")
+    ] = ()
     seconds: Annotated[float, left_out("the task's own")] = 0.0
     initial: str = "linear_combination"
     agent: Path | None = None
@@ -63,7 +68,9 @@ class Demo:
         if self.task == "move":
             settings["task.motion"] = self.motion
         if self.disturbance or agent is None:
-            settings["disturbance"] = self.disturbance or ("paper_path" if self.task == "hold" else None)
+            settings["disturbance"] = self.disturbance or (
+                "paper_path" if self.task == "hold" else None
+            )
         ending = record(
             self.video,
             self.seconds or None,

@@ -29,26 +29,32 @@ class Evaluate:
     To continue an interrupted run, give its name.
 
     Attributes:
-        what: starts (every start on every set of cases by both methods, times, roll-outs: about a minute on two cores), env (how often
-            controllers hold random objects; with --hands, how often these hands hold objects: hours) or transfer (the same hands
-            in Bullet and in MuJoCo: hours).
+        what: starts (every start on every set of cases by both methods, times, roll-outs: about a
+            minute on two cores), env (how often controllers hold random objects; with --hands, how
+            often these hands hold objects: hours) or transfer (the same hands in Bullet and in
+            MuJoCo: hours).
         out: folder of runs.
-        name: name of this run; empty: <what>-<date>-<time>. The name of an interrupted run continues it.
+        name: name of this run; empty: <what>-<date>-<time>. The name of an interrupted run
+            continues it.
         seed: seed of all held-out problems, or of the first episode.
         quick: a small version that ends within a minute; its report is marked as quick.
-        on: where the work runs: inline, processes (on this machine), ray (the cluster of RAY_ADDRESS or of this machine) or
-            ray://HOST:PORT. It does not change the rows; times are always measured alone, in this process.
+        on: where the work runs: inline, processes (on this machine), ray (the cluster of
+            RAY_ADDRESS or of this machine) or ray://HOST:PORT. It does not change the rows; times
+            are always measured alone, in this process.
         workers: number of processes; 0: one per core.
         wrenches: starts: number of cases in a full set; the other sets have a share of it.
         timed: starts: number of wrenches whose calls are timed.
         repeats: starts: number of times each of those calls is timed.
-        episodes: episodes per random scenario, or per main scenario; 0: 10 for starts, 500 for env, 100 for env --hands, 10 with
-            --objects, 300 for transfer.
+        episodes: episodes per random scenario, or per main scenario; 0: 10 for starts, 500 for env,
+            100 for env --hands, 10 with --objects, 300 for transfer.
         steps: starts: steps of each roll-out, at 50 per second.
-        start: starts: your own starts to compare with the others, each NAME=module:rule, NAME=file.py:rule or NAME=path of a saved
-            model. A rule takes (grasp, wrench) and returns an (N, 3) force.
-        hands: env and transfer: names, or files (URDF, xacro, MJCF); none: the four-finger hand, for transfer also allegro and leap.
-        objects: env --hands: mesh files to hold instead of the built-in objects, each FILE or FILE=SCALE; 150 g, friction 0.7.
+        start: starts: your own starts to compare with the others, each NAME=module:rule,
+            NAME=file.py:rule or NAME=path of a saved model. A rule takes (grasp, wrench) and
+            returns an (N, 3) force.
+        hands: env and transfer: names, or files (URDF, xacro, MJCF); none: the four-finger hand,
+            for transfer also allegro and leap.
+        objects: env --hands: mesh files to hold instead of the built-in objects, each FILE or
+            FILE=SCALE; 150 g, friction 0.7.
         engines: env --hands: physics engines; none: the default one.
     """
 
@@ -80,7 +86,9 @@ class Evaluate:
 
         if self.what == "transfer":
             for name in BOTH:
-                class_of(engine_of(name), "simulator")  # a missing engine is reported before the folder is made
+                class_of(
+                    engine_of(name), "simulator"
+                )  # a missing engine is reported before the folder is made
         kind = self.what
         if kind == "env" and self.hands:
             kind = "objects" if self.objects else "hands"
@@ -95,7 +103,9 @@ class Evaluate:
 
     def _check(self) -> None:
         """Refuse options that belong to another comparison."""
-        option = misplaced(self, OWN, "env --hands ..." if self.what == "env" and self.hands else self.what)
+        option = misplaced(
+            self, OWN, "env --hands ..." if self.what == "env" and self.hands else self.what
+        )
         if option:
             where = next(what for what, names in OWN.items() if option in names)
             raise InvalidInputError(
@@ -109,7 +119,10 @@ class Evaluate:
             from training.evaluation.compare.comparison import StartsConfig, run
             from training.evaluation.compare.given import Given
 
-            own = {name: getattr(self, name) for name in ("wrenches", "timed", "repeats", "steps", "seed", "quick")}
+            own = {
+                name: getattr(self, name)
+                for name in ("wrenches", "timed", "repeats", "steps", "seed", "quick")
+            }
             config = StartsConfig(**own, episodes=self.episodes or StartsConfig.episodes)
             given = Given.of(self.start)
             folder.begin({"kind": kind, **vars(config.resolved()), "given": dict(given.names)})
@@ -117,6 +130,8 @@ class Evaluate:
         from training.evaluation.compare.holds import HoldsConfig
         from training.evaluation.compare.holds import run as hold
 
-        config = HoldsConfig(kind, self.hands, self.engines, self.episodes, self.seed, self.quick, self.objects)
+        config = HoldsConfig(
+            kind, self.hands, self.engines, self.episodes, self.seed, self.quick, self.objects
+        )
         folder.begin(vars(config))
         return hold(config, folder, **shared)

@@ -45,11 +45,18 @@ class Fit(FitConfig):
             from training.fit.one_grasp import fit
             from training.fit.state import StateFile
 
-            settings = FitConfig(**{name: getattr(self, name) for name in FitConfig.__dataclass_fields__})
-            checkpoint = fit(settings, True, " ".join(["grasp", *sys.argv[1:]]), self.out, self.resume)
+            settings = FitConfig(
+                **{name: getattr(self, name) for name in FitConfig.__dataclass_fields__}
+            )
+            checkpoint = fit(
+                settings, True, " ".join(["grasp", *sys.argv[1:]]), self.out, self.resume
+            )
             path = checkpoint.save(self.out)
             StateFile(self.out, {}).remove()
-        ball, flow = (checkpoint.card["held_out_gap"][name] for name in ("ball", "ball, friction of the grasp"))
+        ball, flow = (
+            checkpoint.card["held_out_gap"][name]
+            for name in ("ball", "ball, friction of the grasp")
+        )
         most = 100 * sum(ball["newton steps"][steps] for steps in ("0", "1"))
         console = Console(highlight=False)
         # one line; a terminal wraps it between words

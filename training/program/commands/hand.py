@@ -36,7 +36,8 @@ class Hand:
         torque_limit: torque limit of all joints [N m]; 0: the file's own limits.
         palm: palm link, if the file describes an arm or a whole robot.
         xacro_args: values of a xacro file's arguments, NAME=VALUE.
-        draw: .png for a picture of the visual shapes beside the collision shapes, the fingertips red.
+        draw: .png for a picture of the visual shapes beside the collision shapes, the fingertips
+            red.
         size: height of the picture [pixels].
     """
 
@@ -65,17 +66,27 @@ class Hand:
                 hand = HANDS[self.hand]()
             else:
                 if not os.path.lexists(self.hand) and not os.path.splitext(self.hand)[1]:
-                    choice(self.hand, "hand", HANDS, ", or give the path of a URDF, xacro or MJCF file")
-                given = pairs_of(self.xacro_args, "an argument is given as NAME=VALUE, such as side=left")
+                    choice(
+                        self.hand, "hand", HANDS, ", or give the path of a URDF, xacro or MJCF file"
+                    )
+                given = pairs_of(
+                    self.xacro_args, "an argument is given as NAME=VALUE, such as side=left"
+                )
                 limit = self.torque_limit or None
                 hand = HandDescription.from_file(
-                    self.hand, self.fingertips or None, torque_limit=limit, palm=self.palm or None, xacro_args=given
+                    self.hand,
+                    self.fingertips or None,
+                    torque_limit=limit,
+                    palm=self.palm or None,
+                    xacro_args=given,
                 )
         console = Console()
         for table in (_joints(hand), _fingers(hand), _links(hand)):
             console.print(table)
         for warning in repairs:
-            console.print(f"repaired: {warning.message}", style="yellow", highlight=False, soft_wrap=True)
+            console.print(
+                f"repaired: {warning.message}", style="yellow", highlight=False, soft_wrap=True
+            )
         if self.draw is not None:
             from grasp_env.sim.picture.portrait import portrait
 
@@ -84,10 +95,22 @@ class Hand:
 
 
 def _joints(hand: HandDescription) -> Table:
-    table = make_table(f"{hand.name}: {hand.joint_count} joints", "joint", "moves", "from", "to", "limit", "coupled to")
+    table = make_table(
+        f"{hand.name}: {hand.joint_count} joints",
+        "joint",
+        "moves",
+        "from",
+        "to",
+        "limit",
+        "coupled to",
+    )
     for link in hand.links:
         far, strong = ("m", "N") if link.sliding else ("rad", "N m")
-        ends = ("-", "-") if math.isinf(link.lower) else (f"{link.lower:.3f} {far}", f"{link.upper:.3f} {far}")
+        ends = (
+            ("-", "-")
+            if math.isinf(link.lower)
+            else (f"{link.lower:.3f} {far}", f"{link.upper:.3f} {far}")
+        )
         motor = (f"{link.torque_limit:g} {strong}", "")
         if link.mimic is not None:  # another joint's motor moves it
             offset = f" {link.mimic.offset:+g}" if link.mimic.offset else ""
@@ -100,7 +123,9 @@ def _fingers(hand: HandDescription) -> Table:
     from grasp_env.sim.hand.kinematics import HandKinematics
 
     carries = HandKinematics(hand).carries
-    table = make_table(f"{hand.finger_count} fingertips", "finger", "link", "centre, mm", "radius, mm", "motors")
+    table = make_table(
+        f"{hand.finger_count} fingertips", "finger", "link", "centre, mm", "radius, mm", "motors"
+    )
     for tip, own in zip(hand.fingertips, carries, strict=True):
         center = " ".join(f"{1e3 * value:.1f}" for value in tip.center)
         table.add_row(tip.name, tip.link, center, f"{1e3 * tip.radius:.1f}", str(int(own.sum())))
@@ -109,11 +134,15 @@ def _fingers(hand: HandDescription) -> Table:
 
 def _links(hand: HandDescription) -> Table:
     grams = 1e3 * sum(link.mass for link in hand.links)
-    table = make_table(f"{grams:.0f} g move", "link", "mass, g", "touches with", "corners of hulls", "looks")
+    table = make_table(
+        f"{grams:.0f} g move", "link", "mass, g", "touches with", "corners of hulls", "looks"
+    )
     for body in (hand.palm, *hand.links):
         kinds = Counter(shape.kind for shape in body.collision)
         touches = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-        corners = " ".join(str(len(shape.corners)) for shape in body.collision if shape.kind == "hull")
+        corners = " ".join(
+            str(len(shape.corners)) for shape in body.collision if shape.kind == "hull"
+        )
         mass = "" if body is hand.palm else f"{1e3 * body.mass:.2f}"  # type: ignore[union-attr]
         table.add_row(body.name, mass, touches, corners, str(len(body.visual)))
     return table

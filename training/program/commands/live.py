@@ -34,13 +34,15 @@ class Live:
         preset: show the bare contacts of a named grasp.
         grasp: show the bare contacts of a grasp's JSON file instead.
         wrench: initial load on bare contacts: fx fy fz [N] mx my mz [N m].
-        hand: show a simulated hand instead: four_finger, three_finger, five_finger, four_finger_4dof, allegro, leap, or a file (URDF, xacro,
-            MJCF).
-        fingertips: for a file: links that touch the object; none: every moving link that ends a branch.
+        hand: show a simulated hand instead: four_finger, three_finger, five_finger,
+            four_finger_4dof, allegro, leap, or a file (URDF, xacro, MJCF).
+        fingertips: for a file: links that touch the object; none: every moving link that ends a
+            branch.
         torque_limit: for a file: torque limit of all joints [N m]; 0: the file's own limits.
         shape: shape of the object in the hand.
         method: optimisation method.
-        port: port of the page on 127.0.0.1, 1024 to 65000; if it is taken, the next free one is used and printed; 0: any free port.
+        port: port of the page on 127.0.0.1, 1024 to 65000; if it is taken, the next free one is
+            used and printed; 0: any free port.
         record: .html file to record into, at most two minutes; it opens from disk.
         seconds: time after which the page closes; 0: at ctrl-C.
     """
@@ -51,7 +53,9 @@ class Live:
     hand: Annotated[str | None, left_out("bare contacts", "NAME|FILE")] = None
     fingertips: tuple[str, ...] = ()
     torque_limit: float = 0.0
-    shape: Annotated[str, listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH")] = "cuboid"
+    shape: Annotated[str, listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH")] = (
+        "cuboid"
+    )
     method: Annotated[str, one_of(METHODS)] = "newton"
     port: int = 8080
     record: Annotated[Path | None, left_out("nothing is recorded", "FILE")] = None
@@ -61,9 +65,15 @@ class Live:
         """Run the command."""
         need(*("live",) if self.hand is None else ("live", "sim"))
         if not 0.0 <= self.seconds < 1e9:
-            raise InvalidInputError(f"seconds must be 0 (until ctrl-C) or up to 1e9, got {self.seconds}")
-        if self.record is not None and (self.record.suffix != ".html" or not self.record.absolute().parent.is_dir()):
-            raise InvalidInputError(f"record must be an .html file in a folder that exists, got {self.record}")
+            raise InvalidInputError(
+                f"seconds must be 0 (until ctrl-C) or up to 1e9, got {self.seconds}"
+            )
+        if self.record is not None and (
+            self.record.suffix != ".html" or not self.record.absolute().parent.is_dir()
+        ):
+            raise InvalidInputError(
+                f"record must be an .html file in a folder that exists, got {self.record}"
+            )
         window = self._bare() if self.hand is None else self._hand(self.hand)
         window.run(self.seconds or math.inf, self.record)
 
@@ -86,8 +96,13 @@ class Live:
 
         with warnings.catch_warnings(record=True) as repairs:
             warnings.simplefilter("always")
-            tips, limit = self.fingertips or None, self.torque_limit or None
-            hand = HANDS[name]() if name in HANDS else HandDescription.from_file(name, tips, torque_limit=limit)
+            tips = self.fingertips or None
+            limit = self.torque_limit or None
+            hand = (
+                HANDS[name]()
+                if name in HANDS
+                else HandDescription.from_file(name, tips, torque_limit=limit)
+            )
         sys.stderr.writelines(f"grasp: repaired: {warning.message}\n" for warning in repairs)
         config = EnvConfig().override(hand=hand, shape=self.shape, method=self.method)
         return SimulatedHand(self.port, config, rule)

@@ -16,7 +16,10 @@ from grasp_env.sim.objects.closing import close_mesh
 from grasp_env.sim.objects.reading import MeshFile, read_mesh
 
 LONGEST = 180.0
-"""Longest run of MeshFix [s]. 80,000 faces with a twentieth of them missing take 8; on some inputs it never ends."""
+"""Longest run of MeshFix [s].
+
+80,000 faces with a twentieth of them missing take 8; on some inputs it never ends.
+"""
 _GRAIN = 1e-5  # share of the extent within which corners are welded
 _FEWEST = 3  # faces that a solid exceeds
 _LEFT = 0.5  # least share of the volume that must remain after MeshFix has removed crossing faces
@@ -59,25 +62,35 @@ def mended(corners: Array, faces: Any, name: str) -> Mended:
     """
     need("mend")
     try:
-        made = apart(f"{__name__}:closed_parts", f"{name}: mending it", LONGEST, corners=corners, faces=faces)
+        made = apart(
+            f"{__name__}:closed_parts", f"{name}: mending it", LONGEST, corners=corners, faces=faces
+        )
     except TimeoutError:
         raise InvalidInputError(
             f"{name} cannot be mended: MeshFix did not end within {LONGEST:.0f} s; simplify it, or {_REMESH}"
         ) from None
     except ChildProcessError as error:
         raise InvalidInputError(f"{name} cannot be mended: MeshFix broke off; {_REMESH}") from error
-    corners, faces, parts, left_out = made["corners"], made["faces"], int(made["parts"]), int(made["left_out"])
+    corners = made["corners"]
+    faces = made["faces"]
+    parts = int(made["parts"])
+    left_out = int(made["left_out"])
     if parts == 0:
-        raise InvalidInputError(f"{name} cannot be mended: no part of it encloses a volume; {_REMESH}")
+        raise InvalidInputError(
+            f"{name} cannot be mended: no part of it encloses a volume; {_REMESH}"
+        )
     try:
         corners, faces, changes = close_mesh(corners, faces, name)
     except InvalidInputError:
-        raise InvalidInputError(f"{name} cannot be mended: what MeshFix makes of it is no solid; {_REMESH}") from None
+        raise InvalidInputError(
+            f"{name} cannot be mended: what MeshFix makes of it is no solid; {_REMESH}"
+        ) from None
     return Mended(corners, faces, parts, left_out, changes)
 
 
 def as_obj(mesh: Mended, name: str) -> bytes:
-    """Return the text of an .obj file with all digits, after checking that it reads back as a solid.
+    """Return the text of an .obj file with all digits, after checking that it reads back as a
+    solid.
 
     Raises:
         InvalidInputError: the text is too large to be read, or is not a solid when read back.
@@ -89,15 +102,20 @@ def as_obj(mesh: Mended, name: str) -> bytes:
 
 
 def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
-    """Close all parts; return corners, faces, the number of parts, and the number left out because they enclose no volume.
+    """Close all parts; return corners, faces, the number of parts, and the number left out because
+    they enclose no volume.
 
-    Parts that are closed already stay as they are. If all are, MeshFix checks each for faces that cross.
+    Parts that are closed already stay as they are. If all are, MeshFix checks each for faces that
+    cross.
     """
     corners, faces = weld(corners, faces, _GRAIN * extent_of(corners))
-    faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]  # no duplicates
+    # no duplicates
+    faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]
     parts = [_own_corners(corners, part) for part in connected_parts(faces)]
     whole = [not open_edges(numbers) for _, numbers in parts]
-    points, made, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+    points = [np.empty((0, 3))]
+    made = [np.empty((0, 3), np.int64)]
+    count = 0
     for part, good in zip(parts, whole, strict=True):
         own, numbers = part if good and not all(whole) else _closed_part(*part)
         if len(numbers) > _FEWEST and not open_edges(numbers):
@@ -105,7 +123,12 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
             points.append(own)
             count += 1
     left_out = len(parts) - count
-    return {"corners": np.concatenate(points), "faces": np.concatenate(made), "parts": count, "left_out": left_out}
+    return {
+        "corners": np.concatenate(points),
+        "faces": np.concatenate(made),
+        "parts": count,
+        "left_out": left_out,
+    }
 
 
 def _own_corners(corners: Array, faces: Any) -> tuple[Array, Any]:
@@ -115,7 +138,9 @@ def _own_corners(corners: Array, faces: Any) -> tuple[Array, Any]:
 
 
 def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
-    """Fill the holes of a part and remove crossing faces, as far as MeshFix can. The faces keep their orientation.
+    """Fill the holes of a part and remove crossing faces, as far as MeshFix can.
+
+    The faces keep their orientation.
 
     MeshFix cuts a part where holes meet in a corner; the pieces are joined again.
     """
@@ -125,13 +150,16 @@ def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
         return corners, faces
     fix = PyTMesh()
     fix.set_quiet(1)
-    fix.load_array(np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int32))
+    fix.load_array(
+        np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int32)
+    )
     fix.join_closest_components()
     fix.fill_small_boundaries(0, True)
     filled = _arrays(fix)
     fix.clean(10, 3)
     cleaned = _arrays(fix)
-    if open_edges(cleaned[1]) or _size(cleaned) < _LEFT * _size(filled):  # it may leave only a fragment
+    # it may leave only a fragment
+    if open_edges(cleaned[1]) or _size(cleaned) < _LEFT * _size(filled):
         cleaned = filled
     if len(cleaned[1]) and volume(corners, faces) * volume(*cleaned) < 0.0:
         return cleaned[0], cleaned[1][:, ::-1]

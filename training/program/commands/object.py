@@ -1,4 +1,6 @@
-"""`grasp object`: show what a mesh file becomes, close a torn mesh, list and clear the cache of meshes."""
+"""`grasp object`: show what a mesh file becomes, close a torn mesh, list and clear the cache of
+meshes.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +39,8 @@ class Object:
     `grasp object clear`
 
     Attributes:
-        what: show (what a mesh file becomes), mend (close a torn mesh by MeshFix and write it), list (the cached meshes of objects and
-            hands) or clear (that cache).
+        what: show (what a mesh file becomes), mend (close a torn mesh by MeshFix and write it),
+            list (the cached meshes of objects and hands) or clear (that cache).
         file: show and mend: a mesh, .obj, .stl, .ply, .off, .glb or .dae.
         scale: show: factor from the file's unit to metres, 0.001 for millimetres.
         draw: show: .png for a picture of the mesh beside its convex pieces, each in its own colour.
@@ -48,7 +50,9 @@ class Object:
     """
 
     what: tyro.conf.Positional[Literal["show", "mend", "list", "clear"]]
-    file: Annotated[Path | None, tyro.conf.Positional, left_out("list and clear need none", "FILE")] = None
+    file: Annotated[
+        Path | None, tyro.conf.Positional, left_out("list and clear need none", "FILE")
+    ] = None
     scale: float = 1.0
     draw: Annotated[Path | None, left_out("no picture", "PICTURE.png")] = None
     size: int = 640
@@ -72,11 +76,17 @@ class Object:
     def _check(self) -> None:
         """Refuse a missing file, and options of another action."""
         if self.file is None and "file" in OWN[self.what]:
-            raise InvalidInputError(f"`grasp object {self.what}` needs a FILE: `grasp object {self.what} mug.obj`")
+            raise InvalidInputError(
+                f"`grasp object {self.what}` needs a FILE: `grasp object {self.what} mug.obj`"
+            )
         if option := misplaced(self, OWN, self.what):
             name = f"FILE {self.file}" if option == "file" else f"--{option}"
-            where = " and ".join(f"`grasp object {what}`" for what, names in OWN.items() if option in names)
-            raise InvalidInputError(f"{name} belongs to {where}, got `grasp object {self.what}`: leave it out")
+            where = " and ".join(
+                f"`grasp object {what}`" for what, names in OWN.items() if option in names
+            )
+            raise InvalidInputError(
+                f"{name} belongs to {where}, got `grasp object {self.what}`: leave it out"
+            )
 
     def _show(self) -> tuple[dict[str, Any], list[Any]]:
         from grasp_env.inputs.arguments import whole
@@ -91,14 +101,25 @@ class Object:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             mesh = load_mesh(str(self.file), real(POSITIVE).take(self.scale, "scale"))
-        check_extent(mesh.extent, "mesh", "give --scale 0.001 if the file is in millimetres", "give another --scale")
+        check_extent(
+            mesh.extent,
+            "mesh",
+            "give --scale 0.001 if the file is in millimetres",
+            "give another --scale",
+        )
         if self.draw is not None:
             save_picture(mesh_portrait(mesh, self.size), self.draw)
         facts = {
-            "file": self.file, "faces": len(mesh.faces), "extent": mesh.extent, "volume": mesh.volume,
-            "center": mesh.center, "pieces": len(mesh.pieces), "repaired": [str(warning.message) for warning in warned],
-            "kept_in": folder() if os.access(folder(), os.W_OK) else None, "picture": self.draw,
-        }  # fmt: skip
+            "file": self.file,
+            "faces": len(mesh.faces),
+            "extent": mesh.extent,
+            "volume": mesh.volume,
+            "center": mesh.center,
+            "pieces": len(mesh.pieces),
+            "repaired": [str(warning.message) for warning in warned],
+            "kept_in": folder() if os.access(folder(), os.W_OK) else None,
+            "picture": self.draw,
+        }
         return facts, _shown_page(facts)
 
     def _mend(self) -> tuple[dict[str, Any], list[Any]]:
@@ -107,16 +128,23 @@ class Object:
         from training.program.commands.mending import as_obj, mended
 
         assert self.file is not None
-        out, name = self._out(self.file), f"the mesh {self.file}"
+        out = self._out(self.file)
+        name = f"the mesh {self.file}"
         before = read_mesh(open_mesh(self.file, name))
         made = mended(*before, name)
         with replacing(out) as path:
             path.write_bytes(as_obj(made, name))
         facts = {
-            "file": self.file, "out": out, "faces_before": len(before[1]), "faces_after": len(made.faces),
-            "faces_kept": _count_common(before[0][before[1]], made.corners[made.faces]), "parts": made.parts,
-            "parts_left_out": made.left_out, "volume": volume(made.corners, made.faces), "changes": made.changes,
-        }  # fmt: skip
+            "file": self.file,
+            "out": out,
+            "faces_before": len(before[1]),
+            "faces_after": len(made.faces),
+            "faces_kept": _count_common(before[0][before[1]], made.corners[made.faces]),
+            "parts": made.parts,
+            "parts_left_out": made.left_out,
+            "volume": volume(made.corners, made.faces),
+            "changes": made.changes,
+        }
         return facts, _mended_page(facts)
 
     def _out(self, file: Path) -> Path:
@@ -124,13 +152,17 @@ class Object:
         _check_suffix(self.out, "--out", ".obj")
         out = file.with_name(f"{file.stem}_mended.obj") if self.out is None else self.out
         if self.out is None and os.path.lexists(out):
-            raise InvalidInputError(f"{out} exists: to overwrite it give --out {out}, or name another file")
+            raise InvalidInputError(
+                f"{out} exists: to overwrite it give --out {out}, or name another file"
+            )
         return out
 
 
 def _check_suffix(path: Path | None, option: str, suffix: str) -> None:
     if path is not None and path.suffix.lower() != suffix:
-        raise InvalidInputError(f"{option} {path} must end in {suffix}, the only kind that is written")
+        raise InvalidInputError(
+            f"{option} {path} must end in {suffix}, the only kind that is written"
+        )
 
 
 def _shown_page(facts: dict[str, Any]) -> list[Any]:
@@ -139,43 +171,72 @@ def _shown_page(facts: dict[str, Any]) -> list[Any]:
     table.add_row("size, mm", " x ".join(f"{1e3 * side:.1f}" for side in facts["extent"]))
     table.add_row("volume, cm^3", f"{1e6 * facts['volume']:.4g}")
     table.add_row(
-        "centre of mass in the file, mm", " ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in facts["center"])
+        "centre of mass in the file, mm",
+        " ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in facts["center"]),
     )
     table.add_row("convex pieces", str(facts["pieces"]))
     repaired = [f"repaired: {text}" for text in facts["repaired"]]
-    kept = f"kept in {facts['kept_in']}" if facts["kept_in"] else "not kept: the cache folder cannot be written"
+    kept = (
+        f"kept in {facts['kept_in']}"
+        if facts["kept_in"]
+        else "not kept: the cache folder cannot be written"
+    )
     return [table, *repaired, kept, *([] if facts["picture"] is None else [str(facts["picture"])])]
 
 
 def _mended_page(facts: dict[str, Any]) -> list[Any]:
     table = make_table(facts["out"].name)
     table.add_row("faces in the file", str(facts["faces_before"]))
-    table.add_row("faces now", f"{facts['faces_after']}, {facts['faces_kept']} of them as in the file")
+    table.add_row(
+        "faces now", f"{facts['faces_after']}, {facts['faces_kept']} of them as in the file"
+    )
     table.add_row("parts", str(facts["parts"]))
     if facts["parts_left_out"]:
         table.add_row("parts left out, as they enclose nothing", str(facts["parts_left_out"]))
     table.add_row("volume, in the file's unit", f"{facts['volume']:.6g}")
     changes = [f"repaired: {text}" for text in facts["changes"]]
     out = facts["out"]
-    return [table, *changes, str(out), f"look at it: grasp object show {out} --draw {out.with_suffix('.png')}"]
+    return [
+        table,
+        *changes,
+        str(out),
+        f"look at it: grasp object show {out} --draw {out.with_suffix('.png')}",
+    ]
 
 
 def _list() -> tuple[dict[str, Any], list[Any]]:
     from grasp_env.sim.objects.cache import entries, folder
 
     found = [
-        {"name": entry.name, "use": entry.use, "bytes": entry.size, "time": entry.time, "pieces": _pieces(entry.path)}
+        {
+            "name": entry.name,
+            "use": entry.use,
+            "bytes": entry.size,
+            "time": entry.time,
+            "pieces": _pieces(entry.path),
+        }
         for entry in entries()
     ]
-    table = make_table(f"{len(found)} meshes, {sum(each['bytes'] for each in found) / 1e6:.1f} MB", "mesh", "use", "kB", "made", "convex pieces")  # fmt: skip
+    table = make_table(
+        f"{len(found)} meshes, {sum(each['bytes'] for each in found) / 1e6:.1f} MB",
+        "mesh",
+        "use",
+        "kB",
+        "made",
+        "convex pieces",
+    )
     for each in found:
         when = time.strftime("%Y-%m-%d %H:%M", time.localtime(each["time"]))
-        table.add_row(each["name"], each["use"], f"{each['bytes'] / 1e3:.0f}", when, str(each["pieces"] or ""))
+        table.add_row(
+            each["name"], each["use"], f"{each['bytes'] / 1e3:.0f}", when, str(each["pieces"] or "")
+        )
     return {"folder": folder(), "meshes": found}, [table, f"in {folder()}"]
 
 
 def _pieces(path: Path) -> int | None:
-    """Return the number of convex pieces of a cache entry, reading only that array; None if it cannot be read."""
+    """Return the number of convex pieces of a cache entry, reading only that array; None if it
+    cannot be read.
+    """
     try:
         with np.load(path, allow_pickle=False) as arrays:
             return len(arrays["counts"])
@@ -187,12 +248,18 @@ def _clear() -> tuple[dict[str, Any], list[Any]]:
     from grasp_env.sim.objects.cache import clear, folder
 
     count = clear()
-    return {"folder": folder(), "removed": count}, [f"removed {count} {'mesh' if count == 1 else 'meshes'} from {folder()}"]  # fmt: skip
+    return {"folder": folder(), "removed": count}, [
+        f"removed {count} {'mesh' if count == 1 else 'meshes'} from {folder()}"
+    ]
 
 
 def _count_common(before: Array, after: Array) -> int:
-    """Return the number of triangles (F, 3, 3) `after` that are among those `before`, compared by their centres."""
+    """Return the number of triangles (F, 3, 3) `after` that are among those `before`, compared by
+    their centres.
+    """
     grain = _NEAR * float(np.ptp(before.reshape(-1, 3), axis=0).max())
-    cells = (np.round(each.mean(axis=1) / grain).astype(np.int64).tolist() for each in (before, after))
+    cells = (
+        np.round(each.mean(axis=1) / grain).astype(np.int64).tolist() for each in (before, after)
+    )
     known, found = ([tuple(cell) for cell in rows] for rows in cells)
     return len(set(known) & set(found))

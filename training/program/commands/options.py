@@ -1,4 +1,6 @@
-"""Types of options: closed lists, which help and completions show, and options that may be left out."""
+"""Types of options: closed lists, which help and completions show, and options that may be left
+out.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +34,16 @@ def left_out(otherwise: str, what: str | None = None) -> Any:
 
 
 def setting_help(path: str, otherwise: str | None = None) -> Any:
-    """Take an option's help from the environment's setting at this path; `otherwise` as in `left_out`."""
+    """Take an option's help from the environment's setting at this path; `otherwise` as in
+    `left_out`.
+    """
     try:
         sentence = import_module("grasp_env.config.env").all_settings()[path].doc
     except MissingExtraError:  # the command names the extra
         sentence = "see the page of settings."
-    return tyro.conf.arg(help=sentence, help_behavior_hint=None if otherwise is None else f"(default: {otherwise})")
+    return tyro.conf.arg(
+        help=sentence, help_behavior_hint=None if otherwise is None else f"(default: {otherwise})"
+    )
 
 
 def settings_of(words: Iterable[str]) -> dict[str, Any]:
@@ -51,7 +57,9 @@ def settings_of(words: Iterable[str]) -> dict[str, Any]:
         {'controller.kind': 'pd', 'sensors.delay': 0.01}
     """
     made: dict[str, Any] = {}
-    for path, text in pairs_of(words, "a setting is given as PATH=VALUE, such as sensors.delay=0.01").items():
+    for path, text in pairs_of(
+        words, "a setting is given as PATH=VALUE, such as sensors.delay=0.01"
+    ).items():
         try:
             made[path] = json.loads(text)
         except (ValueError, RecursionError):
@@ -71,7 +79,9 @@ def pairs_of(words: Iterable[str], form: str) -> dict[str, str]:
 
 
 def misplaced(command: Any, own: Mapping[str, Iterable[str]], what: str) -> str | None:
-    """Return the first given option that belongs only to another entry of `own` than `what`; None if there is none."""
+    """Return the first given option that belongs only to another entry of `own` than `what`; None
+    if there is none.
+    """
     others = {name for names in own.values() for name in names} - {*own[what]}
     given = (item.name for item in fields(command) if getattr(command, item.name) != item.default)
     return next((name for name in given if name in others), None)
@@ -91,13 +101,17 @@ SIX = tyro.constructors.PrimitiveConstructorSpec[Any](
     is_instance=lambda value: value is None or (isinstance(value, tuple) and len(value) == 6),
     str_from_instance=lambda value: [] if value is None else list(map(str, value)),
 )
-"""Reader of an option with six numbers, or None if it is left out; a union with None would hide how many are missing."""
+"""Reader of an option with six numbers, or None if it is left out; a union with None would hide how
+many are missing."""
 Wrench = Annotated[tuple[float, float, float, float, float, float], SIX]
 """Force [N] and moment [N m]."""
 
 
 def listed(module: str, table: str) -> Any:
-    """Restrict an option to the names in a module's table. If the module's extra is missing, any text passes: the command names the extra."""
+    """Restrict an option to the names in a module's table.
+
+    If the module's extra is missing, any text passes: the command names the extra.
+    """
     try:
         return one_of(getattr(import_module(module), table))
     except MissingExtraError:

@@ -21,7 +21,8 @@ class Report:
 
     Attributes:
         run: folder of the run.
-        compare: two run folders A B. The differences, with 95 % intervals, go to compare.html in B and to the terminal.
+        compare: two run folders A B. The differences, with 95 % intervals, go to compare.html in B
+            and to the terminal.
     """
 
     run: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = None

@@ -16,11 +16,14 @@ class RL(RLConfig):
     The agent is compared with the paper's start, and a report is written.
 
     Attributes:
-        out: folder of the run: seed-<seed>/ with checkpoints and TensorBoard events, rows.csv, run.json, report.html.
-        resume: continue from the last complete checkpoint of each seed, with the same options. A larger --steps continues a finished run.
-        compare: folders of finished runs. Nothing is trained; one report of all of them goes to `out`.
-        on: where seeds run: inline, processes, ray or ray://HOST:PORT; empty: inline for one seed, else one process each. Ray needs
-            an --out that all its machines share.
+        out: folder of the run: seed-<seed>/ with checkpoints and TensorBoard events, rows.csv,
+            run.json, report.html.
+        resume: continue from the last complete checkpoint of each seed, with the same options. A
+            larger --steps continues a finished run.
+        compare: folders of finished runs. Nothing is trained; one report of all of them goes to
+            `out`.
+        on: where seeds run: inline, processes, ray or ray://HOST:PORT; empty: inline for one seed,
+            else one process each. Ray needs an --out that all its machines share.
     """
 
     out: Path = Path("runs/rl/agent")

@@ -9,7 +9,9 @@ from grasp_env.force.initial import NAMES, InitialForceRule
 
 
 def rule(name: str) -> str | InitialForceRule:
-    """Return the rule of a name: a rule of the package, "learned" for the shipped model, or the path of a saved one."""
+    """Return the rule of a name: a rule of the package, "learned" for the shipped model, or the
+    path of a saved one.
+    """
     if name in NAMES:
         return name
     from policies import LearnedInitialForce
@@ -18,4 +20,6 @@ def rule(name: str) -> str | InitialForceRule:
         return LearnedInitialForce.pretrained()
     if name.endswith((".json", ".safetensors")) or isfile(f"{name}.json"):
         return LearnedInitialForce.load(name)
-    raise UnknownNameError("initial-force rule", name, (*NAMES, "learned"), ", or give a saved model's path")
+    raise UnknownNameError(
+        "initial-force rule", name, (*NAMES, "learned"), ", or give a saved model's path"
+    )

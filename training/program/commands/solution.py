@@ -8,9 +8,24 @@ from grasp_env.force import ForceSolution, Status
 from grasp_env.grasp import Grasp
 
 ALWAYS = (
-    "wrench", "method", "initial", "iterations", "trials", "objective", "lower_bound", "equilibrium_residual", "limit_excess",
-)  # fmt: skip
-WITH_A_FORCE = ("force", "torsion", "optimality_gap", "cone_margin", "multipliers", "total_normal_force")
+    "wrench",
+    "method",
+    "initial",
+    "iterations",
+    "trials",
+    "objective",
+    "lower_bound",
+    "equilibrium_residual",
+    "limit_excess",
+)
+WITH_A_FORCE = (
+    "force",
+    "torsion",
+    "optimality_gap",
+    "cone_margin",
+    "multipliers",
+    "total_normal_force",
+)
 """Numbers that are null if no force balances the wrench."""
 
 
@@ -33,10 +48,18 @@ def print_solution(solution: ForceSolution, grasp: Grasp, title: str) -> None:
 
     columns = ["contact", "normal [N]", "o [N]", "t [N]", "margin [N]"]
     soft = bool(grasp.models.torsional_friction.any())
-    table = Table(*columns, *(["torsion [N m]"] if soft else []), title=f"{title}: {solution.status.value}")
+    table = Table(
+        *columns, *(["torsion [N m]"] if soft else []), title=f"{title}: {solution.status.value}"
+    )
     margins = grasp.cone_margins(solution.force)
-    for k, (force, margin, torsion) in enumerate(zip(solution.force, margins, solution.torsion, strict=True)):
-        row = [*(f"{value:.4f}" for value in force), f"{margin:.4f}", *([f"{torsion:.6f}"] if soft else [])]
+    for k, (force, margin, torsion) in enumerate(
+        zip(solution.force, margins, solution.torsion, strict=True)
+    ):
+        row = [
+            *(f"{value:.4f}" for value in force),
+            f"{margin:.4f}",
+            *([f"{torsion:.6f}"] if soft else []),
+        ]
         table.add_row(str(k), *row)
     console = Console(highlight=False)
     console.print(table)

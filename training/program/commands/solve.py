@@ -37,16 +37,20 @@ class Solve:
     Advice about contacts that look wrong goes to stderr.
 
     Attributes:
-        wrench: external wrench on the object: force fx fy fz [N], moment mx my mz [N m] about the object frame's origin.
+        wrench: external wrench on the object: force fx fy fz [N], moment mx my mz [N m] about the
+            object frame's origin.
         preset: a named grasp.
         grasp: JSON file of a grasp instead of a preset.
         save_grasp: also write the grasp as such a file.
         friction: replaces the friction coefficient of the preset or the file.
-        initial: start of the methods on Phi: internal_force, linear_combination (the paper's), single_value, lagrange, phase_one,
-            "learned" for the shipped network, or the path of a fitted one.
-        method: newton, reduced_flow and full_flow (the paper's) minimise Phi, conic the normal forces.
+        initial: start of the methods on Phi: internal_force, linear_combination (the paper's),
+            single_value, lagrange, phase_one, "learned" for the shipped network, or the path of a
+            fitted one.
+        method: newton, reduced_flow and full_flow (the paper's) minimise Phi, conic the normal
+            forces.
         criterion: objective of conic: the sum or the maximum of the normal forces.
-        barrier_weight: lambda of Phi [N^2]: a larger one keeps further from slipping, and squeezes more; not for conic.
+        barrier_weight: lambda of Phi [N^2]: a larger one keeps further from slipping, and squeezes
+            more; not for conic.
         tolerance: relative gap to the certified bound.
         min_normal: least normal force of every contact [N].
         max_normal: largest normal force of every contact [N].
@@ -54,13 +58,17 @@ class Solve:
     """
 
     wrench: Annotated[
-        tuple[float, ...] | None, SIX, left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}")
+        tuple[float, ...] | None,
+        SIX,
+        left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}"),
     ] = None
     preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
     grasp: Annotated[Path | None, left_out("the preset", "FILE")] = None
     save_grasp: Annotated[Path | None, left_out("nothing is written", "FILE")] = None
     friction: Annotated[float | None, left_out("its own", "MU")] = None
-    initial: Annotated[str | None, left_out("internal_force, of the flows linear_combination", "RULE|FILE")] = None
+    initial: Annotated[
+        str | None, left_out("internal_force, of the flows linear_combination", "RULE|FILE")
+    ] = None
     method: Annotated[str, one_of(METHODS)] = "newton"
     criterion: Annotated[str, one_of(CRITERIA)] = "sum"
     barrier_weight: Annotated[float | None, left_out("0.01", "FLOAT")] = None
@@ -90,7 +98,9 @@ class Solve:
             solution.raise_for_status()
         except GraspError as error:
             found = getattr(error, "solution", None)
-            vars(error)["numbers"] = {"advice": advice} if found is None else numbers(found, grasp, advice)
+            vars(error)["numbers"] = (
+                {"advice": advice} if found is None else numbers(found, grasp, advice)
+            )
             raise
         if self.json:
             write_json(numbers(solution, grasp, advice))
@@ -100,7 +110,9 @@ class Solve:
         if self.grasp is None:
             return preset(self.preset, self.friction), self.preset
         grasp = load_grasp(self.grasp)
-        return grasp if self.friction is None else grasp.with_friction(self.friction), self.grasp.name
+        return grasp if self.friction is None else grasp.with_friction(
+            self.friction
+        ), self.grasp.name
 
     def _wrench(self) -> tuple[float, ...]:
         """Return the external wrench; only presets have the paper's as default."""
@@ -121,7 +133,9 @@ class Solve:
                 initial=None if self.initial is None else rule(self.initial),
                 method=self.method,
                 criterion=self.criterion,
-                limits=ForceLimits(min_normal=self.min_normal, max_normal=self.max_normal) if limited else None,
+                limits=ForceLimits(min_normal=self.min_normal, max_normal=self.max_normal)
+                if limited
+                else None,
                 barrier_weight=self.barrier_weight,
                 tolerance=self.tolerance,
             )

@@ -1,4 +1,6 @@
-"""Solutions for bare contacts, for display: forces and their certificates, or a remedy if no force holds the load."""
+"""Solutions for bare contacts, for display: forces and their certificates, or a remedy if no force
+holds the load.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ class Answer:
         solution: the forces; None if there are none.
         columns: numbers (N,) of the contacts, by name.
         facts: further facts as text, by name.
-        twist: (6,) velocity of the object's origin and angular velocity, of any scale, that prove the load infeasible.
+        twist: (6,) velocity of the object's origin and angular velocity, of any scale, that prove
+            the load infeasible.
     """
 
     mood: Mood
@@ -89,10 +92,13 @@ def answer(
     try:
         solution = solve()
     except InfeasibleWrenchError as error:
-        words = (
-            "The load moves the object along the red screw; no finger can push against that within its friction cone. "
+        words = "The load moves the object along the red screw; no finger can push against that within its friction cone. "
+        return Answer(
+            "bad",
+            "cannot be held",
+            words + _remedy(grasp, wrench),
+            twist=error.solution.certificate,
         )
-        return Answer("bad", "cannot be held", words + _remedy(grasp, wrench), twist=error.solution.certificate)
     columns = {"normal, N": solution.force[:, 0], "margin, N": grasp.cone_margins(solution.force)}
     facts = {
         "total normal force": f"{solution.total_normal_force:.2f} N",
@@ -101,7 +107,9 @@ def answer(
         "optimum within": f"{solution.lower_bound:.6g} … {solution.objective:.6g}",
         "one solve": f"{1e6 * min(timeit.repeat(solve, number=1, repeat=3)):.1f} µs",
     }
-    mood, status, words = "good", "held", "The fingers balance the load, every force inside its friction cone."
+    mood = "good"
+    status = "held"
+    words = "The fingers balance the load, every force inside its friction cone."
     if solution.status is Status.LIMITS_EXCEEDED:
         mood, status = "bad", "beyond the limit"
         words = (
@@ -109,7 +117,9 @@ def answer(
             f"{100.0 * solution.limit_excess:.3g} % more. Lower the load, raise the limit, add friction or a contact."
         )
     elif solution.status is not Status.OPTIMAL:
-        mood, status, words = "warning", "held, not optimal", solution.status.help
+        mood = "warning"
+        status = "held, not optimal"
+        words = solution.status.help
     return Answer(mood, status, words, solution, columns, facts)
 
 

@@ -25,7 +25,8 @@ HINT = "**Drag** the purple ball (force), the pink ball (moment) or a contact; e
 NO_LIMIT = 50.0
 """End of the slider [N], which means no limit."""
 _FORCE, _LOAD, _MOMENT = 0.55, 0.95, 0.62
-"""Drawn lengths of the largest initial contact force, of the initial load's force and of its moment, in extents of the object."""
+"""Drawn lengths of the largest initial contact force, of the initial load's force and of its
+moment, in extents of the object."""
 
 
 class BareContacts(Window):
@@ -44,10 +45,19 @@ class BareContacts(Window):
         answer: displayed result.
     """
 
-    def __init__(self, port: int, grasp: Grasp, wrench: Array, method: str, rule: Callable[[str], str | InitialForceRule]) -> None:  # fmt: skip
+    def __init__(
+        self,
+        port: int,
+        grasp: Grasp,
+        wrench: Array,
+        method: str,
+        rule: Callable[[str], str | InitialForceRule],
+    ) -> None:
         self._grasp, (self._name, self._mesh), self._rule = grasp, body_of(grasp), cache(rule)
         self.answer, self._extent = answer(grasp, wrench, method), float(self._mesh.extents.max())
-        self._force_scale = _FORCE / float(self.answer.columns.get("normal, N", np.array([5.0])).max())
+        self._force_scale = _FORCE / float(
+            self.answer.columns.get("normal, N", np.array([5.0])).max()
+        )
         sizes = np.linalg.norm(wrench[:3]) or 1.0, np.linalg.norm(wrench[3:]) or 0.1
         self._load_scales = np.array([[_LOAD / sizes[0]], [_MOMENT / sizes[1]]])
         super().__init__(port, HINT)
@@ -57,27 +67,38 @@ class BareContacts(Window):
 
     def draw(self) -> None:
         """Solve for the current controls and contacts, and draw the answer."""
-        shape, count = self.shape.value, int(self.count.value)
+        shape = self.shape.value
+        count = int(self.count.value)
         if (shape, count) != self._standing:
-            mesh = self._mesh if shape == self._name else look.object_mesh(shape, (self._extent,) * 3)
+            mesh = (
+                self._mesh if shape == self._name else look.object_mesh(shape, (self._extent,) * 3)
+            )
             self._stand(mesh, *place_contacts(mesh, count))
-        wrench, friction = np.array([*self.force.value, *self.moment.value]), float(self.friction.value)
+        wrench = np.array([*self.force.value, *self.moment.value])
+        friction = float(self.friction.value)
         limit = math.inf if self.limit.value >= NO_LIMIT else float(self.limit.value)
-        forces, advice = np.zeros_like(self.positions), []
+        forces = np.zeros_like(self.positions)
+        advice = []
         try:
             grasp = Grasp.from_contacts(self.positions, self.normals, friction)
-            start, weight, previous = self._rule(self.start.value), 10.0**self.weight.value, self.answer.solution
-            self.answer = found = answer(grasp, wrench, self.method.value, start, weight, limit, previous)
+            start = self._rule(self.start.value)
+            weight = 10.0**self.weight.value
+            previous = self.answer.solution
+            self.answer = found = answer(
+                grasp, wrench, self.method.value, start, weight, limit, previous
+            )
             advice = advise(grasp)
             if found.solution is not None:
                 forces = grasp.to_object_frame(found.solution.force)
         except GraspError as error:
             self.answer = found = Answer("bad", "not solved", f"{error}")
-        bad, twist = found.mood == "bad", found.twist
+        bad = found.mood == "bad"
+        twist = found.twist
         names = [f"contact {k + 1}" for k in range(len(forces))] if found.columns else []
         self.show(found.mood, found.status, found.words, names, found.columns, found.facts, advice)
         self._body.color = look.BAD if bad else look.BODY
-        frames, cones = contact_frames(self.normals), np.full(len(forces), friction)
+        frames = contact_frames(self.normals)
+        cones = np.full(len(forces), friction)
         self._contacts.draw(self.positions / self._extent, frames, forces, cones, bad)
         heads = self._load_scales * wrench.reshape(2, 3)
         self._load.points = np.stack([np.zeros((2, 3)), heads], axis=1)
@@ -90,7 +111,9 @@ class BareContacts(Window):
     def _stand(self, mesh: trimesh.Trimesh, positions: Array, normals: Array) -> None:
         """Replace the body and the contacts."""
         self._standing = self.shape.value, int(self.count.value)
-        self.mesh, self.positions, self.normals = mesh, positions, normals
+        self.mesh = mesh
+        self.positions = positions
+        self.normals = normals
         _, self._body = look.add_body(self.scene, mesh, 1.0 / self._extent)
         self._contacts = look.Contacts(self.scene, len(positions), self._force_scale)
         for k, point in enumerate(self._contacts.points):
@@ -109,29 +132,38 @@ class BareContacts(Window):
 
     def _drag_contact(self, k: int, event: Any) -> None:
         """Move contact k to the point of the object under the mouse; beside the object it stays."""
-        eye, mouse = np.array(event.client.camera.position), np.array(event.end_position)
+        eye = np.array(event.client.camera.position)
+        mouse = np.array(event.end_position)
         met = cast_ray(self.mesh, self._extent * eye, self._extent * mouse)
         if met is not None and k < len(self.positions):
             self.positions, self.normals = self.positions.copy(), self.normals.copy()
             self.positions[k], self.normals[k] = met
 
     def _add_controls(self, wrench: Array, method: str) -> None:
-        gui, friction = self.gui, float(self._grasp.friction[0])
+        gui = self.gui
+        friction = float(self._grasp.friction[0])
         with gui.add_folder("Load on the object"):
             self.force = gui.add_vector3("force, N", wrench[:3], step=0.1)
             self.moment = gui.add_vector3("moment, N m", wrench[3:], step=0.01)
         with gui.add_folder("Contacts"):
             self.shape = gui.add_dropdown("object", [*dict.fromkeys((self._name, *SHAPES))])
             self.count = gui.add_slider("number", 3, 8, 1, min(self._grasp.n_contacts, 8))
-            self.friction = gui.add_slider("friction", min(0.02, friction), max(1.5, friction), 0.01, friction)
-            self.limit = gui.add_slider("max normal force, N", 0.5, NO_LIMIT, 0.5, NO_LIMIT, hint="50: no limit")
+            self.friction = gui.add_slider(
+                "friction", min(0.02, friction), max(1.5, friction), 0.01, friction
+            )
+            self.limit = gui.add_slider(
+                "max normal force, N", 0.5, NO_LIMIT, 0.5, NO_LIMIT, hint="50: no limit"
+            )
         with gui.add_folder("Solver"):
             self.method = gui.add_dropdown("method", [*METHODS], initial_value=method)
             self.start = gui.add_dropdown("start", ["internal_force", *STARTS])
-            self.weight = gui.add_slider("lambda, log10 N²", -6.0, 1.0, 0.1, -2.0, hint="more: further from slipping")
+            self.weight = gui.add_slider(
+                "lambda, log10 N²", -6.0, 1.0, 0.1, -2.0, hint="more: further from slipping"
+            )
         self.again = gui.add_button("Start again", color="gray")
         self.on(self.again.on_click, self._reset)
-        load, contacts = (self.force, self.moment), (self.shape, self.count, self.friction, self.limit)
+        load = (self.force, self.moment)
+        contacts = (self.shape, self.count, self.friction, self.limit)
         controls: list[Any] = [*load, *contacts, self.method, self.start, self.weight]
         for control in controls:
             self.on(control.on_update)
@@ -141,19 +173,28 @@ class BareContacts(Window):
         colors = look.LOAD, look.MOMENT
         self.look_at(np.array([-0.7, -0.6, -0.7]), np.array([0.7, 0.7, 0.7]))
         self._load: Any = self.scene.add_arrows("/load", np.zeros((2, 2, 3)), np.array(colors))
-        self._balls = [self.scene.add_icosphere(f"/load/{k}", 0.052, color) for k, color in enumerate(colors)]
-        for ball, control, scale in zip(self._balls, (self.force, self.moment), self._load_scales, strict=True):
+        self._balls = [
+            self.scene.add_icosphere(f"/load/{k}", 0.052, color) for k, color in enumerate(colors)
+        ]
+        for ball, control, scale in zip(
+            self._balls, (self.force, self.moment), self._load_scales, strict=True
+        ):
             self.on(ball.on_drag, partial(self._drag_load, control, scale))
         self._screw: Any = self.scene.add_arrows("/screw", np.zeros((6, 2, 3)), look.BAD)
 
 
 def cast_ray(mesh: trimesh.Trimesh, eye: Array, through: Array) -> tuple[Array, Array] | None:
-    """Return the point where the ray from `eye` (3,) through a point (3,) enters a convex mesh, and the inward normal; None if it misses."""
-    along, normals = through - eye, mesh.face_normals
-    ahead, closing = np.einsum("ij,ij->i", mesh.triangles_center - eye, normals), normals @ along
+    """Return the point where the ray from `eye` (3,) through a point (3,) enters a convex mesh, and
+    the inward normal; None if it misses.
+    """
+    along = through - eye
+    normals = mesh.face_normals
+    ahead = np.einsum("ij,ij->i", mesh.triangles_center - eye, normals)
+    closing = normals @ along
     with np.errstate(divide="ignore", invalid="ignore"):
         passed = ahead / closing
-    enters, leaves = np.where(closing < -1e-12, passed, -np.inf), np.where(closing > 1e-12, passed, np.inf)
+    enters = np.where(closing < -1e-12, passed, -np.inf)
+    leaves = np.where(closing > 1e-12, passed, np.inf)
     face = int(np.argmax(enters))
     if not 0.0 <= enters[face] <= leaves.min():
         return None
@@ -161,25 +202,37 @@ def cast_ray(mesh: trimesh.Trimesh, eye: Array, through: Array) -> tuple[Array, 
 
 
 def place_contacts(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
-    """Return contacts (N, 3) [m] on a mesh and inward normals (N, 3): one at the back, the others around the front."""
+    """Return contacts (N, 3) [m] on a mesh and inward normals (N, 3): one at the back, the others
+    around the front.
+    """
     around = 2.0 * np.pi * np.arange(count - 1) / (count - 1) + 0.5 * np.pi
-    front = np.column_stack([0.62 * np.cos(around), 0.62 * np.sin(around), np.full(count - 1, 0.785)])
+    front = np.column_stack(
+        [0.62 * np.cos(around), 0.62 * np.sin(around), np.full(count - 1, 0.785)]
+    )
     centre = mesh.bounds.mean(axis=0)
     found = [
-        cast_ray(mesh, centre + 10.0 * mesh.scale * away, centre) for away in np.vstack([[[0.0, 0.0, -1.0]], front])
+        cast_ray(mesh, centre + 10.0 * mesh.scale * away, centre)
+        for away in np.vstack([[[0.0, 0.0, -1.0]], front])
     ]
     places, normals = zip(*(each for each in found if each is not None), strict=True)
     return np.array(places), np.array(normals)
 
 
 def body_of(grasp: Grasp) -> tuple[str, trimesh.Trimesh]:
-    """Return name and mesh of the body that the contacts lie on: a shape about the origin if one fits, else the contacts' hull."""
+    """Return name and mesh of the body that the contacts lie on: a shape about the origin if one
+    fits, else the contacts' hull.
+    """
     extent = 2.0 * float(np.abs(grasp.positions).max())
     for shape in SHAPES:
         mesh = look.object_mesh(shape, (extent, extent, extent))
-        heights = grasp.positions @ mesh.face_normals.T - (mesh.triangles_center * mesh.face_normals).sum(axis=1)
+        heights = grasp.positions @ mesh.face_normals.T - (
+            mesh.triangles_center * mesh.face_normals
+        ).sum(axis=1)
         outward = mesh.face_normals[heights.argmax(axis=1)]
-        if np.abs(heights.max(axis=1)).max() < 2e-3 * extent and (outward * grasp.normals).sum(axis=1).max() < -0.995:
+        if (
+            np.abs(heights.max(axis=1)).max() < 2e-3 * extent
+            and (outward * grasp.normals).sum(axis=1).max() < -0.995
+        ):
             return shape, mesh
     # points beside each contact in its tangent plane, since contacts in one plane have no hull
     away = 0.02 * float(np.ptp(grasp.positions, axis=0).max()) * grasp.frames

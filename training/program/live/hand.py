@@ -1,4 +1,6 @@
-"""Page of a simulated hand in real time: the user pulls and changes the object while the hand holds it."""
+"""Page of a simulated hand in real time: the user pulls and changes the object while the hand holds
+it.
+"""
 
 from __future__ import annotations
 
@@ -55,21 +57,26 @@ class SimulatedHand(Window):
 
     period: float | None = 1.0 / 30.0
 
-    def __init__(self, port: int, config: EnvConfig, rule: Callable[[str], str | InitialForceRule]) -> None:
+    def __init__(
+        self, port: int, config: EnvConfig, rule: Callable[[str], str | InitialForceRule]
+    ) -> None:
         self._config = config.override(task="hold", disturbance="none", randomize=()).resolved()
         self._rule, self._target, self._trouble = rule, resting_target(1)[0], []
         self._settings = config.object.shape, 100, config.solver.method, STARTS[0]
         self.stage, self.loop = self._made(*self._settings)
         super().__init__(port, HINT)
         self._add_controls()
-        self._pull: Any = self.scene.add_arrows("/pull", np.zeros((1, 2, 3)), look.LOAD, visible=False)
+        self._pull: Any = self.scene.add_arrows(
+            "/pull", np.zeros((1, 2, 3)), look.LOAD, visible=False
+        )
         self._add_bodies()
 
     def draw(self) -> None:
         """Apply the controls, simulate up to the present, and draw."""
         wanted = self.shape.value, int(self.motors.value), self.method.value, self.start.value
         if wanted != self._settings:
-            self._settings, self._trouble = wanted, []
+            self._settings = wanted
+            self._trouble = []
             try:
                 made = self._made(*wanted)
                 self.stage.scene.close()
@@ -94,42 +101,75 @@ class SimulatedHand(Window):
         return force * min(1.0, self.max_pull.value / max(float(np.linalg.norm(force)), 1e-12))
 
     def advance(self, ticks: int) -> None:
-        """Simulate a number of control ticks. The simulation stops once the object is more than a metre away."""
-        config, loop, scene = self._config, self.loop, self.stage.scene
+        """Simulate a number of control ticks.
+
+        The simulation stops once the object is more than a metre away.
+        """
+        config = self._config
+        loop = self.loop
+        scene = self.stage.scene
         try:
             for _ in range(0 if self._gone else ticks):
                 force = scene.look().rotation.T @ self.pull()
                 wrench = np.array([*force, *np.cross(self.grip, force)])
-                due = round(self.time / loop.dt) % (config.controller.rate // config.agent.rate) == 0
+                due = (
+                    round(self.time / loop.dt) % (config.controller.rate // config.agent.rate) == 0
+                )
                 if due:
                     loop.begin_step()
                 scene.advance(loop.tick(wrench, scene.gravity, self._target, due), wrench.tolist())
-                self.time, self._open = self.time + loop.dt, 0.0 if loop.closure else self._open + loop.dt
+                self.time, self._open = (
+                    self.time + loop.dt,
+                    0.0 if loop.closure else self._open + loop.dt,
+                )
             scene.look()
         except GraspError as error:
             self._trouble = [f"The simulation failed and the hand took hold again: {error}"]
             self._take_hold()
         self.outcome = loop.outcome(self._target, self._error, self._measured)
-        drift, tilt, limits = self.outcome.drift, self.outcome.tilt, config.limits
+        drift = self.outcome.drift
+        tilt = self.outcome.tilt
+        limits = config.limits
         self._gone = drift > 1.0
         if drift > (limits.max_drift or math.inf) or tilt > (limits.max_tilt or math.inf):
-            self._lost = self._lost or f"It moved {1e3 * drift:.0f} mm and turned {math.degrees(tilt):.0f} degrees."
+            self._lost = (
+                self._lost
+                or f"It moved {1e3 * drift:.0f} mm and turned {math.degrees(tilt):.0f} degrees."
+            )
         elif self._open > limits.max_contact_gap:
             self._lost = self._lost or "The fingers that still touch it cannot balance the load."
 
     def status(self) -> tuple[Mood, str, str]:
         """Return mood, status and explanation, as of an `Answer`."""
         if self._lost:
-            return "bad", "lost", f"{self._lost} Take hold again; then pull less, or raise the friction."
+            return (
+                "bad",
+                "lost",
+                f"{self._lost} Take hold again; then pull less, or raise the friction.",
+            )
         if not self.loop.closure:
-            return "warning", "slipping", "The fingers that touch cannot balance this load: each keeps within its cone."
+            return (
+                "warning",
+                "slipping",
+                "The fingers that touch cannot balance this load: each keeps within its cone.",
+            )
         if self.loop.effort.saturated:
-            return "warning", "motors at their limit", "No force within the joints' torques balances this load."
-        return "good", "held", "The fingers balance gravity and the pull, every commanded force inside its cone."
+            return (
+                "warning",
+                "motors at their limit",
+                "No force within the joints' torques balances this load.",
+            )
+        return (
+            "good",
+            "held",
+            "The fingers balance gravity and the pull, every commanded force inside its cone.",
+        )
 
     def _made(self, shape: str, motors: int, method: str, start: str) -> tuple[Stage, ForceLoop]:
         hand: Any = self._config.hand
-        links = tuple(replace(link, torque_limit=0.01 * motors * link.torque_limit) for link in hand.links)
+        links = tuple(
+            replace(link, torque_limit=0.01 * motors * link.torque_limit) for link in hand.links
+        )
         config = self._config.override(hand=replace(hand, links=links), shape=shape, method=method)
         loop = ForceLoop(config, "linear_combination" if method == "conic" else self._rule(start))
         return Stage(config, loop, False, False), loop
@@ -147,16 +187,28 @@ class SimulatedHand(Window):
         """Reset: the hand holds the object at rest, with its original mass and friction."""
         item = self.stage.episode.object
         self.stage.set(np.random.default_rng(0))
-        self.time, self._open, self._lost, self._gone, self._until = 0.0, 0.0, "", False, time.monotonic()
-        self.grip, self.mouse = np.zeros(3), None
-        self.mass.value, self.friction.value = item.mass, item.friction
+        self.time, self._open, self._lost, self._gone, self._until = (
+            0.0,
+            0.0,
+            "",
+            False,
+            time.monotonic(),
+        )
+        self.grip = np.zeros(3)
+        self.mouse = None
+        self.mass.value = item.mass
+        self.friction.value = item.friction
         self._change_object(item.mass, item.friction)
 
     def _drag(self, event: Any) -> None:
-        """Grab the object where the mouse met it, and pull it towards the mouse in the plane of the screen."""
+        """Grab the object where the mouse met it, and pull it towards the mouse in the plane of the
+        screen.
+        """
         snapshot = self.stage.scene.look()
         if event.phase == "start":
-            self.grip = snapshot.rotation.T @ (np.array(event.start_position) / self._zoom - snapshot.position)
+            self.grip = snapshot.rotation.T @ (
+                np.array(event.start_position) / self._zoom - snapshot.position
+            )
         self.mouse = None if event.phase == "end" else np.array(event.end_position) / self._zoom
 
     def _add_controls(self) -> None:
@@ -166,10 +218,14 @@ class SimulatedHand(Window):
             self.max_pull = gui.add_slider("max pull, N", 1.0, 40.0, 0.5, 5.0)
             self.again = gui.add_button("Take hold again")
         with gui.add_folder("Object and hand"):
-            self.shape = gui.add_dropdown("shape", [*SHAPES_WITHOUT_MESH], initial_value=config.object.shape)
+            self.shape = gui.add_dropdown(
+                "shape", [*SHAPES_WITHOUT_MESH], initial_value=config.object.shape
+            )
             self.mass = gui.add_slider("mass, kg", 0.02, 1.0, 0.01, config.object.mass)
             self.friction = gui.add_slider("friction", 0.05, 1.2, 0.01, config.object.friction)
-            self.motors = gui.add_slider("motors, %", 2, 100, 1, 100, hint="of the torques that the hand's joints have")
+            self.motors = gui.add_slider(
+                "motors, %", 2, 100, 1, 100, hint="of the torques that the hand's joints have"
+            )
         with gui.add_folder("Solver"):
             self.method = gui.add_dropdown("method", [*METHODS], initial_value=config.solver.method)
             self.start = gui.add_dropdown("start", [*STARTS])
@@ -178,37 +234,54 @@ class SimulatedHand(Window):
     def _add_bodies(self) -> None:
         """Take hold, and replace the drawn hand, object and contacts."""
         self._take_hold()
-        snapshot, config = self.stage.scene.look(), self.stage.scene.config
+        snapshot = self.stage.scene.look()
+        config = self.stage.scene.config
         zoom = self._zoom = 1.0 / max(config.object.extent)
         mesh = look.object_mesh(config.object.shape, config.object.size)
         self._object, self._body = look.add_body(self.scene, mesh, zoom)
         self.on(self._body.on_drag, self._drag)
         self._contacts = look.Contacts(self.scene, self.loop.count, _FORCE)
         self.scene.remove_by_name("/hand")
-        self._links, points = [], [mesh.vertices]
+        self._links = []
+        points = [mesh.vertices]
         poses = [(np.eye(3), np.zeros(3)), *zip(snapshot.frames, snapshot.origins, strict=True)]
         bodies = look.link_meshes((config.hand.palm, *config.hand.links))
         for k, (meshes, (rotation, origin)) in enumerate(zip(bodies, poses, strict=True)):
             self._links.append(self.scene.add_frame(f"/hand/{k}", show_axes=False))
             for part, (mesh, color) in enumerate(meshes):
-                name, corners, flat = f"/hand/{k}/{part}", zoom * mesh.vertices, len(mesh.faces) < 50
-                self.scene.add_mesh_simple(name, corners, mesh.faces, color=color, opacity=0.7, flat_shading=flat)
+                name = f"/hand/{k}/{part}"
+                corners = zoom * mesh.vertices
+                flat = len(mesh.faces) < 50
+                self.scene.add_mesh_simple(
+                    name, corners, mesh.faces, color=color, opacity=0.7, flat_shading=flat
+                )
                 points.append(mesh.vertices @ rotation.T + origin)
         self.look_at(zoom * np.vstack(points).min(axis=0), zoom * np.vstack(points).max(axis=0))
 
     def _draw_scene(self) -> None:
-        loop, zoom, snapshot, pull = self.loop, self._zoom, self.stage.scene.look(), self.pull()
+        loop = self.loop
+        zoom = self._zoom
+        snapshot = self.stage.scene.look()
+        pull = self.pull()
         forces = np.where(np.isin(np.arange(loop.count), loop.fingers)[:, None], loop.force, 0.0)
-        poses = [*zip(snapshot.frames, snapshot.origins, strict=True), (snapshot.rotation, snapshot.position)]
+        poses = [
+            *zip(snapshot.frames, snapshot.origins, strict=True),
+            (snapshot.rotation, snapshot.position),
+        ]
         for node, (rotation, origin) in zip([*self._links[1:], self._object], poses, strict=True):
-            node.wxyz, node.position = SO3.from_matrix(rotation).wxyz, zoom * origin
+            node.wxyz = SO3.from_matrix(rotation).wxyz
+            node.position = zoom * origin
         mood, status, words = self.status()
         self._body.color = look.BAD if mood == "bad" else look.BODY
-        frames, friction = snapshot.rotation @ loop.frames, np.where(forces.any(axis=1), loop.friction, 0.0)
+        frames = snapshot.rotation @ loop.frames
+        friction = np.where(forces.any(axis=1), loop.friction, 0.0)
         pushes = np.einsum("nij,nj->ni", frames, forces)
         self._contacts.draw(zoom * snapshot.touch, frames, pushes, friction, mood == "bad")
         grip = zoom * (snapshot.position + snapshot.rotation @ self.grip)
-        self._pull.visible, self._pull.points = bool(pull.any()), np.array([[grip, grip + _FORCE * pull]])
+        self._pull.visible, self._pull.points = (
+            bool(pull.any()),
+            np.array([[grip, grip + _FORCE * pull]]),
+        )
         margins = loop.friction * forces[:, 0] - np.hypot(forces[:, 1], forces[:, 2])
         columns = {"wanted, N": forces[:, 0], "felt, N": self._measured[:, 0], "margin, N": margins}
         facts = {

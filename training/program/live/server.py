@@ -20,10 +20,12 @@ _OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")
 
 
 class LocalServer(viser.ViserServer):
-    """Viser server that listens on 127.0.0.1, refuses pages of other sites, and is never shared over the internet.
+    """Viser server that listens on 127.0.0.1, refuses pages of other sites, and is never shared
+    over the internet.
 
     Args:
-        port: port to listen on; if it is taken, the next free one, with a note on stderr; 0: any free port.
+        port: port to listen on; if it is taken, the next free one, with a note on stderr; 0: any
+            free port.
         label: title of the panel.
 
     Raises:
@@ -31,7 +33,8 @@ class LocalServer(viser.ViserServer):
     """
 
     def __init__(self, port: int, label: str) -> None:
-        if port and not 1024 <= port <= 65000:  # viser tries up to 1000 ports, and hangs if none is free
+        # viser tries up to 1000 ports, and hangs if none is free
+        if port and not 1024 <= port <= 65000:
             raise InvalidInputError(f"port must be 0 (any free one) or 1024 to 65000, got {port}")
         with _guarded() as guards, redirect_stdout(StringIO()):  # viser prints a banner
             super().__init__("127.0.0.1", port, label, verbose=False)
@@ -42,7 +45,9 @@ class LocalServer(viser.ViserServer):
             )
         if port and self.get_port() != port:
             sys.stderr.write(f"grasp: port {port} is taken: port {self.get_port()} instead\n")
-        self.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(150, 30, 140))
+        self.gui.configure_theme(
+            show_logo=False, show_share_button=False, brand_color=(150, 30, 140)
+        )
         self.gui.main_panel.dock_right()
 
     def request_share_url(self, verbose: bool = True) -> str | None:
@@ -57,24 +62,31 @@ class LocalServer(viser.ViserServer):
 def is_own_page(headers: Headers) -> bool:
     """Return True if a request comes from the page of this server, or opens it.
 
-    A page of another site in the same browser sends its own Origin, and browsers send an Origin with every websocket. If the name
-    of that site resolves to 127.0.0.1 (DNS rebinding), Host is that name.
+    A page of another site in the same browser sends its own Origin, and browsers send an Origin
+    with every websocket. If the name of that site resolves to 127.0.0.1 (DNS rebinding), Host is
+    that name.
     """
-    host, origins = ",".join(headers.get_all("Host")), headers.get_all("Origin")
+    host = ",".join(headers.get_all("Host"))
+    origins = headers.get_all("Origin")
     own_origin = origins == [f"http://{host}"] or (not origins and "Upgrade" not in headers)
     return own_origin and _OWN_HOST.fullmatch(host) is not None
 
 
 @contextmanager
 def _guarded() -> Iterator[list[Any]]:
-    """Make any server that viser starts in the block check every request, and list these guards; viser has no setting for it."""
+    """Make any server that viser starts in the block check every request, and list these guards;
+    viser has no setting for it.
+    """
     module: Any = websockets.asyncio.server
-    serve, guards = module.serve, []
+    serve = module.serve
+    guards = []
 
     def guarded(*arguments: Any, process_request: Any, **options: Any) -> Any:
         def guard(connection: Any, request: Any) -> Any:
             if not is_own_page(request.headers):
-                return connection.respond(HTTPStatus.FORBIDDEN, "Only the page of grasp live may connect.\n")
+                return connection.respond(
+                    HTTPStatus.FORBIDDEN, "Only the page of grasp live may connect.\n"
+                )
             response = process_request(connection, request)
             if response is not None:
                 response.headers["X-Frame-Options"] = "DENY"  # no other page may frame this one

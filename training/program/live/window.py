@@ -57,14 +57,20 @@ class Window:
         self._panel, _ = self.gui.add_html(""), self.gui.add_markdown(hint)
         self._acts: SimpleQueue[Callable[[], object]] = SimpleQueue()
         self._recording: StateSerializer | None = None
-        self._path, self._began, self._drawn = Path(), 0.0, 0.0
+        self._path = Path()
+        self._began = 0.0
+        self._drawn = 0.0
 
     def draw(self) -> None:
         """Update the scene and the panel."""
         raise NotImplementedError
 
-    def on(self, register: Callable[[Any], object], act: Callable[[Any], object] = lambda event: None) -> None:
-        """Call `act` with each event, then draw; `register` is a handle's `on_update`, `on_click` or `on_drag`."""
+    def on(
+        self, register: Callable[[Any], object], act: Callable[[Any], object] = lambda event: None
+    ) -> None:
+        """Call `act` with each event, then draw; `register` is a handle's `on_update`, `on_click`
+        or `on_drag`.
+        """
 
         async def note(event: Any) -> None:  # viser keeps the order of coroutines only
             self._acts.put(partial(act, event))
@@ -72,36 +78,68 @@ class Window:
         register(note)
 
     def look_at(self, low: Array, high: Array) -> None:
-        """Place the initial camera, the floor and the status label for a box between two corners (3,), scene units."""
-        centre, size, camera = 0.5 * (low + high), float(np.linalg.norm(high - low)), self.server.initial_camera
-        camera.fov, camera.near = math.radians(36.0), 0.02
-        camera.position, camera.look_at = centre + 1.8 * size * _AWAY, centre
-        self.scene.add_grid("/floor", plane="xz", position=(0.0, low[1] - 0.2, 0.0), fade_distance=4.0 * size)
+        """Place the initial camera, the floor and the status label for a box between two corners
+        (3,), scene units.
+        """
+        centre = 0.5 * (low + high)
+        size = float(np.linalg.norm(high - low))
+        camera = self.server.initial_camera
+        camera.fov = math.radians(36.0)
+        camera.near = 0.02
+        camera.position = centre + 1.8 * size * _AWAY
+        camera.look_at = centre
+        self.scene.add_grid(
+            "/floor", plane="xz", position=(0.0, low[1] - 0.2, 0.0), fade_distance=4.0 * size
+        )
         self._status.position = (0.0, high[1] + 0.15, 0.0)
 
-    def show(self, mood: Mood, status: str, words: str, names: Sequence[str], columns: Mapping[str, Array], facts: Mapping[str, str],
-             advice: Iterable[str]) -> None:  # fmt: skip
-        """Show an answer: status, explanation, names and numbers (N,) of the contacts, further facts, and advice."""
+    def show(
+        self,
+        mood: Mood,
+        status: str,
+        words: str,
+        names: Sequence[str],
+        columns: Mapping[str, Array],
+        facts: Mapping[str, str],
+        advice: Iterable[str],
+    ) -> None:
+        """Show an answer: status, explanation, names and numbers (N,) of the contacts, further
+        facts, and advice.
+        """
         title = f'<b style="font-size:17px">{_dot(MOODS[mood])}{html.escape(status)}</b>'
-        notes = "".join(f"<p>{html.escape(text)}</p>" for text in (words, *(f"⚠ {text}" for text in advice)))
+        notes = "".join(
+            f"<p>{html.escape(text)}</p>" for text in (words, *(f"⚠ {text}" for text in advice))
+        )
         table = _row("", *columns) if names else ""
-        for name, color, row in zip(names, cycle(COLORS), zip(*columns.values(), strict=True), strict=False):
+        for name, color, row in zip(
+            names, cycle(COLORS), zip(*columns.values(), strict=True), strict=False
+        ):
             table += _row(_dot(color) + html.escape(name), *(f"{number:.2f}" for number in row))
         lines = "".join(_row(*fact) for fact in facts.items())
         tables = "".join(f'<table style="width:100%">{rows}</table>' for rows in (table, lines))
-        self._panel.content = f'<div style="font:13px sans-serif;padding:0 10px">{title}{notes}{tables}</div>'
+        self._panel.content = (
+            f'<div style="font:13px sans-serif;padding:0 10px">{title}{notes}{tables}</div>'
+        )
         self._status.text = "" if mood == "good" else status
 
     def run(self, seconds: float = math.inf, record: Path | None = None) -> None:
-        """Show the page for `seconds` or until ctrl-C, then close it; `record` is an .html file to record into."""
-        end, hint = time.monotonic() + seconds, f"up to {MAX_RECORDED:.0f} s, to one HTML file in this folder"
-        self._button, self._note = self.gui.add_button("Record", hint=hint), self.gui.add_markdown("")
+        """Show the page for `seconds` or until ctrl-C, then close it; `record` is an .html file to
+        record into.
+        """
+        end = time.monotonic() + seconds
+        hint = f"up to {MAX_RECORDED:.0f} s, to one HTML file in this folder"
+        self._button, self._note = (
+            self.gui.add_button("Record", hint=hint),
+            self.gui.add_markdown(""),
+        )
         self.on(self._button.on_click, self._press)
         try:
             self._draw()
             if record is not None:
                 self._record(record)
-            sys.stdout.write(f"http://{self.server.get_host()}:{self.server.get_port()}  (Ctrl-C ends it)\n")
+            sys.stdout.write(
+                f"http://{self.server.get_host()}:{self.server.get_port()}  (Ctrl-C ends it)\n"
+            )
             sys.stdout.flush()
             while (left := end - time.monotonic()) > 0.0:
                 self.step(min(left, self.period or 1.0))
@@ -120,7 +158,8 @@ class Window:
             self._draw(acts)
 
     def _draw(self, acts: Iterable[Callable[[], object]] = ()) -> None:
-        before, self._drawn = self._drawn, time.monotonic()
+        before = self._drawn
+        self._drawn = time.monotonic()
         if self._recording is not None:
             self._recording.insert_sleep(self._drawn - before)
         with self.server.atomic():
@@ -144,9 +183,11 @@ class Window:
             self._button.label, self._note.content = "Record", note
 
     def _record(self, path: Path) -> None:
-        self._recording, self._path = self.server.get_scene_serializer(), path
+        self._recording = self.server.get_scene_serializer()
+        self._path = path
         self._began = self._drawn = time.monotonic()
-        self._button.label, self._note.content = "Stop and save", "recording …"
+        self._button.label = "Stop and save"
+        self._note.content = "recording …"
 
     def _save(self) -> None:
         recording, self._recording = self._recording, None

@@ -1,114 +1,135 @@
-// The interface for control programs: it turns contacts, limits and a wrench into a certified grasp force.
+// The interface for control programs: it turns contacts, limits and a wrench into a certified grasp
+// force.
 //
-//     grasp::ForceOptimizer solver({.contacts = grasp::Contacts::from(positions, normals, 0.4)}, {.tolerance = 1e-6});
-//     const grasp::Record& solution = solver.solve(wrench);
-//     if (solution.code() == grasp::CONVERGED) use(solution.force());
+//     grasp::ForceOptimizer solver({.contacts = grasp::Contacts::from(positions, normals, 0.4)},
+//     {.tolerance = 1e-6}); const grasp::Record& solution = solver.solve(wrench); if
+//     (solution.code() == grasp::CONVERGED) use(solution.force());
 //
-// The constructor allocates; it throws std::invalid_argument with a message about the wrong argument. `solve` never throws or
-// allocates: the code of its record tells how it ended. Use one object per thread; several objects may run at once. Python's
-// `ForceOptimizer` wraps this class.
+// The constructor allocates; it throws std::invalid_argument with a message about the wrong
+// argument. `solve` never throws or allocates: the code of its record tells how it ended. Use one
+// object per thread; several objects may run at once. Python's `ForceOptimizer` wraps this class.
 #pragma once
 #include <grasp/optimizer/engine.hpp>
 #include <grasp/learned/model_file.hpp>
 
-#ifndef GRASP_COMPILED  // the target grasp::compiled defines it and holds the solvers; otherwise each file compiles them
+#ifndef GRASP_COMPILED  // the target grasp::compiled defines it and holds the solvers; otherwise
+                        // each file compiles them
 #include <grasp/optimizer/lane_engine.hpp>
 #endif
 
 namespace grasp {
 
 class ForceOptimizer {
-public:
-    // Throws std::invalid_argument.
-    explicit ForceOptimizer(const Problem& problem, const Options& options = {})
-        : engine_(make(problem, options)), rows_{std::vector<double>(engine_->size()), std::vector<double>(engine_->size())} {}
-    ForceOptimizer(const ForceOptimizer& other)
-        : engine_(other.engine_->clone()), rows_{other.rows_[0], other.rows_[1]}, has_previous_(other.has_previous_) {
-        for (auto& row : rows_) row.reserve(size());  // a copied vector has no more room than it needs
-        record_ = last_record();
-    }
-    ForceOptimizer(ForceOptimizer&&) = default;
+ public:
+  // Throws std::invalid_argument.
+  explicit ForceOptimizer(const Problem& problem, const Options& options = {})
+      : engine_(make(problem, options)),
+        rows_{std::vector<double>(engine_->size()), std::vector<double>(engine_->size())} {}
+  ForceOptimizer(const ForceOptimizer& other)
+      : engine_(other.engine_->clone()),
+        rows_{other.rows_[0], other.rows_[1]},
+        has_previous_(other.has_previous_) {
+    for (auto& row : rows_) row.reserve(size());  // a copied vector has no more room than it needs
+    record_ = last_record();
+  }
+  ForceOptimizer(ForceOptimizer&&) = default;
 
-    // Solve for the force that balances a wrench. The next call overwrites the record. now: changes for this call only.
-    const Record& solve(Wrench wrench, const Changes& now = {}) { return solve(Request{.wrench = wrench.data(), .now = now}); }
-    // The same with a start, a known optimum or a trace for this call. If it has no `previous`, the last solution is used as such.
-    const Record& solve(Request request) {
-        use_previous(request);
-        engine_->solve(request, rows_[1].data());
-        const Record made(rows_[1].data());
-        if (made.has_force()) {  // without a force, the previous solution stays
-            std::swap(rows_[0], rows_[1]);
-            rows_[1].resize(size());  // after `remember`; there is room
-            has_previous_ = true;
-            record_ = last_record();
-        } else {
-            record_ = made;
-        }
-        return record_;
+  // Solve for the force that balances a wrench. The next call overwrites the record. now: changes
+  // for this call only.
+  const Record& solve(Wrench wrench, const Changes& now = {}) {
+    return solve(Request{.wrench = wrench.data(), .now = now});
+  }
+  // The same with a start, a known optimum or a trace for this call. If it has no `previous`, the
+  // last solution is used as such.
+  const Record& solve(Request request) {
+    use_previous(request);
+    engine_->solve(request, rows_[1].data());
+    const Record made(rows_[1].data());
+    if (made.has_force()) {  // without a force, the previous solution stays
+      std::swap(rows_[0], rows_[1]);
+      rows_[1].resize(size());  // after `remember`; there is room
+      has_previous_ = true;
+      record_ = last_record();
+    } else {
+      record_ = made;
     }
-    // Solve into a caller-owned row of `size()` numbers. This overload neither uses nor updates the stored last solution; to
-    // warm-start, set `previous` of the request.
-    Code solve(const Request& ask, double* row) { return engine_->solve(ask, row); }
-    // Compute only the start of a call and write it where the force would go. Return STARTED; any other code says why there is no
-    // start.
-    Code start(Request request, double* row) {
-        use_previous(request);
-        return engine_->start(request, row);
-    }
-    // Replace the offline basis of the problem's contacts, (13, 3N) in cone coordinates: the optimal forces for +1 along each of the
-    // six wrench axes, for -1 along each, and for zero wrench. Call this to reuse a stored basis, or if only a request asks for a
-    // start that needs one; if the options need the basis, the constructor computes it.
-    void set_basis(Doubles basis) { engine_->set_basis(basis.data()); }
-    // Compute the basis, store it in `basis` and use it. Return the largest relative gap: infinity if the solver did not converge,
-    // NaN without force closure. warm: `basis` on entry holds the optima of nearby contacts.
-    double make_basis(std::span<double> basis, bool warm = false) { return engine_->make_basis(basis.data(), warm); }
-    // Find the balanced force (N, 3) [N] and torsion (N,) [N m] with the largest margin to cones and limits, or a twist that proves
-    // that no force is inside them. With a zero wrench this tests force closure.
-    Deepest deepest(Wrench wrench, std::span<double> force, std::span<double> torsion) {
-        return engine_->deepest(wrench.data(), force.data(), torsion.data());
-    }
-    // The wrench without its part that no forces of a call's touching contacts make, whatever their signs; nothing if it has no such part
-    // or if no contact touches. Two hard contacts, for example, do not make a moment about the line through them.
-    std::optional<Vec6> within_reach(Wrench wrench, const Changes& now = {}) { return engine_->within_reach(wrench.data(), now); }
-    // Replace contacts and limits for all later calls. Return false, with nothing changed, if the values are invalid: of wrong size,
-    // not finite, or normals not of unit length. Contacts that cannot balance wrenches of every direction are accepted.
-    bool update(const Changes& now) { return engine_->update(now); }
-    // Solve (M, 6) wrenches into M rows of `size()` numbers, each as `solve` without a previous solution. Allocates.
-    void solve_many(Doubles wrenches, std::span<double> rows) {
-        engine_->solve_many(std::ptrdiff_t(wrenches.size() / 6), wrenches.data(), rows.data());
-    }
+    return record_;
+  }
+  // Solve into a caller-owned row of `size()` numbers. This overload neither uses nor updates the
+  // stored last solution; to warm-start, set `previous` of the request.
+  Code solve(const Request& ask, double* row) { return engine_->solve(ask, row); }
+  // Compute only the start of a call and write it where the force would go. Return STARTED; any
+  // other code says why there is no start.
+  Code start(Request request, double* row) {
+    use_previous(request);
+    return engine_->start(request, row);
+  }
+  // Replace the offline basis of the problem's contacts, (13, 3N) in cone coordinates: the optimal
+  // forces for +1 along each of the six wrench axes, for -1 along each, and for zero wrench. Call
+  // this to reuse a stored basis, or if only a request asks for a start that needs one; if the
+  // options need the basis, the constructor computes it.
+  void set_basis(Doubles basis) { engine_->set_basis(basis.data()); }
+  // Compute the basis, store it in `basis` and use it. Return the largest relative gap: infinity if
+  // the solver did not converge, NaN without force closure. warm: `basis` on entry holds the optima
+  // of nearby contacts.
+  double make_basis(std::span<double> basis, bool warm = false) {
+    return engine_->make_basis(basis.data(), warm);
+  }
+  // Find the balanced force (N, 3) [N] and torsion (N,) [N m] with the largest margin to cones and
+  // limits, or a twist that proves that no force is inside them. With a zero wrench this tests
+  // force closure.
+  Deepest deepest(Wrench wrench, std::span<double> force, std::span<double> torsion) {
+    return engine_->deepest(wrench.data(), force.data(), torsion.data());
+  }
+  // The wrench without its part that no forces of a call's touching contacts make, whatever their
+  // signs; nothing if it has no such part or if no contact touches. Two hard contacts, for example,
+  // do not make a moment about the line through them.
+  std::optional<Vec6> within_reach(Wrench wrench, const Changes& now = {}) {
+    return engine_->within_reach(wrench.data(), now);
+  }
+  // Replace contacts and limits for all later calls. Return false, with nothing changed, if the
+  // values are invalid: of wrong size, not finite, or normals not of unit length. Contacts that
+  // cannot balance wrenches of every direction are accepted.
+  bool update(const Changes& now) { return engine_->update(now); }
+  // Solve (M, 6) wrenches into M rows of `size()` numbers, each as `solve` without a previous
+  // solution. Allocates.
+  void solve_many(Doubles wrenches, std::span<double> rows) {
+    engine_->solve_many(std::ptrdiff_t(wrenches.size() / 6), wrenches.data(), rows.data());
+  }
 
-    // Return the last solution that holds a force.
-    std::optional<Record> previous() { return has_previous_ ? std::optional<Record>(last_record()) : std::nullopt; }
-    // Take a solution of another optimizer as the last one. Return false, with nothing changed, if it holds no force or has another
-    // number of contacts. Allocates.
-    bool remember(const Record& solution) {
-        if (!solution.has_force() || solution.contacts() != contacts().count) return false;
-        const double* row = &solution.summary().code;
-        if (row != rows_[0].data()) rows_[0].assign(row, row + solution.size());
-        has_previous_ = true;
-        record_ = last_record();
-        return true;
-    }
-    // Forget the last solution, so that the next call does not start from it.
-    void forget() { has_previous_ = false; }
+  // Return the last solution that holds a force.
+  std::optional<Record> previous() {
+    return has_previous_ ? std::optional<Record>(last_record()) : std::nullopt;
+  }
+  // Take a solution of another optimizer as the last one. Return false, with nothing changed, if it
+  // holds no force or has another number of contacts. Allocates.
+  bool remember(const Record& solution) {
+    if (!solution.has_force() || solution.contacts() != contacts().count) return false;
+    const double* row = &solution.summary().code;
+    if (row != rows_[0].data()) rows_[0].assign(row, row + solution.size());
+    has_previous_ = true;
+    record_ = last_record();
+    return true;
+  }
+  // Forget the last solution, so that the next call does not start from it.
+  void forget() { has_previous_ = false; }
 
-    const Contacts& contacts() const { return engine_->home(); }
-    int size() const { return engine_->size(); }
+  const Contacts& contacts() const { return engine_->home(); }
+  int size() const { return engine_->size(); }
 
-private:
-    std::unique_ptr<detail::Engine> engine_;
-    std::vector<double> rows_[2];  // last solution with a force, and space for the next
-    bool has_previous_ = false;
-    Record record_{rows_[0].data(), 0};
+ private:
+  std::unique_ptr<detail::Engine> engine_;
+  std::vector<double> rows_[2];  // last solution with a force, and space for the next
+  bool has_previous_ = false;
+  Record record_{rows_[0].data(), 0};
 
-    void use_previous(Request& request) const {
-        if (has_previous_ && !request.previous) request.previous = rows_[0].data();
-    }
-    Record last_record() { return Record(rows_[0].data()); }
-    static std::unique_ptr<detail::Engine> make(const Problem& problem, const Options& options) {
-        return detail::make_engine<REGISTER>(problem, options);
-    }
+  void use_previous(Request& request) const {
+    if (has_previous_ && !request.previous) request.previous = rows_[0].data();
+  }
+  Record last_record() { return Record(rows_[0].data()); }
+  static std::unique_ptr<detail::Engine> make(const Problem& problem, const Options& options) {
+    return detail::make_engine<REGISTER>(problem, options);
+  }
 };
 
 }  // namespace grasp

@@ -8,67 +8,79 @@
 
 namespace grasp {
 
-using Wrench = std::span<const double, 6>;  // external wrench on the object: force [N], moment [N m]
+using Wrench =
+    std::span<const double, 6>;  // external wrench on the object: force [N], moment [N m]
 using Doubles = std::span<const double>;
 
 enum class Method {
-    newton,  // minimise Phi by Newton: about six steps
-    reduced_flow,  // minimise Phi by the paper's gradient flow, in its cheapest form
-    full_flow,  // the same flow as printed, dense: up to FULL_CONTACTS contacts
-    conic,  // minimise the sum or the maximum of omega times normal force; the optimum may lie on the cones; lambda has no effect
+  newton,        // minimise Phi by Newton: about six steps
+  reduced_flow,  // minimise Phi by the paper's gradient flow, in its cheapest form
+  full_flow,     // the same flow as printed, dense: up to FULL_CONTACTS contacts
+  conic,  // minimise the sum or the maximum of omega times normal force; the optimum may lie on the
+          // cones; lambda has no effect
 };
 
-// Contacts with the weights of Phi, and limits besides friction. Positions, normals, wrenches and the Jacobian share ONE frame of
-// the caller's choice.
+// Contacts with the weights of Phi, and limits besides friction. Positions, normals, wrenches and
+// the Jacobian share ONE frame of the caller's choice.
 struct Problem {
-    Contacts contacts;
-    ForceLimits limits{};  // jacobian: (N, 3, J), or (N, 6, J) with the angular velocities of the fingertips
+  Contacts contacts;
+  ForceLimits
+      limits{};  // jacobian: (N, 3, J), or (N, 6, J) with the angular velocities of the fingertips
 };
 
 struct Options {
-    Method method = Method::newton;
-    Criterion criterion = Criterion::sum;  // of omega times normal force, for Method::conic
-    Start start = Start::standard;
-    double tolerance = 0.0;  // relative certified gap, at most 1; 0: 1e-4, or 1e-6 for Method::conic
-    int limit = 20000;  // largest number of accepted steps
-    bool elastic = false;  // if no force satisfies the limits, return the one that exceeds them least instead of a proof
-    StepRule step_rule{};  // for the flows
-    std::shared_ptr<const Model> model{};  // for Start::learned; without a model the default start replaces it
-    bool remembers = true;  // Start::learned: take the previous solution where its Phi is below the prediction's
+  Method method = Method::newton;
+  Criterion criterion = Criterion::sum;  // of omega times normal force, for Method::conic
+  Start start = Start::standard;
+  double tolerance = 0.0;  // relative certified gap, at most 1; 0: 1e-4, or 1e-6 for Method::conic
+  int limit = 20000;       // largest number of accepted steps
+  bool elastic = false;  // if no force satisfies the limits, return the one that exceeds them least
+                         // instead of a proof
+  StepRule step_rule{};  // for the flows
+  std::shared_ptr<const Model>
+      model{};  // for Start::learned; without a model the default start replaces it
+  bool remembers =
+      true;  // Start::learned: take the previous solution where its Phi is below the prediction's
 
-    double gap() const { return tolerance > 0.0 ? tolerance : method == Method::conic ? 1e-6 : 1e-4; }
+  double gap() const { return tolerance > 0.0 ? tolerance : method == Method::conic ? 1e-6 : 1e-4; }
 };
 
-// Changes of the problem by a call or an update. Empty spans mean no change; `contacts` with all bits set means all contacts touch.
+// Changes of the problem by a call or an update. Empty spans mean no change; `contacts` with all
+// bits set means all contacts touch.
 struct Changes {
-    Doubles positions{}, normals{};  // (N, 3) [m], inward unit normals
-    Doubles friction{};  // one coefficient, N coefficients, or two for each contact
-    Doubles jacobian{};  // same shape as in the limits
-    Doubles torque_bias{};  // (J,) tau_0 [N m]: torques that the motors supply in addition to J^T f
-    std::uint64_t contacts = ~std::uint64_t(0);  // bit i: contact i touches; for solvers of up to 64 contacts
+  Doubles positions{}, normals{};  // (N, 3) [m], inward unit normals
+  Doubles friction{};              // one coefficient, N coefficients, or two for each contact
+  Doubles jacobian{};              // same shape as in the limits
+  Doubles torque_bias{};  // (J,) tau_0 [N m]: torques that the motors supply in addition to J^T f
+  std::uint64_t contacts =
+      ~std::uint64_t(0);  // bit i: contact i touches; for solvers of up to 64 contacts
 
-    bool empty() const {
-        return positions.empty() && normals.empty() && friction.empty() && jacobian.empty() && torque_bias.empty() &&
-               contacts == ~std::uint64_t(0);
-    }
+  bool empty() const {
+    return positions.empty() && normals.empty() && friction.empty() && jacobian.empty() &&
+           torque_bias.empty() && contacts == ~std::uint64_t(0);
+  }
 };
 
-// One call: the wrench to balance, the changes of the problem, and the start. Start::standard means the start of the options.
-// Start::previous uses `previous` if it is set, otherwise `force`, and the default start if neither is. `ForceOptimizer::solve`
-// sets an unset `previous` to its last solution.
+// One call: the wrench to balance, the changes of the problem, and the start. Start::standard means
+// the start of the options. Start::previous uses `previous` if it is set, otherwise `force`, and
+// the default start if neither is. `ForceOptimizer::solve` sets an unset `previous` to its last
+// solution.
 struct Request {
-    const double* wrench;
-    Changes now{};
-    Start start = Start::standard;
-    // For Start::given, guess and previous: (N, 3) [N], current contact frames; for Start::given also (N,) [N m], empty: zero.
-    Doubles force{}, torsion{};
-    const double* previous = nullptr;  // for Start::previous and learned: row of a solution with N contacts
-    // The optimal Phi, if known; the gap is measured against it instead of the bound.
-    double optimum = std::numeric_limits<double>::quiet_NaN();
-    std::span<double> trace{};  // receives Phi of the first iterates
-    // (N, 3) [N], frame of the positions: a force to add to the start. The sum of start and adjustment is first balanced against the
-    // wrench. The solve then starts from the point of least Phi on the segment from the start to that sum.
-    Doubles adjustment{};
+  const double* wrench;
+  Changes now{};
+  Start start = Start::standard;
+  // For Start::given, guess and previous: (N, 3) [N], current contact frames; for Start::given also
+  // (N,) [N m], empty: zero.
+  Doubles force{}, torsion{};
+  const double* previous =
+      nullptr;  // for Start::previous and learned: row of a solution with N contacts
+  // The optimal Phi, if known; the gap is measured against it instead of the bound.
+  double optimum = std::numeric_limits<double>::quiet_NaN();
+  std::span<double> trace{};  // receives Phi of the first iterates
+  // (N, 3) [N], frame of the positions: a force to add to the start. The sum of start and
+  // adjustment is first balanced against the wrench. The solve then starts from the point of least
+  // Phi on the segment from the start to that sum.
+  Doubles adjustment{};
 };
 
 }  // namespace grasp

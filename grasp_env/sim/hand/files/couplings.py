@@ -1,7 +1,8 @@
-"""Find the joints that each motor of a MuJoCo model moves, by simulating each motor without gravity and contacts.
+"""Find the joints that each motor of a MuJoCo model moves, by simulating each motor without gravity
+and contacts.
 
-Hands couple joints by equalities, tendons, springs and closed loops of links. The simulation includes all of them, so one method
-covers all.
+Hands couple joints by equalities, tendons, springs and closed loops of links. The simulation
+includes all of them, so one method covers all.
 """
 
 from __future__ import annotations
@@ -17,27 +18,36 @@ from grasp_env.inputs.arguments import Array
 from grasp_env.sim.mujoco_api import mujoco
 
 _STATIONS = 7  # positions of a motor at which the joints are measured
-_TRAVEL, _REST = 0.2, 0.8  # time from one position to the next, and waiting time before the joints are measured [s]
-_MAX_STEPS, _LONGEST_STEP = 4000, 0.005  # steps for one motor, and time step [s]; that of the file is adjusted to these
+# time from one position to the next, and waiting time before the joints are measured [s]
+_TRAVEL, _REST = 0.2, 0.8
+# steps for one motor, and time step [s]; that of the file is adjusted to these
+_MAX_STEPS, _LONGEST_STEP = 4000, 0.005
 _HELD = 1e6  # armature that freezes a joint against constraints [kg m^2]
-_ROTOR, _SLIDER = 1e-3, 1.0  # armature of hinges [kg m^2] and slides [kg], so that joints on one tendon move alike
+# armature of hinges [kg m^2] and slides [kg], so that joints on one tendon move alike
+_ROTOR, _SLIDER = 1e-3, 1.0
 _SETTLING = 0.05  # time in which a joint without springs comes to rest [s]
 _DIGITS = 4  # significant digits of a coupling, as many as the measurement has
 _STILL = 1e-6  # largest travel of a joint that counts as still [rad] or [m]
 _MOVED = 0.02  # smallest travel of a coupled joint, as a share of its range, or [rad] without one
-_NEARLY = 0.9  # share of the largest relative travel on a tendon; the first joint that moves as far is the driver
+# share of the largest relative travel on a tendon; the first joint that moves as far is the driver
+_NEARLY = 0.9
 STRAIGHT = 0.05  # largest `Motor.bend` of a coupling that a line fits well
-_FREE_TURN, _FREE_WAY = np.pi, 0.1  # travel in both directions of a hinge [rad] and a slide [m] without limits
+# travel in both directions of a hinge [rad] and a slide [m] without limits
+_FREE_TURN, _FREE_WAY = np.pi, 0.1
 
 
 @dataclass(frozen=True)
 class Motor:
-    """A motor, the joint that it moves farthest, and the others: angle = ratio * angle of `joint` + offset."""
+    """A motor, the joint that it moves farthest, and the others: angle = ratio * angle of `joint` +
+    offset.
+    """
 
     actuator: int  # -1 for a joint that counts as a motor because the file has no actuators
     joint: int
     followers: dict[int, tuple[float, float]]  # ratio and offset
-    arm: float  # torque of `joint` [N m] per force of the motor [N or N m], including the share of the followers
+    # torque of `joint` [N m] per force of the motor [N or N m], including the share of the
+    # followers
+    arm: float
     bend: float  # largest distance of a follower from its line, as a share of its travel
 
 
@@ -46,11 +56,15 @@ def find_motors(model: Any) -> list[Motor]:
 
     Free and ball joints are frozen. A joint belongs to the motor that moves it farthest.
     """
-    chosen, tied = _actuators(model), _tied(model)
+    chosen = _actuators(model)
+    tied = _tied(model)
     if not chosen and model.nu == 0:
-        followers = {int(model.eq_obj1id[row]) for row in range(model.neq) if _is_joint_pair(model, row)}
+        followers = {
+            int(model.eq_obj1id[row]) for row in range(model.neq) if _is_joint_pair(model, row)
+        }
         chosen = [(-1, joint) for joint in _movable(model) if joint not in followers]
-    bench, own = _Bench(model, [joint for _, joint in chosen if joint >= 0]), {joint for _, joint in chosen}
+    bench = _Bench(model, [joint for _, joint in chosen if joint >= 0])
+    own = {joint for _, joint in chosen}
     found = list[tuple[Motor, dict[int, float]]]()
     for actuator, joint in chosen:
         arm = abs(float(model.actuator_gear[actuator, 0])) if actuator >= 0 else 1.0
@@ -58,7 +72,8 @@ def find_motors(model: Any) -> list[Motor]:
             found.append((Motor(actuator, joint, {}, arm, 0.0), {}))
         elif (moved := bench.moved_by(actuator, joint, arm)) is not None:
             found.append(moved)
-    motors, taken = list[Motor](), set[int]()
+    motors = list[Motor]()
+    taken = set[int]()
     for index, (motor, spans) in enumerate(found):
         if motor.joint in taken:
             continue
@@ -66,7 +81,8 @@ def find_motors(model: Any) -> list[Motor]:
         followers = {
             joint: line
             for joint, line in motor.followers.items()
-            if joint not in taken | own and all(far.get(joint, 0.0) <= spans[joint] for far in others)
+            if joint not in taken | own
+            and all(far.get(joint, 0.0) <= spans[joint] for far in others)
         }
         taken |= {motor.joint, *followers}
         motors.append(replace(motor, followers=followers))
@@ -96,7 +112,8 @@ def _tied(model: Any) -> set[int]:
             for end in ends:
                 body = int(model.site_bodyid[end]) if on_site else end
                 while body > 0:
-                    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+                    first = int(model.body_jntadr[body])
+                    count = int(model.body_jntnum[body])
                     joints |= set(range(first, first + count)) if count else set()
                     body = int(model.body_parentid[body])
     return joints
@@ -106,9 +123,12 @@ def _actuators(model: Any) -> list[tuple[int, int]]:
     """Return pairs of actuator and hinge or slide, then pairs of actuator and -1 for tendons."""
     kind = mujoco.mjtTrn
     on_joint = (int(kind.mjTRN_JOINT), int(kind.mjTRN_JOINTINPARENT))
-    movable, joints, tendons = set(_movable(model)), list[tuple[int, int]](), list[tuple[int, int]]()
+    movable = set(_movable(model))
+    joints = list[tuple[int, int]]()
+    tendons = list[tuple[int, int]]()
     for actuator in range(model.nu):
-        target, how = int(model.actuator_trnid[actuator, 0]), int(model.actuator_trntype[actuator])
+        target = int(model.actuator_trnid[actuator, 0])
+        how = int(model.actuator_trntype[actuator])
         if how in on_joint and target in movable:
             joints.append((actuator, target))
         elif how == int(kind.mjTRN_TENDON):
@@ -117,7 +137,9 @@ def _actuators(model: Any) -> list[tuple[int, int]]:
 
 
 class _Bench:
-    """A test bench that moves the motors of a model one at a time, without gravity and contacts; joints of others are `held`."""
+    """A test bench that moves the motors of a model one at a time, without gravity and contacts;
+    joints of others are `held`.
+    """
 
     def __init__(self, model: Any, held: list[int]) -> None:
         self.model, self.held = model, held
@@ -128,16 +150,25 @@ class _Bench:
         free = np.where(hinge, _FREE_TURN, _FREE_WAY)
         self.low = np.where(limited, model.jnt_range[self.movable, 0], -free)
         self.high = np.where(limited, model.jnt_range[self.movable, 1], free)
-        rows = [row for row in range(model.neq) if _is_joint_pair(model, row) and int(model.eq_obj2id[row]) >= 0]
-        self.paired = {int(end) for row in rows for end in (model.eq_obj1id[row], model.eq_obj2id[row])}
+        rows = [
+            row
+            for row in range(model.neq)
+            if _is_joint_pair(model, row) and int(model.eq_obj2id[row]) >= 0
+        ]
+        self.paired = {
+            int(end) for row in rows for end in (model.eq_obj1id[row], model.eq_obj2id[row])
+        }
         self.lines = {
             (int(model.eq_obj1id[row]), int(model.eq_obj2id[row])): model.eq_data[row, :2].tolist()
             for row in rows
             if not model.eq_data[row, 2:5].any()
         }
 
-    def moved_by(self, actuator: int, joint: int, arm: float) -> tuple[Motor, dict[int, float]] | None:
-        """Return a motor with all joints that it moves, and the travel of each over its range; None: none moves, or the simulation fails.
+    def moved_by(
+        self, actuator: int, joint: int, arm: float
+    ) -> tuple[Motor, dict[int, float]] | None:
+        """Return a motor with all joints that it moves, and the travel of each over its range;
+        None: none moves, or the simulation fails.
 
         The actuator is -1 for none, the joint -1 for a tendon.
         """
@@ -146,12 +177,18 @@ class _Bench:
             return None
         angles, lengths = path
         spans = np.ptp(angles, axis=0) / (self.high - self.low)
-        column = self.movable.index(joint) if joint >= 0 else int((spans >= _NEARLY * spans.max()).argmax())
+        column = (
+            self.movable.index(joint)
+            if joint >= 0
+            else int((spans >= _NEARLY * spans.max()).argmax())
+        )
         driver = angles[:, column]
         if np.ptp(driver) < _STILL:
             return None
         first = self.movable[column]
-        followers, far, bend = dict[int, tuple[float, float]](), {first: float(spans[column])}, 0.0
+        followers = dict[int, tuple[float, float]]()
+        far = {first: float(spans[column])}
+        bend = 0.0
         for other, name in enumerate(self.movable):
             travel = float(np.ptp(angles[:, other]))
             moves = travel > _STILL if name in self.paired else spans[other] >= _MOVED
@@ -160,7 +197,10 @@ class _Bench:
             ratio, offset = np.polyfit(driver, angles[:, other], 1)
             away = float(np.abs(ratio * driver + offset - angles[:, other]).max())
             # rounded to the precision of the measurement
-            line = float(f"{ratio:.{_DIGITS}g}"), round(float(offset), max(0, 3 - math.floor(math.log10(travel))))
+            line = (
+                float(f"{ratio:.{_DIGITS}g}"),
+                round(float(offset), max(0, 3 - math.floor(math.log10(travel)))),
+            )
             followers[name], far[name] = self._equality(name, first) or line, float(spans[other])
             bend = max(bend, away / travel)
         if joint < 0:
@@ -168,8 +208,12 @@ class _Bench:
         return Motor(actuator, first, followers, arm, bend), far
 
     def _equality(self, joint: int, driver: int) -> tuple[float, float] | None:
-        """Return ratio and offset of a joint that a linear equality couples to a driver; None without such an equality."""
-        rest, driven = (float(self.model.qpos0[self.model.jnt_qposadr[each]]) for each in (joint, driver))
+        """Return ratio and offset of a joint that a linear equality couples to a driver; None
+        without such an equality.
+        """
+        rest, driven = (
+            float(self.model.qpos0[self.model.jnt_qposadr[each]]) for each in (joint, driver)
+        )
         if (joint, driver) in self.lines:
             offset, ratio = self.lines[joint, driver]
             return ratio, rest + offset - ratio * driven
@@ -177,20 +221,32 @@ class _Bench:
         return (1.0 / ratio, rest - (driven + offset) / ratio) if ratio != 0.0 else None
 
     def _path(self, actuator: int, joint: int) -> tuple[Array, Array] | None:
-        """Return angles of the movable joints (K, J) and lengths of the actuator (K,) at the motor's stations."""
+        """Return angles of the movable joints (K, J) and lengths of the actuator (K,) at the
+        motor's stations.
+        """
         model = copy(self.model)
         model.opt.gravity[:] = 0.0
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        model.opt.timestep = max(float(model.opt.timestep), _STATIONS * (_TRAVEL + _REST) / _MAX_STEPS)
+        model.opt.timestep = max(
+            float(model.opt.timestep), _STATIONS * (_TRAVEL + _REST) / _MAX_STEPS
+        )
         model.opt.timestep = min(float(model.opt.timestep), _LONGEST_STEP)
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         model.dof_frictionloss[:] = model.tendon_frictionloss[:] = model.tendon_damping[:] = 0.0
         hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
         for other in self.movable:
-            dof, heavier = int(model.jnt_dofadr[other]), _ROTOR if int(model.jnt_type[other]) == hinge else _SLIDER
+            dof = int(model.jnt_dofadr[other])
+            heavier = _ROTOR if int(model.jnt_type[other]) == hinge else _SLIDER
             model.dof_armature[dof], model.dof_damping[dof] = heavier, heavier / _SETTLING
         still = [*self.held, joint] if joint >= 0 else self.held
-        still = [*still, *(other for other in range(model.njnt) if other not in self.movable and self._free(other))]
+        still = [
+            *still,
+            *(
+                other
+                for other in range(model.njnt)
+                if other not in self.movable and self._free(other)
+            ),
+        ]
         for other in still:
             first = int(model.jnt_dofadr[other])
             model.dof_armature[first : first + (6 if self._free(other) else 1)] = _HELD
@@ -201,19 +257,26 @@ class _Bench:
         travel, rest = (round(seconds / model.opt.timestep) for seconds in (_TRAVEL, _REST))
         if joint >= 0:
             column = self.movable.index(joint)
-            ends, address = (self.low[column], self.high[column]), int(model.jnt_qposadr[joint])
+            ends = (self.low[column], self.high[column])
+            address = int(model.jnt_qposadr[joint])
             dof = int(model.jnt_dofadr[joint])
         else:
-            ends = tuple(model.actuator_ctrlrange[actuator]) if model.actuator_ctrllimited[actuator] else (-1.0, 1.0)
+            ends = (
+                tuple(model.actuator_ctrlrange[actuator])
+                if model.actuator_ctrllimited[actuator]
+                else (-1.0, 1.0)
+            )
             address = dof = -1
         model.jnt_limited[still] = False
-        if joint >= 0:  # limits of coupled joints narrow the motor's range, but do not change the line
+        # limits of coupled joints narrow the motor's range, but do not change the line
+        if joint >= 0:
             model.jnt_limited[list(self.paired)] = False
         stations = np.linspace(ends[0], ends[1], _STATIONS)
         for _ in range(travel + rest):  # the initial posture may violate constraints
             mujoco.mj_step(model, data)
         before = float(data.qpos[address] if joint >= 0 else data.ctrl[actuator])
-        angles, lengths = np.empty((_STATIONS, len(self.movable))), np.empty(_STATIONS)
+        angles = np.empty((_STATIONS, len(self.movable)))
+        lengths = np.empty(_STATIONS)
         for row, target in enumerate(stations):
             for step in range(travel + rest):
                 part = min(1.0, (step + 1) / travel)
@@ -238,6 +301,7 @@ class _Bench:
 
 def _idle(model: Any, data: Any) -> Array:
     """Return controls at which the actuators make no force: position servos keep their position."""
-    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
+    gain = model.actuator_gainprm[:, 0]
+    bias = model.actuator_biasprm
     force = bias[:, 0] + bias[:, 1] * data.actuator_length
     return np.where(gain != 0.0, -force / np.where(gain != 0.0, gain, 1.0), 0.0)

@@ -20,7 +20,9 @@ NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of a link without one in
 
 @dataclass(frozen=True)
 class FileLink:
-    """A link of a file: mass 0 if the file has none; `color` is that of its first visual; `HandFile.with_shapes` adds the shapes."""
+    """A link of a file: mass 0 if the file has none; `color` is that of its first visual;
+    `HandFile.with_shapes` adds the shapes.
+    """
 
     name: str
     mass: float = 0.0
@@ -33,7 +35,9 @@ class FileLink:
 
 @dataclass(frozen=True)
 class FileJoint:
-    """A joint of a file: `origin` and `rotation` place the child at angle 0; `effort` is None and `rotor` [kg m^2] 0 without one."""
+    """A joint of a file: `origin` and `rotation` place the child at angle 0; `effort` is None and
+    `rotor` [kg m^2] 0 without one.
+    """
 
     name: str
     parent: str

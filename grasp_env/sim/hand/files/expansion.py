@@ -1,7 +1,9 @@
-"""Expand a xacro file in a process of its own: xacro, with our evaluator of expressions and a guard of the files that it opens.
+"""Expand a xacro file in a process of its own: xacro, with our evaluator of expressions and a guard
+of the files that it opens.
 
-Two barriers stand one behind the other. `_guard` replaces the functions of xacro that evaluate, open, list and find. `_Watch` stops any
-other action that leaves the interpreter, such as opening a file, importing a module or starting a program.
+Two barriers stand one behind the other. `_guard` replaces the functions of xacro that evaluate,
+open, list and find. `_Watch` stops any other action that leaves the interpreter, such as opening a
+file, importing a module or starting a program.
 """
 
 from __future__ import annotations
@@ -31,24 +33,76 @@ from grasp_env.sim.hand.files.meshes import PARENTS
 from grasp_env.sim.xml_files import read_xml
 
 _PYTHON = (
-    "list", "dict", "map", "len", "str", "float", "int", "bool", "True", "False", "min", "max", "round", "abs", "all", "any", "complex",
-    "divmod", "enumerate", "filter", "frozenset", "hash", "isinstance", "issubclass", "ord", "range", "repr", "reversed", "slice", "set",
-    "sorted", "sum", "tuple", "zip",
-)  # fmt: skip
-"""Python's names that expressions may use. xacro also offers `vars` and `type`, which give access to everything else."""
-_XACRO = ("load_yaml", "abs_filename", "dotify", "arg", "message", "warning", "error", "print_location", "fatal", "tokenize")  # fmt: skip
-_HARMLESS = ("builtins.id", "compile")  # events of the interpreter that xacro needs; `compile` only parses
+    "list",
+    "dict",
+    "map",
+    "len",
+    "str",
+    "float",
+    "int",
+    "bool",
+    "True",
+    "False",
+    "min",
+    "max",
+    "round",
+    "abs",
+    "all",
+    "any",
+    "complex",
+    "divmod",
+    "enumerate",
+    "filter",
+    "frozenset",
+    "hash",
+    "isinstance",
+    "issubclass",
+    "ord",
+    "range",
+    "repr",
+    "reversed",
+    "slice",
+    "set",
+    "sorted",
+    "sum",
+    "tuple",
+    "zip",
+)
+"""Python's names that expressions may use.
+
+xacro also offers `vars` and `type`, which give access to everything else.
+"""
+_XACRO = (
+    "load_yaml",
+    "abs_filename",
+    "dotify",
+    "arg",
+    "message",
+    "warning",
+    "error",
+    "print_location",
+    "fatal",
+    "tokenize",
+)
+_HARMLESS = (
+    "builtins.id",
+    "compile",
+)  # events of the interpreter that xacro needs; `compile` only parses
 _WILD = re.compile(r"[*\[?]")
 
 
 def expand(request: Any) -> dict[str, Any]:
-    """Return the "text" of an expanded file, its bytes as uint8, or the "error". `apart` runs this function.
+    """Return the "text" of an expanded file, its bytes as uint8, or the "error".
 
-    The request is JSON: "file", an absolute path; "arguments", texts by name; "shares", folders in which ROS keeps packages.
+    `apart` runs this function.
+
+    The request is JSON: "file", an absolute path; "arguments", texts by name; "shares", folders in
+    which ROS keeps packages.
     """
     os.environ.clear()  # $(optenv) reads it
     asked = json.loads(str(request))
-    arguments, files = _Arguments(asked["arguments"]), _Files(Path(asked["file"]), asked["shares"])
+    arguments = _Arguments(asked["arguments"])
+    files = _Files(Path(asked["file"]), asked["shares"])
     try:
         text = _expanded(asked["file"], arguments, files)
         arguments.check()
@@ -63,7 +117,9 @@ def _expanded(file: str, arguments: _Arguments, files: _Files) -> bytes:
 
     _guard(xacro, substitution_args, arguments, files)
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of expressions; they would read the file of the expression
+        warnings.simplefilter(
+            "ignore"
+        )  # of expressions; they would read the file of the expression
         with files.watch.set(True):
             document: Any = xacro.process_file(file, mappings=arguments)
         text = document.toxml().encode()
@@ -73,17 +129,21 @@ def _expanded(file: str, arguments: _Arguments, files: _Files) -> bytes:
 
 
 def _guard(xacro: Any, substitution_args: Any, arguments: _Arguments, files: _Files) -> None:
-    """Replace the functions of xacro that evaluate, open, list and find, and remove what its expressions should not call."""
+    """Replace the functions of xacro that evaluate, open, list and find, and remove what its
+    expressions should not call.
+    """
     symbols = getattr(xacro, "_global_symbols", {})
     needed = (
-        (dir(xacro), ("safe_eval", "parse", "glob", "load_yaml")), (dir(substitution_args), ("_eval", "_eval_env", "_eval_find")),
+        (dir(xacro), ("safe_eval", "parse", "glob", "load_yaml")),
+        (dir(substitution_args), ("_eval", "_eval_env", "_eval_find")),
         (symbols, ("math", "python", "xacro")),
-    )  # fmt: skip
+    )
     if lacking := [name for there, names in needed for name in names if name not in there]:
         raise RefusedError(
             f"{xacro.__file__} is a version without {lacking[0]}, which is not guarded: pip install xacro==2.1.1"
         )
-    python, namespace = symbols["python"], symbols["xacro"]
+    python = symbols["python"]
+    namespace = symbols["xacro"]
     everything = {*_PYTHON, *_XACRO, *vars(math), "math", "python", "xacro"}
     for table, allowed in ((symbols, everything), (python, _PYTHON), (namespace, _XACRO)):
         for name in [name for name in table if name not in allowed]:
@@ -94,11 +154,18 @@ def _guard(xacro: Any, substitution_args: Any, arguments: _Arguments, files: _Fi
 
     def extension(text: str, context: Any) -> str:
         """Return the value of $(eval ...), which has variables and functions of its own."""
-        values = {name: substitution_args.convert_value(value, "auto") for name, value in arguments.items()}
+        values = {
+            name: substitution_args.convert_value(value, "auto")
+            for name, value in arguments.items()
+        }
         own = {
-            "arg": lambda name: substitution_args.convert_value(arguments[name], "auto"), "find": files.find,
-            "env": variable, "optenv": substitution_args._eval_optenv, "true": True, "false": False,
-        }  # fmt: skip
+            "arg": lambda name: substitution_args.convert_value(arguments[name], "auto"),
+            "find": files.find,
+            "env": variable,
+            "optenv": substitution_args._eval_optenv,
+            "true": True,
+            "false": False,
+        }
         return str(evaluate(text, {**python, **symbols["math"], **values, **own}))
 
     def variable(name: str) -> str:
@@ -111,14 +178,18 @@ def _guard(xacro: Any, substitution_args: Any, arguments: _Arguments, files: _Fi
             xacro.filestack.pop()
             raise xacro.XacroException(f"{error.strerror}: {name}", exc=error) from error
         for element in document.getElementsByTagName("xacro:arg"):
-            if not element.hasAttribute("default"):  # xacro would refuse it even if the argument is given
+            if not element.hasAttribute(
+                "default"
+            ):  # xacro would refuse it even if the argument is given
                 arguments.asked[element.getAttribute("name")] = None
                 element.parentNode.removeChild(element)
         return document
 
     xacro.safe_eval, xacro.parse = evaluated, parse
     xacro.open, xacro.glob = files.open, SimpleNamespace(glob=files.glob)
-    substitution_args._eval, substitution_args._eval_env, substitution_args._eval_find = extension, variable, files.find
+    substitution_args._eval = extension
+    substitution_args._eval_env = variable
+    substitution_args._eval_find = files.find
 
 
 class _Watch:
@@ -143,7 +214,9 @@ class _Watch:
 
 
 class _Files:
-    """The files that a xacro file may read: those beside it, and those of the packages that $(find) finds."""
+    """The files that a xacro file may read: those beside it, and those of the packages that $(find)
+    finds.
+    """
 
     def __init__(self, file: Path, shares: Sequence[str]) -> None:
         self.watch = _Watch()
@@ -164,7 +237,10 @@ class _Files:
         if name not in self._packages and re.fullmatch(r"\w[\w.-]*", name):
             with self.watch.set(False):
                 for share in map(Path, self._shares):
-                    for manifest in (share / name / "package.xml", *share.glob(f"*/{name}/package.xml")):
+                    for manifest in (
+                        share / name / "package.xml",
+                        *share.glob(f"*/{name}/package.xml"),
+                    ):
                         if _is_manifest(manifest):
                             self._add(name, manifest)
         if name not in self._packages:
@@ -188,14 +264,18 @@ class _Files:
         """Return an XML file, or raise OSError."""
         with self.watch.set(False):
             blob = self._read(name)
-            understood(blob, read_xml, InvalidInputError, f"the file {name}", "XML")  # without a DOCTYPE
+            understood(
+                blob, read_xml, InvalidInputError, f"the file {name}", "XML"
+            )  # without a DOCTYPE
             return minidom.parseString(blob)
 
     def open(self, name: str) -> io.StringIO:
         """Return a text file, or raise OSError."""
         with self.watch.set(False):
             blob = self._read(name)
-            return io.StringIO(understood(blob, _as_utf8, InvalidInputError, f"the file {name}", "text in UTF-8"))
+            return io.StringIO(
+                understood(blob, _as_utf8, InvalidInputError, f"the file {name}", "text in UTF-8")
+            )
 
     def glob(self, pattern: str) -> list[str]:
         """Return the names of the files that fit a pattern."""
@@ -221,13 +301,19 @@ def _manifests(file: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _is_manifest(path: Path) -> bool:
-    """Return True if a file exists and is, or is a link to, a package.xml; a link to another file would open that."""
+    """Return True if a file exists and is, or is a link to, a package.xml; a link to another file
+    would open that.
+    """
     return path.is_file() and _real(path).name == "package.xml"
 
 
 def _is_inside(path: Path, root: Path) -> bool:
-    """Return True if a path is in a folder and not hidden; in the folder of everything, / itself, its own files are."""
-    if not path.is_relative_to(root) or any(part.startswith(".") for part in path.relative_to(root).parts):
+    """Return True if a path is in a folder and not hidden; in the folder of everything, / itself,
+    its own files are.
+    """
+    if not path.is_relative_to(root) or any(
+        part.startswith(".") for part in path.relative_to(root).parts
+    ):
         return False
     return root != root.parent or path.parent == root
 
@@ -255,14 +341,18 @@ class _Arguments(dict[str, str]):
 
     def __missing__(self, name: str) -> str:
         given = f"; given are {', '.join(self._given)}" if self._given else ""
-        raise RefusedError(f'its argument {name!r} has no default: pass xacro_args={{"{name}": ...}}{given}')
+        raise RefusedError(
+            f'its argument {name!r} has no default: pass xacro_args={{"{name}": ...}}{given}'
+        )
 
     def check(self) -> None:
         """Raise RefusedError if the file does not ask for a given argument."""
         for name in self._given:
             if name not in self.asked:
                 others = ", ".join(self.asked) or "none"
-                raise RefusedError(f"it has no argument {name!r}:{alike(name, self.asked)} its arguments are {others}")
+                raise RefusedError(
+                    f"it has no argument {name!r}:{alike(name, self.asked)} its arguments are {others}"
+                )
 
 
 def _told(error: BaseException) -> str:

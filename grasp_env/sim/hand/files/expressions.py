@@ -1,8 +1,10 @@
-"""Evaluate the expressions of xacro files: numbers, texts, lists, dicts, and the functions that xacro offers.
+"""Evaluate the expressions of xacro files: numbers, texts, lists, dicts, and the functions that
+xacro offers.
 
-Python's own `eval` does not run. `ast` parses the expression, and each node that is allowed has an entry below. There is none for
-lambdas, assignments and f-strings. Attributes exist for plain data and for dicts with dotted names only, so that nothing leads from a
-value to a class, a frame or a function's globals. Names of such attributes are refused before anything is evaluated.
+Python's own `eval` does not run. `ast` parses the expression, and each node that is allowed has an
+entry below. There is none for lambdas, assignments and f-strings. Attributes exist for plain data
+and for dicts with dotted names only, so that nothing leads from a value to a class, a frame or a
+function's globals. Names of such attributes are refused before anything is evaluated.
 """
 
 from __future__ import annotations
@@ -15,22 +17,43 @@ from typing import Any
 
 _PLAIN = (str, int, float, complex, list, tuple, dict, set, frozenset, range)
 _HIDDEN = ("format", "format_map")  # their text may name attributes
-_MEMBERS = {kind: {name for name in dir(kind) if name[0] != "_"}.difference(_HIDDEN) for kind in _PLAIN}
+_MEMBERS = {
+    kind: {name for name in dir(kind) if name[0] != "_"}.difference(_HIDDEN) for kind in _PLAIN
+}
 _INNER = re.compile(r"__|gi_|cr_|ag_|tb_|f_(back|builtins|code|globals|lasti|lineno|locals|trace)")
 """Names of attributes that lead into the interpreter."""
 _MOST_BITS = 100_000  # of a power or a shift of whole numbers, which can take forever
 
 _UNARY: dict[type[ast.AST], Callable[[Any], Any]] = {
-    ast.UAdd: operator.pos, ast.USub: operator.neg, ast.Not: operator.not_, ast.Invert: operator.invert,
-}  # fmt: skip
+    ast.UAdd: operator.pos,
+    ast.USub: operator.neg,
+    ast.Not: operator.not_,
+    ast.Invert: operator.invert,
+}
 _BINARY: dict[type[ast.AST], Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv,
-    ast.Mod: operator.mod, ast.Pow: operator.pow, ast.LShift: operator.lshift, ast.RShift: operator.rshift,
-    ast.BitAnd: operator.and_, ast.BitOr: operator.or_, ast.BitXor: operator.xor,
-    ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge,
-    ast.Is: operator.is_, ast.IsNot: operator.is_not,
-    ast.In: lambda item, all_items: item in all_items, ast.NotIn: lambda item, all_items: item not in all_items,
-}  # fmt: skip
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
+    ast.Pow: operator.pow,
+    ast.LShift: operator.lshift,
+    ast.RShift: operator.rshift,
+    ast.BitAnd: operator.and_,
+    ast.BitOr: operator.or_,
+    ast.BitXor: operator.xor,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Is: operator.is_,
+    ast.IsNot: operator.is_not,
+    ast.In: lambda item, all_items: item in all_items,
+    ast.NotIn: lambda item, all_items: item not in all_items,
+}
 
 
 class RefusedError(Exception):
@@ -49,13 +72,16 @@ def evaluate(text: str, symbols: Mapping[str, Any]) -> Any:
         ['LEFT', 'RIGHT']
         >>> evaluate("(i for i in [1]).gi_frame", {})
         Traceback (most recent call last):
-        RefusedError: the expression '(i for i in [1]).gi_frame' reads the attribute 'gi_frame', which is not allowed
+        RefusedError: the expression '(i for i in [1]).gi_frame' reads the attribute 'gi_frame',
+            which is not allowed
     """
     return _Evaluation(text.strip(), symbols).run()
 
 
 class _Evaluation:
-    """The evaluation of one expression: a method for each kind of node that is more than an operator."""
+    """The evaluation of one expression: a method for each kind of node that is more than an
+    operator.
+    """
 
     def __init__(self, text: str, symbols: Mapping[str, Any]) -> None:
         self._text = text
@@ -98,7 +124,8 @@ class _Evaluation:
             raise NameError(f"name {node.id!r} is not defined") from None
 
     def _attribute(self, node: ast.Attribute) -> Any:
-        value, name = self._value(node.value), node.attr
+        value = self._value(node.value)
+        name = node.attr
         for kind, members in _MEMBERS.items():
             if isinstance(value, kind) and name in members:
                 return getattr(value, name)
@@ -121,7 +148,8 @@ class _Evaluation:
         calculate = _BINARY.get(type(node.op))
         if calculate is None:
             raise self._refused(f"has the operator {type(node.op).__name__}")
-        left, right = self._value(node.left), self._value(node.right)
+        left = self._value(node.left)
+        right = self._value(node.right)
         if isinstance(left, int) and isinstance(right, int):
             bits = {ast.Pow: left.bit_length() * right, ast.LShift: left.bit_length() + right}
             if bits.get(type(node.op), 0) > _MOST_BITS:
@@ -137,7 +165,8 @@ class _Evaluation:
         return value
 
     def _compare(self, node: ast.Compare) -> Any:
-        value, left = True, self._value(node.left)
+        value = True
+        left = self._value(node.left)
         for compared, part in zip(node.ops, node.comparators, strict=True):
             right = self._value(part)
             value = _BINARY[type(compared)](left, right)
@@ -147,7 +176,12 @@ class _Evaluation:
         return value
 
     def _slice(self, node: ast.Slice) -> slice:
-        return slice(*(None if part is None else self._value(part) for part in (node.lower, node.upper, node.step)))
+        return slice(
+            *(
+                None if part is None else self._value(part)
+                for part in (node.lower, node.upper, node.step)
+            )
+        )
 
     def _dict(self, node: ast.Dict) -> dict[Any, Any]:
         made = dict[Any, Any]()
@@ -157,11 +191,16 @@ class _Evaluation:
         return made
 
     def _listed(self, node: ast.ListComp | ast.SetComp | ast.GeneratorExp) -> list[Any]:
-        """Return all values of a comprehension. A generator is a list, too: nothing here is endless."""
+        """Return all values of a comprehension.
+
+        A generator is a list, too: nothing here is endless.
+        """
         return self._looped(node.generators, lambda: self._value(node.elt))
 
     def _dict_listed(self, node: ast.DictComp) -> dict[Any, Any]:
-        return dict(self._looped(node.generators, lambda: (self._value(node.key), self._value(node.value))))
+        return dict(
+            self._looped(node.generators, lambda: (self._value(node.key), self._value(node.value)))
+        )
 
     def _looped(self, loops: list[ast.comprehension], value: Callable[[], Any]) -> list[Any]:
         self._loops.append({})

@@ -1,4 +1,5 @@
-"""Assemble a hand from the links and joints of a file: links behind a fixed joint are merged into their parent.
+"""Assemble a hand from the links and joints of a file: links behind a fixed joint are merged into
+their parent.
 
 All repairs of impossible or missing values are listed in one warning, all faults in one error.
 """
@@ -39,7 +40,9 @@ _NEAR = 1e-3  # [m] from a joint, below which points give no direction
 
 
 class ReadHand(NamedTuple):
-    """The parts of a hand in a file, and a sentence for each thing that was assumed, left out or changed."""
+    """The parts of a hand in a file, and a sentence for each thing that was assumed, left out or
+    changed.
+    """
 
     name: str
     palm: Palm
@@ -49,14 +52,18 @@ class ReadHand(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """The place of a file's link: the moving link to which it belongs, None for the palm, and its frame in that link."""
+    """The place of a file's link: the moving link to which it belongs, None for the palm, and its
+    frame in that link.
+    """
 
     carrier: str | None
     frame: Frame
 
 
 def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
-    """Read the parts of a hand from a file, see `HandDescription.from_file`; links stand in the order of the joints, after their parents."""
+    """Read the parts of a hand from a file, see `HandDescription.from_file`; links stand in the
+    order of the joints, after their parents.
+    """
     with AllFaults() as check:
         check(options.checked_palm)
         check(options.tips)
@@ -66,7 +73,9 @@ def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
         return _Importer(_opened(path, options), options).hand
     except InvalidInputError as error:
         message = str(error)
-        raise InvalidInputError(message if message.startswith("cannot read") else f"{path}: {message}") from None
+        raise InvalidInputError(
+            message if message.startswith("cannot read") else f"{path}: {message}"
+        ) from None
 
 
 def _opened(path: str | os.PathLike[str], options: HandOptions) -> HandFile:
@@ -105,29 +114,47 @@ class _Importer:
         self.repairs = [*file.notes, *part.notes, *held, *wide, *uncoupled]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
-            sentences = ["no joint moves; a hand needs joints of type revolute, continuous or prismatic", *held]
+            sentences = [
+                "no joint moves; a hand needs joints of type revolute, continuous or prismatic",
+                *held,
+            ]
             raise InvalidInputError("; ".join(sentences))
-        self.links = file.with_shapes(self.links)  # may take seconds, but meshes are cached by content
+        # may take seconds, but meshes are cached by content
+        self.links = file.with_shapes(self.links)
         self.places = self._placed()
         for why in dict.fromkeys(file.undrawn.values()):
             left = [name for name, reason in file.undrawn.items() if reason == why]
             self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
         groups = [self._group(joint.child) for joint in self.moving]
         self._corners = hulls_of_files(
-            shape.file for group in groups for _, shape in self._outlines(group) if shape.kind == "mesh"
+            shape.file
+            for group in groups
+            for _, shape in self._outlines(group)
+            if shape.kind == "mesh"
         )
         bodies = [self._body(joint) for joint in self.moving]
-        drivers = {joint.name: joint.mimic.joint for joint in self.moving if joint.mimic is not None}
+        drivers = {
+            joint.name: joint.mimic.joint for joint in self.moving if joint.mimic is not None
+        }
         with AllFaults() as check:
             torques = check(options.torques, [joint.name for joint in self.moving], drivers)
             inertials = check(options.bodies, [joint.child for joint in self.moving])
             fitted = check(lambda: self._tips(given_tips, options.radius()))
-        palm = Palm(self.root, *self._shapes(self.root, None), self.links[self.root].color or (0.17, 0.19, 0.23))
+        palm = Palm(
+            self.root,
+            *self._shapes(self.root, None),
+            self.links[self.root].color or (0.17, 0.19, 0.23),
+        )
         links = self._judged(bodies, torques, inertials)
         if given_tips is None and (rods := find_rods(links, [tip for tip, _ in fitted])):
-            self.repairs.append(f"rods that only move a finger are not fingertips: {names_of(sorted(rods))}")
+            self.repairs.append(
+                f"rods that only move a finger are not fingertips: {names_of(sorted(rods))}"
+            )
             fitted = [pair for pair in fitted if pair[0].name not in rods]
-        links = [self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name]) for link in links]
+        links = [
+            self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name])
+            for link in links
+        ]
         tips = tuple(tip for tip, _ in fitted)
         self.hand = ReadHand(file.name, palm, tuple(links), tips, self.repairs)
 
@@ -140,9 +167,14 @@ class _Importer:
             places[joint.child] = fixed if joint.fixed else _Place(joint.child, IDENTITY)
         return places
 
-    def _shapes(self, name: str, carrier: str | None) -> tuple[tuple[Geometry, ...], tuple[Geometry, ...]]:
-        """Return collision and visual shapes of a link with everything fixed to it; links without visuals show their collisions."""
-        collision, visual = list[Geometry](), list[Geometry]()
+    def _shapes(
+        self, name: str, carrier: str | None
+    ) -> tuple[tuple[Geometry, ...], tuple[Geometry, ...]]:
+        """Return collision and visual shapes of a link with everything fixed to it; links without
+        visuals show their collisions.
+        """
+        collision = list[Geometry]()
+        visual = list[Geometry]()
         for other, place in self.places.items():
             if place.carrier != carrier:
                 continue
@@ -162,26 +194,54 @@ class _Importer:
         return Body(joint, *self._inertial(joint.child), *shapes, points, carrier, *place)
 
     def _judged(
-        self, bodies: list[Body], torques: Mapping[str, float], inertials: Mapping[str, float | Inertial]
+        self,
+        bodies: list[Body],
+        torques: Mapping[str, float],
+        inertials: Mapping[str, float | Inertial],
     ) -> list[Link]:
         """Return the moving links with plausible numbers."""
         judge = Judge(bodies)
         links = list[Link]()
-        for body, own, limit in zip(bodies, judge.inertials(inertials), judge.torques(torques), strict=True):
+        for body, own, limit in zip(
+            bodies, judge.inertials(inertials), judge.torques(torques), strict=True
+        ):
             joint = body.joint
             turned = self.own_rotors and joint.rotor > 0.0 and not joint.sliding
             inertia = with_rotor(own.inertia, joint.rotor) if turned else own.inertia
             color = self.links[joint.child].color or (0.5, 0.5, 0.5)
-            links.append(Link(
-                joint.child, body.carrier or self.root, body.origin, body.rotation, joint.axis, joint.lower, joint.upper, limit, own.mass,
-                own.center, inertia, body.shapes, body.looks, color, joint.name, joint.sliding, joint.mimic,
-            ))  # fmt: skip
+            links.append(
+                Link(
+                    joint.child,
+                    body.carrier or self.root,
+                    body.origin,
+                    body.rotation,
+                    joint.axis,
+                    joint.lower,
+                    joint.upper,
+                    limit,
+                    own.mass,
+                    own.center,
+                    inertia,
+                    body.shapes,
+                    body.looks,
+                    color,
+                    joint.name,
+                    joint.sliding,
+                    joint.mimic,
+                )
+            )
         self.repairs += judge.notes
         return links
 
     def _inertial(self, name: str) -> tuple[float, Vector3, Inertia]:
-        """Return mass, centre and inertia of a moving link with everything fixed to it, in its frame; mass 0: the file has none."""
-        links = [(place.frame, self.links[other]) for other, place in self.places.items() if place.carrier == name]
+        """Return mass, centre and inertia of a moving link with everything fixed to it, in its
+        frame; mass 0: the file has none.
+        """
+        links = [
+            (place.frame, self.links[other])
+            for other, place in self.places.items()
+            if place.carrier == name
+        ]
         parts = [
             (frame @ link.inertial_frame, link.mass, inertia_matrix(link.inertia))
             for frame, link in links
@@ -194,18 +254,24 @@ class _Importer:
         total = np.zeros((3, 3))
         for frame, weight, inertia in parts:
             arm = frame.origin - center
-            total += frame.rotation @ inertia @ frame.rotation.T + weight * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+            total += frame.rotation @ inertia @ frame.rotation.T + weight * (
+                arm @ arm * np.eye(3) - np.outer(arm, arm)
+            )
         x, y, z = center.tolist()
         return mass, (x, y, z), inertia_numbers(0.5 * (total + total.T))
 
-    def _tips(self, given: dict[str, Ball | None] | None, radius: float | None) -> list[tuple[Fingertip, Array]]:
+    def _tips(
+        self, given: dict[str, Ball | None] | None, radius: float | None
+    ) -> list[tuple[Fingertip, Array]]:
         """Return the fingertips, each with the direction in which its link ends."""
         if given is None:
             parents = {self.places[joint.parent].carrier for joint in self.moving}
             ends = [joint.child for joint in self.moving if joint.child not in parents]
             bare = [end for end in ends if not self._points(self._group(end))]
             if bare and len(bare) < len(ends):
-                self.repairs.append(f"end links without a shape are not fingertips: {names_of(bare)}")
+                self.repairs.append(
+                    f"end links without a shape are not fingertips: {names_of(bare)}"
+                )
                 ends = [end for end in ends if end not in bare]
             given = dict.fromkeys(ends)
         with AllFaults() as check:
@@ -219,9 +285,17 @@ class _Importer:
         return group
 
     def _outlines(self, group: Sequence[str]) -> list[tuple[Frame, Geometry]]:
-        """Return the collision shapes of links, or else their visuals, each with the frame of its link in the carrier's."""
-        solids = [(self.places[name].frame, shape) for name in group for shape in self.links[name].collision]
-        looks = [(self.places[name].frame, shape) for name in group for shape in self.links[name].visual]
+        """Return the collision shapes of links, or else their visuals, each with the frame of its
+        link in the carrier's.
+        """
+        solids = [
+            (self.places[name].frame, shape)
+            for name in group
+            for shape in self.links[name].collision
+        ]
+        looks = [
+            (self.places[name].frame, shape) for name in group for shape in self.links[name].visual
+        ]
         return solids or looks
 
     def _points(self, group: Sequence[str]) -> list[Array]:
@@ -232,23 +306,31 @@ class _Importer:
                 place = frame @ Frame.of(shape.origin, shape.rotation)
                 if shape.file not in self._corners:
                     self._corners |= hulls_of_files([shape.file])
-                pieces.append(self._corners[shape.file] * shape.size @ place.rotation.T + place.origin)
+                pieces.append(
+                    self._corners[shape.file] * shape.size @ place.rotation.T + place.origin
+                )
             else:
                 pieces.append(outline(shape.carried(frame)))
         return pieces
 
     def _tip(self, name: str, given: Ball | None, radius: float | None) -> tuple[Fingertip, Array]:
-        """Return a fingertip: as given; the one sphere at the link's end; one of a given radius at its origin; or the inscribed one."""
+        """Return a fingertip: as given; the one sphere at the link's end; one of a given radius at
+        its origin; or the inscribed one.
+        """
         place = self.places[name]
         if place.carrier is None:
-            raise InvalidInputError(f"the fingertip {name!r} does not move, it is part of the palm; choose another")
+            raise InvalidInputError(
+                f"the fingertip {name!r} does not move, it is part of the palm; choose another"
+            )
         axis = np.array(next(joint.axis for joint in self.moving if joint.child == place.carrier))
         group = self._group(name)
         own = self._points(group)
         pieces = own or self._points(self._group(place.carrier))
         ball = None if given is None else Ball(_moved(place.frame, given.center), given.radius)
         # a link ends where its shapes are farthest, or at the given tip
-        ends = np.array([ball.center]) if ball else np.vstack(own) if own else place.frame.origin[None]
+        ends = (
+            np.array([ball.center]) if ball else np.vstack(own) if own else place.frame.origin[None]
+        )
         if np.linalg.norm(ends, axis=1).max() < _NEAR and pieces:
             ends = np.vstack(pieces)
         direction = end_direction(ends, axis, self._outward(place.carrier, ends))
@@ -265,7 +347,9 @@ class _Importer:
         return Fingertip(name, place.carrier, *ball), direction
 
     def _outward(self, link: str, points: Array) -> Array:
-        """Return the vector (3,) from the middle of the palm to points (K, 3) of a link [m], in its frame, with all joints at 0."""
+        """Return the vector (3,) from the middle of the palm to points (K, 3) of a link [m], in its
+        frame, with all joints at 0.
+        """
         own, above = IDENTITY, link
         while above is not None:
             joint = next(joint for joint in self.moving if joint.child == above)
@@ -275,8 +359,12 @@ class _Importer:
         middle = np.vstack(palm).mean(axis=0) if palm else np.zeros(3)
         return own.rotation.T @ (own.rotation @ points.mean(axis=0) + own.origin - middle)
 
-    def _sphere(self, name: str, group: list[str], pieces: list[Array], direction: Array) -> Ball | None:
-        """Return the only sphere among the collision shapes of a link, or of links fixed to it, if it is at the end of the link."""
+    def _sphere(
+        self, name: str, group: list[str], pieces: list[Array], direction: Array
+    ) -> Ball | None:
+        """Return the only sphere among the collision shapes of a link, or of links fixed to it, if
+        it is at the end of the link.
+        """
         spheres = [
             Ball(_moved(self.places[link].frame, shape.origin), shape.size[0])
             for link in group
@@ -288,7 +376,11 @@ class _Importer:
         if len(spheres) != 1:
             return None
         end = max(float((piece @ direction).max()) for piece in pieces)
-        return spheres[0] if end <= float(direction @ spheres[0].center) + 3.0 * spheres[0].radius else None
+        return (
+            spheres[0]
+            if end <= float(direction @ spheres[0].center) + 3.0 * spheres[0].radius
+            else None
+        )
 
     def _with_tips(self, link: Link, tips: list[tuple[Fingertip, Array]]) -> Link:
         """Return the link with a sphere for each fingertip, its other shapes cut back behind them."""
@@ -297,7 +389,9 @@ class _Importer:
             balls = [shape.origin for shape in link.collision if shape.kind == "sphere"]
             if all(math.dist(center, tip.center) >= 1e-12 for center in balls):
                 sphere = Geometry("sphere", (tip.radius,), tip.center)
-                link = replace(link, collision=(*link.collision, sphere), visual=(*link.visual, sphere))
+                link = replace(
+                    link, collision=(*link.collision, sphere), visual=(*link.visual, sphere)
+                )
         return link
 
 

@@ -1,6 +1,8 @@
-"""Joints of a hand's file: ranges that no finger has, ranges of joints that share a motor, and rods among their links.
+"""Joints of a hand's file: ranges that no finger has, ranges of joints that share a motor, and rods
+among their links.
 
-The bounds come from some 200 public files of hands and robots. Degrees become radians, and ranges too wide for a finger are listed.
+The bounds come from some 200 public files of hands and robots. Degrees become radians, and ranges
+too wide for a finger are listed.
 """
 
 from __future__ import annotations
@@ -20,12 +22,16 @@ from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tree import Fingertip, Link
 
-LARGEST_TURN = 3.3  # largest plausible range of a joint [rad]: a hinge between two links folds by half a turn
-HALF_TURN = 3.1  # smallest one-sided range [rad], as 0 to pi, that is a placeholder if three joints or more share it
+# largest plausible range of a joint [rad]: a hinge between two links folds by half a turn
+LARGEST_TURN = 3.3
+# smallest one-sided range [rad], as 0 to pi, that is a placeholder if three joints or more share it
+HALF_TURN = 3.1
 DEGREES = 4.0 * math.pi  # median range [rad] above which all ranges are taken as degrees
 LARGEST_STROKE = 0.5  # largest plausible range of a sliding joint [m]
-_LEAST_RANGE = 0.25  # smallest share of a motor's range that coupled joints may leave it, or their limits are ignored
-_POSTURES = (0.1, 0.3, 0.5, 0.7, 0.9)  # positions within the motors' ranges at which links are compared
+# smallest share of a motor's range that coupled joints may leave it, or their limits are ignored
+_LEAST_RANGE = 0.25
+# positions within the motors' ranges at which links are compared
+_POSTURES = (0.1, 0.3, 0.5, 0.7, 0.9)
 _PINNED = 0.002  # largest gap between two links joined by a pin [m], as shapes are coarse
 _SHORTER = 0.9  # largest reach of a rod over that of the finger that it moves
 
@@ -33,17 +39,28 @@ _SHORTER = 0.9  # largest reach of a rod over that of the finger that it moves
 def judge_ranges(
     joints: Sequence[FileJoint], given: Mapping[str, tuple[float, float]]
 ) -> tuple[list[FileJoint], list[str]]:
-    """Return the joints with ranges in radians, and sentences on implausible ranges; those in `given` are not judged."""
+    """Return the joints with ranges in radians, and sentences on implausible ranges; those in
+    `given` are not judged.
+    """
     judged = [joint for joint in joints if not joint.fixed and joint.name not in given]
-    spans = [joint.upper - joint.lower for joint in judged if not joint.sliding and math.isfinite(joint.lower)]
-    notes, true = list[str](), "; give the true ones as joint_limits="
+    spans = [
+        joint.upper - joint.lower
+        for joint in judged
+        if not joint.sliding and math.isfinite(joint.lower)
+    ]
+    notes = list[str]()
+    true = "; give the true ones as joint_limits="
     if spans and statistics.median(spans) > DEGREES:
         turned = {
-            joint.name: replace(joint, lower=math.radians(joint.lower), upper=math.radians(joint.upper))
+            joint.name: replace(
+                joint, lower=math.radians(joint.lower), upper=math.radians(joint.upper)
+            )
             for joint in judged
             if not joint.sliding
         }
-        joints, judged = ([turned.get(joint.name, joint) for joint in each] for each in (joints, judged))
+        joints, judged = (
+            [turned.get(joint.name, joint) for joint in each] for each in (joints, judged)
+        )
         shown = listed([_range(joint) for joint in turned.values()])
         notes.append(f"ranges of more than two turns are taken as degrees: {shown}{true}")
     driven = [joint for joint in judged if joint.mimic is None]
@@ -54,7 +71,9 @@ def judge_ranges(
 
 
 def _is_wide(joint: FileJoint, others: Sequence[FileJoint]) -> bool:
-    """Return True if a range is too wide for a hinge, or a one-sided half turn shared by several joints."""
+    """Return True if a range is too wide for a hinge, or a one-sided half turn shared by several
+    joints.
+    """
     span = joint.upper - joint.lower
     if joint.sliding:
         return span > LARGEST_STROKE
@@ -66,29 +85,42 @@ def _is_wide(joint: FileJoint, others: Sequence[FileJoint]) -> bool:
 def _range(joint: FileJoint) -> str:
     if not math.isfinite(joint.lower):
         return f"{joint.name!r} (unlimited)"
-    return f"{joint.name!r} ({joint.lower:.3g} to {joint.upper:.3g} {'m' if joint.sliding else 'rad'})"
+    return (
+        f"{joint.name!r} ({joint.lower:.3g} to {joint.upper:.3g} {'m' if joint.sliding else 'rad'})"
+    )
 
 
-def free_ranges(joints: Sequence[FileJoint], given: Collection[str]) -> tuple[list[FileJoint], list[str]]:
-    """Return the joints with ranges that fit their couplings, and a sentence on those that were changed.
+def free_ranges(
+    joints: Sequence[FileJoint], given: Collection[str]
+) -> tuple[list[FileJoint], list[str]]:
+    """Return the joints with ranges that fit their couplings, and a sentence on those that were
+    changed.
 
-    Other programs only use the limits of the joint with the motor, so wrong limits of coupled joints go unnoticed. If these would leave
-    the motor less than `_LEAST_RANGE` of its range, they are replaced by the image of the motor's range. The ranges of the joints
-    named in `given` are kept.
+    Other programs only use the limits of the joint with the motor, so wrong limits of coupled
+    joints go unnoticed. If these would leave the motor less than `_LEAST_RANGE` of its range, they
+    are replaced by the image of the motor's range. The ranges of the joints named in `given` are
+    kept.
     """
     left = {joint.name: (joint.lower, joint.upper) for joint in joints}
     for joint in joints:
         if joint.mimic is not None:
-            low, high = sorted((end - joint.mimic.offset) / joint.mimic.ratio for end in (joint.lower, joint.upper))
+            low, high = sorted(
+                (end - joint.mimic.offset) / joint.mimic.ratio for end in (joint.lower, joint.upper)
+            )
             before = left[joint.mimic.joint]
             left[joint.mimic.joint] = max(before[0], low), min(before[1], high)
     drivers = {joint.name: joint for joint in joints}
     changed = dict[str, FileJoint]()
     for joint in joints:
         if joint.mimic is not None and joint.name not in given:
-            driver, (low, high) = drivers[joint.mimic.joint], left[joint.mimic.joint]
-            if math.isfinite(driver.lower) and high - low < _LEAST_RANGE * (driver.upper - driver.lower):
-                lower, upper = sorted((joint.mimic.angle(driver.lower), joint.mimic.angle(driver.upper)))
+            driver = drivers[joint.mimic.joint]
+            (low, high) = left[joint.mimic.joint]
+            if math.isfinite(driver.lower) and high - low < _LEAST_RANGE * (
+                driver.upper - driver.lower
+            ):
+                lower, upper = sorted(
+                    (joint.mimic.angle(driver.lower), joint.mimic.angle(driver.upper))
+                )
                 changed[joint.name] = replace(joint, lower=lower, upper=upper)
     text = "the limits of coupled joints leave their motor hardly any range and are ignored"
     fitting = [changed.get(joint.name, joint) for joint in joints]
@@ -96,20 +128,31 @@ def free_ranges(joints: Sequence[FileJoint], given: Collection[str]) -> tuple[li
 
 
 def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
-    """Return names of the fingertips that are rods: they end at a pin in another finger that the same motors move.
+    """Return names of the fingertips that are rods: they end at a pin in another finger that the
+    same motors move.
 
     A rod touches that finger in every posture, and the finger reaches farther.
     """
     chains = [_chain(links, tip.link) for tip in tips]
-    motors = [frozenset(link.mimic.joint if link.mimic else link.joint for link in chain) for chain in chains]
-    alike = [(rod, finger) for rod, finger in permutations(range(len(tips)), 2) if motors[rod] == motors[finger]]
+    motors = [
+        frozenset(link.mimic.joint if link.mimic else link.joint for link in chain)
+        for chain in chains
+    ]
+    alike = [
+        (rod, finger)
+        for rod, finger in permutations(range(len(tips)), 2)
+        if motors[rod] == motors[finger]
+    ]
     if not alike:
         return set()
     postures = [_frames(links, part) for part in _POSTURES]
     reach = [
-        max(float(np.linalg.norm(frames[tip.link].rotation @ tip.center + frames[tip.link].origin)) for frames in postures)
+        max(
+            float(np.linalg.norm(frames[tip.link].rotation @ tip.center + frames[tip.link].origin))
+            for frames in postures
+        )
         for tip in tips
-    ]  # fmt: skip
+    ]
     rods = set[str]()
     for rod, finger in alike:
         others = [link for link in chains[finger] if link not in chains[rod]]
@@ -130,15 +173,22 @@ def _chain(links: Sequence[Link], name: str) -> list[Link]:
 
 
 def _frames(links: Sequence[Link], part: float) -> dict[str, Frame]:
-    """Return the frames of the links in the palm's, with all motors at the same share of their ranges."""
+    """Return the frames of the links in the palm's, with all motors at the same share of their
+    ranges.
+    """
     angles = {
-        link.joint: max(link.lower, -math.pi) + part * (min(link.upper, math.pi) - max(link.lower, -math.pi))
+        link.joint: max(link.lower, -math.pi)
+        + part * (min(link.upper, math.pi) - max(link.lower, -math.pi))
         for link in links
     }
     frames = dict[str, Frame]()
     for link in links:
-        angle = angles[link.joint] if link.mimic is None else link.mimic.angle(angles[link.mimic.joint])
-        place = Frame.of(link.origin, link.rotation) @ Frame.of_joint(np.array(link.axis), angle, link.sliding)
+        angle = (
+            angles[link.joint] if link.mimic is None else link.mimic.angle(angles[link.mimic.joint])
+        )
+        place = Frame.of(link.origin, link.rotation) @ Frame.of_joint(
+            np.array(link.axis), angle, link.sliding
+        )
         frames[link.name] = frames[link.parent] @ place if link.parent in frames else place
     return frames
 
@@ -146,7 +196,10 @@ def _frames(links: Sequence[Link], part: float) -> dict[str, Frame]:
 def _touch(one: Link, other: Link, frames: dict[str, Frame]) -> bool:
     """Return True if two links are within `_PINNED` of each other."""
     solids = [
-        [outline(shape) @ frames[link.name].rotation.T + frames[link.name].origin for shape in link.collision]
+        [
+            outline(shape) @ frames[link.name].rotation.T + frames[link.name].origin
+            for shape in link.collision
+        ]
         for link in (one, other)
     ]
     return any(_near(first, second) for first in solids[0] for second in solids[1])
@@ -155,13 +208,22 @@ def _touch(one: Link, other: Link, frames: dict[str, Frame]) -> bool:
 def _near(first: Array, second: Array) -> bool:
     """Return True if no slab of thickness `_PINNED` fits between the hulls of points (K, 3)."""
     middle = 0.5 * (first.mean(axis=0) + second.mean(axis=0))
-    # find a normal n with |n_i| <= 1, an offset d and the largest half width m: n @ a >= d + m, n @ b <= d - m
-    rows = np.vstack([
-        np.column_stack([middle - first, np.ones(len(first)), np.ones(len(first))]),
-        np.column_stack([second - middle, -np.ones(len(second)), np.ones(len(second))]),
-    ])  # fmt: skip
+    # find a normal n with |n_i| <= 1, an offset d and the largest half width m: n @ a >= d + m, n @
+    # b <= d - m
+    rows = np.vstack(
+        [
+            np.column_stack([middle - first, np.ones(len(first)), np.ones(len(first))]),
+            np.column_stack([second - middle, -np.ones(len(second)), np.ones(len(second))]),
+        ]
+    )
     bounds = [(-1.0, 1.0)] * 3 + [(None, None), (0.0, None)]
-    found = linprog((0.0, 0.0, 0.0, 0.0, -1.0), A_ub=rows, b_ub=np.zeros(len(rows)), bounds=bounds, method="highs")
+    found = linprog(
+        (0.0, 0.0, 0.0, 0.0, -1.0),
+        A_ub=rows,
+        b_ub=np.zeros(len(rows)),
+        bounds=bounds,
+        method="highs",
+    )
     if found.x is None:
         return True
     return float(2.0 * found.x[4]) < _PINNED * max(float(np.linalg.norm(found.x[:3])), 1e-12)

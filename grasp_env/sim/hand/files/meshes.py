@@ -1,4 +1,6 @@
-"""Find the mesh files of a hand, read them, keep what is made of them, and check that Bullet can draw them."""
+"""Find the mesh files of a hand, read them, keep what is made of them, and check that Bullet can
+draw them.
+"""
 
 from __future__ import annotations
 
@@ -32,14 +34,18 @@ MADE = "1"  # version of what is made; change it when that changes, so that olde
 
 
 def find_mesh(name: str, urdf: Path) -> Path | None:
-    """Find a mesh file under its name in a URDF: an absolute path, or relative to the URDF's folder or one above it; None if missing.
+    """Find a mesh file under its name in a URDF: an absolute path, or relative to the URDF's folder
+    or one above it; None if missing.
 
-    The package name in package:// and model:// may be missing in the path. Addresses such as http:// are refused.
+    The package name in package:// and model:// may be missing in the path. Addresses such as
+    http:// are refused.
     """
     kind, separator, rest = name.partition("://")
     path = Path(unquote(rest) if separator else name)
     if separator and kind not in ("package", "file", "model"):
-        raise InvalidInputError(f"mesh {shown(name)}: only file://, package:// and plain paths are read")
+        raise InvalidInputError(
+            f"mesh {shown(name)}: only file://, package:// and plain paths are read"
+        )
     parts = path.parts[1:] if path.is_absolute() else path.parts
     tails = [parts, parts[1:]] if kind in ("package", "model") and separator else [parts]
     folders = list(urdf.absolute().parents)[: PARENTS + 1]
@@ -56,7 +62,9 @@ def find_mesh(name: str, urdf: Path) -> Path | None:
 
 
 class Job(NamedTuple):
-    """Something to make of a mesh file's corners (V, 3), without duplicates, and faces (F, 3); `mark` tells apart what is made of a file."""
+    """Something to make of a mesh file's corners (V, 3), without duplicates, and faces (F, 3);
+    `mark` tells apart what is made of a file.
+    """
 
     path: Path
     mark: bytes
@@ -64,7 +72,9 @@ class Job(NamedTuple):
 
 
 def made_of_files(jobs: Sequence[Job], text: str) -> list[dict[str, Any] | InvalidInputError]:
-    """Return what the jobs make or raise, from the cache where it is known. One process reads all files of the others.
+    """Return what the jobs make or raise, from the cache where it is known.
+
+    One process reads all files of the others.
 
     `text` describes the work on the progress line.
     """
@@ -97,18 +107,24 @@ def _made(job: Job, name: str, mesh: tuple[Array, Any] | InvalidInputError) -> d
         raise mesh
     corners, faces = weld(*mesh, WELD * extent_of(mesh[0]))
     if len(faces) == 0:
-        raise InvalidInputError(f"{name} holds no triangles: all its faces are lines or points; {EXPORT}")
+        raise InvalidInputError(
+            f"{name} holds no triangles: all its faces are lines or points; {EXPORT}"
+        )
     return job.make(corners, faces)
 
 
 def read_looks(files: Iterable[str]) -> dict[str, tuple[Array, Any]]:
-    """Return corners (V, 3), in the file's units, without duplicates, and faces (F, 3) of the meshes that a hand shows, by file.
+    """Return corners (V, 3), in the file's units, without duplicates, and faces (F, 3) of the
+    meshes that a hand shows, by file.
 
     Raises:
         InvalidInputError: A file is not a mesh.
     """
     names = list(dict.fromkeys(files))
-    jobs = [Job(Path(name), b"look", lambda corners, faces: {"corners": corners, "faces": faces}) for name in names]
+    jobs = [
+        Job(Path(name), b"look", lambda corners, faces: {"corners": corners, "faces": faces})
+        for name in names
+    ]
     looks = dict[str, tuple[Array, Any]]()
     for name, made in zip(names, made_of_files(jobs, "meshes to look at"), strict=True):
         if isinstance(made, InvalidInputError):
@@ -118,7 +134,8 @@ def read_looks(files: Iterable[str]) -> dict[str, tuple[Array, Any]]:
 
 
 def unit_of(path: Path) -> float:
-    """Return the unit [m] of a .dae, as in <unit meter="0.001"/>; 1 without one and for other kinds of files.
+    """Return the unit [m] of a .dae, as in <unit meter="0.001"/>; 1 without one and for other kinds
+    of files.
 
     ROS applies the unit; trimesh and Bullet do not. None of them applies <up_axis>.
     """
@@ -133,11 +150,15 @@ def unit_of(path: Path) -> float:
     with suppress(ValueError):
         if 0.0 < (unit := float(text)) < math.inf:
             return unit
-    raise InvalidInputError(f'{path} has <unit meter="{text[:20]}">, which must be a number of metres above 0')
+    raise InvalidInputError(
+        f'{path} has <unit meter="{text[:20]}">, which must be a number of metres above 0'
+    )
 
 
 def why_not_drawn(path: Path, scale: Sequence[float]) -> str:
-    """Return the reason why Bullet cannot draw a mesh, "" if it can: it would crash if faces name missing corners."""
+    """Return the reason why Bullet cannot draw a mesh, "" if it can: it would crash if faces name
+    missing corners.
+    """
     if path.suffix.lower() not in DRAWN:
         return f"are not one of {', '.join(DRAWN)}"
     try:
@@ -163,9 +184,13 @@ def _why_broken(blob: bytes) -> Any:
 
 
 def _corners_exist(blob: bytes) -> bool:
-    """Return True if the faces of an .obj only name corners, textures and normals that stand before them."""
+    """Return True if the faces of an .obj only name corners, textures and normals that stand before
+    them.
+    """
     text = b"\n" + unix_lines(blob)  # to search for a newline is several times as fast as for `^`
-    faces, *others = (np.fromiter(_places(text, key), np.int64) for key in (b"f", b"v", b"vt", b"vn"))
+    faces, *others = (
+        np.fromiter(_places(text, key), np.int64) for key in (b"f", b"v", b"vt", b"vn")
+    )
     known = np.stack([np.searchsorted(other, faces) for other in others], axis=1)
     # blocks of faces behind the same number of corners; most files have one block
     cuts = (np.flatnonzero((np.diff(known, axis=0) != 0).any(axis=1)) + 1).tolist()
@@ -176,7 +201,8 @@ def _corners_exist(blob: bytes) -> bool:
         for word in set(b" ".join(rows[begin:end]).split()):
             numbers = word.split(b"/")
             if len(numbers) > 3 or any(
-                number and not 1 <= int(number) <= most for number, most in zip(numbers, known[begin], strict=False)
+                number and not 1 <= int(number) <= most
+                for number, most in zip(numbers, known[begin], strict=False)
             ):
                 return False
     return True

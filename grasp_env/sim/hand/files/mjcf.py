@@ -1,4 +1,6 @@
-"""Read a MuJoCo model file (MJCF) as links and joints like those of a URDF; MuJoCo's own compiler parses the file."""
+"""Read a MuJoCo model file (MJCF) as links and joints like those of a URDF; MuJoCo's own compiler
+parses the file.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +33,9 @@ _LIGHT_INERTIA = 1e-7  # inertia of that link about each axis [kg m^2]
 class MjcfReader:
     """A reader of one file; `urdf.UrdfReader` describes the attributes.
 
-    A body without joints is fixed to its parent. A body with several joints becomes several links. Joints without a motor are
-    frozen. Free bodies without a motor, such as objects of a scene, are left out. Sites and geometries that are named as fingertips
-    become fixed links.
+    A body without joints is fixed to its parent. A body with several joints becomes several links.
+    Joints without a motor are frozen. Free bodies without a motor, such as objects of a scene, are
+    left out. Sites and geometries that are named as fingertips become fixed links.
     """
 
     def __init__(self, path: str | os.PathLike[str], tips: Sequence[str] = ()) -> None:
@@ -56,45 +58,66 @@ class MjcfReader:
             self._mend_degrees()
         self.motors = find_motors(model)
         self._note_motors()
-        moving = {motor.joint for motor in self.motors} | {other for motor in self.motors for other in motor.followers}
+        moving = {motor.joint for motor in self.motors} | {
+            other for motor in self.motors for other in motor.followers
+        }
         self._bodies, self._root = self._tree(moving)
         self._names = {body: name_of(model, "body", body) for body in self._bodies}
-        self._joints = {body: [joint for joint in self._joints_of(body) if joint in moving] for body in self._bodies}
+        self._joints = {
+            body: [joint for joint in self._joints_of(body) if joint in moving]
+            for body in self._bodies
+        }
         self._tips = self._named_tips(tips)
         self._links, self._ends = self._read()
         self.names = [link.name for link in self._links]
         self.ends = [(joint.name, joint.parent, joint.child) for joint in self._ends]
-        self.mimics = {joint.name: joint.mimic.joint for joint in self._ends if joint.mimic is not None}
+        self.mimics = {
+            joint.name: joint.mimic.joint for joint in self._ends if joint.mimic is not None
+        }
         self.fixed = {joint.name for joint in self._ends if joint.fixed}
 
     def elements(self, wanted: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
         """See `urdf.UrdfReader`."""
         links = {link.name: link for link in self._links if link.name in wanted}
-        return links, [joint for joint in self._ends if not {joint.parent, joint.child} - set(wanted)]
+        return links, [
+            joint for joint in self._ends if not {joint.parent, joint.child} - set(wanted)
+        ]
 
     def with_shapes(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
         """See `urdf.UrdfReader`."""
         bodies = {name: body for body, name in self._names.items()}
         own = {geom for _, geom in self._tips.values() if geom is not None}
         shaped = dict[str, FileLink]()
-        for name, link in progress_bar(list(links.items()), f"{self.path.name}: convex pieces of meshes"):
+        for name, link in progress_bar(
+            list(links.items()), f"{self.path.name}: convex pieces of meshes"
+        ):
             shaped[name] = link
             if name in self._tips:
                 _, geom = self._tips[name]
                 if geom is None:
-                    solids = [Geometry("sphere", (max(float(self.model.site(name).size[0]), SMALLEST),))]
+                    solids = [
+                        Geometry("sphere", (max(float(self.model.site(name).size[0]), SMALLEST),))
+                    ]
                 else:
                     solids = self._shapes.solids(geom, IDENTITY)
                 shaped[name] = replace(link, collision=tuple(solids))
             elif name in bodies:
-                collision, visual, color = self._shapes.of_body(bodies[name], self._shifts[bodies[name]], own)
-                shaped[name] = replace(link, collision=tuple(collision), visual=tuple(visual), color=color)
+                collision, visual, color = self._shapes.of_body(
+                    bodies[name], self._shifts[bodies[name]], own
+                )
+                shaped[name] = replace(
+                    link, collision=tuple(collision), visual=tuple(visual), color=color
+                )
         return shaped
 
     def _mend_degrees(self) -> None:
-        """Take the angles of hinges as radians if MuJoCo read them as degrees and their ranges are implausibly small."""
+        """Take the angles of hinges as radians if MuJoCo read them as degrees and their ranges are
+        implausibly small.
+        """
         model = self.model
-        hinges = np.flatnonzero((model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)) & (model.jnt_limited != 0))
+        hinges = np.flatnonzero(
+            (model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)) & (model.jnt_limited != 0)
+        )
         spans = np.ptp(model.jnt_range[hinges], axis=1)
         if len(hinges) == 0 or np.median(spans) > _LEAST_SPAN:
             return
@@ -113,21 +136,34 @@ class MjcfReader:
                 "no actuator moves a hinge or slide joint; add <position joint=.../> for each motor of the hand"
             )
         acting = {motor.actuator for motor in self.motors}
-        idle = [name_of(model, "actuator", number) for number in range(model.nu) if number not in acting]
+        idle = [
+            name_of(model, "actuator", number) for number in range(model.nu) if number not in acting
+        ]
         if idle:
-            self.notes.append(f"actuators that move no joint of their own are left out: {names_of(idle)}")
+            self.notes.append(
+                f"actuators that move no joint of their own are left out: {names_of(idle)}"
+            )
         lines = list[str]()
         for motor in self.motors:
             driver = name_of(model, "joint", motor.joint)
-            bend = f" (misses by up to {motor.bend:.0%} of its travel)" if motor.bend > STRAIGHT else ""
+            bend = (
+                f" (misses by up to {motor.bend:.0%} of its travel)"
+                if motor.bend > STRAIGHT
+                else ""
+            )
             for other, (ratio, offset) in motor.followers.items():
                 shift = f" {offset:+g}" if offset else ""
-                lines.append(f"{name_of(model, 'joint', other)} = {ratio:g} * {driver}{shift}{bend}")
+                lines.append(
+                    f"{name_of(model, 'joint', other)} = {ratio:g} * {driver}{shift}{bend}"
+                )
         if lines:
-            self.notes.append(f"joints that share a motor are coupled as MuJoCo moves them: {', '.join(lines)}")
+            self.notes.append(
+                f"joints that share a motor are coupled as MuJoCo moves them: {', '.join(lines)}"
+            )
 
     def _joints_of(self, body: int) -> list[int]:
-        first, count = int(self.model.body_jntadr[body]), int(self.model.body_jntnum[body])
+        first = int(self.model.body_jntadr[body])
+        count = int(self.model.body_jntnum[body])
         return list(range(first, first + count))
 
     def _tree(self, moving: set[int]) -> tuple[list[int], int]:
@@ -145,8 +181,11 @@ class MjcfReader:
         tops = {above(body)[-2] for body in carriers}
         (root,) = tops if len(tops) == 1 and not carriers & tops else (0,)
         inside = [body for body in range(model.nbody) if root in above(body)]
-        ball, free = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_FREE)
-        still, left, bodies = list[str](), list[str](), list[int]()
+        ball = int(mujoco.mjtJoint.mjJNT_BALL)
+        free = int(mujoco.mjtJoint.mjJNT_FREE)
+        still = list[str]()
+        left = list[str]()
+        bodies = list[int]()
         for body in inside:
             if body != root and parent[body] not in bodies:
                 continue
@@ -164,19 +203,28 @@ class MjcfReader:
             still += [name_of(model, "joint", joint) for joint in passive]
             bodies.append(body)
         if left:
-            self.notes.append(f"bodies that move freely, and rods on ball joints, are left out: {names_of(left)}")
+            self.notes.append(
+                f"bodies that move freely, and rods on ball joints, are left out: {names_of(left)}"
+            )
         if still:
-            self.notes.append(f"joints without a motor hold still in the file's posture: {names_of(still)}")
+            self.notes.append(
+                f"joints without a motor hold still in the file's posture: {names_of(still)}"
+            )
         return bodies, root
 
     def _named_tips(self, tips: Sequence[str]) -> dict[str, tuple[int, int | None]]:
-        """Return, for each tip that is a site or geometry, its body and the geometry's number, None for a site."""
+        """Return, for each tip that is a site or geometry, its body and the geometry's number, None
+        for a site.
+        """
         found = dict[str, tuple[int, int | None]]()
         for name in tips:
             if name in self._names.values():
                 continue
             kinds = mujoco.mjtObj
-            site, geom = (mujoco.mj_name2id(self.model, kind, name) for kind in (kinds.mjOBJ_SITE, kinds.mjOBJ_GEOM))
+            site, geom = (
+                mujoco.mj_name2id(self.model, kind, name)
+                for kind in (kinds.mjOBJ_SITE, kinds.mjOBJ_GEOM)
+            )
             if site >= 0 and int(self.model.site_bodyid[site]) in self._bodies:
                 found[name] = int(self.model.site_bodyid[site]), None
             if geom >= 0 and int(self.model.geom_bodyid[geom]) in self._bodies:
@@ -185,47 +233,82 @@ class MjcfReader:
 
     def _read(self) -> tuple[list[FileLink], list[FileJoint]]:
         model = self.model
-        links, joints = list[FileLink](), list[FileJoint]()
+        links = list[FileLink]()
+        joints = list[FileJoint]()
         # pose of each body's frame in its link's frame, which lies on the axis of the joint
         shifts = {self._root: IDENTITY}
         ends = {self._root: self._names[self._root]}
-        followers = {other: (motor, line) for motor in self.motors for other, line in motor.followers.items()}
+        followers = {
+            other: (motor, line) for motor in self.motors for other, line in motor.followers.items()
+        }
         efforts = {motor.joint: self._effort(motor) for motor in self.motors}
         for body in self._bodies:
             if body == self._root:
                 links.append(self._link(body, IDENTITY))
                 continue
             above = int(model.body_parentid[body])
-            parent, place = ends[above], shifts[above] @ frame_of(model.body_pos[body], model.body_quat[body])
-            name, moved = self._names[body], self._joints[body]
+            parent = ends[above]
+            place = shifts[above] @ frame_of(model.body_pos[body], model.body_quat[body])
+            name = self._names[body]
+            moved = self._joints[body]
             for number, joint in enumerate(moved):
                 own = name_of(model, "joint", joint)
                 child = name if number == len(moved) - 1 else f"{name}/{own}"
-                axis, anchor = np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
+                axis = np.array(model.jnt_axis[joint])
+                anchor = np.array(model.jnt_pos[joint])
                 first = float(model.qpos0[model.jnt_qposadr[joint]])
                 sliding = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
                 zero = Frame(np.eye(3), anchor) @ Frame.of_joint(axis, -first, sliding)
                 x, y, z = (axis / np.linalg.norm(axis)).tolist()
-                lower, upper = model.jnt_range[joint].tolist() if model.jnt_limited[joint] else (-math.inf, math.inf)
-                mimic, rotor = None, float(model.dof_armature[model.jnt_dofadr[joint]])
+                lower, upper = (
+                    model.jnt_range[joint].tolist()
+                    if model.jnt_limited[joint]
+                    else (-math.inf, math.inf)
+                )
+                mimic = None
+                rotor = float(model.dof_armature[model.jnt_dofadr[joint]])
                 if joint in followers:
                     motor, (ratio, offset) = followers[joint]
                     mimic = Mimic(name_of(model, "joint", motor.joint), ratio, offset)
-                joints.append(FileJoint(
-                    own, parent, child, False, *(place @ zero).numbers(), (x, y, z), lower, upper, efforts.get(joint), sliding, mimic, rotor
-                ))  # fmt: skip
-                parent, place = child, Frame(np.eye(3), -anchor)
+                joints.append(
+                    FileJoint(
+                        own,
+                        parent,
+                        child,
+                        False,
+                        *(place @ zero).numbers(),
+                        (x, y, z),
+                        lower,
+                        upper,
+                        efforts.get(joint),
+                        sliding,
+                        mimic,
+                        rotor,
+                    )
+                )
+                parent = child
+                place = Frame(np.eye(3), -anchor)
                 if child != name:
-                    links.append(FileLink(child, _LIGHT, IDENTITY, inertia_numbers(_LIGHT_INERTIA * np.eye(3))))
+                    links.append(
+                        FileLink(
+                            child, _LIGHT, IDENTITY, inertia_numbers(_LIGHT_INERTIA * np.eye(3))
+                        )
+                    )
             if not moved:
                 joints.append(FileJoint(f"{name}/fixed", parent, name, True, *place.numbers()))
                 place = IDENTITY
             shifts[body], ends[body] = place, name
             links.append(self._link(body, place))
         for name, (body, geom) in self._tips.items():
-            site = IDENTITY if geom is not None else frame_of(model.site(name).pos, model.site(name).quat)
+            site = (
+                IDENTITY
+                if geom is not None
+                else frame_of(model.site(name).pos, model.site(name).quat)
+            )
             links.append(FileLink(name))
-            joints.append(FileJoint(f"{name}/fixed", ends[body], name, True, *(shifts[body] @ site).numbers()))
+            joints.append(
+                FileJoint(f"{name}/fixed", ends[body], name, True, *(shifts[body] @ site).numbers())
+            )
         self._shifts = shifts
         return links, joints
 
@@ -235,10 +318,17 @@ class MjcfReader:
         found = list[float]()
         if motor.actuator >= 0:
             if model.actuator_forcelimited[motor.actuator]:
-                found.append(float(np.abs(model.actuator_forcerange[motor.actuator]).max()) * motor.arm)
-            elif model.actuator_ctrllimited[motor.actuator] and not model.actuator_biasprm[motor.actuator].any():
+                found.append(
+                    float(np.abs(model.actuator_forcerange[motor.actuator]).max()) * motor.arm
+                )
+            elif (
+                model.actuator_ctrllimited[motor.actuator]
+                and not model.actuator_biasprm[motor.actuator].any()
+            ):
                 most = float(np.abs(model.actuator_ctrlrange[motor.actuator]).max())
-                found.append(abs(float(model.actuator_gainprm[motor.actuator, 0])) * most * motor.arm)
+                found.append(
+                    abs(float(model.actuator_gainprm[motor.actuator, 0])) * most * motor.arm
+                )
         if model.jnt_actfrclimited[motor.joint]:
             found.append(float(np.abs(model.jnt_actfrcrange[motor.joint]).max()))
         return min(found, default=None)

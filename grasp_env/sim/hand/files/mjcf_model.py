@@ -1,4 +1,6 @@
-"""Compile MuJoCo model files (MJCF) in a separate process, and read names, files and frames of a compiled model."""
+"""Compile MuJoCo model files (MJCF) in a separate process, and read names, files and frames of a
+compiled model.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +19,27 @@ from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.objects.apart import apart
 
-_SECONDS, _MAX_MEMORY = 30.0, 8 << 30  # longest time [s] and largest memory [bytes] to compile a file
+_SECONDS = 30.0
+_MAX_MEMORY = 8 << 30  # longest time [s] and largest memory [bytes] to compile a file
 _UNNAMED = "MuJoCo Model"  # name that MuJoCo gives to a model without one
-_COUNTS = {"body": "nbody", "joint": "njnt", "actuator": "nu"}  # fields with the number of elements of each kind
+_COUNTS = {
+    "body": "nbody",
+    "joint": "njnt",
+    "actuator": "nu",
+}  # fields with the number of elements of each kind
 
 
 def load_model(path: Path) -> tuple[Any, bool]:
     """Return the compiled model of a file, and True if its angles are degrees."""
     where = f"cannot read the MuJoCo model {path}"
-    task, text = f"{__name__}:compile_mjcf", f"compiling {path.name}"
+    task = f"{__name__}:compile_mjcf"
+    text = f"compiling {path.name}"
     try:
         made = apart(task, text, _SECONDS, memory=_MAX_MEMORY, path=np.array(str(path.absolute())))
     except (TimeoutError, ChildProcessError) as error:
-        raise InvalidInputError(f"{where}: MuJoCo's compiler failed: {str(error).splitlines()[-1]}") from None
+        raise InvalidInputError(
+            f"{where}: MuJoCo's compiler failed: {str(error).splitlines()[-1]}"
+        ) from None
     if "error" in made:
         raise InvalidInputError(f"{where}: {' '.join(str(made['error']).split())}")
     model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": made["model"].tobytes()})
@@ -37,7 +47,9 @@ def load_model(path: Path) -> tuple[Any, bool]:
 
 
 def compile_mjcf(path: Any) -> dict[str, Any]:
-    """Return the binary "model", uint8, of a file and "degrees", True if its angles are; or the "error". `apart` runs this function."""
+    """Return the binary "model", uint8, of a file and "degrees", True if its angles are; or the
+    "error". `apart` runs this function.
+    """
     file = Path(str(path))
     first, spec = "", None
     for folder in list(file.parents)[: PARENTS + 1]:
@@ -54,7 +66,9 @@ def compile_mjcf(path: Any) -> dict[str, Any]:
 
 
 def _stand_ins(spec: Any, folder: Path) -> str:
-    """Return a sentence about a mesh or texture of a specification that is something else, see `stand_in`; "" if none is, or without one."""
+    """Return a sentence about a mesh or texture of a specification that is something else, see
+    `stand_in`; "" if none is, or without one.
+    """
     if spec is None:
         return ""
     for within, parts in ((spec.meshdir, spec.meshes), (spec.texturedir, spec.textures)):
@@ -90,7 +104,8 @@ def name_of(model: Any, kind: str, number: int) -> str:
     element = getattr(model, kind)
     if name := element(number).name:
         return name
-    name, taken = f"{kind}{number}", {element(other).name for other in range(getattr(model, _COUNTS[kind]))}
+    name = f"{kind}{number}"
+    taken = {element(other).name for other in range(getattr(model, _COUNTS[kind]))}
     while name in taken:
         name += "_"
     return name

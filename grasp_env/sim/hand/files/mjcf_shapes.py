@@ -17,7 +17,9 @@ from grasp_env.sim.mujoco_api import mujoco
 
 
 class MjcfShapes:
-    """The geometries of a model from the file `path`; `undrawn` are meshes that cannot be drawn, with the reason."""
+    """The geometries of a model from the file `path`; `undrawn` are meshes that cannot be drawn,
+    with the reason.
+    """
 
     def __init__(self, model: Any, path: Path) -> None:
         self._model, self._path = model, path
@@ -26,12 +28,18 @@ class MjcfShapes:
     def of_body(
         self, body: int, shift: Frame, without: set[int]
     ) -> tuple[list[Geometry], list[Geometry], Vector3 | None]:
-        """Return collision shapes, but for geometries `without`, visual shapes and color of a body at `shift` in its link's frame."""
+        """Return collision shapes, but for geometries `without`, visual shapes and color of a body
+        at `shift` in its link's frame.
+        """
         model = self._model
         mine = [geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) == body]
-        touching = [geom for geom in mine if model.geom_contype[geom] or model.geom_conaffinity[geom]]
+        touching = [
+            geom for geom in mine if model.geom_contype[geom] or model.geom_conaffinity[geom]
+        ]
         drawn = [geom for geom in mine if geom not in touching] or touching
-        collision = [shape for geom in touching if geom not in without for shape in self.solids(geom, shift)]
+        collision = [
+            shape for geom in touching if geom not in without for shape in self.solids(geom, shift)
+        ]
         visual = [shape for geom in drawn for shape in self.looks(geom, shift)]
         return collision, visual, _color(model, drawn[0]) if drawn else None
 
@@ -39,8 +47,11 @@ class MjcfShapes:
         return shift @ frame_of(self._model.geom_pos[geom], self._model.geom_quat[geom])
 
     def solids(self, geom: int, shift: Frame) -> list[Geometry]:
-        """Return the collision shapes of a geometry: convex pieces for a mesh, none for a plane or height field."""
-        model, kind = self._model, int(self._model.geom_type[geom])
+        """Return the collision shapes of a geometry: convex pieces for a mesh, none for a plane or
+        height field.
+        """
+        model = self._model
+        kind = int(self._model.geom_type[geom])
         origin, rotation = self._place(geom, shift).numbers()
         color = _color(model, geom)
         kinds = mujoco.mjtGeom
@@ -63,13 +74,19 @@ class MjcfShapes:
 
     def _pieces(self, mesh: int) -> list[Array]:
         model = self._model
-        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-        begin, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        first = int(model.mesh_vertadr[mesh])
+        count = int(model.mesh_vertnum[mesh])
+        begin = int(model.mesh_faceadr[mesh])
+        faces = int(model.mesh_facenum[mesh])
         name = f"{self._path.name}: {model.mesh(mesh).name or mesh}"
-        return kept_pieces(model.mesh_vert[first : first + count], model.mesh_face[begin : begin + faces], name)
+        return kept_pieces(
+            model.mesh_vert[first : first + count], model.mesh_face[begin : begin + faces], name
+        )
 
     def looks(self, geom: int, shift: Frame) -> list[Geometry]:
-        """Return the visual shapes of a geometry: for a mesh its file if it can be drawn, else its convex pieces."""
+        """Return the visual shapes of a geometry: for a mesh its file if it can be drawn, else its
+        convex pieces.
+        """
         model = self._model
         if int(model.geom_type[geom]) != int(mujoco.mjtGeom.mjGEOM_MESH):
             return self.solids(geom, shift)
@@ -84,7 +101,9 @@ class MjcfShapes:
         # MuJoCo moved the mesh to its centre and principal axes
         back = frame_of(model.mesh_pos[mesh], model.mesh_quat[mesh]).inverse()
         origin, rotation = (self._place(geom, shift) @ back).numbers()
-        return [Geometry("mesh", tuple(scale), origin, rotation, _color(model, geom), file=str(file))]
+        return [
+            Geometry("mesh", tuple(scale), origin, rotation, _color(model, geom), file=str(file))
+        ]
 
 
 def _color(model: Any, geom: int) -> Vector3:

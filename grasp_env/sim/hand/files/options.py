@@ -1,4 +1,6 @@
-"""Check the values that a caller gives for a hand in a file: palm, fingertips, torques, ranges and masses. Each overrides the file."""
+"""Check the values that a caller gives for a hand in a file: palm, fingertips, torques, ranges and
+masses. Each overrides the file.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ T = TypeVar("T")
 
 
 class Inertial(NamedTuple):
-    """Mass [kg], centre of mass [m], link frame, and inertia about it [kg m^2] of a link with everything fixed to it."""
+    """Mass [kg], centre of mass [m], link frame, and inertia about it [kg m^2] of a link with
+    everything fixed to it.
+    """
 
     mass: float
     center: Vector3
@@ -49,16 +53,25 @@ class HandOptions:
         return None if self.tip_radius is None else positive(self.tip_radius, "tip_radius [m]")
 
     def expansion(self) -> tuple[bool | None, dict[str, str]]:
-        """Return whether the file is expanded by xacro, None: by its name, and the arguments' texts by name."""
+        """Return whether the file is expanded by xacro, None: by its name, and the arguments' texts
+        by name.
+        """
         given = {} if self.xacro_args is None else self.xacro_args
         if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
-            raise InvalidInputError(f"xacro_args={shown(given)} must be a dict from names of arguments to their values")
+            raise InvalidInputError(
+                f"xacro_args={shown(given)} must be a dict from names of arguments to their values"
+            )
         with AllFaults() as check:
-            texts = {str(name): check(_argument, value, f"xacro_args of {name!r}") for name, value in given.items()}
+            texts = {
+                str(name): check(_argument, value, f"xacro_args of {name!r}")
+                for name, value in given.items()
+            }
             return None if self.xacro is None else check(flag, self.xacro, "xacro"), texts
 
     def tips(self) -> dict[str, Ball | None] | None:
-        """Return the fingertips by the names of their links, each with its sphere or None; None: not given."""
+        """Return the fingertips by the names of their links, each with its sphere or None; None:
+        not given.
+        """
         if (given := self.fingertips) is None:
             return None
         names = list(given) if isinstance(given, dict | list | tuple) else []
@@ -78,20 +91,33 @@ class HandOptions:
         return tips
 
     def torques(self, joints: Sequence[str], drivers: Mapping[str, str]) -> dict[str, float]:
-        """Return the given torque limits [N m] by moving joint; coupled joints, whose `drivers` are given by joint, have none."""
+        """Return the given torque limits [N m] by moving joint; coupled joints, whose `drivers` are
+        given by joint, have none.
+        """
         given = self.torque_limit
         if given is None or isinstance(given, dict):
             if idle := [name for name in dict(given or {}) if name in drivers]:
                 raise InvalidInputError(
                     f"torque_limit: {names_of(idle)} have no motor of their own; give that of {names_of([drivers[name] for name in idle])}"
                 )
-            return _by_name(given, joints, "torque_limit", "joint", lambda value, of: positive(value, f"{of} [N m]"))
+            return _by_name(
+                given,
+                joints,
+                "torque_limit",
+                "joint",
+                lambda value, of: positive(value, f"{of} [N m]"),
+            )
         if not isinstance(given, list | tuple | np.ndarray):
             return dict.fromkeys(joints, positive(given, "torque_limit [N m]"))
-        each = numbers(given, len(joints), f"torque_limit [N m], one per joint ({names_of(joints)})")
+        each = numbers(
+            given, len(joints), f"torque_limit [N m], one per joint ({names_of(joints)})"
+        )
         pairs = zip(joints, each, strict=True)
         with AllFaults() as check:
-            return {name: check(positive, value, f"torque_limit [N m] of {name!r}") for name, value in pairs}
+            return {
+                name: check(positive, value, f"torque_limit [N m] of {name!r}")
+                for name, value in pairs
+            }
 
     def ranges(self, joints: Sequence[str]) -> dict[str, tuple[float, float]]:
         """Return the given ranges by joint [rad], of sliding joints [m]."""
@@ -110,15 +136,21 @@ class HandOptions:
             if not isinstance(value, list | tuple):
                 return positive(value, f"{of}: mass [kg]")
             if len(value) != 3:
-                raise InvalidInputError(f"{of}={shown(value)} must be a mass [kg], or (mass, center, inertia)")
+                raise InvalidInputError(
+                    f"{of}={shown(value)} must be a mass [kg], or (mass, center, inertia)"
+                )
             x, y, z = numbers(value[1], 3, f"{of}: center [m]")
-            return Inertial(positive(value[0], f"{of}: mass [kg]"), (x, y, z), inertia_of(value[2], of))
+            return Inertial(
+                positive(value[0], f"{of}: mass [kg]"), (x, y, z), inertia_of(value[2], of)
+            )
 
         return _by_name(self.inertials, links, "inertials", "moving link", body)
 
 
 def _argument(value: Any, what: str) -> str:
-    """Return the text of a xacro argument; numbers, True and False are written as Python writes them."""
+    """Return the text of a xacro argument; numbers, True and False are written as Python writes
+    them.
+    """
     if isinstance(value, str):
         return value
     if isinstance(value, bool | np.bool_):
@@ -131,14 +163,23 @@ def _argument(value: Any, what: str) -> str:
     return str(found)
 
 
-def _by_name(given: Any, names: Sequence[str], what: str, kind: str, check: Callable[[Any, str], T]) -> dict[str, T]:
+def _by_name(
+    given: Any, names: Sequence[str], what: str, kind: str, check: Callable[[Any, str], T]
+) -> dict[str, T]:
     """Return values by name, each checked by `check`, which gets the value and its description."""
     if given is None:
         return {}
     if not isinstance(given, dict):
-        raise InvalidInputError(f"{what}={shown(given)} must be a dict with names of {kind}s as keys")
+        raise InvalidInputError(
+            f"{what}={shown(given)} must be a dict with names of {kind}s as keys"
+        )
     unknown = [name for name in given if name not in names]
     if unknown:
-        raise InvalidInputError(f"{what}: no {kind} is called {names_of(unknown)}; {kind}s are {names_of(names)}")
+        raise InvalidInputError(
+            f"{what}: no {kind} is called {names_of(unknown)}; {kind}s are {names_of(names)}"
+        )
     with AllFaults() as faults:
-        return {str(name): faults(check, value, f"{what} of {str(name)!r}") for name, value in given.items()}
+        return {
+            str(name): faults(check, value, f"{what} of {str(name)!r}")
+            for name, value in given.items()
+        }

@@ -22,7 +22,8 @@ from grasp_env.sim.objects.cache import cached
 
 _FULL = 0.9  # share of its hull's volume from which on a mesh counts as convex
 _MAX_PIECES = 8
-_WORTH = 0.03  # share of the whole hull's volume that a cut must remove, or that joining two pieces may add
+# share of the whole hull's volume that a cut must remove, or that joining two pieces may add
+_WORTH = 0.03
 _CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # positions of cuts within a piece's extent
 _DEEPEST = 4  # cuts one after another
 _FINE = 5000  # number of faces above which a mesh is simplified before it is cut
@@ -35,7 +36,9 @@ _VISUAL_ERROR = 2e-4  # relative error of that hull
 
 @dataclass(frozen=True)
 class MeshUse:
-    """A mesh of a <collision> or <visual> that has not been read: its name in the hand's file, its path and its pose."""
+    """A mesh of a <collision> or <visual> that has not been read: its name in the hand's file, its
+    path and its pose.
+    """
 
     name: str
     path: Path
@@ -45,17 +48,25 @@ class MeshUse:
     color: Vector3 | None
 
 
-def solids_of(shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str) -> dict[str, list[Geometry]]:
-    """Return the collision shapes by link, with meshes replaced by convex pieces; `file` is named on the progress line."""
+def solids_of(
+    shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str
+) -> dict[str, list[Geometry]]:
+    """Return the collision shapes by link, with meshes replaced by convex pieces; `file` is named
+    on the progress line.
+    """
     first = dict[tuple[Path, Vector3], tuple[str, str]]()
     for link, parts in shapes.items():
         for part in parts:
             if isinstance(part, MeshUse):
                 first.setdefault((part.path, part.scale), (link, part.name))
-    jobs = [Job(path, np.array(scale).tobytes(), partial(_pieces_of, scale)) for path, scale in first]
+    jobs = [
+        Job(path, np.array(scale).tobytes(), partial(_pieces_of, scale)) for path, scale in first
+    ]
     pieces = dict[tuple[Path, Vector3], list[Array]]()
     with AllFaults() as check:
-        for use, made in zip(first, made_of_files(jobs, f"{file}: convex pieces of meshes"), strict=True):
+        for use, made in zip(
+            first, made_of_files(jobs, f"{file}: convex pieces of meshes"), strict=True
+        ):
             if isinstance(made, InvalidInputError):
                 link, name = first[use]
                 check.add(f"link {link!r}, <collision>, {shown(name)}: {made}")
@@ -65,9 +76,13 @@ def solids_of(shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str) -> 
     def solids(part: Geometry | MeshUse) -> list[Geometry]:
         if isinstance(part, Geometry):
             return [part]
-        return [hull_shape(piece, part.origin, part.rotation) for piece in pieces[part.path, part.scale]]
+        return [
+            hull_shape(piece, part.origin, part.rotation) for piece in pieces[part.path, part.scale]
+        ]
 
-    return {link: [solid for part in parts for solid in solids(part)] for link, parts in shapes.items()}
+    return {
+        link: [solid for part in parts for solid in solids(part)] for link, parts in shapes.items()
+    }
 
 
 def _pieces_of(scale: Vector3, corners: Array, faces: Any) -> dict[str, Any]:
@@ -76,7 +91,9 @@ def _pieces_of(scale: Vector3, corners: Array, faces: Any) -> dict[str, Any]:
 
 
 def hulls_of_files(files: Iterable[str]) -> dict[str, Array]:
-    """Return at most `_VISUAL_CORNERS` corners (K, 3) of the hull of each mesh file, in its units, or raise an InvalidInputError."""
+    """Return at most `_VISUAL_CORNERS` corners (K, 3) of the hull of each mesh file, in its units,
+    or raise an InvalidInputError.
+    """
     names = list(dict.fromkeys(files))
     hulls = dict[str, Array]()
     with AllFaults() as check:
@@ -91,16 +108,27 @@ def hulls_of_files(files: Iterable[str]) -> dict[str, Array]:
 
 def _hull_of(corners: Array, _: Any) -> dict[str, Any]:
     hull = hull_of(corners)
-    return {"corners": mesh_shape.reduce_hull(hull.points[hull.vertices], _VISUAL_CORNERS, _VISUAL_ERROR)}
+    return {
+        "corners": mesh_shape.reduce_hull(
+            hull.points[hull.vertices], _VISUAL_CORNERS, _VISUAL_ERROR
+        )
+    }
 
 
 def kept_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
-    """Return the `convex_pieces` of corners (V, 3) [m] and faces (F, 3), from the cache if possible, which lists them under `name`."""
-    corners, faces = np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int64)
+    """Return the `convex_pieces` of corners (V, 3) [m] and faces (F, 3), from the cache if
+    possible, which lists them under `name`.
+    """
+    corners = np.ascontiguousarray(corners, dtype=float)
+    faces = np.ascontiguousarray(faces, dtype=np.int64)
     key = digest(MADE.encode(), b"arrays", corners.tobytes(), faces.tobytes())
 
     def make() -> dict[str, Any]:
-        return _packed(convex_pieces(*mesh_shape.weld(corners, faces, mesh_shape.WELD * mesh_shape.extent_of(corners))))
+        return _packed(
+            convex_pieces(
+                *mesh_shape.weld(corners, faces, mesh_shape.WELD * mesh_shape.extent_of(corners))
+            )
+        )
 
     return _split(cached(key, name, make, use="hand"))
 
@@ -114,11 +142,13 @@ def _split(made: dict[str, Any]) -> list[Array]:
 
 
 def convex_pieces(corners: Array, faces: Any) -> list[Array]:
-    """Return convex pieces that together contain a mesh, each as at most `solids.MAX_CORNERS` corners (K, 3).
+    """Return convex pieces that together contain a mesh, each as at most `solids.MAX_CORNERS`
+    corners (K, 3).
 
-    A mesh that fills nine tenths of its hull, or is too fine to be cut, is one piece. Otherwise its parts are cut by planes that
-    reduce the volume of the hulls. Pieces whose common hull adds little are joined, until at most `_MAX_PIECES` are left. A size that is
-    implausible for a part of a hand is refused.
+    A mesh that fills nine tenths of its hull, or is too fine to be cut, is one piece. Otherwise its
+    parts are cut by planes that reduce the volume of the hulls. Pieces whose common hull adds
+    little are joined, until at most `_MAX_PIECES` are left. A size that is implausible for a part
+    of a hand is refused.
     """
     extent = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
     if not _SMALLEST <= extent <= _LARGEST:
@@ -132,23 +162,30 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
         return [few_corners(corners)]
     if len(faces) > _FINE:
         corners, faces = mesh_shape.weld(corners, faces, extent / _GRAINS)
-        corners, faces = (extent / _GRAINS) * np.round(corners * (_GRAINS / extent)), np.unique(faces, axis=0)
+        corners = (extent / _GRAINS) * np.round(corners * (_GRAINS / extent))
+        faces = np.unique(faces, axis=0)
         if len(faces) > 2 * _FINE:  # a soup of triangles: cutting would take minutes
             return [few_corners(corners)]
         parts = _parts(faces)
     leaves: list[Array] = []
     worth = _WORTH * hull.volume
     for part in parts:
-        around, filled = hull_of(corners[np.unique(part)]), abs(mesh_shape.volume(corners, part))
-        if around.volume - filled <= worth and not mesh_shape.open_edges(part):  # no cut can remove more
+        around = hull_of(corners[np.unique(part)])
+        filled = abs(mesh_shape.volume(corners, part))
+        # no cut can remove more
+        if around.volume - filled <= worth and not mesh_shape.open_edges(part):
             leaves.append(around.points)
         else:
-            leaves += _cut(corners, part, worth, 2 if filled < 0.85 * around.volume else 0, _DEEPEST)
+            leaves += _cut(
+                corners, part, worth, 2 if filled < 0.85 * around.volume else 0, _DEEPEST
+            )
     return [few_corners(points) for points in _joined(leaves, worth)]
 
 
 def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> list[Array]:
-    """Return points of the pieces of a surface; `blind` cuts need not reduce the volume, such as the first cut of a ring."""
+    """Return points of the pieces of a surface; `blind` cuts need not reduce the volume, such as
+    the first cut of a ring.
+    """
     from trimesh.intersections import slice_faces_plane
 
     points = corners[np.unique(faces)]
@@ -158,18 +195,26 @@ def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> 
     edges = mesh_shape.numbered(mesh_shape.sides_of(faces))[0]
     axes = principal_axes(points)
     heights = points @ axes.T
-    low, extent = heights.min(axis=0), np.ptp(heights, axis=0)
-    tried = [(axis, start + part * size) for axis, start, size in zip(axes, low, extent, strict=True) for part in _CUTS]
+    low = heights.min(axis=0)
+    extent = np.ptp(heights, axis=0)
+    tried = [
+        (axis, start + part * size)
+        for axis, start, size in zip(axes, low, extent, strict=True)
+        for part in _CUTS
+    ]
     few = [
-        sum(_hull_volume(half[mesh_shape.farthest(half)]) for half in _halves(corners, edges, *cut)) for cut in tried
+        sum(_hull_volume(half[mesh_shape.farthest(half)]) for half in _halves(corners, edges, *cut))
+        for cut in tried
     ]
     best, gain = None, worth
     for k in np.argsort(few, kind="stable"):
-        if whole.volume - few[k] <= gain:  # later cuts gain less, as the hull of all points is larger than that of few
+        # later cuts gain less, as the hull of all points is larger than that of few
+        if whole.volume - few[k] <= gain:
             break
         less = sum(_hull_volume(half) for half in _halves(corners, edges, *tried[k]))
         if whole.volume - less > gain:
-            best, gain = tried[k], whole.volume - less
+            best = tried[k]
+            gain = whole.volume - less
     if best is None:
         if blind == 0:
             return [points]
@@ -186,9 +231,12 @@ def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> 
 
 
 def _halves(corners: Array, edges: Any, axis: Array, at: float) -> list[Array]:
-    """Return the ends of edges (E, 2) on either side of a plane, with the points where edges cross it."""
+    """Return the ends of edges (E, 2) on either side of a plane, with the points where edges cross
+    it.
+    """
     heights = corners @ axis - at
-    a, b = heights[edges[:, 0]], heights[edges[:, 1]]
+    a = heights[edges[:, 0]]
+    b = heights[edges[:, 1]]
     crossing = a * b < 0.0
     part = (a[crossing] / (a[crossing] - b[crossing]))[:, None]
     cut = corners[edges[crossing, 0]] * (1.0 - part) + corners[edges[crossing, 1]] * part
@@ -202,24 +250,35 @@ def _hull_volume(points: Array) -> float:
 
 
 def _parts(faces: Any) -> list[Any]:
-    """Return the faces of each connected part, or all faces as one part if there are too many parts."""
+    """Return the faces of each connected part, or all faces as one part if there are too many
+    parts.
+    """
     parts = mesh_shape.connected_parts(faces)
     return [faces] if len(parts) > _CRUMBS else parts
 
 
 def _joined(pieces: list[Array], worth: float) -> list[Array]:
-    """Join pairs of pieces, smallest added volume first, while it is below `worth` or there are too many pieces."""
-    hulls = dict(enumerate(sorted(map(hull_of, pieces), key=lambda hull: hull.volume, reverse=True)))
+    """Join pairs of pieces, smallest added volume first, while it is below `worth` or there are too
+    many pieces.
+    """
+    hulls = dict(
+        enumerate(sorted(map(hull_of, pieces), key=lambda hull: hull.volume, reverse=True))
+    )
     together: dict[tuple[int, int], tuple[float, Any]] = {}  # added volume and common hull of pairs
     while len(hulls) > 1:
         for i, j in combinations(hulls, 2):
             if (i, j) not in together:
                 hull = hull_of(np.vstack([hulls[k].points[hulls[k].vertices] for k in (i, j)]))
-                together[i, j] = float(hull.volume) - float(hulls[i].volume) - float(hulls[j].volume), hull
+                together[i, j] = (
+                    float(hull.volume) - float(hulls[i].volume) - float(hulls[j].volume),
+                    hull,
+                )
         (i, j), (least, hull) = min(together.items(), key=lambda entry: entry[1][0])
         if least > worth and len(hulls) <= _MAX_PIECES:
             break
         hulls[max(hulls) + 1] = hull
         hulls = {k: hull for k, hull in hulls.items() if k not in (i, j)}
-        together = {pair: each for pair, each in together.items() if i not in pair and j not in pair}
+        together = {
+            pair: each for pair, each in together.items() if i not in pair and j not in pair
+        }
     return [hull.points[hull.vertices] for hull in hulls.values()]

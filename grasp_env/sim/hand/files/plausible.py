@@ -1,6 +1,9 @@
-"""Judge masses, inertias and efforts in a hand's file. Implausible values are replaced, and a sentence gives both values.
+"""Judge masses, inertias and efforts in a hand's file.
 
-The bounds come from some 200 public files of hands and robots: values that makers measured or took from CAD lie within them.
+Implausible values are replaced, and a sentence gives both values.
+
+The bounds come from some 200 public files of hands and robots: values that makers measured or took
+from CAD lie within them.
 """
 
 from __future__ import annotations
@@ -20,39 +23,62 @@ from grasp_env.sim.hand.inertia import Inertia, inertia_matrix, inertia_numbers,
 from grasp_env.sim.hand.solids import hull_of, outline
 from grasp_env.sim.hand.tree import Geometry
 
-# forces at a fingertip [N]; makers' files give 4 (Allegro), 6 (LEAP), 9 (Inspire), 20 (Shadow, Dex3) and 59 (a prosthesis)
+# forces at a fingertip [N]; makers' files give 4 (Allegro), 6 (LEAP), 9 (Inspire), 20 (Shadow,
+# Dex3) and 59 (a prosthesis)
 TIP_FORCE = 15.0  # assumed of an unknown motor, at the tip of a straight finger
 JAW_FORCE = 20.0  # assumed of a sliding joint
 LARGEST_TIP_FORCE = 100.0  # largest plausible one; a human index finger has 50
-LARGEST_ROUND_TIP_FORCE = 30.0  # the same if all finger joints have one effort of 10, 100, ... N m; makers' have 2 to 9
-LARGEST_JAW_FORCE = 1000.0  # effort from which on that of a sliding joint is implausible [N]; grippers have 20 to 235
-SHORTEST_FINGER = 0.03  # smallest distance assumed from a joint to its tip [m]; below it shapes are missing
+# the same if all finger joints have one effort of 10, 100, ... N m; makers' have 2 to 9
+LARGEST_ROUND_TIP_FORCE = 30.0
+# effort from which on that of a sliding joint is implausible [N]; grippers have 20 to 235
+LARGEST_JAW_FORCE = 1000.0
+# smallest distance assumed from a joint to its tip [m]; below it shapes are missing
+SHORTEST_FINGER = 0.03
 
-LARGEST_LINK = 1.0  # largest plausible size of a moving link [m]; larger sizes are probably millimetres
+# largest plausible size of a moving link [m]; larger sizes are probably millimetres
+LARGEST_LINK = 1.0
 LARGEST_DENSITY, LEAST_HEAVY = 50.0, 0.1
-"""Density of the box around a link [g/cm^3] and mass [kg] above which the mass is wrong. Shapes may be smaller than their link."""
+"""Density of the box around a link [g/cm^3] and mass [kg] above which the mass is wrong.
+
+Shapes may be smaller than their link.
+"""
 LARGEST_MEAN_DENSITY, LEAST_HEAVY_HAND = 12.0, 1.0
-"""Mean density [g/cm^3] and mass [kg] of all moving links above which all masses are wrong; the heaviest maker's file has 9 g/cm^3."""
+"""Mean density [g/cm^3] and mass [kg] of all moving links above which all masses are wrong; the
+heaviest maker's file has 9 g/cm^3."""
 LEAST_DENSITY = 0.02
-"""Density of a link's shapes [g/cm^3] below which its mass is wrong; foam has 0.03, the lightest link of a maker's file 0.15."""
+"""Density of a link's shapes [g/cm^3] below which its mass is wrong; foam has 0.03, the lightest
+link of a maker's file 0.15."""
 LARGEST_HAND = 10.0  # largest plausible mass of all moving links [kg]
 LARGEST_GYRATION, LEAST_MOMENT = 1.0, 2e-4
-"""Radius of gyration over the size of the link, and moment of inertia [kg m^2], above which the inertia is wrong. A body inside its
-shapes has at most 0.5; makers' files have 0.1 to 0.9. A smaller moment may include a rotor, see `HandDescription.with_rotors`."""
-LEAST_GYRATION = 0.02  # the same ratio below which the inertia is wrong; makers' files have 0.08 and more
+"""Radius of gyration over the size of the link, and moment of inertia [kg m^2], above which the
+inertia is wrong. A body inside its
+shapes has at most 0.5; makers' files have 0.1 to 0.9. A smaller moment may include a rotor, see
+`HandDescription.with_rotors`.
+"""
+# the same ratio below which the inertia is wrong; makers' files have 0.08 and more
+LEAST_GYRATION = 0.02
 ASSUMED_DENSITY, LEAST_MASS, LEAST_SIDE = 1000.0, 1e-3, 0.01
-"""Density of links without a plausible mass [kg/m^3], their smallest mass [kg], and the smallest side of the box for an inertia [m]."""
+"""Density of links without a plausible mass [kg/m^3], their smallest mass [kg], and the smallest
+side of the box for an inertia [m]."""
 
 _NO_MASS = "moving links without mass get that of their shapes at 1 g/cm^3"
-_WRONG_MASS = "masses that links of this size cannot have are replaced by those of their shapes at 1 g/cm^3"
-_CENTER_OUTSIDE = "centres of mass farther outside their link than its size are moved to the middle of its shapes"
-_WRONG_INERTIA = "inertias that links of this size cannot have are replaced by those of boxes around them"
+_WRONG_MASS = (
+    "masses that links of this size cannot have are replaced by those of their shapes at 1 g/cm^3"
+)
+_CENTER_OUTSIDE = (
+    "centres of mass farther outside their link than its size are moved to the middle of its shapes"
+)
+_WRONG_INERTIA = (
+    "inertias that links of this size cannot have are replaced by those of boxes around them"
+)
 _NO_INERTIA = "physically impossible inertias are replaced by the nearest possible ones"
 
 
 @dataclass(frozen=True)
 class Body:
-    """A moving link including everything fixed to it, with the values of the file; origin and rotation are those of its joint."""
+    """A moving link including everything fixed to it, with the values of the file; origin and
+    rotation are those of its joint.
+    """
 
     joint: FileJoint
     mass: float  # 0 if the file has none
@@ -72,7 +98,9 @@ class Body:
 
 
 class Judge:
-    """A judge of the moving links of a hand, parents before children; `notes` has a sentence for each kind of implausible value."""
+    """A judge of the moving links of a hand, parents before children; `notes` has a sentence for
+    each kind of implausible value.
+    """
 
     def __init__(self, bodies: Sequence[Body]) -> None:
         self._bodies = list(bodies)
@@ -96,7 +124,11 @@ class Judge:
                 self._ends[carrier] += self._ends[number]
         self._length = max(self._reaches)  # [m], size assumed for a link without shapes
         self._levers = self._motor_levers()
-        large = [body.joint.child for body, size in zip(bodies, self._sizes, strict=True) if size > LARGEST_LINK]
+        large = [
+            body.joint.child
+            for body, size in zip(bodies, self._sizes, strict=True)
+            if size > LARGEST_LINK
+        ]
         self._scaled = not large
         if large:
             self.notes.append(
@@ -104,15 +136,21 @@ class Judge:
             )
 
     def _motor_levers(self) -> list[float]:
-        """Return the torque of each motor [N m] for 1 N at each fingertip that it moves, with straight fingers.
+        """Return the torque of each motor [N m] for 1 N at each fingertip that it moves, with
+        straight fingers.
 
-        Each motor of a finger gets the lever of the one at the palm, since most makers use equal motors along a finger. A motor also
-        carries the load of the joints that are coupled to it.
+        Each motor of a finger gets the lever of the one at the palm, since most makers use equal
+        motors along a finger. A motor also carries the load of the joints that are coupled to it.
         """
         levers = list[float]()
-        own = [ends * max(SHORTEST_FINGER, reach) for ends, reach in zip(self._ends, self._reaches, strict=True)]
+        own = [
+            ends * max(SHORTEST_FINGER, reach)
+            for ends, reach in zip(self._ends, self._reaches, strict=True)
+        ]
         for number, carrier in enumerate(self._carrier):
-            levers.append(levers[carrier] if carrier >= 0 and self._ends[carrier] == 1 else own[number])
+            levers.append(
+                levers[carrier] if carrier >= 0 and self._ends[carrier] == 1 else own[number]
+            )
         for number, body in enumerate(self._bodies):
             if body.joint.mimic is not None:
                 lever = self._ends[number] if body.joint.sliding else own[number]
@@ -122,25 +160,35 @@ class Judge:
     def inertials(self, given: Mapping[str, float | Inertial]) -> list[Inertial]:
         """Return mass, centre and inertia of each body: as given, else as in the file if plausible."""
         weighed = [body for body in self._bodies if body.mass > 0.0 and body.volume > 0.0]
-        heavy, volume = sum(body.mass for body in weighed), sum(body.volume for body in weighed)
-        heavier_than_lead = self._scaled and heavy > max(LEAST_HEAVY_HAND, 1e3 * LARGEST_MEAN_DENSITY * volume)
+        heavy = sum(body.mass for body in weighed)
+        volume = sum(body.volume for body in weighed)
+        heavier_than_lead = self._scaled and heavy > max(
+            LEAST_HEAVY_HAND, 1e3 * LARGEST_MEAN_DENSITY * volume
+        )
         changed: dict[str, list[str]] = {}
         found = list[Inertial]()
         for number, body in enumerate(self._bodies):
-            value, own = given.get(body.joint.child), Inertial(body.mass, body.center, body.inertia)
+            value = given.get(body.joint.child)
+            own = Inertial(body.mass, body.center, body.inertia)
             if isinstance(value, Inertial):
                 own = value
             elif body.mass <= 0.0:
                 own = self._box(number, value)
                 if value is None:
-                    changed.setdefault(_NO_MASS, []).append(f"{body.joint.child!r} ({1e3 * own.mass:.2g} g)")
-            elif value is None and ((heavier_than_lead and body.volume > 0.0) or self._mass_is_wrong(number)):
+                    changed.setdefault(_NO_MASS, []).append(
+                        f"{body.joint.child!r} ({1e3 * own.mass:.2g} g)"
+                    )
+            elif value is None and (
+                (heavier_than_lead and body.volume > 0.0) or self._mass_is_wrong(number)
+            ):
                 own = self._box(number)
                 changed.setdefault(_WRONG_MASS, []).append(
                     f"{body.joint.child!r} ({body.mass:.3g} kg, assumed {own.mass:.2g} kg)"
                 )
             else:
-                own = self._possible(number, own if value is None else _scaled(own, value / body.mass), changed)
+                own = self._possible(
+                    number, own if value is None else _scaled(own, value / body.mass), changed
+                )
             found.append(own)
         for what, rows in changed.items():
             self.notes.append(f"{what}: {listed(rows)}; give the true ones as inertials=")
@@ -152,13 +200,17 @@ class Judge:
         return found
 
     def _possible(self, number: int, own: Inertial, changed: dict[str, list[str]]) -> Inertial:
-        """Return a link's mass with a plausible centre and inertia; changes are added to `changed` by their kind."""
+        """Return a link's mass with a plausible centre and inertia; changes are added to `changed`
+        by their kind.
+        """
         body = self._bodies[number]
         if away := _distance_outside(own.center, body.points):
             changed.setdefault(_CENTER_OUTSIDE, []).append(f"{body.joint.child!r} ({away:.2g} m)")
             own = self._box(number, own.mass)
         wrong = self._inertia_is_wrong(number, own)
-        inertia = self._box(number, own.mass).inertia if wrong else nearest_inertia(own.inertia, own.mass)
+        inertia = (
+            self._box(number, own.mass).inertia if wrong else nearest_inertia(own.inertia, own.mass)
+        )
         if inertia is None:
             return own
         changed.setdefault(_WRONG_INERTIA if wrong else _NO_INERTIA, []).append(
@@ -167,7 +219,9 @@ class Judge:
         return own._replace(inertia=inertia)
 
     def torques(self, given: Mapping[str, float]) -> list[float]:
-        """Return the torque limit of each joint [N m], of sliding joints [N]: as given, else as in the file if plausible."""
+        """Return the torque limit of each joint [N m], of sliding joints [N]: as given, else as in
+        the file if plausible.
+        """
         doubted = self._doubted(given)
         limits = list[float]()
         assumed: dict[tuple[float | None, bool], dict[str, float]] = {}
@@ -176,7 +230,9 @@ class Judge:
             if joint.name in given:
                 limits.append(given[joint.name])
                 continue
-            fits = effort is not None and (effort < LARGEST_JAW_FORCE if joint.sliding else effort not in doubted)
+            fits = effort is not None and (
+                effort < LARGEST_JAW_FORCE if joint.sliding else effort not in doubted
+            )
             if effort is None or effort <= 0.0 or not fits:
                 known = JAW_FORCE if joint.sliding else TIP_FORCE * self._levers[number]
                 limit = float(f"{known:.2g}")
@@ -186,13 +242,25 @@ class Judge:
             limits.append(effort)
         self._add_jaws(limits, given, {name for joints in assumed.values() for name in joints})
         for (effort, sliding), joints in assumed.items():
-            least, most, names = min(joints.values()), max(joints.values()), names_of(list(joints))
-            force = f" ({doubted[effort]:.0f} N at a fingertip)" if effort in doubted and not sliding else ""
-            known = f"effort {effort:g} of {names} is no motor's limit{force}" if effort is not None else ""
+            least = min(joints.values())
+            most = max(joints.values())
+            names = names_of(list(joints))
+            force = (
+                f" ({doubted[effort]:.0f} N at a fingertip)"
+                if effort in doubted and not sliding
+                else ""
+            )
+            known = (
+                f"effort {effort:g} of {names} is no motor's limit{force}"
+                if effort is not None
+                else ""
+            )
             cause = known or f"no effort is given for {names}"
             span = f"{least:g}" if least == most else f"{least:g} to {most:g}"
             unit = "N" if sliding else f"N m, {TIP_FORCE:g} N at the tip of a straight finger"
-            self.notes.append(f"{cause}: assumed is {span} {unit}; give the true one as torque_limit=")
+            self.notes.append(
+                f"{cause}: assumed is {span} {unit}; give the true one as torque_limit="
+            )
         return limits
 
     def _add_jaws(self, limits: list[float], given: Mapping[str, float], assumed: set[str]) -> None:
@@ -200,10 +268,19 @@ class Judge:
         shared = dict[str, float]()
         for number, body in enumerate(self._bodies):
             mimic, effort = body.joint.mimic, body.joint.effort
-            if mimic is None or not body.joint.sliding or effort is None or not 0.0 < effort < LARGEST_JAW_FORCE:
+            if (
+                mimic is None
+                or not body.joint.sliding
+                or effort is None
+                or not 0.0 < effort < LARGEST_JAW_FORCE
+            ):
                 continue
             driver = self._numbers[mimic.joint]
-            if self._bodies[driver].joint.sliding and mimic.joint not in given and mimic.joint not in assumed:
+            if (
+                self._bodies[driver].joint.sliding
+                and mimic.joint not in given
+                and mimic.joint not in assumed
+            ):
                 limits[driver] += abs(mimic.ratio) * limits[number]
                 shared[mimic.joint] = limits[driver]
         if shared:
@@ -214,12 +291,20 @@ class Judge:
             )
 
     def _doubted(self, given: Mapping[str, float]) -> dict[float, float]:
-        """Return implausible efforts of turning joints [N m], each with its largest force at a fingertip [N]."""
+        """Return implausible efforts of turning joints [N m], each with its largest force at a
+        fingertip [N].
+        """
         forces: dict[float, list[float]] = {}
         fingers = list[float]()
         for number, body in enumerate(self._bodies):
             joint, effort = body.joint, body.joint.effort
-            if joint.sliding or joint.mimic is not None or effort is None or effort <= 0.0 or joint.name in given:
+            if (
+                joint.sliding
+                or joint.mimic is not None
+                or effort is None
+                or effort <= 0.0
+                or joint.name in given
+            ):
                 continue
             forces.setdefault(effort, []).append(effort / self._levers[number])
             if self._ends[number] == 1:
@@ -246,7 +331,9 @@ class Judge:
             return False
         moment = _largest(own.inertia)
         gyration = math.sqrt(max(moment, 0.0) / own.mass) / size
-        return (gyration < LEAST_GYRATION and shaped) or (gyration > LARGEST_GYRATION and moment > LEAST_MOMENT)
+        return (gyration < LEAST_GYRATION and shaped) or (
+            gyration > LARGEST_GYRATION and moment > LEAST_MOMENT
+        )
 
     def _box(self, number: int, mass: float | None = None) -> Inertial:
         """Return mass, centre and inertia of a box around a link; mass None: that of its shapes."""
@@ -259,7 +346,9 @@ class Judge:
 
 
 def _scaled(own: Inertial, factor: float) -> Inertial:
-    return Inertial(factor * own.mass, own.center, inertia_numbers(factor * inertia_matrix(own.inertia)))
+    return Inertial(
+        factor * own.mass, own.center, inertia_numbers(factor * inertia_matrix(own.inertia))
+    )
 
 
 def _largest(inertia: Inertia) -> float:
@@ -268,9 +357,12 @@ def _largest(inertia: Inertia) -> float:
 
 
 def _distance_outside(center: Vector3, points: Array) -> float:
-    """Return the distance of a point from the box around others (K, 3) [m] if it exceeds the size of the box; else 0."""
+    """Return the distance of a point from the box around others (K, 3) [m] if it exceeds the size
+    of the box; else 0.
+    """
     if len(points) == 0:
         return 0.0
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     away = float(np.linalg.norm(np.maximum(np.maximum(low - center, center - high), 0.0)))
     return away if away > float((high - low).max()) else 0.0

@@ -1,4 +1,7 @@
-"""Read a URDF file. Each element is checked where it is read, and all faults are reported together."""
+"""Read a URDF file.
+
+Each element is checked where it is read, and all faults are reported together.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,9 @@ from grasp_env.sim.hand.tree import Geometry, Mimic
 MAX_ELEMENTS = 500  # links, and joints, in a file
 MAX_SHAPES = 2000  # collision and visual shapes together
 
-_TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
+_TURNING = ("revolute", "continuous")
+_SLIDING = "prismatic"
+_FIXED = "fixed"
 
 
 class UrdfReader:
@@ -34,7 +39,8 @@ class UrdfReader:
     Attributes:
         name: Name of the robot.
         names: Names of its links.
-        ends: Name, parent and child of its joints; other faults of the joints are raised by `elements`.
+        ends: Name, parent and child of its joints; other faults of the joints are raised by
+            `elements`.
         mimics: The driver that each coupled joint names.
         fixed: Names of fixed joints.
         undrawn: Visual meshes that are left out, with the reason.
@@ -52,27 +58,35 @@ class UrdfReader:
             raise InvalidInputError(
                 f"there are {len(self._links)} links and {len(self._joints)} joints, allowed are up to {MAX_ELEMENTS}; take the hand out"
             )
-        shapes = sum(len(link.findall(role)) for link in self._links for role in ("collision", "visual"))
+        shapes = sum(
+            len(link.findall(role)) for link in self._links for role in ("collision", "visual")
+        )
         if shapes > MAX_SHAPES:
-            raise InvalidInputError(f"there are {shapes} shapes, allowed are up to {MAX_SHAPES}; take the hand out")
+            raise InvalidInputError(
+                f"there are {shapes} shapes, allowed are up to {MAX_SHAPES}; take the hand out"
+            )
         self._materials = list(robot.iter("material"))
         self._palette: dict[str, Vector3] = {}
         self._missing: dict[str, list[str]] = {}
         self._shapes: dict[str, tuple[list[Geometry | MeshUse], list[Geometry | MeshUse]]] = {}
         self.names = [element.get("name", "") for element in self._links]
         self.ends = [
-            (element.get("name", ""), _end(element, "parent"), _end(element, "child")) for element in self._joints
+            (element.get("name", ""), _end(element, "parent"), _end(element, "child"))
+            for element in self._joints
         ]
         self.mimics = {
             element.get("name", ""): mimic.get("joint", "")
             for element in self._joints
             if (mimic := element.find("mimic")) is not None and element.get("type") != _FIXED
         }
-        self.fixed = {element.get("name", "") for element in self._joints if element.get("type") == _FIXED}
+        self.fixed = {
+            element.get("name", "") for element in self._joints if element.get("type") == _FIXED
+        }
         self.undrawn: dict[str, str] = {}
 
     def elements(self, wanted: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
-        """Return the wanted links by name, and the joints between them in file order; an error lists all faults of these.
+        """Return the wanted links by name, and the joints between them in file order; an error
+        lists all faults of these.
 
         Mesh files are looked for here, and read by `with_shapes`.
         """
@@ -82,27 +96,45 @@ class UrdfReader:
             if (color := _color(material, f"material {material.get('name', '')!r}")) is not None
         }
         with AllFaults() as check:
-            links = [check(self._link, element) for element in self._links if element.get("name", "") in wanted]
+            links = [
+                check(self._link, element)
+                for element in self._links
+                if element.get("name", "") in wanted
+            ]
             joints = [
                 check(_joint, element)
                 for element, (_, parent, child) in zip(self._joints, self.ends, strict=True)
                 if not {parent, child} - {"", *wanted}
             ]
-            for what, names in (("links", self.names), ("joints", [joint for joint, *_ in self.ends])):
+            for what, names in (
+                ("links", self.names),
+                ("joints", [joint for joint, *_ in self.ends]),
+            ):
                 doubled = [name for name, count in Counter(names).items() if count > 1]
-                check.add(*(f"two {what} are called {shown(name)}; give each its own name" for name in doubled))
+                check.add(
+                    *(
+                        f"two {what} are called {shown(name)}; give each its own name"
+                        for name in doubled
+                    )
+                )
             check(self._check_meshes)
         return {link.name: link for link in links}, joints
 
     def _link(self, element: Element) -> FileLink:
         name = _name(element, "<link>")
         where = f"link {name!r}"
-        looks = [(shape, self._color_of_visual(shape, f"{where}, <visual>")) for shape in element.findall("visual")]
+        looks = [
+            (shape, self._color_of_visual(shape, f"{where}, <visual>"))
+            for shape in element.findall("visual")
+        ]
         color = next((own for _, own in looks if own), None)
         with AllFaults() as check:
             inertial = check(_inertial, element.find("inertial"), where)
             collision = [check(self._placed, shape, name) for shape in element.findall("collision")]
-            visual = [check(self._placed, shape, name, None if own == color else own) for shape, own in looks]
+            visual = [
+                check(self._placed, shape, name, None if own == color else own)
+                for shape, own in looks
+            ]
         self._shapes[name] = list(filter(None, collision)), list(filter(None, visual))
         return FileLink(name, *inertial, color=color)
 
@@ -115,23 +147,37 @@ class UrdfReader:
     def _check_meshes(self) -> None:
         """Raise InvalidInputError if collision meshes are missing."""
         if self._missing:
-            each = [f"{shown(name)} ({', '.join(dict.fromkeys(links))})" for name, links in self._missing.items()]
+            each = [
+                f"{shown(name)} ({', '.join(dict.fromkeys(links))})"
+                for name, links in self._missing.items()
+            ]
             raise InvalidInputError(
                 f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: {listed(each, 40)}. "
                 "Download the whole package and keep its folder structure"
             )
 
     def with_shapes(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
-        """Return the links with their shapes: convex pieces of collision meshes, and visual meshes that can be drawn."""
+        """Return the links with their shapes: convex pieces of collision meshes, and visual meshes
+        that can be drawn.
+        """
         solids = solids_of({name: self._shapes[name][0] for name in links}, self.path.name)
         shaped = dict[str, FileLink]()
         for name, link in links.items():
-            visual = [look if isinstance(look, Geometry) else self._visual_mesh(look) for look in self._shapes[name][1]]
-            shaped[name] = replace(link, collision=tuple(solids[name]), visual=tuple(filter(None, visual)))
+            visual = [
+                look if isinstance(look, Geometry) else self._visual_mesh(look)
+                for look in self._shapes[name][1]
+            ]
+            shaped[name] = replace(
+                link, collision=tuple(solids[name]), visual=tuple(filter(None, visual))
+            )
         return shaped
 
-    def _placed(self, element: Element, link: str, color: Vector3 | None = None) -> Geometry | MeshUse | None:
-        """Return the shape of a <collision> or <visual>; None for a mesh whose file is missing, which is recorded."""
+    def _placed(
+        self, element: Element, link: str, color: Vector3 | None = None
+    ) -> Geometry | MeshUse | None:
+        """Return the shape of a <collision> or <visual>; None for a mesh whose file is missing,
+        which is recorded.
+        """
         where = f"link {link!r}, <{element.tag}>"
         shape = _shape(element, where)
         if shape.tag != "mesh":
@@ -177,7 +223,9 @@ def _end(element: Element, role: str) -> str:
     return "" if end is None else end.get("link", "")
 
 
-def _row(element: Element | None, key: str, count: int, default: str | None, where: str) -> tuple[float, ...]:
+def _row(
+    element: Element | None, key: str, count: int, default: str | None, where: str
+) -> tuple[float, ...]:
     """Return an attribute of `count` numbers; `default` replaces a missing element or attribute."""
     text = default if element is None else element.get(key, default)
     if text is None:
@@ -185,7 +233,9 @@ def _row(element: Element | None, key: str, count: int, default: str | None, whe
     try:
         values = [float(word) for word in text.split()]
     except ValueError:
-        raise InvalidInputError(f"{where}: {key}={shown(text.split())} must be {count} numbers") from None
+        raise InvalidInputError(
+            f"{where}: {key}={shown(text.split())} must be {count} numbers"
+        ) from None
     return numbers(values, count, f"{where}: {key}")
 
 
@@ -219,10 +269,13 @@ def _inertial(inertial: Element | None, where: str) -> tuple[float, Frame, Inert
     frame = Frame.of(*_origin(inertial, f"{where}, <inertial>"))
     if mass == 0.0:
         return 0.0, frame, NO_INERTIA
-    element, required = inertial.find("inertia"), ("ixx", "iyy", "izz")
+    element = inertial.find("inertia")
+    required = ("ixx", "iyy", "izz")
     inside = f"{where}, <inertial>, <inertia>"
     names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    xx, xy, xz, yy, yz, zz = (_number(element, name, None if name in required else "0", inside) for name in names)
+    xx, xy, xz, yy, yz, zz = (
+        _number(element, name, None if name in required else "0", inside) for name in names
+    )
     return mass, frame, (xx, xy, xz, yy, yz, zz)
 
 
@@ -254,7 +307,9 @@ def _primitive(element: Element, shape: Element, where: str, color: Vector3 | No
     elif shape.tag == "sphere":
         size = _row(shape, "radius", 1, None, f"{where}, <sphere>")
     elif shape.tag in ("capsule", "cylinder"):
-        size = tuple(_number(shape, key, None, f"{where}, <{shape.tag}>") for key in ("radius", "length"))
+        size = tuple(
+            _number(shape, key, None, f"{where}, <{shape.tag}>") for key in ("radius", "length")
+        )
     else:
         raise InvalidInputError(
             f"{where}: the shape <{shape.tag[:40]}> is not one of sphere, capsule, box, cylinder and mesh"
@@ -268,12 +323,14 @@ def _primitive(element: Element, shape: Element, where: str, color: Vector3 | No
 
 def _joint(element: Element) -> FileJoint:
     name = _name(element, "<joint>")
-    where, kind = f"joint {name!r}", element.get("type")
+    where = f"joint {name!r}"
+    kind = element.get("type")
     if kind not in (*_TURNING, _SLIDING, _FIXED):
         raise InvalidInputError(
             f"{where} is of type {shown(kind)}; a hand's joints are revolute, continuous, prismatic or fixed. Make it one of these"
         )
-    parent, child = _end(element, "parent"), _end(element, "child")
+    parent = _end(element, "parent")
+    child = _end(element, "child")
     for role, end in (("parent", parent), ("child", child)):
         if not end:
             raise InvalidInputError(f'{where} names no {role}; write <{role} link="..."/>')
@@ -285,14 +342,18 @@ def _joint(element: Element) -> FileJoint:
         limits = check(_limits, element.find("limit"), kind, where)
         effort = check(_effort, element.find("limit"), where)
         mimic = check(_mimic, element.find("mimic"), where)
-    return FileJoint(name, parent, child, False, origin, rotation, axis, *limits, effort, kind == _SLIDING, mimic)
+    return FileJoint(
+        name, parent, child, False, origin, rotation, axis, *limits, effort, kind == _SLIDING, mimic
+    )
 
 
 def _axis(element: Element, where: str) -> Vector3:
     axis = np.array(_row(element.find("axis"), "xyz", 3, "1 0 0", f"{where}, <axis>"))
     length = float(np.linalg.norm(axis))
     if length < 1e-9:
-        raise InvalidInputError(f"{where}: the axis {axis.tolist()} has no direction; write its three numbers")
+        raise InvalidInputError(
+            f"{where}: the axis {axis.tolist()} has no direction; write its three numbers"
+        )
     x, y, z = (axis if abs(length - 1.0) < 1e-12 else axis / length).tolist()
     return x, y, z
 
@@ -301,7 +362,9 @@ def _limits(limit: Element | None, kind: str, where: str) -> tuple[float, float]
     if kind == "continuous":
         return -math.inf, math.inf
     if limit is None:
-        raise InvalidInputError(f"{where} has no <limit>; write lower, upper [rad] and effort [N m]")
+        raise InvalidInputError(
+            f"{where} has no <limit>; write lower, upper [rad] and effort [N m]"
+        )
     lower, upper = (_number(limit, key, "0", f"{where}, <limit>") for key in ("lower", "upper"))
     if lower == upper:
         return lower, upper  # `arrange` makes it a fixed joint
@@ -309,7 +372,11 @@ def _limits(limit: Element | None, kind: str, where: str) -> tuple[float, float]
 
 
 def _effort(limit: Element | None, where: str) -> float | None:
-    return None if limit is None or "effort" not in limit.attrib else _number(limit, "effort", None, where)
+    return (
+        None
+        if limit is None or "effort" not in limit.attrib
+        else _number(limit, "effort", None, where)
+    )
 
 
 def _mimic(mimic: Element | None, where: str) -> Mimic | None:
@@ -319,5 +386,8 @@ def _mimic(mimic: Element | None, where: str) -> Mimic | None:
     other = mimic.get("joint", "")
     if not other.strip():
         raise InvalidInputError(f"{inside} lacks joint=")
-    ratio, offset = (_number(mimic, key, default, inside) for key, default in (("multiplier", "1"), ("offset", "0")))
+    ratio, offset = (
+        _number(mimic, key, default, inside)
+        for key, default in (("multiplier", "1"), ("offset", "0"))
+    )
     return Mimic(other, ratio, offset)

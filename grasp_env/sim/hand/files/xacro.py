@@ -17,40 +17,64 @@ from grasp_env.inputs.files import MEGABYTE
 from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.xml_files import read_xml
 
-_SECONDS, _MAX_MEMORY = 30.0, 1000 * MEGABYTE  # longest time [s] and largest memory [bytes] to expand a file
-_ELEMENT = re.compile(r"\{[^}]*xacro/?\}")  # start of the tag of a xacro element, for any address of the namespace
+_SECONDS = 30.0
+_MAX_MEMORY = 1000 * MEGABYTE  # longest time [s] and largest memory [bytes] to expand a file
+_ELEMENT = re.compile(
+    r"\{[^}]*xacro/?\}"
+)  # start of the tag of a xacro element, for any address of the namespace
 
 
-def robot_of(path: Path, first: Element, expand: bool | None, arguments: Mapping[str, str]) -> Element:
-    """Return the robot of a file whose first element is `first`; that of a xacro file is expanded with the given arguments.
+def robot_of(
+    path: Path, first: Element, expand: bool | None, arguments: Mapping[str, str]
+) -> Element:
+    """Return the robot of a file whose first element is `first`; that of a xacro file is expanded
+    with the given arguments.
 
     `expand` says whether it is a xacro file; None: its name ends in .xacro.
     """
     if path.suffix.lower() == ".xacro" if expand is None else expand:
         return _expanded(path.absolute(), arguments)
     if arguments:
-        raise InvalidInputError("xacro_args are given, but it is not expanded: rename it to .xacro, or pass xacro=True")
+        raise InvalidInputError(
+            "xacro_args are given, but it is not expanded: rename it to .xacro, or pass xacro=True"
+        )
     if any(_ELEMENT.match(element.tag) for element in first.iter()):
-        raise InvalidInputError("it has xacro elements, but is not expanded: rename it to .xacro, or pass xacro=True")
+        raise InvalidInputError(
+            "it has xacro elements, but is not expanded: rename it to .xacro, or pass xacro=True"
+        )
     return first
 
 
 def _expanded(file: Path, arguments: Mapping[str, str]) -> Element:
-    """Return the robot of a xacro file, expanded in a process that sees no environment variables; see `expansion`."""
+    """Return the robot of a xacro file, expanded in a process that sees no environment variables;
+    see `expansion`.
+    """
     need("xacro")
-    shares = [*_folders("ROS_PACKAGE_PATH"), *(str(Path(each, "share")) for each in _folders("AMENT_PREFIX_PATH"))]
+    shares = [
+        *_folders("ROS_PACKAGE_PATH"),
+        *(str(Path(each, "share")) for each in _folders("AMENT_PREFIX_PATH")),
+    ]
     request = json.dumps({"file": str(file), "arguments": dict(arguments), "shares": shares})
     task = "grasp_env.sim.hand.files.expansion:expand"
     where = f"xacro cannot expand {file}"
     try:
-        made = apart(task, f"expanding {file.name}", _SECONDS, memory=_MAX_MEMORY, variables={}, request=np.array(request))  # fmt: skip
+        made = apart(
+            task,
+            f"expanding {file.name}",
+            _SECONDS,
+            memory=_MAX_MEMORY,
+            variables={},
+            request=np.array(request),
+        )
     except (TimeoutError, ChildProcessError) as error:
         raise InvalidInputError(f"{where}: {str(error).splitlines()[-1]}") from None
     if "error" in made:
         raise InvalidInputError(f"{where}: {made['error']}")
     robot = read_xml(made["text"].tobytes())
     if robot.find("link") is None:
-        raise InvalidInputError(f"{file} only defines macros, it has no <link>; give the file that calls them")
+        raise InvalidInputError(
+            f"{file} only defines macros, it has no <link>; give the file that calls them"
+        )
     return robot
 
 

@@ -1,8 +1,10 @@
-// The constraints of a program: balance, cones, torsion, further rows; and the interior points for them.
+// The constraints of a program: balance, cones, torsion, further rows; and the interior points for
+// them.
 //
-// Contact i has z_i = (u, o, t, w): cone coordinates and, if it is soft, w = u - |torsion| in units of its limit, with a row w <=
-// 2u. Balance uses orthonormal rows, G = L Q, so contacts close to each other cost no digits. If contacts cannot make all wrenches, the
-// rows are those along the axes of their reach, and the other rows of Q are zero: no force changes the wrench along them.
+// Contact i has z_i = (u, o, t, w): cone coordinates and, if it is soft, w = u - |torsion| in units
+// of its limit, with a row w <= 2u. Balance uses orthonormal rows, G = L Q, so contacts close to
+// each other cost no digits. If contacts cannot make all wrenches, the rows are those along the
+// axes of their reach, and the other rows of Q are zero: no force changes the wrench along them.
 #pragma once
 #include <memory>
 #include <grasp/conic/criterion.hpp>
@@ -13,290 +15,321 @@ namespace grasp {
 
 // The data of a program; arrays are row-major.
 struct ProgramData {
-    int count, limits;  // N, M
-    const double* frame;  // (6, 6) maps wrenches to the unit frame
-    const double* balance;  // (6, N, 4) of (u, o, t, w), unit frame
-    const double* rows;  // (M, N, 4) of length one: rows . z <= bound; rows of torsion come first
-    const double* bound;  // (M,) [N]
-    const double* weights;  // (N, 2) omega, lambda
-    const double* divisor;  // (N, 4) force and torsion from z; inf: nothing is transmitted
-    const double* shares;  // (M,) [N] growth of a bound if its limit grows by all of itself; 0: never
-    bool elastic;  // true if the least excess may be requested
-    WrenchSpace reach{};  // the wrenches that the contacts can make
+  int count, limits;      // N, M
+  const double* frame;    // (6, 6) maps wrenches to the unit frame
+  const double* balance;  // (6, N, 4) of (u, o, t, w), unit frame
+  const double* rows;     // (M, N, 4) of length one: rows . z <= bound; rows of torsion come first
+  const double* bound;    // (M,) [N]
+  const double* weights;  // (N, 2) omega, lambda
+  const double* divisor;  // (N, 4) force and torsion from z; inf: nothing is transmitted
+  const double* shares;  // (M,) [N] growth of a bound if its limit grows by all of itself; 0: never
+  bool elastic;          // true if the least excess may be requested
+  WrenchSpace reach{};   // the wrenches that the contacts can make
 };
 
 namespace detail {
 
 // The smallest value; nan if any is nan.
 inline double least_of(std::span<const double> values) {
-    double least = infinity;
-    for (double value : values) least = value >= least ? least : value;
-    return least;
+  double least = infinity;
+  for (double value : values) least = value >= least ? least : value;
+  return least;
 }
 
 template <int D> struct Constraints {
-    using Row = std::span<const Tuple<double, D>>;  // z, or its coefficients
-    using Field = ArenaVector<Tuple<double, D>>;
-    // Rows of coefficients.
-    class Matrix {
-    public:
-        Matrix(std::size_t rows, std::size_t count) : numbers_(rows * count), count_(count) {}
-        Row operator[](int r) const { return {numbers_.data() + count_ * r, count_}; }
-        std::span<Tuple<double, D>> operator[](int r) { return {numbers_.data() + count_ * r, count_}; }
+  using Row = std::span<const Tuple<double, D>>;  // z, or its coefficients
+  using Field = ArenaVector<Tuple<double, D>>;
+  // Rows of coefficients.
+  class Matrix {
+   public:
+    Matrix(std::size_t rows, std::size_t count) : numbers_(rows * count), count_(count) {}
+    Row operator[](int r) const { return {numbers_.data() + count_ * r, count_}; }
+    std::span<Tuple<double, D>> operator[](int r) { return {numbers_.data() + count_ * r, count_}; }
 
-    private:
-        Field numbers_;
-        std::size_t count_;
+   private:
+    Field numbers_;
+    std::size_t count_;
+  };
+  int count, limits, torsions = 0;  // N, M; the first rows belong to torsion
+  ArenaVector<char> soft;
+  ArenaVector<double> price, cost, divisor, bound,
+      shares;                    // price: normal force = price u; cost: the same, weighted
+  ArenaVector<int> torsion_row;  // (N,) -1: not soft
+  ArenaVector<int>
+      owner;             // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
+  ArenaVector<int> own;  // rows that act on at most one contact, by contact
+  Matrix balance, limit, turn;           // (6,) G, (M,), (6,) Q
+  double frame[6][6], lower[6][6] = {};  // L
+  WrenchSpace reach;
+
+  explicit Constraints(const ProgramData& given)
+      : count(given.count),
+        limits(given.limits),
+        soft(count),
+        price(count),
+        cost(count),
+        divisor(given.divisor, given.divisor + 4 * count),
+        bound(given.bound, given.bound + limits),
+        shares(given.shares, given.shares + limits),
+        torsion_row(count, -1),
+        owner(limits),
+        own(limits),
+        balance(6, count),
+        limit(limits, count),
+        turn(6, count),
+        reach(given.reach) {
+    std::copy(given.frame, given.frame + 36, &frame[0][0]);
+    for (int i = 0; i < count; ++i) {
+      soft[i] = divisor[4 * i + 3] < infinity;
+      price[i] = 1.0 / divisor[4 * i];
+      cost[i] = given.weights[2 * i] * price[i];
+      if (soft[i]) torsion_row[i] = torsions++;
+    }
+    const auto take = [&](const double* from, int many, Matrix& to) {
+      for (int k = 0; k < many; ++k)
+        for (int i = 0; i < count; ++i, from += 4) std::copy(from, from + D, to[k][i].begin());
     };
-    int count, limits, torsions = 0;  // N, M; the first rows belong to torsion
-    ArenaVector<char> soft;
-    ArenaVector<double> price, cost, divisor, bound, shares;  // price: normal force = price u; cost: the same, weighted
-    ArenaVector<int> torsion_row;  // (N,) -1: not soft
-    ArenaVector<int> owner;  // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
-    ArenaVector<int> own;  // rows that act on at most one contact, by contact
-    Matrix balance, limit, turn;  // (6,) G, (M,), (6,) Q
-    double frame[6][6], lower[6][6] = {};  // L
-    WrenchSpace reach;
+    take(given.balance, 6, balance);
+    take(given.rows, limits, limit);
+    find_owners();
+    orthonormalise();
+  }
+  static std::size_t bytes_needed(int count, int limits) {
+    return Arena::bytes_needed<char>(count) + 2 * Arena::bytes_needed<double>(count) +
+           Arena::bytes_needed<double>(4 * count) + 2 * Arena::bytes_needed<double>(limits) +
+           Arena::bytes_needed<int>(count) + 2 * Arena::bytes_needed<int>(limits) +
+           2 * Arena::bytes_needed<Tuple<double, D>>(6 * count) +
+           Arena::bytes_needed<Tuple<double, D>>(std::size_t(limits) * count);
+  }
 
-    explicit Constraints(const ProgramData& given)
-        : count(given.count), limits(given.limits), soft(count), price(count), cost(count),
-          divisor(given.divisor, given.divisor + 4 * count), bound(given.bound, given.bound + limits),
-          shares(given.shares, given.shares + limits), torsion_row(count, -1), owner(limits), own(limits), balance(6, count),
-          limit(limits, count), turn(6, count), reach(given.reach) {
-        std::copy(given.frame, given.frame + 36, &frame[0][0]);
-        for (int i = 0; i < count; ++i) {
-            soft[i] = divisor[4 * i + 3] < infinity, price[i] = 1.0 / divisor[4 * i];
-            cost[i] = given.weights[2 * i] * price[i];
-            if (soft[i]) torsion_row[i] = torsions++;
-        }
-        const auto take = [&](const double* from, int many, Matrix& to) {
-            for (int k = 0; k < many; ++k)
-                for (int i = 0; i < count; ++i, from += 4) std::copy(from, from + D, to[k][i].begin());
-        };
-        take(given.balance, 6, balance), take(given.rows, limits, limit);
-        find_owners();
-        orthonormalise();
+  // Interior point for the first `many` limits. T = 0: least weighted sum of normal forces. T = 1:
+  // least t above each weighted normal force, or above each excess. T = 2: largest depth m, with
+  // the share r of the wrench.
+  template <class R, int T>
+  InteriorPoint<R, D, T> engine(int many, Criterion criterion = Criterion::sum) const {
+    InteriorPoint<R, D, T> made(rows<R, T>(many, criterion), soft);
+    if constexpr (T == 1) made.shared_cost = {R(1.0)};
+    if constexpr (T == 2) made.shared_cost = {R(-1.0), R(0.0)};
+    if constexpr (T == 0)
+      for (int i = 0; i < count; ++i) made.cost[i][0] = cost[i];
+    return made;
+  }
+  // (1, 0, 0, 1): the direction into a cone.
+  static Tuple<double, D> inwards() {
+    Tuple<double, D> out{};
+    out[0] = 1.0;
+    if (D == 4) out[D - 1] = 1.0;
+    return out;
+  }
+  // Storage for the results of `write_slacks`.
+  ArenaVector<double> slacks() const { return ArenaVector<double>(2 * count + limits); }
+  static double product(Row a, Row b) {
+    double total = 0.0;
+    for (std::size_t i = 0; i < a.size(); ++i) total += inner(a[i], b[i]);
+    return total;
+  }
+  Vec6 in_frame(const double* wrench) const {
+    Vec6 out{};
+    for (int r = 0; r < 6; ++r)
+      for (int q = 0; q < 6; ++q) out[r] += frame[r][q] * wrench[q];
+    return out;
+  }
+  // The wrench of one in the unit frame, whose moments are about another point and divided by a
+  // length.
+  Vec6 given(const Vec6& unit) const {
+    Vec6 out = unit;
+    for (int r = 3; r < 6; ++r) {
+      for (int q = 0; q < 3; ++q) out[r] -= frame[r][q] * unit[q];
+      out[r] /= frame[r][r];
     }
-    static std::size_t bytes_needed(int count, int limits) {
-        return Arena::bytes_needed<char>(count) + 2 * Arena::bytes_needed<double>(count) +
-               Arena::bytes_needed<double>(4 * count) + 2 * Arena::bytes_needed<double>(limits) +
-               Arena::bytes_needed<int>(count) + 2 * Arena::bytes_needed<int>(limits) +
-               2 * Arena::bytes_needed<Tuple<double, D>>(6 * count) +
-               Arena::bytes_needed<Tuple<double, D>>(std::size_t(limits) * count);
+    return out;
+  }
+  // True if a wrench, unit frame, has a part out of reach that is not rounding.
+  bool is_out_of_reach(const Vec6& unit) const {
+    return !reach.full() && grasp::size(reach.beyond(unit)) > BOUNDARY * grasp::size(unit);
+  }
+  // Coordinates along the rows of Q of a wrench in the unit frame; what is out of reach has none.
+  Vec6 solve_lower(const Vec6& unit) const {
+    Vec6 a = unit;
+    if (!reach.full())
+      for (int r = 0; r < 6; ++r) a[r] = r < reach.rank ? dot(reach.axes[r], unit) : 0.0;
+    for (int r = 0; r < reach.rank; ++r) {
+      for (int q = 0; q < r; ++q) a[r] -= lower[r][q] * a[q];
+      a[r] /= lower[r][r];
     }
+    return a;
+  }
+  // Multipliers of the given wrench from those of the orthonormalised balance.
+  Vec6 pull_back(const Vec6& a) const { return out_of_frame(solve_upper(a)); }
+  // Multipliers of a wrench in the unit frame.
+  Vec6 solve_upper(Vec6 a) const {
+    for (int r = reach.rank - 1; r >= 0; --r) {
+      for (int q = r + 1; q < reach.rank; ++q) a[r] -= lower[q][r] * a[q];
+      a[r] /= lower[r][r];
+    }
+    if (reach.full()) return a;
+    Vec6 out{};
+    for (int r = 0; r < reach.rank; ++r) out = out + a[r] * reach.axes[r];
+    return out;
+  }
+  Vec6 out_of_frame(const Vec6& a) const {
+    Vec6 out{};
+    for (int q = 0; q < 6; ++q)
+      for (int r = 0; r < 6; ++r) out[q] += frame[r][q] * a[r];
+    return out;
+  }
+  // Largest number of the least-norm force of an orthonormalised wrench: a size independent of
+  // units.
+  double largest_of(const Vec6& turned) const {
+    double most = 0.0;
+    for (int i = 0; i < count; ++i)
+      for (int a = 0; a < D; ++a) {
+        double value = 0.0;
+        for (int r = 0; r < 6; ++r) value += turn[r][i][a] * turned[r];
+        most = std::abs(value) <= most ? most : std::abs(value);
+      }
+    return most;
+  }
+  // z -= Q^T a
+  void subtract(Field& z, const Vec6& a) const {
+    for (int r = 0; r < 6; ++r)
+      for (int i = 0; i < count; ++i) add(z[i], -a[r], turn[r][i]);
+  }
+  Vec6 wrench_of(const Field& z) const {
+    Vec6 out;
+    for (int r = 0; r < 6; ++r) out[r] = product(balance[r], z);
+    return out;
+  }
+  // True if the rows of balance within reach are independent within rounding.
+  bool independent() const {
+    double square = 0.0, inverse = 0.0;
+    for (int r = 0; r < 6; ++r) {
+      Vec6 unit{};
+      unit[r] = 1.0;
+      for (double value : solve_lower(unit)) inverse += value * value;
+      for (int q = 0; q <= r; ++q) square += lower[r][q] * lower[r][q];
+    }
+    return square * inverse * RANK * RANK < 1.0;
+  }
+  // Remove the balance residual G z + w from z by the least-norm change; return the remaining
+  // residual. The rounding of z itself stays: with contacts close together, removing it would
+  // change z far more.
+  double rebalance(Field& z, const Vec6& unit) const {
+    double most = 0.0;
+    for (int i = 0; i < count; ++i) most = std::max(most, z[i][0]);
+    for (int pass = 0;; ++pass) {
+      const Vec6 left = wrench_of(z) + unit;
+      if (pass == 2 || grasp::size(left) <= LAST * most) return grasp::size(left);
+      subtract(z, solve_lower(left));
+    }
+  }
 
-    // Interior point for the first `many` limits. T = 0: least weighted sum of normal forces. T = 1: least t above each weighted
-    // normal force, or above each excess. T = 2: largest depth m, with the share r of the wrench.
-    template <class R, int T> InteriorPoint<R, D, T> engine(int many, Criterion criterion = Criterion::sum) const {
-        InteriorPoint<R, D, T> made(rows<R, T>(many, criterion), soft);
-        if constexpr (T == 1) made.shared_cost = {R(1.0)};
-        if constexpr (T == 2) made.shared_cost = {R(-1.0), R(0.0)};
-        if constexpr (T == 0)
-            for (int i = 0; i < count; ++i) made.cost[i][0] = cost[i];
-        return made;
+  template <class R, int T>
+  Rows<R, D, T> rows(int many, Criterion criterion = Criterion::sum) const {
+    int joints = T == 2 ? 7 : 6;
+    int owns = T == 0 ? 0 : T == 2 ? 1 : count + (criterion == Criterion::excess);
+    for (int k = 0; k < many; ++k) ++(owner[k] == SEVERAL ? joints : owns);
+    Rows<R, D, T> out(count, T == 2 ? 7 : 6, joints, owns);
+    for (int r = 0; r < 6; ++r) {
+      Tuple<R, T> shared{};
+      if constexpr (T == 2)
+        for (int i = 0; i < count; ++i) shared[0] += inward(i, turn[r][i]);
+      out.add_joint(turn[r], shared, -1);
     }
-    // (1, 0, 0, 1): the direction into a cone.
-    static Tuple<double, D> inwards() {
-        Tuple<double, D> out{};
-        out[0] = 1.0;
-        if (D == 4) out[D - 1] = 1.0;
-        return out;
+    if constexpr (T == 2) {
+      Field total(count);
+      for (auto& z : total) z[0] = 1.0;
+      out.add_joint(total, {R(count), R(1.0)}, -1);
+      out.doubtful = 6;
     }
-    // Storage for the results of `write_slacks`.
-    ArenaVector<double> slacks() const { return ArenaVector<double>(2 * count + limits); }
-    static double product(Row a, Row b) {
-        double total = 0.0;
-        for (std::size_t i = 0; i < a.size(); ++i) total += inner(a[i], b[i]);
-        return total;
-    }
-    Vec6 in_frame(const double* wrench) const {
-        Vec6 out{};
-        for (int r = 0; r < 6; ++r)
-            for (int q = 0; q < 6; ++q) out[r] += frame[r][q] * wrench[q];
-        return out;
-    }
-    // The wrench of one in the unit frame, whose moments are about another point and divided by a length.
-    Vec6 given(const Vec6& unit) const {
-        Vec6 out = unit;
-        for (int r = 3; r < 6; ++r) {
-            for (int q = 0; q < 3; ++q) out[r] -= frame[r][q] * unit[q];
-            out[r] /= frame[r][r];
+    for (int k = 0; k < many; ++k)
+      if (owner[k] == SEVERAL) out.add_joint(limit[k], {}, k);
+    for (int i = 0, next = 0; i <= count; ++i) {
+      for (; next < int(own.size()) && owner[own[next]] == i; ++next)
+        if (own[next] < many)
+          out.add_own(i, i < count ? wide<R>(limit[own[next]][i]) : Tuple<R, D>{}, {}, own[next]);
+      if constexpr (T == 1)
+        if (i < count) {  // normal <= t, or for an excess t, normal <= a bound set later
+          Tuple<R, D> row{};
+          row[0] = criterion == Criterion::excess ? price[i] : cost[i];
+          out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);
         }
-        return out;
     }
-    // True if a wrench, unit frame, has a part out of reach that is not rounding.
-    bool is_out_of_reach(const Vec6& unit) const {
-        return !reach.full() && grasp::size(reach.beyond(unit)) > BOUNDARY * grasp::size(unit);
+    if constexpr (T == 1)
+      if (criterion == Criterion::excess) out.add_own(count, {}, {R(-1.0)}, -1);
+    if constexpr (T == 2) out.add_own(count, {}, {R(1.0), R(-1.0)}, -1);
+    out.finish();
+    return out;
+  }
+
+  // Effect of a unit of depth on a row.
+  double inward(int i, const Tuple<double, D>& row) const {
+    return row[0] + (D == 4 && soft[i] ? row[D - 1] : 0.0);
+  }
+
+  // Slack of every cone, of w and of every limit, less an allowance for rounding.
+  template <class Bound>
+  void write_slacks(const Field& z, int many, ArenaVector<double>& out, Bound&& right) const {
+    int next = 0;
+    for (int i = 0; i < count; ++i) {
+      out[next++] = slack(cone(z[i])) - PAD * z[i][0];
+      if (D == 4 && soft[i]) out[next++] = z[i][D - 1] - PAD * z[i][0];
     }
-    // Coordinates along the rows of Q of a wrench in the unit frame; what is out of reach has none.
-    Vec6 solve_lower(const Vec6& unit) const {
-        Vec6 a = unit;
-        if (!reach.full())
-            for (int r = 0; r < 6; ++r) a[r] = r < reach.rank ? dot(reach.axes[r], unit) : 0.0;
-        for (int r = 0; r < reach.rank; ++r) {
-            for (int q = 0; q < r; ++q) a[r] -= lower[r][q] * a[q];
-            a[r] /= lower[r][r];
+    for (int k = 0; k < many; ++k) {
+      double value = right(k);
+      double sizes = std::abs(value);
+      for (int i = 0; i < count; ++i)
+        for (int a = 0; a < D; ++a) {
+          const double part = limit[k][i][a] * z[i][a];
+          value -= part;
+          sizes += std::abs(part);
         }
-        return a;
+      out[next++] = value - PAD * sizes;
     }
-    // Multipliers of the given wrench from those of the orthonormalised balance.
-    Vec6 pull_back(const Vec6& a) const { return out_of_frame(solve_upper(a)); }
-    // Multipliers of a wrench in the unit frame.
-    Vec6 solve_upper(Vec6 a) const {
-        for (int r = reach.rank - 1; r >= 0; --r) {
-            for (int q = r + 1; q < reach.rank; ++q) a[r] -= lower[q][r] * a[q];
-            a[r] /= lower[r][r];
-        }
-        if (reach.full()) return a;
-        Vec6 out{};
-        for (int r = 0; r < reach.rank; ++r) out = out + a[r] * reach.axes[r];
-        return out;
+    std::fill(out.begin() + next, out.end(), infinity);
+  }
+
+ private:
+  static constexpr int SEVERAL = -1;
+  static constexpr double RANK = 1e-13;  // largest ratio of singular values that rounding may cause
+  static constexpr double PAD = 6e-16;   // of the terms of a slack: rounding on the way to forces
+  static constexpr double LAST =
+      4e-16;  // of the largest normal force: effect of its rounding on balance
+
+  void find_owners() {
+    for (int k = 0; k < limits; ++k) {
+      int touched = 0;
+      owner[k] = count;
+      for (int i = 0; i < count; ++i)
+        if (inner(limit[k][i], limit[k][i]) > 0.0) owner[k] = touched++ ? SEVERAL : i;
     }
-    Vec6 out_of_frame(const Vec6& a) const {
-        Vec6 out{};
+    int many = 0;
+    for (int k = 0; k < limits; ++k)
+      if (owner[k] != SEVERAL) own[many++] = k;
+    own.resize(many);
+    std::sort(own.begin(), own.end(),
+              [&](int a, int b) { return std::pair(owner[a], a) < std::pair(owner[b], b); });
+  }
+  // G = L Q by Gram-Schmidt, twice.
+  void orthonormalise() {
+    if (reach.full())
+      turn = balance;
+    else
+      for (int r = 0; r < reach.rank; ++r)
         for (int q = 0; q < 6; ++q)
-            for (int r = 0; r < 6; ++r) out[q] += frame[r][q] * a[r];
-        return out;
-    }
-    // Largest number of the least-norm force of an orthonormalised wrench: a size independent of units.
-    double largest_of(const Vec6& turned) const {
-        double most = 0.0;
-        for (int i = 0; i < count; ++i)
-            for (int a = 0; a < D; ++a) {
-                double value = 0.0;
-                for (int r = 0; r < 6; ++r) value += turn[r][i][a] * turned[r];
-                most = std::abs(value) <= most ? most : std::abs(value);
-            }
-        return most;
-    }
-    // z -= Q^T a
-    void subtract(Field& z, const Vec6& a) const {
-        for (int r = 0; r < 6; ++r)
-            for (int i = 0; i < count; ++i) add(z[i], -a[r], turn[r][i]);
-    }
-    Vec6 wrench_of(const Field& z) const {
-        Vec6 out;
-        for (int r = 0; r < 6; ++r) out[r] = product(balance[r], z);
-        return out;
-    }
-    // True if the rows of balance within reach are independent within rounding.
-    bool independent() const {
-        double square = 0.0, inverse = 0.0;
-        for (int r = 0; r < 6; ++r) {
-            Vec6 unit{};
-            unit[r] = 1.0;
-            for (double value : solve_lower(unit)) inverse += value * value;
-            for (int q = 0; q <= r; ++q) square += lower[r][q] * lower[r][q];
+          for (int i = 0; i < count; ++i) add(turn[r][i], reach.axes[r][q], balance[q][i]);
+    for (int r = 0; r < reach.rank; ++r) {
+      for (int pass = 0; pass < 2; ++pass)
+        for (int q = 0; q < r; ++q) {
+          const double along = product(turn[r], turn[q]);
+          lower[r][q] += along;
+          for (int i = 0; i < count; ++i) add(turn[r][i], -along, turn[q][i]);
         }
-        return square * inverse * RANK * RANK < 1.0;
+      lower[r][r] = std::sqrt(product(turn[r], turn[r]));
+      for (auto& z : turn[r])
+        for (double& value : z) value /= lower[r][r];
     }
-    // Remove the balance residual G z + w from z by the least-norm change; return the remaining residual. The rounding of z itself
-    // stays: with contacts close together, removing it would change z far more.
-    double rebalance(Field& z, const Vec6& unit) const {
-        double most = 0.0;
-        for (int i = 0; i < count; ++i) most = std::max(most, z[i][0]);
-        for (int pass = 0;; ++pass) {
-            const Vec6 left = wrench_of(z) + unit;
-            if (pass == 2 || grasp::size(left) <= LAST * most) return grasp::size(left);
-            subtract(z, solve_lower(left));
-        }
-    }
-
-    template <class R, int T> Rows<R, D, T> rows(int many, Criterion criterion = Criterion::sum) const {
-        int joints = T == 2 ? 7 : 6, owns = T == 0 ? 0 : T == 2 ? 1 : count + (criterion == Criterion::excess);
-        for (int k = 0; k < many; ++k) ++(owner[k] == SEVERAL ? joints : owns);
-        Rows<R, D, T> out(count, T == 2 ? 7 : 6, joints, owns);
-        for (int r = 0; r < 6; ++r) {
-            Tuple<R, T> shared{};
-            if constexpr (T == 2)
-                for (int i = 0; i < count; ++i) shared[0] += inward(i, turn[r][i]);
-            out.add_joint(turn[r], shared, -1);
-        }
-        if constexpr (T == 2) {
-            Field total(count);
-            for (auto& z : total) z[0] = 1.0;
-            out.add_joint(total, {R(count), R(1.0)}, -1);
-            out.doubtful = 6;
-        }
-        for (int k = 0; k < many; ++k)
-            if (owner[k] == SEVERAL) out.add_joint(limit[k], {}, k);
-        for (int i = 0, next = 0; i <= count; ++i) {
-            for (; next < int(own.size()) && owner[own[next]] == i; ++next)
-                if (own[next] < many) out.add_own(i, i < count ? wide<R>(limit[own[next]][i]) : Tuple<R, D>{}, {}, own[next]);
-            if constexpr (T == 1)
-                if (i < count) {  // normal <= t, or for an excess t, normal <= a bound set later
-                    Tuple<R, D> row{};
-                    row[0] = criterion == Criterion::excess ? price[i] : cost[i];
-                    out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);
-                }
-        }
-        if constexpr (T == 1)
-            if (criterion == Criterion::excess) out.add_own(count, {}, {R(-1.0)}, -1);
-        if constexpr (T == 2) out.add_own(count, {}, {R(1.0), R(-1.0)}, -1);
-        out.finish();
-        return out;
-    }
-
-    // Effect of a unit of depth on a row.
-    double inward(int i, const Tuple<double, D>& row) const { return row[0] + (D == 4 && soft[i] ? row[D - 1] : 0.0); }
-
-    // Slack of every cone, of w and of every limit, less an allowance for rounding.
-    template <class Bound> void write_slacks(const Field& z, int many, ArenaVector<double>& out, Bound&& right) const {
-        int next = 0;
-        for (int i = 0; i < count; ++i) {
-            out[next++] = slack(cone(z[i])) - PAD * z[i][0];
-            if (D == 4 && soft[i]) out[next++] = z[i][D - 1] - PAD * z[i][0];
-        }
-        for (int k = 0; k < many; ++k) {
-            double value = right(k), sizes = std::abs(value);
-            for (int i = 0; i < count; ++i)
-                for (int a = 0; a < D; ++a) {
-                    const double part = limit[k][i][a] * z[i][a];
-                    value -= part, sizes += std::abs(part);
-                }
-            out[next++] = value - PAD * sizes;
-        }
-        std::fill(out.begin() + next, out.end(), infinity);
-    }
-
-private:
-    static constexpr int SEVERAL = -1;
-    static constexpr double RANK = 1e-13;  // largest ratio of singular values that rounding may cause
-    static constexpr double PAD = 6e-16;  // of the terms of a slack: rounding on the way to forces
-    static constexpr double LAST = 4e-16;  // of the largest normal force: effect of its rounding on balance
-
-    void find_owners() {
-        for (int k = 0; k < limits; ++k) {
-            int touched = 0;
-            owner[k] = count;
-            for (int i = 0; i < count; ++i)
-                if (inner(limit[k][i], limit[k][i]) > 0.0) owner[k] = touched++ ? SEVERAL : i;
-        }
-        int many = 0;
-        for (int k = 0; k < limits; ++k)
-            if (owner[k] != SEVERAL) own[many++] = k;
-        own.resize(many);
-        std::sort(own.begin(), own.end(), [&](int a, int b) { return std::pair(owner[a], a) < std::pair(owner[b], b); });
-    }
-    // G = L Q by Gram-Schmidt, twice.
-    void orthonormalise() {
-        if (reach.full()) turn = balance;
-        else
-            for (int r = 0; r < reach.rank; ++r)
-                for (int q = 0; q < 6; ++q)
-                    for (int i = 0; i < count; ++i) add(turn[r][i], reach.axes[r][q], balance[q][i]);
-        for (int r = 0; r < reach.rank; ++r) {
-            for (int pass = 0; pass < 2; ++pass)
-                for (int q = 0; q < r; ++q) {
-                    const double along = product(turn[r], turn[q]);
-                    lower[r][q] += along;
-                    for (int i = 0; i < count; ++i) add(turn[r][i], -along, turn[q][i]);
-                }
-            lower[r][r] = std::sqrt(product(turn[r], turn[r]));
-            for (auto& z : turn[r])
-                for (double& value : z) value /= lower[r][r];
-        }
-    }
+  }
 };
 
 }  // namespace detail

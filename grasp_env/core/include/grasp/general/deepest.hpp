@@ -1,268 +1,317 @@
-// The force deepest inside the limits of a program, or the twist that proves that no force is inside.
+// The force deepest inside the limits of a program, or the twist that proves that no force is
+// inside.
 #pragma once
 #include <grasp/general/constraints.hpp>
 
 namespace grasp {
 
-// A margin up to this, relative to forces that sum to one, counts as the boundary: at rest, no force is strictly inside.
+// A margin up to this, relative to forces that sum to one, counts as the boundary: at rest, no
+// force is strictly inside.
 inline constexpr double CLEAR = 1e-9;
 
-// CONVERGED: the force is strictly inside and balances `wrench`, which differs from the given one by at most BOUNDARY of it.
-// INFEASIBLE: no force is strictly inside, and `twist` proves it.
+// CONVERGED: the force is strictly inside and balances `wrench`, which differs from the given one
+// by at most BOUNDARY of it. INFEASIBLE: no force is strictly inside, and `twist` proves it.
 struct Deepest {
-    Code code = REFUSED;
-    int iterations = 0;
-    double margin = 0.0;
-    Vec6 twist{};  // [linear; angular], largest component one
-    Vec6 wrench{};  // [N, N m]
-    bool moved = false;  // true if `wrench` is not the given one
+  Code code = REFUSED;
+  int iterations = 0;
+  double margin = 0.0;
+  Vec6 twist{};        // [linear; angular], largest component one
+  Vec6 wrench{};       // [N, N m]
+  bool moved = false;  // true if `wrench` is not the given one
 };
 
 namespace detail {
 
-// Let a record of an optimum for the wrench `made` stand for one close by, with this balance residual. The bound is linear in the
-// wrench: the smaller one holds for both. STALLED if it does not prove the tolerance any more.
-inline void stand_for(const Record& record, const Vec6& made, const double* wrench, double residual, double tolerance) {
-    Summary& s = record.summary();
-    std::copy_n(wrench, 6, s.wrench.begin());
-    s.residual = residual;
-    double there = s.lower_bound;
-    for (int r = 0; r < 6; ++r) there -= s.multipliers[r] * (wrench[r] - made[r]);
-    s.lower_bound = std::min(s.lower_bound, there);
-    if (record.code() == CONVERGED && !(record.gap() <= tolerance)) s.code = STALLED;
+// Let a record of an optimum for the wrench `made` stand for one close by, with this balance
+// residual. The bound is linear in the wrench: the smaller one holds for both. STALLED if it does
+// not prove the tolerance any more.
+inline void stand_for(const Record& record, const Vec6& made, const double* wrench, double residual,
+                      double tolerance) {
+  Summary& s = record.summary();
+  std::copy_n(wrench, 6, s.wrench.begin());
+  s.residual = residual;
+  double there = s.lower_bound;
+  for (int r = 0; r < 6; ++r) there -= s.multipliers[r] * (wrench[r] - made[r]);
+  s.lower_bound = std::min(s.lower_bound, there);
+  if (record.code() == CONVERGED && !(record.gap() <= tolerance)) s.code = STALLED;
 }
 
-// max m with depth m in all cones and the first limits; forces and the wrench's share r sum to one, m <= r.
+// max m with depth m in all cones and the first limits; forces and the wrench's share r sum to one,
+// m <= r.
 template <int D> class Depth {
-public:
-    using Field = typename Constraints<D>::Field;
+ public:
+  using Field = typename Constraints<D>::Field;
 
-    Depth(const Constraints<D>& in, int many) : in_(&in), many_(many), slacks_(in.slacks()), prices_(in.limits) {}
+  Depth(const Constraints<D>& in, int many)
+      : in_(&in), many_(many), slacks_(in.slacks()), prices_(in.limits) {}
 
-    // Write the force into z [N]. If CONVERGED, it is strictly inside and balances `wrench` of the result, which differs from the given
-    // one by at most BOUNDARY of it. inside: true if a force nearer than NEAR to the boundary shall also move away from it.
-    Deepest find(const double* wrench, double tolerance, Field& z, bool inside = false);
-    // Prices of the limits if no force is inside. With the twist v they prove it: G^T v + sum price row lies in every dual cone, v
-    // . w > sum price bound.
-    const ArenaVector<double>& prices() const { return prices_; }
+  // Write the force into z [N]. If CONVERGED, it is strictly inside and balances `wrench` of the
+  // result, which differs from the given one by at most BOUNDARY of it. inside: true if a force
+  // nearer than NEAR to the boundary shall also move away from it.
+  Deepest find(const double* wrench, double tolerance, Field& z, bool inside = false);
+  // Prices of the limits if no force is inside. With the twist v they prove it: G^T v + sum price
+  // row lies in every dual cone, v . w > sum price bound.
+  const ArenaVector<double>& prices() const { return prices_; }
 
-private:
-    static constexpr double ROUNDING = 1e-14;  // of the terms of a proof, per term: far above rounding
-    static constexpr double SUM_ROUNDING = 4e-16;  // of the terms of a sum of a dozen
-    static constexpr double UNMOVED = 1e-15;  // of the terms of a contact's motion: rounding
-    static constexpr double COVERED = 1e10, SEEN = 1e6;  // forces of which a proof speaks, in units of the wrench
-    static constexpr double NEEDLESS = 1e-9;  // of the twist: a smaller price of a limit is rounding
-    static constexpr double NEAR = 1e-6;  // margin, relative to forces that sum to one
-    static constexpr double ENOUGH =
-        0.5;  // of the depth that a force gains by moving inside: it shall not be used up by rounding
-    static constexpr double SHORT = 0.9;  // of BOUNDARY: how far a wrench is moved; the rest is for rounding
-    const Constraints<D>* in_;
-    int many_;
-    ArenaVector<double> slacks_, prices_;
+ private:
+  static constexpr double ROUNDING =
+      1e-14;  // of the terms of a proof, per term: far above rounding
+  static constexpr double SUM_ROUNDING = 4e-16;  // of the terms of a sum of a dozen
+  static constexpr double UNMOVED = 1e-15;       // of the terms of a contact's motion: rounding
+  static constexpr double COVERED = 1e10,
+                          SEEN = 1e6;  // forces of which a proof speaks, in units of the wrench
+  static constexpr double NEEDLESS = 1e-9;  // of the twist: a smaller price of a limit is rounding
+  static constexpr double NEAR = 1e-6;      // margin, relative to forces that sum to one
+  static constexpr double ENOUGH =
+      0.5;  // of the depth that a force gains by moving inside: it shall not be used up by rounding
+  static constexpr double SHORT =
+      0.9;  // of BOUNDARY: how far a wrench is moved; the rest is for rounding
+  const Constraints<D>* in_;
+  int many_;
+  ArenaVector<double> slacks_, prices_;
 
-    template <class R> Deepest find(const double* wrench, double tolerance, Field& z) {
-        const Arena::Scope scope;
-        auto engine = in_->template engine<R, 2>(many_);
-        const Vec6 load = in_->in_frame(wrench);
-        double size = grasp::size(load);
-        bool free = size == 0.0;
-        for (int k = 0; k < many_; ++k) size = std::max(size, -in_->bound[k]), free = free && in_->bound[k] == 0.0;
-        if (!(size > NOTHING)) {  // at rest, the tightest limit is the unit
-            size = 1.0;
-            for (int k = 0; k < many_; ++k)
-                if (in_->bound[k] > NOTHING) size = std::min(size, in_->bound[k]);
-        }
-        const Vec6 unit = (1.0 / size) * load, turned = in_->solve_lower(unit);
-        set_up(engine, turned, size);
-        const auto& at = engine.at;
-        Deepest found;
-        std::copy_n(wrench, 6, found.wrench.begin());
-        found.code = engine.run(tolerance, (std::is_same_v<R, double> ? 0.1 : 1e-5) * CLEAR, 0.0, 200, [] { return 0.0; });
-        found.iterations = engine.iterations, found.margin = double(at.t[0]);
-        const double part = double(at.t[1]), scale = free ? 1.0 : 1.0 / part;
-        for (int i = 0; i < in_->count; ++i) {
-            z[i] = narrow(at.z[i]);
-            add(z[i], found.margin, in_->inwards());
-            if (D == 4 && !in_->soft[i]) z[i][D - 1] = 1.0;
-            for (double& value : z[i]) value *= scale;
-        }
-        if (free || part > 0.0) in_->rebalance(z, unit);
-        for (auto& each : z)
-            for (double& value : each) value *= size;
-        Vec6 y;
-        for (int r = 0; r < 6; ++r) y[r] = double(at.joint[r]);
-        y = in_->solve_upper(y);
-        const Vec6 twist = in_->out_of_frame(y);
-        const double per = 1.0 / std::max(grasp::size(twist), 1e-300);
-        found.twist = per * twist;
-        price(engine, size);
-        drop_needless_prices(y, size);
-        const bool at_rest = !(grasp::size(load) > 0.0), proven = proves_infeasible(y, unit, size);
-        const bool shut = at_rest && found.code == CONVERGED && found.margin <= CLEAR;
-        if (found.margin > CLEAR && least_slack(z) > 0.0) {
-            found.code = CONVERGED;
-        } else if (shut) {
-            found.code = INFEASIBLE;
-        } else if (proven && separation(y, unit, size) > BOUNDARY) {
-            found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
-        } else if (!at_rest && part > 0.0 && move_inside(load, z, found)) {
-            found.code = CONVERGED, found.margin = std::max(found.margin, 0.0);
-        } else if (proven && !std::is_same_v<R, double>) {
-            found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
-        } else if (found.code == CONVERGED) {
-            found.code = STALLED;  // slow does not mean infeasible
-        }
-        for (double& price : prices_) price *= per;
-        return found;
+  template <class R> Deepest find(const double* wrench, double tolerance, Field& z) {
+    const Arena::Scope scope;
+    auto engine = in_->template engine<R, 2>(many_);
+    const Vec6 load = in_->in_frame(wrench);
+    double size = grasp::size(load);
+    bool free = size == 0.0;
+    for (int k = 0; k < many_; ++k) {
+      size = std::max(size, -in_->bound[k]);
+      free = free && in_->bound[k] == 0.0;
     }
-    // The proof that a wrench is out of reach: contacts move so little along this twist that forces of up to SEEN times the wrench do not
-    // make up for it.
-    Deepest beyond_reach(const double* wrench) {
-        Deepest found;
-        const Vec6 load = in_->in_frame(wrench), beyond = in_->reach.beyond(load);
-        const double distance = grasp::size(beyond);
-        const Vec6 y = (1.0 / distance) * beyond;
-        double moved = 0.0;
+    if (!(size > NOTHING)) {  // at rest, the tightest limit is the unit
+      size = 1.0;
+      for (int k = 0; k < many_; ++k)
+        if (in_->bound[k] > NOTHING) size = std::min(size, in_->bound[k]);
+    }
+    const Vec6 unit = (1.0 / size) * load;
+    const Vec6 turned = in_->solve_lower(unit);
+    set_up(engine, turned, size);
+    const auto& at = engine.at;
+    Deepest found;
+    std::copy_n(wrench, 6, found.wrench.begin());
+    found.code = engine.run(tolerance, (std::is_same_v<R, double> ? 0.1 : 1e-5) * CLEAR, 0.0, 200,
+                            [] { return 0.0; });
+    found.iterations = engine.iterations;
+    found.margin = double(at.t[0]);
+    const double part = double(at.t[1]);
+    const double scale = free ? 1.0 : 1.0 / part;
+    for (int i = 0; i < in_->count; ++i) {
+      z[i] = narrow(at.z[i]);
+      add(z[i], found.margin, in_->inwards());
+      if (D == 4 && !in_->soft[i]) z[i][D - 1] = 1.0;
+      for (double& value : z[i]) value *= scale;
+    }
+    if (free || part > 0.0) in_->rebalance(z, unit);
+    for (auto& each : z)
+      for (double& value : each) value *= size;
+    Vec6 y;
+    for (int r = 0; r < 6; ++r) y[r] = double(at.joint[r]);
+    y = in_->solve_upper(y);
+    const Vec6 twist = in_->out_of_frame(y);
+    const double per = 1.0 / std::max(grasp::size(twist), 1e-300);
+    found.twist = per * twist;
+    price(engine, size);
+    drop_needless_prices(y, size);
+    const bool at_rest = !(grasp::size(load) > 0.0);
+    const bool proven = proves_infeasible(y, unit, size);
+    const bool shut = at_rest && found.code == CONVERGED && found.margin <= CLEAR;
+    if (found.margin > CLEAR && least_slack(z) > 0.0) {
+      found.code = CONVERGED;
+    } else if (shut) {
+      found.code = INFEASIBLE;
+    } else if (proven && separation(y, unit, size) > BOUNDARY) {
+      found.code = INFEASIBLE;
+      found.margin = std::min(found.margin, 0.0);
+    } else if (!at_rest && part > 0.0 && move_inside(load, z, found)) {
+      found.code = CONVERGED;
+      found.margin = std::max(found.margin, 0.0);
+    } else if (proven && !std::is_same_v<R, double>) {
+      found.code = INFEASIBLE;
+      found.margin = std::min(found.margin, 0.0);
+    } else if (found.code == CONVERGED) {
+      found.code = STALLED;  // slow does not mean infeasible
+    }
+    for (double& price : prices_) price *= per;
+    return found;
+  }
+  // The proof that a wrench is out of reach: contacts move so little along this twist that forces
+  // of up to SEEN times the wrench do not make up for it.
+  Deepest beyond_reach(const double* wrench) {
+    Deepest found;
+    const Vec6 load = in_->in_frame(wrench);
+    const Vec6 beyond = in_->reach.beyond(load);
+    const double distance = grasp::size(beyond);
+    const Vec6 y = (1.0 / distance) * beyond;
+    double moved = 0.0;
+    for (int i = 0; i < in_->count; ++i)
+      for (int a = 0; a < D; ++a) {
+        double motion = 0.0, terms = 0.0;
+        for (int r = 0; r < 6; ++r) {
+          const double part = y[r] * in_->balance[r][i][a];
+          motion += part;
+          terms += std::abs(part);
+        }
+        moved = std::max(moved, std::abs(motion) + UNMOVED * terms);
+      }
+    std::fill(prices_.begin(), prices_.end(), 0.0);
+    std::copy_n(wrench, 6, found.wrench.begin());
+    const Vec6 twist = in_->out_of_frame(y);
+    found.twist = (1.0 / grasp::size(twist)) * twist;
+    if (distance > SEEN * moved * grasp::size(load)) found.code = INFEASIBLE;
+    return found;
+  }
+  double least_slack(const Field& z) {
+    in_->write_slacks(z, many_, slacks_, [&](int k) { return in_->bound[k]; });
+    return least_of(slacks_);
+  }
+  // Drop prices of limits that are mere rounding beside the twist: the proof holds without them.
+  void drop_needless_prices(const Vec6& y, double size) {
+    for (int k = in_->torsions; k < many_; ++k)
+      if (prices_[k] * std::max(1.0, std::abs(in_->bound[k]) / size) < NEEDLESS * grasp::size(y))
+        prices_[k] = 0.0;
+  }
+  // Distance of the wrench from those that the constraints can balance, as the multipliers show it:
+  // a fraction of the wrench.
+  double separation(const Vec6& y, const Vec6& unit, double size) const {
+    double value = dot(y, unit);
+    for (int k = 0; k < many_; ++k) value -= prices_[k] * in_->bound[k] / size;
+    return value / (sum_of_sizes(y) * grasp::size(unit));
+  }
+  // Move z, at the boundary of the constraints, towards a force well inside them. This changes the
+  // wrench by less than BOUNDARY of it. Return true if z is then strictly inside, with the wrench
+  // that it balances in `found`.
+  bool move_inside(const Vec6& load, Field& z, Deepest& found) {
+    const double size = grasp::size(load);
+    const Arena::Scope scope;
+    Field inside(in_->count);
+    for (double length : {1.0, 0.1, 0.01, 1e-3, 10.0, 100.0}) {
+      for (int i = 0; i < in_->count; ++i) {
+        inside[i] = {};
+        add(inside[i], length * size, in_->inwards());
+        if (D == 4 && !in_->soft[i]) inside[i][D - 1] = 1.0;
+      }
+      const double room = least_slack(inside);
+      if (!(room > 0.0)) continue;
+      const double part =
+          std::min(1.0, SHORT * BOUNDARY * size / grasp::size(in_->wrench_of(inside) + load));
+      for (int i = 0; i < in_->count; ++i)
+        for (int a = 0; a < D; ++a) inside[i][a] = (1.0 - part) * z[i][a] + part * inside[i][a];
+      const Vec6 made = in_->wrench_of(inside);
+      if (!(least_slack(inside) > ENOUGH * part * room &&
+            grasp::size(made + load) <= BOUNDARY * size))
+        continue;
+      z = inside;
+      found.moved = true;
+      found.wrench = in_->given(-1.0 * made);
+      return true;
+    }
+    return false;
+  }
+  // Scaling of a row: a bound far above the wrench gives a row of the bound's size.
+  double row_scale(int k, double size) const {
+    return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size);
+  }
+  // Slack of a limit that a unit of depth uses.
+  double depth_slack(int k) const {
+    double total = 1.0;
+    for (int i = 0; i < in_->count; ++i) total += in_->inward(i, in_->limit[k][i]);
+    return total;
+  }
+  // Multipliers of the limits.
+  template <class R> void price(const InteriorPoint<R, D, 2>& engine, double size) {
+    const auto& rows = engine.rows;
+    for (const auto& row : rows.own)
+      if (row.label >= 0)
+        prices_[row.label] = row_scale(row.label, size) *
+                             std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
+    for (int r = rows.equal; r < rows.joint; ++r)
+      prices_[rows.label[r]] =
+          row_scale(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
+  }
+  // True if the twist y (unit frame) and the limits' multipliers prove that no force is within the
+  // limits: G^T y + sum price row lies in every dual cone, and y . w > sum price bound. What it
+  // lacks of a dual cone must be too little to matter for any force of up to COVERED times the
+  // wrench, or if rounding hides it, of up to SEEN times the wrench. The origin of y and of the
+  // multipliers does not matter.
+  bool proves_infeasible(const Vec6& y, const Vec6& unit, double size) {
+    const double rounding = ROUNDING * (8 + many_);
+    double lacking = 0.0, hidden = 0.0;
+    for (int i = 0; i < in_->count; ++i) {
+      Tuple<double, D> dual{};
+      double terms = 0.0;
+      const auto take = [&](double part, const Tuple<double, D>& row) {
+        add(dual, part, row);
+        for (double value : row) terms += std::abs(part * value);
+      };
+      for (int r = 0; r < 6; ++r) take(y[r], in_->balance[r][i]);
+      for (int k = 0; k < many_; ++k) take(prices_[k], in_->limit[k][i]);
+      if (D == 4 && in_->soft[i] &&
+          !(dual[D - 1] > rounding * terms)) {  // w has no cost: see `certify`
+        const Tuple<double, D>& row = in_->limit[in_->torsion_row[i]][i];
+        const double raised = (2.0 * rounding * terms - dual[D - 1]) / row[D - 1];
+        prices_[in_->torsion_row[i]] += raised;
+        take(raised, row);
+      }
+      const double room = slack(cone(dual));
+      const double lost = SUM_ROUNDING * terms;
+      lacking = std::max(lacking, -room - lost);
+      hidden = std::max(hidden, lost - room);
+    }
+    double value = 0.0, terms = 0.0;
+    const auto take = [&](double part) {
+      value += part;
+      terms += std::abs(part);
+    };
+    for (int r = 0; r < 6; ++r) take(y[r] * unit[r]);
+    for (int k = 0; k < many_; ++k) take(-prices_[k] * in_->bound[k] / size);
+    return value > rounding * terms + COVERED * lacking + SEEN * hidden && terms < infinity;
+  }
+  // Set up the program for a wrench, scaled to its size: the orthonormalised balance and every
+  // limit.
+  template <class R>
+  void set_up(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
+    auto& at = engine.at;
+    for (int r = 0; r < engine.rows.joint; ++r) {
+      const int name = engine.rows.label[r];
+      if (r < 6) engine.rows.coupling[r][1] = turned[r];
+      engine.rows.right[r] = r == 6 ? 1.0 : 0.0;
+      if (name >= 0) {
+        const double part = row_scale(name, size);
+        engine.rows.coupling[r] = {R(part * depth_slack(name)), R(-part * in_->bound[name] / size)};
         for (int i = 0; i < in_->count; ++i)
-            for (int a = 0; a < D; ++a) {
-                double motion = 0.0, terms = 0.0;
-                for (int r = 0; r < 6; ++r) {
-                    const double part = y[r] * in_->balance[r][i][a];
-                    motion += part, terms += std::abs(part);
-                }
-                moved = std::max(moved, std::abs(motion) + UNMOVED * terms);
-            }
-        std::fill(prices_.begin(), prices_.end(), 0.0);
-        std::copy_n(wrench, 6, found.wrench.begin());
-        const Vec6 twist = in_->out_of_frame(y);
-        found.twist = (1.0 / grasp::size(twist)) * twist;
-        if (distance > SEEN * moved * grasp::size(load)) found.code = INFEASIBLE;
-        return found;
+          for (int a = 0; a < D; ++a)
+            engine.rows.columns[engine.rows.joint * i + r][a] = part * in_->limit[name][i][a];
+      }
+      at.joint[r] = r < 7 ? 0.0 : 1.0;
+      at.joint_slack[r] = 1.0;
     }
-    double least_slack(const Field& z) {
-        in_->write_slacks(z, many_, slacks_, [&](int k) { return in_->bound[k]; });
-        return least_of(slacks_);
+    for (int k = 0; k < int(engine.rows.own.size()); ++k) {
+      auto& row = engine.rows.own[k];
+      if (row.label >= 0) {
+        const double part = row_scale(row.label, size);
+        row.shared = {R(part * depth_slack(row.label)), R(-part * in_->bound[row.label] / size)};
+        if (row.contact < in_->count)
+          for (int a = 0; a < D; ++a) row.row[a] = part * in_->limit[row.label][row.contact][a];
+      }
+      at.own[k] = at.own_slack[k] = 1.0;
     }
-    // Drop prices of limits that are mere rounding beside the twist: the proof holds without them.
-    void drop_needless_prices(const Vec6& y, double size) {
-        for (int k = in_->torsions; k < many_; ++k)
-            if (prices_[k] * std::max(1.0, std::abs(in_->bound[k]) / size) < NEEDLESS * grasp::size(y)) prices_[k] = 0.0;
-    }
-    // Distance of the wrench from those that the constraints can balance, as the multipliers show it: a fraction of the wrench.
-    double separation(const Vec6& y, const Vec6& unit, double size) const {
-        double value = dot(y, unit);
-        for (int k = 0; k < many_; ++k) value -= prices_[k] * in_->bound[k] / size;
-        return value / (sum_of_sizes(y) * grasp::size(unit));
-    }
-    // Move z, at the boundary of the constraints, towards a force well inside them. This changes the wrench by less than BOUNDARY of
-    // it. Return true if z is then strictly inside, with the wrench that it balances in `found`.
-    bool move_inside(const Vec6& load, Field& z, Deepest& found) {
-        const double size = grasp::size(load);
-        const Arena::Scope scope;
-        Field inside(in_->count);
-        for (double length : {1.0, 0.1, 0.01, 1e-3, 10.0, 100.0}) {
-            for (int i = 0; i < in_->count; ++i) {
-                inside[i] = {};
-                add(inside[i], length * size, in_->inwards());
-                if (D == 4 && !in_->soft[i]) inside[i][D - 1] = 1.0;
-            }
-            const double room = least_slack(inside);
-            if (!(room > 0.0)) continue;
-            const double part = std::min(1.0, SHORT * BOUNDARY * size / grasp::size(in_->wrench_of(inside) + load));
-            for (int i = 0; i < in_->count; ++i)
-                for (int a = 0; a < D; ++a) inside[i][a] = (1.0 - part) * z[i][a] + part * inside[i][a];
-            const Vec6 made = in_->wrench_of(inside);
-            if (!(least_slack(inside) > ENOUGH * part * room && grasp::size(made + load) <= BOUNDARY * size)) continue;
-            z = inside;
-            found.moved = true, found.wrench = in_->given(-1.0 * made);
-            return true;
-        }
-        return false;
-    }
-    // Scaling of a row: a bound far above the wrench gives a row of the bound's size.
-    double row_scale(int k, double size) const { return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size); }
-    // Slack of a limit that a unit of depth uses.
-    double depth_slack(int k) const {
-        double total = 1.0;
-        for (int i = 0; i < in_->count; ++i) total += in_->inward(i, in_->limit[k][i]);
-        return total;
-    }
-    // Multipliers of the limits.
-    template <class R> void price(const InteriorPoint<R, D, 2>& engine, double size) {
-        const auto& rows = engine.rows;
-        for (const auto& row : rows.own)
-            if (row.label >= 0)
-                prices_[row.label] = row_scale(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
-        for (int r = rows.equal; r < rows.joint; ++r)
-            prices_[rows.label[r]] = row_scale(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
-    }
-    // True if the twist y (unit frame) and the limits' multipliers prove that no force is within the limits: G^T y + sum price row lies
-    // in every dual cone, and y . w > sum price bound. What it lacks of a dual cone must be too little to matter for any force of up
-    // to COVERED times the wrench, or if rounding hides it, of up to SEEN times the wrench. The origin of y and of the multipliers does
-    // not matter.
-    bool proves_infeasible(const Vec6& y, const Vec6& unit, double size) {
-        const double rounding = ROUNDING * (8 + many_);
-        double lacking = 0.0, hidden = 0.0;
-        for (int i = 0; i < in_->count; ++i) {
-            Tuple<double, D> dual{};
-            double terms = 0.0;
-            const auto take = [&](double part, const Tuple<double, D>& row) {
-                add(dual, part, row);
-                for (double value : row) terms += std::abs(part * value);
-            };
-            for (int r = 0; r < 6; ++r) take(y[r], in_->balance[r][i]);
-            for (int k = 0; k < many_; ++k) take(prices_[k], in_->limit[k][i]);
-            if (D == 4 && in_->soft[i] && !(dual[D - 1] > rounding * terms)) {  // w has no cost: see `certify`
-                const Tuple<double, D>& row = in_->limit[in_->torsion_row[i]][i];
-                const double raised = (2.0 * rounding * terms - dual[D - 1]) / row[D - 1];
-                prices_[in_->torsion_row[i]] += raised, take(raised, row);
-            }
-            const double room = slack(cone(dual)), lost = SUM_ROUNDING * terms;
-            lacking = std::max(lacking, -room - lost), hidden = std::max(hidden, lost - room);
-        }
-        double value = 0.0, terms = 0.0;
-        const auto take = [&](double part) { value += part, terms += std::abs(part); };
-        for (int r = 0; r < 6; ++r) take(y[r] * unit[r]);
-        for (int k = 0; k < many_; ++k) take(-prices_[k] * in_->bound[k] / size);
-        return value > rounding * terms + COVERED * lacking + SEEN * hidden && terms < infinity;
-    }
-    // Set up the program for a wrench, scaled to its size: the orthonormalised balance and every limit.
-    template <class R> void set_up(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
-        auto& at = engine.at;
-        for (int r = 0; r < engine.rows.joint; ++r) {
-            const int name = engine.rows.label[r];
-            if (r < 6) engine.rows.coupling[r][1] = turned[r];
-            engine.rows.right[r] = r == 6 ? 1.0 : 0.0;
-            if (name >= 0) {
-                const double part = row_scale(name, size);
-                engine.rows.coupling[r] = {R(part * depth_slack(name)), R(-part * in_->bound[name] / size)};
-                for (int i = 0; i < in_->count; ++i)
-                    for (int a = 0; a < D; ++a) engine.rows.columns[engine.rows.joint * i + r][a] = part * in_->limit[name][i][a];
-            }
-            at.joint[r] = r < 7 ? 0.0 : 1.0, at.joint_slack[r] = 1.0;
-        }
-        for (int k = 0; k < int(engine.rows.own.size()); ++k) {
-            auto& row = engine.rows.own[k];
-            if (row.label >= 0) {
-                const double part = row_scale(row.label, size);
-                row.shared = {R(part * depth_slack(row.label)), R(-part * in_->bound[row.label] / size)};
-                if (row.contact < in_->count)
-                    for (int a = 0; a < D; ++a) row.row[a] = part * in_->limit[row.label][row.contact][a];
-            }
-            at.own[k] = at.own_slack[k] = 1.0;
-        }
-        at.t = {};
-        for (int i = 0; i < in_->count; ++i) at.z[i] = at.s[i] = wide<R>(in_->inwards());
-    }
+    at.t = {};
+    for (int i = 0; i < in_->count; ++i) at.z[i] = at.s[i] = wide<R>(in_->inwards());
+  }
 };
 
 // Not inline, see `ProgramOn`.
-template <int D> Deepest Depth<D>::find(const double* wrench, double tolerance, Field& z, bool inside) {
-    if (in_->is_out_of_reach(in_->in_frame(wrench))) return beyond_reach(wrench);
-    Deepest found = find<double>(wrench, tolerance, z);
-    if (found.code != CONVERGED && found.code != INFEASIBLE) found = find<DoubleDouble>(wrench, tolerance, z);
-    if (inside && found.code == CONVERGED && !found.moved && found.margin < NEAR) move_inside(in_->in_frame(wrench), z, found);
-    return found;
+template <int D>
+Deepest Depth<D>::find(const double* wrench, double tolerance, Field& z, bool inside) {
+  if (in_->is_out_of_reach(in_->in_frame(wrench))) return beyond_reach(wrench);
+  Deepest found = find<double>(wrench, tolerance, z);
+  if (found.code != CONVERGED && found.code != INFEASIBLE)
+    found = find<DoubleDouble>(wrench, tolerance, z);
+  if (inside && found.code == CONVERGED && !found.moved && found.margin < NEAR)
+    move_inside(in_->in_frame(wrench), z, found);
+  return found;
 }
 
 }  // namespace detail

@@ -1,5 +1,6 @@
-// The general program for real-time code: any contacts, any limits, and continuation of faster algorithms that give up. The
-// constructor allocates for a number of contacts and limits; placing and solving then allocate nothing.
+// The general program for real-time code: any contacts, any limits, and continuation of faster
+// algorithms that give up. The constructor allocates for a number of contacts and limits; placing
+// and solving then allocate nothing.
 #pragma once
 #include <grasp/limits/force_limits.hpp>
 #include <grasp/general/program.hpp>
@@ -7,376 +8,454 @@
 namespace grasp {
 
 class General {
-public:
-    static constexpr double BALANCE_TOLERANCE = 1e-8;  // of wrench and force: largest balance residual of a given start
-    static constexpr int CONIC_ITERATIONS = 100;  // of an interior point; a dozen is usual
+ public:
+  static constexpr double BALANCE_TOLERANCE =
+      1e-8;  // of wrench and force: largest balance residual of a given start
+  static constexpr int CONIC_ITERATIONS = 100;  // of an interior point; a dozen is usual
 
-    General() = default;
-    // For at most so many contacts and rows of limits; soft: torsion may be transmitted. Allocates here for the worst rows, unless
-    // that takes more than LARGEST_ROOM. In that case, or for more contacts, `place` allocates whenever it needs more than before.
-    explicit General(int contacts, int limits = 0, bool soft = false)
-        : arena_(clamped_size(bytes_needed(contacts, limits, limits, soft))) {}
-    // A copy has as much memory, and nothing placed.
-    General(const General& other) : arena_(other.arena_.size()) {}
-    General& operator=(const General& other) {
-        forget();
-        arena_.reserve(other.arena_.size());
-        return *this;
-    }
+  General() = default;
+  // For at most so many contacts and rows of limits; soft: torsion may be transmitted. Allocates
+  // here for the worst rows, unless that takes more than LARGEST_ROOM. In that case, or for more
+  // contacts, `place` allocates whenever it needs more than before.
+  explicit General(int contacts, int limits = 0, bool soft = false)
+      : arena_(clamped_size(bytes_needed(contacts, limits, limits, soft))) {}
+  // A copy has as much memory, and nothing placed.
+  General(const General& other) : arena_(other.arena_.size()) {}
+  General& operator=(const General& other) {
+    forget();
+    arena_.reserve(other.arena_.size());
+    return *this;
+  }
 
-    // Take over the current, placed contacts and their weights. torsion_divisor: (N,) v = divisor * torsion [1 / m], abs(v) <=
-    // normal force in cone coordinates; inf or 0: not soft; null: no soft contacts. limits: their Jacobian is (N, each, J), each =
-    // 3, or 4 with the torsion's row. internal: (N, 3) a force strictly inside the cones that balances itself, if known; otherwise
-    // `conic` finds one. rank_lost: rounding hides which wrenches the contacts can make. Keeps no reference to the arguments.
-    Placing place(const Contacts& contacts, const double* torsion_divisor = nullptr, const ForceLimits& limits = {}, int each = 3,
-                  const double* internal = nullptr) {
-        forget();
-        const int count = contacts.count, given = limits.many();
-        int torsions = 0;
-        for (int i = 0; torsion_divisor && i < count; ++i) torsions += soft(torsion_divisor[i]);
-        const int several = std::min(given, 2 * int(limits.torque_limit.size()));
-        if (count == 0) return Placing::rank_lost;
-        arena_.reserve(bytes_needed(count, given, several, torsions > 0));
-        const Arena::Use use(arena_);
-        Inputs& inputs = inputs_.emplace(count, torsions + given, torsions);
-        const bool is_in_range = inputs.set(contacts, torsion_divisor) && inputs.set(limits, each);
-        if (is_in_range) {
-            double frame[36];
-            contacts.unit.write(frame);
-            program_.emplace(ProgramData{count, inputs.limits, frame, inputs.balance.data(), inputs.rows.data(),
-                                         inputs.bound.data(), inputs.weights.data(), inputs.divisor.data(), inputs.shares.data(),
-                                         true, contacts.reach});
-            if (internal) inputs.load(internal, nullptr), program_->set_internal_force(inputs.z.data());
-            if (program_->independent()) return Placing::good;
-        }
-        forget();
-        return is_in_range ? Placing::rank_lost : Placing::refused;
+  // Take over the current, placed contacts and their weights. torsion_divisor: (N,) v = divisor *
+  // torsion [1 / m], abs(v) <= normal force in cone coordinates; inf or 0: not soft; null: no soft
+  // contacts. limits: their Jacobian is (N, each, J), each = 3, or 4 with the torsion's row.
+  // internal: (N, 3) a force strictly inside the cones that balances itself, if known; otherwise
+  // `conic` finds one. rank_lost: rounding hides which wrenches the contacts can make. Keeps no
+  // reference to the arguments.
+  Placing place(const Contacts& contacts, const double* torsion_divisor = nullptr,
+                const ForceLimits& limits = {}, int each = 3, const double* internal = nullptr) {
+    forget();
+    const int count = contacts.count;
+    const int given = limits.many();
+    int torsions = 0;
+    for (int i = 0; torsion_divisor && i < count; ++i) torsions += soft(torsion_divisor[i]);
+    const int several = std::min(given, 2 * int(limits.torque_limit.size()));
+    if (count == 0) return Placing::rank_lost;
+    arena_.reserve(bytes_needed(count, given, several, torsions > 0));
+    const Arena::Use use(arena_);
+    Inputs& inputs = inputs_.emplace(count, torsions + given, torsions);
+    const bool is_in_range = inputs.set(contacts, torsion_divisor) && inputs.set(limits, each);
+    if (is_in_range) {
+      double frame[36];
+      contacts.unit.write(frame);
+      program_.emplace(ProgramData{count, inputs.limits, frame, inputs.balance.data(),
+                                   inputs.rows.data(), inputs.bound.data(), inputs.weights.data(),
+                                   inputs.divisor.data(), inputs.shares.data(), true,
+                                   contacts.reach});
+      if (internal) {
+        inputs.load(internal, nullptr);
+        program_->set_internal_force(inputs.z.data());
+      }
+      if (program_->independent()) return Placing::good;
     }
-    bool placed() const { return bool(program_); }
-    int count() const { return placed() ? inputs_->count : 0; }
+    forget();
+    return is_in_range ? Placing::rank_lost : Placing::refused;
+  }
+  bool placed() const { return bool(program_); }
+  int count() const { return placed() ? inputs_->count : 0; }
 
-    // The following functions need placed contacts, and records for as many contacts.
+  // The following functions need placed contacts, and records for as many contacts.
 
-    // Minimise the sum or the largest of the weighted normal forces. INFEASIBLE: the record holds the twist that proves it. UNDECIDED:
-    // neither found.
-    Code conic(const double* wrench, Criterion criterion, const StopRule& options, const Record& record) {
-        const Arena::Use use(arena_);
-        const Code code = least(wrench, criterion, {options.tolerance, CONIC_ITERATIONS}, options.limit, record);
-        const Summary& s = record.summary();
-        const bool lost = code == STALLED && s.lower_bound > (1.0 + 1e-6) * s.objective;  // neither holds a digit
-        if ((code != REFUSED && !lost) || !is_valid_wrench(wrench)) return code;
-        return refute(deepest(wrench), wrench, record);
+  // Minimise the sum or the largest of the weighted normal forces. INFEASIBLE: the record holds the
+  // twist that proves it. UNDECIDED: neither found.
+  Code conic(const double* wrench, Criterion criterion, const StopRule& options,
+             const Record& record) {
+    const Arena::Use use(arena_);
+    const Code code =
+        least(wrench, criterion, {options.tolerance, CONIC_ITERATIONS}, options.limit, record);
+    const Summary& s = record.summary();
+    const bool lost =
+        code == STALLED && s.lower_bound > (1.0 + 1e-6) * s.objective;  // neither holds a digit
+    if ((code != REFUSED && !lost) || !is_valid_wrench(wrench)) return code;
+    return refute(deepest(wrench), wrench, record);
+  }
+  // Minimise the sum, continuing the record of a solver that stopped short of the tolerance. The
+  // better result stays; iterations add up.
+  Code conic_from(const StopRule& options, const Record& record) {
+    const Arena::Use use(arena_);
+    Summary& before = record.summary();
+    const int left = options.limit - int(before.iterations);
+    const bool stopped = record.code() == STALLED || record.code() == LIMIT;
+    if (!stopped || left <= 0 || !gap_exceeds_rounding(before, options.tolerance))
+      return record.code();
+    const Record made(inputs_->record.data(), inputs_->count);
+    const Code code = least(before.wrench.data(), Criterion::sum,
+                            {options.tolerance, CONIC_ITERATIONS}, left, made);
+    const bool ended = code == STALLED || code == LIMIT;
+    const Vec6 wrench = before.wrench;
+    if (code == CONVERGED || (ended && gap(made.summary()) < gap(before))) {
+      replace_record(made, record);
+    } else if (!ended && gap(before) > before.lower_bound) {  // neither holds a digit
+      if (code == INFEASIBLE) return replace_record(made, record);
+      return refute(deepest(wrench.data()), wrench.data(), record);
     }
-    // Minimise the sum, continuing the record of a solver that stopped short of the tolerance. The better result stays; iterations
-    // add up.
-    Code conic_from(const StopRule& options, const Record& record) {
-        const Arena::Use use(arena_);
-        Summary& before = record.summary();
-        const int left = options.limit - int(before.iterations);
-        const bool stopped = record.code() == STALLED || record.code() == LIMIT;
-        if (!stopped || left <= 0 || !gap_exceeds_rounding(before, options.tolerance)) return record.code();
-        const Record made(inputs_->record.data(), inputs_->count);
-        const Code code = least(before.wrench.data(), Criterion::sum, {options.tolerance, CONIC_ITERATIONS}, left, made);
-        const bool ended = code == STALLED || code == LIMIT;
-        const Vec6 wrench = before.wrench;
-        if (code == CONVERGED || (ended && gap(made.summary()) < gap(before))) {
-            replace_record(made, record);
-        } else if (!ended && gap(before) > before.lower_bound) {  // neither holds a digit
-            if (code == INFEASIBLE) return replace_record(made, record);
-            return refute(deepest(wrench.data()), wrench.data(), record);
-        }
-        const bool digits = gap(before) <= before.lower_bound && before.residual <= MISSED * program_->unit_size(wrench.data());
-        if (record.code() == CONVERGED || digits) return record.code();
-        const Deepest found = deepest(wrench.data());  // the forces are so far above the wrench that they prove nothing
-        return found.code == INFEASIBLE ? refute(found, wrench.data(), record) : record.code();
-    }
+    const bool digits = gap(before) <= before.lower_bound &&
+                        before.residual <= MISSED * program_->unit_size(wrench.data());
+    if (record.code() == CONVERGED || digits) return record.code();
+    const Deepest found =
+        deepest(wrench.data());  // the forces are so far above the wrench that they prove nothing
+    return found.code == INFEASIBLE ? refute(found, wrench.data(), record) : record.code();
+  }
 
-    // True if the start of a call is strictly inside, so that `phi` uses it.
-    bool starts_from(const Call& call) {
-        const Arena::Use use(arena_);
-        return has_start(call);
+  // True if the start of a call is strictly inside, so that `phi` uses it.
+  bool starts_from(const Call& call) {
+    const Arena::Use use(arena_);
+    return has_start(call);
+  }
+  // Minimise Phi. From::given: from the call's force and torsion, if they are balanced and strictly
+  // inside. From::tangent: from the nearest balanced force, if it is strictly inside. Otherwise
+  // from the deepest force. INFEASIBLE, UNDECIDED: as for `conic`.
+  Code phi(const Call& call, const Record& record) {
+    const Arena::Use use(arena_);
+    record.clear();
+    record.summary().code = REFUSED;
+    if (!is_valid_wrench(call.wrench)) return REFUSED;
+    Call ask = call;
+    Deepest found;
+    if (!has_start(call)) {
+      found = begin(call.wrench);
+      if (found.code != CONVERGED) return refute(found, call.wrench, record);
+      if (found.moved) ask.wrench = found.wrench.data();
     }
-    // Minimise Phi. From::given: from the call's force and torsion, if they are balanced and strictly inside. From::tangent: from
-    // the nearest balanced force, if it is strictly inside. Otherwise from the deepest force. INFEASIBLE, UNDECIDED: as for
-    // `conic`.
-    Code phi(const Call& call, const Record& record) {
-        const Arena::Use use(arena_);
-        record.clear();
-        record.summary().code = REFUSED;
-        if (!is_valid_wrench(call.wrench)) return REFUSED;
-        Call ask = call;
-        Deepest found;
-        if (!has_start(call)) {
-            found = begin(call.wrench);
-            if (found.code != CONVERGED) return refute(found, call.wrench, record);
-            if (found.moved) ask.wrench = found.wrench.data();
-        }
-        const Code code = least_phi(ask, record);
-        inputs_->store(inputs_->z.data(), record.initial_force(), nullptr);
-        ask = call;
-        ask.stop.limit -= int(record.summary().iterations);
-        if ((code == REFUSED || (code == STALLED && !found.moved)) && phi_inside(ask, record)) return record.code();
-        if (code == REFUSED) return refute({}, call.wrench, record);
-        if (found.moved) stand_for(found.wrench, call, record);
-        return record.code();
+    const Code code = least_phi(ask, record);
+    inputs_->store(inputs_->z.data(), record.initial_force(), nullptr);
+    ask = call;
+    ask.stop.limit -= int(record.summary().iterations);
+    if ((code == REFUSED || (code == STALLED && !found.moved)) && phi_inside(ask, record))
+      return record.code();
+    if (code == REFUSED) return refute({}, call.wrench, record);
+    if (found.moved) stand_for(found.wrench, call, record);
+    return record.code();
+  }
+  // Continue a record that stalled with more than rounding left, with at most MORE_STEPS further
+  // steps. The better result stays.
+  Code phi_from(const StopRule& options, const Record& record) {
+    const Arena::Use use(arena_);
+    Summary& before = record.summary();
+    const int left = options.limit - int(before.iterations);
+    if (record.code() != STALLED || left <= 0 || !gap_exceeds_rounding(before, options.tolerance))
+      return record.code();
+    const Record made(inputs_->record.data(), inputs_->count);
+    inputs_->load(record.force(), record.torsion());
+    const Code code = least_phi(
+        {.wrench = before.wrench.data(), .stop = {options.tolerance, std::min(left, MORE_STEPS)}},
+        made);
+    if (code == CONVERGED || (code != REFUSED && made.summary().objective < before.objective)) {
+      made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
+      replace_record(made, record);
     }
-    // Continue a record that stalled with more than rounding left, with at most MORE_STEPS further steps. The better result stays.
-    Code phi_from(const StopRule& options, const Record& record) {
-        const Arena::Use use(arena_);
-        Summary& before = record.summary();
-        const int left = options.limit - int(before.iterations);
-        if (record.code() != STALLED || left <= 0 || !gap_exceeds_rounding(before, options.tolerance)) return record.code();
-        const Record made(inputs_->record.data(), inputs_->count);
-        inputs_->load(record.force(), record.torsion());
-        const Code code =
-            least_phi({.wrench = before.wrench.data(), .stop = {options.tolerance, std::min(left, MORE_STEPS)}}, made);
-        if (code == CONVERGED || (code != REFUSED && made.summary().objective < before.objective)) {
-            made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
-            replace_record(made, record);
-        }
-        if (record.code() == STALLED) {
-            const Vec6 wrench = before.wrench;
-            phi_inside({.wrench = wrench.data(), .stop = {options.tolerance, options.limit - int(before.iterations)}}, record);
-        }
-        return record.code();
+    if (record.code() == STALLED) {
+      const Vec6 wrench = before.wrench;
+      phi_inside({.wrench = wrench.data(),
+                  .stop = {options.tolerance, options.limit - int(before.iterations)}},
+                 record);
     }
+    return record.code();
+  }
 
-    // If a record is INFEASIBLE, replace it by the balanced force inside the cones that exceeds the limits least, LIMITS_EXCEEDED,
-    // if one exists.
-    Code excess(const StopRule& options, const Record& record) {
-        const Arena::Use use(arena_);
-        Summary& before = record.summary();
-        const int left = options.limit - int(before.iterations);
-        if (record.code() != INFEASIBLE || left <= 0 || inputs_->limits == inputs_->torsions) return record.code();
-        const Record made(inputs_->record.data(), inputs_->count);
-        const StopRule elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
-        if (least(before.wrench.data(), Criterion::excess, elastic, left, made) != LIMITS_EXCEEDED) {
-            deepest(before.wrench.data());  // restore the prices of the proof
-            return record.code();
-        }
-        std::copy(made.force(), made.force() + 3 * inputs_->count, record.initial_force());
-        return replace_record(made, record);
+  // If a record is INFEASIBLE, replace it by the balanced force inside the cones that exceeds the
+  // limits least, LIMITS_EXCEEDED, if one exists.
+  Code excess(const StopRule& options, const Record& record) {
+    const Arena::Use use(arena_);
+    Summary& before = record.summary();
+    const int left = options.limit - int(before.iterations);
+    if (record.code() != INFEASIBLE || left <= 0 || inputs_->limits == inputs_->torsions)
+      return record.code();
+    const Record made(inputs_->record.data(), inputs_->count);
+    const StopRule elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
+    if (least(before.wrench.data(), Criterion::excess, elastic, left, made) != LIMITS_EXCEEDED) {
+      deepest(before.wrench.data());  // restore the prices of the proof
+      return record.code();
     }
+    std::copy(made.force(), made.force() + 3 * inputs_->count, record.initial_force());
+    return replace_record(made, record);
+  }
 
-    // Find the force (N, 3) [N] and torsion (N,) [N m] deepest inside all constraints; see `Program`.
-    Deepest deepest(const double* wrench, double tolerance, double* force, double* torsion) {
-        const Arena::Use use(arena_);
-        const Deepest found = deepest(wrench, tolerance);
-        inputs_->store(inputs_->z.data(), force, torsion);
-        return found;
-    }
-    // Balance residual of a force (N, 3) with torsion (N,), or null, unit frame [N]; and its smallest slack: above 0 if strictly
-    // inside.
-    double missed(const double* wrench, const double* force, const double* torsion) {
-        inputs_->load(force, torsion);
-        return program_->missed(wrench, inputs_->z.data());
-    }
-    double slack(const double* force, const double* torsion) {
-        inputs_->load(force, torsion);
-        return program_->slack(inputs_->z.data());
-    }
+  // Find the force (N, 3) [N] and torsion (N,) [N m] deepest inside all constraints; see `Program`.
+  Deepest deepest(const double* wrench, double tolerance, double* force, double* torsion) {
+    const Arena::Use use(arena_);
+    const Deepest found = deepest(wrench, tolerance);
+    inputs_->store(inputs_->z.data(), force, torsion);
+    return found;
+  }
+  // Balance residual of a force (N, 3) with torsion (N,), or null, unit frame [N]; and its smallest
+  // slack: above 0 if strictly inside.
+  double missed(const double* wrench, const double* force, const double* torsion) {
+    inputs_->load(force, torsion);
+    return program_->missed(wrench, inputs_->z.data());
+  }
+  double slack(const double* force, const double* torsion) {
+    inputs_->load(force, torsion);
+    return program_->slack(inputs_->z.data());
+  }
 
-    // Prices of the last `phi`, `phi_from` or `conic`, or of the proof if there is no force: one per given limit. `all_prices`
-    // begins with those of the limit torsion >= -friction * normal of each soft contact.
-    std::span<const double> all_prices() const { return placed() ? inputs_->prices : std::span<const double>(); }
-    std::span<const double> prices() const { return all_prices().subspan(placed() ? inputs_->torsions : 0); }
+  // Prices of the last `phi`, `phi_from` or `conic`, or of the proof if there is no force: one per
+  // given limit. `all_prices` begins with those of the limit torsion >= -friction * normal of each
+  // soft contact.
+  std::span<const double> all_prices() const {
+    return placed() ? inputs_->prices : std::span<const double>();
+  }
+  std::span<const double> prices() const {
+    return all_prices().subspan(placed() ? inputs_->torsions : 0);
+  }
 
-private:
-    static constexpr std::size_t LARGEST_ROOM = std::size_t(1) << 24;  // bytes that may be allocated before they are needed
-    static constexpr double LAST_DIGITS = 1e-9;  // relative gap that double precision cannot close
-    static constexpr int MORE_STEPS = 1000;  // for a stalled solver: 60 ms with four contacts
-    static constexpr double MISSED = 1e-3;  // of the wrench: an answer with a larger balance residual is rejected
-    static constexpr double NEARLY_ZERO = 1e-9;  // [N], [N m]
-    static constexpr double MOST_FORCE = 1e20;  // [N] limits above this are rejected
+ private:
+  static constexpr std::size_t LARGEST_ROOM =
+      std::size_t(1) << 24;                    // bytes that may be allocated before they are needed
+  static constexpr double LAST_DIGITS = 1e-9;  // relative gap that double precision cannot close
+  static constexpr int MORE_STEPS = 1000;      // for a stalled solver: 60 ms with four contacts
+  static constexpr double MISSED =
+      1e-3;  // of the wrench: an answer with a larger balance residual is rejected
+  static constexpr double NEARLY_ZERO = 1e-9;  // [N], [N m]
+  static constexpr double MOST_FORCE = 1e20;   // [N] limits above this are rejected
 
-    // Contacts and limits in the form of `ProgramData`.
-    struct Inputs {
-        int count, limits, torsions;
-        ArenaVector<double> balance, rows, bound, shares, divisor;
-        ArenaVector<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
-        ArenaVector<double> z, row, record, prices, kept_prices;
+  // Contacts and limits in the form of `ProgramData`.
+  struct Inputs {
+    int count, limits, torsions;
+    ArenaVector<double> balance, rows, bound, shares, divisor;
+    ArenaVector<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
+    ArenaVector<double> z, row, record, prices, kept_prices;
 
-        Inputs(int count, int limits, int torsions)
-            : count(count), limits(limits), torsions(torsions), balance(24 * count), rows(4 * count * limits), bound(limits),
-              shares(limits), divisor(4 * count), sizes(limits), weights(2 * count), row_weights(limits), z(4 * count),
-              row(4 * count), record(record_size(count)), prices(limits), kept_prices(limits) {}
-        static std::size_t bytes_needed(int count, int limits) {
-            return Arena::bytes_needed<double>(24 * count) + Arena::bytes_needed<double>(4 * std::size_t(count) * limits) +
-                   6 * Arena::bytes_needed<double>(limits) + 3 * Arena::bytes_needed<double>(4 * count) +
-                   Arena::bytes_needed<double>(2 * count) + Arena::bytes_needed<double>(record_size(count));
+    Inputs(int count, int limits, int torsions)
+        : count(count),
+          limits(limits),
+          torsions(torsions),
+          balance(24 * count),
+          rows(4 * count * limits),
+          bound(limits),
+          shares(limits),
+          divisor(4 * count),
+          sizes(limits),
+          weights(2 * count),
+          row_weights(limits),
+          z(4 * count),
+          row(4 * count),
+          record(record_size(count)),
+          prices(limits),
+          kept_prices(limits) {}
+    static std::size_t bytes_needed(int count, int limits) {
+      return Arena::bytes_needed<double>(24 * count) +
+             Arena::bytes_needed<double>(4 * std::size_t(count) * limits) +
+             6 * Arena::bytes_needed<double>(limits) + 3 * Arena::bytes_needed<double>(4 * count) +
+             Arena::bytes_needed<double>(2 * count) +
+             Arena::bytes_needed<double>(record_size(count));
+    }
+    // Return false if numbers are not finite.
+    bool set(const Contacts& contacts, const double* torsion_divisor) {
+      double total = 0.0;
+      for (int i = 0, k = 0; i < count; ++i) {
+        std::copy_n(contacts.divisor.begin() + 3 * i, 3, divisor.begin() + 4 * i);
+        weights[2 * i] = contacts.omega[i];
+        weights[2 * i + 1] = contacts.lambda[i];
+        for (int r = 0; r < 6; ++r)
+          for (int a = 0; a < 3; ++a) {
+            const double part = contacts.rows[3 * (count * r + i) + a];
+            balance[4 * (count * r + i) + a] = part;
+            total += std::abs(part);
+          }
+        divisor[4 * i + 3] = infinity;
+        if (!torsion_divisor || !soft(torsion_divisor[i])) continue;
+        divisor[4 * i + 3] = torsion_divisor[i];
+        const double* frame = contacts.frames.data() + 9 * i;
+        const double axis[6] = {0.0, 0.0, 0.0, frame[0], frame[3], frame[6]};
+        const Vec6 made = contacts.unit.of(axis);
+        for (int r = 0; r < 6; ++r)
+          add_torsion(&balance[4 * (count * r + i)], made[r] / torsion_divisor[i]);
+        double* row = &rows[4 * (count * k + i)];  // torsion >= -u is w <= 2 u
+        row[0] = -2.0;
+        row[3] = 1.0;
+        sizes[k] = 1.0;
+        row_weights[k++] = contacts.lambda[i];
+      }
+      return total < infinity;
+    }
+    bool set(const ForceLimits& given, int each) {
+      int k = torsions;
+      bool good = true;
+      given.rows(count, each, std::span(row).first(each * count),
+                 [&](std::span<const double> from, double b, double limit) {
+                   double* to = &rows[4 * count * k];
+                   double square = 0.0, lambda = 0.0, all = 0.0;
+                   int touched = 0;
+                   for (int i = 0; i < count; ++i, to += 4) {
+                     for (int a = 0; a < 3; ++a) to[a] = from[each * i + a] / divisor[4 * i + a];
+                     if (each == 4) add_torsion(to, from[4 * i + 3] / divisor[4 * i + 3]);
+                     const double part =
+                         to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3];
+                     const double mine = weights[2 * i + 1];
+                     square += part;
+                     all += mine;
+                     if (part > 0.0) {
+                       lambda += mine;
+                       ++touched;
+                     }
+                   }
+                   // a torque that no force changes has zero length
+                   const double size = sizes[k] = square == 0.0 ? 1.0 : std::sqrt(square);
+                   const double per = 1.0 / size;
+                   for (to = &rows[4 * count * k]; to < &rows[0] + 4 * count * (k + 1); ++to)
+                     *to *= per;
+                   bound[k] = b / size;
+                   shares[k] = limit / size;
+                   row_weights[k] = touched ? lambda / touched : all / count;
+                   good = good && size < infinity && std::abs(bound[k]) <= MOST_FORCE &&
+                          std::abs(shares[k]) <= MOST_FORCE;
+                   ++k;
+                 });
+      return good;
+    }
+    // (u, o, t, w) from forces and torsions (null: zero), and back
+    void load(const double* force, const double* torsion) {
+      for (int i = 0; i < count; ++i) {
+        for (int a = 0; a < 3; ++a) {
+          const double per = divisor[4 * i + a];
+          z[4 * i + a] = per < infinity ? per * force[3 * i + a] : 0.0;
         }
-        // Return false if numbers are not finite.
-        bool set(const Contacts& contacts, const double* torsion_divisor) {
-            double total = 0.0;
-            for (int i = 0, k = 0; i < count; ++i) {
-                std::copy_n(contacts.divisor.begin() + 3 * i, 3, divisor.begin() + 4 * i);
-                weights[2 * i] = contacts.omega[i], weights[2 * i + 1] = contacts.lambda[i];
-                for (int r = 0; r < 6; ++r)
-                    for (int a = 0; a < 3; ++a) {
-                        const double part = contacts.rows[3 * (count * r + i) + a];
-                        balance[4 * (count * r + i) + a] = part, total += std::abs(part);
-                    }
-                divisor[4 * i + 3] = infinity;
-                if (!torsion_divisor || !soft(torsion_divisor[i])) continue;
-                divisor[4 * i + 3] = torsion_divisor[i];
-                const double* frame = contacts.frames.data() + 9 * i;
-                const double axis[6] = {0.0, 0.0, 0.0, frame[0], frame[3], frame[6]};
-                const Vec6 made = contacts.unit.of(axis);
-                for (int r = 0; r < 6; ++r) add_torsion(&balance[4 * (count * r + i)], made[r] / torsion_divisor[i]);
-                double* row = &rows[4 * (count * k + i)];  // torsion >= -u is w <= 2 u
-                row[0] = -2.0, row[3] = 1.0, sizes[k] = 1.0, row_weights[k++] = contacts.lambda[i];
-            }
-            return total < infinity;
-        }
-        bool set(const ForceLimits& given, int each) {
-            int k = torsions;
-            bool good = true;
-            given.rows(
-                count, each, std::span(row).first(each * count), [&](std::span<const double> from, double b, double limit) {
-                    double* to = &rows[4 * count * k];
-                    double square = 0.0, lambda = 0.0, all = 0.0;
-                    int touched = 0;
-                    for (int i = 0; i < count; ++i, to += 4) {
-                        for (int a = 0; a < 3; ++a) to[a] = from[each * i + a] / divisor[4 * i + a];
-                        if (each == 4) add_torsion(to, from[4 * i + 3] / divisor[4 * i + 3]);
-                        const double part = to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3],
-                                     mine = weights[2 * i + 1];
-                        square += part, all += mine;
-                        if (part > 0.0) lambda += mine, ++touched;
-                    }
-                    // a torque that no force changes has zero length
-                    const double size = sizes[k] = square == 0.0 ? 1.0 : std::sqrt(square), per = 1.0 / size;
-                    for (to = &rows[4 * count * k]; to < &rows[0] + 4 * count * (k + 1); ++to) *to *= per;
-                    bound[k] = b / size, shares[k] = limit / size;
-                    row_weights[k] = touched ? lambda / touched : all / count;
-                    good = good && size < infinity && std::abs(bound[k]) <= MOST_FORCE && std::abs(shares[k]) <= MOST_FORCE;
-                    ++k;
-                });
-            return good;
-        }
-        // (u, o, t, w) from forces and torsions (null: zero), and back
-        void load(const double* force, const double* torsion) {
-            for (int i = 0; i < count; ++i) {
-                for (int a = 0; a < 3; ++a) {
-                    const double per = divisor[4 * i + a];
-                    z[4 * i + a] = per < infinity ? per * force[3 * i + a] : 0.0;
-                }
-                const double per = divisor[4 * i + 3];
-                z[4 * i + 3] = per < infinity ? z[4 * i] - (torsion ? per * torsion[i] : 0.0) : 1.0;
-            }
-        }
-        void store(const double* from, double* force, double* torsion) const {
-            for (int i = 0; i < count; ++i, from += 4) {
-                for (int a = 0; a < 3; ++a) force[3 * i + a] = from[a] / divisor[4 * i + a];
-                if (torsion) torsion[i] = divisor[4 * i + 3] < infinity ? (from[0] - from[3]) / divisor[4 * i + 3] : 0.0;
-            }
-        }
-        // (u, o, t) and v -> (u, o, t, w), w = u - v
-        static void add_torsion(double* row, double v) { row[0] += v, row[3] = -v; }
-    };
-    Arena arena_;
-    std::optional<Inputs> inputs_;
-    std::optional<Program> program_;
+        const double per = divisor[4 * i + 3];
+        z[4 * i + 3] = per < infinity ? z[4 * i] - (torsion ? per * torsion[i] : 0.0) : 1.0;
+      }
+    }
+    void store(const double* from, double* force, double* torsion) const {
+      for (int i = 0; i < count; ++i, from += 4) {
+        for (int a = 0; a < 3; ++a) force[3 * i + a] = from[a] / divisor[4 * i + a];
+        if (torsion)
+          torsion[i] =
+              divisor[4 * i + 3] < infinity ? (from[0] - from[3]) / divisor[4 * i + 3] : 0.0;
+      }
+    }
+    // (u, o, t) and v -> (u, o, t, w), w = u - v
+    static void add_torsion(double* row, double v) {
+      row[0] += v;
+      row[3] = -v;
+    }
+  };
+  Arena arena_;
+  std::optional<Inputs> inputs_;
+  std::optional<Program> program_;
 
-    static std::size_t clamped_size(std::size_t bytes) { return bytes <= LARGEST_ROOM ? bytes : 0; }
-    static bool soft(double divisor) { return divisor > 0.0 && divisor < infinity; }
-    static std::size_t bytes_needed(int count, int limits, int several, bool soft) {
-        const int rows = limits + (soft ? count : 0);
-        return Inputs::bytes_needed(count, rows) + Program::bytes_needed(count, rows, several, soft);
-    }
-    void forget() { program_.reset(), inputs_.reset(); }
+  static std::size_t clamped_size(std::size_t bytes) { return bytes <= LARGEST_ROOM ? bytes : 0; }
+  static bool soft(double divisor) { return divisor > 0.0 && divisor < infinity; }
+  static std::size_t bytes_needed(int count, int limits, int several, bool soft) {
+    const int rows = limits + (soft ? count : 0);
+    return Inputs::bytes_needed(count, rows) + Program::bytes_needed(count, rows, several, soft);
+  }
+  void forget() {
+    program_.reset();
+    inputs_.reset();
+  }
 
-    static double gap(const Summary& of) { return of.objective - of.lower_bound; }
-    static bool gap_exceeds_rounding(const Summary& of, double tolerance) {
-        const double bound = of.lower_bound;
-        return !(bound > 0.0 && gap(of) <= std::max(tolerance, LAST_DIGITS) * bound && gap(of) >= -LAST_DIGITS * bound);
+  static double gap(const Summary& of) { return of.objective - of.lower_bound; }
+  static bool gap_exceeds_rounding(const Summary& of, double tolerance) {
+    const double bound = of.lower_bound;
+    return !(bound > 0.0 && gap(of) <= std::max(tolerance, LAST_DIGITS) * bound &&
+             gap(of) >= -LAST_DIGITS * bound);
+  }
+  Code least(const double* wrench, Criterion criterion, const StopRule& options, int budget,
+             const Record& record) {
+    return unscale_prices(
+        program_->least(wrench, criterion, options, record, inputs_->prices.data(), budget));
+  }
+  Code least_phi(const Call& call, const Record& record) {
+    Inputs& inputs = *inputs_;
+    return unscale_prices(program_->least_phi(call, inputs.weights.data(),
+                                              inputs.row_weights.data(), inputs.z.data(), record,
+                                              inputs.prices.data()));
+  }
+  Code unscale_prices(Code code) {
+    for (int k = 0; k < inputs_->limits; ++k) inputs_->prices[k] /= inputs_->sizes[k];
+    return code;
+  }
+  Deepest deepest(const double* wrench, double tolerance = 1e-7, bool inside = false) {
+    const Deepest found =
+        program_->deepest(wrench, tolerance, inputs_->z.data(), inputs_->prices.data(), inside);
+    unscale_prices(found.code);
+    return found;
+  }
+  // Find the deepest force, in z. For a nearly zero wrench, whose deepest force is far from the
+  // optimum of Phi, balance that of the zero wrench.
+  Deepest begin(const double* wrench) {
+    const double nothing[6] = {};
+    if (std::all_of(wrench, wrench + 6, [](double part) { return std::abs(part) < NEARLY_ZERO; })) {
+      const Deepest found = deepest(nothing);
+      if (found.code == CONVERGED) {
+        program_->balance(wrench, inputs_->z.data());
+        if (program_->slack(inputs_->z.data()) > 0.0) return found;
+      }
     }
-    Code least(const double* wrench, Criterion criterion, const StopRule& options, int budget, const Record& record) {
-        return unscale_prices(program_->least(wrench, criterion, options, record, inputs_->prices.data(), budget));
+    return deepest(wrench);
+  }
+  // True if the call has a start; writes it into z.
+  bool has_start(const Call& call) {
+    if (call.start == From::combination || !call.force) return false;
+    inputs_->load(call.force, call.torsion);
+    double* z = inputs_->z.data();
+    if (program_->is_out_of_reach(call.wrench)) return false;
+    if (call.start == From::given) {
+      double most = 0.0;
+      for (int j = 0; j < 3 * inputs_->count; ++j) most = std::max(most, std::abs(call.force[j]));
+      const double size = most + program_->unit_size(call.wrench);
+      if (!(program_->missed(call.wrench, z) <= BALANCE_TOLERANCE * size)) return false;
+    } else {
+      program_->balance(call.wrench, z);
     }
-    Code least_phi(const Call& call, const Record& record) {
-        Inputs& inputs = *inputs_;
-        return unscale_prices(program_->least_phi(call, inputs.weights.data(), inputs.row_weights.data(), inputs.z.data(), record,
-                                                  inputs.prices.data()));
+    return program_->slack(z) > 0.0;
+  }
+  // If the wrench is next to the boundary of the constraints, replace a record without an optimum
+  // by the optimum for a wrench just inside, see `Deepest`. Return true if that converged;
+  // otherwise the record stays.
+  bool phi_inside(const Call& call, const Record& record) {
+    if (call.optimum == call.optimum || call.traced || call.stop.limit <= 0) return false;
+    inputs_->kept_prices = inputs_->prices;
+    const Deepest found = deepest(call.wrench, 1e-7, true);
+    const Record made(inputs_->record.data(), inputs_->count);
+    bool good = found.code == CONVERGED && found.moved;
+    if (good) {
+      least_phi({.wrench = found.wrench.data(), .stop = call.stop}, made);
+      stand_for(found.wrench, call, made);
+      good = made.code() == CONVERGED;
     }
-    Code unscale_prices(Code code) {
-        for (int k = 0; k < inputs_->limits; ++k) inputs_->prices[k] /= inputs_->sizes[k];
-        return code;
-    }
-    Deepest deepest(const double* wrench, double tolerance = 1e-7, bool inside = false) {
-        const Deepest found = program_->deepest(wrench, tolerance, inputs_->z.data(), inputs_->prices.data(), inside);
-        unscale_prices(found.code);
-        return found;
-    }
-    // Find the deepest force, in z. For a nearly zero wrench, whose deepest force is far from the optimum of Phi, balance that of
-    // the zero wrench.
-    Deepest begin(const double* wrench) {
-        const double nothing[6] = {};
-        if (std::all_of(wrench, wrench + 6, [](double part) { return std::abs(part) < NEARLY_ZERO; })) {
-            const Deepest found = deepest(nothing);
-            if (found.code == CONVERGED) {
-                program_->balance(wrench, inputs_->z.data());
-                if (program_->slack(inputs_->z.data()) > 0.0) return found;
-            }
-        }
-        return deepest(wrench);
-    }
-    // True if the call has a start; writes it into z.
-    bool has_start(const Call& call) {
-        if (call.start == From::combination || !call.force) return false;
-        inputs_->load(call.force, call.torsion);
-        double* z = inputs_->z.data();
-        if (program_->is_out_of_reach(call.wrench)) return false;
-        if (call.start == From::given) {
-            double most = 0.0;
-            for (int j = 0; j < 3 * inputs_->count; ++j) most = std::max(most, std::abs(call.force[j]));
-            const double size = most + program_->unit_size(call.wrench);
-            if (!(program_->missed(call.wrench, z) <= BALANCE_TOLERANCE * size)) return false;
-        } else {
-            program_->balance(call.wrench, z);
-        }
-        return program_->slack(z) > 0.0;
-    }
-    // If the wrench is next to the boundary of the constraints, replace a record without an optimum by the optimum for a wrench just
-    // inside, see `Deepest`. Return true if that converged; otherwise the record stays.
-    bool phi_inside(const Call& call, const Record& record) {
-        if (call.optimum == call.optimum || call.traced || call.stop.limit <= 0) return false;
-        inputs_->kept_prices = inputs_->prices;
-        const Deepest found = deepest(call.wrench, 1e-7, true);
-        const Record made(inputs_->record.data(), inputs_->count);
-        bool good = found.code == CONVERGED && found.moved;
-        if (good) {
-            least_phi({.wrench = found.wrench.data(), .stop = call.stop}, made);
-            stand_for(found.wrench, call, made);
-            good = made.code() == CONVERGED;
-        }
-        if (good) replace_record(made, record);
-        else inputs_->prices = inputs_->kept_prices;
-        return good;
-    }
-    void stand_for(const Vec6& made, const Call& call, const Record& record) {
-        detail::stand_for(record, made, call.wrench, missed(call.wrench, record.force(), record.torsion()), call.stop.tolerance);
-    }
-    // Record the proof that no force exists, or UNDECIDED.
-    Code refute(const Deepest& found, const double* wrench, const Record& record) {
-        if (found.code != INFEASIBLE) std::fill(inputs_->prices.begin(), inputs_->prices.end(), 0.0);
-        record.clear();
-        std::copy(wrench, wrench + 6, record.summary().wrench.begin());
-        if (found.code == INFEASIBLE) return record.refute(found.twist, program_->unit_size(wrench));
-        record.summary().code = UNDECIDED;
-        return UNDECIDED;
-    }
-    // Replace a record by a later solution, keeping the initial force and adding up the steps.
-    Code replace_record(const Record& made, const Record& record) {
-        const int count = inputs_->count;
-        Summary& to = record.summary();
-        const double iterations = to.iterations, trials = to.trials;
-        to = made.summary();
-        to.iterations += iterations, to.trials += trials;
-        std::copy(made.force(), made.force() + 3 * count, record.force());
-        std::copy(made.torsion(), made.torsion() + count, record.torsion());
-        return record.code();
-    }
+    if (good)
+      replace_record(made, record);
+    else
+      inputs_->prices = inputs_->kept_prices;
+    return good;
+  }
+  void stand_for(const Vec6& made, const Call& call, const Record& record) {
+    detail::stand_for(record, made, call.wrench,
+                      missed(call.wrench, record.force(), record.torsion()), call.stop.tolerance);
+  }
+  // Record the proof that no force exists, or UNDECIDED.
+  Code refute(const Deepest& found, const double* wrench, const Record& record) {
+    if (found.code != INFEASIBLE) std::fill(inputs_->prices.begin(), inputs_->prices.end(), 0.0);
+    record.clear();
+    std::copy(wrench, wrench + 6, record.summary().wrench.begin());
+    if (found.code == INFEASIBLE) return record.refute(found.twist, program_->unit_size(wrench));
+    record.summary().code = UNDECIDED;
+    return UNDECIDED;
+  }
+  // Replace a record by a later solution, keeping the initial force and adding up the steps.
+  Code replace_record(const Record& made, const Record& record) {
+    const int count = inputs_->count;
+    Summary& to = record.summary();
+    const double iterations = to.iterations, trials = to.trials;
+    to = made.summary();
+    to.iterations += iterations;
+    to.trials += trials;
+    std::copy(made.force(), made.force() + 3 * count, record.force());
+    std::copy(made.torsion(), made.torsion() + count, record.torsion());
+    return record.code();
+  }
 };
 
 }  // namespace grasp

@@ -1,146 +1,185 @@
-// Answers of the general program: forces that are balanced and inside to the last digit, their bounds, and the record.
+// Answers of the general program: forces that are balanced and inside to the last digit, their
+// bounds, and the record.
 #pragma once
 #include <grasp/general/program_on.hpp>
 
 namespace grasp::detail {
 
-template <int D> template <class R, int T> inline double ProgramOn<D>::consider(const Interior<R, T>& engine) {
-    const auto right = [&](int k) { return in_.bound[k] / size_; };
-    for (int i = 0; i < count; ++i) z_[i] = narrow(engine.at.z[i]);
-    residual_ = in_.rebalance(z_, unit_);
+template <int D> template <class R, int T>
+inline double ProgramOn<D>::consider(const Interior<R, T>& engine) {
+  const auto right = [&](int k) { return in_.bound[k] / size_; };
+  for (int i = 0; i < count; ++i) z_[i] = narrow(engine.at.z[i]);
+  residual_ = in_.rebalance(z_, unit_);
+  in_.write_slacks(z_, kept(), slacks_, right);
+  double least = least_of(slacks_);
+  if (least > 0.0 && keeps_interior(engine)) {
+    inside_ = z_;
+    has_inside_ = true;
+  }
+  if (least < 0.0 &&
+      has_inside_) {  // mix with just enough of a force inside to restore the last digits
+    in_.write_slacks(inside_, kept(), slacks_inside_, right);
+    double part = 0.0;
+    for (std::size_t k = 0; k < slacks_.size(); ++k)
+      if (slacks_[k] < 0.0) part = std::max(part, -slacks_[k] / (slacks_inside_[k] - slacks_[k]));
+    part = std::min(1.0, 1.01 * part);
+    for (int i = 0; i < count; ++i)
+      for (int a = 0; a < D; ++a) z_[i][a] = (1.0 - part) * z_[i][a] + part * inside_[i][a];
+    residual_ = grasp::size(in_.wrench_of(z_) + unit_);
     in_.write_slacks(z_, kept(), slacks_, right);
-    double least = least_of(slacks_);
-    if (least > 0.0 && keeps_interior(engine)) inside_ = z_, has_inside_ = true;
-    if (least < 0.0 && has_inside_) {  // mix with just enough of a force inside to restore the last digits
-        in_.write_slacks(inside_, kept(), slacks_inside_, right);
-        double part = 0.0;
-        for (std::size_t k = 0; k < slacks_.size(); ++k)
-            if (slacks_[k] < 0.0) part = std::max(part, -slacks_[k] / (slacks_inside_[k] - slacks_[k]));
-        part = std::min(1.0, 1.01 * part);
-        for (int i = 0; i < count; ++i)
-            for (int a = 0; a < D; ++a) z_[i][a] = (1.0 - part) * z_[i][a] + part * inside_[i][a];
-        residual_ = grasp::size(in_.wrench_of(z_) + unit_);
-        in_.write_slacks(z_, kept(), slacks_, right);
-        least = least_of(slacks_);
-    }
-    certify(engine);
-    double force = 0.0;
-    for (int i = 0; i < count; ++i) {
-        const double normal = price(i) * z_[i][0];
-        force = T == 1 ? std::max(force, normal) : force + normal;
-    }
-    const double value = elastic() ? excess(z_) : force;
-    const bool good = least >= 0.0 && residual_ <= BALANCED * grasp::size(unit_) + (ROUNDED + in_.reach.rounding) * force;
-    if (good && value < best_value_) best_value_ = value, best_ = z_, best_residual_ = residual_;
-    return gap();
+    least = least_of(slacks_);
+  }
+  certify(engine);
+  double force = 0.0;
+  for (int i = 0; i < count; ++i) {
+    const double normal = price(i) * z_[i][0];
+    force = T == 1 ? std::max(force, normal) : force + normal;
+  }
+  const double value = elastic() ? excess(z_) : force;
+  const bool good = least >= 0.0 && residual_ <= BALANCED * grasp::size(unit_) +
+                                                     (ROUNDED + in_.reach.rounding) * force;
+  if (good && value < best_value_) {
+    best_value_ = value;
+    best_ = z_;
+    best_residual_ = residual_;
+  }
+  return gap();
 }
 
-template <int D> template <class R, int T> inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
-    const auto& rows = engine.rows;
-    const auto& at = engine.at;
-    double shares = 0.0;
-    for (int k = 0; k < int(rows.own.size()); ++k) {
-        if (rows.own[k].label >= 0) prices_[rows.own[k].label] = std::max(double(at.own[k]), 0.0);
-        else shares += std::max(double(at.own[k]), 0.0);
+template <int D> template <class R, int T>
+inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
+  const auto& rows = engine.rows;
+  const auto& at = engine.at;
+  double shares = 0.0;
+  for (int k = 0; k < int(rows.own.size()); ++k) {
+    if (rows.own[k].label >= 0)
+      prices_[rows.own[k].label] = std::max(double(at.own[k]), 0.0);
+    else
+      shares += std::max(double(at.own[k]), 0.0);
+  }
+  for (int r = rows.equal; r < rows.joint; ++r)
+    prices_[rows.label[r]] = std::max(double(at.joint[r]), 0.0);
+  double theta = 1.0, paid = 0.0;
+  if (elastic()) {
+    double price = 0.0;
+    for (int k = in_.torsions; k < limits; ++k) price += prices_[k] * in_.shares[k];
+    theta = price > 0.0 ? size_ / price : 0.0;
+  }
+  for (int i = 0; i < count; ++i) {
+    Tuple<double, D> safe{}, end{};
+    safe[0] = engine_price<T>(i);
+    end[0] = elastic() ? 0.0 : price(i);
+    if (T == 1 && !elastic())
+      end[0] *= std::max(double(at.own[rows.first[i + 1] - 1]), 0.0) / shares;
+    for (int r = 0; r < 6; ++r) add(end, double(at.joint[r]), in_.turn[r][i]);
+    for (int r = rows.equal; r < rows.joint; ++r)
+      add(end, prices_[rows.label[r]], in_.limit[rows.label[r]][i]);
+    for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
+      if (rows.own[k].label >= 0)
+        add(end, prices_[rows.own[k].label], in_.limit[rows.own[k].label][i]);
+    if (D == 4 && in_.soft[i] && end[D - 1] < 0.0) {
+      // w has no cost: raise its row's multiplier, at the expense of u
+      const Tuple<double, D>& row = in_.limit[in_.torsion_row[i]][i];
+      const double raised = -end[D - 1] / row[D - 1];
+      prices_[in_.torsion_row[i]] += raised;
+      add(end, raised, row);
     }
-    for (int r = rows.equal; r < rows.joint; ++r) prices_[rows.label[r]] = std::max(double(at.joint[r]), 0.0);
-    double theta = 1.0, paid = 0.0;
+    const Vec3<double> last = cone(end);
+    if (slack(last) >= 0.0) continue;
     if (elastic()) {
-        double price = 0.0;
-        for (int k = in_.torsions; k < limits; ++k) price += prices_[k] * in_.shares[k];
-        theta = price > 0.0 ? size_ / price : 0.0;
+      paid -= slack(last) * most_ / price(i);
+      continue;
     }
-    for (int i = 0; i < count; ++i) {
-        Tuple<double, D> safe{}, end{};
-        safe[0] = engine_price<T>(i), end[0] = elastic() ? 0.0 : price(i);
-        if (T == 1 && !elastic()) end[0] *= std::max(double(at.own[rows.first[i + 1] - 1]), 0.0) / shares;
-        for (int r = 0; r < 6; ++r) add(end, double(at.joint[r]), in_.turn[r][i]);
-        for (int r = rows.equal; r < rows.joint; ++r) add(end, prices_[rows.label[r]], in_.limit[rows.label[r]][i]);
-        for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
-            if (rows.own[k].label >= 0) add(end, prices_[rows.own[k].label], in_.limit[rows.own[k].label][i]);
-        if (D == 4 && in_.soft[i] && end[D - 1] < 0.0) {
-            // w has no cost: raise its row's multiplier, at the expense of u
-            const Tuple<double, D>& row = in_.limit[in_.torsion_row[i]][i];
-            const double raised = -end[D - 1] / row[D - 1];
-            prices_[in_.torsion_row[i]] += raised, add(end, raised, row);
-        }
-        const Vec3<double> last = cone(end);
-        if (slack(last) >= 0.0) continue;
-        if (elastic()) {
-            paid -= slack(last) * most_ / price(i);
-            continue;
-        }
-        const double per = Boundary<double>(cone(safe)).per(last - cone(safe));
-        theta = per > 1.0 ? std::min(theta, 1.0 / per) : per == per ? theta : 0.0;
-    }
-    double value = 0.0;
-    Vec6 y;
-    for (int r = 0; r < 6; ++r) y[r] = double(at.joint[r]), value += y[r] * turned_[r];
-    for (int k = 0; k < limits; ++k) value -= prices_[k] * in_.bound[k] / size_;
-    value = theta * (value - paid);
-    if (value > best_bound_ && value < infinity) {
-        best_bound_ = value, best_nu_ = -theta * y;
-        for (int k = 0; k < limits; ++k) best_prices_[k] = theta * prices_[k];
-    }
+    const double per = Boundary<double>(cone(safe)).per(last - cone(safe));
+    theta = per > 1.0 ? std::min(theta, 1.0 / per) : per == per ? theta : 0.0;
+  }
+  double value = 0.0;
+  Vec6 y;
+  for (int r = 0; r < 6; ++r) {
+    y[r] = double(at.joint[r]);
+    value += y[r] * turned_[r];
+  }
+  for (int k = 0; k < limits; ++k) value -= prices_[k] * in_.bound[k] / size_;
+  value = theta * (value - paid);
+  if (value > best_bound_ && value < infinity) {
+    best_bound_ = value;
+    best_nu_ = -theta * y;
+    for (int k = 0; k < limits; ++k) best_prices_[k] = theta * prices_[k];
+  }
 }
 
 template <int D> template <class R>
-inline Code ProgramOn<D>::write_phi(PhiRows<R, D>& engine, Code code, const Call& call, const Record& record, double* prices) {
-    for (int i = 0; i < count; ++i) best_[i] = narrow(engine.z[i]);
-    best_residual_ = in_.rebalance(best_, unit_);
-    for (double part = 1e-15;; part = std::min(1.0, 4.0 * part)) {  // moves what rounding took outside back towards the start
-        for (int i = 0; i < count; ++i) engine.z[i] = wide<R>(best_[i]);
-        engine.evaluate();
-        in_.write_slacks(best_, limits, slacks_, [&](int k) { return in_.bound[k]; });
-        if ((least_of(slacks_) >= 0.0 && engine.value < infinity) || best_ == inside_) break;
-        for (int i = 0; i < count; ++i)
-            for (int a = 0; a < D; ++a)
-                best_[i][a] = part < 1.0 ? best_[i][a] + part * (inside_[i][a] - best_[i][a]) : inside_[i][a];
-        best_residual_ = grasp::size(in_.wrench_of(best_) + unit_);
-    }
-    best_value_ = double(engine.value), best_bound_ = double(engine.bound);
-    for (int r = 0; r < 6; ++r) best_nu_[r] = -double(engine.proof.joint[r]);
-    for (int k = 0; k < int(engine.rows.own.size()); ++k) best_prices_[engine.rows.own[k].label] = double(engine.proof.own[k]);
-    for (int r = engine.rows.equal; r < engine.rows.joint; ++r)
-        best_prices_[engine.rows.label[r]] = double(engine.proof.joint[r]);
-    double force = 0.0;
-    for (int i = 0; i < count; ++i) force = std::max(force, best_[i][0]);
-    const bool good = least_of(slacks_) >= 0.0 && best_residual_ <= BALANCED * (force + grasp::size(unit_));
-    const bool near = best_bound_ > 0.0 && best_value_ - best_bound_ <= call.stop.tolerance * best_bound_;
-    if (code == CONVERGED && !(good && (near || call.optimum == call.optimum))) code = STALLED;
-    write(code, record, prices);
-    record.summary().iterations = engine.iterations, record.summary().trials = engine.trials;
-    return code;
+inline Code ProgramOn<D>::write_phi(PhiRows<R, D>& engine, Code code, const Call& call,
+                                    const Record& record, double* prices) {
+  for (int i = 0; i < count; ++i) best_[i] = narrow(engine.z[i]);
+  best_residual_ = in_.rebalance(best_, unit_);
+  for (double part = 1e-15;;
+       part =
+           std::min(1.0, 4.0 * part)) {  // moves what rounding took outside back towards the start
+    for (int i = 0; i < count; ++i) engine.z[i] = wide<R>(best_[i]);
+    engine.evaluate();
+    in_.write_slacks(best_, limits, slacks_, [&](int k) { return in_.bound[k]; });
+    if ((least_of(slacks_) >= 0.0 && engine.value < infinity) || best_ == inside_) break;
+    for (int i = 0; i < count; ++i)
+      for (int a = 0; a < D; ++a)
+        best_[i][a] =
+            part < 1.0 ? best_[i][a] + part * (inside_[i][a] - best_[i][a]) : inside_[i][a];
+    best_residual_ = grasp::size(in_.wrench_of(best_) + unit_);
+  }
+  best_value_ = double(engine.value);
+  best_bound_ = double(engine.bound);
+  for (int r = 0; r < 6; ++r) best_nu_[r] = -double(engine.proof.joint[r]);
+  for (int k = 0; k < int(engine.rows.own.size()); ++k)
+    best_prices_[engine.rows.own[k].label] = double(engine.proof.own[k]);
+  for (int r = engine.rows.equal; r < engine.rows.joint; ++r)
+    best_prices_[engine.rows.label[r]] = double(engine.proof.joint[r]);
+  double force = 0.0;
+  for (int i = 0; i < count; ++i) force = std::max(force, best_[i][0]);
+  const bool good =
+      least_of(slacks_) >= 0.0 && best_residual_ <= BALANCED * (force + grasp::size(unit_));
+  const bool near =
+      best_bound_ > 0.0 && best_value_ - best_bound_ <= call.stop.tolerance * best_bound_;
+  if (code == CONVERGED && !(good && (near || call.optimum == call.optimum))) code = STALLED;
+  write(code, record, prices);
+  record.summary().iterations = engine.iterations;
+  record.summary().trials = engine.trials;
+  return code;
 }
 
 template <int D> inline void ProgramOn<D>::write(Code code, const Record& record, double* prices) {
-    Summary& out = record.summary();
-    if (!(best_value_ < infinity)) {  // the last force known to be inside, or none
-        if (!has_inside_ || elastic()) {
-            out.code = REFUSED;
-            return;
-        }
-        best_ = inside_;
+  Summary& out = record.summary();
+  if (!(best_value_ < infinity)) {  // the last force known to be inside, or none
+    if (!has_inside_ || elastic()) {
+      out.code = REFUSED;
+      return;
     }
-    const double unit = elastic() ? 1.0 : size_;  // unit of the objective
-    out.code = code, out.objective = unit * best_value_, out.lower_bound = unit * best_bound_;
-    if (elastic()) {
-        out.code = code == CONVERGED ? LIMITS_EXCEEDED : code, out.limit_excess = best_value_;
-        best_nu_ = (1.0 / size_) * best_nu_;
-        for (double& price : best_prices_) price /= size_;
-    }
-    out.residual = size_ * best_residual_, out.multipliers = in_.pull_back(best_nu_), out.margin = infinity;
-    for (int i = 0; i < count; ++i) {
-        Vec3<double> x = cone(best_[i]);
-        double* force = record.force() + 3 * i;
-        for (int a = 0; a < 3; ++a) force[a] = size_ * x[a] / in_.divisor[4 * i + a];
-        std::copy(force, force + 3, record.initial_force() + 3 * i);
-        if (D == 4 && in_.soft[i]) record.torsion()[i] = size_ * (best_[i][0] - best_[i][D - 1]) / in_.divisor[4 * i + 3];
-        for (int a = 1; a < 3; ++a)
-            if (!(in_.divisor[4 * i + a] < infinity)) x[a] = 0.0;
-        out.margin = std::min(out.margin, size_ * slack(x));
-    }
-    std::copy(best_prices_.begin(), best_prices_.end(), prices);
+    best_ = inside_;
+  }
+  const double unit = elastic() ? 1.0 : size_;  // unit of the objective
+  out.code = code;
+  out.objective = unit * best_value_;
+  out.lower_bound = unit * best_bound_;
+  if (elastic()) {
+    out.code = code == CONVERGED ? LIMITS_EXCEEDED : code;
+    out.limit_excess = best_value_;
+    best_nu_ = (1.0 / size_) * best_nu_;
+    for (double& price : best_prices_) price /= size_;
+  }
+  out.residual = size_ * best_residual_;
+  out.multipliers = in_.pull_back(best_nu_);
+  out.margin = infinity;
+  for (int i = 0; i < count; ++i) {
+    Vec3<double> x = cone(best_[i]);
+    double* force = record.force() + 3 * i;
+    for (int a = 0; a < 3; ++a) force[a] = size_ * x[a] / in_.divisor[4 * i + a];
+    std::copy(force, force + 3, record.initial_force() + 3 * i);
+    if (D == 4 && in_.soft[i])
+      record.torsion()[i] = size_ * (best_[i][0] - best_[i][D - 1]) / in_.divisor[4 * i + 3];
+    for (int a = 1; a < 3; ++a)
+      if (!(in_.divisor[4 * i + a] < infinity)) x[a] = 0.0;
+    out.margin = std::min(out.margin, size_ * slack(x));
+  }
+  std::copy(best_prices_.begin(), best_prices_.end(), prices);
 }
 
 }  // namespace grasp::detail

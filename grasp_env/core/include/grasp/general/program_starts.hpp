@@ -4,107 +4,121 @@
 
 namespace grasp::detail {
 
-template <int D> template <class R> inline void ProgramOn<D>::raise(Interior<R, 1>& engine, const Field& z) {
-    excess_unit_ = BEGIN * excess(z) + EXCESS_FLOOR, most_ = 1.0, best_bound_ = 0.0;
-    for (int i = 0; i < count; ++i) most_ = std::max(most_, price(i) * z[i][0]);
-    most_ *= MOST;
-    const auto raise = [&](Tuple<R, 1>& shared, int name) {
-        if (name >= 0) shared[0] = -excess_unit_ * in_.shares[name] / size_;
-    };
-    for (int r = 0; r < engine.rows.joint; ++r) raise(engine.rows.coupling[r], engine.rows.label[r]);
-    for (auto& row : engine.rows.own) {
-        raise(row.shared, row.label);
-        if (row.label < 0 && row.contact < count) row.right = most_;
-    }
+template <int D> template <class R>
+inline void ProgramOn<D>::raise(Interior<R, 1>& engine, const Field& z) {
+  excess_unit_ = BEGIN * excess(z) + EXCESS_FLOOR;
+  most_ = 1.0;
+  best_bound_ = 0.0;
+  for (int i = 0; i < count; ++i) most_ = std::max(most_, price(i) * z[i][0]);
+  most_ *= MOST;
+  const auto raise = [&](Tuple<R, 1>& shared, int name) {
+    if (name >= 0) shared[0] = -excess_unit_ * in_.shares[name] / size_;
+  };
+  for (int r = 0; r < engine.rows.joint; ++r) raise(engine.rows.coupling[r], engine.rows.label[r]);
+  for (auto& row : engine.rows.own) {
+    raise(row.shared, row.label);
+    if (row.label < 0 && row.contact < count) row.right = most_;
+  }
 }
 
 template <int D> template <class R, int T> inline bool ProgramOn<D>::begin(Interior<R, T>& engine) {
-    if (!has_internal_force_) {
-        const Arena::Scope scope;
-        const double nothing[6] = {};
-        const Deepest found = Depth(in_, in_.torsions).find(nothing, 1e-2, internal_force_);
-        has_internal_force_ = found.code == CONVERGED && found.margin > DEEP;
+  if (!has_internal_force_) {
+    const Arena::Scope scope;
+    const double nothing[6] = {};
+    const Deepest found = Depth(in_, in_.torsions).find(nothing, 1e-2, internal_force_);
+    has_internal_force_ = found.code == CONVERGED && found.margin > DEEP;
+  }
+  if (*has_internal_force_) {
+    for (auto& each : z_) each = {};
+    in_.subtract(z_, turned_);
+    double squeeze = 1e-6;
+    in_.write_slacks(z_, in_.torsions, slacks_, [](int) { return 0.0; });
+    in_.write_slacks(internal_force_, in_.torsions, slacks_inside_, [](int) { return 0.0; });
+    for (std::size_t k = 0; k < slacks_.size(); ++k)
+      if (slacks_[k] < infinity) squeeze = std::max(squeeze, -slacks_[k] / slacks_inside_[k]);
+    for (int i = 0; i < count; ++i) {
+      add(z_[i], 1.3 * squeeze, internal_force_[i]);
+      if (D == 4 && !in_.soft[i]) z_[i][D - 1] = 1.0;
     }
-    if (*has_internal_force_) {
-        for (auto& each : z_) each = {};
-        in_.subtract(z_, turned_);
-        double squeeze = 1e-6;
-        in_.write_slacks(z_, in_.torsions, slacks_, [](int) { return 0.0; });
-        in_.write_slacks(internal_force_, in_.torsions, slacks_inside_, [](int) { return 0.0; });
-        for (std::size_t k = 0; k < slacks_.size(); ++k)
-            if (slacks_[k] < infinity) squeeze = std::max(squeeze, -slacks_[k] / slacks_inside_[k]);
-        for (int i = 0; i < count; ++i) {
-            add(z_[i], 1.3 * squeeze, internal_force_[i]);
-            if (D == 4 && !in_.soft[i]) z_[i][D - 1] = 1.0;
-        }
-    } else {
-        for (auto& each : z_) each = in_.inwards();
-    }
-    for (int i = 0; i < count; ++i) engine.at.z[i] = wide<R>(z_[i]);
-    const bool slack = place(engine, *has_internal_force_ ? 1e-3 : 1.0);
-    return *has_internal_force_ && slack;
+  } else {
+    for (auto& each : z_) each = in_.inwards();
+  }
+  for (int i = 0; i < count; ++i) engine.at.z[i] = wide<R>(z_[i]);
+  const bool slack = place(engine, *has_internal_force_ ? 1e-3 : 1.0);
+  return *has_internal_force_ && slack;
 }
 
-template <int D> template <class R, int T> inline bool ProgramOn<D>::place(Interior<R, T>& engine, double least) {
-    auto& at = engine.at;
-    const auto& rows = engine.rows;
-    R largest = 0.0, product = 0.0, normal = 0.0;
+template <int D> template <class R, int T>
+inline bool ProgramOn<D>::place(Interior<R, T>& engine, double least) {
+  auto& at = engine.at;
+  const auto& rows = engine.rows;
+  R largest = 0.0, product = 0.0, normal = 0.0;
+  for (int i = 0; i < count; ++i) {
+    largest = max(largest, at.z[i][0]);
+    normal = max(normal, price(i) * at.z[i][0]);
+    at.s[i] = engine.cost[i];
+    if constexpr (T == 1) at.s[i][0] = price(i) / count;
+    product += at.z[i][0] * at.s[i][0] / count;
+    if (D == 4) at.s[i][D - 1] = in_.soft[i] ? 0.25 * at.s[i][0] : R(1.0);
+  }
+  if constexpr (T == 1) {
+    at.t = {2.0 * normal};
+    if (elastic()) {
+      for (int i = 0; i < count; ++i) z_[i] = narrow(at.z[i]);
+      raise(engine, z_);
+      at.t = {1.0};
+    }
+  }
+  bool kept = true;
+  const R floor = max(least * largest, 1e-12 * largest);
+  const auto lift = [&](const R& slack) {
+    if (slack > 0.0 && least == 0.0) return slack;
+    kept = kept && slack > 0.0;
+    return max(slack, floor);
+  };
+  const double share = 0.1 / std::max(1, limits - in_.torsions);
+  for (int i = 0; i <= count; ++i)
+    for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) {
+      const auto& row = rows.own[k];
+      R slack = row.right - inner(row.shared, at.t);
+      if (i < count) slack -= inner(row.row, at.z[i]);
+      at.own_slack[k] = lift(slack);
+      if (row.label < 0)
+        at.own[k] = R(1.0) / count;
+      else if (row.label < in_.torsions)
+        at.own[k] = at.s[i][D - 1] / row.row[D - 1];
+      else
+        at.own[k] = min(product / at.own_slack[k], R(i < count ? share * engine_price<T>(i) : 1.0));
+    }
+  for (int r = 0; r < rows.joint; ++r) {
+    at.joint[r] = at.joint_slack[r] = 0.0;
+    if (r < rows.equal) continue;
+    R slack = rows.right[r] - inner(rows.coupling[r], at.t);
+    R price = infinity;
     for (int i = 0; i < count; ++i) {
-        largest = max(largest, at.z[i][0]), normal = max(normal, price(i) * at.z[i][0]);
-        at.s[i] = engine.cost[i];
-        if constexpr (T == 1) at.s[i][0] = price(i) / count;
-        product += at.z[i][0] * at.s[i][0] / count;
-        if (D == 4) at.s[i][D - 1] = in_.soft[i] ? 0.25 * at.s[i][0] : R(1.0);
+      slack -= inner(rows.columns[rows.joint * i + r], at.z[i]);
+      price = min(price, R(engine_price<T>(i)));
     }
-    if constexpr (T == 1) {
-        at.t = {2.0 * normal};
-        if (elastic()) {
-            for (int i = 0; i < count; ++i) z_[i] = narrow(at.z[i]);
-            raise(engine, z_), at.t = {1.0};
-        }
+    at.joint_slack[r] = lift(slack);
+    at.joint[r] = min(product / at.joint_slack[r], share * price);
+  }
+  if constexpr (T == 1)
+    if (elastic()) {  // t's price from its equation, if that is positive
+      R left = 1.0;
+      for (int r = rows.equal; r < rows.joint; ++r) left += at.joint[r] * rows.coupling[r][0];
+      for (std::size_t k = 0; k + 1 < rows.own.size(); ++k)
+        left += at.own[k] * rows.own[k].shared[0];
+      at.own.back() = max(left, R(1e-3));
     }
-    bool kept = true;
-    const R floor = max(least * largest, 1e-12 * largest);
-    const auto lift = [&](const R& slack) {
-        if (slack > 0.0 && least == 0.0) return slack;
-        kept = kept && slack > 0.0;
-        return max(slack, floor);
-    };
-    const double share = 0.1 / std::max(1, limits - in_.torsions);
-    for (int i = 0; i <= count; ++i)
-        for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) {
-            const auto& row = rows.own[k];
-            R slack = row.right - inner(row.shared, at.t);
-            if (i < count) slack -= inner(row.row, at.z[i]);
-            at.own_slack[k] = lift(slack);
-            if (row.label < 0) at.own[k] = R(1.0) / count;
-            else if (row.label < in_.torsions) at.own[k] = at.s[i][D - 1] / row.row[D - 1];
-            else at.own[k] = min(product / at.own_slack[k], R(i < count ? share * engine_price<T>(i) : 1.0));
-        }
-    for (int r = 0; r < rows.joint; ++r) {
-        at.joint[r] = at.joint_slack[r] = 0.0;
-        if (r < rows.equal) continue;
-        R slack = rows.right[r] - inner(rows.coupling[r], at.t), price = infinity;
-        for (int i = 0; i < count; ++i)
-            slack -= inner(rows.columns[rows.joint * i + r], at.z[i]), price = min(price, R(engine_price<T>(i)));
-        at.joint_slack[r] = lift(slack);
-        at.joint[r] = min(product / at.joint_slack[r], share * price);
-    }
-    if constexpr (T == 1)
-        if (elastic()) {  // t's price from its equation, if that is positive
-            R left = 1.0;
-            for (int r = rows.equal; r < rows.joint; ++r) left += at.joint[r] * rows.coupling[r][0];
-            for (std::size_t k = 0; k + 1 < rows.own.size(); ++k) left += at.own[k] * rows.own[k].shared[0];
-            at.own.back() = max(left, R(1e-3));
-        }
-    for (int i = 0; i < count; ++i) {  // s from its equation
-        Tuple<R, D> s = engine.cost[i];
-        for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) add(s, at.own[k], rows.own[k].row);
-        for (int r = rows.equal; r < rows.joint; ++r) add(s, at.joint[r], rows.columns[rows.joint * i + r]);
-        if (D == 4 && !in_.soft[i]) s[D - 1] = 1.0;
-        at.s[i] = s;
-    }
-    return kept;
+  for (int i = 0; i < count; ++i) {  // s from its equation
+    Tuple<R, D> s = engine.cost[i];
+    for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) add(s, at.own[k], rows.own[k].row);
+    for (int r = rows.equal; r < rows.joint; ++r)
+      add(s, at.joint[r], rows.columns[rows.joint * i + r]);
+    if (D == 4 && !in_.soft[i]) s[D - 1] = 1.0;
+    at.s[i] = s;
+  }
+  return kept;
 }
 
 }  // namespace grasp::detail

@@ -6,41 +6,46 @@ namespace grasp {
 
 // Target pose and motion of the object, world frame.
 struct Target {
-    Point position;  // [m]
-    double quaternion[4];  // (x, y, z, w)
-    Point linear, angular;  // [m/s], [rad/s]
-    Point linear_acceleration, angular_acceleration;  // [m/s^2], [rad/s^2]
-    static constexpr int SIZE = 19;
+  Point position;                                   // [m]
+  double quaternion[4];                             // (x, y, z, w)
+  Point linear, angular;                            // [m/s], [rad/s]
+  Point linear_acceleration, angular_acceleration;  // [m/s^2], [rad/s^2]
+  static constexpr int SIZE = 19;
 };
 static_assert(sizeof(Target) == Target::SIZE * sizeof(double));
 
-// Error of the object against its target: position [m], orientation [rad] and velocities [m/s], [rad/s], world frame.
+// Error of the object against its target: position [m], orientation [rad] and velocities [m/s],
+// [rad/s], world frame.
 struct PoseError {
-    Point position, orientation, linear, angular;
+  Point position, orientation, linear, angular;
 
-    PoseError(const Snapshot& seen, const Target& target)
-        : position(seen.position - target.position),
-          orientation((seen.rotation * Rotation::of_quaternion(target.quaternion).transposed()).vector()),
-          linear(seen.linear - target.linear), angular(seen.angular - target.angular) {}
+  PoseError(const Snapshot& seen, const Target& target)
+      : position(seen.position - target.position),
+        orientation(
+            (seen.rotation * Rotation::of_quaternion(target.quaternion).transposed()).vector()),
+        linear(seen.linear - target.linear),
+        angular(seen.angular - target.angular) {}
 };
 
 // The controller's model of the object, and the gains of its pose feedback.
 struct Body {
-    double mass = 0.0;  // [kg]
-    Rotation inertia;  // (3, 3) [kg m^2] about its centre, object frame
-    double position_gain = 0.0, position_damping = 0.0;  // [N/m], [N s/m]
-    double rotation_gain = 0.0, rotation_damping = 0.0;  // [1/s^2], [1/s]: times the inertia
+  double mass = 0.0;  // [kg]
+  Rotation inertia;   // (3, 3) [kg m^2] about its centre, object frame
+  double position_gain = 0.0, position_damping = 0.0;  // [N/m], [N s/m]
+  double rotation_gain = 0.0, rotation_damping = 0.0;  // [1/s^2], [1/s]: times the inertia
 
-    // Weight - inertial wrench of the target motion + pose feedback [N, N m], object frame; gravity [m/s^2], world.
-    Vec6 wrench(const Snapshot& seen, const Target& target, const Point& gravity) const {
-        const PoseError error(seen, target);
-        const Point pull = position_gain * error.position + position_damping * error.linear;
-        const Point force = seen.to_object(mass * (gravity - target.linear_acceleration) + pull);
-        const Point twist = rotation_gain * error.orientation + rotation_damping * error.angular - target.angular_acceleration;
-        const Point turn = seen.to_object(target.angular);
-        const Point moment = inertia * seen.to_object(twist) - cross(turn, inertia * turn);
-        return {force.u, force.o, force.t, moment.u, moment.o, moment.t};
-    }
+  // Weight - inertial wrench of the target motion + pose feedback [N, N m], object frame; gravity
+  // [m/s^2], world.
+  Vec6 wrench(const Snapshot& seen, const Target& target, const Point& gravity) const {
+    const PoseError error(seen, target);
+    const Point pull = position_gain * error.position + position_damping * error.linear;
+    const Point force = seen.to_object(mass * (gravity - target.linear_acceleration) + pull);
+    const Point twist = rotation_gain * error.orientation + rotation_damping * error.angular -
+                        target.angular_acceleration;
+    const Point turn = seen.to_object(target.angular);
+    const Point moment = inertia * seen.to_object(twist) - cross(turn, inertia * turn);
+    return {force.u, force.o, force.t, moment.u, moment.o, moment.t};
+  }
 };
 
 }  // namespace grasp

@@ -1,108 +1,130 @@
-// The controller's view of a scene: delayed and noisy if requested, and the external wrench as far as known.
+// The controller's view of a scene: delayed and noisy if requested, and the external wrench as far
+// as known.
 #pragma once
 #include <grasp/hand/balance.hpp>
 
 namespace grasp {
 
-// Estimates the external wrench from the object's motion, less contacts and gravity, with a filter: force = d(m v)/dt - sum f - m g
-// and moment = d(R I R^T omega)/dt - sum p x f over one tick, in the object frame at its end. The forces must be means over that
-// tick, as the change of momentum is: those of the last physics step ring if contacts are stiff, and the hand would react. Errors
+// Estimates the external wrench from the object's motion, less contacts and gravity, with a filter:
+// force = d(m v)/dt - sum f - m g and moment = d(R I R^T omega)/dt - sum p x f over one tick, in
+// the object frame at its end. The forces must be means over that tick, as the change of momentum
+// is: those of the last physics step ring if contacts are stiff, and the hand would react. Errors
 // of the modelled mass or gravity appear as a wrench.
 class WrenchEstimator {
-public:
-    double tick = 1.0, keep = 0.0;  // [s]; fraction of its value that the filter keeps over a tick
-    Vec6 estimate{};  // [N, N m], object frame
+ public:
+  double tick = 1.0, keep = 0.0;  // [s]; fraction of its value that the filter keeps over a tick
+  Vec6 estimate{};                // [N, N m], object frame
 
-    // After a reset, the first call only records the momentum.
-    void reset() { *this = {tick, keep}; }
-    WrenchEstimator() = default;
-    WrenchEstimator(double tick, double keep) : tick(tick), keep(keep) {}
+  // After a reset, the first call only records the momentum.
+  void reset() { *this = {tick, keep}; }
+  WrenchEstimator() = default;
+  WrenchEstimator(double tick, double keep) : tick(tick), keep(keep) {}
 
-    const Vec6& operator()(const Snapshot& seen, const Body& body, const Point& gravity) {
-        const Point linear = body.mass * seen.linear;
-        const Point angular = seen.rotation * (body.inertia * seen.to_object(seen.angular));
-        if (started_) {
-            const double rate = 1.0 / tick;
-            Point force = seen.to_object(rate * (linear - linear_) - body.mass * gravity);
-            Point moment = seen.to_object(rate * (angular - angular_));
-            for (std::size_t i = 0; i < seen.forces.size(); ++i) {
-                force -= seen.forces[i];
-                moment -= cross(seen.points[i], seen.forces[i]);
-            }
-            estimate = keep * estimate + (1.0 - keep) * Vec6{force.u, force.o, force.t, moment.u, moment.o, moment.t};
-        }
-        linear_ = linear, angular_ = angular, started_ = true;
-        return estimate;
+  const Vec6& operator()(const Snapshot& seen, const Body& body, const Point& gravity) {
+    const Point linear = body.mass * seen.linear;
+    const Point angular = seen.rotation * (body.inertia * seen.to_object(seen.angular));
+    if (started_) {
+      const double rate = 1.0 / tick;
+      Point force = seen.to_object(rate * (linear - linear_) - body.mass * gravity);
+      Point moment = seen.to_object(rate * (angular - angular_));
+      for (std::size_t i = 0; i < seen.forces.size(); ++i) {
+        force -= seen.forces[i];
+        moment -= cross(seen.points[i], seen.forces[i]);
+      }
+      estimate = keep * estimate +
+                 (1.0 - keep) * Vec6{force.u, force.o, force.t, moment.u, moment.o, moment.t};
     }
+    linear_ = linear;
+    angular_ = angular;
+    started_ = true;
+    return estimate;
+  }
 
-private:
-    bool started_ = false;
-    Point linear_{}, angular_{};  // momentum [N s], [N m s], world
+ private:
+  bool started_ = false;
+  Point linear_{}, angular_{};  // momentum [N s], [N m s], world
 };
 
 enum class WrenchSource { measured, estimated, none };
 
 struct SensorSettings {
-    WrenchSource wrench = WrenchSource::measured;
-    double tick = 0.0, keep = 0.0;  // [s]; filter of the estimate: see `WrenchEstimator`
-    int delay = 0, wrench_delay = 0;  // ticks of delay of everything, and of measured wrenches in addition
-    double pose_noise = 0.0, tactile_noise = 0.0;  // standard deviations: [m] per axis, fraction of the force per axis
+  WrenchSource wrench = WrenchSource::measured;
+  double tick = 0.0, keep = 0.0;  // [s]; filter of the estimate: see `WrenchEstimator`
+  int delay = 0,
+      wrench_delay = 0;  // ticks of delay of everything, and of measured wrenches in addition
+  double pose_noise = 0.0,
+         tactile_noise = 0.0;  // standard deviations: [m] per axis, fraction of the force per axis
 };
 
 class Sensors {
-public:
-    const SensorSettings settings;
+ public:
+  const SensorSettings settings;
 
-    Sensors(std::shared_ptr<const Scene> given, const SensorSettings& settings)
-        : settings(settings), scene_(std::move(given)), estimator_(settings.tick, settings.keep), seen_(scene_->now),
-          reported_(settings.delay + settings.wrench_delay + 1) {
-        if (!exact()) delayed_.assign(settings.delay + 1, seen_);  // `perfect` is not set yet
+  Sensors(std::shared_ptr<const Scene> given, const SensorSettings& settings)
+      : settings(settings),
+        scene_(std::move(given)),
+        estimator_(settings.tick, settings.keep),
+        seen_(scene_->now),
+        reported_(settings.delay + settings.wrench_delay + 1) {
+    if (!exact()) delayed_.assign(settings.delay + 1, seen_);  // `perfect` is not set yet
+  }
+  Sensors(const Sensors&) = delete;
+
+  bool perfect = false;  // ignore delay and noise, while the hand takes over the object
+  // True if the scene is seen without delay and noise.
+  bool exact() const {
+    return perfect ||
+           !(settings.delay || settings.pose_noise > 0.0 || settings.tactile_noise > 0.0);
+  }
+  const Snapshot& seen() const { return exact() ? scene_->now : seen_; }
+  Vec6 external{};  // known wrench on the object [N, N m], object frame
+
+  // Return to the state before the first tick: the scene stands still.
+  void reset() {
+    estimator_.reset();
+    std::fill(delayed_.begin(), delayed_.end(), scene_->now);
+    std::fill(reported_.begin(), reported_.end(), Vec6{});
+    tick_ = 0;
+  }
+
+  // Observe the scene of this tick. wrench: (6,) the external wrench that a perfect sensor reports.
+  // noise: (3 + 3N,) standard normal numbers if anything is noisy. gravity: as far as known.
+  void see(const double* wrench, const double* noise, const Body& body, const Point& gravity) {
+    if (!exact()) observe_with_delay(noise);
+    std::copy(wrench, wrench + 6, reported_[tick_ % reported_.size()].begin());
+    ++tick_;
+    switch (settings.wrench) {
+      case WrenchSource::measured:
+        external = reported_[tick_ % reported_.size()];
+        break;
+      case WrenchSource::estimated:
+        external = estimator_(seen(), body, gravity);
+        break;
+      case WrenchSource::none:
+        external = {};
+        break;
     }
-    Sensors(const Sensors&) = delete;
+  }
 
-    bool perfect = false;  // ignore delay and noise, while the hand takes over the object
-    // True if the scene is seen without delay and noise.
-    bool exact() const { return perfect || !(settings.delay || settings.pose_noise > 0.0 || settings.tactile_noise > 0.0); }
-    const Snapshot& seen() const { return exact() ? scene_->now : seen_; }
-    Vec6 external{};  // known wrench on the object [N, N m], object frame
+ private:
+  std::shared_ptr<const Scene> scene_;
+  WrenchEstimator estimator_;
+  std::vector<Snapshot> delayed_;
+  Snapshot seen_;  // what is seen, unless it is the scene itself
+  std::vector<Vec6> reported_;
+  std::size_t tick_ = 0;
 
-    // Return to the state before the first tick: the scene stands still.
-    void reset() {
-        estimator_.reset();
-        std::fill(delayed_.begin(), delayed_.end(), scene_->now);
-        std::fill(reported_.begin(), reported_.end(), Vec6{});
-        tick_ = 0;
-    }
-
-    // Observe the scene of this tick. wrench: (6,) the external wrench that a perfect sensor reports. noise: (3 + 3N,) standard
-    // normal numbers if anything is noisy. gravity: as far as known.
-    void see(const double* wrench, const double* noise, const Body& body, const Point& gravity) {
-        if (!exact()) observe_with_delay(noise);
-        std::copy(wrench, wrench + 6, reported_[tick_ % reported_.size()].begin());
-        ++tick_;
-        switch (settings.wrench) {
-            case WrenchSource::measured: external = reported_[tick_ % reported_.size()]; break;
-            case WrenchSource::estimated: external = estimator_(seen(), body, gravity); break;
-            case WrenchSource::none: external = {}; break;
-        }
-    }
-
-private:
-    std::shared_ptr<const Scene> scene_;
-    WrenchEstimator estimator_;
-    std::vector<Snapshot> delayed_;
-    Snapshot seen_;  // what is seen, unless it is the scene itself
-    std::vector<Vec6> reported_;
-    std::size_t tick_ = 0;
-
-    void observe_with_delay(const double* noise) {
-        delayed_[tick_ % delayed_.size()] = scene_->now;
-        seen_ = delayed_[(tick_ + 1) % delayed_.size()];
-        seen_.position += settings.pose_noise * point(noise);
-        for (std::size_t i = 0; i < seen_.forces.size(); ++i)
-            seen_.forces[i] += settings.tactile_noise * length(seen_.forces[i]) * point(noise + 3 + 3 * i);
-        if (settings.delay) seen_.advance(*scene_->tree, scene_->surface, scene_->gravity, settings.delay * settings.tick);
-    }
+  void observe_with_delay(const double* noise) {
+    delayed_[tick_ % delayed_.size()] = scene_->now;
+    seen_ = delayed_[(tick_ + 1) % delayed_.size()];
+    seen_.position += settings.pose_noise * point(noise);
+    for (std::size_t i = 0; i < seen_.forces.size(); ++i)
+      seen_.forces[i] +=
+          settings.tactile_noise * length(seen_.forces[i]) * point(noise + 3 + 3 * i);
+    if (settings.delay)
+      seen_.advance(*scene_->tree, scene_->surface, scene_->gravity,
+                    settings.delay * settings.tick);
+  }
 };
 
 }  // namespace grasp

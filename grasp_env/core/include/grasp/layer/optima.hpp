@@ -4,114 +4,154 @@
 
 namespace grasp {
 
-// Start with a large edge, below which the barriers of limits are parabolas. Lower it until all slacks are above it.
+// Start with a large edge, below which the barriers of limits are parabolas. Lower it until all
+// slacks are above it.
 template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
-    edge_ = select(live, V(LARGEST_EDGE), edge_), place_edges();
-    V value = energy();
-    iterations = select(live, V(0.0), iterations);
-    live &= value < infinity;
-    Mask found{};
-    for (int round = 0; round < most && any(live); ++round) {
-        const Six<V> next = newton_step(value);
-        for (int r = 0; r < 6; ++r) y_[r] = select(live, next[r], y_[r]);
-        const auto [decrement, reach] = judged_step();
-        const Mask whole = (edge_ <= last_) | (tightest_ >= edge_);  // the barriers have their final form
-        Mask harder = live & ~whole & !(decrement > CLOSE * value);
-        const Mask lost = harder & (last_ == 0.0) & (edge_ < LEAST_EDGE), done = live & whole & !(decrement > SETTLED * value);
-        found |= done, live &= ~(done | lost), harder &= ~lost;
-        V alpha = min(V(1.0), LONG / reach), taken{};
-        Mask open = live & ~harder;
-        for (int halving = 0; halving < HALVINGS && any(open); ++halving, alpha = 0.5 * alpha) {
-            const V after = energy_along(alpha);
-            const Mask good = open & (after < value - 1e-4 * alpha * decrement);
-            taken = select(good, alpha, taken), value = select(good, after, value), open &= ~good;
-        }
-        found |= open & whole, live &= ~(open & whole), harder |= open & ~whole;  // only rounding is left
-        for (int i = 0; i < count(); ++i) x_[i] += taken * step_[i], v_[i] += taken * step_v_[i];
-        iterations += select(taken > 0.0, V(1.0), V(0.0));
-        if (!any(harder)) continue;
-        edge_ = select(harder, max(EDGE_FACTOR * edge_, last_), edge_), place_edges();
-        value = select(harder, energy(), value);
+  edge_ = select(live, V(LARGEST_EDGE), edge_);
+  place_edges();
+  V value = energy();
+  iterations = select(live, V(0.0), iterations);
+  live &= value < infinity;
+  Mask found{};
+  for (int round = 0; round < most && any(live); ++round) {
+    const Six<V> next = newton_step(value);
+    for (int r = 0; r < 6; ++r) y_[r] = select(live, next[r], y_[r]);
+    const auto [decrement, reach] = judged_step();
+    const Mask whole =
+        (edge_ <= last_) | (tightest_ >= edge_);  // the barriers have their final form
+    Mask harder = live & ~whole & !(decrement > CLOSE * value);
+    const Mask lost = harder & (last_ == 0.0) & (edge_ < LEAST_EDGE);
+    const Mask done = live & whole & !(decrement > SETTLED * value);
+    found |= done;
+    live &= ~(done | lost);
+    harder &= ~lost;
+    V alpha = min(V(1.0), LONG / reach);
+    V taken{};
+    Mask open = live & ~harder;
+    for (int halving = 0; halving < HALVINGS && any(open); ++halving, alpha = 0.5 * alpha) {
+      const V after = energy_along(alpha);
+      const Mask good = open & (after < value - 1e-4 * alpha * decrement);
+      taken = select(good, alpha, taken);
+      value = select(good, after, value);
+      open &= ~good;
     }
-    edge_ = last_, place_edges();
-    return found;
+    found |= open & whole;
+    live &= ~(open & whole);
+    harder |= open & ~whole;  // only rounding is left
+    for (int i = 0; i < count(); ++i) {
+      x_[i] += taken * step_[i];
+      v_[i] += taken * step_v_[i];
+    }
+    iterations += select(taken > 0.0, V(1.0), V(0.0));
+    if (!any(harder)) continue;
+    edge_ = select(harder, max(EDGE_FACTOR * edge_, last_), edge_);
+    place_edges();
+    value = select(harder, energy(), value);
+  }
+  edge_ = last_;
+  place_edges();
+  return found;
 }
 
 template <int W> void SmoothLanes<W>::polish(const Mask& which) {
-    V value = energy();
-    const auto left = [&](const Six<V>& y) { return size(missed() - softness_ * y); };
-    residual = select(which, left(y_), residual);
-    Mask open = which & ~(last_ > 0.0) & ~rank_lost();
-    for (int round = 0; round < WHOLE_STEPS && any(open); ++round) {
-        Six<V> found = newton_step(value);
-        for (int i = 0; i < count(); ++i) pull_[i] = Vec{}, pull_v_[i] = V{};
-        // remove the rounding left in the balance, in the same metric
-        Six<V> rest = softness_ * found - missed();
-        for (int i = 0; i < count(); ++i)
-            for (int r = 0; r < 6; ++r) rest[r] -= dot(cones_.blocks[i].g[r], step_[i]) + at_[i].gv[r] * step_v_[i];
-        found = found + solve_once(pull_, pull_v_, rest, back_, back_v_);
-        for (int i = 0; i < count(); ++i) {
-            step_[i] += back_[i], step_v_[i] += back_v_[i];
-            back_[i] = x_[i], back_v_[i] = v_[i];  // the previous point
-        }
-        const V after = energy_along(V(1.0));
-        for (int i = 0; i < count(); ++i) x_[i] += step_[i], v_[i] += step_v_[i];
-        const V missing = left(found);
-        open &= (after <= value + RAISED * value) & (missing <= max(residual, ROUNDED * (cones_.largest_normal(x_) + size(w_))));
-        for (int i = 0; i < count(); ++i) x_[i] = select(open, x_[i], back_[i]), v_[i] = select(open, v_[i], back_v_[i]);
-        y_ = select(open, found, y_);
-        value = select(open, after, value), residual = select(open, missing, residual);
+  V value = energy();
+  const auto left = [&](const Six<V>& y) { return size(missed() - softness_ * y); };
+  residual = select(which, left(y_), residual);
+  Mask open = which & ~(last_ > 0.0) & ~rank_lost();
+  for (int round = 0; round < WHOLE_STEPS && any(open); ++round) {
+    Six<V> found = newton_step(value);
+    for (int i = 0; i < count(); ++i) {
+      pull_[i] = Vec{};
+      pull_v_[i] = V{};
     }
-    const Mask hard = which & stiff();
-    if (any(hard)) {
-        converged = finish(hard);
-        residual = select(hard, left(y_), residual);
+    // remove the rounding left in the balance, in the same metric
+    Six<V> rest = softness_ * found - missed();
+    for (int i = 0; i < count(); ++i)
+      for (int r = 0; r < 6; ++r)
+        rest[r] -= dot(cones_.blocks[i].g[r], step_[i]) + at_[i].gv[r] * step_v_[i];
+    found = found + solve_once(pull_, pull_v_, rest, back_, back_v_);
+    for (int i = 0; i < count(); ++i) {
+      step_[i] += back_[i];
+      step_v_[i] += back_v_[i];
+      back_[i] = x_[i];
+      back_v_[i] = v_[i];  // the previous point
     }
-    // if missed balance is a penalty, report all of it
-    residual = select(which & (softness_ > 0.0), size(missed()), residual);
+    const V after = energy_along(V(1.0));
+    for (int i = 0; i < count(); ++i) {
+      x_[i] += step_[i];
+      v_[i] += step_v_[i];
+    }
+    const V missing = left(found);
+    open &= (after <= value + RAISED * value) &
+            (missing <= max(residual, ROUNDED * (cones_.largest_normal(x_) + size(w_))));
+    for (int i = 0; i < count(); ++i) {
+      x_[i] = select(open, x_[i], back_[i]);
+      v_[i] = select(open, v_[i], back_v_[i]);
+    }
+    y_ = select(open, found, y_);
+    value = select(open, after, value);
+    residual = select(open, missing, residual);
+  }
+  const Mask hard = which & stiff();
+  if (any(hard)) {
+    converged = finish(hard);
+    residual = select(hard, left(y_), residual);
+  }
+  // if missed balance is a penalty, report all of it
+  residual = select(which & (softness_ > 0.0), size(missed()), residual);
 }
 
 template <int W> auto SmoothLanes<W>::gap() const -> V {
-    V bound{}, room = infinity;
-    for (int r = 0; r < 6; ++r) bound += y_[r] * w_[r];
-    std::vector<V> prices(joints_);
-    std::fill(along_.begin(), along_.end(), V{});
-    for (int i = 0; i < count(); ++i)
-        for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, x_[i], v_[i]);
-    const auto conjugate = [&](const Limit& side, const V& slack) {  // minimum of weight / s + price s over s, less price * bound
+  V bound{}, room = infinity;
+  for (int r = 0; r < 6; ++r) bound += y_[r] * w_[r];
+  std::vector<V> prices(joints_);
+  std::fill(along_.begin(), along_.end(), V{});
+  for (int i = 0; i < count(); ++i)
+    for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, x_[i], v_[i]);
+  const auto conjugate =
+      [&](const Limit& side,
+          const V& slack) {  // minimum of weight / s + price s over s, less price * bound
         const V price = side.weight / (slack * slack);
         bound += 2.0 * side.weight / slack - price * side.bound;
         return price;
-    };
-    for (int j = 0; j < joints_; ++j)
-        prices[j] =
-            conjugate(rows_[j].high, rows_[j].high.bound - along_[j]) - conjugate(rows_[j].low, rows_[j].low.bound + along_[j]);
-    for (int i = 0; i < count(); ++i) {
-        const Contact& c = at_[i];
-        Vec pull = -Block<V>::combined(cones_.blocks[i].g, y_);
-        V turn{};
-        for (int r = 0; r < 6; ++r) turn -= c.gv[r] * y_[r];
-        for (int j = 0; j < joints_; ++j) pull -= prices[j] * column(i, j).c, turn -= prices[j] * column(i, j).cv;
-        pull.u -= conjugate(c.high, c.high.bound - x_[i].u) - conjugate(c.low, c.low.bound + x_[i].u);
-        const V near = 1.0 / (x_[i].u - v_[i]), far = 1.0 / (x_[i].u + v_[i]);
-        const V price = max(c.lambda_v * (near * near + far * far), abs(turn)), soft = select(c.lambda_v > 0.0, V(1.0), V(0.0));
-        pull.u += soft * price;
-        bound += sqrt(2.0 * c.lambda_v) * soft * (sqrt(price + turn) + sqrt(max(price - turn, V(0.0))));
-        V inside;
-        bound += dual(pull, cones_.blocks[i].weights, inside), room = min(room, inside);
+      };
+  for (int j = 0; j < joints_; ++j)
+    prices[j] = conjugate(rows_[j].high, rows_[j].high.bound - along_[j]) -
+                conjugate(rows_[j].low, rows_[j].low.bound + along_[j]);
+  for (int i = 0; i < count(); ++i) {
+    const Contact& c = at_[i];
+    Vec pull = -Block<V>::combined(cones_.blocks[i].g, y_);
+    V turn{};
+    for (int r = 0; r < 6; ++r) turn -= c.gv[r] * y_[r];
+    for (int j = 0; j < joints_; ++j) {
+      pull -= prices[j] * column(i, j).c;
+      turn -= prices[j] * column(i, j).cv;
     }
-    const V value = energy(), above = max(value - bound, V(0.0));
-    return select((room > 0.0) & (bound > 0.0) & (value < infinity), above / bound, V(infinity));
+    pull.u -= conjugate(c.high, c.high.bound - x_[i].u) - conjugate(c.low, c.low.bound + x_[i].u);
+    const V near = 1.0 / (x_[i].u - v_[i]);
+    const V far = 1.0 / (x_[i].u + v_[i]);
+    const V price = max(c.lambda_v * (near * near + far * far), abs(turn));
+    const V soft = select(c.lambda_v > 0.0, V(1.0), V(0.0));
+    pull.u += soft * price;
+    bound += sqrt(2.0 * c.lambda_v) * soft * (sqrt(price + turn) + sqrt(max(price - turn, V(0.0))));
+    V inside;
+    bound += dual(pull, cones_.blocks[i].weights, inside);
+    room = min(room, inside);
+  }
+  const V value = energy();
+  const V above = max(value - bound, V(0.0));
+  return select((room > 0.0) & (bound > 0.0) & (value < infinity), above / bound, V(infinity));
 }
 
-template <int W> void SmoothLanes<W>::write(int lane, double* force, double* torsion, double* multipliers) const {
-    const Six<V> y = cones_.unit.pull_back(y_);
-    for (int r = 0; r < 6; ++r) multipliers[r] = -get(y[r], lane);
-    for (int i = 0; i < count(); ++i) {
-        const Vec made = object_force(i, x_[i]);
-        for (int a = 0; a < 3; ++a) force[3 * i + a] = get(made[a], lane);
-        torsion[i] = get(v_[i] / at_[i].divisor_v, lane);
-    }
+template <int W>
+void SmoothLanes<W>::write(int lane, double* force, double* torsion, double* multipliers) const {
+  const Six<V> y = cones_.unit.pull_back(y_);
+  for (int r = 0; r < 6; ++r) multipliers[r] = -get(y[r], lane);
+  for (int i = 0; i < count(); ++i) {
+    const Vec made = object_force(i, x_[i]);
+    for (int a = 0; a < 3; ++a) force[3 * i + a] = get(made[a], lane);
+    torsion[i] = get(v_[i] / at_[i].divisor_v, lane);
+  }
 }
 
 }  // namespace grasp

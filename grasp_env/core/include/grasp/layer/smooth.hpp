@@ -1,14 +1,17 @@
-// The optimum of Phi as a smooth function of all inputs, W problems side by side: Newton's system with torsion and limits, the last
-// step of a solve, the elastic force if no force exists, and gradients by the adjoint system. The file is the class alone;
-// system.hpp, stiff.hpp, optima.hpp and gradients.hpp hold its longer functions.
+// The optimum of Phi as a smooth function of all inputs, W problems side by side: Newton's system
+// with torsion and limits, the last step of a solve, the elastic force if no force exists, and
+// gradients by the adjoint system. The file is the class alone; system.hpp, stiff.hpp, optima.hpp
+// and gradients.hpp hold its longer functions.
 //
-// Variables of a contact are z = (u, o, t, v) in cone coordinates, with v the torsion of a soft contact in units of its limit. The
-// optimum satisfies
+// Variables of a contact are z = (u, o, t, v) in cone coordinates, with v the torsion of a soft
+// contact in units of its limit. The optimum satisfies
 //     grad E(z) + A^T y = 0,    A z + w - softness y = 0,
-// with E = Phi plus the barriers of torsion and limits, A the map from z to the wrench in the unit frame, and softness 0 unless
-// balance is a penalty. For a loss with derivatives g with respect to z and h with respect to y, the adjoint system
+// with E = Phi plus the barriers of torsion and limits, A the map from z to the wrench in the unit
+// frame, and softness 0 unless balance is a penalty. For a loss with derivatives g with respect to
+// z and h with respect to y, the adjoint system
 //     H p + A^T q = g,    A p - softness q = h
-// has the matrix of Newton's step, and d loss / d theta = -(p . d_theta (grad E + A^T y) + q . d_theta (A z + w - softness y)).
+// has the matrix of Newton's step, and d loss / d theta = -(p . d_theta (grad E + A^T y) + q .
+// d_theta (A z + w - softness y)).
 #pragma once
 #include <grasp/layer/batch.hpp>
 #include <grasp/many/grasps.hpp>
@@ -17,379 +20,485 @@
 
 namespace grasp {
 
-// The problem whose optimum a force is: the problem itself; with limits that may be exceeded; with balance that may be missed as
-// well; the problem itself, with contacts that cannot balance wrenches of every direction.
+// The problem whose optimum a force is: the problem itself; with limits that may be exceeded; with
+// balance that may be missed as well; the problem itself, with contacts that cannot balance
+// wrenches of every direction.
 enum class Regime { none, optimum, exceeding, unbalanced, within_reach };
-inline bool is_optimum(Regime regime) { return regime == Regime::optimum || regime == Regime::within_reach; }
+inline bool is_optimum(Regime regime) {
+  return regime == Regime::optimum || regime == Regime::within_reach;
+}
 
-inline constexpr double ELASTIC_EDGE = 0.1;  // fraction of sqrt(lambda / omega): smaller slacks have a quadratic barrier
-inline constexpr double ELASTIC_SOFTNESS = 1e-2;  // [N^2] per unit of Phi: missed balance costs |missed|^2 / (2 softness)
+inline constexpr double ELASTIC_EDGE =
+    0.1;  // fraction of sqrt(lambda / omega): smaller slacks have a quadratic barrier
+inline constexpr double ELASTIC_SOFTNESS =
+    1e-2;  // [N^2] per unit of Phi: missed balance costs |missed|^2 / (2 softness)
 
 template <int W> class SmoothLanes {
-public:
-    using V = Each<W>;
-    using Mask = typename V::Mask;
-    using Vec = Vec3<V>;
-    V residual{}, iterations{};  // balance residual of the last `polish` [N]; iterations of the last descent
-    Mask converged{};  // of the stiff lanes of the last `polish`
+ public:
+  using V = Each<W>;
+  using Mask = typename V::Mask;
+  using Vec = Vec3<V>;
+  V residual{},
+      iterations{};  // balance residual of the last `polish` [N]; iterations of the last descent
+  Mask converged{};  // of the stiff lanes of the last `polish`
 
-    explicit SmoothLanes(const ForceBatch& batch)
-        : x_(batch.contacts), v_(batch.contacts), batch_(batch), joints_(batch.torque_limit ? batch.joints : 0),
-          cones_(batch.contacts), placed_(batch.contacts), rest_(batch.contacts), at_(batch.contacts), rows_(joints_),
-          columns_(std::size_t(joints_ * batch.contacts)), scaled_(columns_.size()), step_(batch.contacts), back_(batch.contacts),
-          pull_(batch.contacts), step_v_(batch.contacts), back_v_(batch.contacts), pull_v_(batch.contacts),
-          rest_v_(batch.contacts), along_(joints_) {}
+  explicit SmoothLanes(const ForceBatch& batch)
+      : x_(batch.contacts),
+        v_(batch.contacts),
+        batch_(batch),
+        joints_(batch.torque_limit ? batch.joints : 0),
+        cones_(batch.contacts),
+        placed_(batch.contacts),
+        rest_(batch.contacts),
+        at_(batch.contacts),
+        rows_(joints_),
+        columns_(std::size_t(joints_ * batch.contacts)),
+        scaled_(columns_.size()),
+        step_(batch.contacts),
+        back_(batch.contacts),
+        pull_(batch.contacts),
+        step_v_(batch.contacts),
+        back_v_(batch.contacts),
+        pull_v_(batch.contacts),
+        rest_v_(batch.contacts),
+        along_(joints_) {}
 
-    // Load problem k into a lane, before `place`, which still reads `posed`.
-    void load(int lane, std::ptrdiff_t k, const PosedProblem& posed, Regime regime);
-    // Choose the optimum that a lane stands for. posed: its contacts, as loaded.
-    void choose(int lane, Regime regime, const PosedProblem& posed) {
-        set(softness_, lane, regime == Regime::unbalanced ? ELASTIC_SOFTNESS : 0.0);
-        set(last_, lane, is_optimum(regime) ? 0.0 : ELASTIC_EDGE);
-        reach_[lane] = regime == Regime::within_reach ? posed.placed(batch_, number(lane)).reach : WrenchSpace{};
+  // Load problem k into a lane, before `place`, which still reads `posed`.
+  void load(int lane, std::ptrdiff_t k, const PosedProblem& posed, Regime regime);
+  // Choose the optimum that a lane stands for. posed: its contacts, as loaded.
+  void choose(int lane, Regime regime, const PosedProblem& posed) {
+    set(softness_, lane, regime == Regime::unbalanced ? ELASTIC_SOFTNESS : 0.0);
+    set(last_, lane, is_optimum(regime) ? 0.0 : ELASTIC_EDGE);
+    reach_[lane] =
+        regime == Regime::within_reach ? posed.placed(batch_, number(lane)).reach : WrenchSpace{};
+  }
+  // Compute frames, columns and rows of the loaded problems. Return the ordinary ones.
+  Mask place() {
+    const Mask good = placed_.place(problems_, cones_);
+    w_ = cones_.unit.of(wrench_);
+    for (int i = 0; i < count(); ++i) {
+      Contact& c = at_[i];
+      const FrameOf<V> frame(c.frame[0], c.along);
+      for (int a = 0; a < 3; ++a) c.frame[a] = frame[a];
+      c.arm = c.arm - cones_.unit.centre;
+      for (int r = 0; r < 6; ++r)
+        c.gv[r] = r < 3 ? V{} : cones_.unit.scale() * c.frame[0][r - 3] / c.divisor_v;
     }
-    // Compute frames, columns and rows of the loaded problems. Return the ordinary ones.
-    Mask place() {
-        const Mask good = placed_.place(problems_, cones_);
-        w_ = cones_.unit.of(wrench_);
-        for (int i = 0; i < count(); ++i) {
-            Contact& c = at_[i];
-            const FrameOf<V> frame(c.frame[0], c.along);
-            for (int a = 0; a < 3; ++a) c.frame[a] = frame[a];
-            c.arm = c.arm - cones_.unit.centre;
-            for (int r = 0; r < 6; ++r) c.gv[r] = r < 3 ? V{} : cones_.unit.scale() * c.frame[0][r - 3] / c.divisor_v;
-        }
-        shared_ = false;
-        for (int j = 0; j < joints_; ++j) place_row(j);
-        edge_ = last_, place_edges();
-        return good;
-    }
+    shared_ = false;
+    for (int j = 0; j < joints_; ++j) place_row(j);
+    edge_ = last_;
+    place_edges();
+    return good;
+  }
 
-    // --- start of a descent
+  // --- start of a descent
 
-    // Start from an internal force. Return the problems that have one.
-    Mask begin() {
-        const Mask found = placed_.internal_force(cones_, rest_);
-        const V scale = best_scale(cones_, rest_);
-        for (auto& each : rest_) each = scale * each;
-        grasp::begin(cones_, rest_, w_, x_);
-        std::fill(v_.begin(), v_.end(), V{});
-        return found & (cones_.phi(x_) < infinity);
+  // Start from an internal force. Return the problems that have one.
+  Mask begin() {
+    const Mask found = placed_.internal_force(cones_, rest_);
+    const V scale = best_scale(cones_, rest_);
+    for (auto& each : rest_) each = scale * each;
+    grasp::begin(cones_, rest_, w_, x_);
+    std::fill(v_.begin(), v_.end(), V{});
+    return found & (cones_.phi(x_) < infinity);
+  }
+  // Replace the start by forces (N, 3) [N] in contact frames if they, once balanced, have less Phi;
+  // null: no force.
+  void take_starts(const double* const (&starts)[W]) {
+    if (std::none_of(starts, starts + W, [](const double* each) { return each; })) return;
+    rest_ = x_;
+    for (int lane = 0; lane < W; ++lane)
+      if (starts[lane]) cones_.load_force(starts[lane], rest_, lane);
+    cones_.balance(rest_, w_);
+    copy_where(cones_.phi(rest_) < cones_.phi(x_), rest_, x_);
+  }
+  // Start from a force (N, 3) [N] in contact frames with its torsion (N,) [N m] and the multipliers
+  // (6,) nu of the given wrench.
+  void begin(int lane, const double* force, const double* torsion, const Vec6& nu) {
+    for (int i = 0; i < count(); ++i) {
+      const double per = get(at_[i].divisor_v, lane);
+      for (int a = 0; a < 3; ++a)
+        set(x_[i][a], lane, force[3 * i + a] * get(cones_.blocks[i].scale[a], lane));
+      set(v_[i], lane, per < infinity ? per * torsion[i] : 0.0);
     }
-    // Replace the start by forces (N, 3) [N] in contact frames if they, once balanced, have less Phi; null: no force.
-    void take_starts(const double* const (&starts)[W]) {
-        if (std::none_of(starts, starts + W, [](const double* each) { return each; })) return;
-        rest_ = x_;
-        for (int lane = 0; lane < W; ++lane)
-            if (starts[lane]) cones_.load_force(starts[lane], rest_, lane);
-        cones_.balance(rest_, w_);
-        copy_where(cones_.phi(rest_) < cones_.phi(x_), rest_, x_);
+    const auto& unit = cones_.unit;
+    const Point turn{nu[3], nu[4], nu[5]};
+    const Point centre{get(unit.centre.u, lane), get(unit.centre.o, lane),
+                       get(unit.centre.t, lane)};
+    const Point move = Point{nu[0], nu[1], nu[2]} + cross(turn, centre);
+    for (int a = 0; a < 3; ++a) {
+      set(y_[a], lane, -move[a]);
+      set(y_[3 + a], lane, -turn[a] * get(unit.length, lane));
     }
-    // Start from a force (N, 3) [N] in contact frames with its torsion (N,) [N m] and the multipliers (6,) nu of the given wrench.
-    void begin(int lane, const double* force, const double* torsion, const Vec6& nu) {
-        for (int i = 0; i < count(); ++i) {
-            const double per = get(at_[i].divisor_v, lane);
-            for (int a = 0; a < 3; ++a) set(x_[i][a], lane, force[3 * i + a] * get(cones_.blocks[i].scale[a], lane));
-            set(v_[i], lane, per < infinity ? per * torsion[i] : 0.0);
-        }
-        const auto& unit = cones_.unit;
-        const Point turn{nu[3], nu[4], nu[5]},
-            centre{get(unit.centre.u, lane), get(unit.centre.o, lane), get(unit.centre.t, lane)};
-        const Point move = Point{nu[0], nu[1], nu[2]} + cross(turn, centre);
-        for (int a = 0; a < 3; ++a) set(y_[a], lane, -move[a]), set(y_[3 + a], lane, -turn[a] * get(unit.length, lane));
+  }
+  // Start along the axes of the cones.
+  void begin(int lane) {
+    for (int i = 0; i < count(); ++i) {
+      set(x_[i].u, lane, get(at_[i].unit, lane));
+      set(x_[i].o, lane, 0.0);
+      set(x_[i].t, lane, 0.0);
+      set(v_[i], lane, 0.0);
     }
-    // Start along the axes of the cones.
-    void begin(int lane) {
-        for (int i = 0; i < count(); ++i) {
-            set(x_[i].u, lane, get(at_[i].unit, lane)), set(x_[i].o, lane, 0.0), set(x_[i].t, lane, 0.0), set(v_[i], lane, 0.0);
-        }
-        for (V& each : y_) set(each, lane, 0.0);
+    for (V& each : y_) set(each, lane, 0.0);
+  }
+  // The state of a problem: z (N, 4) and the multipliers in the unit frame.
+  void save(int lane, double* state) const {
+    for (int i = 0; i < count(); ++i) {
+      for (int a = 0; a < 3; ++a) state[4 * i + a] = get(x_[i][a], lane);
+      state[4 * i + 3] = get(v_[i], lane);
     }
-    // The state of a problem: z (N, 4) and the multipliers in the unit frame.
-    void save(int lane, double* state) const {
-        for (int i = 0; i < count(); ++i) {
-            for (int a = 0; a < 3; ++a) state[4 * i + a] = get(x_[i][a], lane);
-            state[4 * i + 3] = get(v_[i], lane);
-        }
-        for (int r = 0; r < 6; ++r) state[4 * count() + r] = get(y_[r], lane);
+    for (int r = 0; r < 6; ++r) state[4 * count() + r] = get(y_[r], lane);
+  }
+  void restore(int lane, const double* state) {
+    for (int i = 0; i < count(); ++i) {
+      for (int a = 0; a < 3; ++a) set(x_[i][a], lane, state[4 * i + a]);
+      set(v_[i], lane, state[4 * i + 3]);
     }
-    void restore(int lane, const double* state) {
-        for (int i = 0; i < count(); ++i) {
-            for (int a = 0; a < 3; ++a) set(x_[i][a], lane, state[4 * i + a]);
-            set(v_[i], lane, state[4 * i + 3]);
-        }
-        for (int r = 0; r < 6; ++r) set(y_[r], lane, state[4 * count() + r]);
-    }
+    for (int r = 0; r < 6; ++r) set(y_[r], lane, state[4 * count() + r]);
+  }
 
-    // --- optima
+  // --- optima
 
-    // Damped Newton for the live ordinary lanes, from any force inside the cones, in at most `most` steps. Return the lanes that are
-    // then close to their optimum.
-    Mask descend(Mask live, int most);
-    // Take full Newton steps close to an optimum to reach its last digits, as long as they do not raise E. Solve elastic lanes, and
-    // finish those that are stiff.
-    void polish(const Mask& which);
-    // (E - bound) / bound, where bound is the dual value at the multipliers and the limits' prices: no balanced force has less.
-    // inf: no bound.
-    V gap() const;
-    // True if the last `polish` left a lane balanced.
-    Mask balanced() const { return cones_.balanced(x_, w_, residual); }
+  // Damped Newton for the live ordinary lanes, from any force inside the cones, in at most `most`
+  // steps. Return the lanes that are then close to their optimum.
+  Mask descend(Mask live, int most);
+  // Take full Newton steps close to an optimum to reach its last digits, as long as they do not
+  // raise E. Solve elastic lanes, and finish those that are stiff.
+  void polish(const Mask& which);
+  // (E - bound) / bound, where bound is the dual value at the multipliers and the limits' prices:
+  // no balanced force has less. inf: no bound.
+  V gap() const;
+  // True if the last `polish` left a lane balanced.
+  Mask balanced() const { return cones_.balanced(x_, w_, residual); }
 
-    // Write forces (N, 3) [N] in the frame of the positions, torsion (N,) [N m], and multipliers (6,) nu = -y of the given wrench.
-    void write(int lane, double* force, double* torsion, double* multipliers) const;
+  // Write forces (N, 3) [N] in the frame of the positions, torsion (N,) [N m], and multipliers (6,)
+  // nu = -y of the given wrench.
+  void write(int lane, double* force, double* torsion, double* multipliers) const;
 
-    // Gradients of a loss at the restored and placed problems. wanted: problems whose rows are written.
-    void gradients(Mask wanted, const double* by_force, const double* by_torsion, const double* by_multipliers,
-                   const BatchGradients& to);
+  // Gradients of a loss at the restored and placed problems. wanted: problems whose rows are
+  // written.
+  void gradients(Mask wanted, const double* by_force, const double* by_torsion,
+                 const double* by_multipliers, const BatchGradients& to);
 
-private:
-    // One limit a . z <= bound, with the barrier weight / slack of its normalised slack and its quadratic extension below `edge`.
-    // weight 0: no limit.
-    struct Limit {
-        V bound, weight, price, bend;
+ private:
+  // One limit a . z <= bound, with the barrier weight / slack of its normalised slack and its
+  // quadratic extension below `edge`. weight 0: no limit.
+  struct Limit {
+    V bound, weight, price, bend;
 
-        V barrier(const V& along, const V& edge) const {
-            const V slack = bound - along, c = max(slack, edge), i = 1.0 / c, e = (slack - c) * i;
-            return weight * i * (1.0 - e + e * e);
-        }
-        V room(const V& along, const V& edge) const { return select(edge > 0.0, V(infinity), bound - along); }
-        void bind(const V& along, const V& edge) {
-            const V slack = bound - along, c = max(slack, edge), i = 1.0 / c, first = weight * i * i;
-            bend = 2.0 * first * i, price = first - bend * (slack - c);
-        }
-        // d price / d edge at a fixed slack.
-        V by_edge(const V& along, const V& edge) const {
-            const V below = min(bound - along - edge, V(0.0)), i = 1.0 / max(edge, V(1e-100));
-            return select((edge > 0.0) & (below < 0.0), 6.0 * weight * below * i * i * i * i, V(0.0));
-        }
-    };
-    struct Contact {
-        Vec along, frame[3], arm;  // given direction of o; (n, o, t); position relative to the contacts' centre [m]
-        V gv[6], divisor_v, lambda_v;  // torsion: its column, v / torsion (inf: hard), lambda (0: hard)
-        Limit low, high;  // limits of u
-        V unit, edge;  // sqrt(lambda / omega); slack below which the barrier is quadratic
-        // at z: inverse Hessian with the contact's own rows, (inverse, across; across, turn), and the gradient of all terms
-        Sym3<V> inverse;
-        Vec across, gradient;
-        V turn, gradient_v;
-    };
-    struct Row {
-        Limit low, high;
-        V size, unit, edge, along, price;
-        V touches, lambda, omega;  // number of contacts it acts on, and their means
-        V empty, own;  // 1: no force changes it; it acts on at most one contact
-        V bend, root;  // bend of an own row; square root of that of a shared row
-    };
-    struct Column {
-        Vec c;
-        V cv, touched;
-        bool any;  // true if it is non-zero in any lane
-    };
-    static constexpr double ROUNDED = 1e-13;  // fraction of E: largest value of a step's balance residual
-    static constexpr double RAISED = 1e-11;  // fraction of E: largest rise by a full step that restores balance
-    static constexpr double LARGEST_EDGE = 8.0, EDGE_FACTOR = 1.0 / 16.0;  // first edge of a descent, and its factor
-    static constexpr double ELASTIC_FACTOR = 0.5;  // that of an elastic one
-    static constexpr double LEAST_EDGE = 1e-6;  // below it the problem is nearly infeasible and left to another solver
-    static constexpr double CLOSE = 0.03;  // squared decrement, as a fraction of E, below which the edge is lowered
-    static constexpr double SETTLED = 1e-9;  // the same, below which `polish` takes over
-    static constexpr double MISSES = 1e-13;  // fraction of an adjoint force and of its right-hand side: allowed residual
-    static constexpr double LONG = 0.95;  // fraction of the way to the boundary
-    static constexpr int HALVINGS = 40, REFINEMENTS = 2, WHOLE_STEPS = 2;
-    static constexpr double TIGHT = 0.1, DEAR = 100.0;  // slack over sqrt(lambda / omega), |y| over omega: further are stiff
-    // relative steps of forces and of their distances from the cones: that of a force with all digits; the largest of a converged
-    // one; below which whole steps are taken, and one that is not a quarter of the one before is rounding; that which ends a stage
-    static constexpr double LEAST = 1e-13, ROUGH = 1e-6, SHORT = 1e-4, STAGE = 0.25;
-    static constexpr double NOISE = 1e-14;  // rounding of E, relative
-    static constexpr int STIFF_STEPS = 300;
+    V barrier(const V& along, const V& edge) const {
+      const V slack = bound - along;
+      const V c = max(slack, edge);
+      const V i = 1.0 / c;
+      const V e = (slack - c) * i;
+      return weight * i * (1.0 - e + e * e);
+    }
+    V room(const V& along, const V& edge) const {
+      return select(edge > 0.0, V(infinity), bound - along);
+    }
+    void bind(const V& along, const V& edge) {
+      const V slack = bound - along;
+      const V c = max(slack, edge);
+      const V i = 1.0 / c;
+      const V first = weight * i * i;
+      bend = 2.0 * first * i;
+      price = first - bend * (slack - c);
+    }
+    // d price / d edge at a fixed slack.
+    V by_edge(const V& along, const V& edge) const {
+      const V below = min(bound - along - edge, V(0.0));
+      const V i = 1.0 / max(edge, V(1e-100));
+      return select((edge > 0.0) & (below < 0.0), 6.0 * weight * below * i * i * i * i, V(0.0));
+    }
+  };
+  struct Contact {
+    Vec along, frame[3],
+        arm;  // given direction of o; (n, o, t); position relative to the contacts' centre [m]
+    V gv[6], divisor_v, lambda_v;  // torsion: its column, v / torsion (inf: hard), lambda (0: hard)
+    Limit low, high;               // limits of u
+    V unit, edge;  // sqrt(lambda / omega); slack below which the barrier is quadratic
+    // at z: inverse Hessian with the contact's own rows, (inverse, across; across, turn), and the
+    // gradient of all terms
+    Sym3<V> inverse;
+    Vec across, gradient;
+    V turn, gradient_v;
+  };
+  struct Row {
+    Limit low, high;
+    V size, unit, edge, along, price;
+    V touches, lambda, omega;  // number of contacts it acts on, and their means
+    V empty, own;              // 1: no force changes it; it acts on at most one contact
+    V bend, root;              // bend of an own row; square root of that of a shared row
+  };
+  struct Column {
+    Vec c;
+    V cv, touched;
+    bool any;  // true if it is non-zero in any lane
+  };
+  static constexpr double ROUNDED =
+      1e-13;  // fraction of E: largest value of a step's balance residual
+  static constexpr double RAISED =
+      1e-11;  // fraction of E: largest rise by a full step that restores balance
+  static constexpr double LARGEST_EDGE = 8.0,
+                          EDGE_FACTOR = 1.0 / 16.0;  // first edge of a descent, and its factor
+  static constexpr double ELASTIC_FACTOR = 0.5;      // that of an elastic one
+  static constexpr double LEAST_EDGE =
+      1e-6;  // below it the problem is nearly infeasible and left to another solver
+  static constexpr double CLOSE =
+      0.03;  // squared decrement, as a fraction of E, below which the edge is lowered
+  static constexpr double SETTLED = 1e-9;  // the same, below which `polish` takes over
+  static constexpr double MISSES =
+      1e-13;  // fraction of an adjoint force and of its right-hand side: allowed residual
+  static constexpr double LONG = 0.95;  // fraction of the way to the boundary
+  static constexpr int HALVINGS = 40, REFINEMENTS = 2, WHOLE_STEPS = 2;
+  static constexpr double
+      TIGHT = 0.1,
+      DEAR = 100.0;  // slack over sqrt(lambda / omega), |y| over omega: further are stiff
+  // relative steps of forces and of their distances from the cones: that of a force with all
+  // digits; the largest of a converged one; below which whole steps are taken, and one that is not
+  // a quarter of the one before is rounding; that which ends a stage
+  static constexpr double LEAST = 1e-13, ROUGH = 1e-6, SHORT = 1e-4, STAGE = 0.25;
+  static constexpr double NOISE = 1e-14;  // rounding of E, relative
+  static constexpr int STIFF_STEPS = 300;
 
-    typename Cones<V, 0>::Field x_;  // (u, o, t)
-    std::vector<V> v_;
-    Six<V> y_{};  // multipliers of balance, unit frame
-    const ForceBatch& batch_;
-    int joints_;
-    Cones<V, 0> cones_;
-    PlacedLanes<W> placed_;
-    typename Cones<V, 0>::Field rest_;
-    std::vector<Contact> at_;
-    std::vector<Row> rows_;
-    std::vector<Column> columns_, scaled_;  // rows divided by their length; shared rows times their roots
-    bool shared_ = false;  // true if any row is shared
-    typename Cones<V, 0>::Field step_, back_, pull_;
-    std::vector<V> step_v_, back_v_, pull_v_, rest_v_, both_;
-    mutable std::vector<V> along_;
-    AnyLdl<V> schur_;
-    PivotedQr stiff_;
-    std::vector<double> axes_, nearest_, prices_;
-    Six<V> wrench_{}, w_{};
-    V softness_{}, last_{}, edge_{}, tightest_{};  // edges: in units of the limits; tightest_: smallest slack at the last system
-    LaneProblem problems_[W] = {};
-    WrenchSpace reach_[W];  // the wrenches that contacts can make; all of them, except for `Regime::within_reach`
+  typename Cones<V, 0>::Field x_;  // (u, o, t)
+  std::vector<V> v_;
+  Six<V> y_{};  // multipliers of balance, unit frame
+  const ForceBatch& batch_;
+  int joints_;
+  Cones<V, 0> cones_;
+  PlacedLanes<W> placed_;
+  typename Cones<V, 0>::Field rest_;
+  std::vector<Contact> at_;
+  std::vector<Row> rows_;
+  std::vector<Column> columns_,
+      scaled_;           // rows divided by their length; shared rows times their roots
+  bool shared_ = false;  // true if any row is shared
+  typename Cones<V, 0>::Field step_, back_, pull_;
+  std::vector<V> step_v_, back_v_, pull_v_, rest_v_, both_;
+  mutable std::vector<V> along_;
+  AnyLdl<V> schur_;
+  PivotedQr stiff_;
+  std::vector<double> axes_, nearest_, prices_;
+  Six<V> wrench_{}, w_{};
+  V softness_{}, last_{}, edge_{},
+      tightest_{};  // edges: in units of the limits; tightest_: smallest slack at the last system
+  LaneProblem problems_[W] = {};
+  WrenchSpace reach_[W];  // the wrenches that contacts can make; all of them, except for
+                          // `Regime::within_reach`
 
-    int count() const { return batch_.contacts; }
-    std::ptrdiff_t number(int lane) const { return problems_[lane].number; }
-    int shared_rows() const { return shared_ ? joints_ : 0; }
-    Column& column(int i, int j) { return columns_[std::size_t(joints_ * i + j)]; }
-    const Column& column(int i, int j) const { return columns_[std::size_t(joints_ * i + j)]; }
-    V along(int i, int j, const Vec& x, const V& v) const { return dot(column(i, j).c, x) + column(i, j).cv * v; }
-    static void load_side(Limit& side, int lane, bool there, double bound, double weight) {
-        set(side.bound, lane, there ? bound : UNBOUNDED), set(side.weight, lane, there ? weight : 0.0);
-    }
-    Vec object_force(int i, const Vec& z) const {
-        const Contact& c = at_[i];
-        const Vec& divisor = cones_.blocks[i].divisor;
-        return (z.u / divisor.u) * c.frame[0] + (z.o / divisor.o) * c.frame[1] + (z.t / divisor.t) * c.frame[2];
-    }
-    // Motion (3,) of contact i per speed of joint j in every lane, from row `from` of the Jacobian on.
-    Vec motion(int i, int j, int from) const {
-        Vec made{};
-        for (int lane = 0; lane < W; ++lane)
-            for (int a = 0; a < 3; ++a)
-                set(made[a], lane, batch_.jacobian[number(lane)][(i * batch_.jacobian_rows + from + a) * batch_.joints + j]);
-        return made;
-    }
+  int count() const { return batch_.contacts; }
+  std::ptrdiff_t number(int lane) const { return problems_[lane].number; }
+  int shared_rows() const { return shared_ ? joints_ : 0; }
+  Column& column(int i, int j) { return columns_[std::size_t(joints_ * i + j)]; }
+  const Column& column(int i, int j) const { return columns_[std::size_t(joints_ * i + j)]; }
+  V along(int i, int j, const Vec& x, const V& v) const {
+    return dot(column(i, j).c, x) + column(i, j).cv * v;
+  }
+  static void load_side(Limit& side, int lane, bool there, double bound, double weight) {
+    set(side.bound, lane, there ? bound : UNBOUNDED);
+    set(side.weight, lane, there ? weight : 0.0);
+  }
+  Vec object_force(int i, const Vec& z) const {
+    const Contact& c = at_[i];
+    const Vec& divisor = cones_.blocks[i].divisor;
+    return (z.u / divisor.u) * c.frame[0] + (z.o / divisor.o) * c.frame[1] +
+           (z.t / divisor.t) * c.frame[2];
+  }
+  // Motion (3,) of contact i per speed of joint j in every lane, from row `from` of the Jacobian
+  // on.
+  Vec motion(int i, int j, int from) const {
+    Vec made{};
+    for (int lane = 0; lane < W; ++lane)
+      for (int a = 0; a < 3; ++a)
+        set(made[a], lane,
+            batch_
+                .jacobian[number(lane)][(i * batch_.jacobian_rows + from + a) * batch_.joints + j]);
+    return made;
+  }
 
-    void place_row(int j);
-    void place_edges() {
-        for (Contact& c : at_) c.edge = edge_ * c.unit;
-        for (Row& row : rows_) row.edge = edge_ * row.unit;
-    }
+  void place_row(int j);
+  void place_edges() {
+    for (Contact& c : at_) c.edge = edge_ * c.unit;
+    for (Row& row : rows_) row.edge = edge_ * row.unit;
+  }
 
-    // E with the penalty of missed balance; +inf unless strictly inside. at(i, v): (u, o, t) of contact i, and v.
-    template <class F> V energy_at(F&& at) const {
-        V total{}, room = infinity;
-        Six<V> missed = w_;
-        std::fill(along_.begin(), along_.end(), V{});
-        for (int i = 0; i < count(); ++i) {
-            const Contact& c = at_[i];
-            V turn;
-            const Vec here = at(i, turn);
-            total += phi(here, cones_.blocks[i].weights);
-            room = min(room, min(here.u, lorentz(here, here)));
-            if (batch_.torsion) {
-                const V p = here.u - turn, q = here.u + turn;
-                total += c.lambda_v * (1.0 / p + 1.0 / q);
-                room = min(room, select(c.lambda_v > 0.0, min(p, q), V(infinity)));
-            }
-            if (batch_.min_normal || batch_.max_normal) {
-                total += c.low.barrier(-here.u, c.edge) + c.high.barrier(here.u, c.edge);
-                room = min(room, min(c.low.room(-here.u, c.edge), c.high.room(here.u, c.edge)));
-            }
-            for (int r = 0; r < 6; ++r) missed[r] += dot(cones_.blocks[i].g[r], here) + c.gv[r] * turn;
-            for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, here, turn);
-        }
-        for (int j = 0; j < joints_; ++j) {
-            const Row& row = rows_[j];
-            total += row.high.barrier(along_[j], row.edge) + row.low.barrier(-along_[j], row.edge);
-            room = min(room, min(row.high.room(along_[j], row.edge), row.low.room(-along_[j], row.edge)));
-        }
-        total += select(softness_ > 0.0, 0.5 * dot(missed, missed) / softness_, V(0.0));
-        return select((room > 0.0) & (total == total), total, V(infinity));
+  // E with the penalty of missed balance; +inf unless strictly inside. at(i, v): (u, o, t) of
+  // contact i, and v.
+  template <class F> V energy_at(F&& at) const {
+    V total{}, room = infinity;
+    Six<V> missed = w_;
+    std::fill(along_.begin(), along_.end(), V{});
+    for (int i = 0; i < count(); ++i) {
+      const Contact& c = at_[i];
+      V turn;
+      const Vec here = at(i, turn);
+      total += phi(here, cones_.blocks[i].weights);
+      room = min(room, min(here.u, lorentz(here, here)));
+      if (batch_.torsion) {
+        const V p = here.u - turn;
+        const V q = here.u + turn;
+        total += c.lambda_v * (1.0 / p + 1.0 / q);
+        room = min(room, select(c.lambda_v > 0.0, min(p, q), V(infinity)));
+      }
+      if (batch_.min_normal || batch_.max_normal) {
+        total += c.low.barrier(-here.u, c.edge) + c.high.barrier(here.u, c.edge);
+        room = min(room, min(c.low.room(-here.u, c.edge), c.high.room(here.u, c.edge)));
+      }
+      for (int r = 0; r < 6; ++r) missed[r] += dot(cones_.blocks[i].g[r], here) + c.gv[r] * turn;
+      for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, here, turn);
     }
-    V energy() const {
-        return energy_at([&](int i, V& turn) { return turn = v_[i], x_[i]; });
+    for (int j = 0; j < joints_; ++j) {
+      const Row& row = rows_[j];
+      total += row.high.barrier(along_[j], row.edge) + row.low.barrier(-along_[j], row.edge);
+      room = min(room, min(row.high.room(along_[j], row.edge), row.low.room(-along_[j], row.edge)));
     }
-    V energy_along(const V& alpha) const {
-        return energy_at([&](int i, V& turn) { return turn = v_[i] + alpha * step_v_[i], x_[i] + alpha * step_[i]; });
-    }
-    Six<V> missed() const {  // A z + w
-        Six<V> made = w_;
-        for (int i = 0; i < count(); ++i)
-            for (int r = 0; r < 6; ++r) made[r] += dot(cones_.blocks[i].g[r], x_[i]) + at_[i].gv[r] * v_[i];
-        return made;
-    }
+    total += select(softness_ > 0.0, 0.5 * dot(missed, missed) / softness_, V(0.0));
+    return select((room > 0.0) & (total == total), total, V(infinity));
+  }
+  V energy() const {
+    return energy_at([&](int i, V& turn) { return turn = v_[i], x_[i]; });
+  }
+  V energy_along(const V& alpha) const {
+    return energy_at([&](int i, V& turn) {
+      return turn = v_[i] + alpha * step_v_[i], x_[i] + alpha * step_[i];
+    });
+  }
+  Six<V> missed() const {  // A z + w
+    Six<V> made = w_;
+    for (int i = 0; i < count(); ++i)
+      for (int r = 0; r < 6; ++r)
+        made[r] += dot(cones_.blocks[i].g[r], x_[i]) + at_[i].gv[r] * v_[i];
+    return made;
+  }
 
-    void assemble();
-    void bind();
-    void bind(int i);
-    Mask rank_lost() const {
-        Mask made{};
-        for (int lane = 0; lane < W; ++lane) made[lane] = reach_[lane].full() ? 0 : -1;
-        return made;
-    }
-    // stiff.hpp: lanes whose prices are so high that `solve` loses digits; its twin for one lane; Newton's method with it
-    Mask stiff() const;
-    bool solve_stiff(int lane, const Six<V>& h, Six<V>& q);
-    void axes_of(int lane, int i, double* axes) const;
-    V relative_step() const;
-    Mask finish(Mask open);
-    const Column& scaled(int i, int r) const { return scaled_[joints_ * i + r - 6]; }
+  void assemble();
+  void bind();
+  void bind(int i);
+  Mask rank_lost() const {
+    Mask made{};
+    for (int lane = 0; lane < W; ++lane) made[lane] = reach_[lane].full() ? 0 : -1;
+    return made;
+  }
+  // stiff.hpp: lanes whose prices are so high that `solve` loses digits; its twin for one lane;
+  // Newton's method with it
+  Mask stiff() const;
+  bool solve_stiff(int lane, const Six<V>& h, Six<V>& q);
+  void axes_of(int lane, int i, double* axes) const;
+  V relative_step() const;
+  Mask finish(Mask open);
+  const Column& scaled(int i, int r) const { return scaled_[joints_ * i + r - 6]; }
 
-    // (inverse^-1 + bend a a^T)^-1 with h = inverse a, square = a . h
-    static void subtract_rank_one(Contact& c, const V& bend, const Vec& h, const V& hv, const V& square) {
-        const V part = bend / (1.0 + bend * square);
-        const Vec f = part * h;
-        Sym3<V>& m = c.inverse;
-        m.uu -= f.u * h.u, m.uo -= f.u * h.o, m.ut -= f.u * h.t, m.oo -= f.o * h.o, m.ot -= f.o * h.t, m.tt -= f.t * h.t;
-        c.across -= hv * f, c.turn -= part * hv * hv;
+  // (inverse^-1 + bend a a^T)^-1 with h = inverse a, square = a . h
+  static void subtract_rank_one(Contact& c, const V& bend, const Vec& h, const V& hv,
+                                const V& square) {
+    const V part = bend / (1.0 + bend * square);
+    const Vec f = part * h;
+    Sym3<V>& m = c.inverse;
+    m.uu -= f.u * h.u;
+    m.uo -= f.u * h.o;
+    m.ut -= f.u * h.t;
+    m.oo -= f.o * h.o;
+    m.ot -= f.o * h.t;
+    m.tt -= f.t * h.t;
+    c.across -= hv * f;
+    c.turn -= part * hv * hv;
+  }
+  [[gnu::always_inline]] void applied(int i, const Vec& g, const V& gv, Vec& out, V& out_v) const {
+    const Contact& c = at_[i];
+    out = c.inverse * g;
+    out_v = V{};
+    if (batch_.torsion) {
+      out += gv * c.across;
+      out_v = dot(c.across, g) + c.turn * gv;
     }
-    [[gnu::always_inline]] void applied(int i, const Vec& g, const V& gv, Vec& out, V& out_v) const {
-        const Contact& c = at_[i];
-        out = c.inverse * g, out_v = V{};
-        if (batch_.torsion) out += gv * c.across, out_v = dot(c.across, g) + c.turn * gv;
-    }
+  }
 
-    // Solve H p + A^T q = g, A p - softness q = h, with H of all terms; g is overwritten. The barriers of limits may be far stiffer
-    // than the rest, so the system loses digits: the residual of p in h is removed by the same system. allowed(q): largest residual
-    // of h.
-    template <class F> Six<V> solve(typename Cones<V, 0>::Field& g, std::vector<V>& gv, const Six<V>& h,
-                                    typename Cones<V, 0>::Field& p, std::vector<V>& pv, F&& allowed) {
-        Six<V> q = solve_once(g, gv, h, p, pv);
-        for (int round = 0; round < REFINEMENTS; ++round) {
-            Six<V> left = h + softness_ * q;
-            for (int i = 0; i < count(); ++i)
-                for (int r = 0; r < 6; ++r) left[r] -= dot(cones_.blocks[i].g[r], p[i]) + at_[i].gv[r] * pv[i];
-            const Mask rough = size(left) > allowed(q);
-            if (!any(rough)) break;
-            for (int i = 0; i < count(); ++i) g[i] = Vec{}, gv[i] = V{};
-            q = q + solve_once(g, gv, select(rough, left, Six<V>{}), back_, back_v_);
-            for (int i = 0; i < count(); ++i) p[i] += back_[i], pv[i] += back_v_[i];
-        }
-        return q;
+  // Solve H p + A^T q = g, A p - softness q = h, with H of all terms; g is overwritten. The
+  // barriers of limits may be far stiffer than the rest, so the system loses digits: the residual
+  // of p in h is removed by the same system. allowed(q): largest residual of h.
+  template <class F> Six<V> solve(typename Cones<V, 0>::Field& g, std::vector<V>& gv,
+                                  const Six<V>& h, typename Cones<V, 0>::Field& p,
+                                  std::vector<V>& pv, F&& allowed) {
+    Six<V> q = solve_once(g, gv, h, p, pv);
+    for (int round = 0; round < REFINEMENTS; ++round) {
+      Six<V> left = h + softness_ * q;
+      for (int i = 0; i < count(); ++i)
+        for (int r = 0; r < 6; ++r)
+          left[r] -= dot(cones_.blocks[i].g[r], p[i]) + at_[i].gv[r] * pv[i];
+      const Mask rough = size(left) > allowed(q);
+      if (!any(rough)) break;
+      for (int i = 0; i < count(); ++i) {
+        g[i] = Vec{};
+        gv[i] = V{};
+      }
+      q = q + solve_once(g, gv, select(rough, left, Six<V>{}), back_, back_v_);
+      for (int i = 0; i < count(); ++i) {
+        p[i] += back_[i];
+        pv[i] += back_v_[i];
+      }
     }
-    Six<V> solve_once(typename Cones<V, 0>::Field& g, std::vector<V>& gv, const Six<V>& h, typename Cones<V, 0>::Field& p,
-                      std::vector<V>& pv) {
-        for (int r = 0; r < 6 + shared_rows(); ++r) both_[r] = r < 6 ? -h[r] : V{};
-        for (int i = 0; i < count(); ++i) {
-            applied(i, g[i], gv[i], p[i], pv[i]);
-            for (int r = 0; r < 6; ++r) both_[r] += dot(cones_.blocks[i].g[r], p[i]) + at_[i].gv[r] * pv[i];
-            for (int r = 6; r < 6 + shared_rows(); ++r) both_[r] += dot(scaled(i, r).c, p[i]) + scaled(i, r).cv * pv[i];
-        }
-        schur_.solve(both_);
-        for (int i = 0; i < count(); ++i) {
-            for (int r = 0; r < 6; ++r) g[i] -= both_[r] * cones_.blocks[i].g[r], gv[i] -= both_[r] * at_[i].gv[r];
-            for (int r = 6; r < 6 + shared_rows(); ++r) g[i] -= both_[r] * scaled(i, r).c, gv[i] -= both_[r] * scaled(i, r).cv;
-            applied(i, g[i], gv[i], p[i], pv[i]);
-        }
-        Six<V> q;
-        for (int r = 0; r < 6; ++r) q[r] = both_[r];
-        return q;
+    return q;
+  }
+  Six<V> solve_once(typename Cones<V, 0>::Field& g, std::vector<V>& gv, const Six<V>& h,
+                    typename Cones<V, 0>::Field& p, std::vector<V>& pv) {
+    for (int r = 0; r < 6 + shared_rows(); ++r) both_[r] = r < 6 ? -h[r] : V{};
+    for (int i = 0; i < count(); ++i) {
+      applied(i, g[i], gv[i], p[i], pv[i]);
+      for (int r = 0; r < 6; ++r)
+        both_[r] += dot(cones_.blocks[i].g[r], p[i]) + at_[i].gv[r] * pv[i];
+      for (int r = 6; r < 6 + shared_rows(); ++r)
+        both_[r] += dot(scaled(i, r).c, p[i]) + scaled(i, r).cv * pv[i];
     }
-    // Newton step into step_ and step_v_, where E is `value`. Return the new multipliers.
-    Six<V> newton_step(const V& value) {
-        assemble();
-        for (int i = 0; i < count(); ++i) pull_[i] = -at_[i].gradient, pull_v_[i] = -at_[i].gradient_v;
-        Six<V> left = missed();
-        for (V& each : left) each = -each;
-        return solve(pull_, pull_v_, left, step_, step_v_, [&](const Six<V>& y) { return ROUNDED * value / size(y); });
+    schur_.solve(both_);
+    for (int i = 0; i < count(); ++i) {
+      for (int r = 0; r < 6; ++r) {
+        g[i] -= both_[r] * cones_.blocks[i].g[r];
+        gv[i] -= both_[r] * at_[i].gv[r];
+      }
+      for (int r = 6; r < 6 + shared_rows(); ++r) {
+        g[i] -= both_[r] * scaled(i, r).c;
+        gv[i] -= both_[r] * scaled(i, r).cv;
+      }
+      applied(i, g[i], gv[i], p[i], pv[i]);
     }
-    // Squared decrement of the step, and 1 / (largest step inside the cones).
-    struct Judged { V decrement, reach; };
-    Judged judged_step() const {
-        Judged made{V{}, V(1e-300)};
-        const Six<V> pull = (1.0 / select(softness_ > 0.0, softness_, V(infinity))) * missed();
-        for (int i = 0; i < count(); ++i) {
-            const Contact& c = at_[i];
-            const Vec push = c.gradient + Block<V>::combined(cones_.blocks[i].g, pull);
-            V push_v = c.gradient_v;
-            for (int r = 0; r < 6; ++r) push_v += c.gv[r] * pull[r];
-            made.decrement -= dot(push, step_[i]) + push_v * step_v_[i];
-            made.reach = max(made.reach, Boundary<V>(x_[i]).per(step_[i]));
-            if (!batch_.torsion) continue;
-            const V turned = max((step_v_[i] - step_[i].u) / (x_[i].u - v_[i]), -(step_v_[i] + step_[i].u) / (x_[i].u + v_[i]));
-            made.reach = max(made.reach, select(c.lambda_v > 0.0, turned, V(0.0)));
-        }
-        return made;
+    Six<V> q;
+    for (int r = 0; r < 6; ++r) q[r] = both_[r];
+    return q;
+  }
+  // Newton step into step_ and step_v_, where E is `value`. Return the new multipliers.
+  Six<V> newton_step(const V& value) {
+    assemble();
+    for (int i = 0; i < count(); ++i) {
+      pull_[i] = -at_[i].gradient;
+      pull_v_[i] = -at_[i].gradient_v;
     }
+    Six<V> left = missed();
+    for (V& each : left) each = -each;
+    return solve(pull_, pull_v_, left, step_, step_v_,
+                 [&](const Six<V>& y) { return ROUNDED * value / size(y); });
+  }
+  // Squared decrement of the step, and 1 / (largest step inside the cones).
+  struct Judged {
+    V decrement, reach;
+  };
+  Judged judged_step() const {
+    Judged made{V{}, V(1e-300)};
+    const Six<V> pull = (1.0 / select(softness_ > 0.0, softness_, V(infinity))) * missed();
+    for (int i = 0; i < count(); ++i) {
+      const Contact& c = at_[i];
+      const Vec push = c.gradient + Block<V>::combined(cones_.blocks[i].g, pull);
+      V push_v = c.gradient_v;
+      for (int r = 0; r < 6; ++r) push_v += c.gv[r] * pull[r];
+      made.decrement -= dot(push, step_[i]) + push_v * step_v_[i];
+      made.reach = max(made.reach, Boundary<V>(x_[i]).per(step_[i]));
+      if (!batch_.torsion) continue;
+      const V turned = max((step_v_[i] - step_[i].u) / (x_[i].u - v_[i]),
+                           -(step_v_[i] + step_[i].u) / (x_[i].u + v_[i]));
+      made.reach = max(made.reach, select(c.lambda_v > 0.0, turned, V(0.0)));
+    }
+    return made;
+  }
 };
 
 }  // namespace grasp

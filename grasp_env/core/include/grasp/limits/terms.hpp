@@ -1,10 +1,11 @@
-// Limits that are linear in one contact's force, a . x <= b, as terms of Phi: joint torques of a finger, smallest and largest
-// normal forces. Phi gains lambda / slack for each row of length one. A row is a rank-one change of its contact's 3 x 3 inverse
-// Hessian.
+// Limits that are linear in one contact's force, a . x <= b, as terms of Phi: joint torques of a
+// finger, smallest and largest normal forces. Phi gains lambda / slack for each row of length one.
+// A row is a rank-one change of its contact's 3 x 3 inverse Hessian.
 //
-// Below a small slack, the edge, the barrier is replaced by its quadratic extension (C2), so any force inside the cones is a valid
-// start. The edge is lowered until every slack is above it: then the optimum is that of lambda / slack, and so is its bound.
-// Alternatively, Newton's multipliers prove that no force keeps the limits (Farkas).
+// Below a small slack, the edge, the barrier is replaced by its quadratic extension (C2), so any
+// force inside the cones is a valid start. The edge is lowered until every slack is above it: then
+// the optimum is that of lambda / slack, and so is its bound. Alternatively, Newton's multipliers
+// prove that no force keeps the limits (Farkas).
 //
 // The file is long because the terms, the edge and the proof use the same rows.
 #pragma once
@@ -13,352 +14,413 @@
 
 namespace grasp {
 
-// a . x <= bound + t share, or -a . x for the other side of a pair. Weight and share of a missing side are zero.
+// a . x <= bound + t share, or -a . x for the other side of a pair. Weight and share of a missing
+// side are zero.
 template <class V> struct Side {
-    V bound, share, weight;
-    V slack, price, bend;  // at x; price >= 0: its multiplier, bend: growth of the price as the slack shrinks
-    V dslack, dprice;  // change by a step
+  V bound, share, weight;
+  V slack, price,
+      bend;  // at x; price >= 0: its multiplier, bend: growth of the price as the slack shrinks
+  V dslack, dprice;  // change by a step
 
-    void at(const V& along, double t) { slack = bound + all<V>(t) * share - along; }
+  void at(const V& along, double t) { slack = bound + all<V>(t) * share - along; }
 };
 
 // Opposite rows of one contact in each lane.
 template <class V> struct Pair {
-    Vec3<V> a;
-    Side<V> high, low;
+  Vec3<V> a;
+  Side<V> high, low;
 
-    V price() const { return high.price - low.price; }
-    // call f(side, sign) for both
-    template <class F> void sides(F&& f) { f(high, 1.0), f(low, -1.0); }
-    template <class F> void sides(F&& f) const { f(high, 1.0), f(low, -1.0); }
-    // inverse = (inverse^-1 + (bends) a a^T)^-1
-    void bend(Sym3<V>& inverse) const {
-        const V c = high.bend + low.bend;
-        const Vec3<V> h = inverse * a, f = (c / (1.0 + c * dot(a, h))) * h;
-        inverse.uu -= f.u * h.u, inverse.uo -= f.u * h.o, inverse.ut -= f.u * h.t;
-        inverse.oo -= f.o * h.o, inverse.ot -= f.o * h.t, inverse.tt -= f.t * h.t;
-    }
+  V price() const { return high.price - low.price; }
+  // call f(side, sign) for both
+  template <class F> void sides(F&& f) {
+    f(high, 1.0);
+    f(low, -1.0);
+  }
+  template <class F> void sides(F&& f) const {
+    f(high, 1.0);
+    f(low, -1.0);
+  }
+  // inverse = (inverse^-1 + (bends) a a^T)^-1
+  void bend(Sym3<V>& inverse) const {
+    const V c = high.bend + low.bend;
+    const Vec3<V> h = inverse * a;
+    const Vec3<V> f = (c / (1.0 + c * dot(a, h))) * h;
+    inverse.uu -= f.u * h.u;
+    inverse.uo -= f.u * h.o;
+    inverse.ut -= f.u * h.t;
+    inverse.oo -= f.o * h.o;
+    inverse.ot -= f.o * h.t;
+    inverse.tt -= f.t * h.t;
+  }
 };
 
 // All rows. Every contact gets as many pairs as the contact with most rows needs.
 template <class V, int B> class LimitTerms {
-public:
-    static constexpr bool has_terms = true, has_torsion = false;
-    static constexpr int W = width<V>;
-    using Field = typename Cones<V, B>::Field;
-    int sides = 0;  // number of rows
+ public:
+  static constexpr bool has_terms = true, has_torsion = false;
+  static constexpr int W = width<V>;
+  using Field = typename Cones<V, B>::Field;
+  int sides = 0;  // number of rows
 
-    // Make `pack` free of allocations for up to this many rows, on any contacts.
-    void reserve(const Cones<V, B>& cones, int rows) {
-        const int blocks = int(cones.blocks.size());
-        pairs_of_.resize(W * blocks);
-        for (auto& mine : pairs_of_) mine.reserve(rows);
-        pairs_.reserve(size_t(rows) * blocks), extra_prices_.reserve(W * blocks * size_t(rows));
-        resize_blocks(blocks);
+  // Make `pack` free of allocations for up to this many rows, on any contacts.
+  void reserve(const Cones<V, B>& cones, int rows) {
+    const int blocks = int(cones.blocks.size());
+    pairs_of_.resize(W * blocks);
+    for (auto& mine : pairs_of_) mine.reserve(rows);
+    pairs_.reserve(size_t(rows) * blocks);
+    extra_prices_.reserve(W * blocks * size_t(rows));
+    resize_blocks(blocks);
+  }
+  // Load the rows. Does not allocate if the contacts had as many rows before.
+  void pack(const Cones<V, B>& cones, const LimitRows& rows) {
+    const int blocks = int(cones.blocks.size());
+    pairs_of_.resize(W * blocks);
+    for (auto& mine : pairs_of_) mine.clear();
+    sides = rows.count;
+    pairs_per_contact_ = 1;
+    for (int m = 0; m < rows.count; ++m) {
+      auto& mine = pairs_of_[rows.contact[m]];
+      auto at = mine.begin();
+      while (at != mine.end() &&
+             !(at->low < 0 && opposite(rows.normal + 3 * at->high, rows.normal + 3 * m)))
+        ++at;
+      if (at != mine.end())
+        at->low = m;
+      else
+        mine.push_back({m, -1});
+      pairs_per_contact_ = std::max(pairs_per_contact_, int(mine.size()));
     }
-    // Load the rows. Does not allocate if the contacts had as many rows before.
-    void pack(const Cones<V, B>& cones, const LimitRows& rows) {
-        const int blocks = int(cones.blocks.size());
-        pairs_of_.resize(W * blocks);
-        for (auto& mine : pairs_of_) mine.clear();
-        sides = rows.count, pairs_per_contact_ = 1;
-        for (int m = 0; m < rows.count; ++m) {
-            auto& mine = pairs_of_[rows.contact[m]];
-            auto at = mine.begin();
-            while (at != mine.end() && !(at->low < 0 && opposite(rows.normal + 3 * at->high, rows.normal + 3 * m))) ++at;
-            if (at != mine.end()) at->low = m;
-            else mine.push_back({m, -1});
-            pairs_per_contact_ = std::max(pairs_per_contact_, int(mine.size()));
+    pairs_.assign(size_t(pairs_per_contact_) * blocks, no_pair());
+    extra_prices_.assign(rows.count, 0.0);
+    resize_blocks(blocks);
+    for (int b = 0; b < blocks; ++b) {
+      const auto& w = cones.blocks[b].weights;
+      scale_[b] = sqrt(w.lambda / w.omega);
+      for (int n = 0; n < W; ++n) {
+        const auto& mine = pairs_of_[W * b + n];
+        for (int k = 0; k < int(mine.size()); ++k) {
+          auto& pair = pairs_[pairs_per_contact_ * b + k];
+          for (int a = 0; a < 3; ++a) set(pair.a[a], n, rows.normal[3 * mine[k].high + a]);
+          pair.sides([&](Side<V>& side, double sign) {
+            const int m = sign > 0.0 ? mine[k].high : mine[k].low;
+            if (m < 0) return;
+            set(side.bound, n, rows.bound[m]);
+            set(side.share, n, rows.share[m]);
+            set(side.weight, n, rows.weight[m]);
+          });
         }
-        pairs_.assign(size_t(pairs_per_contact_) * blocks, no_pair());
-        extra_prices_.assign(rows.count, 0.0);
-        resize_blocks(blocks);
-        for (int b = 0; b < blocks; ++b) {
-            const auto& w = cones.blocks[b].weights;
-            scale_[b] = sqrt(w.lambda / w.omega);
-            for (int n = 0; n < W; ++n) {
-                const auto& mine = pairs_of_[W * b + n];
-                for (int k = 0; k < int(mine.size()); ++k) {
-                    auto& pair = pairs_[pairs_per_contact_ * b + k];
-                    for (int a = 0; a < 3; ++a) set(pair.a[a], n, rows.normal[3 * mine[k].high + a]);
-                    pair.sides([&](Side<V>& side, double sign) {
-                        const int m = sign > 0.0 ? mine[k].high : mine[k].low;
-                        if (m < 0) return;
-                        set(side.bound, n, rows.bound[m]), set(side.share, n, rows.share[m]), set(side.weight, n, rows.weight[m]);
-                    });
-                }
-                const NormalBound room(rows, mine);
-                set(u_bound_[b], n, room.most), set(u_growth_[b], n, room.more);
-                bounding_rows_[W * b + n] = room.by;
-            }
-        }
-        find_shift(cones);
+        const NormalBound room(rows, mine);
+        set(u_bound_[b], n, room.most);
+        set(u_growth_[b], n, room.more);
+        bounding_rows_[W * b + n] = room.by;
+      }
     }
+    find_shift(cones);
+  }
 
-    // The parabola begins at `edge` times the contact's own scale sqrt(lambda / omega), the scale of slacks at active limits. From
-    // LARGEST_EDGE on, any force is a start. A smaller first edge takes more steps to come inside, a larger one more steps to be
-    // lowered.
-    static constexpr double LARGEST_EDGE = 8.0;
-    void set_edge(double edge) { edge_ = edge; }
+  // The parabola begins at `edge` times the contact's own scale sqrt(lambda / omega), the scale of
+  // slacks at active limits. From LARGEST_EDGE on, any force is a start. A smaller first edge takes
+  // more steps to come inside, a larger one more steps to be lowered.
+  static constexpr double LARGEST_EDGE = 8.0;
+  void set_edge(double edge) { edge_ = edge; }
 
-    // --- as terms of Phi, block by block
+  // --- as terms of Phi, block by block
 
-    V value(int b, const Vec3<V>& x, double) const {
-        V total{};
-        const V edge = all<V>(edge_) * scale_[b];
-        for_each(b, [&](const Pair<V>& p) {
-            const V along = dot(p.a, x);
-            total += barrier(p.high.bound - along, edge, p.high.weight) + barrier(p.low.bound + along, edge, p.low.weight);
+  V value(int b, const Vec3<V>& x, double) const {
+    V total{};
+    const V edge = all<V>(edge_) * scale_[b];
+    for_each(b, [&](const Pair<V>& p) {
+      const V along = dot(p.a, x);
+      total += barrier(p.high.bound - along, edge, p.high.weight) +
+               barrier(p.low.bound + along, edge, p.low.weight);
+    });
+    return total;
+  }
+  // Add the rows' terms to the cones' gradient and inverse Hessian at x.
+  void bend(int b, const Vec3<V>& x, Vec3<V>& gradient, Sym3<V>& inverse) {
+    const V edge = all<V>(edge_) * scale_[b];
+    if (b == 0) least_slack_ = all<V>(infinity);
+    for_each(b, [&](Pair<V>& p) {
+      const V along = dot(p.a, x);
+      p.sides([&](Side<V>& side, double sign) {
+        side.at(sign * along, 0.0);
+        least_slack_ = min(least_slack_, side.slack / scale_[b]);
+        const V c = max(side.slack, edge);
+        const V i = 1.0 / c;
+        const V price = side.weight * i * i;
+        side.bend = 2.0 * price * i;
+        side.price = price - side.bend * (side.slack - c);
+      });
+      gradient += p.price() * p.a;
+      p.bend(inverse);
+    });
+  }
+  // The multipliers of Newton's model after a step.
+  void predict_prices(int b, const Vec3<V>& step) {
+    for_each(b, [&](Pair<V>& p) {
+      const V along = dot(p.a, step);
+      p.sides([&](Side<V>& side, double sign) {
+        side.price = max(V{}, side.price + sign * side.bend * along);
+      });
+    });
+  }
+  // Subtract the rows from y = G^T nu. Return their part of the dual value, the minimum of
+  // barrier(slack) + price (slack - bound).
+  V dual(int b, const Vec6&, Vec3<V>& y) const {
+    V total{};
+    const V edge = all<V>(edge_) * scale_[b];
+    for_each(b, [&](const Pair<V>& p) {
+      y -= p.price() * p.a;
+      p.sides([&](const Side<V>& side, double) {
+        total += conjugate(side.price, edge, side.weight) - side.price * side.bound;
+      });
+    });
+    return total;
+  }
+
+  // --- over all contacts
+
+  // Smallest slack, relative to the contacts' scales.
+  double least_slack(const Field& x) const {
+    V out = all<V>(infinity);
+    for (int b = 0; b < int(x.size()); ++b)
+      for_each(b, [&](const Pair<V>& p) {
+        const V along = dot(p.a, x[b]);
+        out = min(out, min(p.high.bound - along, p.low.bound + along) / scale_[b]);
+      });
+    return least(out);
+  }
+  // True if all terms are lambda / slack at x.
+  bool within(const Field& x) const { return least_slack(x) >= edge_; }
+
+  // Largest excess of a limit at x, as a fraction of the limit; 0 within. A limit with share 0
+  // counts as never exceeded.
+  double excess(const Field& x) const {
+    V most{};
+    for (int b = 0; b < int(x.size()); ++b)
+      for_each(b, [&](const Pair<V>& p) {
+        const V along = dot(p.a, x[b]);
+        most = max(most, max(part(along - p.high.bound, p.high.share),
+                             part(-along - p.low.bound, p.low.share)));
+      });
+    return largest(most);
+  }
+
+  // Judge the Newton step from the x of the last `bend`. nu: its multipliers; decrement: its
+  // squared decrement as a fraction of Phi. If the multipliers prove that no force keeps the
+  // limits, nu becomes that proof.
+  Verdict judge(const Cones<V, B>& cones, Vec6& nu, const Vec6& w, double decrement,
+                int iterations) {
+    const double slack = least(least_slack_);
+    if (slack >= edge_) return Verdict::proceed;
+    // the optimum with a parabola need not be exact, unless rows are far below the edge: then the
+    // multipliers depend on it
+    const bool settled = decrement < (slack < -BROKEN * edge_ ? CLOSER : SETTLED);
+    if (slack <= 0.0 && (settled || (iterations >= 2 && iterations % 2 == 1)) &&
+        proves_infeasible(cones, nu, w))
+      return Verdict::infeasible;
+    if (!settled) return Verdict::proceed;
+    if (edge_ < LEAST_EDGE) return Verdict::inconclusive;
+    edge_ *= EDGE_FACTOR;
+    return Verdict::sharpened;
+  }
+
+  // With prices y >= 0 and q = sum y a - G^T nu, every balanced force has sum q . x = sum y a . x +
+  // nu . w. In the cones and within limits raised by t this is at least -sum delta u_max, where
+  // delta is the distance of q from the dual cone, and at most sum y (b + t share) + nu . w. So
+  // value + t share >= 0: value < 0 proves that no force keeps the limits, and -value / share is a
+  // lower bound on t. Contacts whose u_max no row bounds have nu changed (see `find_shift`) until
+  // their delta is zero.
+  struct Farkas {
+    double value, share, size;
+    Vec6 nu;
+  };  // size: sum of the absolute terms of value
+  Farkas farkas(const Cones<V, B>& cones, const Vec6& given, const Vec6& w, double t = 0.0) const {
+    const Vec6 nu = shifted(cones, given);
+    V total{}, share{}, size{};
+    const V pushed = all<V>(-dot(shift_, w));
+    for (int b = 0; b < int(cones.blocks.size()); ++b) {
+      Vec3<V> q = -cones.blocks[b].transposed(nu);
+      for_each(b, [&](const Pair<V>& p) {
+        q += p.price() * p.a;
+        p.sides([&](const Side<V>& side, double) {
+          const V cost = side.price * side.bound;
+          total += cost;
+          size += abs(cost);
+          share += side.price * side.share;
         });
-        return total;
+      });
+      const V room = max(V{}, u_bound_[b] + all<V>(t) * u_growth_[b] + unbounded_[b] * pushed);
+      const V lacking = cones.blocks[b].mask * max(V{}, -slack(q)) * room;
+      total += lacking;
+      size += lacking;
     }
-    // Add the rows' terms to the cones' gradient and inverse Hessian at x.
-    void bend(int b, const Vec3<V>& x, Vec3<V>& gradient, Sym3<V>& inverse) {
-        const V edge = all<V>(edge_) * scale_[b];
-        if (b == 0) least_slack_ = all<V>(infinity);
-        for_each(b, [&](Pair<V>& p) {
-            const V along = dot(p.a, x);
-            p.sides([&](Side<V>& side, double sign) {
-                side.at(sign * along, 0.0);
-                least_slack_ = min(least_slack_, side.slack / scale_[b]);
-                const V c = max(side.slack, edge), i = 1.0 / c, price = side.weight * i * i;
-                side.bend = 2.0 * price * i;
-                side.price = price - side.bend * (side.slack - c);
-            });
-            gradient += p.price() * p.a;
-            p.bend(inverse);
-        });
+    double value = sum(total);
+    for (int r = 0; r < 6; ++r) value += nu[r] * w[r];
+    const double of = sum(size) + sum_of_sizes(nu) * grasp::size(w);
+    return {value, sum(share), of, nu};
+  }
+  bool proves_infeasible(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) {
+    const Farkas found = farkas(cones, nu, w);
+    if (!(found.value < -PROOF_MARGIN * found.size)) return false;
+    nu = found.nu;
+    std::fill(extra_prices_.begin(), extra_prices_.end(), 0.0);
+    for (int i = 0; i < cones.count; ++i) {
+      Vec3<V> q = -cones.blocks[i / W].transposed(nu);
+      for_each(i / W, [&](const Pair<V>& p) { q += p.price() * p.a; });
+      const double lacking = -get(slack(q), i % W);
+      for (int k = 0; k < 3 && lacking > 0.0; ++k)
+        if (const int m = bounding_rows_[i].row[k]; m >= 0)
+          extra_prices_[m] += lacking * bounding_rows_[i].part[k];
     }
-    // The multipliers of Newton's model after a step.
-    void predict_prices(int b, const Vec3<V>& step) {
-        for_each(b, [&](Pair<V>& p) {
-            const V along = dot(p.a, step);
-            p.sides([&](Side<V>& side, double sign) { side.price = max(V{}, side.price + sign * side.bend * along); });
-        });
-    }
-    // Subtract the rows from y = G^T nu. Return their part of the dual value, the minimum of barrier(slack) + price (slack -
-    // bound).
-    V dual(int b, const Vec6&, Vec3<V>& y) const {
-        V total{};
-        const V edge = all<V>(edge_) * scale_[b];
-        for_each(b, [&](const Pair<V>& p) {
-            y -= p.price() * p.a;
-            p.sides([&](const Side<V>& side, double) {
-                total += conjugate(side.price, edge, side.weight) - side.price * side.bound;
-            });
-        });
-        return total;
-    }
+    return true;
+  }
 
-    // --- over all contacts
+  // Call f(row, price) for all rows of the last proof: G^T v + sum price a, v = -nu, lies in every
+  // dual cone. The rows that bound u provide what the multipliers lack.
+  template <class F> void prices(F&& f) const {
+    for (int i = 0; i < int(pairs_of_.size()); ++i)
+      for (int k = 0; k < int(pairs_of_[i].size()); ++k) {
+        const auto& pair = pairs_[pairs_per_contact_ * (i / W) + k];
+        const int high = pairs_of_[i][k].high;
+        const int low = pairs_of_[i][k].low;
+        f(high, get(pair.high.price, i % W) + extra_prices_[high]);
+        if (low >= 0) f(low, get(pair.low.price, i % W) + extra_prices_[low]);
+      }
+  }
 
-    // Smallest slack, relative to the contacts' scales.
-    double least_slack(const Field& x) const {
-        V out = all<V>(infinity);
-        for (int b = 0; b < int(x.size()); ++b)
-            for_each(b, [&](const Pair<V>& p) {
-                const V along = dot(p.a, x[b]);
-                out = min(out, min(p.high.bound - along, p.low.bound + along) / scale_[b]);
-            });
-        return least(out);
-    }
-    // True if all terms are lambda / slack at x.
-    bool within(const Field& x) const { return least_slack(x) >= edge_; }
+  template <class F> void for_each(int b, F&& f) {
+    for (int k = 0; k < pairs_per_contact_; ++k) f(pairs_[pairs_per_contact_ * b + k]);
+  }
+  template <class F> void for_each(int b, F&& f) const {
+    for (int k = 0; k < pairs_per_contact_; ++k) f(pairs_[pairs_per_contact_ * b + k]);
+  }
 
-    // Largest excess of a limit at x, as a fraction of the limit; 0 within. A limit with share 0 counts as never exceeded.
-    double excess(const Field& x) const {
-        V most{};
-        for (int b = 0; b < int(x.size()); ++b)
-            for_each(b, [&](const Pair<V>& p) {
-                const V along = dot(p.a, x[b]);
-                most = max(most, max(part(along - p.high.bound, p.high.share), part(-along - p.low.bound, p.low.share)));
-            });
-        return largest(most);
-    }
+ private:
+  static constexpr double SETTLED =
+      0.03;  // squared decrement, as a fraction of Phi, below which the edge is lowered
+  static constexpr double CLOSER = 3e-4;  // the same if a row is BROKEN edges outside
+  static constexpr double BROKEN = 10.0;
+  static constexpr double EDGE_FACTOR = 1.0 / 16.0;
+  static constexpr double LEAST_EDGE =
+      1e-6;  // below it the problem is nearly infeasible and left to the general program
+  static constexpr double PROOF_MARGIN =
+      BOUNDARY;  // fraction of the terms of a proof: far above their rounding
+  // Fraction of the trace: regularises contacts that the least squares leave undetermined.
+  static constexpr double REGULARISATION = 1e-12;
+  static constexpr double INSIDE = 0.1;  // of e_u: required depth of the answer in the dual cones
+  static constexpr double PARALLEL = 1e-12;  // allowed difference of opposite rows
+  double edge_ = LARGEST_EDGE;
+  int pairs_per_contact_ = 1;
+  std::vector<std::vector<RowPair>> pairs_of_;  // pairs of each contact
+  std::vector<Pair<V>> pairs_;                  // (blocks, each)
+  std::vector<BoundingRows> bounding_rows_;     // for each contact
+  std::vector<double> extra_prices_;            // (M,) prices of a proof beyond those of the pairs
+  Blocks<V, B> scale_, u_bound_,
+      u_growth_;            // u is at most u_bound + t u_growth within limits raised by t
+  Blocks<V, B> unbounded_;  // 1 for a contact that no row bounds, with u at most u_bound + t
+                            // u_growth - shift . w
+  Vec6 shift_{};
+  bool has_shift_ = false;
+  V least_slack_{};
 
-    // Judge the Newton step from the x of the last `bend`. nu: its multipliers; decrement: its squared decrement as a fraction of
-    // Phi. If the multipliers prove that no force keeps the limits, nu becomes that proof.
-    Verdict judge(const Cones<V, B>& cones, Vec6& nu, const Vec6& w, double decrement, int iterations) {
-        const double slack = least(least_slack_);
-        if (slack >= edge_) return Verdict::proceed;
-        // the optimum with a parabola need not be exact, unless rows are far below the edge: then the multipliers depend on it
-        const bool settled = decrement < (slack < -BROKEN * edge_ ? CLOSER : SETTLED);
-        if (slack <= 0.0 && (settled || (iterations >= 2 && iterations % 2 == 1)) && proves_infeasible(cones, nu, w))
-            return Verdict::infeasible;
-        if (!settled) return Verdict::proceed;
-        if (edge_ < LEAST_EDGE) return Verdict::inconclusive;
-        edge_ *= EDGE_FACTOR;
-        return Verdict::sharpened;
+  // For contacts that no row bounds: find by least squares a twist nu with G_i^T nu - e_u in the
+  // dual cone of each. Adding it takes multipliers into their dual cones. Together with the bounds
+  // of the other contacts it bounds the rounding left there: the u add up to at most nu . sum G_i
+  // x_i = -nu . w - sum (G_j^T nu) . x_j over the others. Contacts that can squeeze the object by
+  // themselves have no such twist.
+  void find_shift(const Cones<V, B>& cones) {
+    const int blocks = int(cones.blocks.size());
+    Packed6 square{};
+    Vec6 side{};
+    for (int b = 0; b < blocks; ++b) {
+      const auto& c = cones.blocks[b];
+      unbounded_[b] = u_bound_[b] < UNBOUNDED ? V{} : c.mask;
+      for (int r = 0; r < 6; ++r) {
+        side[r] += sum(unbounded_[b] * c.g[r].u);
+        for (int s = 0; s <= r; ++s)
+          square[packed(r, s)] += sum(unbounded_[b] * dot(c.g[r], c.g[s]));
+      }
     }
+    double trace = 0.0;
+    for (int r = 0; r < 6; ++r) trace += square[packed(r, r)];
+    for (int r = 0; r < 6; ++r) square[packed(r, r)] += REGULARISATION * trace;
+    Ldl6 factor;
+    const Vec6 nu = factor.factor(square) > 0.0 ? factor.solve(side) : Vec6{};
+    V nearest = all<V>(infinity);
+    V most{};
+    V more{};
+    for (int b = 0; b < blocks; ++b)
+      nearest = min(nearest,
+                    unbounded_[b] > 0.0 ? slack(cones.blocks[b].transposed(nu)) : all<V>(infinity));
+    const double inside = least(nearest);
+    has_shift_ = inside > INSIDE && inside < infinity;
+    if (!has_shift_) {
+      shift_ = {};
+      for (auto& each : unbounded_) each = V{};
+      return;
+    }
+    shift_ = (1.0 / inside) * nu;
+    for (int b = 0; b < blocks; ++b) {
+      const auto& c = cones.blocks[b];
+      const V borne = (c.mask - unbounded_[b]) * max(V{}, -slack(c.transposed(shift_)));
+      most += borne * u_bound_[b];
+      more += borne * u_growth_[b];
+    }
+    for (int b = 0; b < blocks; ++b) {
+      u_bound_[b] = unbounded_[b] > 0.0 ? all<V>(sum(most)) : u_bound_[b];
+      u_growth_[b] = unbounded_[b] > 0.0 ? all<V>(sum(more)) : u_growth_[b];
+    }
+  }
 
-    // With prices y >= 0 and q = sum y a - G^T nu, every balanced force has sum q . x = sum y a . x + nu . w. In the cones and
-    // within limits raised by t this is at least -sum delta u_max, where delta is the distance of q from the dual cone, and at most
-    // sum y (b + t share) + nu . w. So value + t share >= 0: value < 0 proves that no force keeps the limits, and -value / share is
-    // a lower bound on t. Contacts whose u_max no row bounds have nu changed (see `find_shift`) until their delta is zero.
-    struct Farkas {
-        double value, share, size;
-        Vec6 nu;
-    };  // size: sum of the absolute terms of value
-    Farkas farkas(const Cones<V, B>& cones, const Vec6& given, const Vec6& w, double t = 0.0) const {
-        const Vec6 nu = shifted(cones, given);
-        V total{}, share{}, size{};
-        const V pushed = all<V>(-dot(shift_, w));
-        for (int b = 0; b < int(cones.blocks.size()); ++b) {
-            Vec3<V> q = -cones.blocks[b].transposed(nu);
-            for_each(b, [&](const Pair<V>& p) {
-                q += p.price() * p.a;
-                p.sides([&](const Side<V>& side, double) {
-                    const V cost = side.price * side.bound;
-                    total += cost, size += abs(cost), share += side.price * side.share;
-                });
-            });
-            const V room = max(V{}, u_bound_[b] + all<V>(t) * u_growth_[b] + unbounded_[b] * pushed);
-            const V lacking = cones.blocks[b].mask * max(V{}, -slack(q)) * room;
-            total += lacking, size += lacking;
-        }
-        double value = sum(total);
-        for (int r = 0; r < 6; ++r) value += nu[r] * w[r];
-        const double of = sum(size) + sum_of_sizes(nu) * grasp::size(w);
-        return {value, sum(share), of, nu};
+  Vec6 shifted(const Cones<V, B>& cones, const Vec6& nu) const {
+    if (!has_shift_) return nu;
+    V lacking{};
+    for (int b = 0; b < int(cones.blocks.size()); ++b) {
+      Vec3<V> q = -cones.blocks[b].transposed(nu);
+      for_each(b, [&](const Pair<V>& p) { q += p.price() * p.a; });
+      lacking = max(lacking, unbounded_[b] * -slack(q));
     }
-    bool proves_infeasible(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) {
-        const Farkas found = farkas(cones, nu, w);
-        if (!(found.value < -PROOF_MARGIN * found.size)) return false;
-        nu = found.nu;
-        std::fill(extra_prices_.begin(), extra_prices_.end(), 0.0);
-        for (int i = 0; i < cones.count; ++i) {
-            Vec3<V> q = -cones.blocks[i / W].transposed(nu);
-            for_each(i / W, [&](const Pair<V>& p) { q += p.price() * p.a; });
-            const double lacking = -get(slack(q), i % W);
-            for (int k = 0; k < 3 && lacking > 0.0; ++k)
-                if (const int m = bounding_rows_[i].row[k]; m >= 0) extra_prices_[m] += lacking * bounding_rows_[i].part[k];
-        }
-        return true;
-    }
+    return nu - (1.0 + PROOF_MARGIN) * largest(lacking) * shift_;
+  }
 
-    // Call f(row, price) for all rows of the last proof: G^T v + sum price a, v = -nu, lies in every dual cone. The rows that bound
-    // u provide what the multipliers lack.
-    template <class F> void prices(F&& f) const {
-        for (int i = 0; i < int(pairs_of_.size()); ++i)
-            for (int k = 0; k < int(pairs_of_[i].size()); ++k) {
-                const auto& pair = pairs_[pairs_per_contact_ * (i / W) + k];
-                const int high = pairs_of_[i][k].high, low = pairs_of_[i][k].low;
-                f(high, get(pair.high.price, i % W) + extra_prices_[high]);
-                if (low >= 0) f(low, get(pair.low.price, i % W) + extra_prices_[low]);
-            }
+  void resize_blocks(int blocks) {
+    resize(scale_, blocks);
+    resize(u_bound_, blocks);
+    resize(u_growth_, blocks);
+    resize(unbounded_, blocks);
+    bounding_rows_.resize(W * blocks);
+  }
+  static Pair<V> no_pair() {
+    Pair<V> out{};
+    out.high.bound = out.low.bound = all<V>(UNBOUNDED);
+    return out;
+  }
+  static bool opposite(const double* a, const double* b) {
+    double off = 0.0, any_of = 0.0;
+    for (int r = 0; r < 3; ++r) {
+      off = std::max(off, std::abs(a[r] + b[r]));
+      any_of = std::max(any_of, std::abs(a[r]));
     }
+    return any_of > 0.0 && off < PARALLEL;
+  }
+  static V part(const V& excess, const V& share) { return share > 0.0 ? excess / share : V{}; }
 
-    template <class F> void for_each(int b, F&& f) {
-        for (int k = 0; k < pairs_per_contact_; ++k) f(pairs_[pairs_per_contact_ * b + k]);
-    }
-    template <class F> void for_each(int b, F&& f) const {
-        for (int k = 0; k < pairs_per_contact_; ++k) f(pairs_[pairs_per_contact_ * b + k]);
-    }
-
-private:
-    static constexpr double SETTLED = 0.03;  // squared decrement, as a fraction of Phi, below which the edge is lowered
-    static constexpr double CLOSER = 3e-4;  // the same if a row is BROKEN edges outside
-    static constexpr double BROKEN = 10.0;
-    static constexpr double EDGE_FACTOR = 1.0 / 16.0;
-    static constexpr double LEAST_EDGE = 1e-6;  // below it the problem is nearly infeasible and left to the general program
-    static constexpr double PROOF_MARGIN = BOUNDARY;  // fraction of the terms of a proof: far above their rounding
-    // Fraction of the trace: regularises contacts that the least squares leave undetermined.
-    static constexpr double REGULARISATION = 1e-12;
-    static constexpr double INSIDE = 0.1;  // of e_u: required depth of the answer in the dual cones
-    static constexpr double PARALLEL = 1e-12;  // allowed difference of opposite rows
-    double edge_ = LARGEST_EDGE;
-    int pairs_per_contact_ = 1;
-    std::vector<std::vector<RowPair>> pairs_of_;  // pairs of each contact
-    std::vector<Pair<V>> pairs_;  // (blocks, each)
-    std::vector<BoundingRows> bounding_rows_;  // for each contact
-    std::vector<double> extra_prices_;  // (M,) prices of a proof beyond those of the pairs
-    Blocks<V, B> scale_, u_bound_, u_growth_;  // u is at most u_bound + t u_growth within limits raised by t
-    Blocks<V, B> unbounded_;  // 1 for a contact that no row bounds, with u at most u_bound + t u_growth - shift . w
-    Vec6 shift_{};
-    bool has_shift_ = false;
-    V least_slack_{};
-
-    // For contacts that no row bounds: find by least squares a twist nu with G_i^T nu - e_u in the dual cone of each. Adding it
-    // takes multipliers into their dual cones. Together with the bounds of the other contacts it bounds the rounding left there:
-    // the u add up to at most nu . sum G_i x_i = -nu . w - sum (G_j^T nu) . x_j over the others. Contacts that can squeeze the
-    // object by themselves have no such twist.
-    void find_shift(const Cones<V, B>& cones) {
-        const int blocks = int(cones.blocks.size());
-        Packed6 square{};
-        Vec6 side{};
-        for (int b = 0; b < blocks; ++b) {
-            const auto& c = cones.blocks[b];
-            unbounded_[b] = u_bound_[b] < UNBOUNDED ? V{} : c.mask;
-            for (int r = 0; r < 6; ++r) {
-                side[r] += sum(unbounded_[b] * c.g[r].u);
-                for (int s = 0; s <= r; ++s) square[packed(r, s)] += sum(unbounded_[b] * dot(c.g[r], c.g[s]));
-            }
-        }
-        double trace = 0.0;
-        for (int r = 0; r < 6; ++r) trace += square[packed(r, r)];
-        for (int r = 0; r < 6; ++r) square[packed(r, r)] += REGULARISATION * trace;
-        Ldl6 factor;
-        const Vec6 nu = factor.factor(square) > 0.0 ? factor.solve(side) : Vec6{};
-        V nearest = all<V>(infinity), most{}, more{};
-        for (int b = 0; b < blocks; ++b)
-            nearest = min(nearest, unbounded_[b] > 0.0 ? slack(cones.blocks[b].transposed(nu)) : all<V>(infinity));
-        const double inside = least(nearest);
-        has_shift_ = inside > INSIDE && inside < infinity;
-        if (!has_shift_) {
-            shift_ = {};
-            for (auto& each : unbounded_) each = V{};
-            return;
-        }
-        shift_ = (1.0 / inside) * nu;
-        for (int b = 0; b < blocks; ++b) {
-            const auto& c = cones.blocks[b];
-            const V borne = (c.mask - unbounded_[b]) * max(V{}, -slack(c.transposed(shift_)));
-            most += borne * u_bound_[b], more += borne * u_growth_[b];
-        }
-        for (int b = 0; b < blocks; ++b) {
-            u_bound_[b] = unbounded_[b] > 0.0 ? all<V>(sum(most)) : u_bound_[b];
-            u_growth_[b] = unbounded_[b] > 0.0 ? all<V>(sum(more)) : u_growth_[b];
-        }
-    }
-
-    Vec6 shifted(const Cones<V, B>& cones, const Vec6& nu) const {
-        if (!has_shift_) return nu;
-        V lacking{};
-        for (int b = 0; b < int(cones.blocks.size()); ++b) {
-            Vec3<V> q = -cones.blocks[b].transposed(nu);
-            for_each(b, [&](const Pair<V>& p) { q += p.price() * p.a; });
-            lacking = max(lacking, unbounded_[b] * -slack(q));
-        }
-        return nu - (1.0 + PROOF_MARGIN) * largest(lacking) * shift_;
-    }
-
-    void resize_blocks(int blocks) {
-        resize(scale_, blocks), resize(u_bound_, blocks), resize(u_growth_, blocks), resize(unbounded_, blocks);
-        bounding_rows_.resize(W * blocks);
-    }
-    static Pair<V> no_pair() {
-        Pair<V> out{};
-        out.high.bound = out.low.bound = all<V>(UNBOUNDED);
-        return out;
-    }
-    static bool opposite(const double* a, const double* b) {
-        double off = 0.0, any_of = 0.0;
-        for (int r = 0; r < 3; ++r) off = std::max(off, std::abs(a[r] + b[r])), any_of = std::max(any_of, std::abs(a[r]));
-        return any_of > 0.0 && off < PARALLEL;
-    }
-    static V part(const V& excess, const V& share) { return share > 0.0 ? excess / share : V{}; }
-
-    // lambda / slack; below `edge` its second-order expansion there
-    static V barrier(const V& slack, const V& edge, const V& weight) {
-        const V c = max(slack, edge), i = 1.0 / c, e = (slack - c) * i;
-        return weight * i * (1.0 - e + e * e);
-    }
-    // minimum over s of barrier(s) + price s
-    static V conjugate(const V& price, const V& edge, const V& weight) {
-        const V most = weight / (edge * edge), inside = min(price, most), over = price - inside;
-        const V bend = weight > 0.0 ? 0.25 * edge * edge * edge / weight : V{};
-        return 2.0 * sqrt(weight * inside) + over * edge - bend * over * over;
-    }
+  // lambda / slack; below `edge` its second-order expansion there
+  static V barrier(const V& slack, const V& edge, const V& weight) {
+    const V c = max(slack, edge);
+    const V i = 1.0 / c;
+    const V e = (slack - c) * i;
+    return weight * i * (1.0 - e + e * e);
+  }
+  // minimum over s of barrier(s) + price s
+  static V conjugate(const V& price, const V& edge, const V& weight) {
+    const V most = weight / (edge * edge);
+    const V inside = min(price, most);
+    const V over = price - inside;
+    const V bend = weight > 0.0 ? 0.25 * edge * edge * edge / weight : V{};
+    return 2.0 * sqrt(weight * inside) + over * edge - bend * over * over;
+  }
 };
 
 }  // namespace grasp

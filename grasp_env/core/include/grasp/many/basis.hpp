@@ -1,110 +1,126 @@
-// The offline part: the optima of Phi for the 12 unit wrenches and for the zero wrench (paper, Sec. III).
+// The offline part: the optima of Phi for the 12 unit wrenches and for the zero wrench (paper, Sec.
+// III).
 #pragma once
 #include <grasp/many/problems.hpp>
 
 namespace grasp {
 
 inline constexpr StopRule BASIS_STOP{.tolerance = 1e-10, .limit = 200};
-// Basis forces serve as starts: if floating point stops short of 1e-10 (tiny lambda), a gap of a hundredth is good enough.
+// Basis forces serve as starts: if floating point stops short of 1e-10 (tiny lambda), a gap of a
+// hundredth is good enough.
 inline constexpr double ACCEPTED_GAP = 1e-2;
 
-// Computes the basis for the contacts of a `NewtonSolver`: first the optimum at rest (12), from which the others start.
+// Computes the basis for the contacts of a `NewtonSolver`: first the optimum at rest (12), from
+// which the others start.
 template <class V, int B> class BasisMaker {
-public:
-    explicit BasisMaker(NewtonSolver<V, B>& newton) : newton_(newton) {}
+ public:
+  explicit BasisMaker(NewtonSolver<V, B>& newton) : newton_(newton) {}
 
-    // Start from the basis of nearby contacts. Return the worst relative gap; inf: failed.
-    double warm() {
-        for (int k = 12; k >= 0 && worst_ < infinity; --k) {
-            if (begin_warm(k)) descend(k);
-            else if (k < 12) solve_alone(k);
-            else worst_ = infinity;
-        }
-        return made();
+  // Start from the basis of nearby contacts. Return the worst relative gap; inf: failed.
+  double warm() {
+    for (int k = 12; k >= 0 && worst_ < infinity; --k) {
+      if (begin_warm(k))
+        descend(k);
+      else if (k < 12)
+        solve_alone(k);
+      else
+        worst_ = infinity;
     }
-    // Start from newton.x, an internal force strictly inside. Allocates.
-    double cold() {
-        auto& x = newton_.x;
-        const double scale = best_scale(newton_.cones, x);
-        for (auto& v : x) v = all<V>(scale) * v;
-        descend(12);
-        if (!(worst_ < infinity)) return made();
-        NewtonLanes<REGISTER> lanes(newton_.cones, BASIS_STOP, LONG);
-        std::vector<double> flat(3 * newton_.cones.count);
-        const auto enter = [&](int lane, std::ptrdiff_t k) {
-            begin(int(k)), newton_.cones.store(x, flat.data());
-            const double value = newton_.cones.phi(x);
-            if (value < infinity) lanes.begin(lane, flat.data(), w_, value);
-            else worst_ = infinity;
-            return value < infinity;
-        };
-        const auto leave = [&](int lane, std::ptrdiff_t k, bool closed) {
-            if (!closed) return solve_alone(int(k));
-            w_ = lanes.wrench_of(lane);
-            lanes.cones.store(lanes.x, flat.data(), lane), newton_.cones.load(flat.data(), x);
-            const DescentProgress at = lanes.progress(lane);
-            store_optimum(int(k), at.value, at.bound);
-        };
-        run(lanes, 12, enter, leave);
-        return made();
-    }
+    return made();
+  }
+  // Start from newton.x, an internal force strictly inside. Allocates.
+  double cold() {
+    auto& x = newton_.x;
+    const double scale = best_scale(newton_.cones, x);
+    for (auto& v : x) v = all<V>(scale) * v;
+    descend(12);
+    if (!(worst_ < infinity)) return made();
+    NewtonLanes<REGISTER> lanes(newton_.cones, BASIS_STOP, LONG);
+    std::vector<double> flat(3 * newton_.cones.count);
+    const auto enter = [&](int lane, std::ptrdiff_t k) {
+      begin(int(k));
+      newton_.cones.store(x, flat.data());
+      const double value = newton_.cones.phi(x);
+      if (value < infinity)
+        lanes.begin(lane, flat.data(), w_, value);
+      else
+        worst_ = infinity;
+      return value < infinity;
+    };
+    const auto leave = [&](int lane, std::ptrdiff_t k, bool closed) {
+      if (!closed) return solve_alone(int(k));
+      w_ = lanes.wrench_of(lane);
+      lanes.cones.store(lanes.x, flat.data(), lane);
+      newton_.cones.load(flat.data(), x);
+      const DescentProgress at = lanes.progress(lane);
+      store_optimum(int(k), at.value, at.bound);
+    };
+    run(lanes, 12, enter, leave);
+    return made();
+  }
 
-private:
-    NewtonSolver<V, B>& newton_;
-    double worst_ = 0.0;
-    double wrench_[6];
-    Vec6 w_;  // wrench of an optimum: in the given frame, in the unit frame
+ private:
+  NewtonSolver<V, B>& newton_;
+  double worst_ = 0.0;
+  double wrench_[6];
+  Vec6 w_;  // wrench of an optimum: in the given frame, in the unit frame
 
-    void set_wrench(int k) {
-        std::fill(wrench_, wrench_ + 6, 0.0);
-        if (k < 12) wrench_[k % 6] = k < 6 ? 1.0 : -1.0;
-        w_ = newton_.cones.unit.of(wrench_);
+  void set_wrench(int k) {
+    std::fill(wrench_, wrench_ + 6, 0.0);
+    if (k < 12) wrench_[k % 6] = k < 6 ? 1.0 : -1.0;
+    w_ = newton_.cones.unit.of(wrench_);
+  }
+  // Write the start of optimum k < 12 into x: the least-norm force plus as much of the optimum at
+  // rest as it needs.
+  void begin(int k) {
+    set_wrench(k);
+    grasp::begin(newton_.cones, newton_.starter.basis[12], w_, newton_.x);
+  }
+  bool begin_warm(
+      int k) {  // the second correction removes the rounding that the first left in the balance
+    set_wrench(k);
+    newton_.x = newton_.starter.basis[k];
+    const auto follows = [&] {
+      return newton_.starter.tangent(newton_.cones, newton_.system, w_, newton_.x) &&
+             newton_.cones.phi(newton_.x) < infinity;
+    };
+    return follows() && follows();
+  }
+  void solve_alone(int k) {
+    begin(k);
+    descend(k);
+  }
+  void descend(int k) {
+    set_wrench(k);
+    const Record record(newton_.row.data(), newton_.cones.count);
+    if (!(newton_.cones.phi(newton_.x) < infinity)) {
+      worst_ = infinity;
+      return;
     }
-    // Write the start of optimum k < 12 into x: the least-norm force plus as much of the optimum at rest as it needs.
-    void begin(int k) {
-        set_wrench(k);
-        grasp::begin(newton_.cones, newton_.starter.basis[12], w_, newton_.x);
-    }
-    bool begin_warm(int k) {  // the second correction removes the rounding that the first left in the balance
-        set_wrench(k);
-        newton_.x = newton_.starter.basis[k];
-        const auto follows = [&] {
-            return newton_.starter.tangent(newton_.cones, newton_.system, w_, newton_.x) &&
-                   newton_.cones.phi(newton_.x) < infinity;
-        };
-        return follows() && follows();
-    }
-    void solve_alone(int k) { begin(k), descend(k); }
-    void descend(int k) {
-        set_wrench(k);
-        const Record record(newton_.row.data(), newton_.cones.count);
-        if (!(newton_.cones.phi(newton_.x) < infinity)) {
-            worst_ = infinity;
-            return;
-        }
-        newton_.starter.safe() = newton_.x;
-        const Call call{.wrench = wrench_, .stop = BASIS_STOP, .start = From::given};
-        newton_.descend_from(newton_.starter.safe(), call, w_, record, LONG);
-        store_optimum(k, record.summary().objective, record.summary().lower_bound);
-    }
-    void store_optimum(int k, double value, double bound) {
-        newton_.polish(w_);
-        newton_.cones.balance(newton_.x, w_);
-        newton_.starter.basis[k] = newton_.x;
-        worst_ = bound > 0.0 ? std::max(worst_, (value - bound) / bound) : infinity;
-    }
-    double made() {
-        newton_.starter.has_basis = worst_ < ACCEPTED_GAP;
-        newton_.starter.basis_tangents = newton_.starter.tangents;
-        return worst_;
-    }
+    newton_.starter.safe() = newton_.x;
+    const Call call{.wrench = wrench_, .stop = BASIS_STOP, .start = From::given};
+    newton_.descend_from(newton_.starter.safe(), call, w_, record, LONG);
+    store_optimum(k, record.summary().objective, record.summary().lower_bound);
+  }
+  void store_optimum(int k, double value, double bound) {
+    newton_.polish(w_);
+    newton_.cones.balance(newton_.x, w_);
+    newton_.starter.basis[k] = newton_.x;
+    worst_ = bound > 0.0 ? std::max(worst_, (value - bound) / bound) : infinity;
+  }
+  double made() {
+    newton_.starter.has_basis = worst_ < ACCEPTED_GAP;
+    newton_.starter.basis_tangents = newton_.starter.tangents;
+    return worst_;
+  }
 };
 
 // Fill the basis of `newton` for its contacts. Return the worst relative gap; inf: failed.
-// warm: start from the optima of nearby contacts in the basis; otherwise newton.x must be an internal force strictly inside.
+// warm: start from the optima of nearby contacts in the basis; otherwise newton.x must be an
+// internal force strictly inside.
 template <class V, int B> double make_basis(NewtonSolver<V, B>& newton, bool warm) {
-    BasisMaker<V, B> maker(newton);
-    return warm ? maker.warm() : maker.cold();
+  BasisMaker<V, B> maker(newton);
+  return warm ? maker.warm() : maker.cold();
 }
 
 }  // namespace grasp

@@ -1,11 +1,13 @@
-// The balanced force in the cones that exceeds the limits least, if no force keeps them. For limits that each act on one contact;
-// other limits go to the general program, which takes 80 us where this takes 9.
+// The balanced force in the cones that exceeds the limits least, if no force keeps them. For limits
+// that each act on one contact; other limits go to the general program, which takes 80 us where
+// this takes 9.
 //
 //     min t  s.t.  G x = -w,  x_i in the cone,  a . x <= b + t share
 //     max -sum y b - nu . w  s.t.  sum y share = 1,  s_i = sum y a - G_i^T nu in the cone,  y >= 0
 //
-// A primal-dual interior point as in conic.hpp. The rows are rank-one changes of a contact's scaling; t is one border of the 6 x 6
-// system. x stays balanced, and the multipliers of every iterate bound t (`LimitTerms::farkas`), dual feasible or not.
+// A primal-dual interior point as in conic.hpp. The rows are rank-one changes of a contact's
+// scaling; t is one border of the 6 x 6 system. x stays balanced, and the multipliers of every
+// iterate bound t (`LimitTerms::farkas`), dual feasible or not.
 #pragma once
 #include <grasp/conic/conic.hpp>
 #include <grasp/limits/terms.hpp>
@@ -16,221 +18,255 @@ inline constexpr double EXCESS_WITHIN = 1e-2;  // relative distance allowed abov
 inline constexpr double EXCESS_FLOOR = 1e-6;  // absolute distance allowed, as a fraction of a limit
 
 template <class V, int B> class LeastExcess {
-public:
-    using Field = typename Cones<V, B>::Field;
+ public:
+  using Field = typename Cones<V, B>::Field;
 
-    struct ExcessForce {
-        bool certified;
-        int iterations;
-        double bound;
-        Vec6 multipliers;
-    };  // d t / d w = -multipliers
+  struct ExcessForce {
+    bool certified;
+    int iterations;
+    double bound;
+    Vec6 multipliers;
+  };  // d t / d w = -multipliers
 
-    explicit LeastExcess(const Cones<V, B>& cones) { resize(at_, cones.blocks.size()); }
+  explicit LeastExcess(const Cones<V, B>& cones) { resize(at_, cones.blocks.size()); }
 
-    // Solve from x, balanced, in the cones and outside the limits; x is overwritten.
-    ExcessForce solve(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, const Vec6& w, Field& x) {
-        const int blocks = int(x.size());
-        double t = BEGIN * rows.excess(x) + EXCESS_FLOOR;
-        Vec6 nu{};
-        begin(cones, rows, x, t);
-        ExcessForce out{false, 0, 0.0, {}};
-        for (; out.iterations < MOST; ++out.iterations) {
-            const auto [gap, curvature] = scale(cones, rows, x, t);
-            const bool good = system.assemble(cones, x, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
-                gradient = Vec3<V>{V{}, V{}, V{}}, inverse = at_[b].inverse;
-            });
-            if (!good) return out;
-            const Border border = bordered(cones, system, curvature);
-            const Vec6 left = system.made + w;
-            // predictor: aims at zero products
-            ExcessStep step = direct(cones, rows, system, border, left, -1.0, x);
-            const double after = reached(cones, rows, x, step);
-            const double part = std::clamp(after / gap, 0.0, 1.0), enough = ENOUGH * allowed(out.bound);
-            const double target = std::max(std::max(part * part * part, CENTRE) * gap, enough) / (cones.count + rows.sides);
-            const double slope = correct(cones, rows, system, target);
-            step = direct(cones, rows, system, border, left, slope, x);
-            const double primal = std::min(1.0, REACH * step.primal), dual = std::min(1.0, REACH * step.dual);
-            if (!(primal + dual > 1e-6)) return out;
-            for (int b = 0; b < blocks; ++b) {
-                x[b] += all<V>(primal) * at_[b].dx, at_[b].s += all<V>(dual) * at_[b].ds;
-                rows.for_each(
-                    b, [&](Pair<V>& p) { p.sides([&](Side<V>& side, double) { side.price += all<V>(dual) * side.dprice; }); });
-            }
-            t += primal * step.dt, nu = nu + dual * (step.nu - nu);
-            const auto proof = rows.farkas(cones, nu, w, t);
-            if (proof.share > 0.0 && -proof.value > out.bound * proof.share)
-                out.bound = -proof.value / proof.share, out.multipliers = (1.0 / proof.share) * proof.nu;
-            if (out.bound > 0.0 && rows.excess(x) - out.bound <= AIM * allowed(out.bound)) {
-                out.certified = true, ++out.iterations;
-                return out;
-            }
-        }
+  // Solve from x, balanced, in the cones and outside the limits; x is overwritten.
+  ExcessForce solve(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system,
+                    const Vec6& w, Field& x) {
+    const int blocks = int(x.size());
+    double t = BEGIN * rows.excess(x) + EXCESS_FLOOR;
+    Vec6 nu{};
+    begin(cones, rows, x, t);
+    ExcessForce out{false, 0, 0.0, {}};
+    for (; out.iterations < MOST; ++out.iterations) {
+      const auto [gap, curvature] = scale(cones, rows, x, t);
+      const bool good = system.assemble(cones, x, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
+        gradient = Vec3<V>{V{}, V{}, V{}};
+        inverse = at_[b].inverse;
+      });
+      if (!good) return out;
+      const Border border = bordered(cones, system, curvature);
+      const Vec6 left = system.made + w;
+      // predictor: aims at zero products
+      ExcessStep step = direct(cones, rows, system, border, left, -1.0, x);
+      const double after = reached(cones, rows, x, step);
+      const double part = std::clamp(after / gap, 0.0, 1.0);
+      const double enough = ENOUGH * allowed(out.bound);
+      const double target =
+          std::max(std::max(part * part * part, CENTRE) * gap, enough) / (cones.count + rows.sides);
+      const double slope = correct(cones, rows, system, target);
+      step = direct(cones, rows, system, border, left, slope, x);
+      const double primal = std::min(1.0, REACH * step.primal);
+      const double dual = std::min(1.0, REACH * step.dual);
+      if (!(primal + dual > 1e-6)) return out;
+      for (int b = 0; b < blocks; ++b) {
+        x[b] += all<V>(primal) * at_[b].dx;
+        at_[b].s += all<V>(dual) * at_[b].ds;
+        rows.for_each(b, [&](Pair<V>& p) {
+          p.sides([&](Side<V>& side, double) { side.price += all<V>(dual) * side.dprice; });
+        });
+      }
+      t += primal * step.dt;
+      nu = nu + dual * (step.nu - nu);
+      const auto proof = rows.farkas(cones, nu, w, t);
+      if (proof.share > 0.0 && -proof.value > out.bound * proof.share) {
+        out.bound = -proof.value / proof.share;
+        out.multipliers = (1.0 / proof.share) * proof.nu;
+      }
+      if (out.bound > 0.0 && rows.excess(x) - out.bound <= AIM * allowed(out.bound)) {
+        out.certified = true;
+        ++out.iterations;
         return out;
+      }
     }
+    return out;
+  }
 
-private:
-    static constexpr int MOST = 50;
-    static constexpr double BEGIN = 1.5;  // factor of the excess at the start: initial value of t
-    static constexpr double REACH = 0.95;  // fraction of the way to the boundary
-    static constexpr double CENTRE = 0.1;  // smallest fraction of the gap that a step aims at: iterates far off the centre jam
-    static constexpr double ENOUGH = 0.5;  // fraction of the allowed gap: no step aims below it
-    static constexpr double AIM = 0.9;  // the rest is reserved for restoring the last digits of balance
+ private:
+  static constexpr int MOST = 50;
+  static constexpr double BEGIN = 1.5;   // factor of the excess at the start: initial value of t
+  static constexpr double REACH = 0.95;  // fraction of the way to the boundary
+  static constexpr double CENTRE =
+      0.1;  // smallest fraction of the gap that a step aims at: iterates far off the centre jam
+  static constexpr double ENOUGH = 0.5;  // fraction of the allowed gap: no step aims below it
+  static constexpr double AIM =
+      0.9;  // the rest is reserved for restoring the last digits of balance
 
-    static double allowed(double bound) { return std::max(EXCESS_WITHIN * bound, EXCESS_FLOOR); }
+  static double allowed(double bound) { return std::max(EXCESS_WITHIN * bound, EXCESS_FLOOR); }
 
-    struct At {
-        Vec3<V> s, l, mixed;  // dual slack; scaled point; sum bend share a
-        Scaling<V> m;
-        Sym3<V> inverse;  // (M^-1 + sum bend a a^T)^-1
-        Vec3<V> dx, ds, d;  // steps; scaled right-hand side
-    };
-    Blocks<At, B> at_;
+  struct At {
+    Vec3<V> s, l, mixed;  // dual slack; scaled point; sum bend share a
+    Scaling<V> m;
+    Sym3<V> inverse;    // (M^-1 + sum bend a a^T)^-1
+    Vec3<V> dx, ds, d;  // steps; scaled right-hand side
+  };
+  Blocks<At, B> at_;
 
-    // A central point: s = mu J x / (x . J x), y = mu / slack, with mu such that sum y share = 1.
-    void begin(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
-        V total{};
-        for (int b = 0; b < int(x.size()); ++b)
-            rows.for_each(b, [&](Pair<V>& p) {
-                const V along = dot(p.a, x[b]);
-                p.sides([&](Side<V>& side, double sign) {
-                    side.at(sign * along, t), side.price = (side.weight > 0.0 ? all<V>(1.0) : V{}) / side.slack;
-                    total += side.price * side.share;
-                });
-            });
-        const V mu = all<V>(1.0 / sum(total));
-        for (int b = 0; b < int(cones.blocks.size()); ++b) {
-            const V part = mu / lorentz(x[b], x[b]);
-            at_[b].s = {part * x[b].u, -part * x[b].o, -part * x[b].t};
-            rows.for_each(b, [&](Pair<V>& p) { p.sides([&](Side<V>& side, double) { side.price *= mu; }); });
-        }
+  // A central point: s = mu J x / (x . J x), y = mu / slack, with mu such that sum y share = 1.
+  void begin(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
+    V total{};
+    for (int b = 0; b < int(x.size()); ++b)
+      rows.for_each(b, [&](Pair<V>& p) {
+        const V along = dot(p.a, x[b]);
+        p.sides([&](Side<V>& side, double sign) {
+          side.at(sign * along, t);
+          side.price = (side.weight > 0.0 ? all<V>(1.0) : V{}) / side.slack;
+          total += side.price * side.share;
+        });
+      });
+    const V mu = all<V>(1.0 / sum(total));
+    for (int b = 0; b < int(cones.blocks.size()); ++b) {
+      const V part = mu / lorentz(x[b], x[b]);
+      at_[b].s = {part * x[b].u, -part * x[b].o, -part * x[b].t};
+      rows.for_each(b,
+                    [&](Pair<V>& p) { p.sides([&](Side<V>& side, double) { side.price *= mu; }); });
     }
+  }
 
-    // Slacks, scalings and blocks at x and t. Return the gap and the second derivative with respect to t.
-    struct Scaled { double gap, curvature; };
-    Scaled scale(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
-        V gap{}, curvature{};
-        for (int b = 0; b < int(x.size()); ++b) {
-            auto& at = at_[b];
-            at.m = Scaling<V>(x[b], at.s), at.l = at.m.scaled(at.s);
-            const auto& [v, eta, shrink, root] = at.m;
-            const V twice = 2.0 * eta;
-            at.inverse = {twice * v.u * v.u - eta, twice * v.u * v.o, twice * v.u * v.t,
-                          twice * v.o * v.o + eta, twice * v.o * v.t, twice * v.t * v.t + eta};
-            at.mixed = {V{}, V{}, V{}};
-            gap += cones.blocks[b].mask * dot(x[b], at.s);
-            rows.for_each(b, [&](Pair<V>& p) {
-                const V along = dot(p.a, x[b]);
-                V mixed{};
-                p.sides([&](Side<V>& side, double sign) {
-                    side.at(sign * along, t), side.bend = side.price / side.slack;
-                    side.dslack = side.dprice = V{};  // right-hand side of the predictor: zero
-                    const V share = side.bend * side.share;
-                    mixed += sign * share, curvature += share * side.share, gap += side.price * side.slack;
-                });
-                at.mixed += mixed * p.a;
-                p.bend(at.inverse);
-            });
-            at.d = {V{}, V{}, V{}};
-        }
-        return {sum(gap), sum(curvature)};
+  // Slacks, scalings and blocks at x and t. Return the gap and the second derivative with respect
+  // to t.
+  struct Scaled {
+    double gap, curvature;
+  };
+  Scaled scale(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
+    V gap{}, curvature{};
+    for (int b = 0; b < int(x.size()); ++b) {
+      auto& at = at_[b];
+      at.m = Scaling<V>(x[b], at.s);
+      at.l = at.m.scaled(at.s);
+      const auto& [v, eta, shrink, root] = at.m;
+      const V twice = 2.0 * eta;
+      at.inverse = {twice * v.u * v.u - eta, twice * v.u * v.o, twice * v.u * v.t,
+                    twice * v.o * v.o + eta, twice * v.o * v.t, twice * v.t * v.t + eta};
+      at.mixed = {V{}, V{}, V{}};
+      gap += cones.blocks[b].mask * dot(x[b], at.s);
+      rows.for_each(b, [&](Pair<V>& p) {
+        const V along = dot(p.a, x[b]);
+        V mixed{};
+        p.sides([&](Side<V>& side, double sign) {
+          side.at(sign * along, t);
+          side.bend = side.price / side.slack;
+          side.dslack = side.dprice = V{};  // right-hand side of the predictor: zero
+          const V share = side.bend * side.share;
+          mixed += sign * share;
+          curvature += share * side.share;
+          gap += side.price * side.slack;
+        });
+        at.mixed += mixed * p.a;
+        p.bend(at.inverse);
+      });
+      at.d = {V{}, V{}, V{}};
     }
+    return {sum(gap), sum(curvature)};
+  }
 
-    // The border of t that extends S.
-    struct Border {
-        Vec6 side, across;
-        double pivot;
-    };
-    Border bordered(const Cones<V, B>& cones, const System<V, B>& system, double curvature) {
-        V sides[6] = {}, square{};
-        for (int b = 0; b < int(at_.size()); ++b) {
-            const Vec3<V> h = at_[b].inverse * at_[b].mixed;
-            cones.blocks[b].add_wrench(h, sides), square += dot(at_[b].mixed, h);
-        }
-        const Vec6 side = sums(sides), across = system.schur.solve(side);
-        return {side, across, curvature - sum(square) + dot(side, across)};
+  // The border of t that extends S.
+  struct Border {
+    Vec6 side, across;
+    double pivot;
+  };
+  Border bordered(const Cones<V, B>& cones, const System<V, B>& system, double curvature) {
+    V sides[6] = {}, square{};
+    for (int b = 0; b < int(at_.size()); ++b) {
+      const Vec3<V> h = at_[b].inverse * at_[b].mixed;
+      cones.blocks[b].add_wrench(h, sides);
+      square += dot(at_[b].mixed, h);
     }
+    const Vec6 side = sums(sides);
+    const Vec6 across = system.schur.solve(side);
+    return {side, across, curvature - sum(square) + dot(side, across)};
+  }
 
-    // The whole step for the gradients in `system` and `slope`, the gradient of t: new multipliers nu, dt, and the largest steps of
-    // x and s.
-    struct ExcessStep {
-        Vec6 nu;
-        double dt, primal, dual;
-    };
-    ExcessStep direct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const System<V, B>& system, const Border& border,
-                const Vec6& left, double slope, const Field& x) {
-        V cross{};
-        for (int b = 0; b < int(at_.size()); ++b) cross -= dot(at_[b].inverse * at_[b].mixed, system.gradient[b]);
-        const Vec6 first = system.multipliers(left);
-        const double dt = (slope + sum(cross) + dot(border.side, first)) / border.pivot;
-        const Vec6 nu = first - dt * border.across;
-        V primal = all<V>(1e-9), dual = all<V>(1e-9);
-        for (int b = 0; b < int(at_.size()); ++b) {
-            auto& at = at_[b];
-            const auto& c = cones.blocks[b];
-            const Vec3<V> y = c.transposed(nu);
-            at.dx = c.mask * (at.inverse * (y - system.gradient[b] + all<V>(dt) * at.mixed));
-            at.ds = -y - at.s;
-            rows.for_each(b, [&](Pair<V>& p) {
-                const V along = dot(p.a, at.dx);
-                V price{};
-                p.sides([&](Side<V>& side, double sign) {
-                    // dprice holds the right-hand side: the price for an unchanged slack
-                    const V there = side.dprice;
-                    side.dslack = all<V>(dt) * side.share - sign * along;
-                    side.dprice = there - side.bend * side.dslack - side.price;
-                    price += sign * (side.price + side.dprice);
-                    primal = max(primal, -side.dslack / side.slack);
-                    dual = max(dual, side.weight > 0.0 ? -side.dprice / side.price : V{});
-                });
-                at.ds += price * p.a;
-            });
-            at.ds = c.mask * at.ds;
-            primal = max(primal, Boundary<V>(x[b]).per(at.dx)), dual = max(dual, Boundary<V>(at.s).per(at.ds));
-        }
-        return {nu, dt, 1.0 / largest(primal), 1.0 / largest(dual)};
+  // The whole step for the gradients in `system` and `slope`, the gradient of t: new multipliers
+  // nu, dt, and the largest steps of x and s.
+  struct ExcessStep {
+    Vec6 nu;
+    double dt, primal, dual;
+  };
+  ExcessStep direct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const System<V, B>& system,
+                    const Border& border, const Vec6& left, double slope, const Field& x) {
+    V cross{};
+    for (int b = 0; b < int(at_.size()); ++b)
+      cross -= dot(at_[b].inverse * at_[b].mixed, system.gradient[b]);
+    const Vec6 first = system.multipliers(left);
+    const double dt = (slope + sum(cross) + dot(border.side, first)) / border.pivot;
+    const Vec6 nu = first - dt * border.across;
+    V primal = all<V>(1e-9);
+    V dual = all<V>(1e-9);
+    for (int b = 0; b < int(at_.size()); ++b) {
+      auto& at = at_[b];
+      const auto& c = cones.blocks[b];
+      const Vec3<V> y = c.transposed(nu);
+      at.dx = c.mask * (at.inverse * (y - system.gradient[b] + all<V>(dt) * at.mixed));
+      at.ds = -y - at.s;
+      rows.for_each(b, [&](Pair<V>& p) {
+        const V along = dot(p.a, at.dx);
+        V price{};
+        p.sides([&](Side<V>& side, double sign) {
+          // dprice holds the right-hand side: the price for an unchanged slack
+          const V there = side.dprice;
+          side.dslack = all<V>(dt) * side.share - sign * along;
+          side.dprice = there - side.bend * side.dslack - side.price;
+          price += sign * (side.price + side.dprice);
+          primal = max(primal, -side.dslack / side.slack);
+          dual = max(dual, side.weight > 0.0 ? -side.dprice / side.price : V{});
+        });
+        at.ds += price * p.a;
+      });
+      at.ds = c.mask * at.ds;
+      primal = max(primal, Boundary<V>(x[b]).per(at.dx));
+      dual = max(dual, Boundary<V>(at.s).per(at.ds));
     }
+    return {nu, dt, 1.0 / largest(primal), 1.0 / largest(dual)};
+  }
 
-    // The gap after the predictor.
-    double reached(const Cones<V, B>& cones, const LimitTerms<V, B>& rows, const Field& x, const ExcessStep& step) const {
-        const V primal = all<V>(std::min(1.0, step.primal)), dual = all<V>(std::min(1.0, step.dual));
-        V gap{};
-        for (int b = 0; b < int(x.size()); ++b) {
-            gap += cones.blocks[b].mask * dot(x[b] + primal * at_[b].dx, at_[b].s + dual * at_[b].ds);
-            rows.for_each(b, [&](const Pair<V>& p) {
-                p.sides([&](const Side<V>& side, double) {
-                    gap += (side.slack + primal * side.dslack) * (side.price + dual * side.dprice);
-                });
-            });
-        }
-        return sum(gap);
+  // The gap after the predictor.
+  double reached(const Cones<V, B>& cones, const LimitTerms<V, B>& rows, const Field& x,
+                 const ExcessStep& step) const {
+    const V primal = all<V>(std::min(1.0, step.primal));
+    const V dual = all<V>(std::min(1.0, step.dual));
+    V gap{};
+    for (int b = 0; b < int(x.size()); ++b) {
+      gap += cones.blocks[b].mask * dot(x[b] + primal * at_[b].dx, at_[b].s + dual * at_[b].ds);
+      rows.for_each(b, [&](const Pair<V>& p) {
+        p.sides([&](const Side<V>& side, double) {
+          gap += (side.slack + primal * side.dslack) * (side.price + dual * side.dprice);
+        });
+      });
     }
+    return sum(gap);
+  }
 
-    // Right-hand sides of the corrector, from the predictor's steps: gradients go into `system`, prices for an unchanged slack into
-    // dprice. Return the slope of t.
-    double correct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, double target) {
-        V slope{}, pull[6] = {};
-        for (int b = 0; b < int(at_.size()); ++b) {
-            auto& at = at_[b];
-            const Vec3<V> l = at.l, e = at.m.scaled(at.ds), f = l + e;
-            const Vec3<V> r{all<V>(target) / at.m.eta + dot(f, e), f.u * e.o + e.u * f.o, f.u * e.t + e.u * f.t};
-            const V h = lorentz(l, r) * at.m.root * at.m.root, i = 1.0 / l.u;
-            at.d = {h, (r.o - h * l.o) * i, (r.t - h * l.t) * i};
-            Vec3<V> gradient = -at.m.unscaled(at.d);
-            rows.for_each(b, [&](Pair<V>& p) {
-                p.sides([&](Side<V>& side, double sign) {
-                    const V aim = side.weight > 0.0 ? all<V>(target) - side.dslack * side.dprice : V{};
-                    side.dprice = aim / side.slack;
-                    slope += side.dprice * side.share;
-                    gradient += (sign * side.dprice) * p.a;
-                });
-            });
-            system.gradient[b] = cones.blocks[b].mask * gradient;
-            cones.blocks[b].add_wrench(at.inverse * system.gradient[b], pull);
-        }
-        system.pull = sums(pull);
-        return sum(slope) - 1.0;
+  // Right-hand sides of the corrector, from the predictor's steps: gradients go into `system`,
+  // prices for an unchanged slack into dprice. Return the slope of t.
+  double correct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system,
+                 double target) {
+    V slope{}, pull[6] = {};
+    for (int b = 0; b < int(at_.size()); ++b) {
+      auto& at = at_[b];
+      const Vec3<V> l = at.l;
+      const Vec3<V> e = at.m.scaled(at.ds);
+      const Vec3<V> f = l + e;
+      const Vec3<V> r{all<V>(target) / at.m.eta + dot(f, e), f.u * e.o + e.u * f.o,
+                      f.u * e.t + e.u * f.t};
+      const V h = lorentz(l, r) * at.m.root * at.m.root;
+      const V i = 1.0 / l.u;
+      at.d = {h, (r.o - h * l.o) * i, (r.t - h * l.t) * i};
+      Vec3<V> gradient = -at.m.unscaled(at.d);
+      rows.for_each(b, [&](Pair<V>& p) {
+        p.sides([&](Side<V>& side, double sign) {
+          const V aim = side.weight > 0.0 ? all<V>(target) - side.dslack * side.dprice : V{};
+          side.dprice = aim / side.slack;
+          slope += side.dprice * side.share;
+          gradient += (sign * side.dprice) * p.a;
+        });
+      });
+      system.gradient[b] = cones.blocks[b].mask * gradient;
+      cones.blocks[b].add_wrench(at.inverse * system.gradient[b], pull);
     }
+    system.pull = sums(pull);
+    return sum(slope) - 1.0;
+  }
 };
 
 }  // namespace grasp

@@ -7,287 +7,314 @@ namespace grasp::detail {
 
 // Solves one call: the record of `on` receives the answer, its prices those of the limits.
 template <class V, int B> class Algorithms {
-public:
-    Algorithms(Solvers<V, B>& on, CallState& call)
-        : on_(on), call_(call), starts_(on, call), record_(on.record()), w_(call.w), cones_(on.newton.cones) {}
+ public:
+  Algorithms(Solvers<V, B>& on, CallState& call)
+      : on_(on),
+        call_(call),
+        starts_(on, call),
+        record_(on.record()),
+        w_(call.w),
+        cones_(on.newton.cones) {}
 
-    // Run the planned algorithm. If a start that depends on more than contacts and wrench leads to no answer, solve again from the
-    // method's own start.
-    Code solve() {
-        const Code code = run();
-        if (code == CONVERGED || code == INFEASIBLE || starts_.has_own()) return code;
-        const bool sound = is_sound(on_, code, record_);
-        return code == REFUSED || (sound && code != STALLED) ? code : solve_again(code, sound);
-    }
+  // Run the planned algorithm. If a start that depends on more than contacts and wrench leads to no
+  // answer, solve again from the method's own start.
+  Code solve() {
+    const Code code = run();
+    if (code == CONVERGED || code == INFEASIBLE || starts_.has_own()) return code;
+    const bool sound = is_sound(on_, code, record_);
+    return code == REFUSED || (sound && code != STALLED) ? code : solve_again(code, sound);
+  }
 
-    // Write the start that `solve` would use as a record. Return STARTED, or the reason why there is none.
-    Code start() {
-        clear_record();
-        const ProblemKind kind = on_.placement.kind;
-        const bool general_serves =
-            algorithm_for(on_.options, kind) == Algorithm::general || (kind == ProblemKind::soft && starts_.requested() == Start::given);
-        const Code code = general_serves ? UNDECIDED : starts_.find();
-        if (code == CONVERGED) {
-            const auto& x = on_.newton.x;
-            cones_.store_force(x, record_.initial_force());
-            cones_.certify(x, w_, record_);
-            record_.summary().objective = cones_.phi(x);
-            record_.summary().lower_bound = -infinity;
-            return STARTED;
-        }
-        if (code == INFEASIBLE && kind != ProblemKind::soft) return write_proof();
-        if (code == REFUSED || on_.has_flow()) return code;
-        const Code made = general({call_.stop.tolerance, 0});
-        return made == CONVERGED || made == STALLED || made == LIMIT ? STARTED : made;
+  // Write the start that `solve` would use as a record. Return STARTED, or the reason why there is
+  // none.
+  Code start() {
+    clear_record();
+    const ProblemKind kind = on_.placement.kind;
+    const bool general_serves = algorithm_for(on_.options, kind) == Algorithm::general ||
+                                (kind == ProblemKind::soft && starts_.requested() == Start::given);
+    const Code code = general_serves ? UNDECIDED : starts_.find();
+    if (code == CONVERGED) {
+      const auto& x = on_.newton.x;
+      cones_.store_force(x, record_.initial_force());
+      cones_.certify(x, w_, record_);
+      record_.summary().objective = cones_.phi(x);
+      record_.summary().lower_bound = -infinity;
+      return STARTED;
     }
+    if (code == INFEASIBLE && kind != ProblemKind::soft) return write_proof();
+    if (code == REFUSED || on_.has_flow()) return code;
+    const Code made = general({call_.stop.tolerance, 0});
+    return made == CONVERGED || made == STALLED || made == LIMIT ? STARTED : made;
+  }
 
-private:
-    static constexpr double WELL_INSIDE = 1e-3;  // of the mean normal force: smallest slack of a start within limits
-    Solvers<V, B>& on_;
-    CallState& call_;
-    Starts<V, B> starts_;
-    const Record record_;
-    const Vec6& w_;
-    const Cones<V, B>& cones_;
+ private:
+  static constexpr double WELL_INSIDE =
+      1e-3;  // of the mean normal force: smallest slack of a start within limits
+  Solvers<V, B>& on_;
+  CallState& call_;
+  Starts<V, B> starts_;
+  const Record record_;
+  const Vec6& w_;
+  const Cones<V, B>& cones_;
 
-    // Solve again from the method's own start, within the steps that are left. The first force stays if it is sound, unless the
-    // second answer is proven or better.
-    [[gnu::cold, gnu::noinline]] Code solve_again(Code first, bool sound) {
-        const Summary before = record_.summary();
-        if (sound) on_.kept = on_.answer;
-        const int spent = std::min(int(before.iterations), call_.stop.limit);
-        const auto trace = call_.ask.trace.subspan(std::min(std::size_t(spent), call_.ask.trace.size()));
-        const double traced = trace.empty() ? 0.0 : trace[0];
-        const Request again{.wrench = call_.ask.wrench, .start = starts_.own(), .optimum = call_.ask.optimum, .trace = trace};
-        CallState second{.ask = again, .stop = {call_.stop.tolerance, call_.stop.limit - spent}, .w = w_};
-        const Code code = Algorithms(on_, second).run();
-        const bool proven = code == CONVERGED || code == INFEASIBLE || code == LIMITS_EXCEEDED;
-        const bool better = is_sound(on_, code, record_) && record_.summary().objective < before.objective;
-        if (sound && !proven && !better) {
-            on_.answer = on_.kept;
-            if (!trace.empty()) trace[0] = traced;
-            return first;
-        }
-        record_.summary().iterations += before.iterations;
-        record_.summary().trials += before.trials;
-        call_.used = {.start = second.used.start, .replaced = true, .outside = second.used.outside};
-        return code;
+  // Solve again from the method's own start, within the steps that are left. The first force stays
+  // if it is sound, unless the second answer is proven or better.
+  [[gnu::cold, gnu::noinline]] Code solve_again(Code first, bool sound) {
+    const Summary before = record_.summary();
+    if (sound) on_.kept = on_.answer;
+    const int spent = std::min(int(before.iterations), call_.stop.limit);
+    const auto trace =
+        call_.ask.trace.subspan(std::min(std::size_t(spent), call_.ask.trace.size()));
+    const double traced = trace.empty() ? 0.0 : trace[0];
+    const Request again{.wrench = call_.ask.wrench,
+                        .start = starts_.own(),
+                        .optimum = call_.ask.optimum,
+                        .trace = trace};
+    CallState second{
+        .ask = again, .stop = {call_.stop.tolerance, call_.stop.limit - spent}, .w = w_};
+    const Code code = Algorithms(on_, second).run();
+    const bool proven = code == CONVERGED || code == INFEASIBLE || code == LIMITS_EXCEEDED;
+    const bool better =
+        is_sound(on_, code, record_) && record_.summary().objective < before.objective;
+    if (sound && !proven && !better) {
+      on_.answer = on_.kept;
+      if (!trace.empty()) trace[0] = traced;
+      return first;
     }
+    record_.summary().iterations += before.iterations;
+    record_.summary().trials += before.trials;
+    call_.used = {.start = second.used.start, .replaced = true, .outside = second.used.outside};
+    return code;
+  }
 
-    Code run() {
-        Summary& s = record_.summary();
-        s = Summary{};
-        std::copy_n(call_.ask.wrench, 6, s.wrench.begin());
-        const auto algorithm = algorithm_for(on_.options, on_.placement.kind);
-        if (!algorithm) return on_.current.now.placing == Placing::rank_lost ? RANK_LOST : REFUSED;
-        switch (*algorithm) {
-            case Algorithm::newton: return newton();
-            case Algorithm::limited: return call_.is_study() ? general() : within_limits();
-            case Algorithm::soft: return soft();
-            case Algorithm::flow: return flow();
-            case Algorithm::conic: return conic();
-            default: return general();
-        }
+  Code run() {
+    Summary& s = record_.summary();
+    s = Summary{};
+    std::copy_n(call_.ask.wrench, 6, s.wrench.begin());
+    const auto algorithm = algorithm_for(on_.options, on_.placement.kind);
+    if (!algorithm) return on_.current.now.placing == Placing::rank_lost ? RANK_LOST : REFUSED;
+    switch (*algorithm) {
+      case Algorithm::newton:
+        return newton();
+      case Algorithm::limited:
+        return call_.is_study() ? general() : within_limits();
+      case Algorithm::soft:
+        return soft();
+      case Algorithm::flow:
+        return flow();
+      case Algorithm::conic:
+        return conic();
+      default:
+        return general();
     }
-    void clear_record() {
-        record_.clear();
-        std::copy_n(call_.ask.wrench, 6, record_.summary().wrench.begin());
+  }
+  void clear_record() {
+    record_.clear();
+    std::copy_n(call_.ask.wrench, 6, record_.summary().wrench.begin());
+  }
+  // Record a proof that uses only the cones.
+  Code write_proof() {
+    std::fill(on_.answer.prices.begin(), on_.answer.prices.end(), 0.0);
+    return record_.refute((1.0 / grasp::size(call_.twist)) * call_.twist, grasp::size(w_));
+  }
+  // Begin from the previous solution if the call starts from one. Return false otherwise.
+  bool follows_previous(Call& call) {
+    call_.used = {.start = starts_.requested()};
+    if (call_.used.start != Start::previous || !GivenForce(on_, call_.ask).load_previous())
+      return false;
+    take_given(call, From::tangent);
+    return true;
+  }
+  void take_given(Call& call, From start) const {
+    call.start = start;
+    call.force = on_.given.force.data();
+    call.torsion = on_.given.torsion.data();
+  }
+
+  Code newton() {
+    const Code begun = starts_.find();
+    if (begun == INFEASIBLE) return write_proof();
+    if (begun == REFUSED) return REFUSED;
+    Code code = REFUSED;
+    if (begun == CONVERGED) {
+      on_.begun = on_.newton.x;
+      code = on_.newton.descend_from(on_.begun, call_.from(), w_, record_);
     }
-    // Record a proof that uses only the cones.
-    Code write_proof() {
-        std::fill(on_.answer.prices.begin(), on_.answer.prices.end(), 0.0);
-        return record_.refute((1.0 / grasp::size(call_.twist)) * call_.twist, grasp::size(w_));
+    if (code == REFUSED && call_.used.start == Start::given) return REFUSED;
+    if (!starts_.has_own()) return code == REFUSED ? UNDECIDED : code;
+    if (code == REFUSED) return general();
+    if (code != STALLED || call_.is_study()) return code;
+    General* program = on_.general();
+    return program ? program->phi_from(call_.stop, record_) : code;
+  }
+
+  Code flow() {
+    const Code begun = starts_.find();
+    if (begun == INFEASIBLE) return write_proof();
+    if (begun != CONVERGED) return begun;
+    FlowSolver<V, B>* flow = on_.flow();
+    return flow ? flow->descend(on_.newton, call_.from(), w_, record_) : REFUSED;
+  }
+
+  Code within_limits() {
+    auto& limited = *on_.limited;
+    Call call = call_.from();
+    Code begun = CONVERGED;
+    const bool follows = follows_previous(call);
+    if (follows)
+      call.exceeding = call_.ask.previous &&
+                       Record(const_cast<double*>(call_.ask.previous)).code() == LIMITS_EXCEEDED;
+    const auto begin = [&](const Vec6&, bool previous) {
+      if (previous)
+        begun = starts_.carry_previous() ? CONVERGED : UNDECIDED;
+      else
+        begun = follows ? starts_.find_replacement() : starts_.find();
+      if (begun == CONVERGED) limited.newton.x = on_.newton.x;
+      return begun == CONVERGED;
+    };
+    const Code code = limited.solve(call, record_, begin);
+    if (code != REFUSED) {
+      write_prices(code);
+      return code;
     }
-    // Begin from the previous solution if the call starts from one. Return false otherwise.
-    bool follows_previous(Call& call) {
-        call_.used = {.start = starts_.requested()};
-        if (call_.used.start != Start::previous || !GivenForce(on_, call_.ask).load_previous()) return false;
-        take_given(call, From::tangent);
+    if (begun == INFEASIBLE) return write_proof();
+    if (begun == REFUSED) return REFUSED;
+    return starts_.has_own() ? general() : UNDECIDED;
+  }
+  // Write the prices of an answer of `within_limits`: of an optimum of Phi, or of a proof.
+  void write_prices(Code code) {
+    std::vector<double>& prices = on_.answer.prices;
+    const LimitTable& table = on_.current.table;
+    if (code == INFEASIBLE) {
+      const double scale = on_.limited->proof_scale;
+      on_.limited->newton.rows.prices(
+          [&](int m, double price) { prices[m] = scale * price / table.sizes[m]; });
+    } else {
+      for (int k = 0; k < int(table.owners.size()); ++k) prices[k] = price_at_optimum(k);
+    }
+  }
+  // Price of the k-th row of the current contacts at an optimum of Phi.
+  double price_at_optimum(int k) const {
+    const LimitTable& table = on_.current.table;
+    const int i = table.owners[k];
+    double slack = table.bounds[k];
+    for (int a = 0; a < 3; ++a)
+      slack -=
+          table.normals[3 * k + a] * record_.force()[3 * i + a] * on_.current.now.scale[3 * i + a];
+    return slack > 0.0 ? table.weights[k] / (slack * slack * table.sizes[k]) : 0.0;
+  }
+
+  Code soft() {
+    auto& soft = *on_.soft;
+    Call call = call_.from();
+    const bool follows = follows_previous(call);
+    if (call_.used.start == Start::given) return general();
+    const auto begin = [&](const Vec6&) {
+      const Code begun = follows ? starts_.find_replacement() : starts_.find();
+      if (begun == CONVERGED) soft.newton.x = on_.newton.x;
+      return begun == CONVERGED;
+    };
+    const Code code = soft.solve(call, record_, begin);
+    if (code != REFUSED) return code;
+    return starts_.has_own() ? general() : UNDECIDED;
+  }
+
+  Code conic() {
+    call_.used = {.start = Start::central};
+    if (!on_.has_internal_force()) {
+      const Code interior = starts_.find_interior();
+      call_.used.start = Start::central;
+      if (interior == INFEASIBLE) return write_proof();
+      if (!on_.has_internal_force(Search::thorough)) return general();
+    }
+    const Code code = on_.conic().solve(call_.ask.wrench, record_);
+    if (code == REFUSED) return general();
+    if (code == CONVERGED) return code;
+    General* program = on_.general();
+    return program ? program->conic_from(call_.stop, record_) : code;
+  }
+
+  // --- the general program
+
+  // Run the general program from its own centre, a given force or the previous solution.
+  Code general() { return general(call_.stop); }
+  Code general(const StopRule& stop) {
+    General* program = on_.general();
+    if (!program) return UNDECIDED;
+    Code code = REFUSED;
+    if (on_.options.method == Method::conic) {
+      call_.used.start = Start::central;
+      code = program->conic(call_.ask.wrench, on_.options.criterion, stop, record_);
+    } else {
+      code = minimise_phi(*program, stop);
+    }
+    if (on_.options.elastic && code == INFEASIBLE) code = program->excess(stop, record_);
+    std::ranges::copy(program->prices(), on_.answer.prices.begin());
+    return code;
+  }
+  Code minimise_phi(General& program, const StopRule& stop) {
+    Call call = call_.from(From::combination);
+    UsedStart& used = call_.used;
+    GivenForce given(on_, call_.ask);
+    const Start start = starts_.requested();
+    used.start = Start::phase_one;
+    if (start == Start::given) {
+      if (!given.load_inside(program)) return REFUSED;
+      used.start = start;
+      take_given(call, From::given);
+    } else if (start == Start::previous && given.load_previous()) {
+      used.start = start;
+      take_given(call, From::tangent);
+    }
+    const bool own = start == Start::internal_force || start == Start::phase_one ||
+                     (start == Start::previous && !call_.ask.previous && call_.ask.force.empty());
+    used.replaced = !own && (used.start == Start::phase_one || !program.starts_from(call));
+    if (used.replaced) {
+      used.start = Start::phase_one;
+      call.start = From::combination;
+    }
+    int spent = 0;
+    if (used.start == Start::phase_one && start != Start::phase_one) {
+      // half of the steps at most, so that some are left if it fails
+      const bool good = solve_without_limits(program, call_.stop.limit / 2, spent);
+      if (good) take_given(call, From::given);
+    }
+    call.stop = {stop.tolerance, std::max(0, stop.limit - spent)};
+    program.phi(call, record_);
+    record_.summary().iterations += spent;
+    record_.summary().trials += spent;
+    return record_.code();
+  }
+  // Solve without limits into `given`. Return true if that optimum is well within the limits: such
+  // a start costs a tenth of the deepest force. spent: number of steps.
+  bool solve_without_limits(General& program, int limit, int& spent) {
+    if (on_.placement.kind != ProblemKind::other || !on_.is_full_rank() ||
+        !on_.has_internal_force())
+      return false;
+    auto& newton = on_.newton;
+    const Contacts& now = on_.current.now;
+    const Record record(newton.row.data(), now.count);
+    const Call call{.wrench = call_.ask.wrench, .stop = {call_.stop.tolerance, limit}};
+    grasp::begin(cones_, on_.internal_force(), w_, newton.x);
+    Code code = REFUSED;
+    if (now.soft()) {
+      on_.place_soft();
+      code = on_.soft->solve(call, record, [&](const Vec6&) {
+        on_.soft->newton.x = newton.x;
         return true;
+      });
+    } else {
+      on_.begun = newton.x;
+      code = newton.descend_from(on_.begun, call, w_, record);
     }
-    void take_given(Call& call, From start) const {
-        call.start = start;
-        call.force = on_.given.force.data();
-        call.torsion = on_.given.torsion.data();
-    }
-
-    Code newton() {
-        const Code begun = starts_.find();
-        if (begun == INFEASIBLE) return write_proof();
-        if (begun == REFUSED) return REFUSED;
-        Code code = REFUSED;
-        if (begun == CONVERGED) {
-            on_.begun = on_.newton.x;
-            code = on_.newton.descend_from(on_.begun, call_.from(), w_, record_);
-        }
-        if (code == REFUSED && call_.used.start == Start::given) return REFUSED;
-        if (!starts_.has_own()) return code == REFUSED ? UNDECIDED : code;
-        if (code == REFUSED) return general();
-        if (code != STALLED || call_.is_study()) return code;
-        General* program = on_.general();
-        return program ? program->phi_from(call_.stop, record_) : code;
-    }
-
-    Code flow() {
-        const Code begun = starts_.find();
-        if (begun == INFEASIBLE) return write_proof();
-        if (begun != CONVERGED) return begun;
-        FlowSolver<V, B>* flow = on_.flow();
-        return flow ? flow->descend(on_.newton, call_.from(), w_, record_) : REFUSED;
-    }
-
-    Code within_limits() {
-        auto& limited = *on_.limited;
-        Call call = call_.from();
-        Code begun = CONVERGED;
-        const bool follows = follows_previous(call);
-        if (follows)
-            call.exceeding = call_.ask.previous && Record(const_cast<double*>(call_.ask.previous)).code() == LIMITS_EXCEEDED;
-        const auto begin = [&](const Vec6&, bool previous) {
-            if (previous) begun = starts_.carry_previous() ? CONVERGED : UNDECIDED;
-            else begun = follows ? starts_.find_replacement() : starts_.find();
-            if (begun == CONVERGED) limited.newton.x = on_.newton.x;
-            return begun == CONVERGED;
-        };
-        const Code code = limited.solve(call, record_, begin);
-        if (code != REFUSED) {
-            write_prices(code);
-            return code;
-        }
-        if (begun == INFEASIBLE) return write_proof();
-        if (begun == REFUSED) return REFUSED;
-        return starts_.has_own() ? general() : UNDECIDED;
-    }
-    // Write the prices of an answer of `within_limits`: of an optimum of Phi, or of a proof.
-    void write_prices(Code code) {
-        std::vector<double>& prices = on_.answer.prices;
-        const LimitTable& table = on_.current.table;
-        if (code == INFEASIBLE) {
-            const double scale = on_.limited->proof_scale;
-            on_.limited->newton.rows.prices([&](int m, double price) { prices[m] = scale * price / table.sizes[m]; });
-        } else {
-            for (int k = 0; k < int(table.owners.size()); ++k) prices[k] = price_at_optimum(k);
-        }
-    }
-    // Price of the k-th row of the current contacts at an optimum of Phi.
-    double price_at_optimum(int k) const {
-        const LimitTable& table = on_.current.table;
-        const int i = table.owners[k];
-        double slack = table.bounds[k];
-        for (int a = 0; a < 3; ++a)
-            slack -= table.normals[3 * k + a] * record_.force()[3 * i + a] * on_.current.now.scale[3 * i + a];
-        return slack > 0.0 ? table.weights[k] / (slack * slack * table.sizes[k]) : 0.0;
-    }
-
-    Code soft() {
-        auto& soft = *on_.soft;
-        Call call = call_.from();
-        const bool follows = follows_previous(call);
-        if (call_.used.start == Start::given) return general();
-        const auto begin = [&](const Vec6&) {
-            const Code begun = follows ? starts_.find_replacement() : starts_.find();
-            if (begun == CONVERGED) soft.newton.x = on_.newton.x;
-            return begun == CONVERGED;
-        };
-        const Code code = soft.solve(call, record_, begin);
-        if (code != REFUSED) return code;
-        return starts_.has_own() ? general() : UNDECIDED;
-    }
-
-    Code conic() {
-        call_.used = {.start = Start::central};
-        if (!on_.has_internal_force()) {
-            const Code interior = starts_.find_interior();
-            call_.used.start = Start::central;
-            if (interior == INFEASIBLE) return write_proof();
-            if (!on_.has_internal_force(Search::thorough)) return general();
-        }
-        const Code code = on_.conic().solve(call_.ask.wrench, record_);
-        if (code == REFUSED) return general();
-        if (code == CONVERGED) return code;
-        General* program = on_.general();
-        return program ? program->conic_from(call_.stop, record_) : code;
-    }
-
-    // --- the general program
-
-    // Run the general program from its own centre, a given force or the previous solution.
-    Code general() { return general(call_.stop); }
-    Code general(const StopRule& stop) {
-        General* program = on_.general();
-        if (!program) return UNDECIDED;
-        Code code = REFUSED;
-        if (on_.options.method == Method::conic) {
-            call_.used.start = Start::central;
-            code = program->conic(call_.ask.wrench, on_.options.criterion, stop, record_);
-        } else {
-            code = minimise_phi(*program, stop);
-        }
-        if (on_.options.elastic && code == INFEASIBLE) code = program->excess(stop, record_);
-        std::ranges::copy(program->prices(), on_.answer.prices.begin());
-        return code;
-    }
-    Code minimise_phi(General& program, const StopRule& stop) {
-        Call call = call_.from(From::combination);
-        UsedStart& used = call_.used;
-        GivenForce given(on_, call_.ask);
-        const Start start = starts_.requested();
-        used.start = Start::phase_one;
-        if (start == Start::given) {
-            if (!given.load_inside(program)) return REFUSED;
-            used.start = start;
-            take_given(call, From::given);
-        } else if (start == Start::previous && given.load_previous()) {
-            used.start = start;
-            take_given(call, From::tangent);
-        }
-        const bool own = start == Start::internal_force || start == Start::phase_one ||
-                         (start == Start::previous && !call_.ask.previous && call_.ask.force.empty());
-        used.replaced = !own && (used.start == Start::phase_one || !program.starts_from(call));
-        if (used.replaced) {
-            used.start = Start::phase_one;
-            call.start = From::combination;
-        }
-        int spent = 0;
-        if (used.start == Start::phase_one && start != Start::phase_one) {
-            // half of the steps at most, so that some are left if it fails
-            const bool good = solve_without_limits(program, call_.stop.limit / 2, spent);
-            if (good) take_given(call, From::given);
-        }
-        call.stop = {stop.tolerance, std::max(0, stop.limit - spent)};
-        program.phi(call, record_);
-        record_.summary().iterations += spent;
-        record_.summary().trials += spent;
-        return record_.code();
-    }
-    // Solve without limits into `given`. Return true if that optimum is well within the limits: such a start costs a tenth of the
-    // deepest force. spent: number of steps.
-    bool solve_without_limits(General& program, int limit, int& spent) {
-        if (on_.placement.kind != ProblemKind::other || !on_.is_full_rank() || !on_.has_internal_force()) return false;
-        auto& newton = on_.newton;
-        const Contacts& now = on_.current.now;
-        const Record record(newton.row.data(), now.count);
-        const Call call{.wrench = call_.ask.wrench, .stop = {call_.stop.tolerance, limit}};
-        grasp::begin(cones_, on_.internal_force(), w_, newton.x);
-        Code code = REFUSED;
-        if (now.soft()) {
-            on_.place_soft();
-            code = on_.soft->solve(call, record, [&](const Vec6&) {
-                on_.soft->newton.x = newton.x;
-                return true;
-            });
-        } else {
-            on_.begun = newton.x;
-            code = newton.descend_from(on_.begun, call, w_, record);
-        }
-        spent = int(record.summary().iterations);
-        if (code != CONVERGED) return false;
-        std::copy_n(record.force(), 3 * now.count, on_.given.force.data());
-        std::copy_n(record.torsion(), now.count, on_.given.torsion.data());
-        double normals = 0.0;
-        for (int i = 0; i < now.count; ++i) normals += on_.given.force[3 * i] / now.count;
-        return program.slack(on_.given.force.data(), on_.given.torsion.data()) > WELL_INSIDE * normals;
-    }
+    spent = int(record.summary().iterations);
+    if (code != CONVERGED) return false;
+    std::copy_n(record.force(), 3 * now.count, on_.given.force.data());
+    std::copy_n(record.torsion(), now.count, on_.given.torsion.data());
+    double normals = 0.0;
+    for (int i = 0; i < now.count; ++i) normals += on_.given.force[3 * i] / now.count;
+    return program.slack(on_.given.force.data(), on_.given.torsion.data()) > WELL_INSIDE * normals;
+  }
 };
 
 }  // namespace grasp::detail

@@ -7,112 +7,130 @@ namespace grasp::detail {
 
 // Write how many contacts, joints and limits a row is about.
 inline void write_sizes(const CurrentContacts& current, Summary& s) {
-    s.contacts = current.home.count, s.joints = current.joints, s.limits = current.limits.rows;
+  s.contacts = current.home.count;
+  s.joints = current.joints;
+  s.limits = current.limits.rows;
 }
 // Begin the row of a call: its sizes and its wrench.
-template <class V, int B> Record open_row(const Solvers<V, B>& on, const Request& ask, double* row) {
-    Summary& s = *reinterpret_cast<Summary*>(row);
-    s = Summary{};
-    write_sizes(on.current, s);
-    if (is_valid_wrench(ask.wrench)) std::copy_n(ask.wrench, 6, s.wrench.begin());
-    return Record(row);
+template <class V, int B>
+Record open_row(const Solvers<V, B>& on, const Request& ask, double* row) {
+  Summary& s = *reinterpret_cast<Summary*>(row);
+  s = Summary{};
+  write_sizes(on.current, s);
+  if (is_valid_wrench(ask.wrench)) std::copy_n(ask.wrench, 6, s.wrench.begin());
+  return Record(row);
 }
 
-// True if the outcome can be used: an optimum, a proof, or a force that is balanced and inside the cones.
+// True if the outcome can be used: an optimum, a proof, or a force that is balanced and inside the
+// cones.
 template <class V, int B> bool is_sound(const Solvers<V, B>& on, Code code, const Record& record) {
-    constexpr double ROUNDED = 1e-13;  // fraction of the largest force: effect of its rounding on balance
-    if (code == CONVERGED || !Record::has_force(code)) return code == CONVERGED || code == INFEASIBLE;
-    const Summary& s = record.summary();
-    const Contacts& now = on.current.now;
-    double most = 0.0;
-    for (int i = 0; i < now.count; ++i) most = std::max(most, record.force()[3 * i]);
-    const double allowed = balance_tolerance(grasp::size(on.newton.cones.unit.of(s.wrench.data())), most) +
-                           (ROUNDED + now.reach.rounding * now.count) * most + NOTHING;
-    return s.residual <= allowed && s.margin >= 0.0 && s.objective < infinity && most <= LARGEST &&
-           grasp::size(s.multipliers) < infinity;
+  constexpr double ROUNDED =
+      1e-13;  // fraction of the largest force: effect of its rounding on balance
+  if (code == CONVERGED || !Record::has_force(code)) return code == CONVERGED || code == INFEASIBLE;
+  const Summary& s = record.summary();
+  const Contacts& now = on.current.now;
+  double most = 0.0;
+  for (int i = 0; i < now.count; ++i) most = std::max(most, record.force()[3 * i]);
+  const double allowed =
+      balance_tolerance(grasp::size(on.newton.cones.unit.of(s.wrench.data())), most) +
+      (ROUNDED + now.reach.rounding * now.count) * most + NOTHING;
+  return s.residual <= allowed && s.margin >= 0.0 && s.objective < infinity && most <= LARGEST &&
+         grasp::size(s.multipliers) < infinity;
 }
 
 // Writes the answer of a call, which is about the contacts that touch, as a row of all contacts.
 template <class V, int B> class AnswerWriter {
-public:
-    AnswerWriter(Solvers<V, B>& on, const CallState& call) : on_(on), current_(on.current), call_(call) {}
+ public:
+  AnswerWriter(Solvers<V, B>& on, const CallState& call)
+      : on_(on), current_(on.current), call_(call) {}
 
-    // Write an optimum, a proof, or that there is neither. Rounding may leave no usable force: UNDECIDED.
-    Code write(Code code, const Record& out) {
-        const bool usable = !Record::has_force(code) || is_sound(on_, code, on_.record());
-        code = usable ? code : UNDECIDED;
-        if (code == INFEASIBLE) return write_proof(out);
-        if (!Record::has_force(code)) return write_nothing(code, out);
-        write_force(code, out);
-        const bool priced = code != LIMITS_EXCEEDED;
-        current_.fill_prices(out.prices(), [&](int row) { return priced ? on_.answer.prices[row] : 0.0; });
-        if (code == LIMITS_EXCEEDED) out.summary().objective = out.summary().limit_excess;
-        return code;
-    }
-    // Write a start. It may miss balance by what is allowed for given forces, and has no prices.
-    Code write_start(Code code, const Record& out) {
-        if (code == INFEASIBLE) return write_proof(out);
-        const bool usable = code == STARTED && on_.record().summary().objective < infinity;
-        if (!usable) return write_nothing(code == STARTED ? UNDECIDED : code, out);
-        write_force(code, out);
-        current_.fill_prices(out.prices(), [](int) { return 0.0; });
-        return code;
-    }
+  // Write an optimum, a proof, or that there is neither. Rounding may leave no usable force:
+  // UNDECIDED.
+  Code write(Code code, const Record& out) {
+    const bool usable = !Record::has_force(code) || is_sound(on_, code, on_.record());
+    code = usable ? code : UNDECIDED;
+    if (code == INFEASIBLE) return write_proof(out);
+    if (!Record::has_force(code)) return write_nothing(code, out);
+    write_force(code, out);
+    const bool priced = code != LIMITS_EXCEEDED;
+    current_.fill_prices(out.prices(),
+                         [&](int row) { return priced ? on_.answer.prices[row] : 0.0; });
+    if (code == LIMITS_EXCEEDED) out.summary().objective = out.summary().limit_excess;
+    return code;
+  }
+  // Write a start. It may miss balance by what is allowed for given forces, and has no prices.
+  Code write_start(Code code, const Record& out) {
+    if (code == INFEASIBLE) return write_proof(out);
+    const bool usable = code == STARTED && on_.record().summary().objective < infinity;
+    if (!usable) return write_nothing(code == STARTED ? UNDECIDED : code, out);
+    write_force(code, out);
+    current_.fill_prices(out.prices(), [](int) { return 0.0; });
+    return code;
+  }
 
-private:
-    Solvers<V, B>& on_;
-    const CurrentContacts& current_;
-    const CallState& call_;
+ private:
+  Solvers<V, B>& on_;
+  const CurrentContacts& current_;
+  const CallState& call_;
 
-    Code write_nothing(Code code, const Record& out) const {
-        Summary& s = out.summary();
-        s.code = code;
-        std::fill(out.force(), out.force() + record_size(current_.home.count, current_.joints, current_.limits.rows) - SUMMARY,
-                  0.0);
-        s.objective = infinity, s.lower_bound = -infinity;  // of no force
-        return code;
+  Code write_nothing(Code code, const Record& out) const {
+    Summary& s = out.summary();
+    s.code = code;
+    std::fill(out.force(),
+              out.force() +
+                  record_size(current_.home.count, current_.joints, current_.limits.rows) - SUMMARY,
+              0.0);
+    s.objective = infinity;
+    s.lower_bound = -infinity;  // of no force
+    return code;
+  }
+  Code write_proof(const Record& out) {
+    write_nothing(INFEASIBLE, out);
+    const Record found = on_.record();
+    const Summary& from = found.summary();
+    Summary& s = out.summary();
+    s.iterations = from.iterations;
+    s.trials = from.trials;
+    s.residual = from.residual;
+    s.multipliers = from.multipliers;
+    s.lower_bound = infinity;  // every bound holds where no force exists
+    s.start = double(call_.used.start);
+    s.replaced = call_.used.replaced;
+    current_.fill_prices(out.prices(), [&](int row) { return on_.answer.prices[row]; });
+    return INFEASIBLE;
+  }
+  void write_force(Code code, const Record& out) {
+    const Record from = on_.record();
+    Summary& s = out.summary();
+    const Vec6 wrench = s.wrench;
+    s = from.summary();
+    s.code = code;
+    s.wrench = wrench;
+    write_sizes(current_, s);
+    s.start = double(call_.used.start);
+    s.replaced = call_.used.replaced;
+    s.outside = call_.used.outside;
+    write_contacts(from, out);
+    if (current_.joints) current_.torques(from, out.torques());
+    if (current_.limits.rows) s.limit_excess = current_.excess(out);
+  }
+  void write_contacts(const Record& from, const Record& out) const {
+    const int all = current_.home.count;
+    const Contacts& now = current_.now;
+    if (now.count == all) {
+      std::copy_n(from.force(), 7 * all, out.force());
+      std::copy_n(now.frames.data(), 9 * all, out.frames());
+      return;
     }
-    Code write_proof(const Record& out) {
-        write_nothing(INFEASIBLE, out);
-        const Record found = on_.record();
-        const Summary& from = found.summary();
-        Summary& s = out.summary();
-        s.iterations = from.iterations, s.trials = from.trials;
-        s.residual = from.residual, s.multipliers = from.multipliers;
-        s.lower_bound = infinity;  // every bound holds where no force exists
-        s.start = double(call_.used.start), s.replaced = call_.used.replaced;
-        current_.fill_prices(out.prices(), [&](int row) { return on_.answer.prices[row]; });
-        return INFEASIBLE;
+    std::fill(out.force(), out.frames() + 9 * all, 0.0);
+    for (int i = 0; i < now.count; ++i) {
+      const int to = current_.chosen[i];
+      std::copy_n(from.force() + 3 * i, 3, out.force() + 3 * to);
+      std::copy_n(from.initial_force() + 3 * i, 3, out.initial_force() + 3 * to);
+      out.torsion()[to] = from.torsion()[i];
+      std::copy_n(&now.frames[9 * i], 9, out.frames() + 9 * to);
     }
-    void write_force(Code code, const Record& out) {
-        const Record from = on_.record();
-        Summary& s = out.summary();
-        const Vec6 wrench = s.wrench;
-        s = from.summary();
-        s.code = code, s.wrench = wrench;
-        write_sizes(current_, s);
-        s.start = double(call_.used.start), s.replaced = call_.used.replaced, s.outside = call_.used.outside;
-        write_contacts(from, out);
-        if (current_.joints) current_.torques(from, out.torques());
-        if (current_.limits.rows) s.limit_excess = current_.excess(out);
-    }
-    void write_contacts(const Record& from, const Record& out) const {
-        const int all = current_.home.count;
-        const Contacts& now = current_.now;
-        if (now.count == all) {
-            std::copy_n(from.force(), 7 * all, out.force());
-            std::copy_n(now.frames.data(), 9 * all, out.frames());
-            return;
-        }
-        std::fill(out.force(), out.frames() + 9 * all, 0.0);
-        for (int i = 0; i < now.count; ++i) {
-            const int to = current_.chosen[i];
-            std::copy_n(from.force() + 3 * i, 3, out.force() + 3 * to);
-            std::copy_n(from.initial_force() + 3 * i, 3, out.initial_force() + 3 * to);
-            out.torsion()[to] = from.torsion()[i];
-            std::copy_n(&now.frames[9 * i], 9, out.frames() + 9 * to);
-        }
-    }
+  }
 };
 
 }  // namespace grasp::detail

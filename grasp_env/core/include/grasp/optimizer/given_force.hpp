@@ -7,72 +7,79 @@ namespace grasp::detail {
 
 // Each function loads a force of the touching contacts into `given` and `newton.x`.
 template <class V, int B> class GivenForce {
-public:
-    GivenForce(Solvers<V, B>& on, const Request& ask) : on_(on), ask_(ask) {}
+ public:
+  GivenForce(Solvers<V, B>& on, const Request& ask) : on_(on), ask_(ask) {}
 
-    // Load the caller's force (N, 3), without torsion. Return false if it has another size.
-    bool load_force() {
-        if (ask_.force.size() != std::size_t(3 * on_.current.home.count)) return false;
-        for (int i = 0; i < on_.current.now.count; ++i) {
-            std::copy_n(&ask_.force[3 * on_.current.chosen[i]], 3, &force()[3 * i]);
-            torsion()[i] = 0.0;
-        }
-        load();
-        return true;
+  // Load the caller's force (N, 3), without torsion. Return false if it has another size.
+  bool load_force() {
+    if (ask_.force.size() != std::size_t(3 * on_.current.home.count)) return false;
+    for (int i = 0; i < on_.current.now.count; ++i) {
+      std::copy_n(&ask_.force[3 * on_.current.chosen[i]], 3, &force()[3 * i]);
+      torsion()[i] = 0.0;
     }
-    // Load the previous solution in its current frames, or the caller's force if there is none.
-    bool load_previous() {
-        if (!ask_.previous) return load_force() && on_.newton.cones.is_in_range(on_.newton.x);
-        const Record before(const_cast<double*>(ask_.previous));  // only read
-        if (before.contacts() != on_.current.home.count || !before.has_force()) return false;
-        for (int i = 0; i < on_.current.now.count; ++i) {
-            const int of = on_.current.chosen[i];
-            const double *f = before.force() + 3 * of, *from = before.frames() + 9 * of, *to = &on_.current.now.frames[9 * i];
-            double* out = &force()[3 * i];
-            torsion()[i] = before.torsion()[of];
-            if (std::equal(from, from + 9, to)) {
-                std::copy_n(f, 3, out);
-                continue;
-            }
-            out[0] = f[0];  // the component lost to the frames' tilt is dropped, so the force stays inside
-            for (int a = 1; a < 3; ++a) {
-                out[a] = 0.0;
-                for (int r = 0; r < 3; ++r) out[a] += to[3 * r + a] * (from[3 * r + 1] * f[1] + from[3 * r + 2] * f[2]);
-            }
-        }
-        load();
-        return on_.newton.cones.is_in_range(on_.newton.x) &&
-               std::all_of(torsion().begin(), torsion().end(), [](double v) { return std::abs(v) < infinity; });
+    load();
+    return true;
+  }
+  // Load the previous solution in its current frames, or the caller's force if there is none.
+  bool load_previous() {
+    if (!ask_.previous) return load_force() && on_.newton.cones.is_in_range(on_.newton.x);
+    const Record before(const_cast<double*>(ask_.previous));  // only read
+    if (before.contacts() != on_.current.home.count || !before.has_force()) return false;
+    for (int i = 0; i < on_.current.now.count; ++i) {
+      const int of = on_.current.chosen[i];
+      const double* f = before.force() + 3 * of;
+      const double* from = before.frames() + 9 * of;
+      const double* to = &on_.current.now.frames[9 * i];
+      double* out = &force()[3 * i];
+      torsion()[i] = before.torsion()[of];
+      if (std::equal(from, from + 9, to)) {
+        std::copy_n(f, 3, out);
+        continue;
+      }
+      out[0] =
+          f[0];  // the component lost to the frames' tilt is dropped, so the force stays inside
+      for (int a = 1; a < 3; ++a) {
+        out[a] = 0.0;
+        for (int r = 0; r < 3; ++r)
+          out[a] += to[3 * r + a] * (from[3 * r + 1] * f[1] + from[3 * r + 2] * f[2]);
+      }
     }
-    // Load the caller's force and torsion. Return true if they are balanced and strictly inside the cones, as the general program
-    // measures it.
-    bool load_inside(General& program) {
-        const auto& current = on_.current;
-        const std::size_t all = current.home.count;
-        if (ask_.force.size() != 3 * all || (!ask_.torsion.empty() && ask_.torsion.size() != all)) return false;
-        double most = 0.0;
-        for (int i = 0; i < current.now.count; ++i) {
-            const double* f = &ask_.force[3 * current.chosen[i]];
-            std::copy_n(f, 3, &force()[3 * i]);
-            torsion()[i] = ask_.torsion.empty() ? 0.0 : ask_.torsion[current.chosen[i]];
-            if (torsion()[i] != 0.0 && !(current.divisor[i] * std::abs(torsion()[i]) < current.now.scale[3 * i] * f[0]))
-                return false;
-            for (int a = 0; a < 3; ++a) most = std::max(most, std::abs(f[a]));
-        }
-        load();
-        const auto& cones = on_.newton.cones;
-        if (!cones.is_in_range(on_.newton.x) || !(cones.phi(on_.newton.x) < infinity)) return false;
-        const double missed = program.missed(ask_.wrench, force().data(), torsion().data());
-        return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(cones.unit.of(ask_.wrench)));
+    load();
+    return on_.newton.cones.is_in_range(on_.newton.x) &&
+           std::all_of(torsion().begin(), torsion().end(),
+                       [](double v) { return std::abs(v) < infinity; });
+  }
+  // Load the caller's force and torsion. Return true if they are balanced and strictly inside the
+  // cones, as the general program measures it.
+  bool load_inside(General& program) {
+    const auto& current = on_.current;
+    const std::size_t all = current.home.count;
+    if (ask_.force.size() != 3 * all || (!ask_.torsion.empty() && ask_.torsion.size() != all))
+      return false;
+    double most = 0.0;
+    for (int i = 0; i < current.now.count; ++i) {
+      const double* f = &ask_.force[3 * current.chosen[i]];
+      std::copy_n(f, 3, &force()[3 * i]);
+      torsion()[i] = ask_.torsion.empty() ? 0.0 : ask_.torsion[current.chosen[i]];
+      if (torsion()[i] != 0.0 &&
+          !(current.divisor[i] * std::abs(torsion()[i]) < current.now.scale[3 * i] * f[0]))
+        return false;
+      for (int a = 0; a < 3; ++a) most = std::max(most, std::abs(f[a]));
     }
+    load();
+    const auto& cones = on_.newton.cones;
+    if (!cones.is_in_range(on_.newton.x) || !(cones.phi(on_.newton.x) < infinity)) return false;
+    const double missed = program.missed(ask_.wrench, force().data(), torsion().data());
+    return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(cones.unit.of(ask_.wrench)));
+  }
 
-private:
-    Solvers<V, B>& on_;
-    const Request& ask_;
+ private:
+  Solvers<V, B>& on_;
+  const Request& ask_;
 
-    std::vector<double>& force() { return on_.given.force; }
-    std::vector<double>& torsion() { return on_.given.torsion; }
-    void load() { on_.newton.cones.load_force(force().data(), on_.newton.x); }
+  std::vector<double>& force() { return on_.given.force; }
+  std::vector<double>& torsion() { return on_.given.torsion; }
+  void load() { on_.newton.cones.load_force(force().data(), on_.newton.x); }
 };
 
 }  // namespace grasp::detail

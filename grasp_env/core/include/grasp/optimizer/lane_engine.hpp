@@ -1,4 +1,5 @@
-// The solver behind `ForceOptimizer`, for a number of contacts that fills B registers V; B = 0: any number.
+// The solver behind `ForceOptimizer`, for a number of contacts that fills B registers V; B = 0: any
+// number.
 #pragma once
 #include <grasp/many/problems.hpp>
 #include <grasp/math/dispatch.hpp>
@@ -8,111 +9,126 @@
 namespace grasp::detail {
 
 template <class V, int B> class LaneEngine final : public Engine {
-public:
-    LaneEngine(const Problem& problem, const Options& options) : on_(problem, options) {}
-    std::unique_ptr<Engine> clone() const override {
-        auto made = std::make_unique<LaneEngine>(*this);
-        made->on_.place_home();  // space for all contacts, and no numbers of this object's last call
-        return made;
-    }
-    const Contacts& home() const override { return on_.current.home; }
-    int size() const override { return record_size(home().count, on_.current.joints, on_.current.limits.rows); }
+ public:
+  LaneEngine(const Problem& problem, const Options& options) : on_(problem, options) {}
+  std::unique_ptr<Engine> clone() const override {
+    auto made = std::make_unique<LaneEngine>(*this);
+    made->on_.place_home();  // space for all contacts, and no numbers of this object's last call
+    return made;
+  }
+  const Contacts& home() const override { return on_.current.home; }
+  int size() const override {
+    return record_size(home().count, on_.current.joints, on_.current.limits.rows);
+  }
 
-    Code solve(const Request& ask, double* row) override {
-        return answer<&Algorithms<V, B>::solve, &AnswerWriter<V, B>::write>(ask, row);
-    }
-    Code start(const Request& ask, double* row) override {
-        return answer<&Algorithms<V, B>::start, &AnswerWriter<V, B>::write_start>(ask, row);
-    }
+  Code solve(const Request& ask, double* row) override {
+    return answer<&Algorithms<V, B>::solve, &AnswerWriter<V, B>::write>(ask, row);
+  }
+  Code start(const Request& ask, double* row) override {
+    return answer<&Algorithms<V, B>::start, &AnswerWriter<V, B>::write_start>(ask, row);
+  }
 
-    void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) override {
-        const Start start = common_start(count);
-        const auto solve_one = [&](std::ptrdiff_t k) { solve({.wrench = wrenches + 6 * k}, rows + size() * k); };
-        if (start == Start::standard) {
-            for (std::ptrdiff_t k = 0; k < count; ++k) solve_one(k);
-            return;
-        }
-        std::vector<double> space(record_size(home().count) * count);
-        const SolveBatch many{count, wrenches, space.data()};
-        if (start == Start::internal_force) newton_many(on_.newton, on_.internal_force(), stop(), many);
-        else conic_many(on_.conic(), many);
-        for (std::ptrdiff_t k = 0; k < count; ++k) {
-            const Record made = many.record(k, home().count);
-            if (made.code() != CONVERGED) {
-                solve_one(k);
-                continue;
-            }
-            const Request ask{.wrench = many.wrench(k)};
-            CallState call = begin(ask);
-            call.used.start = start;
-            std::copy_n(&made.summary().code, record_size(home().count), on_.answer.row.data());
-            AnswerWriter(on_, call).write(CONVERGED, open_row(on_, ask, rows + size() * k));
-        }
+  void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) override {
+    const Start start = common_start(count);
+    const auto solve_one = [&](std::ptrdiff_t k) {
+      solve({.wrench = wrenches + 6 * k}, rows + size() * k);
+    };
+    if (start == Start::standard) {
+      for (std::ptrdiff_t k = 0; k < count; ++k) solve_one(k);
+      return;
     }
+    std::vector<double> space(record_size(home().count) * count);
+    const SolveBatch many{count, wrenches, space.data()};
+    if (start == Start::internal_force)
+      newton_many(on_.newton, on_.internal_force(), stop(), many);
+    else
+      conic_many(on_.conic(), many);
+    for (std::ptrdiff_t k = 0; k < count; ++k) {
+      const Record made = many.record(k, home().count);
+      if (made.code() != CONVERGED) {
+        solve_one(k);
+        continue;
+      }
+      const Request ask{.wrench = many.wrench(k)};
+      CallState call = begin(ask);
+      call.used.start = start;
+      std::copy_n(&made.summary().code, record_size(home().count), on_.answer.row.data());
+      AnswerWriter(on_, call).write(CONVERGED, open_row(on_, ask, rows + size() * k));
+    }
+  }
 
-    bool update(const Changes& now) override {
-        if (now.contacts != Changes{}.contacts) return false;  // a call says which contacts touch, an update cannot
-        return on_.replace_home(now);
-    }
-    Deepest deepest(const double* wrench, double* force, double* torsion) override {
-        const bool usable = on_.place({}) == CONVERGED && is_valid_wrench(wrench);
-        General* program = usable ? on_.general() : nullptr;
-        return program ? program->deepest(wrench, 1e-7, force, torsion) : Deepest{};
-    }
-    std::optional<Vec6> within_reach(const double* wrench, const Changes& now) override {
-        if (on_.place(now) != CONVERGED || !is_valid_wrench(wrench) || on_.current.now.reach.full()) return {};
-        return on_.current.now.within_reach(wrench);
-    }
+  bool update(const Changes& now) override {
+    if (now.contacts != Changes{}.contacts)
+      return false;  // a call says which contacts touch, an update cannot
+    return on_.replace_home(now);
+  }
+  Deepest deepest(const double* wrench, double* force, double* torsion) override {
+    const bool usable = on_.place({}) == CONVERGED && is_valid_wrench(wrench);
+    General* program = usable ? on_.general() : nullptr;
+    return program ? program->deepest(wrench, 1e-7, force, torsion) : Deepest{};
+  }
+  std::optional<Vec6> within_reach(const double* wrench, const Changes& now) override {
+    if (on_.place(now) != CONVERGED || !is_valid_wrench(wrench) || on_.current.now.reach.full())
+      return {};
+    return on_.current.now.within_reach(wrench);
+  }
 
-    void set_basis(const double* basis) override {
-        on_.place({});  // the last call may have used fewer contacts
-        on_.newton.starter.set_basis(on_.newton.cones, basis, home().frames.data());
-    }
-    double make_basis(double* basis, bool warm) override {
-        on_.place({});
-        if (warm) on_.newton.starter.set_basis(on_.newton.cones, basis);
-        const double gap = on_.fill_basis(warm);
-        if (gap < infinity)
-            for (int k = 0; k < 13; ++k) on_.newton.cones.store(on_.newton.starter.basis[k], basis + 3 * home().count * k);
-        return gap;
-    }
+  void set_basis(const double* basis) override {
+    on_.place({});  // the last call may have used fewer contacts
+    on_.newton.starter.set_basis(on_.newton.cones, basis, home().frames.data());
+  }
+  double make_basis(double* basis, bool warm) override {
+    on_.place({});
+    if (warm) on_.newton.starter.set_basis(on_.newton.cones, basis);
+    const double gap = on_.fill_basis(warm);
+    if (gap < infinity)
+      for (int k = 0; k < 13; ++k)
+        on_.newton.cones.store(on_.newton.starter.basis[k], basis + 3 * home().count * k);
+    return gap;
+  }
 
-private:
-    Solvers<V, B> on_;
+ private:
+  Solvers<V, B> on_;
 
-    StopRule stop() const { return {on_.options.gap(), on_.options.limit}; }
-    CallState begin(const Request& ask) const { return {.ask = ask, .stop = stop()}; }
-    // Place the call, run an algorithm and write its outcome into a row.
-    template <auto run, auto write> Code answer(const Request& ask, double* row) {
-        CallState call = begin(ask);
-        const Record out = open_row(on_, ask, row);
-        Code code = place(call);
-        if (code == CONVERGED) code = (Algorithms<V, B>(on_, call).*run)();
-        return (AnswerWriter<V, B>(on_, call).*write)(code, out);
-    }
-    // Take over the contacts, limits and wrench of a call. Return CONVERGED if it can be solved.
-    Code place(CallState& call) {
-        const Code code = on_.place(call.ask.now);
-        if (code != CONVERGED) return code;
-        if (!is_valid_wrench(call.ask.wrench)) return REFUSED;
-        call.w = on_.newton.cones.unit.of(call.ask.wrench);
-        return CONVERGED;
-    }
-    // The start of many problems that can be solved side by side, in the lanes of registers; Start::standard if they cannot.
-    Start common_start(std::ptrdiff_t count) {
-        const bool usable = on_.place({}) == CONVERGED && count >= FEW_PROBLEMS && on_.options.start == Start::standard;
-        const auto algorithm = algorithm_for(on_.options, on_.placement.kind);
-        const bool conic = algorithm == Algorithm::conic;
-        if (!usable || !(conic || algorithm == Algorithm::newton) || !on_.has_internal_force()) return Start::standard;
-        return conic ? Start::central : Start::internal_force;
-    }
+  StopRule stop() const { return {on_.options.gap(), on_.options.limit}; }
+  CallState begin(const Request& ask) const { return {.ask = ask, .stop = stop()}; }
+  // Place the call, run an algorithm and write its outcome into a row.
+  template <auto run, auto write> Code answer(const Request& ask, double* row) {
+    CallState call = begin(ask);
+    const Record out = open_row(on_, ask, row);
+    Code code = place(call);
+    if (code == CONVERGED) code = (Algorithms<V, B>(on_, call).*run)();
+    return (AnswerWriter<V, B>(on_, call).*write)(code, out);
+  }
+  // Take over the contacts, limits and wrench of a call. Return CONVERGED if it can be solved.
+  Code place(CallState& call) {
+    const Code code = on_.place(call.ask.now);
+    if (code != CONVERGED) return code;
+    if (!is_valid_wrench(call.ask.wrench)) return REFUSED;
+    call.w = on_.newton.cones.unit.of(call.ask.wrench);
+    return CONVERGED;
+  }
+  // The start of many problems that can be solved side by side, in the lanes of registers;
+  // Start::standard if they cannot.
+  Start common_start(std::ptrdiff_t count) {
+    const bool usable =
+        on_.place({}) == CONVERGED && count >= FEW_PROBLEMS && on_.options.start == Start::standard;
+    const auto algorithm = algorithm_for(on_.options, on_.placement.kind);
+    const bool conic = algorithm == Algorithm::conic;
+    if (!usable || !(conic || algorithm == Algorithm::newton) || !on_.has_internal_force())
+      return Start::standard;
+    return conic ? Start::central : Start::internal_force;
+  }
 };
 
-template <class V, int B> std::unique_ptr<Engine> make_lane_engine(const Problem& problem, const Options& options) {
-    return std::make_unique<LaneEngine<V, B>>(problem, options);
+template <class V, int B>
+std::unique_ptr<Engine> make_lane_engine(const Problem& problem, const Options& options) {
+  return std::make_unique<LaneEngine<V, B>>(problem, options);
 }
-template <int registers> std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options) {
-    return dispatch(problem.contacts.count, [&]<class V, int B>() { return make_lane_engine<V, B>(problem, options); });
+template <int registers>
+std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options) {
+  return dispatch(problem.contacts.count,
+                  [&]<class V, int B>() { return make_lane_engine<V, B>(problem, options); });
 }
 
 }  // namespace grasp::detail

@@ -13,228 +13,257 @@ namespace grasp::detail {
 
 // The contacts on which the solvers stand.
 struct Placement {
-    std::uint64_t number = 0;  // counts placements
-    bool home = false;  // true: the problem's own contacts and limits
-    Code code = REFUSED;  // CONVERGED if the solvers can be used
-    ProblemKind kind = ProblemKind::hard;
+  std::uint64_t number = 0;  // counts placements
+  bool home = false;         // true: the problem's own contacts and limits
+  Code code = REFUSED;       // CONVERGED if the solvers can be used
+  ProblemKind kind = ProblemKind::hard;
 };
 
 // A value that is made when a placement first asks for it.
 template <class T> class PerPlacement {
-public:
-    template <class F> T& at(const Placement& placement, F&& make) {
-        if (number_ != placement.number) {
-            value_ = make();
-            number_ = placement.number;
-        }
-        return value_;
+ public:
+  template <class F> T& at(const Placement& placement, F&& make) {
+    if (number_ != placement.number) {
+      value_ = make();
+      number_ = placement.number;
     }
+    return value_;
+  }
 
-private:
-    std::uint64_t number_ = 0;
-    T value_{};
+ private:
+  std::uint64_t number_ = 0;
+  T value_{};
 };
 
-// How an internal force is searched for: not yet; with as many steps as are nearly always enough; until it is found or out of digits.
+// How an internal force is searched for: not yet; with as many steps as are nearly always enough;
+// until it is found or out of digits.
 enum class Search { none, quick, thorough };
 
 // A force and its torsions; an answer with the prices of the limits. Space for all contacts.
-struct Given { std::vector<double> force, torsion; };
-struct StoredAnswer { std::vector<double> row, prices; };
+struct Given {
+  std::vector<double> force, torsion;
+};
+struct StoredAnswer {
+  std::vector<double> row, prices;
+};
 
 template <class V, int B> class Solvers {
-public:
-    using Field = typename Cones<V, B>::Field;
-    const Options options;
-    CurrentContacts current;
-    NewtonSolver<V, B> newton;
-    std::optional<LimitedNewton<V, B>> limited;
-    std::optional<SoftNewton<V, B>> soft;
-    std::optional<Prediction<V, B>> prediction;
-    Tangents<V, B> home_tangents;
-    Placement placement;
+ public:
+  using Field = typename Cones<V, B>::Field;
+  const Options options;
+  CurrentContacts current;
+  NewtonSolver<V, B> newton;
+  std::optional<LimitedNewton<V, B>> limited;
+  std::optional<SoftNewton<V, B>> soft;
+  std::optional<Prediction<V, B>> prediction;
+  Tangents<V, B> home_tangents;
+  Placement placement;
 
-    // Work space of a call.
-    Field begun, work, predicted;  // start of a descent; another start; prediction of a model
-    // A force of the caller, or the previous one, on the touching contacts. The searches for an internal force write here, too: make
-    // `general()` before a force is loaded.
-    Given given;
-    StoredAnswer answer, kept;  // of the current contacts; an answer to which another may be preferred
+  // Work space of a call.
+  Field begun, work, predicted;  // start of a descent; another start; prediction of a model
+  // A force of the caller, or the previous one, on the touching contacts. The searches for an
+  // internal force write here, too: make `general()` before a force is loaded.
+  Given given;
+  StoredAnswer answer,
+      kept;  // of the current contacts; an answer to which another may be preferred
 
-    // Throws std::invalid_argument.
-    Solvers(const Problem& problem, const Options& options)
-        : options(options), current(problem), newton(count()), home_tangents(newton.cones), begun(newton.cones.field()),
-          work(begun), predicted(begun), given{std::vector<double>(3 * count()), std::vector<double>(count())},
-          answer{std::vector<double>(record_size(count())), std::vector<double>(current.limits.rows)}, kept(answer),
-          conic_(count(), {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}),
-          general_(count(), current.limits.rows, current.home.soft()) {
-        check(current, options);
-        if (current.limits.rows) {
-            limited.emplace(count());
-            limited->elastic = options.elastic;
-        }
-        if (current.home.soft()) soft.emplace(current.home, current.divisor.data());
-        place_home();
-        if (options.method == Method::reduced_flow) flow_.emplace(newton.cones, options.step_rule, Form::reduced);
-        if (options.method == Method::full_flow) flow_.emplace(newton.cones, options.step_rule, Form::full);
-        if (options.model) prediction.emplace(newton.cones, *options.model);
-        if (needs_basis()) fill_basis();
+  // Throws std::invalid_argument.
+  Solvers(const Problem& problem, const Options& options)
+      : options(options),
+        current(problem),
+        newton(count()),
+        home_tangents(newton.cones),
+        begun(newton.cones.field()),
+        work(begun),
+        predicted(begun),
+        given{std::vector<double>(3 * count()), std::vector<double>(count())},
+        answer{std::vector<double>(record_size(count())), std::vector<double>(current.limits.rows)},
+        kept(answer),
+        conic_(count(), {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}),
+        general_(count(), current.limits.rows, current.home.soft()) {
+    check(current, options);
+    if (current.limits.rows) {
+      limited.emplace(count());
+      limited->elastic = options.elastic;
     }
+    if (current.home.soft()) soft.emplace(current.home, current.divisor.data());
+    place_home();
+    if (options.method == Method::reduced_flow)
+      flow_.emplace(newton.cones, options.step_rule, Form::reduced);
+    if (options.method == Method::full_flow)
+      flow_.emplace(newton.cones, options.step_rule, Form::full);
+    if (options.model) prediction.emplace(newton.cones, *options.model);
+    if (needs_basis()) fill_basis();
+  }
 
-    bool has_flow() const { return bool(flow_); }
-    Record record() { return Record(answer.row.data(), current.now.count); }
+  bool has_flow() const { return bool(flow_); }
+  Record record() { return Record(answer.row.data(), current.now.count); }
 
-    // --- placing
+  // --- placing
 
-    // Load the contacts and limits of a call. Return CONVERGED if the solvers can be used.
-    Code place(const Changes& now) {
-        constexpr std::uint64_t ALL = ~std::uint64_t(0);
-        Changes changed = now;
-        if (current.touching(now.contacts) == current.touching(ALL)) changed.contacts = ALL;
-        if (changed.empty() && placement.home) return placement.code;
-        placement.home = changed.empty();
-        return placement.code = load(changed);
+  // Load the contacts and limits of a call. Return CONVERGED if the solvers can be used.
+  Code place(const Changes& now) {
+    constexpr std::uint64_t ALL = ~std::uint64_t(0);
+    Changes changed = now;
+    if (current.touching(now.contacts) == current.touching(ALL)) changed.contacts = ALL;
+    if (changed.empty() && placement.home) return placement.code;
+    placement.home = changed.empty();
+    return placement.code = load(changed);
+  }
+  // Load the problem's own contacts and limits, with space for all of them.
+  void place_home() {
+    placement.home = false;
+    if (limited)
+      limited->newton.rows.reserve(newton.cones,
+                                   std::min(current.limits.rows, LimitTable::MOST_ROWS));
+    place({});
+    home_tangents.load(current.home.frames.data(), count());
+  }
+  // Replace the problem's own contacts and limits. Return false, with nothing changed, if the
+  // numbers are refused.
+  bool replace_home(const Changes& now) {
+    if (place(now) == REFUSED) {
+      place_home();
+      return false;
     }
-    // Load the problem's own contacts and limits, with space for all of them.
-    void place_home() {
-        placement.home = false;
-        if (limited) limited->newton.rows.reserve(newton.cones, std::min(current.limits.rows, LimitTable::MOST_ROWS));
-        place({});
-        home_tangents.load(current.home.frames.data(), count());
-    }
-    // Replace the problem's own contacts and limits. Return false, with nothing changed, if the numbers are refused.
-    bool replace_home(const Changes& now) {
-        if (place(now) == REFUSED) {
-            place_home();
-            return false;
-        }
-        current.take_over(now);
-        place_home();
-        newton.starter.has_basis = false;
-        if (needs_basis()) fill_basis();
-        return true;
-    }
+    current.take_over(now);
+    place_home();
+    newton.starter.has_basis = false;
+    if (needs_basis()) fill_basis();
+    return true;
+  }
 
-    // --- solvers and forces of the current contacts
+  // --- solvers and forces of the current contacts
 
-    // True if forces alone balance wrenches of every direction.
-    bool is_full_rank() const { return is_full_rank(current.now); }
-    static bool is_full_rank(const Contacts& contacts) { return contacts.placing == Placing::good; }
+  // True if forces alone balance wrenches of every direction.
+  bool is_full_rank() const { return is_full_rank(current.now); }
+  static bool is_full_rank(const Contacts& contacts) { return contacts.placing == Placing::good; }
 
-    ConicSolver<V, B>& conic() {
-        conic_placed_.at(placement, [&] {
-            conic_.cones = newton.cones;
-            return true;
-        });
-        return conic_;
-    }
-    // Load the current contacts into the solver of soft contacts.
-    void place_soft() {
-        soft->newton.cones = newton.cones;
-        soft->newton.rows.pack(newton.cones, current.now, current.divisor.data());
-    }
-    // The flow, or null if G has lost rank.
-    FlowSolver<V, B>* flow() {
-        return flow_placed_.at(placement, [&] { return flow_->place(newton.cones); }) ? &*flow_ : nullptr;
-    }
-    // The general program, or null if it cannot be placed on these contacts and limits.
-    General* general() {
-        const auto place = [&] {
-            return general_.place(current.now, is_torsional() ? current.divisor.data() : nullptr,
-                                  current.limits.rows ? current.limits_in_place() : ForceLimits{}, 4,
-                                  internal_force_array()) == Placing::good;
-        };
-        return general_placed_.at(placement, place) ? &general_ : nullptr;
-    }
-
-    // An internal force of least Phi, if `has_internal_force`. The exact solver starts from it.
-    const Field& internal_force() const { return conic_.rest; }
-    // True if an internal force strictly inside the cones is known. Otherwise search for one; this overwrites `newton.x`.
-    bool has_internal_force(Search search = Search::quick) {
-        InternalForce& at = internal_force_.at(placement, [] { return InternalForce{}; });
-        if (!at.found && at.searched < search) at = {search, newton.find_rest(conic_.rest, search == Search::quick)};
-        return at.found;
-    }
-
-    // --- the 12-basis
-
-    // Compute the 12-basis of the problem's contacts. Without force closure no basis exists, and starts that need it are replaced.
-    // warm: start from the basis of nearby contacts. Return the worst relative gap; inf: not converged, nan: no force closure.
-    double fill_basis(bool warm = false) {
-        newton.starter.has_basis = false;
-        const bool usable = placement.code == CONVERGED && is_full_rank();
-        if (!usable || (!warm && !find_any_internal_force())) return std::numeric_limits<double>::quiet_NaN();
-        return make_basis(newton, warm);
-    }
-
-private:
-    struct InternalForce {
-        Search searched = Search::none;
-        bool found = false;
+  ConicSolver<V, B>& conic() {
+    conic_placed_.at(placement, [&] {
+      conic_.cones = newton.cones;
+      return true;
+    });
+    return conic_;
+  }
+  // Load the current contacts into the solver of soft contacts.
+  void place_soft() {
+    soft->newton.cones = newton.cones;
+    soft->newton.rows.pack(newton.cones, current.now, current.divisor.data());
+  }
+  // The flow, or null if G has lost rank.
+  FlowSolver<V, B>* flow() {
+    return flow_placed_.at(placement, [&] { return flow_->place(newton.cones); }) ? &*flow_
+                                                                                  : nullptr;
+  }
+  // The general program, or null if it cannot be placed on these contacts and limits.
+  General* general() {
+    const auto place = [&] {
+      return general_.place(current.now, is_torsional() ? current.divisor.data() : nullptr,
+                            current.limits.rows ? current.limits_in_place() : ForceLimits{}, 4,
+                            internal_force_array()) == Placing::good;
     };
-    ConicSolver<V, B> conic_;
-    std::optional<FlowSolver<V, B>> flow_;
-    General general_;
-    PerPlacement<bool> conic_placed_, flow_placed_, general_placed_;
-    PerPlacement<InternalForce> internal_force_;
+    return general_placed_.at(placement, place) ? &general_ : nullptr;
+  }
 
-    int count() const { return current.home.count; }
+  // An internal force of least Phi, if `has_internal_force`. The exact solver starts from it.
+  const Field& internal_force() const { return conic_.rest; }
+  // True if an internal force strictly inside the cones is known. Otherwise search for one; this
+  // overwrites `newton.x`.
+  bool has_internal_force(Search search = Search::quick) {
+    InternalForce& at = internal_force_.at(placement, [] { return InternalForce{}; });
+    if (!at.found && at.searched < search)
+      at = {search, newton.find_rest(conic_.rest, search == Search::quick)};
+    return at.found;
+  }
 
-    Code load(const Changes& now) {
-        ++placement.number;
-        const Code code = current.load_call(now);
-        if (code != CONVERGED) return code;
-        set_count(current.now.count);
-        newton.cones.pack(current.now);
-        newton.starter.tangents.load(current.now.frames.data(), current.now.count);
-        placement.kind = kind();
-        if (placement.kind == ProblemKind::soft) {
-            place_soft();
-        } else if (placement.kind == ProblemKind::limited) {
-            limited->newton.cones = newton.cones;
-            limited->newton.rows.pack(newton.cones, current.table.rows());
-        }
-        return CONVERGED;
-    }
-    ProblemKind kind() const {
-        const bool soft = current.now.soft(), limited = current.limits.rows > 0;
-        if (!is_full_rank() || !current.separate || (soft && limited)) return ProblemKind::other;
-        return soft ? ProblemKind::soft : limited ? ProblemKind::limited : ProblemKind::hard;
-    }
-    bool is_torsional() const { return placement.kind == ProblemKind::soft || (placement.kind == ProblemKind::other && current.now.soft()); }
-    // Set the number of contacts. Unused lanes hold a contact without effect.
-    void set_count(int count) {
-        if (newton.cones.count == count) return;
-        newton.cones.count = count;
-        const auto clear = [](Field& x) {
-            for (auto& v : x) v = {all<V>(1.0), V{}, V{}};
-        };
-        for (Field* each : {&newton.x, &begun, &work, &predicted, &conic_.rest}) clear(*each);
-        if (limited) clear(limited->newton.x);
-        if (soft) clear(soft->newton.x);
-    }
+  // --- the 12-basis
 
-    bool needs_basis() const {
-        const Start start = options.start;
-        return flow_ || start == Start::linear_combination || start == Start::linear_combination_printed ||
-               start == Start::single_value || start == Start::lagrange;
+  // Compute the 12-basis of the problem's contacts. Without force closure no basis exists, and
+  // starts that need it are replaced. warm: start from the basis of nearby contacts. Return the
+  // worst relative gap; inf: not converged, nan: no force closure.
+  double fill_basis(bool warm = false) {
+    newton.starter.has_basis = false;
+    const bool usable = placement.code == CONVERGED && is_full_rank();
+    if (!usable || (!warm && !find_any_internal_force()))
+      return std::numeric_limits<double>::quiet_NaN();
+    return make_basis(newton, warm);
+  }
+
+ private:
+  struct InternalForce {
+    Search searched = Search::none;
+    bool found = false;
+  };
+  ConicSolver<V, B> conic_;
+  std::optional<FlowSolver<V, B>> flow_;
+  General general_;
+  PerPlacement<bool> conic_placed_, flow_placed_, general_placed_;
+  PerPlacement<InternalForce> internal_force_;
+
+  int count() const { return current.home.count; }
+
+  Code load(const Changes& now) {
+    ++placement.number;
+    const Code code = current.load_call(now);
+    if (code != CONVERGED) return code;
+    set_count(current.now.count);
+    newton.cones.pack(current.now);
+    newton.starter.tangents.load(current.now.frames.data(), current.now.count);
+    placement.kind = kind();
+    if (placement.kind == ProblemKind::soft) {
+      place_soft();
+    } else if (placement.kind == ProblemKind::limited) {
+      limited->newton.cones = newton.cones;
+      limited->newton.rows.pack(newton.cones, current.table.rows());
     }
-    // Find an internal force strictly inside the cones and store it in newton.x.
-    bool find_any_internal_force() {
-        if (newton.internal_force()) return true;
-        const double nothing[6] = {};
-        General* program = general();
-        if (!program || program->deepest(nothing, 1e-7, given.force.data(), nullptr).code != CONVERGED) return false;
-        newton.cones.load_force(given.force.data(), newton.x);
-        return newton.is_start(Vec6{});
-    }
-    // An internal force in the form the general program takes; null if there is none.
-    const double* internal_force_array() {
-        const Search search = options.method == Method::conic ? Search::thorough : Search::quick;
-        if (is_torsional() || !is_full_rank() || !has_internal_force(search)) return nullptr;
-        newton.cones.store_force(internal_force(), given.force.data());
-        return given.force.data();
-    }
+    return CONVERGED;
+  }
+  ProblemKind kind() const {
+    const bool soft = current.now.soft();
+    const bool limited = current.limits.rows > 0;
+    if (!is_full_rank() || !current.separate || (soft && limited)) return ProblemKind::other;
+    return soft ? ProblemKind::soft : limited ? ProblemKind::limited : ProblemKind::hard;
+  }
+  bool is_torsional() const {
+    return placement.kind == ProblemKind::soft ||
+           (placement.kind == ProblemKind::other && current.now.soft());
+  }
+  // Set the number of contacts. Unused lanes hold a contact without effect.
+  void set_count(int count) {
+    if (newton.cones.count == count) return;
+    newton.cones.count = count;
+    const auto clear = [](Field& x) {
+      for (auto& v : x) v = {all<V>(1.0), V{}, V{}};
+    };
+    for (Field* each : {&newton.x, &begun, &work, &predicted, &conic_.rest}) clear(*each);
+    if (limited) clear(limited->newton.x);
+    if (soft) clear(soft->newton.x);
+  }
+
+  bool needs_basis() const {
+    const Start start = options.start;
+    return flow_ || start == Start::linear_combination ||
+           start == Start::linear_combination_printed || start == Start::single_value ||
+           start == Start::lagrange;
+  }
+  // Find an internal force strictly inside the cones and store it in newton.x.
+  bool find_any_internal_force() {
+    if (newton.internal_force()) return true;
+    const double nothing[6] = {};
+    General* program = general();
+    if (!program || program->deepest(nothing, 1e-7, given.force.data(), nullptr).code != CONVERGED)
+      return false;
+    newton.cones.load_force(given.force.data(), newton.x);
+    return newton.is_start(Vec6{});
+  }
+  // An internal force in the form the general program takes; null if there is none.
+  const double* internal_force_array() {
+    const Search search = options.method == Method::conic ? Search::thorough : Search::quick;
+    if (is_torsional() || !is_full_rank() || !has_internal_force(search)) return nullptr;
+    newton.cones.store_force(internal_force(), given.force.data());
+    return given.force.data();
+  }
 };
 
 }  // namespace grasp::detail

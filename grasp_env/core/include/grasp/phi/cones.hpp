@@ -1,5 +1,5 @@
-// Contacts packed for the registers, W to a block, and the functions of a force x on them (cone coordinates) that every solver
-// uses.
+// Contacts packed for the registers, W to a block, and the functions of a force x on them (cone
+// coordinates) that every solver uses.
 #pragma once
 #include <grasp/contacts/contacts.hpp>
 #include <grasp/phi/phi.hpp>
@@ -8,268 +8,296 @@
 
 namespace grasp {
 
-// Constants of W contacts. Unused lanes hold a contact without effect: G = 0, weights 1, mask 0, force (1, 0, 0).
+// Constants of W contacts. Unused lanes hold a contact without effect: G = 0, weights 1, mask 0,
+// force (1, 0, 0).
 template <class V> struct Block {
-    using S = Reduced<V>;
-    Vec3<V> g[6], inverse[6];  // row r of G, and of (G^+)^T, unit frame
-    V gjg[21];  // G J G^T, J = diag(1, -1, -1)
-    Vec3<V> scale, divisor;
-    Weights<V> weights;
-    V cost, mask;  // price of u in the weighted sum of normal forces, omega / mu; 1 for a contact, 0 for an unused lane
+  using S = Reduced<V>;
+  Vec3<V> g[6], inverse[6];  // row r of G, and of (G^+)^T, unit frame
+  V gjg[21];                 // G J G^T, J = diag(1, -1, -1)
+  Vec3<V> scale, divisor;
+  Weights<V> weights;
+  V cost, mask;  // price of u in the weighted sum of normal forces, omega / mu; 1 for a contact, 0
+                 // for an unused lane
 
-    Vec3<V> transposed(const Six<S>& n) const { return combined(g, n); }  // G^T n
-    Vec3<V> least(const Six<S>& n) const { return combined(inverse, n); }  // G^+ n
-    void bind_gjg() {
-        for (int r = 0; r < 6; ++r)
-            for (int s = 0; s <= r; ++s) gjg[packed(r, s)] = lorentz(g[r], g[s]);
-    }
-    // out += G x, lane by lane
-    void add_wrench(const Vec3<V>& x, V (&out)[6]) const { add(g, x, out); }
+  Vec3<V> transposed(const Six<S>& n) const { return combined(g, n); }   // G^T n
+  Vec3<V> least(const Six<S>& n) const { return combined(inverse, n); }  // G^+ n
+  void bind_gjg() {
+    for (int r = 0; r < 6; ++r)
+      for (int s = 0; s <= r; ++s) gjg[packed(r, s)] = lorentz(g[r], g[s]);
+  }
+  // out += G x, lane by lane
+  void add_wrench(const Vec3<V>& x, V (&out)[6]) const { add(g, x, out); }
 
-    // the same for other rows
-    [[gnu::always_inline]] static void add(const Vec3<V>* rows, const Vec3<V>& x, V (&out)[6]) {
+  // the same for other rows
+  [[gnu::always_inline]] static void add(const Vec3<V>* rows, const Vec3<V>& x, V (&out)[6]) {
 #pragma GCC unroll 8
-        for (int r = 0; r < 6; ++r) out[r] += dot(rows[r], x);
-    }
-    [[gnu::always_inline]] static Vec3<V> combined(const Vec3<V>* rows, const Six<S>& n) {
-        const auto pair = [&](int r) { return all<V>(n[r]) * rows[r] + all<V>(n[r + 1]) * rows[r + 1]; };
-        return pair(0) + pair(2) + pair(4);
-    }
+    for (int r = 0; r < 6; ++r) out[r] += dot(rows[r], x);
+  }
+  [[gnu::always_inline]] static Vec3<V> combined(const Vec3<V>* rows, const Six<S>& n) {
+    const auto pair = [&](int r) {
+      return all<V>(n[r]) * rows[r] + all<V>(n[r + 1]) * rows[r + 1];
+    };
+    return pair(0) + pair(2) + pair(4);
+  }
 };
 
 template <class V> inline Six<Reduced<V>> sums(const V (&a)[6]) {
-    Six<Reduced<V>> out;
+  Six<Reduced<V>> out;
 #pragma GCC unroll 8
-    for (int r = 0; r < 6; ++r) out[r] = sum(a[r]);
-    return out;
+  for (int r = 0; r < 6; ++r) out[r] = sum(a[r]);
+  return out;
 }
 
 template <class V, int B> class Cones {
-public:
-    static constexpr int W = width<V>;
-    using Field = Blocks<Vec3<V>, B>;  // a triple per contact
-    using S = Reduced<V>;
-    int count;
-    UnitFrameOf<S> unit;
-    Blocks<Block<V>, B> blocks;
+ public:
+  static constexpr int W = width<V>;
+  using Field = Blocks<Vec3<V>, B>;  // a triple per contact
+  using S = Reduced<V>;
+  int count;
+  UnitFrameOf<S> unit;
+  Blocks<Block<V>, B> blocks;
 
-    explicit Cones(int count) : count(count) { resize(blocks, needed()); }
+  explicit Cones(int count) : count(count) { resize(blocks, needed()); }
 
-    Field field() const {
-        Field out;
-        resize(out, needed());
-        for (auto& x : out) x = {all<V>(1.0), V{}, V{}};
-        return out;
+  Field field() const {
+    Field out;
+    resize(out, needed());
+    for (auto& x : out) x = {all<V>(1.0), V{}, V{}};
+    return out;
+  }
+
+  // Reset lanes without a contact to the force (1, 0, 0), where their gradient vanishes: they stay
+  // and move nothing. Without friction, the tangential forces are zero.
+  void reset_unused_lanes(Field& x) const {
+    for (int b = 0; b < int(blocks.size()); ++b) {
+      const V& used = blocks[b].mask;
+      const V grips = select(blocks[b].scale.o > 0.0, used, V{});
+      x[b] = {used * x[b].u + (1.0 - used), grips * x[b].o, grips * x[b].t};
     }
+  }
 
-    // Reset lanes without a contact to the force (1, 0, 0), where their gradient vanishes: they stay and move nothing. Without
-    // friction, the tangential forces are zero.
-    void reset_unused_lanes(Field& x) const {
-        for (int b = 0; b < int(blocks.size()); ++b) {
-            const V& used = blocks[b].mask;
-            const V grips = select(blocks[b].scale.o > 0.0, used, V{});
-            x[b] = {used * x[b].u + (1.0 - used), grips * x[b].o, grips * x[b].t};
+  void pack(const Contacts& c) {
+    const int size = 3 * count;
+    unit = c.unit;
+    for (int i = 0; i < W * int(blocks.size()); ++i) {
+      auto& block = blocks[i / W];
+      const int n = i % W;
+      const bool used = i < count;
+      set(block.mask, n, used);
+      set(block.cost, n, used ? c.omega[i] / c.divisor[3 * i] : 1.0);
+      set(block.weights.omega, n, used ? c.omega[i] : 1.0);
+      set(block.weights.lambda, n, used ? c.lambda[i] : 1.0);
+      for (int a = 0; a < 3; ++a) {
+        set(block.scale[a], n, used ? c.scale[3 * i + a] : 1.0);
+        set(block.divisor[a], n, used ? c.divisor[3 * i + a] : 1.0);
+        for (int r = 0; r < 6; ++r) {
+          set(block.g[r][a], n, used ? c.rows[r * size + 3 * i + a] : 0.0);
+          set(block.inverse[r][a], n, used ? c.inverse[6 * (3 * i + a) + r] : 0.0);
         }
+      }
     }
+    for (auto& block : blocks) block.bind_gjg();
+  }
 
-    void pack(const Contacts& c) {
-        const int size = 3 * count;
-        unit = c.unit;
-        for (int i = 0; i < W * int(blocks.size()); ++i) {
-            auto& block = blocks[i / W];
-            const int n = i % W;
-            const bool used = i < count;
-            set(block.mask, n, used);
-            set(block.cost, n, used ? c.omega[i] / c.divisor[3 * i] : 1.0);
-            set(block.weights.omega, n, used ? c.omega[i] : 1.0), set(block.weights.lambda, n, used ? c.lambda[i] : 1.0);
-            for (int a = 0; a < 3; ++a) {
-                set(block.scale[a], n, used ? c.scale[3 * i + a] : 1.0);
-                set(block.divisor[a], n, used ? c.divisor[3 * i + a] : 1.0);
-                for (int r = 0; r < 6; ++r) {
-                    set(block.g[r][a], n, used ? c.rows[r * size + 3 * i + a] : 0.0);
-                    set(block.inverse[r][a], n, used ? c.inverse[6 * (3 * i + a) + r] : 0.0);
-                }
-            }
-        }
-        for (auto& block : blocks) block.bind_gjg();
+  // Load a register of problems that all have the contacts of one.
+  template <class C, int D> void spread(const Cones<C, D>& one)
+    requires many<V>
+  {
+    unit = UnitFrameOf<S>(one.unit);
+    for (int i = 0; i < count; ++i) {
+      const auto& from = one.blocks[i / width<C>];
+      auto& to = blocks[i];
+      const auto copy = [&](const C& a, V& b) { b = V(get(a, i % width<C>)); };
+      const auto copy3 = [&](const Vec3<C>& a, Vec3<V>& b) {
+        copy(a.u, b.u);
+        copy(a.o, b.o);
+        copy(a.t, b.t);
+      };
+      for (int r = 0; r < 6; ++r) {
+        copy3(from.g[r], to.g[r]);
+        copy3(from.inverse[r], to.inverse[r]);
+      }
+      for (int k = 0; k < 21; ++k) copy(from.gjg[k], to.gjg[k]);
+      copy3(from.scale, to.scale);
+      copy3(from.divisor, to.divisor);
+      copy(from.weights.omega, to.weights.omega);
+      copy(from.weights.lambda, to.weights.lambda);
+      copy(from.cost, to.cost);
+      copy(from.mask, to.mask);
     }
+  }
 
-    // Load a register of problems that all have the contacts of one.
-    template <class C, int D> void spread(const Cones<C, D>& one)
-        requires many<V>
-    {
-        unit = UnitFrameOf<S>(one.unit);
-        for (int i = 0; i < count; ++i) {
-            const auto& from = one.blocks[i / width<C>];
-            auto& to = blocks[i];
-            const auto copy = [&](const C& a, V& b) { b = V(get(a, i % width<C>)); };
-            const auto copy3 = [&](const Vec3<C>& a, Vec3<V>& b) { copy(a.u, b.u), copy(a.o, b.o), copy(a.t, b.t); };
-            for (int r = 0; r < 6; ++r) copy3(from.g[r], to.g[r]), copy3(from.inverse[r], to.inverse[r]);
-            for (int k = 0; k < 21; ++k) copy(from.gjg[k], to.gjg[k]);
-            copy3(from.scale, to.scale), copy3(from.divisor, to.divisor);
-            copy(from.weights.omega, to.weights.omega), copy(from.weights.lambda, to.weights.lambda);
-            copy(from.cost, to.cost), copy(from.mask, to.mask);
-        }
-    }
+  // (3N,) numbers into the lanes, and back; for a register of problems, those of one lane
+  void load(const double* from, Field& x, int lane = 0) const {
+    each(lane, [&](int b, int n, int at) {
+      for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a]);
+    });
+  }
+  void store(const Field& x, double* to, int lane = 0) const {
+    each(lane, [&](int b, int n, int at) {
+      for (int a = 0; a < 3; ++a) to[at + a] = get(x[b][a], n);
+    });
+  }
+  // the same for forces (normal, o, t) [N]
+  void load_force(const double* from, Field& x, int lane = 0) const {
+    each(lane, [&](int b, int n, int at) {
+      for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a] * get(blocks[b].scale[a], n));
+    });
+  }
+  void to_force(Field& x) const {
+    for (int b = 0; b < int(blocks.size()); ++b)
+      for (int a = 0; a < 3; ++a) x[b][a] = x[b][a] / blocks[b].divisor[a];
+  }
+  void store_force(const Field& x, double* to) const {
+    for (int b = 0; b < int(blocks.size()); ++b)
+      for (int a = 0; a < 3; ++a) {
+        const V force = x[b][a] / blocks[b].divisor[a];
+        for (int n = 0; n < W && W * b + n < count; ++n) to[3 * (W * b + n) + a] = get(force, n);
+      }
+  }
 
-    // (3N,) numbers into the lanes, and back; for a register of problems, those of one lane
-    void load(const double* from, Field& x, int lane = 0) const {
-        each(lane, [&](int b, int n, int at) {
-            for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a]);
-        });
-    }
-    void store(const Field& x, double* to, int lane = 0) const {
-        each(lane, [&](int b, int n, int at) {
-            for (int a = 0; a < 3; ++a) to[at + a] = get(x[b][a], n);
-        });
-    }
-    // the same for forces (normal, o, t) [N]
-    void load_force(const double* from, Field& x, int lane = 0) const {
-        each(lane, [&](int b, int n, int at) {
-            for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a] * get(blocks[b].scale[a], n));
-        });
-    }
-    void to_force(Field& x) const {
-        for (int b = 0; b < int(blocks.size()); ++b)
-            for (int a = 0; a < 3; ++a) x[b][a] = x[b][a] / blocks[b].divisor[a];
-    }
-    void store_force(const Field& x, double* to) const {
-        for (int b = 0; b < int(blocks.size()); ++b)
-            for (int a = 0; a < 3; ++a) {
-                const V force = x[b][a] / blocks[b].divisor[a];
-                for (int n = 0; n < W && W * b + n < count; ++n) to[3 * (W * b + n) + a] = get(force, n);
-            }
-    }
+  // +inf unless strictly inside every cone
+  template <class R = NoRows> S phi(const Field& x, const R& rows = {}) const {
+    return phi_of(rows, 0.0, [&](int b) { return x[b]; });
+  }
+  // Phi at x + alpha step
+  template <class R = NoRows>
+  S phi_along(const Field& x, const Field& step, const S& alpha, const R& rows = {}) const {
+    return phi_of(rows, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
+  }
+  // the same with `part` of the price of squeezing
+  double phi_along(const Field& x, const Field& step, double alpha, double part) const {
+    return phi_of(
+        NoRows{}, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; }, all<V>(part));
+  }
+  // d Phi(x + alpha step) / d alpha
+  double slope_along(const Field& x, const Field& step, double alpha) const {
+    V total{};
+    for (int b = 0; b < int(blocks.size()); ++b)
+      total += blocks[b].mask *
+               dot(gradient(x[b] + all<V>(alpha) * step[b], blocks[b].weights), step[b]);
+    return sum(total);
+  }
 
-    // +inf unless strictly inside every cone
-    template <class R = NoRows> S phi(const Field& x, const R& rows = {}) const {
-        return phi_of(rows, 0.0, [&](int b) { return x[b]; });
-    }
-    // Phi at x + alpha step
-    template <class R = NoRows> S phi_along(const Field& x, const Field& step, const S& alpha, const R& rows = {}) const {
-        return phi_of(rows, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
-    }
-    // the same with `part` of the price of squeezing
-    double phi_along(const Field& x, const Field& step, double alpha, double part) const {
-        return phi_of(NoRows{}, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; }, all<V>(part));
-    }
-    // d Phi(x + alpha step) / d alpha
-    double slope_along(const Field& x, const Field& step, double alpha) const {
-        V total{};
-        for (int b = 0; b < int(blocks.size()); ++b)
-            total += blocks[b].mask * dot(gradient(x[b] + all<V>(alpha) * step[b], blocks[b].weights), step[b]);
-        return sum(total);
-    }
+  [[gnu::always_inline]] Six<S> wrench(const Field& x) const {  // G x
+    V out[6] = {};
+    for (int b = 0; b < int(blocks.size()); ++b) blocks[b].add_wrench(x[b], out);
+    return sums(out);
+  }
+  // x -= G^+ (G x + w), w in the unit frame: balance by the least-norm change of force
+  void balance(Field& x, const Six<S>& w) const { subtract(x, wrench(x) + w); }
+  // x -= G^+ missed
+  void subtract(Field& x, const Six<S>& missed) const {
+    for (int b = 0; b < int(blocks.size()); ++b) x[b] -= blocks[b].least(missed);
+  }
 
-    [[gnu::always_inline]] Six<S> wrench(const Field& x) const {  // G x
-        V out[6] = {};
-        for (int b = 0; b < int(blocks.size()); ++b) blocks[b].add_wrench(x[b], out);
-        return sums(out);
-    }
-    // x -= G^+ (G x + w), w in the unit frame: balance by the least-norm change of force
-    void balance(Field& x, const Six<S>& w) const { subtract(x, wrench(x) + w); }
-    // x -= G^+ missed
-    void subtract(Field& x, const Six<S>& missed) const {
-        for (int b = 0; b < int(blocks.size()); ++b) x[b] -= blocks[b].least(missed);
-    }
+  // 1 / (largest step inside the cones); <= 0: the whole ray is inside
+  S reach(const Field& x, const Field& step) const {
+    V most{};
+    for (int b = 0; b < int(blocks.size()); ++b) most = max(most, Boundary<V>(x[b]).per(step[b]));
+    return largest(most);
+  }
+  // Smallest distance to a cone's surface.
+  S margin(const Field& x) const {
+    V room = all<V>(infinity);
+    for (int b = 0; b < int(blocks.size()); ++b)
+      room = min(room, select(blocks[b].mask > 0.5, slack(x[b]), all<V>(infinity)));
+    return least(room);
+  }
+  // True if all numbers are finite and within the range of forces.
+  auto is_in_range(const Field& x) const {
+    V total{};
+    for (int b = 0; b < int(blocks.size()); ++b) total += abs(x[b].u) + abs(x[b].o) + abs(x[b].t);
+    return sum(total) < LARGEST;
+  }
+  S largest_normal(const Field& x) const {  // |u|
+    V most{};
+    for (int b = 0; b < int(blocks.size()); ++b) most = max(most, blocks[b].mask * abs(x[b].u));
+    return largest(most);
+  }
 
-    // 1 / (largest step inside the cones); <= 0: the whole ray is inside
-    S reach(const Field& x, const Field& step) const {
-        V most{};
-        for (int b = 0; b < int(blocks.size()); ++b) most = max(most, Boundary<V>(x[b]).per(step[b]));
-        return largest(most);
-    }
-    // Smallest distance to a cone's surface.
-    S margin(const Field& x) const {
-        V room = all<V>(infinity);
-        for (int b = 0; b < int(blocks.size()); ++b)
-            room = min(room, select(blocks[b].mask > 0.5, slack(x[b]), all<V>(infinity)));
-        return least(room);
-    }
-    // True if all numbers are finite and within the range of forces.
-    auto is_in_range(const Field& x) const {
-        V total{};
-        for (int b = 0; b < int(blocks.size()); ++b) total += abs(x[b].u) + abs(x[b].o) + abs(x[b].t);
-        return sum(total) < LARGEST;
-    }
-    S largest_normal(const Field& x) const {  // |u|
-        V most{};
-        for (int b = 0; b < int(blocks.size()); ++b) most = max(most, blocks[b].mask * abs(x[b].u));
-        return largest(most);
-    }
+  // Dual value at nu (unit frame): a lower bound of min Phi that holds for any nu; -inf: no bound.
+  template <class R = NoRows>
+  S lower_bound(const Six<S>& nu, const Six<S>& w, const R& rows = {}) const {
+    return bound(nu, w, rows, [&](const Vec3<V>& y, int b, V& room) {
+      return dual(y, blocks[b].weights, room);
+    });
+  }
+  // The same in half the time, if x is close to the optimum.
+  template <class R = NoRows> S lower_bound(const Six<S>& nu, const Six<S>& w, const Field& x,
+                                            double tight, const R& rows = {}) const {
+    return bound(nu, w, rows, [&](const Vec3<V>& y, int b, V& room) {
+      return dual_near(y, blocks[b].weights, x[b], tight, room);
+    });
+  }
 
-    // Dual value at nu (unit frame): a lower bound of min Phi that holds for any nu; -inf: no bound.
-    template <class R = NoRows> S lower_bound(const Six<S>& nu, const Six<S>& w, const R& rows = {}) const {
-        return bound(nu, w, rows, [&](const Vec3<V>& y, int b, V& room) { return dual(y, blocks[b].weights, room); });
+  // Scale multipliers outside the dual cones into them; nu = 0 is inside.
+  void scale_inside(Vec6& nu) const {
+    V most{};
+    for (int b = 0; b < int(blocks.size()); ++b) {
+      const Vec3<V> y = blocks[b].transposed(nu);
+      most = max(most, blocks[b].mask * (y.u + sqrt(y.o * y.o + y.t * y.t)) /
+                           (3.0 * blocks[b].weights.omega));
     }
-    // The same in half the time, if x is close to the optimum.
-    template <class R = NoRows>
-    S lower_bound(const Six<S>& nu, const Six<S>& w, const Field& x, double tight, const R& rows = {}) const {
-        return bound(nu, w, rows,
-                     [&](const Vec3<V>& y, int b, V& room) { return dual_near(y, blocks[b].weights, x[b], tight, room); });
-    }
+    const double outside = largest(most);
+    if (outside > INSIDE) nu = (INSIDE / outside) * nu;
+  }
 
-    // Scale multipliers outside the dual cones into them; nu = 0 is inside.
-    void scale_inside(Vec6& nu) const {
-        V most{};
-        for (int b = 0; b < int(blocks.size()); ++b) {
-            const Vec3<V> y = blocks[b].transposed(nu);
-            most = max(most, blocks[b].mask * (y.u + sqrt(y.o * y.o + y.t * y.t)) / (3.0 * blocks[b].weights.omega));
-        }
-        const double outside = largest(most);
-        if (outside > INSIDE) nu = (INSIDE / outside) * nu;
-    }
+  // True if x, with this balance residual, counts as balanced.
+  auto balanced(const Field& x, const Six<S>& w, const S& residual) const {
+    return residual <= balance_tolerance(size(w), largest_normal(x));
+  }
+  // Balance residual of x.
+  S residual(const Field& x, const Six<S>& w) const { return size(wrench(x) + w); }
+  // Write force, residual and margin of x, which certify a solution.
+  void certify(const Field& x, const Vec6& w, const Record& record) const {
+    record.summary().residual = residual(x, w);
+    record.summary().margin = margin(x);
+    store_force(x, record.force());
+  }
 
-    // True if x, with this balance residual, counts as balanced.
-    auto balanced(const Field& x, const Six<S>& w, const S& residual) const {
-        return residual <= balance_tolerance(size(w), largest_normal(x));
-    }
-    // Balance residual of x.
-    S residual(const Field& x, const Six<S>& w) const { return size(wrench(x) + w); }
-    // Write force, residual and margin of x, which certify a solution.
-    void certify(const Field& x, const Vec6& w, const Record& record) const {
-        record.summary().residual = residual(x, w);
-        record.summary().margin = margin(x);
-        store_force(x, record.force());
-    }
+ private:
+  static constexpr double INSIDE =
+      1.0 - 1e-13;  // fraction of the way to the surface of the dual cones, kept clear of rounding
+  int needed() const { return (count + W - 1) / W; }
 
-private:
-    static constexpr double INSIDE = 1.0 - 1e-13;  // fraction of the way to the surface of the dual cones, kept clear of rounding
-    int needed() const { return (count + W - 1) / W; }
-
-    // f(block, lane, first number) for every contact
-    template <class F> void each(int lane, F&& f) const {
-        for (int b = 0; b < int(blocks.size()); ++b)
-            for (int n = 0; n < W && W * b + n < count; ++n) f(b, many<V> ? lane : n, 3 * (W * b + n));
+  // f(block, lane, first number) for every contact
+  template <class F> void each(int lane, F&& f) const {
+    for (int b = 0; b < int(blocks.size()); ++b)
+      for (int n = 0; n < W && W * b + n < count; ++n) f(b, many<V> ? lane : n, 3 * (W * b + n));
+  }
+  template <class R, class F, class... Part>
+  S phi_of(const R& rows, [[maybe_unused]] const S& alpha, F&& at, Part... part) const {
+    V total{};
+    V room = all<V>(infinity);
+    for (int b = 0; b < int(blocks.size()); ++b) {
+      const Vec3<V> x = at(b);
+      V term = grasp::phi(
+          x, Weights<V>{(blocks[b].weights.omega * ... * part), blocks[b].weights.lambda});
+      if constexpr (R::has_terms) term += rows.value(b, x, alpha);
+      total += blocks[b].mask * term;
+      room = min(room, min(x.u, lorentz(x, x)));
     }
-    template <class R, class F, class... Part>
-    S phi_of(const R& rows, [[maybe_unused]] const S& alpha, F&& at, Part... part) const {
-        V total{}, room = all<V>(infinity);
-        for (int b = 0; b < int(blocks.size()); ++b) {
-            const Vec3<V> x = at(b);
-            V term = grasp::phi(x, Weights<V>{(blocks[b].weights.omega * ... * part), blocks[b].weights.lambda});
-            if constexpr (R::has_terms) term += rows.value(b, x, alpha);
-            total += blocks[b].mask * term;
-            room = min(room, min(x.u, lorentz(x, x)));
-        }
-        const S value = sum(total);
-        return select((least(room) > 0.0) & (value == value), value, S(infinity));
+    const S value = sum(total);
+    return select((least(room) > 0.0) & (value == value), value, S(infinity));
+  }
+  template <class R, class F>
+  S bound(const Six<S>& nu, const Six<S>& w, [[maybe_unused]] const R& rows, F&& least_of) const {
+    V total{};
+    V smallest = all<V>(infinity);
+    for (int b = 0; b < int(blocks.size()); ++b) {
+      V room;
+      Vec3<V> y = blocks[b].transposed(nu);
+      [[maybe_unused]] V more;
+      if constexpr (R::has_terms) more = rows.dual(b, nu, y);
+      V part = least_of(y, b, room);
+      if constexpr (R::has_terms) part += more;
+      total += blocks[b].mask * part;
+      smallest = min(smallest, room);
     }
-    template <class R, class F> S bound(const Six<S>& nu, const Six<S>& w, [[maybe_unused]] const R& rows, F&& least_of) const {
-        V total{}, smallest = all<V>(infinity);
-        for (int b = 0; b < int(blocks.size()); ++b) {
-            V room;
-            Vec3<V> y = blocks[b].transposed(nu);
-            [[maybe_unused]] V more;
-            if constexpr (R::has_terms) more = rows.dual(b, nu, y);
-            V part = least_of(y, b, room);
-            if constexpr (R::has_terms) part += more;
-            total += blocks[b].mask * part;
-            smallest = min(smallest, room);
-        }
-        const S value = sum(total) - dot(nu, w);
-        return select((least(smallest) > 0.0) & (value == value), value, S(-infinity));
-    }
+    const S value = sum(total) - dot(nu, w);
+    return select((least(smallest) > 0.0) & (value == value), value, S(-infinity));
+  }
 };
 
 }  // namespace grasp

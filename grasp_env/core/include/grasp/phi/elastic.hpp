@@ -1,118 +1,137 @@
-// A force inside the cones for contacts that cannot balance the wrench; any number of hard contacts, even one.
+// A force inside the cones for contacts that cannot balance the wrench; any number of hard
+// contacts, even one.
 #pragma once
 #include <grasp/contacts/contacts.hpp>
 #include <grasp/phi/phi.hpp>
 
 namespace grasp {
 
-// argmin Phi(x) + |G x + w|^2 / (2 SOFTNESS) by damped Newton, in the unit frame. With nu = -(G x + w) / SOFTNESS at the optimum,
-// the step is Newton's under balance with SOFTNESS on the diagonal of its 6 x 6 system: (G H^-1 G^T + SOFTNESS I) nu = G H^-1 grad
+// argmin Phi(x) + |G x + w|^2 / (2 SOFTNESS) by damped Newton, in the unit frame. With nu = -(G x +
+// w) / SOFTNESS at the optimum, the step is Newton's under balance with SOFTNESS on the diagonal of
+// its 6 x 6 system: (G H^-1 G^T + SOFTNESS I) nu = G H^-1 grad
 // - (G x + w).
 class ElasticBalance {
-public:
-    static constexpr double SOFTNESS = 1e-2;  // [N^2] per unit of Phi: roughly the balance residual where a balanced force exists
-    int iterations = 0;  // of the last solve
+ public:
+  static constexpr double SOFTNESS =
+      1e-2;  // [N^2] per unit of Phi: roughly the balance residual where a balanced force exists
+  int iterations = 0;  // of the last solve
 
-    explicit ElasticBalance(int count) : x_(count), step_(count), gradient_(count), inverse_(count), columns_(count) {}
+  explicit ElasticBalance(int count)
+      : x_(count), step_(count), gradient_(count), inverse_(count), columns_(count) {}
 
-    // contacts: gives cones and weights; the current places are positions (N, 3) [m] and frames (N, 3, 3) with columns (n, o, t).
-    // force: (N, 3) [N], contact frames; for the contacts that touch (bits) a guess on entry and the answer on return. Positions,
-    // frames and the wrench [N, N m] share one frame.
-    void solve(const Contacts& contacts, std::uint64_t touching, const double* positions, const double* frames,
-               const Vec6& wrench, int limit, double* force) {
-        gather(contacts, touching, positions);
-        for (int k = 0; k < count_; ++k) place(contacts, k, positions, frames, force);
-        const Vec6 w = unit_.of(wrench);
-        double value = merit(w, 0.0);
-        for (iterations = 0; iterations < limit; ++iterations) {
-            const double decrement = find_step(w);
-            double alpha = std::min(1.0, LONG / reach());
-            if (!(decrement > PRECISION * value)) break;
-            double found = merit(w, alpha);
-            for (int halving = 0; halving < HALVINGS && !(found <= value - 1e-4 * alpha * decrement); ++halving)
-                found = merit(w, alpha *= 0.5);
-            if (!(found < value)) break;
-            for (int k = 0; k < count_; ++k) x_[k] += alpha * step_[k];
-            value = found;
-        }
-        for (int k = 0; k < count_; ++k)
-            for (int a = 0; a < 3; ++a) force[3 * index_[k] + a] = x_[k][a] / contacts.divisor[3 * index_[k] + a];
+  // contacts: gives cones and weights; the current places are positions (N, 3) [m] and frames (N,
+  // 3, 3) with columns (n, o, t). force: (N, 3) [N], contact frames; for the contacts that touch
+  // (bits) a guess on entry and the answer on return. Positions, frames and the wrench [N, N m]
+  // share one frame.
+  void solve(const Contacts& contacts, std::uint64_t touching, const double* positions,
+             const double* frames, const Vec6& wrench, int limit, double* force) {
+    gather(contacts, touching, positions);
+    for (int k = 0; k < count_; ++k) place(contacts, k, positions, frames, force);
+    const Vec6 w = unit_.of(wrench);
+    double value = merit(w, 0.0);
+    for (iterations = 0; iterations < limit; ++iterations) {
+      const double decrement = find_step(w);
+      double alpha = std::min(1.0, LONG / reach());
+      if (!(decrement > PRECISION * value)) break;
+      double found = merit(w, alpha);
+      for (int halving = 0; halving < HALVINGS && !(found <= value - 1e-4 * alpha * decrement);
+           ++halving)
+        found = merit(w, alpha *= 0.5);
+      if (!(found < value)) break;
+      for (int k = 0; k < count_; ++k) x_[k] += alpha * step_[k];
+      value = found;
     }
+    for (int k = 0; k < count_; ++k)
+      for (int a = 0; a < 3; ++a)
+        force[3 * index_[k] + a] = x_[k][a] / contacts.divisor[3 * index_[k] + a];
+  }
 
-private:
-    static constexpr double LONG = 0.9;  // fraction of the way to a cone's surface
-    static constexpr double PRECISION = 1e-9;  // squared decrement over the value
-    static constexpr double LEAST = 0.1;  // [N] smallest normal force of the guess
-    static constexpr int HALVINGS = 40;
-    int count_ = 0, index_[64];
-    UnitFrame unit_;
-    Weights<double> weights_[64];
-    std::vector<Point> x_, step_, gradient_;  // cone coordinates
-    std::vector<Sym3<double>> inverse_;  // H^-1
-    std::vector<std::array<Vec6, 3>> columns_;  // of G, unit frame
+ private:
+  static constexpr double LONG = 0.9;        // fraction of the way to a cone's surface
+  static constexpr double PRECISION = 1e-9;  // squared decrement over the value
+  static constexpr double LEAST = 0.1;       // [N] smallest normal force of the guess
+  static constexpr int HALVINGS = 40;
+  int count_ = 0, index_[64];
+  UnitFrame unit_;
+  Weights<double> weights_[64];
+  std::vector<Point> x_, step_, gradient_;    // cone coordinates
+  std::vector<Sym3<double>> inverse_;         // H^-1
+  std::vector<std::array<Vec6, 3>> columns_;  // of G, unit frame
 
-    void gather(const Contacts& contacts, std::uint64_t touching, const double* positions) {
-        count_ = 0;
-        for (int i = 0; i < contacts.count; ++i)
-            if (touching >> i & 1) index_[count_++] = i;
-        unit_ = UnitFrame(count_, [&](int k) { return point(positions + 3 * index_[k]); });
-    }
-    void place(const Contacts& contacts, int k, const double* positions, const double* frames, const double* force) {
-        const int i = index_[k];
-        const Point arm = unit_.scale() * (point(positions + 3 * i) - unit_.centre);
-        const double *f = force + 3 * i, *scale = &contacts.scale[3 * i], *frame = frames + 9 * i;
-        for (int a = 0; a < 3; ++a)
-            columns_[k][a] = (1.0 / contacts.divisor[3 * i + a]) * unit_wrench(arm, Point{frame[a], frame[3 + a], frame[6 + a]});
-        weights_[k] = {contacts.omega[i], contacts.lambda[i]};
-        const double o = scale[1] * f[1], t = scale[2] * f[2];
-        x_[k] = {std::max({scale[0] * f[0], 1.05 * std::sqrt(o * o + t * t), LEAST * scale[0]}), o, t};
-    }
-    Vec6 made(int k, const Point& x) const { return x.u * columns_[k][0] + x.o * columns_[k][1] + x.t * columns_[k][2]; }
+  void gather(const Contacts& contacts, std::uint64_t touching, const double* positions) {
+    count_ = 0;
+    for (int i = 0; i < contacts.count; ++i)
+      if (touching >> i & 1) index_[count_++] = i;
+    unit_ = UnitFrame(count_, [&](int k) { return point(positions + 3 * index_[k]); });
+  }
+  void place(const Contacts& contacts, int k, const double* positions, const double* frames,
+             const double* force) {
+    const int i = index_[k];
+    const Point arm = unit_.scale() * (point(positions + 3 * i) - unit_.centre);
+    const double* f = force + 3 * i;
+    const double* scale = &contacts.scale[3 * i];
+    const double* frame = frames + 9 * i;
+    for (int a = 0; a < 3; ++a)
+      columns_[k][a] = (1.0 / contacts.divisor[3 * i + a]) *
+                       unit_wrench(arm, Point{frame[a], frame[3 + a], frame[6 + a]});
+    weights_[k] = {contacts.omega[i], contacts.lambda[i]};
+    const double o = scale[1] * f[1];
+    const double t = scale[2] * f[2];
+    x_[k] = {std::max({scale[0] * f[0], 1.05 * std::sqrt(o * o + t * t), LEAST * scale[0]}), o, t};
+  }
+  Vec6 made(int k, const Point& x) const {
+    return x.u * columns_[k][0] + x.o * columns_[k][1] + x.t * columns_[k][2];
+  }
 
-    double merit(const Vec6& w, double alpha) const {
-        double total = 0.0;
-        Vec6 missed = w;
-        for (int k = 0; k < count_; ++k) {
-            const Point x = x_[k] + alpha * step_[k];
-            if (alpha > 0.0 && !(x.u > 0.0 && lorentz(x, x) > 0.0)) return infinity;
-            total += phi(x, weights_[k]), missed = missed + made(k, x);
-        }
-        return total + dot(missed, missed) / (2.0 * SOFTNESS);
+  double merit(const Vec6& w, double alpha) const {
+    double total = 0.0;
+    Vec6 missed = w;
+    for (int k = 0; k < count_; ++k) {
+      const Point x = x_[k] + alpha * step_[k];
+      if (alpha > 0.0 && !(x.u > 0.0 && lorentz(x, x) > 0.0)) return infinity;
+      total += phi(x, weights_[k]);
+      missed = missed + made(k, x);
     }
-    // 1 / (largest step inside the cones)
-    double reach() const {
-        double most = 1e-300;
-        for (int k = 0; k < count_; ++k) most = std::max(most, Boundary<double>(x_[k]).per(step_[k]));
-        return most;
+    return total + dot(missed, missed) / (2.0 * SOFTNESS);
+  }
+  // 1 / (largest step inside the cones)
+  double reach() const {
+    double most = 1e-300;
+    for (int k = 0; k < count_; ++k) most = std::max(most, Boundary<double>(x_[k]).per(step_[k]));
+    return most;
+  }
+  // Compute the Newton step; return its squared decrement.
+  double find_step(const Vec6& w) {
+    Packed6 schur{};
+    Vec6 missed = w, pull{};
+    for (int r = 0; r < 6; ++r) schur[packed(r, r)] = SOFTNESS;
+    for (int k = 0; k < count_; ++k) {
+      inverse_[k] = inverse_hessian(x_[k], weights_[k]);
+      gradient_[k] = gradient(x_[k], weights_[k]);
+      missed = missed + made(k, x_[k]);
+      pull = pull + made(k, inverse_[k] * gradient_[k]);
+      for (int r = 0; r < 6; ++r) {
+        const Point h =
+            inverse_[k] * Point{columns_[k][0][r], columns_[k][1][r], columns_[k][2][r]};
+        const Vec6 row = made(k, h);
+        for (int q = 0; q <= r; ++q) schur[packed(r, q)] += row[q];
+      }
     }
-    // Compute the Newton step; return its squared decrement.
-    double find_step(const Vec6& w) {
-        Packed6 schur{};
-        Vec6 missed = w, pull{};
-        for (int r = 0; r < 6; ++r) schur[packed(r, r)] = SOFTNESS;
-        for (int k = 0; k < count_; ++k) {
-            inverse_[k] = inverse_hessian(x_[k], weights_[k]), gradient_[k] = gradient(x_[k], weights_[k]);
-            missed = missed + made(k, x_[k]), pull = pull + made(k, inverse_[k] * gradient_[k]);
-            for (int r = 0; r < 6; ++r) {
-                const Point h = inverse_[k] * Point{columns_[k][0][r], columns_[k][1][r], columns_[k][2][r]};
-                const Vec6 row = made(k, h);
-                for (int q = 0; q <= r; ++q) schur[packed(r, q)] += row[q];
-            }
-        }
-        Ldl6 factor;
-        if (!(factor.factor(schur) > 0.0)) return 0.0;
-        const Vec6 nu = factor.solve(pull - missed);
-        double decrement = 0.0;
-        for (int k = 0; k < count_; ++k) {
-            const Point turned{dot(columns_[k][0], nu), dot(columns_[k][1], nu), dot(columns_[k][2], nu)};
-            step_[k] = inverse_[k] * (turned - gradient_[k]);
-            // gradient of the merit: grad Phi + G^T (G x + w) / SOFTNESS
-            const Point push =
-                (1.0 / SOFTNESS) * Point{dot(columns_[k][0], missed), dot(columns_[k][1], missed), dot(columns_[k][2], missed)};
-            decrement -= dot(step_[k], gradient_[k] + push);
-        }
-        return decrement;
+    Ldl6 factor;
+    if (!(factor.factor(schur) > 0.0)) return 0.0;
+    const Vec6 nu = factor.solve(pull - missed);
+    double decrement = 0.0;
+    for (int k = 0; k < count_; ++k) {
+      const Point turned{dot(columns_[k][0], nu), dot(columns_[k][1], nu), dot(columns_[k][2], nu)};
+      step_[k] = inverse_[k] * (turned - gradient_[k]);
+      // gradient of the merit: grad Phi + G^T (G x + w) / SOFTNESS
+      const Point push =
+          (1.0 / SOFTNESS) * Point{dot(columns_[k][0], missed), dot(columns_[k][1], missed),
+                                   dot(columns_[k][2], missed)};
+      decrement -= dot(step_[k], gradient_[k] + push);
     }
+    return decrement;
+  }
 };
 
 }  // namespace grasp
