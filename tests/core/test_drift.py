@@ -67,7 +67,7 @@ def names() -> tuple[str, ...]:
         ):
             public = body.partition("public:")[2] if kind == "class" else body
             for line in public.partition("private:")[0].splitlines():
-                if re.match(r" {4}\w", line):  # not what stands inside of a function
+                if re.match(r" {2}\w", line):  # not what stands inside of a function
                     found.update(f"{name}.{member}" for member in members(line) if member != name)
     return tuple(sorted(found))
 

@@ -31,8 +31,8 @@ Point vector(PyObject* tuple) {
 
 // Positions of the numbers in the nested tuples that an engine returns.
 struct Answers {
-  int link,
-      place;  // of a contact: items of the engine's number of the hand's link, and of the point
+  // of a contact: items of the engine's number of the hand's link, and of the point
+  int link, place;
   std::vector<std::pair<int, int>> forces;  // amounts and their directions
   double factor;                            // of the amounts; above 0: they push the object
   int first;                                // the engine's number of the first of `links`

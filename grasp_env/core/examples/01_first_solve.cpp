@@ -19,8 +19,8 @@ int main() {
   const double weight[] = {0, 0, -0.3 * 9.81,
                            0, 0, 0};  // force [N] and moment [N m] that act ON the mug
 
-  const auto contacts =
-      grasp::Contacts::from(positions, normals, 0.6);  // throws if they make no grasp
+  // throws if they make no grasp
+  const auto contacts = grasp::Contacts::from(positions, normals, 0.6);
   grasp::ForceOptimizer solver({contacts});
   const grasp::Record& solution = solver.solve(weight);
   if (solution.code() != grasp::CONVERGED) return 1;

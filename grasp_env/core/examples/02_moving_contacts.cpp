@@ -48,8 +48,8 @@ int main() {
       const double* f = solution.force() + 3 * i;
       least = std::min(least, 0.4 * f[0] - std::hypot(f[1], f[2]));  // friction margin [N]
       double v[3],
-          torque[3] =
-              {};  // the force in the object's frame [N]; J^T f of the finger's joints [N m]
+          // the force in the object's frame [N]; J^T f of the finger's joints [N m]
+          torque[3] = {};
       solution.object_force(i, v);
       for (int a = 0; a < 3; ++a)
         for (int j = 0; j < 3; ++j) torque[j] += LEVERS[a][j] * v[a];

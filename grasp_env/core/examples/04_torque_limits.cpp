@@ -34,13 +34,12 @@ int main() {
       {contacts, {.jacobian = joints, .torque_limit = none, .torque_bias = bias}});
   grasp::ForceOptimizer limited({contacts, {.jacobian = joints, .torque_limit = limit}},
                                 {.elastic = true});
-  const auto largest =
-      [&](const grasp::Record& solution) {  // torque of a joint relative to its limit
-        double most = 0;
-        for (int j = 0; j < 12; ++j)
-          most = std::max(most, std::abs(solution.torques()[j]) / limit[j]);
-        return most;
-      };
+  // torque of a joint relative to its limit
+  const auto largest = [&](const grasp::Record& solution) {
+    double most = 0;
+    for (int j = 0; j < 12; ++j) most = std::max(most, std::abs(solution.torques()[j]) / limit[j]);
+    return most;
+  };
 
   double naive = 0, strong = 0;
   for (int k = 0; k <= 60; ++k) {
@@ -50,8 +49,8 @@ int main() {
     // in a control loop, Jacobian and weight change every tick: pass them with the call
     const grasp::Record& kept = limited.solve(wrench, {.jacobian = joints, .torque_bias = bias});
     if (!kept.has_force()) return 1;
-    const bool within = kept.summary().limit_excess ==
-                        0;  // otherwise the code is LIMITS_EXCEEDED, with this fraction
+    // otherwise the code is LIMITS_EXCEEDED, with this fraction
+    const bool within = kept.summary().limit_excess == 0;
     if (share <= 1) naive = load;
     if (within) strong = load;
     if (k % 10 == 0)

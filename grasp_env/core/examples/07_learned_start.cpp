@@ -15,8 +15,8 @@ constexpr double NORMALS[] = {0, 0, 1, 0, 0, -1, 0, 0, -1, 0, 0, -1};
 int main(int given, char** arguments) try {
   if (given < 2) throw std::invalid_argument("usage: 07_learned_start MODEL");
   const auto contacts = grasp::Contacts::from(POSITIONS, NORMALS, 0.4);
-  const auto model = std::make_shared<const grasp::Model>(
-      grasp::ModelFile::load(arguments[1]));  // a damaged file is refused
+  // a damaged file is refused
+  const auto model = std::make_shared<const grasp::Model>(grasp::ModelFile::load(arguments[1]));
   grasp::ForceOptimizer plain({contacts});
   grasp::ForceOptimizer learned({contacts}, {.start = grasp::Start::learned, .model = model});
   for (double size : {0.5, 1.0, 2.0}) {
@@ -24,8 +24,8 @@ int main(int given, char** arguments) try {
                              -0.01 * size, 0.02 * size, 0};  // [N, N m]
     const double steps = plain.solve(wrench).summary().iterations;
     learned.forget();  // otherwise it would also try the last solution
-    const grasp::Record& solution =
-        learned.solve(wrench);  // certified like any other, for any weights
+    // certified like any other, for any weights
+    const grasp::Record& solution = learned.solve(wrench);
     if (solution.code() != grasp::CONVERGED) return 1;
     std::printf(
         "wrench x %.1f: %.0f Newton steps from the network, %.0f from an internal force; normal "

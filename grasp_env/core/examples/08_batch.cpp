@@ -18,8 +18,8 @@ int main() {
   std::vector<double> least(AROUND * UP);  // sum of normal forces [N] for 5 N in each direction
   const auto begin = std::chrono::steady_clock::now();
   const auto work = [&](int part) {
-    grasp::ForceOptimizer solver(
-        {contacts}, {.method = grasp::Method::conic});  // one per thread; nothing is shared
+    // one per thread; nothing is shared
+    grasp::ForceOptimizer solver({contacts}, {.method = grasp::Method::conic});
     for (int k = part; k < AROUND * UP; k += THREADS) {
       const double azimuth = (k % AROUND - 180) * std::numbers::pi / 180;
       const double elevation = (k / AROUND - 84) * std::numbers::pi / 180;

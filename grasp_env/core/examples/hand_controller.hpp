@@ -16,8 +16,8 @@ struct HandState {
   Numbers touching, positions, normals;  // (N,) 1 or 0; (N, 3) contact points [m], unit normals
                                          // into the object: anything for 0
   Numbers wrench;  // (6,) wrench to balance: the object's weight plus feedback on its pose [N, N m]
-  Numbers gravity,
-      age;  // (3,) [m/s^2], since the hand may be on an arm; (1,) age of the contacts [s]
+  // (3,) [m/s^2], since the hand may be on an arm; (1,) age of the contacts [s]
+  Numbers gravity, age;
 
   explicit HandState(int m = 0, int n = 0)
       : angles(m),
@@ -49,8 +49,8 @@ struct HandControllerSettings {
 // Converts torques [N m] to whole device units: piecewise linear for each joint, clipped at the
 // outer points.
 struct Calibration {
-  std::vector<Numbers> torques,
-      units;  // for each joint: [N m] ascending through zero; device units, as many
+  // for each joint: [N m] ascending through zero; device units, as many
+  std::vector<Numbers> torques, units;
 
   double limit(int j) const {
     return std::min(-torques[j].front(), torques[j].back());
@@ -106,8 +106,8 @@ class HandController {
                        {{}, {}, jacobian_, limits_, {}}},
         grasp::Options{.start = grasp::Start::previous, .limit = s_.iterations, .elastic = true});
   }
-  void activate(
-      const HandState& state) {  // torques rise from zero; invalid numbers leave it inactive
+  // torques rise from zero; invalid numbers leave it inactive
+  void activate(const HandState& state) {
     if (good(state)) {
       now_ = state;
       home_ = state.angles;
@@ -191,8 +191,8 @@ class HandController {
     const grasp::Record* found =
         now_.age[0] <= s_.stale ? &solver_->solve(grasp::Wrench(now_.wrench), contacts) : nullptr;
     Status balance = holding;
-    const bool several =
-        std::popcount(touching) > 1;  // a single fingertip does not stop an object from turning
+    // a single fingertip does not stop an object from turning
+    const bool several = std::popcount(touching) > 1;
     if (found && !found->has_force() && several)
       if (const auto rest = solver_->within_reach(grasp::Wrench(now_.wrench), contacts)) {
         found = &solver_->solve(*rest, contacts);

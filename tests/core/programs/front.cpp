@@ -300,8 +300,8 @@ int main(int given, char** arguments) {
   }
   {
     const Ends ends("infeasible");
-    ends(solver.solve(
-        wrench, {.contacts = 0b0011}));  // two contacts, and a moment about the line through them
+    // two contacts, and a moment about the line through them
+    ends(solver.solve(wrench, {.contacts = 0b0011}));
     for (const Options& options : {newton, flow, least_sum, least_largest})
       ends(ForceOptimizer({open}, options).solve(lift));
     ends(ForceOptimizer({contacts, tight}, newton).solve(wrench));

@@ -90,10 +90,10 @@ void require(bool good, const char* what, const Record& record, double value) {
   std::abort();
 }
 
-constexpr double BALANCED =
-    1e-6;  // part of wrench and forces; contacts nearly on a line have fewer digits than others
-constexpr double INSIDE =
-    1e-9;  // part of a force by which rounding may take conic forces out of their cones
+// part of wrench and forces; contacts nearly on a line have fewer digits than others
+constexpr double BALANCED = 1e-6;
+// part of a force by which rounding may take conic forces out of their cones
+constexpr double INSIDE = 1e-9;
 
 // Compares a record with what was given; tests/force/test_trial.py judges optima, bounds and
 // proofs.

@@ -8,8 +8,8 @@
 
 namespace grasp {
 
-using Wrench =
-    std::span<const double, 6>;  // external wrench on the object: force [N], moment [N m]
+// external wrench on the object: force [N], moment [N m]
+using Wrench = std::span<const double, 6>;
 using Doubles = std::span<const double>;
 
 enum class Method {
@@ -24,8 +24,8 @@ enum class Method {
 // the Jacobian share ONE frame of the caller's choice.
 struct Problem {
   Contacts contacts;
-  ForceLimits
-      limits{};  // jacobian: (N, 3, J), or (N, 6, J) with the angular velocities of the fingertips
+  // jacobian: (N, 3, J), or (N, 6, J) with the angular velocities of the fingertips
+  ForceLimits limits{};
 };
 
 struct Options {
@@ -37,10 +37,10 @@ struct Options {
   bool elastic = false;  // if no force satisfies the limits, return the one that exceeds them least
                          // instead of a proof
   StepRule step_rule{};  // for the flows
-  std::shared_ptr<const Model>
-      model{};  // for Start::learned; without a model the default start replaces it
-  bool remembers =
-      true;  // Start::learned: take the previous solution where its Phi is below the prediction's
+  // for Start::learned; without a model the default start replaces it
+  std::shared_ptr<const Model> model{};
+  // Start::learned: take the previous solution where its Phi is below the prediction's
+  bool remembers = true;
 
   double gap() const { return tolerance > 0.0 ? tolerance : method == Method::conic ? 1e-6 : 1e-4; }
 };
@@ -52,8 +52,8 @@ struct Changes {
   Doubles friction{};              // one coefficient, N coefficients, or two for each contact
   Doubles jacobian{};              // same shape as in the limits
   Doubles torque_bias{};  // (J,) tau_0 [N m]: torques that the motors supply in addition to J^T f
-  std::uint64_t contacts =
-      ~std::uint64_t(0);  // bit i: contact i touches; for solvers of up to 64 contacts
+  // bit i: contact i touches; for solvers of up to 64 contacts
+  std::uint64_t contacts = ~std::uint64_t(0);
 
   bool empty() const {
     return positions.empty() && normals.empty() && friction.empty() && jacobian.empty() &&
@@ -72,8 +72,8 @@ struct Request {
   // For Start::given, guess and previous: (N, 3) [N], current contact frames; for Start::given also
   // (N,) [N m], empty: zero.
   Doubles force{}, torsion{};
-  const double* previous =
-      nullptr;  // for Start::previous and learned: row of a solution with N contacts
+  // for Start::previous and learned: row of a solution with N contacts
+  const double* previous = nullptr;
   // The optimal Phi, if known; the gap is measured against it instead of the bound.
   double optimum = std::numeric_limits<double>::quiet_NaN();
   std::span<double> trace{};  // receives Phi of the first iterates

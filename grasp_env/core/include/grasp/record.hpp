@@ -51,9 +51,9 @@ struct Summary {
   double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none; inf: INFEASIBLE
   double residual = 0;     // largest |component| of G f + w in the unit frame [N]
   double margin = 0;       // smallest margin u - |(o, t)| of a contact in cone coordinates [N]
-  double limit_excess =
-      0;          // largest excess over a limit, as a fraction of that limit; 0 within all limits
-  Vec6 wrench{};  // balanced wrench [N, N m]
+  // largest excess over a limit, as a fraction of that limit; 0 within all limits
+  double limit_excess = 0;
+  Vec6 wrench{};        // balanced wrench [N, N m]
   Vec6 multipliers{};   // nu of balance: grad objective = G^T nu (+ the cones' multipliers);
                         // INFEASIBLE: the twist
   double start = 0;     // the `Start` that was used

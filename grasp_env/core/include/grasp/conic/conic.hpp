@@ -122,8 +122,8 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
 
  private:
   static constexpr int SEARCH = 60;  // steps; a dozen is usual
-  static constexpr double ROUNDING =
-      1e-12;             // fraction of the twist by which a proof must be strict
+  // fraction of the twist by which a proof must be strict
+  static constexpr double ROUNDING = 1e-12;
   Field force_, first_;  // the forces that are written
   LaneQr6<V> qr_;
   std::vector<double> fitted_;  // scaled, in the axes

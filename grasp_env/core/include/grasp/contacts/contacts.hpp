@@ -9,8 +9,8 @@
 namespace grasp {
 
 inline constexpr double LARGEST = 1e12;  // [N], [N m] largest number accepted
-inline constexpr double NOTHING =
-    1e-306;  // [N] a smaller wrench counts as zero, since its inverse is infinite
+// [N] a smaller wrench counts as zero, since its inverse is infinite
+inline constexpr double NOTHING = 1e-306;
 
 // Largest balance residual [N] at which a force counts as balanced: a fraction of the wrench, or of
 // normal forces up to 1 N.
@@ -33,8 +33,8 @@ enum class Placing { good, refused, rank_lost, needs_torsion };
 // six orthonormal axes, unit frame. With rank 6 the axes have no meaning.
 struct WrenchSpace {
   int rank = 6;
-  double rounding =
-      0.0;  // fraction of the forces: wrench out of reach that they make because places are rounded
+  // fraction of the forces: wrench out of reach that they make because places are rounded
+  double rounding = 0.0;
   std::array<Vec6, 6> axes{};
 
   bool full() const { return rank == 6; }
@@ -67,8 +67,8 @@ class Contacts {
   // `rank_bound` above which G G^T is inverted directly, with at least six digits left.
   static constexpr double WELL_CONDITIONED = 1e-6;
   int count = 0;
-  std::vector<double> scale,
-      divisor;  // (N, 3) cone coordinates = scale * force, force = cone coordinates / divisor
+  // (N, 3) cone coordinates = scale * force, force = cone coordinates / divisor
+  std::vector<double> scale, divisor;
   std::vector<double> omega, lambda;  // (N,) weights of Phi
   std::vector<double> torsion;        // (N,) gamma [m] of soft contacts, 0 of others
   std::vector<double> tangents;       // (N, 3) directions of o; empty: the default rule
@@ -79,10 +79,10 @@ class Contacts {
   std::vector<double> matrix;              // (6, 3N) G
   std::vector<double> cone_matrix;         // (6, 3N) G in cone coordinates
   std::vector<double> rows;                // (6, 3N) the same in the unit frame
-  std::vector<double>
-      force_rows;  // (6, 3N) G for forces, unit frame; zero where nothing is transmitted
-  std::vector<double>
-      inverse;  // (3N, 6) G^+ in cone coordinates, unit frame: the least-norm change of force
+  // (6, 3N) G for forces, unit frame; zero where nothing is transmitted
+  std::vector<double> force_rows;
+  // (3N, 6) G^+ in cone coordinates, unit frame: the least-norm change of force
+  std::vector<double> inverse;
   Placing placing = Placing::refused;  // of the last `place`; the arrays above belong to the last
                                        // one that was not refused
   WrenchSpace reach;

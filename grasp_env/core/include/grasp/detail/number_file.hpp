@@ -19,8 +19,8 @@ namespace grasp {
 static_assert(std::endian::native == std::endian::little,
               "number files hold little-endian numbers");
 
-inline constexpr std::size_t LARGEST_FILE =
-    std::size_t(1) << 26;  // bytes; the shipped model has 22 thousand numbers
+// bytes; the shipped model has 22 thousand numbers
+inline constexpr std::size_t LARGEST_FILE = std::size_t(1) << 26;
 
 class NumberWriter {
  public:

@@ -119,17 +119,17 @@ template <class V, int B> class FlowSolver {
 
  private:
   using Local = std::conditional_t<B == 0, Field&, Field>;
-  static constexpr double SHORTEST =
-      1e-10;  // the first trial of an iteration moves x by at least this fraction of its length
+  // the first trial of an iteration moves x by at least this fraction of its length
+  static constexpr double SHORTEST = 1e-10;
   static constexpr double ROUNDED = 1e-16;  // no trial moves x by less than this
   static constexpr double LONGEST = 1e300;
-  static constexpr double FLAT =
-      1e-12;  // if <s, y> is below this fraction of <s, s> / alpha, Phi is straight to rounding,
+  // if <s, y> is below this fraction of <s, s> / alpha, Phi is straight to rounding,
+  static constexpr double FLAT = 1e-12;
   static constexpr double LEAP = 10.0;  // and alpha grows by this factor
-  static constexpr int SEARCHES =
-      60;  // trials of the search for the exact minimum before any decrease is accepted
-  static constexpr int PATIENCE =
-      100;  // trials of an iteration after which steps are at least halved, so that they end
+  // trials of the search for the exact minimum before any decrease is accepted
+  static constexpr int SEARCHES = 60;
+  // trials of an iteration after which steps are at least halved, so that they end
+  static constexpr int PATIENCE = 100;
   Projection<V, B> projection_;
   Field next_, gradient_, there_, step_, past_;
 
@@ -298,8 +298,8 @@ template <class V, int B> class FlowSolver {
     std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
     return code;
   }
-  static constexpr double OBJECTIVE_ROUNDING =
-      1e-9;  // fraction of Phi that may be lost to rounding
+  // fraction of Phi that may be lost to rounding
+  static constexpr double OBJECTIVE_ROUNDING = 1e-9;
 };
 
 }  // namespace grasp

@@ -44,8 +44,8 @@ template <class V, int B> class Projection {
  public:
   using Field = typename Cones<V, B>::Field;
   static constexpr int W = width<V>;
-  static constexpr bool DENSE =
-      B > 0 && W* B <= 4;  // the product with -Pi is faster than the two with R
+  // the product with -Pi is faster than the two with R
+  static constexpr bool DENSE = B > 0 && W* B <= 4;
 
   Projection(const Cones<V, B>& cones, Form form)
       : form_(form), count_(cones.count), spare_(cones.field()) {

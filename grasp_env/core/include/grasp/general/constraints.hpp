@@ -52,12 +52,12 @@ template <int D> struct Constraints {
   };
   int count, limits, torsions = 0;  // N, M; the first rows belong to torsion
   ArenaVector<char> soft;
-  ArenaVector<double> price, cost, divisor, bound,
-      shares;                    // price: normal force = price u; cost: the same, weighted
+  // price: normal force = price u; cost: the same, weighted
+  ArenaVector<double> price, cost, divisor, bound, shares;
   ArenaVector<int> torsion_row;  // (N,) -1: not soft
-  ArenaVector<int>
-      owner;             // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
-  ArenaVector<int> own;  // rows that act on at most one contact, by contact
+  // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
+  ArenaVector<int> owner;
+  ArenaVector<int> own;                  // rows that act on at most one contact, by contact
   Matrix balance, limit, turn;           // (6,) G, (M,), (6,) Q
   double frame[6][6], lower[6][6] = {};  // L
   WrenchSpace reach;
@@ -293,8 +293,8 @@ template <int D> struct Constraints {
   static constexpr int SEVERAL = -1;
   static constexpr double RANK = 1e-13;  // largest ratio of singular values that rounding may cause
   static constexpr double PAD = 6e-16;   // of the terms of a slack: rounding on the way to forces
-  static constexpr double LAST =
-      4e-16;  // of the largest normal force: effect of its rounding on balance
+  // of the largest normal force: effect of its rounding on balance
+  static constexpr double LAST = 4e-16;
 
   void find_owners() {
     for (int k = 0; k < limits; ++k) {

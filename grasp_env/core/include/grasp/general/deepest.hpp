@@ -54,18 +54,18 @@ template <int D> class Depth {
   const ArenaVector<double>& prices() const { return prices_; }
 
  private:
-  static constexpr double ROUNDING =
-      1e-14;  // of the terms of a proof, per term: far above rounding
+  // of the terms of a proof, per term: far above rounding
+  static constexpr double ROUNDING = 1e-14;
   static constexpr double SUM_ROUNDING = 4e-16;  // of the terms of a sum of a dozen
   static constexpr double UNMOVED = 1e-15;       // of the terms of a contact's motion: rounding
   static constexpr double COVERED = 1e10,
                           SEEN = 1e6;  // forces of which a proof speaks, in units of the wrench
   static constexpr double NEEDLESS = 1e-9;  // of the twist: a smaller price of a limit is rounding
   static constexpr double NEAR = 1e-6;      // margin, relative to forces that sum to one
-  static constexpr double ENOUGH =
-      0.5;  // of the depth that a force gains by moving inside: it shall not be used up by rounding
-  static constexpr double SHORT =
-      0.9;  // of BOUNDARY: how far a wrench is moved; the rest is for rounding
+  // of the depth that a force gains by moving inside: it shall not be used up by rounding
+  static constexpr double ENOUGH = 0.5;
+  // of BOUNDARY: how far a wrench is moved; the rest is for rounding
+  static constexpr double SHORT = 0.9;
   const Constraints<D>* in_;
   int many_;
   ArenaVector<double> slacks_, prices_;

@@ -9,8 +9,8 @@ namespace grasp {
 
 class General {
  public:
-  static constexpr double BALANCE_TOLERANCE =
-      1e-8;  // of wrench and force: largest balance residual of a given start
+  // of wrench and force: largest balance residual of a given start
+  static constexpr double BALANCE_TOLERANCE = 1e-8;
   static constexpr int CONIC_ITERATIONS = 100;  // of an interior point; a dozen is usual
 
   General() = default;
@@ -75,8 +75,8 @@ class General {
     const Code code =
         least(wrench, criterion, {options.tolerance, CONIC_ITERATIONS}, options.limit, record);
     const Summary& s = record.summary();
-    const bool lost =
-        code == STALLED && s.lower_bound > (1.0 + 1e-6) * s.objective;  // neither holds a digit
+    // neither holds a digit
+    const bool lost = code == STALLED && s.lower_bound > (1.0 + 1e-6) * s.objective;
     if ((code != REFUSED && !lost) || !is_valid_wrench(wrench)) return code;
     return refute(deepest(wrench), wrench, record);
   }
@@ -103,8 +103,8 @@ class General {
     const bool digits = gap(before) <= before.lower_bound &&
                         before.residual <= MISSED * program_->unit_size(wrench.data());
     if (record.code() == CONVERGED || digits) return record.code();
-    const Deepest found =
-        deepest(wrench.data());  // the forces are so far above the wrench that they prove nothing
+    // the forces are so far above the wrench that they prove nothing
+    const Deepest found = deepest(wrench.data());
     return found.code == INFEASIBLE ? refute(found, wrench.data(), record) : record.code();
   }
 
@@ -211,12 +211,12 @@ class General {
   }
 
  private:
-  static constexpr std::size_t LARGEST_ROOM =
-      std::size_t(1) << 24;                    // bytes that may be allocated before they are needed
+  // bytes that may be allocated before they are needed
+  static constexpr std::size_t LARGEST_ROOM = std::size_t(1) << 24;
   static constexpr double LAST_DIGITS = 1e-9;  // relative gap that double precision cannot close
   static constexpr int MORE_STEPS = 1000;      // for a stalled solver: 60 ms with four contacts
-  static constexpr double MISSED =
-      1e-3;  // of the wrench: an answer with a larger balance residual is rejected
+  // of the wrench: an answer with a larger balance residual is rejected
+  static constexpr double MISSED = 1e-3;
   static constexpr double NEARLY_ZERO = 1e-9;  // [N], [N m]
   static constexpr double MOST_FORCE = 1e20;   // [N] limits above this are rejected
 

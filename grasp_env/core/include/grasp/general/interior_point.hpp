@@ -29,8 +29,8 @@ template <class R, int D, int T> class InteriorPoint {
   Rows<R, D, T> rows;
   ArenaVector<Tuple<R, D>> cost;
   Tuple<R, T> shared_cost{};
-  std::span<const char>
-      soft;  // true if w is a variable; otherwise it stays 1 and no row acts on it
+  // true if w is a variable; otherwise it stays 1 and no row acts on it
+  std::span<const char> soft;
   State at;  // the start, then the answer
   int iterations = 0;
 
@@ -324,8 +324,8 @@ template <class R, int D, int T> class InteriorPoint {
     }
     for (int i = 0; i < rows.count; ++i) {
       dz_[i] = scaled(i, d_.z[i]);
-      ds_[i] =
-          residual_.z[i];  // ds from its own equation, so feasibility is kept to the last digit
+      // ds from its own equation, so feasibility is kept to the last digit
+      ds_[i] = residual_.z[i];
       sized<R>(rows.joint, [&](auto joint) {
         for (int r = 0; r < joint; ++r) add(ds_[i], d_.joint[r], rows.columns[joint * i + r]);
       });

@@ -103,10 +103,10 @@ template <class R, int D> class PhiRows {
     R decrement, reach;
   };  // squared Newton decrement (nan: no step), 1 / (largest step inside)
   static constexpr int REFINEMENTS = 3, HALVINGS = 60;
-  static constexpr double BALANCED =
-      1e-13;  // fraction of Phi; a step with a smaller balance residual needs no refinement
-  static constexpr double SHORTEST =
-      1e-10;  // a step moves z by at least this fraction of its length
+  // fraction of Phi; a step with a smaller balance residual needs no refinement
+  static constexpr double BALANCED = 1e-13;
+  // a step moves z by at least this fraction of its length
+  static constexpr double SHORTEST = 1e-10;
   RowSystem<R, D, 0> system_;
   Space<R, D, 0> f_, left_, more_;
   ArenaVector<R> own_slack_, own_trial_, joint_slack_, joint_trial_;

@@ -114,8 +114,8 @@ inline Code ProgramOn<D>::write_phi(PhiRows<R, D>& engine, Code code, const Call
   for (int i = 0; i < count; ++i) best_[i] = narrow(engine.z[i]);
   best_residual_ = in_.rebalance(best_, unit_);
   for (double part = 1e-15;;
-       part =
-           std::min(1.0, 4.0 * part)) {  // moves what rounding took outside back towards the start
+       // moves what rounding took outside back towards the start
+       part = std::min(1.0, 4.0 * part)) {
     for (int i = 0; i < count; ++i) engine.z[i] = wide<R>(best_[i]);
     engine.evaluate();
     in_.write_slacks(best_, limits, slacks_, [&](int k) { return in_.bound[k]; });

@@ -87,18 +87,18 @@ template <int D> class ProgramOn {
                  const double* z, const Record& record, double* prices);
 
  private:
-  static constexpr double ROUNDED =
-      1e-15;  // fraction of the forces: effect of their rounding on balance
+  // fraction of the forces: effect of their rounding on balance
+  static constexpr double ROUNDED = 1e-15;
   // Smallest margin of an internal force; less would be useful only with millions of newtons.
   static constexpr double DEEP = 1e-6;
   // Bound of the normal forces when minimising an excess, relative to the largest normal force of
   // the start.
   static constexpr double MOST = 1e4;
   static constexpr double BEGIN = 1.5;  // of a start's excess: initial increase of the limits
-  static constexpr int FIRST_TRY =
-      40;  // iterations before another start or more digits are tried; a dozen is usual
-  static constexpr int PATIENCE =
-      200;  // iterations on Phi before the central path is tried; twenty are usual
+  // iterations before another start or more digits are tried; a dozen is usual
+  static constexpr int FIRST_TRY = 40;
+  // iterations on Phi before the central path is tried; twenty are usual
+  static constexpr int PATIENCE = 200;
   static constexpr double FALL = 30.0;  // factor on lambda between stages of the path
   int count, limits;
   Constraints<D> in_;

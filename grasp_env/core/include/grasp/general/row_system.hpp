@@ -204,15 +204,15 @@ template <class R, int D, int T> class RowSystem {
   }
 
   static constexpr int K = D + T;
-  static constexpr double LOST =
-      std::is_same_v<R, double> ? 1e-15 : 1e-30;  // fraction of a pivot that rounding may cause
-  static constexpr double DOUBT =
-      1e-9;  // keeps the doubtful equation's pivot from zero; refinement removes its effect
+  // fraction of a pivot that rounding may cause
+  static constexpr double LOST = std::is_same_v<R, double> ? 1e-15 : 1e-30;
+  // keeps the doubtful equation's pivot from zero; refinement removes its effect
+  static constexpr double DOUBT = 1e-9;
   // A row as an update of its block's factor, column by column, and its effect on right-hand sides
   // and solutions, without a difference that cancels however large the row is.
   struct Own {
-    Tuple<R, D> p, beta,
-        ratio;  // entries of the row, its contribution to the block's row, and old over new pivot
+    // entries of the row, its contribution to the block's row, and old over new pivot
+    Tuple<R, D> p, beta, ratio;
     Tuple<R, T> shared;  // remainder for the shared variables, and its weight
     R weight;
 
@@ -286,8 +286,8 @@ template <class R, int D, int T> class RowSystem {
   };
   ArenaVector<Own> own_;
   ArenaVector<Block> blocks_;
-  ArenaVector<Tuple<R, D>> turned_,
-      reduced_;  // leading joint rows (N, leads) in the blocks' coordinates, and L^-1 of them
+  // leading joint rows (N, leads) in the blocks' coordinates, and L^-1 of them
+  ArenaVector<Tuple<R, D>> turned_, reduced_;
   ArenaVector<R> schur_;  // Schur complement of the leading joint rows, factored: L below, 1 / D on
                           // the diagonal
   ArenaVector<R> y_;      // multipliers of the leading joint rows

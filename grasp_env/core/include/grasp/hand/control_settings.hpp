@@ -20,11 +20,11 @@ struct ControlSettings {
       .tolerance = 1e-4,
       .limit = 200};  // for the solves that start from the last command, and within torque limits
   bool remembers = true;  // true if the method gets the last command, for starts that use it
-  std::vector<double>
-      directions;        // (N, 3, K) [1], object frame: internal forces that an adjustment combines
+  // (N, 3, K) [1], object frame: internal forces that an adjustment combines
+  std::vector<double> directions;
   double squeeze = 0.0;  // [N] total normal force for `Hold::squeeze`
-  double most_change =
-      infinity;     // [N] largest change of a force in one tick beyond what balance requires
+  // [N] largest change of a force in one tick beyond what balance requires
+  double most_change = infinity;
   int release = 2;  // ticks without force until a finger no longer counts as in contact
 };
 
@@ -33,8 +33,8 @@ struct Effort {
   int iterations = 0, trials = 0;  // of the method: accepted steps, and all steps tried
   int followed = 0;  // iterations of the control ticks between two solves of the method
   int limited = 0;   // iterations of Newton within the torque limits, when a force exceeded them
-  bool saturated =
-      false;  // torques were cut: no force within the limits balances the wrench, or none was found
+  // torques were cut: no force within the limits balances the wrench, or none was found
+  bool saturated = false;
   double margin = infinity;  // smallest distance of a torque from its limit [N m]
   double share = 0.0;        // largest torque as a fraction of its limit
 };

@@ -21,11 +21,11 @@ class Controller {
   std::vector<double> torques;  // (M,) [N m]
   std::vector<double> force;    // (N, 3) commanded [N], contact frames
   std::vector<double> frames;   // (N, 3, 3) contact frames, columns (n, o, t), object frame
-  std::vector<double>
-      depths;  // (N,) depth below the object's surface [m] at which `Hold::place` keeps the tips
+  // (N,) depth below the object's surface [m] at which `Hold::place` keeps the tips
+  std::vector<double> depths;
   std::vector<double> home;  // (M,) rest posture [rad]
-  std::vector<Point> goals,
-      inwards;  // (N,) the grasp's contact points [m] and inward normals, object frame
+  // (N,) the grasp's contact points [m] and inward normals, object frame
+  std::vector<Point> goals, inwards;
   std::vector<double> solution;  // row of the method's last solve
   double peak = 0.0;             // largest |torque| since `reset` [N m]
   std::uint64_t mask = 0;        // fingers that count as in contact
@@ -249,16 +249,16 @@ class Controller {
   // Fraction of the torque limits: if all torques are below it, the next tick solves without these
   // limits.
   static constexpr double NEAR = 0.9;
-  static constexpr double LIGHT =
-      1e-2;  // smallest normal force times friction of a finger that has just landed [N]
-  static constexpr double ROUNDED =
-      1e-9;  // rounding allowed at a torque limit, as a fraction of it
+  // smallest normal force times friction of a finger that has just landed [N]
+  static constexpr double LIGHT = 1e-2;
+  // rounding allowed at a torque limit, as a fraction of it
+  static constexpr double ROUNDED = 1e-9;
 
   // The joints that have motors, and the torques of these motors.
   struct Motors {
     std::vector<int> of;  // (M,) index of a joint's motor; -1: coupled
-    std::vector<double> limit,
-        bias;  // (J,) [N m]: torque limits of the motors; torques that carry the links' weight
+    // (J,) [N m]: torque limits of the motors; torques that carry the links' weight
+    std::vector<double> limit, bias;
     explicit Motors(const Tree& tree) : of(tree.joints(), -1) {
       for (int j = 0; j < tree.joints(); ++j)
         if (!tree.links[j].coupled()) {
@@ -271,8 +271,8 @@ class Controller {
   ForceOptimizer method_;
   Motors motors_;
   std::vector<double> jacobian_;  // (N, 3 or 6, J) object frame; declared before its users
-  ForceOptimizer follow_,
-      within_;  // Newton from the last command, on the cones only; Newton within the motors' limits
+  // Newton from the last command, on the cones only; Newton within the motors' limits
+  ForceOptimizer follow_, within_;
   ForceOptimizer least_sum_;  // finds the least sum of normal forces, for `costs`
   ElasticBalance elastic_;
   // Solution rows of these three solvers, and the last command as such a row.
@@ -292,8 +292,8 @@ class Controller {
   // `Hold::direct` and `Hold::squeeze`. The adjustment is in the object frame.
   std::vector<double> last_force_, step_force_, given_, squeezed_, adjustment_;
   std::vector<double> torsion_;  // (N,) commanded moments about the normals [N m]
-  std::vector<double> pull_, extra_torques_,
-      trial_torques_;                            // (M,) work space of the functions below
+  // (M,) work space of the functions below
+  std::vector<double> pull_, extra_torques_, trial_torques_;
   std::vector<double> tip_push_, tip_jacobian_;  // work space of `keep_posture`
   Cholesky gram_;
   bool is_redundant_;
@@ -565,8 +565,8 @@ class Controller {
   }
   // Restore balance by the least-norm change of the forces, as far as these contacts can.
   void restore_balance() {
-    constexpr double SHIFT =
-        1e-9;  // relative to the largest entry: for two contacts the matrix is singular
+    // relative to the largest entry: for two contacts the matrix is singular
+    constexpr double SHIFT = 1e-9;
     Packed6 gram{};
     Vec6 missed = wrench;
     const auto column = [&](int i, int a) { return unit_wrench(seen().points[i], axis(i, a)); };

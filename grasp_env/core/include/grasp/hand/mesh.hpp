@@ -80,15 +80,15 @@ class Mesh {
   }
 
  private:
-  static constexpr int INNER =
-      6;  // features: corners of a face, edges from each to the next, interior
+  // features: corners of a face, edges from each to the next, interior
+  static constexpr int INNER = 6;
   static constexpr int LEAF = 4;  // triangles
 
   struct Triangle {
     Point corner, b, c;  // [m]; edges to the other two corners
     Point to_b, to_c;    // gradients of a point's coordinates along b and c
-    std::array<double, 3>
-        shorter;  // inverse squared lengths of the edges from each corner to the next
+    // inverse squared lengths of the edges from each corner to the next
+    std::array<double, 3> shorter;
     int face;
   };
   struct Box {
@@ -232,8 +232,8 @@ class Mesh {
     bool same(const Side& other) const { return low == other.low && high == other.high; }
   };
   std::vector<Side> sides_;  // used while the normals are computed
-  std::vector<std::pair<int, int>>
-      group_;  // (F, 3) first side of the edge, and first side of the next edge
+  // (F, 3) first side of the edge, and first side of the next edge
+  std::vector<std::pair<int, int>> group_;
 
   void compute_edge_normals() {
     for (int f = 0; f < int(faces_.size()); ++f)

@@ -60,15 +60,15 @@ class Reach {
 
  private:
   static constexpr double EXACT = 1e-14;  // [m]; rounding of positions of 0.1 m
-  static constexpr double LARGEST_STEP =
-      0.6;  // [rad] of a joint in one step, so that it does not skip the nearest solution
+  // [rad] of a joint in one step, so that it does not skip the nearest solution
+  static constexpr double LARGEST_STEP = 0.6;
   static constexpr double SLOW = 0.98;  // a step that leaves more of |e|^2 than this is slow
   // Slow steps, or steps that come no nearer, in a row that mean a dead end.
   static constexpr int MOST_STEPS = 80, MOST_SLOW = 3, MOST_REFUSED = 8;
 
   struct Work {
-    std::vector<double> jacobian, error, rest, vector,
-        step;  // (3 tips, joints), (3 tips,) each, (joints,)
+    // (3 tips, joints), (3 tips,) each, (joints,)
+    std::vector<double> jacobian, error, rest, vector, step;
     std::vector<char> free;
     Cholesky matrix;
 

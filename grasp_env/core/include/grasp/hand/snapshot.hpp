@@ -64,10 +64,10 @@ class Snapshot {
   std::vector<double> angles, rates;  // (M,) [rad], [rad/s]
   std::vector<Point> points, normals;  // (N,) surface point nearest to each tip [m], inward unit
                                        // normal there, object frame
-  std::vector<Point> touch,
-      tips;  // (N,) point of each tip nearest to the object, centre of the tip [m], world
-  std::vector<double> gaps,
-      slip;  // (N,) distance of tip and object [m], tangential speed of the tip on the object [m/s]
+  // (N,) point of each tip nearest to the object, centre of the tip [m], world
+  std::vector<Point> touch, tips;
+  // (N,) distance of tip and object [m], tangential speed of the tip on the object [m/s]
+  std::vector<double> gaps, slip;
   std::vector<Point> sliding;    // (N,) tangential velocity [m/s], object frame
   std::vector<double> touching;  // (N,) 1 if the tip carried force in the last step
   std::vector<Point> forces;     // (N,) measured force of each tip ON the object [N], object frame

@@ -22,8 +22,8 @@ struct Link {
   int driver = -1;  // joint that it is coupled to, which is not coupled itself: angle = ratio * its
                     // angle + shift
   double ratio = 1.0, shift = 0.0;
-  std::array<double, 6>
-      inertia{};  // xx, xy, xz, yy, yz, zz about the centre of mass [kg m^2], in its own frame
+  // xx, xy, xz, yy, yz, zz about the centre of mass [kg m^2], in its own frame
+  std::array<double, 6> inertia{};
 
   bool coupled() const { return driver >= 0; }
 };

@@ -25,11 +25,11 @@ struct ForceBatch {
   std::ptrdiff_t size = 0;
   int contacts = 0, joints = 0;
   int jacobian_rows = 3;  // 3, or 6 with the angular velocities of the fingertips
-  Slices positions, normals,
-      friction;     // (N, 3) [m], (N, 3) inward, of any length, (N, 2) along o and t
-  Slices tangents;  // (N, 3) directions of o, of any length
-  Slices torsion;   // (N,) torsional friction [m], 0: hard
-  Slices wrench;    // (6,) external, on the object [N, N m]
+  // (N, 3) [m], (N, 3) inward, of any length, (N, 2) along o and t
+  Slices positions, normals, friction;
+  Slices tangents;                             // (N, 3) directions of o, of any length
+  Slices torsion;                              // (N,) torsional friction [m], 0: hard
+  Slices wrench;                               // (6,) external, on the object [N, N m]
   Slices jacobian, torque_limit, torque_bias;  // (N, rows, J), (J,) [N m], (J,) [N m]
   Slices min_normal, max_normal;               // (N,) [N]
   Slices force_weight, barrier_weight;         // (N,) omega, lambda

@@ -17,8 +17,8 @@ template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
     const Six<V> next = newton_step(value);
     for (int r = 0; r < 6; ++r) y_[r] = select(live, next[r], y_[r]);
     const auto [decrement, reach] = judged_step();
-    const Mask whole =
-        (edge_ <= last_) | (tightest_ >= edge_);  // the barriers have their final form
+    // the barriers have their final form
+    const Mask whole = (edge_ <= last_) | (tightest_ >= edge_);
     Mask harder = live & ~whole & !(decrement > CLOSE * value);
     const Mask lost = harder & (last_ == 0.0) & (edge_ < LEAST_EDGE);
     const Mask done = live & whole & !(decrement > SETTLED * value);

@@ -28,10 +28,10 @@ inline bool is_optimum(Regime regime) {
   return regime == Regime::optimum || regime == Regime::within_reach;
 }
 
-inline constexpr double ELASTIC_EDGE =
-    0.1;  // fraction of sqrt(lambda / omega): smaller slacks have a quadratic barrier
-inline constexpr double ELASTIC_SOFTNESS =
-    1e-2;  // [N^2] per unit of Phi: missed balance costs |missed|^2 / (2 softness)
+// fraction of sqrt(lambda / omega): smaller slacks have a quadratic barrier
+inline constexpr double ELASTIC_EDGE = 0.1;
+// [N^2] per unit of Phi: missed balance costs |missed|^2 / (2 softness)
+inline constexpr double ELASTIC_SOFTNESS = 1e-2;
 
 template <int W> class SmoothLanes {
  public:
@@ -235,20 +235,20 @@ template <int W> class SmoothLanes {
     V cv, touched;
     bool any;  // true if it is non-zero in any lane
   };
-  static constexpr double ROUNDED =
-      1e-13;  // fraction of E: largest value of a step's balance residual
-  static constexpr double RAISED =
-      1e-11;  // fraction of E: largest rise by a full step that restores balance
+  // fraction of E: largest value of a step's balance residual
+  static constexpr double ROUNDED = 1e-13;
+  // fraction of E: largest rise by a full step that restores balance
+  static constexpr double RAISED = 1e-11;
   static constexpr double LARGEST_EDGE = 8.0,
                           EDGE_FACTOR = 1.0 / 16.0;  // first edge of a descent, and its factor
   static constexpr double ELASTIC_FACTOR = 0.5;      // that of an elastic one
-  static constexpr double LEAST_EDGE =
-      1e-6;  // below it the problem is nearly infeasible and left to another solver
-  static constexpr double CLOSE =
-      0.03;  // squared decrement, as a fraction of E, below which the edge is lowered
+  // below it the problem is nearly infeasible and left to another solver
+  static constexpr double LEAST_EDGE = 1e-6;
+  // squared decrement, as a fraction of E, below which the edge is lowered
+  static constexpr double CLOSE = 0.03;
   static constexpr double SETTLED = 1e-9;  // the same, below which `polish` takes over
-  static constexpr double MISSES =
-      1e-13;  // fraction of an adjoint force and of its right-hand side: allowed residual
+  // fraction of an adjoint force and of its right-hand side: allowed residual
+  static constexpr double MISSES = 1e-13;
   static constexpr double LONG = 0.95;  // fraction of the way to the boundary
   static constexpr int HALVINGS = 40, REFINEMENTS = 2, WHOLE_STEPS = 2;
   static constexpr double
@@ -271,8 +271,8 @@ template <int W> class SmoothLanes {
   typename Cones<V, 0>::Field rest_;
   std::vector<Contact> at_;
   std::vector<Row> rows_;
-  std::vector<Column> columns_,
-      scaled_;           // rows divided by their length; shared rows times their roots
+  // rows divided by their length; shared rows times their roots
+  std::vector<Column> columns_, scaled_;
   bool shared_ = false;  // true if any row is shared
   typename Cones<V, 0>::Field step_, back_, pull_;
   std::vector<V> step_v_, back_v_, pull_v_, rest_v_, both_;

@@ -44,8 +44,8 @@ template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six
   const int columns = balance + joints_ + (normal ? n : 0);
   const int width = batch_.torsion ? 4 : 3;  // variables of a contact
   const int first = soft > 0.0 ? 0 : balance;
-  const int tail =
-      width * n - first;  // the first column with a softness, and its row less its number
+  // the first column with a softness, and its row less its number
+  const int tail = width * n - first;
   stiff_.resize(tail + columns, columns);
   axes_.resize(16 * n);
   nearest_.assign(tail + columns, 0.0);
@@ -218,8 +218,8 @@ template <int W> auto SmoothLanes<W>::finish(Mask open) -> Mask {
     const V moved = relative_step();
     const Mask last = edge_ == last_;
     const Mask close = last & (moved < SHORT);
-    const Mask rounding =
-        open & close & !(moved < 0.25 * before);  // a step that does not shorten any more
+    // a step that does not shorten any more
+    const Mask rounding = open & close & !(moved < 0.25 * before);
     converged |= rounding & (moved < ROUGH);
     open &= ~rounding & (moved == moved);
     open &= elastic | (reach < 0.5);

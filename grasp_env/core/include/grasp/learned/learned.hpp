@@ -30,12 +30,12 @@ struct Model {
   Network pairs;
   Normalisation normalisation{};
   double friction = 0.0;  // of the contacts
-  double scale =
-      1.0;  // sqrt(lambda / omega) relative to that of training: the only unit of force in Phi
-  std::vector<double>
-      null_space;  // (3N, 3N - 6) internal forces [N], the basis of the network's outputs
-  double largest =
-      -1.0;  // size of the largest training wrench [N], unit frame; negative: none is covered
+  // sqrt(lambda / omega) relative to that of training: the only unit of force in Phi
+  double scale = 1.0;
+  // (3N, 3N - 6) internal forces [N], the basis of the network's outputs
+  std::vector<double> null_space;
+  // size of the largest training wrench [N], unit frame; negative: none is covered
+  double largest = -1.0;
 
   // True if the parts fit together and to this number of contacts.
   bool fits(int count) const {

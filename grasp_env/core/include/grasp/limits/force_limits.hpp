@@ -60,8 +60,8 @@ struct ForceLimits {
 class LimitTable {
  public:
   static constexpr int MOST_ROWS = 64;  // on one contact
-  std::vector<double> normals, bounds, shares, weights,
-      sizes;  // as in `LimitRows`; sizes: (M,) divisors of the rows
+  // as in `LimitRows`; sizes: (M,) divisors of the rows
+  std::vector<double> normals, bounds, shares, weights, sizes;
   std::vector<int> owners;
 
   // Fill the table. Return false if a row acts on several contacts, or if numbers are not finite or

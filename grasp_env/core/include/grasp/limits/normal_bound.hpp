@@ -7,8 +7,8 @@
 
 namespace grasp {
 
-inline constexpr double UNBOUNDED =
-    1e30;  // [N] bound of what no row bounds; finite, so that 0 times it is 0
+// [N] bound of what no row bounds; finite, so that 0 times it is 0
+inline constexpr double UNBOUNDED = 1e30;
 
 // Rows that each act on the force of one contact, cone coordinates.
 struct LimitRows {

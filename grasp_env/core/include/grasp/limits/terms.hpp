@@ -18,8 +18,8 @@ namespace grasp {
 // side are zero.
 template <class V> struct Side {
   V bound, share, weight;
-  V slack, price,
-      bend;  // at x; price >= 0: its multiplier, bend: growth of the price as the slack shrinks
+  // at x; price >= 0: its multiplier, bend: growth of the price as the slack shrinks
+  V slack, price, bend;
   V dslack, dprice;  // change by a step
 
   void at(const V& along, double t) { slack = bound + all<V>(t) * share - along; }
@@ -297,15 +297,15 @@ template <class V, int B> class LimitTerms {
   }
 
  private:
-  static constexpr double SETTLED =
-      0.03;  // squared decrement, as a fraction of Phi, below which the edge is lowered
+  // squared decrement, as a fraction of Phi, below which the edge is lowered
+  static constexpr double SETTLED = 0.03;
   static constexpr double CLOSER = 3e-4;  // the same if a row is BROKEN edges outside
   static constexpr double BROKEN = 10.0;
   static constexpr double EDGE_FACTOR = 1.0 / 16.0;
-  static constexpr double LEAST_EDGE =
-      1e-6;  // below it the problem is nearly infeasible and left to the general program
-  static constexpr double PROOF_MARGIN =
-      BOUNDARY;  // fraction of the terms of a proof: far above their rounding
+  // below it the problem is nearly infeasible and left to the general program
+  static constexpr double LEAST_EDGE = 1e-6;
+  // fraction of the terms of a proof: far above their rounding
+  static constexpr double PROOF_MARGIN = BOUNDARY;
   // Fraction of the trace: regularises contacts that the least squares leave undetermined.
   static constexpr double REGULARISATION = 1e-12;
   static constexpr double INSIDE = 0.1;  // of e_u: required depth of the answer in the dual cones
@@ -316,8 +316,8 @@ template <class V, int B> class LimitTerms {
   std::vector<Pair<V>> pairs_;                  // (blocks, each)
   std::vector<BoundingRows> bounding_rows_;     // for each contact
   std::vector<double> extra_prices_;            // (M,) prices of a proof beyond those of the pairs
-  Blocks<V, B> scale_, u_bound_,
-      u_growth_;            // u is at most u_bound + t u_growth within limits raised by t
+  // u is at most u_bound + t u_growth within limits raised by t
+  Blocks<V, B> scale_, u_bound_, u_growth_;
   Blocks<V, B> unbounded_;  // 1 for a contact that no row bounds, with u at most u_bound + t
                             // u_growth - shift . w
   Vec6 shift_{};

@@ -76,8 +76,8 @@ template <class V, int B> class BasisMaker {
     set_wrench(k);
     grasp::begin(newton_.cones, newton_.starter.basis[12], w_, newton_.x);
   }
-  bool begin_warm(
-      int k) {  // the second correction removes the rounding that the first left in the balance
+  // the second correction removes the rounding that the first left in the balance
+  bool begin_warm(int k) {
     set_wrench(k);
     newton_.x = newton_.starter.basis[k];
     const auto follows = [&] {

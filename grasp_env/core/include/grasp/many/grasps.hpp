@@ -309,10 +309,10 @@ void solve_grasps(const Grasps& grasps, const SolveBatch& many, Group& group, F&
   const auto solve = [&] {
     typename Group::Mask wanted{};
     for (int lane = 0; lane < W; ++lane) {
-      if (lane < waiting)
-        wanted[lane] = -1;
+      if (lane < waiting) wanted[lane] = -1;
+      // the lane needs valid data
       else
-        problems[lane] = problems[0];  // the lane needs valid data
+        problems[lane] = problems[0];
     }
     const auto good = group.solve(problems, wanted);
     for (int lane = 0; lane < waiting; ++lane)

@@ -5,8 +5,8 @@
 
 namespace grasp {
 
-inline constexpr int FOUR =
-    REGISTER < 4 ? REGISTER : 4;  // doubles in a register of up to four contacts
+// doubles in a register of up to four contacts
+inline constexpr int FOUR = REGISTER < 4 ? REGISTER : 4;
 
 // Call f.template operator()<V, B>().
 template <class F> auto dispatch(int count, F&& f) {

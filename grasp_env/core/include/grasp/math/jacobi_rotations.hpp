@@ -10,8 +10,8 @@ namespace grasp {
 // Jacobi's one-sided rotations: singular values to full relative accuracy, for contacts that hardly
 // span the wrenches.
 struct JacobiRotations {
-  static constexpr double RANK =
-      1e-8;  // smallest ratio of singular values of G in the unit frame that counts as rank 6
+  // smallest ratio of singular values of G in the unit frame that counts as rank 6
+  static constexpr double RANK = 1e-8;
   std::vector<double>& rows;  // rotated in place: `turn` times the given rows
   int size;
   double turn[6][6] = {}, value[6] = {}, most = 0.0, fewest = infinity;

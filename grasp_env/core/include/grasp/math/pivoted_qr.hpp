@@ -82,8 +82,8 @@ class PivotedQr {
 
  private:
   int rows_ = 0, columns_ = 0;
-  std::vector<double> a_, beta_, diagonal_,
-      along_;                      // a_: R above the diagonal, the reflections from it down
+  // a_: R above the diagonal, the reflections from it down
+  std::vector<double> a_, beta_, diagonal_, along_;
   std::vector<int> row_, column_;  // what each step exchanged with its own
 
   // a . b in four sums, which run side by side.

@@ -86,11 +86,11 @@ template <class V, int B> class LeastExcess {
   static constexpr int MOST = 50;
   static constexpr double BEGIN = 1.5;   // factor of the excess at the start: initial value of t
   static constexpr double REACH = 0.95;  // fraction of the way to the boundary
-  static constexpr double CENTRE =
-      0.1;  // smallest fraction of the gap that a step aims at: iterates far off the centre jam
+  // smallest fraction of the gap that a step aims at: iterates far off the centre jam
+  static constexpr double CENTRE = 0.1;
   static constexpr double ENOUGH = 0.5;  // fraction of the allowed gap: no step aims below it
-  static constexpr double AIM =
-      0.9;  // the rest is reserved for restoring the last digits of balance
+  // the rest is reserved for restoring the last digits of balance
+  static constexpr double AIM = 0.9;
 
   static double allowed(double bound) { return std::max(EXCESS_WITHIN * bound, EXCESS_FLOOR); }
 

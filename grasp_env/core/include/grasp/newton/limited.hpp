@@ -10,8 +10,8 @@ template <class V, int B> class LimitedNewton {
  public:
   NewtonSolver<V, B, LimitTerms<V, B>> newton;
   bool elastic = false;  // if no force keeps the limits, find the one that exceeds them least
-  double proof_scale =
-      0.0;  // factor that scales the prices in `newton.rows` of a proof to its twist
+  // factor that scales the prices in `newton.rows` of a proof to its twist
+  double proof_scale = 0.0;
 
   explicit LimitedNewton(int count)
       : newton(count), begun_(newton.cones.field()), least_(newton.cones) {}
@@ -43,8 +43,8 @@ template <class V, int B> class LimitedNewton {
   }
 
  private:
-  static constexpr double FIRM =
-      0.5;  // of the least slack of a previous force: edge of the parabola
+  // of the least slack of a previous force: edge of the parabola
+  static constexpr double FIRM = 0.5;
   typename Cones<V, B>::Field begun_;
   LeastExcess<V, B> least_;
 

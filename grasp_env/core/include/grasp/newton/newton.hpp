@@ -137,11 +137,11 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   static constexpr int REFINEMENTS = 3;
   // Whole descents take half of it, unless they crawl along a surface.
   static constexpr int PATIENCE = Rows::has_terms ? 80 : 40;
-  static constexpr int LONGEST =
-      400;  // the same along the central path: 40 unless hardly any force is inside
+  // the same along the central path: 40 unless hardly any force is inside
+  static constexpr int LONGEST = 400;
   static constexpr double AHEAD = 3.0;  // factor on the part of the price to which x is nearest
-  static constexpr double MISSED =
-      1e-8;  // fraction of wrench and force: largest balance residual of a given start
+  // fraction of wrench and force: largest balance residual of a given start
+  static constexpr double MISSED = 1e-8;
   Field step_, begun_, best_, centring_;
 
   typename System<V, B>::NewtonStep find_step(const Vec6& nu, const Vec6& left, double value) {

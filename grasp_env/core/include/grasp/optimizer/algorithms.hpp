@@ -48,8 +48,8 @@ template <class V, int B> class Algorithms {
   }
 
  private:
-  static constexpr double WELL_INSIDE =
-      1e-3;  // of the mean normal force: smallest slack of a start within limits
+  // of the mean normal force: smallest slack of a start within limits
+  static constexpr double WELL_INSIDE = 1e-3;
   Solvers<V, B>& on_;
   CallState& call_;
   Starts<V, B> starts_;

@@ -24,8 +24,8 @@ Record open_row(const Solvers<V, B>& on, const Request& ask, double* row) {
 // True if the outcome can be used: an optimum, a proof, or a force that is balanced and inside the
 // cones.
 template <class V, int B> bool is_sound(const Solvers<V, B>& on, Code code, const Record& record) {
-  constexpr double ROUNDED =
-      1e-13;  // fraction of the largest force: effect of its rounding on balance
+  // fraction of the largest force: effect of its rounding on balance
+  constexpr double ROUNDED = 1e-13;
   if (code == CONVERGED || !Record::has_force(code)) return code == CONVERGED || code == INFEASIBLE;
   const Summary& s = record.summary();
   const Contacts& now = on.current.now;

@@ -47,8 +47,8 @@ class CurrentContacts {
   OwnLimits limits;
   int joints;
   LimitTable table;  // limits of the current contacts, if each acts on one contact
-  std::vector<double>
-      divisor;              // (n,) torsion in units of its limit / torsion [1 / m]; inf: not soft
+  // (n,) torsion in units of its limit / torsion [1 / m]; inf: not soft
+  std::vector<double> divisor;
   std::vector<int> chosen;  // indices of the contacts that touch
   bool separate = true;     // true if each limit acts on one contact
 

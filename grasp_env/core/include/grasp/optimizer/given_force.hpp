@@ -36,8 +36,8 @@ template <class V, int B> class GivenForce {
         std::copy_n(f, 3, out);
         continue;
       }
-      out[0] =
-          f[0];  // the component lost to the frames' tilt is dropped, so the force stays inside
+      // the component lost to the frames' tilt is dropped, so the force stays inside
+      out[0] = f[0];
       for (int a = 1; a < 3; ++a) {
         out[a] = 0.0;
         for (int r = 0; r < 3; ++r)

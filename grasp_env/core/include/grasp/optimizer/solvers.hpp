@@ -64,8 +64,8 @@ template <class V, int B> class Solvers {
   // A force of the caller, or the previous one, on the touching contacts. The searches for an
   // internal force write here, too: make `general()` before a force is loaded.
   Given given;
-  StoredAnswer answer,
-      kept;  // of the current contacts; an answer to which another may be preferred
+  // of the current contacts; an answer to which another may be preferred
+  StoredAnswer answer, kept;
 
   // Throws std::invalid_argument.
   Solvers(const Problem& problem, const Options& options)

@@ -257,8 +257,8 @@ template <class V, int B> class Cones {
   }
 
  private:
-  static constexpr double INSIDE =
-      1.0 - 1e-13;  // fraction of the way to the surface of the dual cones, kept clear of rounding
+  // fraction of the way to the surface of the dual cones, kept clear of rounding
+  static constexpr double INSIDE = 1.0 - 1e-13;
   int needed() const { return (count + W - 1) / W; }
 
   // f(block, lane, first number) for every contact

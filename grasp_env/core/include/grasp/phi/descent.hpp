@@ -11,8 +11,8 @@ inline constexpr double SHORT = 0.7, LONG = 0.95;
 // Rules of a descent, for one problem and for a register of them.
 template <class S> struct Rules {
   static constexpr int HALVINGS = 60;
-  static constexpr double SHORTEST =
-      1e-10;  // a step moves x by at least this fraction of its length
+  // a step moves x by at least this fraction of its length
+  static constexpr double SHORTEST = 1e-10;
   static constexpr double ROUNDED = 1e-13;  // fraction of Phi
   static constexpr double BELOW = -1e-9;    // rounding by which Phi may lie below its bound
 
@@ -70,8 +70,8 @@ struct Call {
   double optimum = std::numeric_limits<double>::quiet_NaN();
   double* trace = nullptr;  // receives Phi of iterates 0 .. traced - 1
   int traced = 0;
-  bool exceeding =
-      false;  // the force is a least excess over limits for another wrench and may be the answer
+  // the force is a least excess over limits for another wrench and may be the answer
+  bool exceeding = false;
 };
 
 // State of a descent.

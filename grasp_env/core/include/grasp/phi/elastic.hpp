@@ -12,8 +12,8 @@ namespace grasp {
 // - (G x + w).
 class ElasticBalance {
  public:
-  static constexpr double SOFTNESS =
-      1e-2;  // [N^2] per unit of Phi: roughly the balance residual where a balanced force exists
+  // [N^2] per unit of Phi: roughly the balance residual where a balanced force exists
+  static constexpr double SOFTNESS = 1e-2;
   int iterations = 0;  // of the last solve
 
   explicit ElasticBalance(int count)

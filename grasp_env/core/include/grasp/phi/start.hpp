@@ -53,8 +53,8 @@ template <class V, int B> struct Tangents {
 template <class V, int B> class Starter {
  public:
   using Field = typename Cones<V, B>::Field;
-  std::array<Field, 13>
-      basis;  // argmin Phi for +e_1..+e_6, -e_1..-e_6 and the zero wrench, cone coordinates
+  // argmin Phi for +e_1..+e_6, -e_1..-e_6 and the zero wrench, cone coordinates
+  std::array<Field, 13> basis;
   Tangents<V, B> basis_tangents, tangents;  // tangents of the basis, and the current ones
   bool has_basis = false;
 

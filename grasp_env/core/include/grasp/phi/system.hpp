@@ -30,8 +30,8 @@ template <class V, int B> class System {
     for (int b = 0; b < int(cones.blocks.size()); ++b) {
       const auto& c = cones.blocks[b];
       inverse[b] = inverse_hessian(x[b], c.weights);
-      gradient[b] =
-          c.mask * grasp::gradient(x[b], c.weights);  // the mask keeps unused lanes unchanged
+      // the mask keeps unused lanes unchanged
+      gradient[b] = c.mask * grasp::gradient(x[b], c.weights);
       more(b, gradient[b], inverse[b]);
       const Sym3<V> h = inverse[b];
       const Vec3<V>* g = columns(cones, rows, b);
@@ -159,8 +159,8 @@ template <class V, int B> class System {
   }
 
   static constexpr int REFINEMENTS = 3;
-  static constexpr double MISSES =
-      1e-13;  // fraction of Phi; a step with a smaller balance residual needs no refinement
+  // fraction of Phi; a step with a smaller balance residual needs no refinement
+  static constexpr double MISSES = 1e-13;
 
   template <class R>
   [[gnu::always_inline]] static const Vec3<V>* columns(const Cones<V, B>& cones,

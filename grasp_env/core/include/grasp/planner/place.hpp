@@ -23,11 +23,11 @@ struct Demand {
   Point gravity{0.0, 0.0, 0.0};  // [m/s^2]
 };
 
-inline constexpr double TIP_CLEARANCE =
-    1e-3;  // [m] clearance of the rest of a fingertip, which moves with its sphere
+// [m] clearance of the rest of a fingertip, which moves with its sphere
+inline constexpr double TIP_CLEARANCE = 1e-3;
 inline constexpr double PI = 3.14159265358979323846;
-inline constexpr double FORCE_AT_LIMIT =
-    30.0;  // [N] that weighs as much as a joint at its torque limit
+// [N] that weighs as much as a joint at its torque limit
+inline constexpr double FORCE_AT_LIMIT = 30.0;
 
 // A start inside the object [m], and an offset of the direction towards the finger. On meshes, and
 // for fingers that only close, the six random numbers in [0, 1) are used directly.
@@ -40,8 +40,8 @@ struct Place {
   Point point, normal;          // [m], inward
   std::vector<Placed> limbs;    // of the finger at this place
   std::vector<double> replies;  // see `search.hpp`
-  std::vector<double> angles,
-      start;  // of the finger's joints at this place, and before closing if known [rad]
+  // of the finger's joints at this place, and before closing if known [rad]
+  std::vector<double> angles, start;
   // Joints that may reach their limit: fraction of the remaining torque that 1 N uses, times
   // `FORCE_AT_LIMIT`.
   std::vector<Point> efforts;

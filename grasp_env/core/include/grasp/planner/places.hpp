@@ -159,8 +159,8 @@ class Finger {
 
   // True if the tip can move in all directions in at least one of several postures.
   bool is_spatial() {
-    constexpr double LEAST =
-        1e-4;  // of the determinant of J J^T over the cube of its mean eigenvalue
+    // of the determinant of J J^T over the cube of its mean eigenvalue
+    constexpr double LEAST = 1e-4;
     const int count = int(joints.size());
     std::vector<double> jacobian(3 * count);
     double best = 0.0;
@@ -386,8 +386,8 @@ class Finger {
     posture_.support(demand.gravity, weight.data());
     posture_.each_moving_joint(count - 1, posture_.tip(0),
                                [&](int j, const Point& along) { moves[j] += along; });
-    const double largest = std::sqrt(
-        1.0 + demand.friction * demand.friction);  // ratio of a force to its normal component
+    // ratio of a force to its normal component
+    const double largest = std::sqrt(1.0 + demand.friction * demand.friction);
     for (int j = 0; j < count; ++j) {
       const double limit = tree_->links[j].torque_limit;
       const Point effort =

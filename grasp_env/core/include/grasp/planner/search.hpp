@@ -159,8 +159,8 @@ class GraspSearch {
   // Compute the angles (M,) at which the whole hand is at its places, and before it closes; return
   // what is wrong with them. clearance: of the links from the object at the places [m].
   Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
-    constexpr double TOGETHER =
-        2e-5;  // [m] distance of fingers of one motor from the object when the first touches
+    // [m] distance of fingers of one motor from the object when the first touches
+    constexpr double TOGETHER = 2e-5;
     // fractions of the clearance: from the object, which the places already keep; between links
     constexpr double EASIER = 0.9;
     constexpr double OWN = 1.0 / 3.0;
@@ -256,8 +256,8 @@ class GraspSearch {
   Obstacle object_;
   Demand demand_;
   std::vector<Vec6> directions_;
-  std::vector<double> needs_,
-      rest_;  // per direction: the largest load . y; the largest reply of the other fingers
+  // per direction: the largest load . y; the largest reply of the other fingers
+  std::vector<double> needs_, rest_;
 
   // Add a direction to the table.
   void add_direction(const Vec6& y) {

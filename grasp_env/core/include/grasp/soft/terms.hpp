@@ -183,9 +183,9 @@ template <class V, int B> class SoftTerms {
   };
   struct State {
     V v, step;
-    V lever, free, pull,
-        slope;  // k, 1 / psi_vv, psi_v / psi_vv, psi_v, with psi the terms of torsion
-    V p, q;     // 1 / (u - v), 1 / (u + v)
+    // k, 1 / psi_vv, psi_v / psi_vv, psi_v, with psi the terms of torsion
+    V lever, free, pull, slope;
+    V p, q;  // 1 / (u - v), 1 / (u + v)
     V price;
     Vec3<V> columns[6];  // G of the force together with the torsion that follows it
   };
