@@ -15,6 +15,7 @@ from grasp_env.errors import GraspError, UnknownNameError
 from grasp_env.inputs.extras import need
 
 BENCHMARKS = {
+    "algorithms": "each algorithm of the core on the problems it exists for",
     "scaling": "cost against contacts",
     "batch": "solves per second on one core and on all",
     "env": "steps per second of the environment beside bare PyBullet, resets, memory",

@@ -26,7 +26,7 @@ extensions = [
     "mathml",
     "docstrings",
     "program",
-    "settings",
+    "settings_table",
 ]
 exclude_patterns = ["results"]
 nitpicky = True

@@ -1,9 +1,8 @@
 """Fills the tables of measurements in README.md and the pages from saved runs.
 
-python -m docs.fill                 writes every block <!-- results: NAME --> ... <!-- /results -->
-again python -m docs.fill --check         lists the blocks that differ from the saved runs; exit
-code 1 python -m docs.fill --save RUN...   saves the summaries of run folders, of `grasp` or of the
-benchmarks
+python -m docs.fill                writes every block <!-- results: NAME --> ... <!-- /results -->
+python -m docs.fill --check        lists the blocks that differ from saved runs; exit code 1
+python -m docs.fill --save RUN...  saves the summaries of runs of `grasp` or of the benchmarks
 
 docs/results/KIND.csv is the summary of a run (columns: training/evaluation/results/columns.py),
 KIND.json its settings and machine, KIND.svg its picture, if it has one. Of the force benchmark
@@ -22,6 +21,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from benchmarks.algorithms import ALGORITHMS
 from benchmarks.force.entrants import ENTRANTS
 from benchmarks.force.problems import load, names
 from benchmarks.force.report import by_contacts, by_entrant, by_track, pair_of
@@ -211,6 +211,25 @@ def batch() -> str:
             names="million certified solves per second"
         ),
     )
+
+
+def algorithms() -> str:
+    """Return the times of the core's algorithms and the reasons why they exist."""
+    means = saved("algorithms")[0]
+    means["place"] = [list(ALGORITHMS).index(method) for method in means["method"]]
+    rows = [
+        {
+            "algorithm": f"`{row['method']}`",
+            "why it exists": ALGORITHMS[row["method"]],
+            "problem": row["case"],
+            "us, median / p99": pair(row, "microseconds"),
+        }
+        for row in means.sort_values("place", kind="stable").to_dict("records")
+    ]
+    for row, before in reversed(list(zip(rows[1:], rows, strict=False))):
+        if row["algorithm"] == before["algorithm"]:
+            row["algorithm"] = row["why it exists"] = ""
+    return markdown("algorithms", pd.DataFrame(rows))
 
 
 def step_rules() -> str:
@@ -498,6 +517,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "force_sum": force("sum"),
     "force_phi": force("phi"),
     "force_entrants": force_entrants,
+    "algorithms": algorithms,
     "batch": batch,
     "starts": reported("starts", starts_page.hardest_sets),
     "calls": reported("starts", starts_page.all_starts),

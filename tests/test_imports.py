@@ -3,54 +3,21 @@ simulator, gymnasium nor torch."""
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from docs.rooms import DOORS, PICTURE, ROOT, files, imports, module_arrows, picture
+
 SOLVER = {"numpy", "scipy", "grasp_env"}
 """All that `grasp_env.grasp`, `grasp_env.force` and `grasp_env.quality` may import besides the
 standard library."""
 
 
-@cache
-def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@cache
-def _imports(path: Path) -> set[str]:
-    """Return the absolute names that a file imports, in functions and for type checking too."""
-    names: set[str] = set()
-    package = path.relative_to(ROOT).parent.parts
-    for node in ast.walk(_tree(path)):
-        if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            base = ".".join(
-                [*package[: len(package) + 1 - node.level], *([node.module] if node.module else [])]
-            )
-            start = base if node.level else str(node.module)
-            names.update(f"{start}.{alias.name}" for alias in node.names)
-            names.add(start)
-        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "import_module":
-            names.update(
-                str(argument.value) for argument in node.args if isinstance(argument, ast.Constant)
-            )
-    return names
-
-
-def _files(*parts: str) -> list[Path]:
-    """Return the sources of a package."""
-    return sorted((ROOT / Path(*parts)).rglob("*.py"))
-
-
 def _roots(path: Path) -> set[str]:
-    return {name.split(".")[0] for name in _imports(path)}
+    return {name.split(".")[0] for name in imports(path)}
 
 
 ABOVE = {
@@ -62,15 +29,13 @@ ABOVE = {
 
 @pytest.mark.parametrize("package", ABOVE)
 def test_packages_never_import_upwards(package: str) -> None:
-    guilty = {
-        str(path.relative_to(ROOT)): _roots(path) & ABOVE[package] for path in _files(package)
-    }
+    guilty = {str(path.relative_to(ROOT)): _roots(path) & ABOVE[package] for path in files(package)}
     assert {path: roots for path, roots in guilty.items() if roots} == {}
 
 
 @pytest.mark.parametrize("package", ["core", "grasp", "force", "quality"])
 def test_the_solver_imports_numpy_and_scipy_only(package: str) -> None:
-    for path in _files("grasp_env", package):
+    for path in files("grasp_env", package):
         assert _roots(path) <= SOLVER | set(sys.stdlib_module_names), path
 
 
@@ -110,35 +75,6 @@ ROOMS: dict[str, dict[str, set[str]]] = {
     },
 }
 """Rooms of a package, the lowest first, and the rooms that each may import."""
-DOORS = ("", "__main__")
-"""Modules outside the rooms: the package itself and `python -m`."""
-
-
-def _modules(package: str) -> dict[str, Path]:
-    """Return the files of a package by module name."""
-    found = {path.relative_to(ROOT).with_suffix("").parts: path for path in _files(package)}
-    return {
-        ".".join(parts[:-1] if parts[-1] == "__init__" else parts): path
-        for parts, path in found.items()
-    }
-
-
-def _arrows(package: str) -> dict[str, set[str]]:
-    """Return the modules of a package that each of its modules imports, also in functions; `from
-    room import module` means the module."""
-    modules = _modules(package)
-    out = {}
-    for name, path in modules.items():
-        asked = _imports(path) & set(modules)
-        deeper = {one for one in asked if any(other.startswith(f"{one}.") for other in asked)}
-        direct = {
-            str(node.module)
-            for node in ast.walk(_tree(path))
-            if isinstance(node, ast.ImportFrom)
-            and any(f"{node.module}.{alias.name}" not in modules for alias in node.names)
-        }
-        out[name] = asked - (deeper - direct) - {name}
-    return out
 
 
 @pytest.mark.parametrize("package", ROOMS)
@@ -148,7 +84,7 @@ def test_rooms_look_one_way(package: str) -> None:
     for room, below in rooms.items():
         assert {order.index(other) < order.index(room) for other in below} <= {True}, room
     found = {room: set[str]() for room in rooms}
-    for name, targets in _arrows(package).items():
+    for name, targets in module_arrows(package).items():
         room = name.split(".")[1] if name.count(".") else ""
         if room in DOORS:
             continue
@@ -162,7 +98,7 @@ def test_rooms_look_one_way(package: str) -> None:
 
 @pytest.mark.parametrize("package", ["grasp_env", "policies", "training", "benchmarks"])
 def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
-    left = _arrows(package)
+    left = module_arrows(package)
     while free := [name for name, targets in left.items() if not targets & set(left)]:
         for name in free:
             del left[name]
@@ -173,7 +109,7 @@ def test_pybullet_is_imported_in_one_file() -> None:
     users = {
         str(path.relative_to(ROOT))
         for part in ("grasp_env", "policies", "training", "benchmarks")
-        for path in _files(part)
+        for path in files(part)
         if _roots(path) & {"pybullet", "pybullet_data", "pybullet_utils"}
     }
     assert users == {str(Path("grasp_env", "sim", "client.py"))}
@@ -241,3 +177,7 @@ env.step(env.action_space.sample())
 env.close()
 assert not {name.split(".")[0] for name in sys.modules} & {"scipy", "torch", "trimesh", "matplotlib"}
 """)
+
+
+def test_the_picture_of_the_rooms_is_that_of_the_code() -> None:
+    assert PICTURE.read_text(encoding="utf-8") == picture(), "run python -m docs.rooms"

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from benchmarks import layer
-from benchmarks.layer import ANSWERS, FORWARD, LAYER, Settings, answers, draw
+from benchmarks.layer import ANSWERS, FORWARD, LAYER, LayerSettings, answers, draw
 from benchmarks.layer_peers import PEERS, Contestant, cone_form
 from grasp_env.force import ForceLimits, optimize_forces
 from training.evaluation.results.table import summary
@@ -127,7 +127,7 @@ def test_rows_of_known_layers(monkeypatch):
     known = {"OURS": mine, "PEERS": peers, "CONTESTANTS": mine | peers, "seconds": seconds}
     for name, value in known.items():
         monkeypatch.setattr(layer, name, value)
-    rows = layer.run(Settings(batches=(1, 3, 4), calls=3, rounds=2, passes=7))
+    rows = layer.run(LayerSettings(batches=(1, 3, 4), calls=3, rounds=2, passes=7))
     lacking = rows.dropna(subset="reason")[["method", "reason"]].to_numpy().tolist()
     assert lacking == [["theseus", "No module named 'theseus': pip install theseus-ai"]]
     found = summary(rows[rows["reason"].isna()]).set_index(["case", "batch", "method"])

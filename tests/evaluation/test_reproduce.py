@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from problems import CONIC_LEAST, GRASPS, PAPER_WRENCH
-from training.evaluation.experiments.pyramids import pyramid_forces
 
 from grasp_env.errors import NotConvergedError
 from grasp_env.force import ForceOptimizer, optimize_force
@@ -20,6 +19,7 @@ from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.wrench import PAPER_CONSTANT, paper_path, sample_ball
 from training.evaluation.report import reproduce_page as page
 from training.evaluation.reproduce import experiments
+from training.evaluation.reproduce.pyramids import pyramid_forces
 from training.evaluation.results import Run
 from training.evaluation.results.claims import judge
 from training.evaluation.results.table import chosen, summary

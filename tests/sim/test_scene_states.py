@@ -14,7 +14,7 @@ from hands import numbers
 from grasp_env.errors import InvalidInputError, SimulationError, UnknownNameError
 from grasp_env.sim import BulletEngine, MujocoEngine, ObjectDescription, Scene
 from grasp_env.sim.config import SceneConfig
-from grasp_env.sim.engine import Engine
+from grasp_env.sim.engine import EngineSettings
 
 PUSH = np.array([0.4, -0.3, 0.2, 0.02, -0.03, 0.01])
 
@@ -34,7 +34,7 @@ def record(scene: Scene, holder: Callable[[Scene], np.ndarray], steps: int = 40)
     ids=lambda engine: engine.name,
 )
 def test_reset_is_exact(
-    make_scene: Callable[..., Scene], make_holder: Callable, engine: Engine
+    make_scene: Callable[..., Scene], make_holder: Callable, engine: EngineSettings
 ) -> None:
     """To a saved state with its contact forces, to the start without any, and after the object was
     lost."""

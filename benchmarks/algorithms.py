@@ -1,0 +1,187 @@
+"""Time of each algorithm of the core on the problems that it exists for, and of the algorithm that
+could replace it on the same problems.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.benchmark import Benchmark, tick
+from benchmarks.force.package import grasp_of
+from benchmarks.force.problems import Problem, load
+from benchmarks.problem import compiled_times
+from grasp_env.force import ForceLimits, ForceOptimizer, optimize_forces
+from grasp_env.grasp import Grasp, presets
+from grasp_env.grasp.wrench import sample_ball
+from grasp_env.inputs.arguments import Array
+from training.data.grasps import BENCH
+from training.evaluation.results.table import pd, table
+
+ALGORITHMS = {
+    "newton/newton": "Newton on Phi: four contacts stay in registers",
+    "newton/limited": "Newton with limits of single contacts: rank-one terms of their blocks",
+    "newton/soft": "Newton with torsion, which each contact eliminates",
+    "newton/excess": "elastic: the force that exceeds the limits least",
+    "general/phi_rows": "Newton with rows that couple contacts",
+    "many/problems": "Newton on several wrenches at once, one in each vector lane",
+    "many/grasps": "Newton on several grasps at once",
+    "layer/smooth": "Newton to the last digits, with gradients; elastic: penalties that stay smooth",
+    "flow/flow": "the paper's gradient flow, reduced and full",
+    "conic/conic": "interior point for the least sum of normal forces",
+    "general/interior_point": "interior point for any contacts and limits, and after others give up",
+}
+"""Folder of each algorithm and the reason why it exists."""
+TOLERANCE = 1e-6
+TORSIONAL_FRICTION = 0.005
+"""Of the soft contacts [m]."""
+
+
+@dataclass(frozen=True)
+class AlgorithmSettings:
+    """Settings of a benchmark.
+
+    Attributes:
+        wrenches: problems of each algorithm.
+        passes: calls of each problem; its time is the shortest.
+        seed: seed of the problems.
+    """
+
+    wrenches: int = 400
+    passes: int = 10
+    seed: int = 0
+
+
+def run(settings: AlgorithmSettings) -> pd.DataFrame:
+    """Microseconds of a call, a row for each problem; of a batch, for each of its problems."""
+    rows: list[dict[str, Any]] = []
+    for method, problem, times in measured(settings):
+        tick(f"{method}, {problem}")
+        rows += [{"method": method, "case": problem, "microseconds": 1e6 * t} for t in times]
+    return table(rows)
+
+
+def measured(settings: AlgorithmSettings) -> Iterator[tuple[str, str, Array]]:
+    """Yield the folder of an algorithm, its problem, and seconds."""
+    rng = np.random.default_rng(settings.seed)
+    loads = sample_ball(rng, settings.wrenches)
+    hard = presets.paper_cuboid()
+    soft = Grasp.from_contacts(
+        hard.positions,
+        hard.normals,
+        hard.friction,
+        contact_model="soft",
+        torsional_friction=TORSIONAL_FRICTION,
+    )
+    bounds = ForceLimits(max_normal=20.0)
+    tight = ForceLimits(max_normal=1.0)
+
+    def timed(grasp: Grasp, **options: Any) -> Array:
+        optimizer = ForceOptimizer(grasp, tolerance=TOLERANCE, **options)
+        return compiled_times(optimizer, loads, settings.passes)[0]
+
+    def hand(track: str, method: str) -> Array:
+        return np.concatenate(
+            [
+                compiled_times(
+                    ForceOptimizer(grasp, method=method, limits=limits, tolerance=TOLERANCE),
+                    problem.wrench[None],
+                    settings.passes,
+                )[0]
+                for problem in four_contacts(track)
+                for grasp, limits in [grasp_of(problem)]
+            ]
+        )
+
+    yield "newton/newton", "hard", timed(hard)
+    yield "newton/limited", "normal forces limited", timed(hard, limits=bounds)
+    yield "newton/limited", "each joint moves one finger", hand("own", "newton")
+    yield "newton/soft", "soft", timed(soft)
+    yield "general/phi_rows", "joints shared by fingers", hand("shared", "newton")
+    yield "general/phi_rows", "soft, normal forces limited", timed(soft, limits=bounds)
+    yield "flow/flow", "hard, from the 12-basis", timed(hard, method="reduced_flow")
+    yield "flow/flow", "hard, full, from the 12-basis", timed(hard, method="full_flow")
+    yield "conic/conic", "hard", timed(hard, method="conic")
+    conic_limits = timed(hard, method="conic", limits=bounds)
+    yield "general/interior_point", "normal forces limited", conic_limits
+    yield "general/interior_point", "each joint moves one finger", hand("own", "conic")
+    yield "general/interior_point", "joints shared by fingers", hand("shared", "conic")
+    yield "general/interior_point", "soft", timed(soft, method="conic")
+    excess = timed(hard, limits=tight, elastic=True)
+    yield "newton/excess", "limits that no force meets, elastic", excess
+    yield "newton/limited", "limits that no force meets, proof", timed(hard, limits=tight)
+
+    grasps = [BENCH.closed(rng, 4) for _ in loads]
+    many = repeated(settings, lambda: optimize_forces(hard, loads, workers=1))
+    yield "many/problems", "one grasp, many wrenches", many
+    many = repeated(settings, lambda: optimize_forces(grasps, loads, workers=1))
+    yield "many/grasps", "many grasps, a wrench each", many
+    yield "layer/smooth", "batch, forward", layer(settings, hard, loads, None)
+    yield "layer/smooth", "batch, forward and backward", layer(settings, hard, loads, None, True)
+    yield "layer/smooth", "limits that no force meets, elastic", layer(settings, hard, loads, 1.0)
+
+
+def four_contacts(track: str) -> Iterator[Problem]:
+    """Yield the first ten problems of each session of a track with four contacts."""
+    for session in load(track).sessions:
+        if session.problems[0].n_contacts == 4:
+            yield from (p for p in session.problems[:10] if p.touching is None or p.touching.all())
+
+
+def repeated(settings: AlgorithmSettings, call: Callable[[], Any]) -> Array:
+    """Return seconds per problem of a call that solves `settings.wrenches`, for each pass."""
+    call()
+    times = np.empty(settings.passes)
+    for k in range(settings.passes):
+        begin = time.perf_counter()
+        call()
+        times[k] = time.perf_counter() - begin
+    return times / settings.wrenches
+
+
+def layer(
+    settings: AlgorithmSettings,
+    grasp: Grasp,
+    loads: Array,
+    max_normal: float | None,
+    backward: bool = False,
+) -> Array:
+    """Return seconds per problem of the force layer on one core."""
+    import torch
+
+    from policies.layer import grasp_force
+
+    torch.set_num_threads(1)
+    positions = torch.from_numpy(np.array(grasp.positions))
+    normals = torch.from_numpy(np.array(grasp.normals))
+    friction = torch.from_numpy(np.array(grasp.friction))
+    wrenches = torch.from_numpy(loads).requires_grad_(backward)
+    infeasible = "mask" if max_normal is None else "elastic"
+
+    def call() -> None:
+        forces = grasp_force(
+            positions,
+            normals,
+            friction,
+            wrenches,
+            max_normal=max_normal,
+            infeasible=infeasible,
+            tolerance=TOLERANCE,
+        )
+        if backward:
+            forces.force.sum().backward()
+
+    return repeated(settings, call)
+
+
+BENCHMARK = Benchmark(
+    run,
+    AlgorithmSettings(),
+    quick={"wrenches": 40, "passes": 2},
+    shown=("microseconds_median", "microseconds_p99"),
+    words=ALGORITHMS,
+)
