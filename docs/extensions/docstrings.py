@@ -33,6 +33,8 @@ class Word(PyXRefRole):
     ) -> tuple[str, str]:
         """Treat the word as a reference to any Python object; a class may be in any module."""
         refnode["reftype"] = "obj"
+        title = " ".join(title.split())  # a line may end inside of the backticks
+        target = " ".join(target.split())
         if target[:1].isupper() and target.isidentifier():
             target = f".{target}"
         return super().process_link(env, refnode, has_explicit_title, title, target)

@@ -407,8 +407,8 @@ class ForceOptimizer:
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
-            InvalidInputError, RankDeficientGraspError, InfeasibleWrenchError, InfeasibleStartError:
-            see `solve`.
+            InvalidInputError, RankDeficientGraspError, InfeasibleWrenchError,
+                InfeasibleStartError: see `solve`.
         """
         now = {
             "positions": positions,
