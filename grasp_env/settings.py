@@ -77,7 +77,7 @@ def setting(
 
     Args:
         default, kind, doc, unit: its default, the accepted values, one sentence, the unit of its
-        numbers.
+            numbers.
         none: the meaning of None; if empty, None is an error.
         random: True if it may be drawn at each reset.
     """

@@ -73,7 +73,7 @@ class ForceLoop:
         force: (N, 3) commanded contact forces [N], contact frames; frames: (N, 3, 3) columns (n, o,
             t), object frame.
         friction, torsional_friction: coefficients that the solver assumes; the latter in metres,
-        above 0 contacts are soft.
+            above 0 contacts are soft.
     """
 
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:

@@ -29,7 +29,7 @@ class Mujoco(Simulator):
 
     Attributes:
         model, data: MuJoCo's model and data; each `load` makes new ones, and they are None after
-        `close`.
+            `close`.
     """
 
     def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:

@@ -108,7 +108,7 @@ class FitConfig:
 
         Raises:
             GraspFileError, InvalidInputError: see `contacts`; or the grasp does not close in the
-            whole range of friction.
+                whole range of friction.
         """
         grasp = self.contacts()
         own = float(grasp.friction.mean())

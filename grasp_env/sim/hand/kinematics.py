@@ -32,7 +32,7 @@ class HandKinematics:
         tree: Its links and fingertips in the core.
         home: Rest posture [rad], (M,).
         lower, upper: Joint limits [rad], (M,), -inf and inf without limits, so narrow that coupled
-        joints stay within theirs.
+            joints stay within theirs.
         torque_limits: Torque limits [N m], (M,).
         drivers: The index of each joint's driver, (M,); a joint that is not coupled drives itself.
         motors: Indices of the joints with a motor, ascending.
@@ -359,7 +359,7 @@ def motor_force_basis(jacobian: Array) -> Array:
 
 
 def _ranges(hand: HandDescription) -> tuple[Array, Array]:
-    """Return lower and upper joint limits (M,), narrowed so that coupled joints stay within theirs."""
+        """Return lower and upper joint limits (M,), narrowed so that coupled joints stay within theirs."""
     lower, upper = (
         np.array([getattr(link, side) for link in hand.links]) for side in ("lower", "upper")
     )

@@ -51,7 +51,7 @@ class StartsConfig:
 
     Attributes:
         wrenches, timed, repeats, episodes, steps, seed, quick: the options of `grasp evaluate
-        starts`.
+            starts`.
     """
 
     wrenches: int = 1000
