@@ -136,9 +136,9 @@ def core_contacts(grasp: Grasp, objective: Objective) -> core.Contacts:
     lam = objective.barrier_weight
     contacts = as_grasp(grasp).contacts
     uniform = type(omega) is float and type(lam) is float
-    given = (omega, lam) if uniform else (objective.weights(contacts.count),)
+    weights = (omega, lam) if uniform else (objective.weights(contacts.count),)
     try:
-        return contacts.weighed(*given)
+        return contacts.weighed(*weights)
     except ValueError:
         hint = "; torsions of soft contacts do not count here" if grasp.rank == 6 else ""
         raise rank_error(min(grasp.rank, 5), contacts.count, hint) from None
@@ -151,9 +151,9 @@ def starter(
     fallback of repairs and predictions.
     """
     basis = OfflineBasis.of(grasp, objective)
-    made = _compiled(grasp, objective, start=COMBINATION, model=model)
-    made.set_basis(basis.cone_forces)
-    return made
+    optimizer = _compiled(grasp, objective, start=COMBINATION, model=model)
+    optimizer.set_basis(basis.cone_forces)
+    return optimizer
 
 
 def start_of(
@@ -162,8 +162,8 @@ def start_of(
     """Return the start (N, 3) [N] of a `starter`, by its index in `STARTS`, or None if it has none;
     some take a force (N, 3) [N].
     """
-    made: Any = optimizer.start(wrench, None, core.Request(start=start, force=force))
-    return made.initial_force.copy() if made.code == STARTED else None
+    solution: Any = optimizer.start(wrench, None, core.Request(start=start, force=force))
+    return solution.initial_force.copy() if solution.code == STARTED else None
 
 
 def _compiled(grasp: Grasp, objective: Objective, **options: Any) -> core.ForceOptimizer:

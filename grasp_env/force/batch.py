@@ -109,9 +109,9 @@ def _many_grasps(
         def work(part: slice) -> None:
             mine = order[begins[part.start] : begins[part.stop]]
             counts = begins[part.start : part.stop + 1] - begins[part.start]
-            found = np.empty((len(mine), records.shape[1]))
-            solve(distinct[part], counts.astype(np.float64), loads[mine], found)
-            records[mine] = found
+            rows = np.empty((len(mine), records.shape[1]))
+            solve(distinct[part], counts.astype(np.float64), loads[mine], rows)
+            records[mine] = rows
 
         over_parts(work, len(distinct), GRASPS, threads)
         unfinished = np.flatnonzero(records[:, CODE] != CONVERGED)

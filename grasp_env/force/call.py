@@ -75,16 +75,16 @@ def checked_call(
 def _mask(contacts: Any, count: int) -> Any:
     """Return (N,) bool of the contacts that touch, from true and false or from 1 and 0."""
     try:
-        given = np.asarray(contacts)
+        flags = np.asarray(contacts)
     except Exception:  # numpy's own: rows of different lengths, arrays that refuse
-        given = np.asarray(None)
+        flags = np.asarray(None)
     if np.ma.is_masked(contacts):
         raise InvalidInputError(
             f"contacts must be true or false each, none of them masked, got {shown(contacts)}"
         )
-    if given.shape == (count,) and given.dtype.kind in "biuf" and count <= 64:
-        mask = np.ascontiguousarray(given, dtype=bool)
-        if given.dtype.kind == "b" or (mask == given).all():
+    if flags.shape == (count,) and flags.dtype.kind in "biuf" and count <= 64:
+        mask = np.ascontiguousarray(flags, dtype=bool)
+        if flags.dtype.kind == "b" or (mask == flags).all():
             return mask
     raise InvalidInputError(
         f"contacts must be ({count},) of true and false, of at most 64 contacts, got {shown(contacts)}"

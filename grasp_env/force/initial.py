@@ -109,7 +109,7 @@ def rule_name(rule: Any) -> str:
     return next((name for name in named if isinstance(name, str) and name), type(rule).__name__)
 
 
-def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
+def call_rule(rule: Any, function: Callable[..., Any], *args: Any) -> Any:
     """Call a user's rule; any failure becomes an `InfeasibleStartError`, whose `__cause__` is the
     rule's own error.
     """
@@ -117,7 +117,7 @@ def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
         "a rule takes (grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
     )
     what = f"initial-force rule {rule_name(rule)!r}"
-    return call_user(function, *given, what=what, takes=takes, fault=InfeasibleStartError)
+    return call_user(function, *args, what=what, takes=takes, fault=InfeasibleStartError)
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,8 @@ def checked_initial(initial: Any) -> Any:
             else ""
         )
         return choice(initial, "initial-force rule", NAMES, hint)
-    given = initial is None or isinstance(initial, ForceSolution | np.ndarray | list | tuple)
-    if not given and (isinstance(initial, type) or not callable(initial)):
+    is_force = initial is None or isinstance(initial, ForceSolution | np.ndarray | list | tuple)
+    if not is_force and (isinstance(initial, type) or not callable(initial)):
         raise InvalidInputError(
             f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {shown(initial)}"
         )
@@ -181,9 +181,9 @@ def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective)
     if call_rule(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
         # the rule's guarantees hold for its own Phi only: establish them for this one
         force = Repair(objective)(grasp, wrench, force)
-    made = _force(name, force, grasp)
-    replaced = not isinstance(initial, LinearCombination) and start_replaced(grasp, wrench, made)
-    return StartRequest(GIVEN, name, replaced, made)
+    start = _force(name, force, grasp)
+    replaced = not isinstance(initial, LinearCombination) and start_replaced(grasp, wrench, start)
+    return StartRequest(GIVEN, name, replaced, start)
 
 
 def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:

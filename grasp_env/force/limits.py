@@ -156,9 +156,9 @@ class ForceLimits:
         nothing = np.zeros(0)
         if self.jacobian is None:
             return LimitArrays(least, most, np.zeros((n_contacts, 6, 0)), nothing, nothing)
-        given = checked_jacobian(self.jacobian, n_contacts)
-        jac = np.zeros((n_contacts, 6, given.shape[2]))
-        jac[:, : given.shape[1]] = given
+        rows = checked_jacobian(self.jacobian, n_contacts)
+        jac = np.zeros((n_contacts, 6, rows.shape[2]))
+        jac[:, : rows.shape[1]] = rows
         return LimitArrays(
             least, most, jac, np.array(self.torque_limit), np.array(self.torque_bias)
         )
@@ -215,15 +215,15 @@ class ForceLimits:
         matrix = np.empty((capacity, count, 4))
         bound = np.empty(capacity)
         of_rows = np.empty(capacity)
-        made = core.limit_rows(
+        used = core.limit_rows(
             (least, most, _in_contact_frames(grasp, jac), limit, bias), matrix, bound, of_rows
         )
-        assert made == len(labels)
+        assert used == len(labels)
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.transmitted
         transmitted[:, 3] = grasp.models.torsional_friction > 0.0
-        rows = (matrix[:made] * transmitted).reshape(made, 4 * count)
-        return LimitRows(rows, bound[:made].copy(), labels)
+        rows = (matrix[:used] * transmitted).reshape(used, 4 * count)
+        return LimitRows(rows, bound[:used].copy(), labels)
 
     def violations(
         self,
@@ -262,8 +262,8 @@ def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...]
         least = np.full(n_contacts, least) if least else None
     if most.ndim == 0:
         most = np.full(n_contacts, most) if most < np.inf else None
-    for each in (least, most, jacobian):
-        if each is not None and len(each) != n_contacts:
+    for array in (least, most, jacobian):
+        if array is not None and len(array) != n_contacts:
             limits.checked(n_contacts)  # raises, with the reason
     return least, most, jacobian, torque, bias
 

@@ -174,8 +174,8 @@ def solve_one(optimizer: Any, load: Array, record: Array) -> None:
     try:
         record[:] = optimizer.solve(load)._record
     except (InfeasibleWrenchError, NotConvergedError) as error:
-        found = getattr(error, "solution", None)
-        if found is None:
+        solution = getattr(error, "solution", None)
+        if solution is None:
             record[:] = 0.0
             record[at.CODE], record[at.OBJECTIVE], record[at.BOUND] = at.UNDECIDED, np.inf, -np.inf
             record[at.CONTACTS], record[at.WRENCH : at.WRENCH + 6] = (
@@ -183,7 +183,7 @@ def solve_one(optimizer: Any, load: Array, record: Array) -> None:
                 load,
             )
         else:
-            record[:] = found._record
+            record[:] = solution._record
 
 
 CHUNK = 4096

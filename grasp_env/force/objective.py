@@ -110,18 +110,18 @@ def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
     """Return flat cone coordinates as (N, 3); with `inside`, raise if they are not strictly inside
     the cones.
     """
-    given = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
-    if given.size % 3 or not 1 <= given.size // 3 <= ranges.SIDE_BY_SIDE:
+    numbers = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
+    if numbers.size % 3 or not 1 <= numbers.size // 3 <= ranges.SIDE_BY_SIDE:
         raise InvalidInputError(
-            f"x must have shape (3N,) for at least one contact, got {given.shape}"
+            f"x must have shape (3N,) for at least one contact, got {numbers.shape}"
         )
-    rows = given.reshape(-1, 3)
+    rows = numbers.reshape(-1, 3)
     if inside and not (rows[:, 0] * (1.0 - 1e-15) > np.hypot(rows[:, 1], rows[:, 2])).all():
         raise InvalidInputError(
-            f"x must lie strictly inside the cones, u > |(o, t)| at every contact, got {shown(given)}"
+            f"x must lie strictly inside the cones, u > |(o, t)| at every contact, got {shown(numbers)}"
         )
     if inside and not (rows[:, 0] > 1e-30).all():
-        raise InvalidInputError(f"x must have u > 1e-30 N at every contact, got {shown(given)}")
+        raise InvalidInputError(f"x must have u > 1e-30 N at every contact, got {shown(numbers)}")
     return rows
 
 
@@ -131,9 +131,11 @@ def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:
         isinstance(value, np.ndarray) and value.ndim
     ):
         return positive(value, name, within)
-    each = as_array(value, (None,), name).tolist()
+    weights = as_array(value, (None,), name).tolist()
     with AllFaults() as check:
-        return tuple(check(positive, value, f"{name}[{k}]", within) for k, value in enumerate(each))
+        return tuple(
+            check(positive, value, f"{name}[{k}]", within) for k, value in enumerate(weights)
+        )
 
 
 def as_objective(value: object) -> Objective:

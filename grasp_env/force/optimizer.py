@@ -359,11 +359,11 @@ class ForceOptimizer:
             return solution
         raise self._error(solution, wrench, now, start)
 
-    def _checked(self, wrench: ArrayLike, given: tuple[Any, ...]) -> tuple[Wrench, Call]:
+    def _checked(self, wrench: ArrayLike, arrays: tuple[Any, ...]) -> tuple[Wrench, Call]:
         """Return the arguments of a call as checked arrays."""
         with AllFaults() as check:
             load = check(as_wrench, wrench)
-            now = check(self._arrays, *given)
+            now = check(self._arrays, *arrays)
         if self.limits is None and (now.jacobian is not None or now.torque_bias is not None):
             raise InvalidInputError(
                 "jacobian and torque_bias need torque limits: make the optimizer with limits"
@@ -419,18 +419,18 @@ class ForceOptimizer:
         return self._start_and_replaced(wrench, initial=initial, **now)[0]
 
     def _start_and_replaced(
-        self, wrench: ArrayLike, *, initial: Initial | None = None, **given: ArrayLike | None
+        self, wrench: ArrayLike, *, initial: Initial | None = None, **arrays: ArrayLike | None
     ) -> tuple[ContactForces, bool]:
         """Return `start`, and True if another start replaced the requested one."""
         if self.method == "conic":
             raise UnsupportedProblemError("method 'conic' takes no initial force")
         load = as_wrench(wrench)
-        now = self._arrays(**given)
+        now = self._arrays(**arrays)
         start = self._start(load, now, initial)
-        made = self.core.start(load, now, start.request())
-        if made.code != STARTED:
-            raise self._error(made, load, now, start)
-        return made.initial_force.copy(), start.replaced or made.start_replaced
+        solution = self.core.start(load, now, start.request())
+        if solution.code != STARTED:
+            raise self._error(solution, load, now, start)
+        return solution.initial_force.copy(), start.replaced or solution.start_replaced
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
         """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other, on
@@ -458,7 +458,7 @@ class ForceOptimizer:
         now = self._arrays(positions, normals, friction, jacobian, torque_bias)
         moved = (
             touching_grasp(self.grasp, now)
-            if any(each is not None for each in now[:3])
+            if any(array is not None for array in now[:3])
             else self.grasp
         )
         if self.options.flows and moved.rank < 6:
@@ -470,18 +470,20 @@ class ForceOptimizer:
         self._grasp = moved
         self.limits = self._limits_of(now)
 
-    def _arrays(self, *given: Any, **named: Any) -> Call:
+    def _arrays(self, *args: Any, **kwargs: Any) -> Call:
         """Return the checked arrays of a call on these contacts and limits."""
         moved: Any = None if self.limits is None else self.limits.jacobian
         return checked_call(
-            self.grasp, (0, 0) if moved is None else moved.shape[1:], *given, **named
+            self.grasp, (0, 0) if moved is None else moved.shape[1:], *args, **kwargs
         )
 
     def _limits_of(self, now: Call) -> ForceLimits | None:
         """Return the limits with the Jacobian and the torque bias of a call."""
-        given = {name: getattr(now, name) for name in ("jacobian", "torque_bias")}
-        given = {name: value.copy() for name, value in given.items() if value is not None}
-        return replace(self.limits, **given) if self.limits is not None and given else self.limits
+        changes = {name: getattr(now, name) for name in ("jacobian", "torque_bias")}
+        changes = {name: value.copy() for name, value in changes.items() if value is not None}
+        return (
+            replace(self.limits, **changes) if self.limits is not None and changes else self.limits
+        )
 
     def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartRequest:
         """Return the start of a call; an `InfeasibleStartError` if a rule fails, or returns no
@@ -498,7 +500,9 @@ class ForceOptimizer:
             return StartRequest(STARTS.index(requested))
         if initial is None and isinstance(requested, CompiledRule):
             return OWN_START
-        moved = self.grasp if all(each is None for each in now) else touching_grasp(self.grasp, now)
+        moved = (
+            self.grasp if all(array is None for array in now) else touching_grasp(self.grasp, now)
+        )
         start = rule_start(requested, moved, wrench, self.options.objective)
         if now.contacts is None or now.contacts.all():
             return start
@@ -518,12 +522,12 @@ class ForceOptimizer:
             )
         return previous
 
-    def _proof(self, solution: ForceSolution, given: tuple[Any, ...]) -> str:
+    def _proof(self, solution: ForceSolution, arrays: tuple[Any, ...]) -> str:
         """Explain why there is no force."""
         limits, moved = self.limits, self.grasp
-        if any(each is not None for each in given):
+        if any(array is not None for array in arrays):
             try:
-                now = self._arrays(*given)
+                now = self._arrays(*arrays)
                 moved = touching_grasp(self.grasp, now)
             except GraspError:  # the caller has overwritten its arrays since
                 return explain(solution, None, limits)
@@ -534,14 +538,14 @@ class ForceOptimizer:
         self,
         solution: ForceSolution,
         wrench: ArrayLike,
-        given: tuple[Any, ...],
+        arrays: tuple[Any, ...],
         start: StartRequest,
     ) -> GraspError:
         """Return the error for a solution without a force."""
         code = solution.code
         if code == INFEASIBLE:
-            return InfeasibleWrenchError("", solution, lambda: self._proof(solution, given))
-        load, now = self._checked(wrench, given)  # raises if one of them is the reason
+            return InfeasibleWrenchError("", solution, lambda: self._proof(solution, arrays))
+        load, now = self._checked(wrench, arrays)  # raises if one of them is the reason
         if code == UNDECIDED:
             return NotConvergedError(
                 f"neither a force nor a proof that none exists was found for wrench {load.tolist()}: forces, limits and weights are too "

@@ -94,14 +94,14 @@ def _moves_contacts(grasp: Grasp, twist: Array) -> bool:
 
 def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:
     """Return the labels of the limits that a proof needs, the largest price first."""
-    prices = solution.limit_multipliers
-    if limits is None or not len(prices) or not prices.max() > 0.0:
+    multipliers = solution.limit_multipliers
+    if limits is None or not len(multipliers) or not multipliers.max() > 0.0:
         return []
     labels = limits.labels(solution.n_contacts)
     order = [
         k
-        for k in np.argsort(-prices, kind="stable").tolist()
-        if prices[k] > NEGLIGIBLE_PRICE * prices.max()
+        for k in np.argsort(-multipliers, kind="stable").tolist()
+        if multipliers[k] > NEGLIGIBLE_PRICE * multipliers.max()
     ]
     return [labels[k] for k in order[:MOST_NAMED]] + [f"and {len(order) - MOST_NAMED} more"] * (
         len(order) > MOST_NAMED
@@ -120,10 +120,10 @@ def _slipping(solution: ForceSolution, grasp: Grasp, limits: ForceLimits | None)
     right = 0.0
     if limits is not None:
         rows = limits.rows(grasp)
-        prices = solution.limit_multipliers
-        q += (prices @ rows.matrix).reshape(-1, 4)
-        right = float(prices @ rows.bound)
-        size = max(size, float((prices[:, None] * np.abs(rows.matrix)).max(initial=0.0)))
+        multipliers = solution.limit_multipliers
+        q += (multipliers @ rows.matrix).reshape(-1, 4)
+        right = float(multipliers @ rows.bound)
+        size = max(size, float((multipliers[:, None] * np.abs(rows.matrix)).max(initial=0.0)))
     least = least_normal_motions(grasp, q)
     scale = abs(right) + float(np.abs(twist * solution.wrench).sum())
     if not (

@@ -146,12 +146,12 @@ def _started(
     known = _STARTERS.setdefault(grasp, {})
     if objective not in known:
         known[objective] = starter(grasp, objective)
-    made = start_of(known[objective], start, wrench, force)
-    if made is None:
+    repaired = start_of(known[objective], start, wrench, force)
+    if repaired is None:
         raise InfeasibleStartError(
             f"no force strictly inside the cones was found from this force for wrench {wrench.tolist()}"
         )
-    return made
+    return repaired
 
 
 _STARTERS: WeakKeyDictionary[Grasp, dict[Objective, core.ForceOptimizer]] = WeakKeyDictionary()

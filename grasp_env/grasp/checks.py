@@ -33,12 +33,12 @@ def normalise_normals(normals: Array) -> None:
     """Scale normals (N, 3) to unit length in place; raise if the length of one is not within 1 % of
     one.
     """
-    given = normals.copy()
+    before = normals.copy()
     worst = normalise(normals)
     if worst >= 0:
         raise InvalidInputError(
-            f"normals must be unit vectors into the object, with a length of one to 1 %; normal {worst} is {given[worst].tolist()} "
-            f"with length {math.hypot(*given[worst]):.6g}: divide it by its length"
+            f"normals must be unit vectors into the object, with a length of one to 1 %; normal {worst} is {before[worst].tolist()} "
+            f"with length {math.hypot(*before[worst]):.6g}: divide it by its length"
         )
 
 

@@ -72,13 +72,11 @@ class ContactModels:
             return cls._made(("hard",) * count, np.full((count, 2), friction), np.zeros(count))
         if isinstance(models, np.ndarray) and models.ndim == 1 and len(models) == count:
             models = models.tolist()
-        each = [models] * count if isinstance(models, str) else models
-        if not isinstance(each, list | tuple) or len(each) != count:
-            given = len(each) if isinstance(each, list | tuple) else shown(models)
-            raise InvalidInputError(
-                f"contact_model must be one name or {count} of them, got {given}"
-            )
-        names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in each)
+        listed = [models] * count if isinstance(models, str) else models
+        if not isinstance(listed, list | tuple) or len(listed) != count:
+            got = len(listed) if isinstance(listed, list | tuple) else shown(models)
+            raise InvalidInputError(f"contact_model must be one name or {count} of them, got {got}")
+        names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in listed)
         mu = _friction(friction, np.array([name != "frictionless" for name in names], dtype=bool))
         gamma = _torsional(
             torsional_friction, np.array([name == "soft" for name in names], dtype=bool)
@@ -177,14 +175,14 @@ def _each(
 
     With `finite=False` the others may be infinite or nan.
     """
-    given = as_array(value, None, name, finite=finite)
-    if given.shape not in shapes:
+    numbers = as_array(value, None, name, finite=finite)
+    if numbers.shape not in shapes:
         raise InvalidInputError(
-            f"{name} must have shape {' or '.join(map(str, shapes))}, got {given.shape}"
+            f"{name} must have shape {' or '.join(map(str, shapes))}, got {numbers.shape}"
         )
-    rows = given[:, None] if given.ndim == 1 and len(shapes[-1]) == 2 else given
+    rows = numbers[:, None] if numbers.ndim == 1 and len(shapes[-1]) == 2 else numbers
     full = np.array(np.broadcast_to(rows, shapes[-1]), order="C")
     if not ((full >= within.low) & (full <= within.high))[felt].all():
-        raise InvalidInputError(f"{name} must lie within {within} {where}, got {shown(given)}")
+        raise InvalidInputError(f"{name} must lie within {within} {where}, got {shown(numbers)}")
     full[~felt] = 0.0
     return full

@@ -51,9 +51,9 @@ class _Lazy:
     def __get__(self, grasp: Grasp | None, _: type) -> Any:
         if grasp is None:
             return self
-        made = self._make(grasp) if self._make else getattr(grasp.contacts, self._name)
-        vars(grasp)[self._name] = made
-        return made
+        value = self._make(grasp) if self._make else getattr(grasp.contacts, self._name)
+        vars(grasp)[self._name] = value
+        return value
 
 
 def _lazy(make: Callable[[Grasp], Any] | None = None) -> Any:
@@ -161,8 +161,8 @@ class Grasp:
             points = check(checked_points, positions)
             count = None if points is None else len(points)
             inward = check(as_array, normals, (count, 3), "normals")
-            given = contact_model, friction, torsional_friction
-            models: Any = None if count is None else check(ContactModels.checked, *given, count)
+            settings = contact_model, friction, torsional_friction
+            models: Any = None if count is None else check(ContactModels.checked, *settings, count)
         normalise_normals(inward)
         grasp = cls._made(points, inward, models, checked_tangents(tangents, inward))
         if torsional_friction is not None:
@@ -273,19 +273,19 @@ class Grasp:
             >>> pinch.rank, pinch.within_reach([0, 0, -1, 0, 0.01, 0.02])      # hard contacts do not resist the moment about y
             (5, array([ 0.  ,  0.  , -1.  ,  0.  ,  0.  ,  0.02]))
         """
-        made = np.empty(6)
-        self.contacts.within_reach(as_array(wrench, (6,), "wrench", ranges.SIZE), made)
-        return made
+        balanced = np.empty(6)
+        self.contacts.within_reach(as_array(wrench, (6,), "wrench", ranges.SIZE), balanced)
+        return balanced
 
     @property
     def largest_friction(self) -> float:
         """Largest friction coefficient of any contact in any direction."""
-        given = vars(self).get(
+        friction = vars(self).get(
             "_friction"
         )  # of hard contacts, whose `models` are made at their first use
-        if type(given) is float:
-            return given
-        return float((self.models.friction if given is None else given).max())
+        if type(friction) is float:
+            return friction
+        return float((self.models.friction if friction is None else friction).max())
 
     @property
     def hard(self) -> bool:
@@ -370,8 +370,10 @@ class Grasp:
         """Return the wrench (6,) [N, N m] of contact forces `force` (N, 3) and `torsion` (N,) on
         the object: G f (+ T torsion).
         """
-        made = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(-1)
-        return made if torsion is None else made + self._twisted(torsion)
+        wrench = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(
+            -1
+        )
+        return wrench if torsion is None else wrench + self._twisted(torsion)
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
         """Return the largest |component| of G f + w [N], moments about the contacts' centre and

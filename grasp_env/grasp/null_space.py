@@ -70,9 +70,9 @@ def reference_basis(grasp: Grasp) -> Array:
         and np.linalg.svd(squeezes, compute_uv=False)[-1] > 1e-2
     ):
         return _polar(squeezes)
-    found = np.zeros((3 * count, dimension))
-    found[sent] = np.linalg.svd(grasp.matrix[:, sent])[2][sent.sum() - dimension :].T
-    in_object = _rotate(grasp, _internal(grasp, found), back=True)
+    basis = np.zeros((3 * count, dimension))
+    basis[sent] = np.linalg.svd(grasp.matrix[:, sent])[2][sent.sum() - dimension :].T
+    in_object = _rotate(grasp, _internal(grasp, basis), back=True)
     in_object *= np.sign(in_object[np.abs(in_object).argmax(axis=0), np.arange(dimension)])
     return in_object
 

@@ -52,9 +52,9 @@ def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
         >>> float(magnitude([3, 0, 0, 0, 0, 0.2]))
         5.0
     """
-    given = as_wrenches(wrench)
+    wrenches = as_wrenches(wrench)
     scaled = np.concatenate(
-        [given[..., :3], given[..., 3:] / positive(length, "length", ranges.LENGTH)], axis=-1
+        [wrenches[..., :3], wrenches[..., 3:] / positive(length, "length", ranges.LENGTH)], axis=-1
     )
     return np.sqrt((scaled**2).sum(axis=-1))
 
@@ -119,10 +119,10 @@ def sample_path(rng: np.random.Generator, count: int, step: float = 0.03) -> Arr
         path[k] = point
         move = np.concatenate([_ball(rng, 1)[0] * FORCE_RADIUS, _ball(rng, 1)[0] * MOMENT_RADIUS])
         point = point + step * move
-        for part, radius in ((slice(0, 3), FORCE_RADIUS), (slice(3, 6), MOMENT_RADIUS)):
-            norm = float(np.sqrt((point[part] ** 2).sum()))
+        for axes, radius in ((slice(0, 3), FORCE_RADIUS), (slice(3, 6), MOMENT_RADIUS)):
+            norm = float(np.sqrt((point[axes] ** 2).sum()))
             if norm > radius:  # reflect at the surface of the ball
-                point[part] *= (2.0 * radius - norm) / norm
+                point[axes] *= (2.0 * radius - norm) / norm
     return path
 
 

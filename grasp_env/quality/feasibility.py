@@ -88,13 +88,13 @@ def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None)
         True
     """
     load = as_wrench(wrench)
-    found = deepest(as_grasp(grasp), load, as_limits(limits))
-    if found.code == CONVERGED:
-        return Feasibility(found.force, found.torsion, None, found.margin)
-    if found.code == INFEASIBLE:
-        return Feasibility(None, None, found.twist, found.margin)
+    result = deepest(as_grasp(grasp), load, as_limits(limits))
+    if result.code == CONVERGED:
+        return Feasibility(result.force, result.torsion, None, result.margin)
+    if result.code == INFEASIBLE:
+        return Feasibility(None, None, result.twist, result.margin)
     raise NotConvergedError(
-        f"neither a force nor a proof was found for wrench {load.tolist()} (margin {found.margin:.3g} after {found.iterations} "
+        f"neither a force nor a proof was found for wrench {load.tolist()} (margin {result.margin:.3g} after {result.iterations} "
         "iterations)"
     )
 

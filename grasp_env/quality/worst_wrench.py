@@ -229,19 +229,19 @@ def worst_case(
         if not len(listed):
             raise InvalidInputError("wrenches must hold at least one wrench")
         solved = [_solved(optimizer, wrench) for wrench in listed]
-        for wrench, found in zip(listed, solved, strict=True):
-            if found.solution is None:
+        for wrench, case in zip(listed, solved, strict=True):
+            if case.solution is None:
                 raise NotConvergedError(
                     f"the conic solver found no optimal force for wrench {wrench.tolist()}"
                 )
-        worst = max(solved, key=lambda found: found.upper)
-        return worst._replace(lower=max(found.lower for found in solved))
+        worst = max(solved, key=lambda case: case.upper)
+        return worst._replace(lower=max(case.lower for case in solved))
     ball = wrenches
     if limits is None and not (closure := force_closure(grasp)):
         assert closure.twist is not None
         # infeasible by the twist; the solver may add its own proof
-        found = _solved(optimizer, ball.farthest(closure.twist))
-        return found if found.lower == np.inf else WorstCase(found.wrench, np.inf, np.inf, None)
+        case = _solved(optimizer, ball.farthest(closure.twist))
+        return case if case.lower == np.inf else WorstCase(case.wrench, np.inf, np.inf, None)
     axes = np.concatenate([np.eye(6), -np.eye(6)])
     directions = np.concatenate([axes, rng.standard_normal((starts, 6))]) / ball.radii
     best = max((_ascended(optimizer, ball, ball.farthest(n)) for n in directions), key=_lower)
@@ -252,8 +252,8 @@ def worst_case(
     return _within_limits(optimizer, ball, best)
 
 
-def _lower(found: WorstCase) -> float:
-    return found.lower
+def _lower(case: WorstCase) -> float:
+    return case.lower
 
 
 def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
@@ -278,10 +278,10 @@ def _ascended(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> Wo
     for _ in range(50):
         if best.lower == np.inf or best.solution is None or not best.solution.multipliers.any():
             break
-        found = _solved(optimizer, ball.farthest(-best.solution.multipliers))
-        if not found.lower > best.lower * (1.0 + 1e-6):
+        case = _solved(optimizer, ball.farthest(-best.solution.multipliers))
+        if not case.lower > best.lower * (1.0 + 1e-6):
             break
-        best = found
+        best = case
     return best
 
 
@@ -344,13 +344,13 @@ def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase)
     """Compute the upper bound from the vertices of an outer polytope."""
     upper = best.upper
     for vertex in ball.enclosing():
-        found = _solved(optimizer, vertex)
-        upper = max(upper, found.upper)
+        case = _solved(optimizer, vertex)
+        upper = max(upper, case.upper)
         if upper == np.inf:
-            if found.solution is not None and found.solution.certificate is not None:
+            if case.solution is not None and case.solution.certificate is not None:
                 # the twist that separates the vertex may also separate a wrench of the ball
                 best = max(
-                    best, _solved(optimizer, ball.farthest(found.solution.certificate)), key=_lower
+                    best, _solved(optimizer, ball.farthest(case.solution.certificate)), key=_lower
                 )
             break
     return best._replace(upper=upper)
