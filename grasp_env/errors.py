@@ -76,8 +76,8 @@ def alike(given: object, allowed: Iterable[str]) -> str:
     if not isinstance(given, str) or len(given) > 100:
         return ""
     names = {name.lower(): name for name in allowed}
-    found = get_close_matches(given.lower(), names, 1)
-    return f" did you mean {names[found[0]]!r}?" if found else ""
+    matches = get_close_matches(given.lower(), names, 1)
+    return f" did you mean {names[matches[0]]!r}?" if matches else ""
 
 
 class GraspError(ValueError):

@@ -103,9 +103,9 @@ class Settings:
         # inherited fields, and those that `dataclass` has not processed yet
         known = {**getattr(cls, "__dataclass_fields__", {}), **vars(cls)}
         abouts = {
-            name: each.metadata.get(_ABOUT)
-            for name, each in known.items()
-            if isinstance(each, Field)
+            name: item.metadata.get(_ABOUT)
+            for name, item in known.items()
+            if isinstance(item, Field)
         }
         lines = [_sentence(name, about) for name, about in abouts.items() if about]
         if lines:
@@ -163,17 +163,17 @@ def real(within: Range = ANY) -> Kind:
     """A number within a range."""
 
     def take(value: Any, name: str) -> float:
-        found = as_number(value)
-        if found is None or not within.low <= found <= within.high:
+        result = as_number(value)
+        if result is None or not within.low <= result <= within.high:
             most = (
                 f" and up to {within.high:g}"
-                if found is not None and found > within.high >= 1e9
+                if result is not None and result > within.high >= 1e9
                 else ""
             )
             raise InvalidInputError(
                 f"{name} must be a number {_range_text(within)}{most}, got {shown(value)}"
             )
-        return found
+        return result
 
     return Kind(take, _range_text(within))
 
@@ -196,7 +196,7 @@ def one_of(
             return value
         return choice(value, name, allowed, instead and f", or give {instead}")
 
-    return Kind(take, ", ".join(f"`{each}`" for each in allowed) + (instead and f", or {instead}"))
+    return Kind(take, ", ".join(f"`{name}`" for name in allowed) + (instead and f", or {instead}"))
 
 
 def numbers(count: int, within: Range = ANY) -> Kind:
@@ -246,7 +246,7 @@ def any_of(
                     f"{name} needs a name, one of {', '.join(map(repr, table))}, got {shown(value)}"
                 )
             named = value["name"]
-            settings = {key: each for key, each in value.items() if key != "name"}
+            settings = {key: item for key, item in value.items() if key != "name"}
         return table[choice(named, name, table, hint)]().replaced(settings, name)
 
     def write(value: Any, name: str) -> Any:
@@ -254,7 +254,7 @@ def any_of(
             value, name, table.get(value.name) if isinstance(value, Settings) else None
         )
 
-    text = ", ".join(f"`{each}`" for each in table)
+    text = ", ".join(f"`{name}`" for name in table)
     more = ", or a function" if calls else ""
     return Kind(take, f"{text}, {base.__name__} or dict{more}", tuple(table.values()), write)
 
@@ -284,9 +284,9 @@ def to_json(value: Any, path: str = "") -> Any:
             for item in fields(value)
         }
     if isinstance(value, dict):
-        return {str(key): to_json(each, f"{start}{key}") for key, each in value.items()}
+        return {str(key): to_json(item, f"{start}{key}") for key, item in value.items()}
     if isinstance(value, tuple | list):
-        return [to_json(each, path) for each in value]
+        return [to_json(item, path) for item in value]
     if isinstance(value, np.ndarray | np.generic):
         return to_json(value.tolist(), path)
     if isinstance(value, os.PathLike):
@@ -329,5 +329,5 @@ def _range_text(within: Range) -> str:
 
 
 def _sentence(name: str, about: About) -> str:
-    allowed = " ".join(part for part in (about.kind.text, about.unit) if part)
+    allowed = " ".join(text for text in (about.kind.text, about.unit) if text)
     return f"    {name}: {about.doc} ({allowed})"

@@ -83,23 +83,23 @@ def as_array(
 def _converted(value: Any, shape: Shape | None, name: str) -> Array:
     """Return a new float64 array of anything that numpy reads as real numbers."""
     try:
-        given: Any = np.asarray(value)
+        array: Any = np.asarray(value)
         # the usual case: a new array that needs no conversion
-        if type(value) is list and given.dtype is _FLOAT:
-            return given
+        if type(value) is list and array.dtype is _FLOAT:
+            return array
         if np.ma.is_masked(value):  # `asarray` reads what the mask hides
             why = "masked entries are no numbers"
-        elif given.dtype.kind == "O":  # fractions, large integers, None
-            each: Any = [as_number(entry) for entry in given.flat]
-            if None not in each:
-                return np.reshape(each, given.shape)
+        elif array.dtype.kind == "O":  # fractions, large integers, None
+            entries: Any = [as_number(entry) for entry in array.flat]
+            if None not in entries:
+                return np.reshape(entries, array.shape)
             why = "not all of them are"
         elif (
-            given.dtype.kind in "iuf"
+            array.dtype.kind in "iuf"
         ):  # numpy would convert text and booleans, too, and complex numbers in part
-            return np.array(given, dtype=np.float64, order="C")
+            return np.array(array, dtype=np.float64, order="C")
         else:
-            why = f"they are of type {given.dtype}"
+            why = f"they are of type {array.dtype}"
     except Exception as error:  # numpy's own
         why = str(error).partition("\n")[0].rstrip(".")[:200]
     raise InvalidInputError(
@@ -162,11 +162,11 @@ def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
 
 def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
     """Return a finite float within a range, or raise an `InvalidInputError`."""
-    found = as_number(value)
-    if found is None or not within.low <= found <= within.high:
-        must = "be a number" if found is None else "lie"
+    result = as_number(value)
+    if result is None or not within.low <= result <= within.high:
+        must = "be a number" if result is None else "lie"
         raise InvalidInputError(f"{name} must {must} within {within}, got {shown(value)}")
-    return found
+    return result
 
 
 def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
@@ -252,7 +252,7 @@ class AllFaults:
 
 def call_user(
     function: Callable[..., Any],
-    *given: Any,
+    *args: Any,
     what: str,
     takes: str,
     fault: type[GraspError] = InvalidInputError,
@@ -261,7 +261,7 @@ def call_user(
     `takes`.
     """
     try:
-        return function(*given)
+        return function(*args)
     except GraspError:
         raise
     except Exception as error:

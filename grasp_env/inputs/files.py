@@ -41,17 +41,17 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
     """
     try:
         with open(os.fspath(path), "rb") as file:
-            parts = list[bytes]()
+            chunks = list[bytes]()
             left = most + 1
             # files under /proc and pipes do not tell their size
-            while part := file.read(min(left, MEGABYTE)):
-                parts.append(part)
-                left -= len(part)
+            while chunk := file.read(min(left, MEGABYTE)):
+                chunks.append(chunk)
+                left -= len(chunk)
     except (TypeError, ValueError) as error:
         raise OSError(errno.EINVAL, f"no path of a file ({error})", shown(path)) from None
     if left == 0:
         raise OSError(errno.EFBIG, f"it is larger than {most // MEGABYTE} MB", str(path))
-    return b"".join(parts)
+    return b"".join(chunks)
 
 
 def read_json(
@@ -198,8 +198,8 @@ def _hidden(target: Path) -> Path:
 
 def _sync(path: Path) -> None:
     """Wait until a file, or a folder with all that is in it, is on the disk."""
-    for each in (*path.rglob("*"), path):
-        _sync_entry(each)
+    for entry in (*path.rglob("*"), path):
+        _sync_entry(entry)
 
 
 def _sync_entry(path: Path) -> None:
